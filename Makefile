@@ -10,6 +10,8 @@ BIN := $(VENV)/bin
 FIRMWARE_PACKAGES := cmake g++ clang clang-format clang-tidy cppcheck libclang-rt-14-dev gcc-arm-none-eabi libnewlib-arm-none-eabi qemu-system-arm \
   gcc-avr avr-libc arduino-core-avr libsimavr-dev
 
+WORLD_PACKAGES := clang lld wasi-libc libclang-rt-14-dev-wasm32
+
 XTENSA_PACKAGES := gcc-xtensa-lx106 picolibc-xtensa-lx106-elf
 
 ROS1_PACKAGES := python3-catkin-pkg python3-roslaunch python3-rospy python3-rosbag python3-rostopic python3-rosservice python3-rosnode python3-rosparam python3-geometry-msgs \
@@ -49,7 +51,7 @@ help:
 	@echo "make ros2-venv  rclpy from PyPI and hostlink, into build/ros2-venv"
 	@echo "make ros-mcp-venv  ros-mcp from PyPI, a client of rosbridge that the tests run, into build/ros-mcp-venv"
 	@echo "make firmware  build the boards' firmware in every way that runs here, and test it"
-	@echo "make world   build the firmware in its world for Python, in virtual time (hostlink/sim/firmware_world.py)"
+	@echo "make world   build the firmware in its world as WebAssembly, for simulated robots (hostlink/sim/firmware.wasm)"
 	@echo "make lab     drive the paper's measurements again: causes, tables, fit, claims and pictures, into build/lab"
 	@echo "make web     build the browser's page from $(WEB)/src (needs Node 20.19 or newer)"
 	@echo "make screenshots  pictures of the page, into build/screenshots"
@@ -67,7 +69,7 @@ $(BIN)/python:
 
 $(VENV)/.hostlink: pyproject.toml | $(BIN)/python
 	@echo "installing hostlink into $(VENV) ..."
-	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -e .
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[sim]'
 	@touch $@
 
 $(VENV)/.dev: pyproject.toml | $(BIN)/python
@@ -114,7 +116,7 @@ $(CLIENTS): tests/clients/package.json tests/clients/package-lock.json
 	@touch $@
 
 test: $(VENV)/.dev $(CLIENTS) $(ROS2_VENV)/.installed $(ROS_MCP_VENV)/.installed
-	@tools/require.sh tmux procps systemd chromium-headless-shell firefox-esr openssl $(FIRMWARE_PACKAGES) $(ROS1_PACKAGES)
+	@tools/require.sh tmux procps systemd chromium-headless-shell firefox-esr openssl $(FIRMWARE_PACKAGES) $(WORLD_PACKAGES) $(ROS1_PACKAGES)
 	$(BIN)/python -m pytest --collect-only --quiet tests >/dev/null # what pytest compiles: once, not once a worker
 	$(BIN)/python tools/run_tests.py --workers $(WORKERS) --quiet-workers $(QUIET_WORKERS)
 
@@ -142,7 +144,7 @@ check: $(VENV)/.dev
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-cache
-	$(BIN)/python tools/web_stale.py
+	$(BIN)/python tools/built_stale.py
 
 docs: $(VENV)/.dev
 	$(BIN)/sphinx-build -q --keep-going -W -b html docs build/docs
@@ -175,7 +177,7 @@ fuzz: $(VENV)/.dev
 web: $(VENV)/.dev
 	@command -v npm >/dev/null || { echo "make web needs Node 20.19 or newer, with npm"; exit 1; }
 	cd $(WEB) && npm ci --no-progress && npm run check && npm run build
-	$(BIN)/python tools/web_stale.py --write
+	$(BIN)/python tools/built_stale.py --write web
 
 screenshots: $(VENV)/.dev
 	@tools/require.sh chromium-headless-shell
@@ -184,19 +186,19 @@ screenshots: $(VENV)/.dev
 	cp build/screenshots/page-desk-light.png docs/page.png
 
 firmware: $(VENV)/.dev
-	@tools/require.sh $(FIRMWARE_PACKAGES) $(XTENSA_PACKAGES)
+	@tools/require.sh $(FIRMWARE_PACKAGES) $(XTENSA_PACKAGES) $(WORLD_PACKAGES)
 	cd firmware && for preset in native native-asan cortex-m3; do \
 	  cmake --preset $$preset >/dev/null && cmake --build --preset $$preset && ctest --preset $$preset -E python || exit 1; done
 	firmware/tests/avr_gate.sh
 	$(BIN)/python tools/board_sizes.py
 	$(BIN)/python -m pytest tests/firmware
 
-world:
-	@tools/require.sh cmake g++
-	cd firmware && cmake --preset native >/dev/null && cmake --build --preset native --target firmware_world
-	@touch build/firmware/native/libfirmware_world.so # newer than each of its sources, whatever had to be compiled
+world: $(VENV)/.dev
+	@tools/require.sh $(WORLD_PACKAGES)
+	$(BIN)/python tools/build_world.py
+	$(BIN)/python tools/built_stale.py --write world
 
-lab: $(VENV)/.dev world
+lab: $(VENV)/.dev
 	@mkdir -p build/lab
 	set -o pipefail; $(BIN)/hostlink lab tables --fit | tee build/lab/tables.md
 	set -o pipefail; $(BIN)/hostlink lab claims | tee build/lab/claims.md

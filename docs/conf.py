@@ -8,7 +8,7 @@ from sphinx.application import Sphinx
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from tools import docs_reference
+from tools import docs_reference, try_page
 
 docs_reference.main()
 
@@ -41,8 +41,13 @@ suppress_warnings = ["misc.highlighting_failure"]
 
 
 def setup(app: Sphinx) -> None:
-    """Links to what lies elsewhere lead to its page here."""
+    """Links to what lies elsewhere lead to its page here; and the page that drives the firmware is beside them."""
     app.connect("source-read", _link_here)
+    app.connect("build-finished", _write_try_page)
+
+
+def _write_try_page(app: Sphinx, _error: Exception | None) -> None:
+    try_page.write(Path(app.outdir) / "try.html")
 
 
 def _link_here(_app: Sphinx, _page: str, source: list[str]) -> None:

@@ -1,6 +1,6 @@
 """Compare PID gains on the firmware in simulated worlds: the paper's, and those of `hostlink step --tune`.
 
-    make world && .venv/bin/python tools/compare_gains.py
+    .venv/bin/python tools/compare_gains.py
 
 The same stages, identification and figures as the command's, in virtual time; docs/tuning.md has the tables. The
 overshoot is of the true speed, a hundred times a second: the robot's own messages are ten a second, and filtered.
@@ -18,9 +18,8 @@ from hostlink.cli.step import PAPER_GAINS, Stage, draw_picture, make_stage, risi
 from hostlink.errors import HostlinkError
 from hostlink.robot.motor_model import MotorModel, PidGains, identify_motor, simc_gains
 from hostlink.robot.step_response import Record, Sample, StepFigures, make_record, step_figures
-from hostlink.sim.controller import Feedback
-from hostlink.sim.firmware_world import FirmwareWorld, Trace
-from hostlink.sim.world_parameters import WheelParameters, WorldParameters
+from hostlink.sim.firmware_world import Feedback, FirmwareWorld, Trace
+from hostlink.sim.world_parameters import WorldParameters, wheel
 
 SEPARATION_M = 0.21
 BEFORE_S = 0.5
@@ -64,19 +63,19 @@ def drawn_world(seed: int) -> WorldParameters:
     def draw(low: float, high: float) -> float:
         return float(random.uniform(low, high))
 
-    def wheel() -> WheelParameters:
-        return WheelParameters(
-            full_speed_rad_s=PAPER.left.full_speed_rad_s * draw(0.97, 1.07),
+    def draw_wheel(side: str) -> dict[str, float]:
+        return wheel(
+            side,
+            full_speed_rad_s=PAPER["left.full_speed_rad_s"] * draw(0.97, 1.07),
             dead_zone_pwm=draw(0, 400),
             has_jump=float(random.integers(2)),
             rise_constant_s=draw(0.03, 0.2),
             coast_constant_s=draw(0.1, 1.0),
-            friction_rad_s=PAPER.left.friction_rad_s * draw(0.2, 1.0),
+            friction_rad_s=PAPER["left.friction_rad_s"] * draw(0.2, 1.0),
         )
 
-    return WorldParameters(
-        seed=float(seed), floor_pwm=draw(0, 100), battery_v=draw(11.5, 13.0), left=wheel(), right=wheel()
-    )
+    own = {"seed": seed, "floor_pwm": draw(0, 100), "battery_v": draw(11.5, 13.0)}
+    return WorldParameters({**own, **draw_wheel("left"), **draw_wheel("right")})
 
 
 def drive(

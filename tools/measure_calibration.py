@@ -8,16 +8,15 @@ follow, as parameters, and drives other squares: without noise, and with wheels 
 import argparse
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from hostlink.robot.calibration import Kind, MeasuredRun, Measurement, WheelGeometry, calibrated, student_95
 from hostlink.robot.course import Leg, square, straight
+from hostlink.sim.course_driving import follow
 from hostlink.sim.firmware_world import FirmwareWorld
-from hostlink.sim.robot_on_floor import follow
-from hostlink.sim.world_parameters import WheelParameters, WorldParameters
+from hostlink.sim.world_parameters import WorldParameters
 
 SQUARES = 5  # each way, as UMBmark has them
 SIDE_M, LENGTH_M = 2.0, 3.0
@@ -25,7 +24,7 @@ SLIP_M = 0.002  # of each wheel after a metre: a hard floor
 TWIST_RAD, TWIST_SHARE = 0.055, 0.4  # docs/robot.md: a caster that explains the paper's squares
 OTHER_SEED = 1000  # the squares after are not those before
 NOMINAL = WheelGeometry()
-WORLD = WorldParameters(track_m=0.2142, left=WheelParameters(radius_m=0.0448), right=WheelParameters(radius_m=0.0453))
+WORLD = WorldParameters({"track_m": 0.2142, "left.radius_m": 0.0448, "right.radius_m": 0.0453})
 
 
 class Errors(NamedTuple):
@@ -46,21 +45,20 @@ class Interval(NamedTuple):
 
 def noisy(seed: int) -> WorldParameters:
     """The same robot on a floor where it slips, with a caster that twists it."""
-    left, right = (replace(wheel, slip_noise_m=SLIP_M) for wheel in (WORLD.left, WORLD.right))
-    caster = {"caster_twist_rad": TWIST_RAD, "caster_random": TWIST_SHARE}
-    return replace(WORLD, seed=float(seed), left=left, right=right, **caster)
+    slip = {"left.slip_noise_m": SLIP_M, "right.slip_noise_m": SLIP_M}
+    return WORLD.changed({"seed": seed, "caster_twist_rad": TWIST_RAD, "caster_random": TWIST_SHARE, **slip})
 
 
 def errors_in(world: WorldParameters, squares_each_way: int = SQUARES) -> Errors:
     """Calibrate the robot of a world.
 
     Raises:
-        WorldLibraryMissing: the library is not built.
+        ConfigError: wasmtime is not installed, or has no library for this machine.
     """
     robot = robot_in(world)
     runs = [*lines(robot), *squares(robot, squares_each_way)]
     found = calibrated(runs, NOMINAL)
-    other = replace(world, seed=world.seed + OTHER_SEED)
+    other = world.changed({"seed": world["seed"] + OTHER_SEED})
     after = [
         error_m(list(squares(robot_in(other, wheels), SQUARES))) for wheels in (found.umbmark_geometry, found.geometry)
     ]

@@ -13,8 +13,8 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from hostlink.protocol.frame import encode
-from hostlink.sim.uart import Uart
 from tests.firmware.due import Retry, node
+from tests.support.uart import Uart
 
 GAPS_MS = (0, 5, 9, 15, 25, 50, 100, 200)
 BURSTS = (1, 2, 3, 4, 6, 10)

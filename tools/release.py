@@ -36,6 +36,7 @@ NEEDED = (
     "hostlink/data/hostlink.toml",
     "hostlink/data/hostlink.service",
     "hostlink/guardian/process.py",
+    "hostlink/sim/firmware.wasm",
 )
 UNWANTED = re.compile(r"(^|/)(tests|node_modules|__pycache__|\.git|build)/|\.(ts|pyc|so|toml\.bak)$")
 OF_SOURCES = ("pyproject.toml", "README.md", "LICENSE", "CHANGELOG.md", "Makefile", "firmware/README.md", "docs/api.md")
@@ -136,7 +137,15 @@ def tried(version: str, python: Path, package: Path) -> Row:
     venv = FOLDER / f"venv-{version}-{package.suffix.strip('.')}"
     try:
         subprocess.run([python, "-m", "venv", "--clear", venv], check=True, capture_output=True)
-        install = [venv / "bin" / "python", "-m", "pip", "install", "--quiet", "--disable-pip-version-check", package]
+        install = [
+            venv / "bin" / "python",
+            "-m",
+            "pip",
+            "install",
+            "--quiet",
+            "--disable-pip-version-check",
+            f"{package}[sim]",
+        ]
         subprocess.run(install, check=True, capture_output=True)
         start_s = demonstrated(venv / "bin" / "hostlink", cwd=venv)
     except subprocess.CalledProcessError as error:

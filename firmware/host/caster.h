@@ -1,5 +1,4 @@
-// Caster: the swivel wheel behind the axle. It swings round until it trails, and twists the robot on the way. The twin
-// of hostlink/sim/caster.py.
+// Caster: the swivel wheel behind the axle. It swings round until it trails, and twists the robot on the way.
 //
 // Its wheel rolls freely along its heading b and scrubs across it, so its pivot pulls the tail sideways by cos(b) while
 // it swings: over a swing that sums up to the change of sin(b). Wheels that turn the robot on the spot hold it against

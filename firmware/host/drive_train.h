@@ -1,5 +1,4 @@
-// DriveTrain: a motor on the shield, its gear, its wheel, its grip on the floor and its single-channel encoder. The
-// twin of hostlink/sim/drive_train.py.
+// DriveTrain: a motor on the shield, its gear, its wheel, its grip on the floor and its single-channel encoder.
 #pragma once
 
 #include <stdint.h>

@@ -1,5 +1,4 @@
-// RandomNumbers: PCG32 (O'Neill 2014, XSH-RR) and normal numbers by Box and Muller; hostlink/sim/random_numbers.py
-// gives the same sequence.
+// RandomNumbers: PCG32 (O'Neill 2014, XSH-RR) and normal numbers by Box and Muller.
 #pragma once
 
 #include <stdint.h>

@@ -35,15 +35,39 @@ const char* const kColumnNames[RobotInWorld::kColumns] = {
 
 void VirtualBoard::step_us(uint32_t us) {
   now_us_ += us;
-  ring_.run_until(micros());
-  world_.run_until(micros());
+  clock_us_ += static_cast<uint64_t>(us) * clock_per_mille_ / 1000;
+  ring_.run_until(line_us());
+  world_.run_until(line_us());
+}
+
+void VirtualBoard::cut() {
+  ring_ = UartRing(baud_);
+  out_ = UartOut(baud_);
+}
+
+void VirtualBoard::restart() {
+  cut();
+  clock_us_ = 0;
 }
 
 RobotInWorld::RobotInWorld(const WorldParameters& parameters, uint32_t baud, const char* name, ros::Retry retry,
-                           Feedback feedback)
-    : board_(baud), robot_(board_, name, retry, feedback) {
+                           Feedback feedback, const ControlProfile& profile)
+    : name_(name),
+      retry_(retry),
+      feedback_(feedback),
+      profile_(profile),
+      board_(baud),
+      robot_(board_, name, retry, feedback, profile) {
   world().be(parameters);
   board_.step_us(0);
+  robot_.setup();
+}
+
+void RobotInWorld::reboot() {
+  board_.restart();
+  robot_.~Firmware();
+  new (&robot_) Firmware(board_, name_, retry_, feedback_, profile_);
+  wait_ms_ = 0;
   robot_.setup();
 }
 
@@ -51,6 +75,10 @@ void RobotInWorld::pass() {
   board_.step_us(kPassUs);
   if (wait_ms_ > 0) --wait_ms_;
   if (wait_ms_ == 0) wait_ms_ = robot_.loop();
+}
+
+uint32_t RobotInWorld::quiet_ms() {
+  return board_.is_line_idle() ? robot_.turn_due_in_us() / board_.clock_per_mille() + 1 : 0;
 }
 
 void RobotInWorld::report(double* row) const {

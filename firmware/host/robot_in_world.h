@@ -14,14 +14,22 @@ namespace hostlink {
 
 class VirtualBoard : public WorldHal {
  public:
-  explicit VirtualBoard(uint32_t baud) : ring_(baud), out_(baud) {}
+  explicit VirtualBoard(uint32_t baud) : baud_(baud), ring_(baud), out_(baud) {}
 
-  uint32_t milliseconds() override { return static_cast<uint32_t>(now_us_ / 1000); }
-  uint32_t micros() override { return static_cast<uint32_t>(now_us_); }
+  // The board's own clock: from its power-up, and as fast as set_clock() says.
+  uint32_t milliseconds() override { return static_cast<uint32_t>(clock_us_ / 1000); }
+  uint32_t micros() override { return static_cast<uint32_t>(clock_us_); }
   int read() override { return ring_.read(); }
-  size_t write(const uint8_t* data, size_t size) override { return out_.put(data, size, micros()); }
+  size_t write(const uint8_t* data, size_t size) override { return out_.put(data, size, line_us()); }
+
   void step_us(uint32_t us);  // what the hardware does between two passes of the loop
-  uint64_t now_us() const { return now_us_; }
+  void set_clock(uint32_t per_mille) { clock_per_mille_ = per_mille; }  // 1250: a quarter too fast
+  void cut();                                                           // drop what is on the line, both ways
+  void restart();                                                       // power off and on
+  bool is_line_idle() const { return ring_.is_idle() && out_.is_idle(); }
+  uint32_t clock_per_mille() const { return clock_per_mille_; }
+  uint64_t now_us() const { return now_us_; }                          // the world's time
+  uint32_t line_us() const { return static_cast<uint32_t>(now_us_); }  // the same, as the line counts it
   World& world() { return world_; }
   const World& world() const { return world_; }
   UartRing& from_host() { return ring_; }
@@ -29,6 +37,9 @@ class VirtualBoard : public WorldHal {
 
  private:
   uint64_t now_us_ = 0;
+  uint64_t clock_us_ = 0;
+  uint32_t clock_per_mille_ = 1000;
+  uint32_t baud_;
   UartRing ring_;
   UartOut out_;
 };
@@ -40,10 +51,13 @@ class RobotInWorld {
 
   // `baud` 0: bytes are through at once. `name` stays the caller's.
   RobotInWorld(const WorldParameters& parameters, uint32_t baud, const char* name, ros::Retry retry,
-               Feedback feedback = Feedback::kWashedOut);
+               Feedback feedback = Feedback::kWashedOut, const ControlProfile& profile = paper_profile());
 
-  void pass();  // a millisecond of the world, then a pass of the firmware's loop
+  void pass();    // a millisecond of the world, then a pass of the firmware's loop
+  void reboot();  // power off and on: the firmware begins anew, the world goes on
   void report(double* row) const;
+  // How long nothing will leave the UART, unless something comes from the host; 0: bytes are on the line.
+  uint32_t quiet_ms();
   static const char* column(size_t index);
 
   VirtualBoard& board() { return board_; }
@@ -51,8 +65,18 @@ class RobotInWorld {
   Robot& robot() { return robot_; }
 
  private:
+  // A Robot that is made anew at its own place; the Cortex-M3 has no header <new>.
+  struct Firmware : Robot {
+    using Robot::Robot;
+    static void* operator new(size_t, void* at) { return at; }
+  };
+
+  const char* name_;
+  ros::Retry retry_;
+  Feedback feedback_;
+  ControlProfile profile_;
   VirtualBoard board_;
-  Robot robot_;
+  Firmware robot_;
   uint32_t wait_ms_ = 0;  // of the paper's retry clause
 };
 

@@ -17,6 +17,7 @@ class UartOut {
   size_t ready(uint32_t now_us);
   const uint8_t* data() const { return ring_ + head_; }
   void drop(size_t count);
+  bool is_idle() const { return size_ == 0; }
 
  private:
   static const uint32_t kBitsAByte = 10;

@@ -18,6 +18,7 @@ class UartRing {
   void put_on_line(uint8_t byte, uint32_t now_us);
   void run_until(uint32_t now_us);
   int read();
+  bool is_idle() const { return line_size_ == 0 && ring_size_ == 0; }
   uint32_t lost() const { return lost_; }
 
  private:

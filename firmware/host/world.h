@@ -1,6 +1,5 @@
 // World: the paper's robot on a floor: battery, motors, wheels, encoders, caster, and where it truly is. Pure: time
-// comes in. The native board, the emulated board, the tests and the laboratory drive this one; hostlink/sim/world.py is
-// its twin, operation by operation, so that both compute the same digits.
+// comes in. The native board, the emulated board, simulated robots, the tests and the laboratory drive this one.
 #pragma once
 
 #include <stddef.h>

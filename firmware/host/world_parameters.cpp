@@ -116,6 +116,10 @@ size_t world_parameter_count() { return kCount; }
 
 const char* world_parameter_name(size_t index) { return kNumbers[index].name; }
 
+double world_parameter_least(size_t index) { return kNumbers[index].least; }
+
+double world_parameter_most(size_t index) { return kNumbers[index].most; }
+
 double& world_parameter(WorldParameters& parameters, size_t index) {
   return reinterpret_cast<double*>(&parameters)[index];
 }

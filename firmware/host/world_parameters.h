@@ -1,5 +1,4 @@
-// WorldParameters: every number of a world, with its unit, default and source. hostlink/sim/world_parameters.py has the
-// same names, order and defaults; a test compares them.
+// WorldParameters: every number of a world, with its unit, default and source.
 #pragma once
 
 #include <stddef.h>
@@ -27,7 +26,7 @@ struct WheelParameters {
   double slip_braking_s2_m = 0.0;       // share of the way slid on for each m/s2 of deceleration; 0..0.02
 };
 
-// All are doubles, so that they pass through the C interface as one array, in this order.
+// All are doubles, so that they pass through the module's interface as one array, in this order.
 struct WorldParameters {
   double seed = 1.0;      // of the random numbers, a whole number of 0..2^32-1; equal seeds repeat
   double track_m = 0.21;  // wheel to wheel where they touch the floor; docs/robot.md#numbers
@@ -51,6 +50,8 @@ struct WorldParameters {
 // The numbers by name ("track_m", "left.radius_m"), in the order of the struct.
 size_t world_parameter_count();
 const char* world_parameter_name(size_t index);
+double world_parameter_least(size_t index);
+double world_parameter_most(size_t index);
 double& world_parameter(WorldParameters& parameters, size_t index);
 
 // Reads lines "name=value"; empty lines and those that begin with # are ignored. Returns 0, or the number of the first

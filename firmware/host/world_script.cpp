@@ -65,7 +65,7 @@ class Runner {
     for (; ms > 0; --ms) {
       robot_.pass();
       UartOut& out = robot_.board().to_host();
-      for (size_t size = 0; (size = out.ready(robot_.board().micros())) > 0;) out.drop(size);
+      for (size_t size = 0; (size = out.ready(robot_.board().line_us())) > 0;) out.drop(size);
       if (++passed_ms_ % kScriptRowMs != 0) continue;
       robot_.report(row_);
       sink_(context_, row_);
@@ -81,7 +81,7 @@ class Runner {
     put(static_cast<uint8_t>(~sum));
   }
 
-  void put(uint8_t byte) { robot_.board().from_host().put_on_line(byte, robot_.board().micros()); }
+  void put(uint8_t byte) { robot_.board().from_host().put_on_line(byte, robot_.board().line_us()); }
   static bool is_end(const char* at) { return at != nullptr && *at == '\0'; }
 
   RobotInWorld& robot_;

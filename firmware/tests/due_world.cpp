@@ -1,7 +1,7 @@
 // The Due's whole program, its board included, in a world that a test draws: the pins go to a shield and two motors,
 // the encoders come back as interrupts. For Python's ctypes.
 //
-// The board's pins are one set: one at a time. The firmware without its board: ../host/firmware_world.cpp.
+// The board's pins are one set: one at a time. The firmware without its board: ../host/firmware_module.cpp.
 #include <Arduino.h>
 #include <stdint.h>
 #include <string.h>

@@ -28,6 +28,7 @@ from hostlink.robot.calibration_checks import (
 )
 from hostlink.robot.course import Speed
 from hostlink.robot.odometry_correction import OdometryCorrection
+from hostlink.sim.firmware_module import require_wasmtime
 from hostlink.sim.world_parameters import read
 
 TARGETS = ("device", "hostlink")
@@ -310,6 +311,7 @@ def _key(name: str) -> str:
 
 
 def _world(changes: list[str]) -> Any:
+    require_wasmtime("--simulate")
     try:
         return read(DEFAULT_WORLD + "\n".join(changes))
     except ValueError as error:

@@ -15,7 +15,8 @@ from hostlink.robot.calibration import Kind, Measurement, WheelGeometry
 from hostlink.robot.course import Leg
 from hostlink.robot.kinematics import Pose
 from hostlink.robot.odometry_correction import OdometryCorrection
-from hostlink.sim.robot_on_floor import Person, RobotOnFloor, follow
+from hostlink.sim.course_driving import Person, follow
+from hostlink.sim.firmware_world import FirmwareWorld
 from hostlink.sim.world_parameters import WorldParameters
 
 MISTAKES = ("slip", "sides")
@@ -135,8 +136,9 @@ class Simulated:
 
     def __init__(self, world: WorldParameters, mistake: str | None) -> None:
         """`mistake`: that the person makes in every square: "slip" or "sides"."""
-        self._robot = RobotOnFloor(world)
-        self._person = Person(int(world.seed))
+        self._robot = FirmwareWorld(world)
+        self._robot.connect()
+        self._person = Person(int(world["seed"]))
         self._mistake = mistake
         self._end = Pose()
         self._is_checking = False

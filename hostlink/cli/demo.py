@@ -20,7 +20,8 @@ from hostlink.hub.hub import Hub
 from hostlink.hub.participant import Participant
 from hostlink.hub.robot import LocalRobot
 from hostlink.robot.velocity import PlanarVelocity
-from hostlink.sim.controller import RobotKind
+from hostlink.sim.firmware_module import require_wasmtime
+from hostlink.sim.firmware_world import RobotKind
 from hostlink.sim.run import run_fleet
 
 OWNER = "demo"
@@ -46,6 +47,7 @@ def command(
     origin: Origins = None,
 ) -> None:
     """Run the daemon with simulated robots; drive them from anywhere, or watch."""
+    require_wasmtime("hostlink demo")
     logs.configure(level="error")
     names = {f"robot_{number}": PAPER_ROBOT for number in range(robots)}
     asyncio.run(_demo(allow_origins(merge(Config(robots=names), listen=listen, api=api), origin), robots, robot))

@@ -15,7 +15,7 @@ from hostlink.errors import ConfigError, LibraryMissing
 from hostlink.lab import reports
 from hostlink.lab.experiment import Laboratory
 from hostlink.lab.tables import CASTER_WORLD
-from hostlink.sim.world_library import WorldLibraryMissing
+from hostlink.sim.firmware_module import require_wasmtime
 from hostlink.sim.world_parameters import WorldParameters, read
 
 
@@ -53,13 +53,12 @@ def command(
     if what is What.PICTURES:
         _require_picture(output)
     _require("matplotlib" if what is What.PICTURES else "scipy" if fit else None)
+    require_wasmtime("hostlink lab")
     chosen = CASTER_WORLD if world is None else _read(world)
     try:
         with Laboratory() as laboratory:
             report = _report(laboratory, what, runs, chosen, output)
             report = report + _fit(laboratory, runs) if fit else report
-    except WorldLibraryMissing as error:
-        raise ConfigError("hostlink lab", str(error)) from None
     finally:
         with contextlib.suppress(OSError):
             show_progress("")

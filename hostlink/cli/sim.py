@@ -10,8 +10,9 @@ import typer
 from hostlink.cli.addresses import parse_address
 from hostlink.cli.output import write_error
 from hostlink.errors import ConfigError
-from hostlink.sim.controller import RobotKind
 from hostlink.sim.faults import FAULTS, HEALTHY
+from hostlink.sim.firmware_module import require_wasmtime
+from hostlink.sim.firmware_world import RobotKind
 from hostlink.sim.run import run_fleet
 from hostlink.sim.world_parameters import WorldParameters, read
 
@@ -30,7 +31,8 @@ def command(
     ] = RobotKind.PAPER,
     fault: Annotated[str | None, typer.Option(help=f"What is wrong with them: {', '.join(FAULTS)}.")] = None,
 ) -> None:
-    """Run simulated robots: the paper's, on a 38400 baud UART with all the faults of the original client library."""
+    """Run simulated robots: the firmware of the paper's, in a simulated world and on a 38400 baud UART."""
+    require_wasmtime("hostlink sim")
     if fault is not None and fault not in FAULTS:
         raise ConfigError("--fault", f"{fault} is none of {', '.join(FAULTS)}")
     chosen = HEALTHY if fault is None else FAULTS[fault]

@@ -18,7 +18,7 @@ def calibrated(setup: Setup) -> Setup:
     """The same firmware, with the numbers that `hostlink calibrate` finds for it in this world.
 
     Raises:
-        WorldLibraryMissing: the firmware is not built.
+        ConfigError: wasmtime is not installed, or has no library for this machine.
     """
     training = replace(setup, first_seed=_TRAINING_SEED)
     runs = [run for pattern in _KINDS for run in conduct(Experiment(training, pattern, TRAINING_RUNS))]

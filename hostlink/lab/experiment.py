@@ -21,7 +21,7 @@ from hostlink.sim.world_parameters import WorldParameters
 
 # The paper: "between 0-700 nothing happens", and 700 is where a motor turns "consistently": it begins a little lower.
 THRESHOLD_PWM = 650.0
-PAPER_WORLD = WorldParameters().changed(
+PAPER_WORLD = WorldParameters(
     {
         f"{side}.{name}": value
         for side in ("left", "right")
@@ -53,7 +53,7 @@ class Setup:
         """A new one; equal seeds repeat.
 
         Raises:
-            WorldLibraryMissing: the firmware is not built.
+            ConfigError: wasmtime is not installed, or has no library for this machine.
         """
         world = self.world.changed({"seed": seed})
         if self.software is Software.PAPER:
@@ -94,7 +94,7 @@ def conduct(experiment: Experiment) -> list[Run]:
     """Drive them.
 
     Raises:
-        WorldLibraryMissing: the firmware is not built.
+        ConfigError: wasmtime is not installed, or has no library for this machine.
     """
     setup = experiment.setup
     practice = practise(setup)
@@ -122,7 +122,7 @@ def measure(experiment: Experiment) -> Errors:
     """Drive one, and keep the errors alone.
 
     Raises:
-        WorldLibraryMissing: the firmware is not built.
+        ConfigError: wasmtime is not installed, or has no library for this machine.
     """
     return errors_of(conduct(experiment))
 
@@ -146,7 +146,7 @@ class Laboratory:
         """The errors of each, in their order.
 
         Raises:
-            WorldLibraryMissing: the firmware is not built.
+            ConfigError: wasmtime is not installed, or has no library for this machine.
         """
         if self._workers == 1 or sum(experiment.runs for experiment in experiments) < _POOLED_RUNS:
             return map(measure, experiments)

@@ -110,7 +110,7 @@ def fit(
     """Fit the causes to some of the tables; `measured_cm`: a row each run, by the table's number.
 
     Raises:
-        WorldLibraryMissing: the firmware is not built.
+        ConfigError: wasmtime is not installed, or has no library for this machine.
     """
     model = _Model(laboratory, {pattern: measured_cm[pattern.table] for pattern in PATTERNS}, runs, report)
     model.fit_only(tables)

@@ -14,7 +14,7 @@ def report_fit(laboratory: Laboratory, progress: Callable[[str], None], *, runs:
     """Fit all tables at once.
 
     Raises:
-        WorldLibraryMissing: the firmware is not built.
+        ConfigError: wasmtime is not installed, or has no library for this machine.
     """
     fits = [fit(laboratory, start=start, runs=runs, report=progress) for start in STARTS]
     found = min(fits, key=lambda each: each.chi_square)

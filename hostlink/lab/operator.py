@@ -11,9 +11,9 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from hostlink.lab.patterns import Pattern
+from hostlink.lab.random_numbers import RandomNumbers
 from hostlink.lab.robots import Robot
 from hostlink.robot.kinematics import Pose, wrap_angle
-from hostlink.sim.random_numbers import RandomNumbers
 
 POLL_S = 0.1
 _LEAST_POLL_S = 0.01

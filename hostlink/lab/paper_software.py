@@ -3,13 +3,18 @@
 Rebuilt from what the paper and its sketch describe: docs/robot.md#where-the-paper-and-its-code-are-wrong.
 """
 
+import math
 import struct
 from dataclasses import dataclass, fields, replace
 from typing import Self
 
-from hostlink.sim.controller import FILTER, LOOP_S, S_PER_TICK_S, Gains, motor_output
-from hostlink.sim.drive_train import FULL_PWM, FULL_SPEED_TICKS_S
-
+LOOP_S = 1 / 30
+FULL_PWM = 4095
+FULL_SPEED_TICKS_S = 280.0
+DEAD_BAND_PWM = 10
+LEAST_PWM = 700
+FILTER = 0.1  # weight of the newest speed
+S_PER_TICK_S = 0.018  # of minimum jerk, for a change of one tick/s
 _INTEGRAL_LIMIT = 4095.0  # of the sum of errors, before Ki: it limits nothing
 _WASHOUT_S = 1.0
 
@@ -42,6 +47,20 @@ class Mistakes:
 def names() -> list[str]:
     """Of all mistakes."""
     return [item.name for item in fields(Mistakes)]
+
+
+@dataclass(frozen=True, slots=True)
+class Gains:
+    """Of one wheel's PID with feedback; table 1 of the paper."""
+
+    kp: float
+    ki: float
+    kd: float
+    feedback: float = 0.05
+
+
+LEFT_GAINS = Gains(23.0, 36.0, 0.1)
+RIGHT_GAINS = Gains(24.0, 35.0, 0.1)
 
 
 class PaperWheel:
@@ -127,3 +146,11 @@ class PaperWheel:
         quick_ticks_s = last_ticks_s - self._steady_ticks_s
         self._steady_ticks_s += quick_ticks_s * LOOP_S / (_WASHOUT_S + LOOP_S)
         return quick_ticks_s
+
+
+def motor_output(wanted: float) -> int:
+    """The PWM with a sign: nothing up to 10, at least 700 above, 4095 at the most."""
+    size = min(abs(wanted), FULL_PWM)
+    if size <= DEAD_BAND_PWM:
+        return 0
+    return math.floor(max(size, LEAST_PWM) + 0.5) * (1 if wanted > 0 else -1)

@@ -23,7 +23,7 @@ def draw_software(world: WorldParameters, runs: int, file: Path) -> None:
     """The paper's software and the project's firmware in one world.
 
     Raises:
-        WorldLibraryMissing: the firmware is not built.
+        ConfigError: wasmtime is not installed, or has no library for this machine.
         OSError: the file cannot be written.
     """
     firmware = Setup(software=Software.FIRMWARE, world=world)
@@ -35,7 +35,7 @@ def draw(setups: dict[str, Setup], runs: int, file: Path) -> None:
     """A row of pictures for each software, one for each pattern, into a PNG.
 
     Raises:
-        WorldLibraryMissing: the firmware is not built.
+        ConfigError: wasmtime is not installed, or has no library for this machine.
         OSError: the file cannot be written.
     """
     figure = Figure(figsize=(13, 3.0 * len(setups)), layout="constrained")

@@ -61,7 +61,7 @@ def causes(laboratory: Laboratory, runs: int, progress: Progress) -> Report:
     """What each cause alone does to each pattern: means of |x| / |y|, of the line |length|, in cm.
 
     Raises:
-        WorldLibraryMissing: the firmware is not built.
+        ConfigError: wasmtime is not installed, or has no library for this machine.
     """
     listed = [*CAUSES, *MISTAKES]
     experiments = [
@@ -131,7 +131,7 @@ def tables(laboratory: Laboratory, world: WorldParameters, runs: int, progress: 
     """Tables 2-5, side by side.
 
     Raises:
-        WorldLibraryMissing: the firmware is not built.
+        ConfigError: wasmtime is not installed, or has no library for this machine.
     """
     driven = driven_tables(world, laboratory, runs=runs, report=progress)
     heads = ["table", "pattern", "axis", *(column.title for column in driven[0].columns)]
@@ -187,7 +187,7 @@ def claims(laboratory: Laboratory, runs: int, progress: Progress) -> Report:
     """Which numbers the paper's tables need, whether one set of them can serve all, and what its software adds.
 
     Raises:
-        WorldLibraryMissing: the firmware is not built.
+        ConfigError: wasmtime is not installed, or has no library for this machine.
     """
     progress("driving the paper's software")
     alone = software_alone(laboratory, runs)
@@ -243,7 +243,7 @@ def software_alone(laboratory: Laboratory, runs: int) -> list[SoftwareAlone]:
     """The squares, with motors that begin to turn at different PWMs; 690 is what the Due's pin makes of 700.
 
     Raises:
-        WorldLibraryMissing: the firmware is not built.
+        ConfigError: wasmtime is not installed, or has no library for this machine.
     """
     cases = [(pwm, pattern) for pwm in _THRESHOLDS_PWM for pattern in (SQUARE_LEFT, SQUARE_RIGHT)]
     setups = [Setup(software=Software.PAPER, world=_with_threshold(pwm)) for pwm, _ in cases]

@@ -6,12 +6,10 @@ Time is virtual; a minute of the robot takes a tenth of a second.
 from collections.abc import Mapping, Sequence
 from typing import Protocol
 
-from hostlink.lab.paper_software import Mistakes, PaperWheel
+from hostlink.lab.paper_software import LEFT_GAINS, LOOP_S, RIGHT_GAINS, Mistakes, PaperWheel
 from hostlink.robot.kinematics import DifferentialDrive, Pose
-from hostlink.sim.controller import LEFT_GAINS, LOOP_S, RIGHT_GAINS
-from hostlink.sim.firmware_world import COMMAND_S, FirmwareWorld
+from hostlink.sim.firmware_world import COMMAND_S, Firmware, FirmwareWorld, Wheel, World
 from hostlink.sim.world_parameters import WorldParameters
-from hostlink.sim.worlds import AnyWheel, AnyWorld, open_world
 
 _SUBSTEPS = 4  # of the world in a turn of the paper's loop
 
@@ -20,7 +18,7 @@ class Robot(Protocol):
     """What an operator drives, and what he measures."""
 
     @property
-    def world(self) -> AnyWorld:
+    def world(self) -> World:
         """The truth."""
 
     @property
@@ -43,14 +41,14 @@ class FirmwareRobot:
         """`device_parameters`: what the host answers to the firmware's questions: `wheel_radius` and so on.
 
         Raises:
-            WorldLibraryMissing: the firmware is not built.
+            ConfigError: wasmtime is not installed, or has no library for this machine.
         """
         self._robot = FirmwareWorld(parameters, device_parameters=device_parameters)
         self._robot.connect()
         self._velocity = (0.0, 0.0)
 
     @property
-    def world(self) -> AnyWorld:
+    def world(self) -> World:
         """The truth."""
         return self._robot.world
 
@@ -77,7 +75,7 @@ class PaperRobot:
 
     def __init__(self, parameters: WorldParameters, mistakes: Mistakes | None = None) -> None:
         made = Mistakes() if mistakes is None else mistakes
-        self.world: AnyWorld = open_world(_never_braking(parameters) if made.never_brakes else parameters)
+        self.world = Firmware(_never_braking(parameters) if made.never_brakes else parameters).world
         self.odometry = Pose()
         self._controllers = (PaperWheel(LEFT_GAINS, made), PaperWheel(RIGHT_GAINS, made))
         self._sign_is_the_pin_s = made.sign_by_direction_pin
@@ -104,9 +102,7 @@ class PaperRobot:
 
     def _turn(self) -> None:
         left, right = self._controllers
-        self.world.drive(left.pwm, right.pwm)
-        for _ in range(_SUBSTEPS):
-            self.world.step(LOOP_S / _SUBSTEPS)
+        self.world.turn_motors(left.pwm, right.pwm, LOOP_S / _SUBSTEPS, _SUBSTEPS)
         self._turns += 1
         metres = [
             self._step(side, wheel) * self._drive.metres_per_tick
@@ -114,13 +110,13 @@ class PaperRobot:
         ]
         self.odometry = self._drive.integrate(self.odometry, metres[0], metres[1])
 
-    def _step(self, side: int, wheel: AnyWheel) -> float:
+    def _step(self, side: int, wheel: Wheel) -> float:
         edges = wheel.edges
         counted, self._edges[side] = edges - self._edges[side], edges
         sign = 1 if self._sign_is_the_pin_s else self._true_sign(side, wheel)
         return self._controllers[side].step(counted, sign, self._turns * LOOP_S)
 
-    def _true_sign(self, side: int, wheel: AnyWheel) -> int:
+    def _true_sign(self, side: int, wheel: Wheel) -> int:
         rolled_rad = wheel.rolled_rad
         way_rad, self._rolled_rad[side] = rolled_rad - self._rolled_rad[side], rolled_rad
         return -1 if way_rad < 0.0 else 1
@@ -128,7 +124,7 @@ class PaperRobot:
 
 def _never_braking(parameters: WorldParameters) -> WorldParameters:
     coasting = {
-        "left.brake_constant_s": parameters.left.coast_constant_s,
-        "right.brake_constant_s": parameters.right.coast_constant_s,
+        "left.brake_constant_s": parameters["left.coast_constant_s"],
+        "right.brake_constant_s": parameters["right.coast_constant_s"],
     }
     return parameters.changed(coasting)

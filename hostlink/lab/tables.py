@@ -62,7 +62,7 @@ def tables(
     """Drive all of them.
 
     Raises:
-        WorldLibraryMissing: the firmware is not built.
+        ConfigError: wasmtime is not installed, or has no library for this machine.
     """
     report("calibrating")
     firmware = Setup(software=Software.FIRMWARE, world=world)

@@ -1,17 +1,18 @@
-"""FirmwareWorld: the Due's real firmware in a world, in virtual time: a minute of the robot takes milliseconds. Pure.
+"""The Due's firmware in a world, as the board executes it: `Firmware`; with a host: `FirmwareWorld`. Pure.
 
-It is the host's end of the robot's UART, too: it requests the topics, answers time and parameters, and drives. One
-object is one robot; use it from one thread, and as many of them as you like.
+Time is virtual: a minute of the robot takes milliseconds. One object is one robot; use it from one thread, and as many
+of them as you like.
 """
 
 import ctypes
+import math
 import struct
-import weakref
 from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from enum import IntEnum
+from enum import IntEnum, StrEnum
 from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,34 +30,291 @@ from hostlink.protocol.control import (
 from hostlink.protocol.frame import STOP_REQUEST, TOPICS_REQUEST, Frame, Id, encode
 from hostlink.protocol.stream import FrameStream
 from hostlink.robot.kinematics import Pose
-from hostlink.sim.controller import Feedback
-from hostlink.sim.world_library import NativeWorld, array_of, load_library
+from hostlink.sim.firmware_module import LINE_BYTES, MOST_ROWS, Control, Instance, columns
 from hostlink.sim.world_parameters import WorldParameters
 
 COMMAND_S = 0.1  # between two velocities; the firmware stops after 0.5 s without one
 CONNECT_S = 2.0  # for topics and parameters: at 38400 baud they need half of it
 _ANSWER_MS = 100  # how often the robot's questions are answered
-_RECEIVE_BYTES = 1 << 16
 _FRAMES = 100_000  # an hour of them
 
 
 class Retry(IntEnum):
-    """What the firmware does with a frame that has not come whole; the policies of node_handle.h."""
+    """What the firmware does with a frame that has not come whole; the policies of node.h."""
 
     NONE = 0
     PAPER = 1
     KEEP_STATE = 2
 
 
-@cache
-def columns() -> tuple[str, ...]:
-    """The names of what a Trace has, in the order of its rows.
+class Feedback(IntEnum):
+    """What of its last output the firmware's PID subtracts from its error; those of constants.h."""
 
-    Raises:
-        WorldLibraryMissing: the library is not built, or not from these sources.
-    """
-    library = load_library()
-    return tuple(library.firmware_world_column(i).decode() for i in range(library.firmware_world_columns()))
+    WASHED_OUT = 0  # its changes: a steady output costs no speed
+    PAPER = 1  # all of it: the integral then keeps every speed 5 % below the request
+
+
+class RobotKind(StrEnum):
+    """Of simulated robots, by how quickly they follow."""
+
+    NIMBLE = "nimble"
+    PAPER = "paper"
+
+
+class WheelControl(NamedTuple):
+    """The gains of one wheel's PID, and the speed that was commanded last."""
+
+    kp: float
+    ki: float
+    kd: float
+    target_ticks_s: float
+
+
+@cache
+def _at() -> Mapping[str, int]:
+    return {name: index for index, name in enumerate(columns())}
+
+
+class Wheel:
+    """One wheel of a World: 0 is the left one."""
+
+    def __init__(self, world: "World", side: int) -> None:
+        self._world, self._side = world, side
+        self._name = ("left", "right")[side]
+
+    @property
+    def edges(self) -> int:
+        """What its encoder has counted; wraps at 2**32."""
+        return int(self._now("edges"))
+
+    @property
+    def speed_ticks_s(self) -> float:
+        """How fast its encoder counts, with the sign that the encoder has not."""
+        return self._now("ticks_s")
+
+    @property
+    def speed_m_s(self) -> float:
+        """How fast it rolls, signed."""
+        return self._now("ticks_s") * self._rad_per_tick * self._world.parameters[f"{self._name}.radius_m"]
+
+    @property
+    def rolled_ticks(self) -> float:
+        """How far it has rolled, signed, exact: the truth that odometry estimates."""
+        return self._now("rolled_ticks")
+
+    @property
+    def rolled_rad(self) -> float:
+        """How far it has turned, signed."""
+        return self._now("rolled_ticks") * self._rad_per_tick
+
+    @property
+    def pwm(self) -> int:
+        """What its motor is given; 0: brakes."""
+        return int(self._now("pwm"))
+
+    def grip(self, ticks_s: float) -> None:
+        """Somebody turns the wheel by hand, at this speed, or blocks it (0), whatever the motor does."""
+        self._world.instance.call("grip", self._side, ticks_s)
+
+    def release(self) -> None:
+        """The hand lets it go."""
+        self._world.instance.call("release", self._side)
+
+    def deafen(self, *, is_so: bool = True) -> None:
+        """Its encoder is dead."""
+        self._world.instance.call("deafen", self._side, int(is_so))
+
+    def break_driver(self) -> None:
+        """The motor runs on at full speed once it was driven, whatever it is given then."""
+        self._world.instance.call("break_driver", self._side)
+
+    def _now(self, name: str) -> float:
+        return self._world.now(f"{self._name}_{name}")
+
+    @property
+    def _rad_per_tick(self) -> float:
+        return math.tau / self._world.parameters[f"{self._name}.ticks_per_turn"]
+
+
+class World:
+    """Where a robot truly is, and what happens to it: the C++ World."""
+
+    def __init__(self, parameters: WorldParameters, instance: Instance) -> None:
+        self.instance = instance
+        self.left, self.right = Wheel(self, 0), Wheel(self, 1)
+        self.parameters = parameters
+        self._row = (ctypes.c_double * len(columns())).from_address(instance.address("row"))
+        self._control = Control.from_address(instance.address("control"))
+        self._turn_motors = instance.function("turn_motors")
+
+    def now(self, name: str) -> float:
+        """A column of the row of this moment."""
+        return float(self._row[_at()[name]])
+
+    @property
+    def row(self) -> dict[str, float]:
+        """What is now, by column."""
+        return dict(zip(columns(), self._row, strict=True))
+
+    @property
+    def x_m(self) -> float:
+        """Where the robot truly is."""
+        return self.now("x_m")
+
+    @property
+    def y_m(self) -> float:
+        """Where the robot truly is."""
+        return self.now("y_m")
+
+    @property
+    def theta_rad(self) -> float:
+        """Which way it truly points; whole turns stay in it."""
+        return self.now("theta_rad")
+
+    @property
+    def pose(self) -> Pose:
+        """The three together."""
+        return Pose(*map(self.now, ("x_m", "y_m", "theta_rad")))
+
+    @property
+    def odometry(self) -> Pose:
+        """Where the firmware believes that it is."""
+        return Pose(*map(self.now, ("odometry_x_m", "odometry_y_m", "odometry_theta_rad")))
+
+    @property
+    def rolled_m(self) -> float:
+        """How far its middle has moved, forwards and backwards."""
+        return self.now("rolled_m")
+
+    @property
+    def battery_v(self) -> float:
+        """At the motors, now."""
+        return self.now("battery_v")
+
+    def change(self, parameters: WorldParameters) -> None:
+        """Another world from now on; pose and edges stay.
+
+        Raises:
+            ValueError: a number has no such name, or is out of its range.
+        """
+        self.put(parameters)
+        self.instance.call("change_world")
+
+    def put(self, parameters: WorldParameters) -> None:
+        """Write the numbers where the module reads them."""
+        self.parameters = parameters
+        values = parameters.checked_values()
+        ctypes.memmove(
+            self.instance.address("parameter_numbers"), struct.pack(f"<{len(values)}d", *values), 8 * len(values)
+        )
+
+    def turn_motors(self, left_pwm: int, right_pwm: int, step_s: float, steps: int) -> None:
+        """Drive the motors without the firmware: -4095..4095, 0 brakes."""
+        control = self._control
+        control.left_pwm, control.right_pwm, control.step_s, control.steps = left_pwm, right_pwm, step_s, steps
+        self._turn_motors(self.instance.store)
+
+    def shove(self, forward_m: float, sideways_m: float, turned_rad: float) -> None:
+        """The robot is pushed over the floor: neither wheel nor encoder notices."""
+        self.instance.call("shove", forward_m, sideways_m, turned_rad)
+
+
+class Firmware:
+    """A robot that has been switched on. `run` lets time pass; `world` is the truth."""
+
+    def __init__(
+        self,
+        parameters: WorldParameters | None = None,
+        *,
+        name: str = "robot_0",
+        baud: int = 0,
+        retry: Retry = Retry.KEEP_STATE,
+        feedback: Feedback = Feedback.WASHED_OUT,
+        kind: RobotKind = RobotKind.PAPER,
+    ) -> None:
+        """`baud` 0: bytes are through at once; 38400 as the paper's.
+
+        Raises:
+            ConfigError: wasmtime is not installed, or has no library for this machine.
+            ValueError: a number of the world has no such name, or is out of its range.
+        """
+        self._instance = Instance()
+        self.world = World(WorldParameters() if parameters is None else parameters, self._instance)
+        self.world.put(self.world.parameters)
+        self._instance.write_text(f"/{name}/".encode())
+        self._instance.call("power_on", baud, retry, feedback, int(kind is RobotKind.NIMBLE))
+        self._run = self._instance.function("run")
+        self._control = Control.from_address(self._instance.address("control"))
+        self._from_host, self._to_host, self._rows, self._controls = map(
+            self._instance.address, ("from_host", "to_host", "rows", "wheel_controls")
+        )
+        self._pending = bytearray()  # from the host: what the module's buffer has no room for
+
+    def send(self, data: bytes) -> None:
+        """Put bytes on the line to the robot; they pass it while time does."""
+        self._pending += data
+
+    def run(self, ms: int, every_ms: int = 0) -> bytes:
+        """Let milliseconds pass, at most MOST_ROWS; returns what has passed the line to the host.
+
+        `every_ms`: `rows` gets one at each multiple of it; 0: none.
+        """
+        control = self._control
+        if self._pending:
+            size = min(len(self._pending), LINE_BYTES - control.from_host_size)
+            ctypes.memmove(self._from_host + control.from_host_size, bytes(self._pending[:size]), size)
+            control.from_host_size += size
+            del self._pending[:size]
+        control.ms, control.every_ms = ms, every_ms
+        self._run(self._instance.store)
+        return ctypes.string_at(self._to_host, control.to_host_size)
+
+    @property
+    def rows(self) -> NDArray[np.float64]:
+        """Of the last `run`; its columns are `columns()`."""
+        size = min(self._control.rows, MOST_ROWS) * len(columns())
+        values = (ctypes.c_double * size).from_address(self._rows)
+        return np.array(values, dtype=np.float64).reshape(-1, len(columns()))
+
+    @property
+    def is_configured(self) -> bool:
+        """Whether the firmware has a host."""
+        return bool(self._control.is_configured)
+
+    @property
+    def quiet_ms(self) -> int:
+        """For how long nothing will come for the host, unless something is sent; 0: bytes are on the line."""
+        return 0 if self._pending else int(self._control.quiet_ms)
+
+    @property
+    def lost_bytes(self) -> int:
+        """Bytes from the host that its UART had no room for."""
+        return int(self._control.lost_bytes)
+
+    @property
+    def controls(self) -> tuple[WheelControl, WheelControl]:
+        """Left and right."""
+        values = list((ctypes.c_double * 8).from_address(self._controls))
+        return WheelControl(*values[:4]), WheelControl(*values[4:])
+
+    def reboot(self) -> None:
+        """Power off and on: the firmware begins anew, in the same world."""
+        self._pending.clear()
+        self._instance.call("reboot")
+
+    def cut(self) -> None:
+        """The line is dead: what was on it is gone, both ways."""
+        self._pending.clear()
+        self._instance.call("cut")
+
+    def set_clock(self, rate: float) -> None:
+        """How many seconds the board's clock counts in one."""
+        self._instance.call("set_clock", round(rate * 1000))
+
+    def run_script(self, text: str) -> int:
+        """Run a script of firmware/host/world_script.h, which a new robot takes; 0, or the line that is wrong."""
+        self._instance.write_text(text.encode())
+        return int(self._instance.call("run_script"))
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,26 +350,22 @@ class FirmwareWorld:
         baud: int = 0,
         retry: Retry = Retry.KEEP_STATE,
         feedback: Feedback = Feedback.WASHED_OUT,
+        kind: RobotKind = RobotKind.PAPER,
         device_parameters: Mapping[str, Sequence[float]] | None = None,
     ) -> None:
         """`baud` 0: bytes are through at once; 38400 as the paper's. `device_parameters`: "wheel_radius" and so on.
 
         Raises:
-            WorldLibraryMissing: the library is not built, or not from these sources.
+            ConfigError: wasmtime is not installed, or has no library for this machine.
+            ValueError: a number of the world has no such name, or is out of its range.
         """
-        self.parameters = WorldParameters() if parameters is None else parameters
         self.name = name
         self.device_parameters = dict(device_parameters or {})
         self.topics: dict[str, int] = {}  # name without the robot's: id
         self.frames: deque[Frame] = deque(maxlen=_FRAMES)  # what the firmware sent and was no question; the newest
-        self._library = load_library()
-        self._handle = self._library.firmware_world_new(
-            array_of(self.parameters), baud, f"/{name}/".encode(), retry, feedback.value
-        )
-        weakref.finalize(self, self._library.firmware_world_delete, self._handle)
-        self.world = NativeWorld(self.parameters, handle=self._library.firmware_world_world(self._handle), owner=self)
+        self.firmware = Firmware(parameters, name=name, baud=baud, retry=retry, feedback=feedback, kind=kind)
+        self.world = self.firmware.world
         self._stream = FrameStream()
-        self._received = ctypes.create_string_buffer(_RECEIVE_BYTES)
         self._traces: list[NDArray[np.float64]] = []
 
     # -- where it is --------------------------------------------------------------------------------------------------
@@ -119,25 +373,22 @@ class FirmwareWorld:
     @property
     def row(self) -> dict[str, float]:
         """What is now, by column."""
-        values = (ctypes.c_double * len(columns()))()
-        self._library.firmware_world_row(self._handle, values)
-        return dict(zip(columns(), values, strict=True))
+        return self.world.row
 
     @property
     def now_s(self) -> float:
         """The robot's time since its power-up."""
-        return self.row["t_s"]
+        return self.world.now("t_s")
 
     @property
     def pose(self) -> Pose:
         """Where the robot truly is; theta is not wrapped."""
-        return Pose(self.world.x_m, self.world.y_m, self.world.theta_rad)
+        return self.world.pose
 
     @property
     def odometry(self) -> Pose:
         """Where the firmware believes that it is."""
-        row = self.row
-        return Pose(row["odometry_x_m"], row["odometry_y_m"], row["odometry_theta_rad"])
+        return self.world.odometry
 
     @property
     def trace(self) -> Trace:
@@ -153,7 +404,7 @@ class FirmwareWorld:
     @property
     def lost_bytes(self) -> int:
         """Bytes from the host that its UART had no room for."""
-        return int(self._library.firmware_world_lost_bytes(self._handle))
+        return self.firmware.lost_bytes
 
     def forget(self) -> None:
         """Drop the samples and frames so far."""
@@ -173,7 +424,7 @@ class FirmwareWorld:
 
     def send(self, data: bytes) -> None:
         """Put bytes on the line to the robot."""
-        self._library.firmware_world_send(self._handle, data, len(data))
+        self.firmware.send(data)
 
     def publish(self, topic: str, payload: bytes) -> None:
         """Send one message to a topic of the robot, by its name without the robot's.
@@ -213,14 +464,10 @@ class FirmwareWorld:
             left_ms -= now_ms
 
     def _pass(self, ms: int, sample_ms: int) -> None:
-        most = ms // sample_ms + 1 if sample_ms else 0
-        rows = np.zeros((most, len(columns())))
-        pointer = rows.ctypes.data_as(ctypes.POINTER(ctypes.c_double))
-        count = self._library.firmware_world_run(self._handle, ms, sample_ms, pointer, most)
-        if count:
-            self._traces.append(rows[:count])
-        size = self._library.firmware_world_receive(self._handle, self._received, _RECEIVE_BYTES)
-        for item in self._stream.feed(ctypes.string_at(self._received, size)):
+        data = self.firmware.run(ms, sample_ms)
+        if sample_ms:
+            self._traces.append(self.firmware.rows)
+        for item in self._stream.feed(data):
             if isinstance(item, Frame):
                 self._receive(item)
 

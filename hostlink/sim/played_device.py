@@ -9,8 +9,8 @@ from hostlink.protocol.control import TopicInfo, decode_topic_info, encode_topic
 from hostlink.protocol.frame import FIRST_TOPIC_ID, MAX_PAYLOAD_BYTES, Frame, Id, encode
 from hostlink.protocol.stream import FrameStream
 from hostlink.protocol.topic_table import MAX_TOPICS
-from hostlink.sim.device import MAX_SUBSCRIBERS
 
+MAX_SUBSCRIBERS = 25  # of the original library: the ids of what a device publishes begin behind theirs
 READ_BYTES = 4096
 TIME_INTERVAL_S = 2.5  # as every device of the original library: a host takes it for alive
 RECONNECT_S = 0.5

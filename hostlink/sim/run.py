@@ -1,23 +1,27 @@
-"""Runs simulated robots in real time against a host: over TCP, as their ESP8266 would, UDP, or any pair of streams."""
+"""Runs simulated robots in real time against a host: over TCP, as their ESP8266 would, UDP, or any pair of streams.
+
+Over UDP a datagram has what the UART had sent, as a passthrough would send it.
+"""
 
 import asyncio
 import contextlib
 import os
 import socket
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Iterator
 
-from hostlink.cancellation import raise_if_cancelled
-from hostlink.messages.catalog import Catalog
-from hostlink.sim.controller import LOOP_S, RobotKind
-from hostlink.sim.device import SimulatedDevice
+from hostlink.protocol.frame import Id, encode
 from hostlink.sim.faults import HEALTHY, Fault, FaultyLine
+from hostlink.sim.firmware_world import RobotKind
 from hostlink.sim.robot import SimulatedRobot
-from hostlink.sim.udp import LINE_POLL_S, RETRY_S, talk_over_udp
 from hostlink.sim.world_parameters import WorldParameters
-from hostlink.sim.worlds import AnyWorld, open_world
 
 READ_BYTES = 4096
 RECONNECT_S = 0.5
+LINE_POLL_S = 0.004  # how often what has left the UART is passed on: as an ESP8266's loop does
+SEND_BYTES = 1 << 16  # that may wait for a host; more is lost
+CHECK_S = 0.05
+TIME_REQUEST = encode(Id.TIME, bytes(8))
+GREETING_S = 1.0  # over UDP a host knows nothing of a device that has sent nothing
 USER_TIMEOUT_MS = 5000  # sent and not acknowledged: the host is gone
 
 
@@ -34,21 +38,19 @@ async def run_fleet(
     log: Callable[[str], None] = lambda _: None,
 ) -> None:
     """Run robot_0, robot_1, ... until cancelled; each connects again when its connection ends."""
-    catalog = Catalog()
     async with asyncio.TaskGroup() as tasks:
         for number in range(first, first + robots):
-            device = SimulatedDevice(clock_rate=fault.clock_rate)
             robot = SimulatedRobot(
-                f"robot_{number}", catalog, device=device, world=world_of(number, world), temper=kind.temper
+                f"robot_{number}", world=world_of(number, world), kind=kind, clock_rate=fault.clock_rate
             )
             run = run_over_udp if is_udp else run_over_tcp
             tasks.create_task(run(robot, host, port, fault=fault, log=log), name=robot.name)
 
 
-def world_of(number: int, world: WorldParameters | None) -> AnyWorld:
+def world_of(number: int, world: WorldParameters | None) -> WorldParameters:
     """Each robot has its own random numbers."""
     parameters = WorldParameters() if world is None else world
-    return open_world(parameters.changed({"seed": (parameters.seed + number) % 2**32}))
+    return parameters.changed({"seed": (parameters["seed"] + number) % 2**32})
 
 
 async def run_over_tcp(
@@ -63,8 +65,7 @@ async def run_over_tcp(
     """Connect (from `local_host`), talk, connect again, until cancelled; the robot's own loop never stops."""
     local = None if local_host is None else (local_host, 0)
     last_error = ""
-    fault.break_wheel(robot.wheels[0])
-    async with _alive(robot):
+    async with _switched_on(robot, fault) as board:
         while True:
             try:
                 reader, writer = await asyncio.open_connection(host, port, local_addr=local)
@@ -79,10 +80,10 @@ async def run_over_tcp(
                 log(f"{robot.name}: connected to {host}:{port}")
                 with contextlib.suppress(TimeoutError):
                     async with asyncio.timeout(fault.runs_s):
-                        await _talk(robot, reader, writer, fault)
+                        await _talk(board, reader, writer)
                     log(f"{robot.name}: the host closed the connection")
                 if fault.runs_s is not None:
-                    robot.reboot()
+                    robot.firmware.reboot()
             await asyncio.sleep(RECONNECT_S)
 
 
@@ -97,19 +98,18 @@ async def run_over_udp(
 ) -> None:
     """Send to the host (from `local_host`), whether it is there or not, until cancelled."""
     last_error = ""
-    fault.break_wheel(robot.wheels[0])
-    async with _alive(robot):
+    async with _switched_on(robot, fault) as board:
         while True:
             try:
                 async with asyncio.timeout(fault.runs_s):
-                    await talk_over_udp(robot, host, port, fault=fault, local_host=local_host, log=log)
+                    await _talk_over_udp(board, host, port, local_host=local_host, log=log)
             except TimeoutError:
-                robot.reboot()
+                robot.firmware.reboot()
             except OSError as error:  # no such address, or no way there
                 if last_error != str(error):
                     last_error = str(error)
                     log(f"{robot.name}: cannot send to {host}:{port}: {error.strerror or error}")
-            await asyncio.sleep(RETRY_S)
+            await asyncio.sleep(RECONNECT_S)
 
 
 def _give_up_soon(writer: asyncio.StreamWriter) -> None:
@@ -123,64 +123,133 @@ async def run_over_streams(
     robot: SimulatedRobot, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, *, fault: Fault = HEALTHY
 ) -> None:
     """Run the robot on an open connection until that ends."""
-    fault.break_wheel(robot.wheels[0])
-    async with _alive(robot):
-        await _talk(robot, reader, writer, fault)
+    async with _switched_on(robot, fault) as board:
+        await _talk(board, reader, writer)
 
 
-@contextlib.asynccontextmanager
-async def _alive(robot: SimulatedRobot) -> AsyncIterator[None]:
-    """The robot's loop turns for the length of the block."""
-    async with asyncio.TaskGroup() as tasks:
-        loop = tasks.create_task(_turn(robot), name=f"{robot.name} loop")
+class _Board:
+    """A robot that is switched on: its firmware runs in real time, connected or not."""
+
+    def __init__(self, robot: SimulatedRobot, fault: Fault) -> None:
+        self.robot = robot
+        self.fault = fault
+        self._send: Callable[[bytes], None] | None = None
+        self._loop = asyncio.get_running_loop()
+        self._failed: asyncio.Future[None] = self._loop.create_future()
+        self._timer = self._loop.call_soon(self._poll)
+
+    async def run(self) -> None:
+        """Until cancelled; raises what ended the firmware."""
+        await self._failed
+
+    def switch_off(self) -> None:
+        """The firmware runs no further."""
+        self._timer.cancel()
+
+    def receive(self, data: bytes) -> None:
+        """Bytes from the host, now."""
+        self._advance()
+        self.robot.receive(data)
+        self._timer.cancel()
+        self._timer = self._loop.call_later(LINE_POLL_S, self._poll)
+
+    @contextlib.contextmanager
+    def connected(self, send: Callable[[bytes], None]) -> Iterator[None]:
+        """What leaves its UART is sent, changed by its fault; without a connection it is lost."""
+        line = FaultyLine(self.fault)
+        self._advance()
+        self._send = lambda data: send(line.pass_on(data))
         try:
             yield
         finally:
-            loop.cancel()
+            self._send = None
+            self.robot.firmware.cut()
+
+    def _poll(self) -> None:
+        try:
+            self._advance()
+        except Exception as error:  # noqa: BLE001 - raised by `run`
+            self._failed.set_exception(error)
+        else:
+            self._timer = self._loop.call_later(self.robot.quiet_s or LINE_POLL_S, self._poll)
+
+    def _advance(self) -> None:
+        data = self.robot.advance(self._loop.time())
+        if self._send is not None:
+            self._send(data)
 
 
-async def _talk(
-    robot: SimulatedRobot, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, fault: Fault
-) -> None:
-    """Carry bytes between the robot's UART and the connection, until one of them ends it."""
-    now_s = asyncio.get_running_loop().time
+@contextlib.asynccontextmanager
+async def _switched_on(robot: SimulatedRobot, fault: Fault) -> AsyncIterator[_Board]:
+    """The robot's firmware runs for the length of the block."""
+    fault.break_wheel(robot.wheels[0])
+    board = _Board(robot, fault)
+    async with asyncio.TaskGroup() as tasks:
+        running = tasks.create_task(board.run(), name=f"{robot.name} board")
+        try:
+            yield board
+        finally:
+            board.switch_off()
+            running.cancel()
+
+
+async def _talk(board: _Board, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    """Carry bytes between the robot's UART and the connection, until that ends."""
+
+    def send(data: bytes) -> None:
+        if data and writer.transport.get_write_buffer_size() < SEND_BYTES:  # else the host is not reading
+            writer.write(data)
+
     try:
-        async with asyncio.TaskGroup() as tasks:
-            passing = tasks.create_task(_pass_on(robot, writer, fault), name=f"{robot.name} UART")
-            try:
-                while data := await reader.read(READ_BYTES):
-                    robot.device.from_host.send(data, now_s())
-            finally:
-                passing.cancel()
-    except* OSError:
+        with board.connected(send):
+            while data := await reader.read(READ_BYTES):
+                board.receive(data)
+    except OSError:
         pass  # the host is gone; the caller decides what next
     finally:
-        robot.device.from_host.cut()
-        robot.device.to_host.cut()
         writer.close()
         with contextlib.suppress(OSError):  # it would hide a cancellation
             await writer.wait_closed()
-    raise_if_cancelled()
 
 
-async def _pass_on(robot: SimulatedRobot, writer: asyncio.StreamWriter, fault: Fault) -> None:
-    now_s = asyncio.get_running_loop().time
-    line = FaultyLine(fault)
-    while True:
-        data = line.pass_on(robot.device.to_host.pop(now_s()))
+async def _talk_over_udp(
+    board: _Board, host: str, port: int, *, local_host: str | None, log: Callable[[str], None]
+) -> None:
+    """Talk from a socket of its own until the host has been silent for so long that the robot is not configured."""
+    robot = board.robot
+    local = None if local_host is None else (local_host, 0)
+    transport, _ = await asyncio.get_running_loop().create_datagram_endpoint(
+        lambda: _FromHost(board), remote_addr=(host, port), local_addr=local
+    )
+
+    def send(data: bytes) -> None:
         if data:
-            writer.write(data)
-            await writer.drain()
-        await asyncio.sleep(LINE_POLL_S)
+            transport.sendto(data)
+
+    try:
+        with board.connected(send):
+            while not robot.is_configured:
+                send(FaultyLine(board.fault).pass_on(TIME_REQUEST))
+                with contextlib.suppress(TimeoutError):
+                    async with asyncio.timeout(GREETING_S):
+                        await _until(lambda: robot.is_configured)
+            log(f"{robot.name}: {host}:{port} has answered")
+            await _until(lambda: not robot.is_configured)
+    finally:
+        transport.close()
+    log(f"{robot.name}: {host}:{port} does not answer any more")
 
 
-async def _turn(robot: SimulatedRobot) -> None:
-    """Thirty turns a second; within one the retry clause may wait, and the turn goes on after that."""
-    now_s = asyncio.get_running_loop().time
-    next_s = now_s()
-    while True:
-        wait_s = robot.turn(now_s())
-        if wait_s is None:
-            next_s = max(next_s + LOOP_S, now_s())
-            wait_s = next_s - now_s()
-        await asyncio.sleep(wait_s)
+async def _until(is_so: Callable[[], bool]) -> None:
+    while not is_so():  # noqa: ASYNC110 - the firmware has no events
+        await asyncio.sleep(CHECK_S)
+
+
+class _FromHost(asyncio.DatagramProtocol):
+    """What comes goes to the robot's UART; an ICMP error says no more than silence."""
+
+    def __init__(self, board: _Board) -> None:
+        self._board = board
+
+    def datagram_received(self, data: bytes, addr: tuple[str, int]) -> None:  # noqa: ARG002 - asyncio's signature
+        self._board.receive(data)

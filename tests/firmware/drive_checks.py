@@ -2,9 +2,8 @@
 
 import numpy as np
 
-from hostlink.sim.drive_train import FULL_PWM
-from hostlink.sim.world_parameters import WheelParameters, WorldParameters
-from tests.firmware.worlds import LEFT, RIGHT, Trace
+from hostlink.sim.world_parameters import WorldParameters
+from tests.firmware.worlds import FULL_PWM, LEFT, RIGHT, Trace
 
 STANDING_TICKS_S = 5.0  # 6 mm/s
 CREEP_TICKS_S = 15.0  # 18 mm/s: what the least PWM gives to a wheel without friction before the encoder has two edges
@@ -47,11 +46,11 @@ def check_speed(trace: Trace, commanded: np.ndarray) -> None:
 
 def check_standstill(trace: Trace, drawn: WorldParameters) -> None:
     """Rows from a zero on: it stands as soon as the brake allows, within 0.6 s for a constant of 0.14 s or less."""
-    for wheel, speed in ((drawn.left, trace.left), (drawn.right, trace.right)):
+    for side, speed in (("left", trace.left), ("right", trace.right)):
         after = np.abs(speed)
         stood_s = float(np.max(np.flatnonzero(after > STANDING_TICKS_S), initial=-1) + 1) * ROW_S
-        assert stood_s <= brake_s(drawn, wheel, float(after[0])) + 2 * ROW_S
-        assert stood_s <= STOP_S + ROW_S or wheel.brake_constant_s > QUICK_BRAKE_S
+        assert stood_s <= brake_s(drawn, side, float(after[0])) + 2 * ROW_S
+        assert stood_s <= STOP_S + ROW_S or drawn[f"{side}.brake_constant_s"] > QUICK_BRAKE_S
 
 
 def longest_s(is_so: np.ndarray) -> float:
@@ -75,9 +74,9 @@ def too_fast_s(wheel: Wheel) -> float:
     return longest_s((np.abs(speed) > allowed) & (commanded != 0))
 
 
-def brake_s(drawn: WorldParameters, wheel: WheelParameters, speed_ticks_s: float) -> float:
+def brake_s(drawn: WorldParameters, side: str, speed_ticks_s: float) -> float:
     """How long the shorted motor needs by itself."""
-    friction_rad_s = wheel.friction_rad_s + drawn.floor_pwm / FULL_PWM * wheel.full_speed_rad_s
-    friction_ticks_s = friction_rad_s * wheel.ticks_per_turn / (2 * np.pi)
+    friction_rad_s = drawn[f"{side}.friction_rad_s"] + drawn["floor_pwm"] / FULL_PWM * drawn[f"{side}.full_speed_rad_s"]
+    friction_ticks_s = friction_rad_s * drawn[f"{side}.ticks_per_turn"] / (2 * np.pi)
     ratio = (speed_ticks_s + friction_ticks_s) / (STANDING_TICKS_S + friction_ticks_s)
-    return wheel.brake_constant_s * float(np.log(max(ratio, 1.0)))
+    return drawn[f"{side}.brake_constant_s"] * float(np.log(max(ratio, 1.0)))

@@ -16,7 +16,7 @@ ROOT = Path(__file__).resolve().parents[2]
 SOURCES = ROOT / "firmware" / "due" / "src"
 ROSSERIAL = ROOT / "firmware" / "rosserial" / "src"
 LIBRARY = ROOT / "build" / "due_abi" / "libdue_abi.so"
-FLAGS = [*CORE, "-ffp-contract=off"]  # the digits of its Python twins, and of a Cortex-M3 without an FPU, everywhere
+FLAGS = [*CORE, "-ffp-contract=off"]  # the digits of a Cortex-M3 without an FPU, everywhere
 OUT_BYTES = 65536
 
 _U8P, _F, _P, _SIZE = ctypes.c_char_p, ctypes.c_float, ctypes.c_void_p, ctypes.c_size_t
@@ -123,7 +123,7 @@ class Node:
         library().node_room(self._handle, size)
 
     def spin(self, now_s: float) -> float | None:
-        """As SimulatedDevice.spin: None when the turn is done, else the seconds to wait."""
+        """As OriginalDevice.spin: None when the turn is done, else the seconds to wait."""
         wait_ms = library().node_spin(self._handle, round(now_s * 1e6))
         return wait_ms / 1000 if wait_ms else None
 

@@ -1,15 +1,14 @@
-"""Drives as scripts (firmware/host/world_script.h) that the firmware runs in virtual time, natively or emulated."""
+"""Drives as scripts (firmware/host/world_script.h) that the firmware runs in virtual time, as a module or emulated."""
 
-import ctypes
 import subprocess
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from hostlink.sim.firmware_world import columns
-from hostlink.sim.world_library import load_library
-from hostlink.sim.world_parameters import WheelParameters, WorldParameters
+from hostlink.sim.firmware_module import columns
+from hostlink.sim.firmware_world import Firmware
+from hostlink.sim.world_parameters import WorldParameters, wheel
 from tests.firmware.boards import TEXT_AT, build_m3
 from tests.firmware.worlds import Trace, wheel_speeds
 
@@ -54,15 +53,13 @@ class Script:
         return np.concatenate([silent, *(np.tile(wheel_speeds(v, w), (ms // ROW_MS, 1)) for v, w, ms in self.pieces)])
 
 
-def run_native(text: str, rows: int) -> np.ndarray:
-    """The rows of the native firmware."""
-    found = np.zeros((rows, len(columns())))
-    count = ctypes.c_size_t(rows)
-    pointer = found.ctypes.data_as(ctypes.POINTER(ctypes.c_double))
-    wrong = load_library().firmware_world_script(text.encode(), pointer, ctypes.byref(count))
+def run_module(text: str, rows: int) -> np.ndarray:
+    """The rows of the module, which simulated robots run."""
+    firmware = Firmware()
+    wrong = firmware.run_script(text)
     assert wrong == 0, f"line {wrong}: {text.splitlines()[wrong - 1]}"
-    assert count.value == rows
-    return found
+    assert len(firmware.rows) == rows
+    return firmware.rows
 
 
 def start_m3(text: str, folder: Path) -> "subprocess.Popen[bytes]":
@@ -97,6 +94,7 @@ def trace(rows: np.ndarray) -> Trace:
 def draw(seed: int) -> Script:
     """A world that nobody has tuned the firmware for, and a story of drives and pauses that ends in a zero."""
     random = np.random.default_rng(seed)
+    full_speed_rad_s = WorldParameters()["left.full_speed_rad_s"]
     dead_zone_pwm, time_constant_s = random.uniform(0.0, 800.0), random.uniform(0.02, 0.2)
     make = {
         "dead_zone_pwm": dead_zone_pwm,
@@ -104,32 +102,35 @@ def draw(seed: int) -> Script:
         "rise_constant_s": time_constant_s,
         "coast_constant_s": random.uniform(max(0.05, time_constant_s), 1.0),
         "brake_constant_s": time_constant_s,  # the same motor against the same resistance, without a voltage
-        "friction_rad_s": random.uniform() * dead_zone_pwm / 4095 * WheelParameters().full_speed_rad_s,
+        "friction_rad_s": random.uniform() * dead_zone_pwm / 4095 * full_speed_rad_s,
     }
     left, right = (
-        WheelParameters(
-            full_speed_rad_s=random.uniform(0.9, 1.1) * WheelParameters().full_speed_rad_s,
+        wheel(
+            side,
+            full_speed_rad_s=random.uniform(0.9, 1.1) * full_speed_rad_s,
             radius_m=random.uniform(0.044, 0.046),
             slip_noise_m=random.choice([0.0, 0.003]),
             slip_accelerating_s2_m=random.choice([0.0, 0.02]),
             slip_braking_s2_m=random.choice([0.0, 0.02]),
             **make,
         )
-        for _ in range(2)
+        for side in ("left", "right")
     )
     world = WorldParameters(
-        seed=float(seed),
-        track_m=random.uniform(0.2, 0.22),
-        caster_pwm=random.choice([0.0, 100.0, 300.0]),
-        caster_twist_rad=random.choice([0.0, 0.055]),
-        caster_random=0.4,
-        floor_pwm=random.choice([0.0, 0.0, 200.0]),
-        battery_v=random.uniform(10.5, 13.0),
-        battery_sag_v=random.uniform(0.0, 1.0),
-        left=left,
-        right=right,
+        {
+            "seed": seed,
+            "track_m": random.uniform(0.2, 0.22),
+            "caster_pwm": random.choice([0.0, 100.0, 300.0]),
+            "caster_twist_rad": random.choice([0.0, 0.055]),
+            "caster_random": 0.4,
+            "floor_pwm": random.choice([0.0, 0.0, 200.0]),
+            "battery_v": random.uniform(10.5, 13.0),
+            "battery_sag_v": random.uniform(0.0, 1.0),
+            **left,
+            **right,
+        }
     )
-    return Script(world.changed({}), tuple(_story(random)))
+    return Script(world, tuple(_story(random)))
 
 
 def draw_joystick(seed: int) -> Script:

@@ -7,18 +7,9 @@ import os
 
 import pytest
 
-from hostlink.sim.world_library import load_library
-from tests.firmware.boards import build_native
 from tools.measure_calibration import WORLD, errors_in, gain, noisy
 
 SEEDS = int(os.environ.get("HOSTLINK_SEEDS", "3"))
-
-
-@pytest.fixture(scope="module", autouse=True)
-def built() -> None:
-    """Compiled before the clock of the first test runs."""
-    build_native()
-    load_library.cache_clear()
 
 
 def test_without_noise_the_square_s_error_falls_a_hundredfold() -> None:

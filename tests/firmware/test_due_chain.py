@@ -13,7 +13,7 @@ from typing import Any
 import aiohttp
 import pytest
 
-from hostlink.sim.world_parameters import WheelParameters, WorldParameters
+from hostlink.sim.world_parameters import WorldParameters
 from tests.firmware import esp8266
 from tests.firmware.boards import Board, board, chain, drive
 from tests.support.process import serve
@@ -51,7 +51,7 @@ async def test_the_chain_negotiates_drives_reads_back_and_stops(kind: str, with_
 @pytest.mark.parametrize("kind", ["native", "cortex-m3"])
 async def test_the_board_runs_in_the_world_that_it_is_given(kind: str, tmp_path: Path) -> None:
     """A left wheel a tenth larger: straight by the odometry is a curve to the right."""
-    world = WorldParameters(battery_v=11.5, left=WheelParameters(radius_m=0.0495))
+    world = WorldParameters({"battery_v": 11.5, "left.radius_m": 0.0495})
     file = tmp_path / "world.txt"
     file.write_text(world.text())
     async with chain(kind, with_esp=False, world=file) as (daemon, made):

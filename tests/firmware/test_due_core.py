@@ -1,25 +1,23 @@
-"""The Due's arithmetic, with the numbers of docs/robot.md, and against hostlink's own robot and simulator."""
+"""The Due's arithmetic, with the numbers of docs/robot.md, and against hostlink's own robot."""
 
 import ctypes
 import math
 import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import NamedTuple
 
 import pytest
-from hypothesis import example, given
+from hypothesis import given
 from hypothesis import strategies as st
 
+from hostlink.lab.paper_software import S_PER_TICK_S
 from hostlink.robot.kinematics import DifferentialDrive, Pose
-from hostlink.sim import controller
-from hostlink.sim.controller import Feedback
-from hostlink.sim.drive_train import DriveTrain
-from hostlink.sim.geometry import Geometry
+from hostlink.sim.firmware_world import Feedback, Firmware
 from tests.firmware.due import library, made
 
 DRIVE = DifferentialDrive()
 LOOP_S = 1 / 30
-speeds = st.floats(-300.0, 300.0, width=32)
 
 
 @pytest.mark.parametrize(
@@ -49,20 +47,6 @@ def test_minimum_jerk_without_a_way_to_go_is_there() -> None:
         assert library().jerk_step(jerk, 0.1) == 0.0
 
 
-@given(st.lists(st.tuples(speeds, st.integers(1, 40)), max_size=6))
-@example([(57.5, 31), (75.0, 4)])  # at the end of the first way, where only rounding is left of it
-def test_minimum_jerk_is_that_of_the_simulator(story: list[tuple[float, int]]) -> None:
-    twin = controller.MinimumJerk()
-    with made("jerk") as jerk:
-        for target, turns in story:
-            library().jerk_aim(jerk, target)
-            twin.aim(target)
-            for _ in range(turns):
-                value = library().jerk_step(jerk, LOOP_S)
-                assert math.isfinite(value)
-                assert value == pytest.approx(twin.step(LOOP_S), abs=0.05)
-
-
 def test_the_integral_does_not_wind_up_against_the_limit() -> None:
     """Ten seconds against a wheel that is held, then the set-point turns: the output follows in a tenth of a second."""
     with made("pid", 23.0, 36.0, 0.0, 0.0) as pid:
@@ -86,7 +70,7 @@ def test_the_feedback_term_subtracts_a_part_of_the_last_output() -> None:
 
 
 def test_the_filter_adds_a_tenth_of_what_is_new() -> None:
-    with made("wheel", Feedback.WASHED_OUT.value) as wheel:
+    with made("wheel", Feedback.WASHED_OUT) as wheel:
         observed = []
         for _ in range(3):
             library().wheel_step(wheel, 20, 0.1)  # ten ticks
@@ -94,33 +78,16 @@ def test_the_filter_adds_a_tenth_of_what_is_new() -> None:
     assert observed == pytest.approx([10.0, 19.0, 27.1])
 
 
-@given(
-    st.lists(st.tuples(st.sampled_from([0.0, 50.0, 200.0, -50.0, -250.0]), st.integers(1, 60)), max_size=5),
-    st.sampled_from(Feedback),
-)
-def test_a_wheel_does_what_the_simulator_s_does(story: list[tuple[float, int]], feedback: Feedback) -> None:
-    """The same set-points and the same edges: the same PWM."""
-    twin, plant = controller.WheelController(controller.LEFT_GAINS, feedback), DriveTrain()
-    with made("wheel", feedback.value) as wheel:
-        for target, turns in story:
-            library().wheel_aim(wheel, target)
-            twin.aim(target)
-            for _ in range(turns):
-                edges = plant.step(twin.pwm, LOOP_S)
-                rolled = library().wheel_step(wheel, edges, LOOP_S)
-                assert rolled == twin.step(edges, LOOP_S)
-                assert library().wheel_pwm(wheel) == twin.pwm
-
-
 def steady_ticks_s(feedback: Feedback, requested_ticks_s: float) -> float:
     """The mean speed of a wheel over two seconds, five after its set-point is there."""
-    plant, speeds = DriveTrain(), []
-    with made("wheel", feedback.value) as wheel:
+    world, speeds, edges = Firmware().world, [], 0
+    with made("wheel", feedback) as wheel:
         library().wheel_aim(wheel, requested_ticks_s)
-        for _ in range(round((abs(requested_ticks_s) * controller.S_PER_TICK_S + 7.0) / LOOP_S)):
-            edges = plant.step(library().wheel_pwm(wheel), LOOP_S)
-            library().wheel_step(wheel, edges, LOOP_S)
-            speeds.append(plant.speed_ticks_s)
+        for _ in range(round((abs(requested_ticks_s) * S_PER_TICK_S + 7.0) / LOOP_S)):
+            world.turn_motors(library().wheel_pwm(wheel), 0, LOOP_S, 1)
+            library().wheel_step(wheel, world.left.edges - edges, LOOP_S)
+            edges = world.left.edges
+            speeds.append(world.left.speed_ticks_s)
     late = speeds[-round(2.0 / LOOP_S) :]
     return sum(late) / len(late)
 
@@ -135,52 +102,64 @@ def test_the_paper_s_feedback_keeps_every_speed_5_percent_low(requested_ticks_s:
     assert steady_ticks_s(Feedback.PAPER, requested_ticks_s) == pytest.approx(requested_ticks_s / 1.05, rel=0.005)
 
 
-PAPER = Geometry()
-geometries = st.just(PAPER) | st.builds(
-    Geometry,
-    wheel_radius_m=st.tuples(st.floats(0.03125, 0.25, width=32), st.floats(0.03125, 0.25, width=32)),
-    ticks_per_turn=st.tuples(st.floats(50.0, 2000.0, width=32), st.floats(50.0, 2000.0, width=32)),
-    wheel_separation_m=st.floats(0.125, 1.0, width=32),
+class Wheels(NamedTuple):
+    """Radii and ticks of the left wheel and the right one, and how far they are apart."""
+
+    radii_m: tuple[float, float] = (0.045, 0.045)
+    ticks: tuple[float, float] = (230.4, 230.4)
+    separation_m: float = 0.210
+
+    def metres_per_tick(self, side: int) -> float:
+        return math.tau * self.radii_m[side] / self.ticks[side]
+
+
+PAPER = Wheels()
+radii = st.floats(0.03125, 0.25, width=32)
+ticks = st.floats(50.0, 2000.0, width=32)
+some_wheels = st.just(PAPER) | st.builds(
+    Wheels, st.tuples(radii, radii), st.tuples(ticks, ticks), st.floats(0.125, 1.0, width=32)
 )
 
 
 @contextmanager
-def drive(geometry: Geometry) -> Iterator[int]:
+def drive(wheels: Wheels) -> Iterator[int]:
     """The firmware's kinematics with these wheels, by its handle."""
-    with made("drive", *geometry.wheel_radius_m, *geometry.ticks_per_turn, geometry.wheel_separation_m) as handle:
+    with made("drive", *wheels.radii_m, *wheels.ticks, wheels.separation_m) as handle:
         yield handle
 
 
-@given(geometries, st.floats(-2.0, 2.0, width=32), st.floats(-10.0, 10.0, width=32))
-def test_inverse_kinematics(geometry: Geometry, linear: float, angular: float) -> None:
+@given(some_wheels, st.floats(-2.0, 2.0, width=32), st.floats(-10.0, 10.0, width=32))
+def test_inverse_kinematics(wheels: Wheels, linear: float, angular: float) -> None:
     out = (ctypes.c_float * 2)()
-    with drive(geometry) as handle:
+    with drive(wheels) as handle:
         library().drive_wheel_speeds(handle, linear, angular, out)
-    left, right = geometry.wheel_speeds(linear, angular)
+    turning = angular * wheels.separation_m / 2
+    left, right = (linear - turning) / wheels.metres_per_tick(0), (linear + turning) / wheels.metres_per_tick(1)
     factor = min(1.0, 280.0 / max(abs(left), abs(right), 1e-9))
     assert list(out) == pytest.approx([left * factor, right * factor], rel=1e-4, abs=1e-3)
     assert max(map(abs, out)) <= 280.01  # in reverse too
 
 
 def test_the_paper_s_geometry_is_hostlink_s() -> None:
-    assert PAPER.metres_per_tick == pytest.approx([DRIVE.metres_per_tick] * 2)
-    assert PAPER.wheel_separation_m == DRIVE.wheel_separation_m
+    assert PAPER.metres_per_tick(0) == pytest.approx(DRIVE.metres_per_tick)
+    assert PAPER.separation_m == DRIVE.wheel_separation_m
 
 
 @given(
-    geometries,
+    some_wheels,
     st.tuples(st.floats(-5, 5), st.floats(-5, 5), st.floats(-3.1, 3.1)),
     st.integers(-100, 100),
     st.integers(-100, 100),
 )
-def test_odometry_is_hostlink_s(geometry: Geometry, pose: tuple[float, float, float], left: int, right: int) -> None:
+def test_odometry_is_hostlink_s(wheels: Wheels, pose: tuple[float, float, float], left: int, right: int) -> None:
     values = (ctypes.c_double * 3)(*pose)
-    with drive(geometry) as handle:
+    with drive(wheels) as handle:
         library().drive_integrate(handle, values, left, right)
-    twin = geometry.integrate(Pose(*pose), left, right)
-    assert values[0] == pytest.approx(twin.x_m, abs=1e-5)
-    assert values[1] == pytest.approx(twin.y_m, abs=1e-5)
-    assert math.cos(values[2] - twin.theta_rad) == pytest.approx(1.0, abs=1e-9)
+    model = DifferentialDrive(wheel_separation_m=wheels.separation_m)
+    wanted = model.integrate(Pose(*pose), left * wheels.metres_per_tick(0), right * wheels.metres_per_tick(1))
+    assert values[0] == pytest.approx(wanted.x_m, abs=1e-5)
+    assert values[1] == pytest.approx(wanted.y_m, abs=1e-5)
+    assert math.cos(values[2] - wanted.theta_rad) == pytest.approx(1.0, abs=1e-9)
     assert -math.pi < values[2] <= math.pi + 1e-12
 
 

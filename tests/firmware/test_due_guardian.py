@@ -1,12 +1,12 @@
-"""The firmware and the simulated device obey the guardian's zero, wherever the daemon was cut off in a frame."""
+"""The firmware and the original library obey the guardian's zero, wherever the daemon was cut off in a frame."""
 
 import pytest
 
 from hostlink.guardian.frames import stop_sequence
 from hostlink.messages.catalog import Catalog
 from hostlink.protocol.frame import encode
-from hostlink.sim.device import SimulatedDevice
 from tests.firmware.due import Retry, node
+from tests.support.original_device import OriginalDevice
 
 BUFFER_BYTES = 512
 LIMIT_S = 0.2
@@ -32,12 +32,12 @@ def test_the_firmware_stands_in_time(frame: bytes, policy: Retry) -> None:
             assert heard[-1] == bytes(48), cut
 
 
-def test_the_simulated_robots_device_does_too() -> None:
+def test_the_original_library_stands_in_time() -> None:
     twist = Catalog().message("geometry_msgs/Twist")
     assert twist is not None
     for cut in range(1, len(LONG), 3):
         heard: list[bytes] = []
-        device = SimulatedDevice(baud=None, retries=False)
+        device = OriginalDevice(baud=None, retries=False)
         device.subscribe("/cmd_vel", twist.name, twist.md5, heard.append)
         device.subscribe("/long", twist.name, twist.md5, lambda _: None)  # 1 of 256 passes by chance
         device.from_host.send(VELOCITY + LONG[:cut], 1.0)

@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 from hostlink.protocol.control import Log, Parameter, encode_log, encode_parameter, encode_parameter_request
 from hostlink.protocol.frame import STOP_REQUEST, TOPICS_REQUEST, Frame, Id, encode
 from hostlink.protocol.stream import FrameStream
-from hostlink.sim.device import SimulatedDevice
-from hostlink.sim.uart import Uart
 from tests.firmware.due import Node, Retry, node
+from tests.support.original_device import OriginalDevice
 from tests.support.strategies import damaged, noise, split
+from tests.support.uart import Uart
 
 VELOCITY, LED = encode(100, b"\x22" * 48), encode(101, b"\x01")
 TIME = encode(Id.TIME, bytes(8))
@@ -29,7 +29,7 @@ def frames(data: bytes) -> list[Frame]:
     return [item for item in FrameStream().feed(data) if isinstance(item, Frame)]
 
 
-def spin(device: Node | SimulatedDevice, now_s: float) -> float:
+def spin(device: Node | OriginalDevice, now_s: float) -> float:
     while (wait_s := device.spin(now_s)) is not None:
         now_s += wait_s
     return now_s
@@ -42,7 +42,7 @@ def test_the_same_bytes_at_the_same_times_give_the_same_frames(
 ) -> None:
     """The simulated device and the compiled one, with the retry clause of the paper and without any."""
     heard: list[bytes] = []
-    twin = SimulatedDevice(baud=None, retries=retries)
+    twin = OriginalDevice(baud=None, retries=retries)
     twin.advertise("/odometry", "geometry_msgs/Pose2D", "m")
     twin.subscribe("/velocity", "geometry_msgs/Twist", "m", heard.append)
     twin.subscribe("/led", "std_msgs/Bool", "m", heard.append)
@@ -319,7 +319,7 @@ def test_the_same_frames_also_at_the_pace_of_the_line(retries: bool, story: list
     """At 38400 baud frames straddle the turns of a 30 Hz loop: what the clause bridges, it bridges in both."""
     heard: list[bytes] = []
     line = Uart(baud=38400, ring_bytes=1 << 20)
-    twin = SimulatedDevice(retries=retries)
+    twin = OriginalDevice(retries=retries)
     twin.from_host = Uart(baud=38400, ring_bytes=1 << 20)  # no ring is too small: which bytes it loses is the ring's
     twin.advertise("/odometry", "geometry_msgs/Pose2D", "m")
     twin.subscribe("/velocity", "geometry_msgs/Twist", "m", heard.append)
@@ -338,7 +338,7 @@ def test_the_same_frames_also_at_the_pace_of_the_line(retries: bool, story: list
         assert device.is_configured == twin.is_configured
 
 
-def turn(device: Node, twin: SimulatedDevice, line: Uart, now_s: float) -> float:
+def turn(device: Node, twin: OriginalDevice, line: Uart, now_s: float) -> float:
     """A turn of both, with the waits that they ask for; returns when the next one begins."""
     began_s = now_s
     while True:

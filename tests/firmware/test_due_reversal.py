@@ -8,12 +8,10 @@ from functools import cache
 import numpy as np
 import pytest
 
-from hostlink.sim import controller
+from hostlink.lab.paper_software import S_PER_TICK_S
 from hostlink.sim.firmware_world import COMMAND_S, FirmwareWorld, Trace
-from hostlink.sim.world_library import load_library
 from hostlink.sim.world_parameters import WorldParameters
-from tests.firmware.boards import build_native
-from tests.firmware.scripts import CONNECT_MS, ROW_MS, Script, column, draw, draw_reversals, run_native
+from tests.firmware.scripts import CONNECT_MS, ROW_MS, Script, column, draw, draw_reversals, run_module
 from tests.firmware.worlds import METRES_PER_TICK
 
 SEEDS = range(40)
@@ -21,13 +19,6 @@ SAMPLE_S = 0.001
 STANDS_M_S = 0.0025  # two ticks a second
 ONE_EDGE_M = METRES_PER_TICK / 2
 SIDES = ("left", "right")
-
-
-@pytest.fixture(scope="module", autouse=True)
-def built() -> None:
-    """The library, compiled before the clock of the first test runs."""
-    build_native()
-    load_library.cache_clear()
 
 
 def change(
@@ -93,7 +84,7 @@ def test_turn_that_reverses_one_wheel_stops_that_one_at_once_and_not_the_other()
 @pytest.mark.parametrize("slower_m_s", [0.05, 0.08, 0.1, 0.15, 0.2])
 def test_slower_command_in_the_default_world_is_reached_in_a_fifth_of_the_paper_s_time(slower_m_s: float) -> None:
     """The wheel itself, command and loop included: the set-point alone is there in a twentieth."""
-    paper_s = (0.3 - slower_m_s) / METRES_PER_TICK * controller.S_PER_TICK_S
+    paper_s = (0.3 - slower_m_s) / METRES_PER_TICK * S_PER_TICK_S
     assert reached_s(change(WorldParameters(), (0.3, 0.0), (slower_m_s, 0.0)), "left", slower_m_s) <= paper_s / 5.0
 
 
@@ -102,7 +93,7 @@ def test_slower_command_in_nine_of_ten_drawn_worlds_is_reached_in_a_third_of_the
     first_m_s: float, slower_m_s: float
 ) -> None:
     """Half of them in a fifth; the others have motors that coast for long, and are slow to brake."""
-    paper_s = (first_m_s - slower_m_s) / METRES_PER_TICK * controller.S_PER_TICK_S
+    paper_s = (first_m_s - slower_m_s) / METRES_PER_TICK * S_PER_TICK_S
     found = [
         reached_s(trace, side, slower_m_s)
         for trace in (change(draw(seed).world, (first_m_s, 0.0), (slower_m_s, 0.0)) for seed in SEEDS)
@@ -116,7 +107,7 @@ def test_slower_command_in_nine_of_ten_drawn_worlds_is_reached_in_a_third_of_the
 def test_slower_command_in_drawn_worlds_makes_no_wheel_swing(slower_m_s: float) -> None:
     for seed in range(100):
         script = Script(draw(seed).world, ((0.3, 0.0, 6000), (slower_m_s, 0.0, 5000)))
-        rows = run_native(script.text, script.rows)[-200:]
+        rows = run_module(script.text, script.rows)[-200:]
         for side in SIDES:
             error_ticks_s = np.abs(column(rows, f"{side}_ticks_s")) - np.abs(column(rows, f"{side}_set_ticks_s"))
             assert np.sqrt(np.mean(error_ticks_s**2)) < 0.125 * abs(column(rows, f"{side}_set_ticks_s")[-1]), seed
@@ -126,7 +117,7 @@ def test_stick_pulled_through_zero_in_drawn_worlds_never_drives_a_wheel_the_old_
     """From the row after each command on: a command is obeyed in the first pass after it."""
     for seed in range(300):
         script = draw_reversals(seed)
-        rows = run_native(script.text, script.rows)[CONNECT_MS // ROW_MS :]
+        rows = run_module(script.text, script.rows)[CONNECT_MS // ROW_MS :]
         commanded = script.commanded[CONNECT_MS // ROW_MS :]
         for at, side in enumerate(SIDES):
             is_obeyed = np.sign(commanded[1:, at]) == np.sign(commanded[:-1, at])

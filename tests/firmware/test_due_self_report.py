@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 from hostlink.messages.catalog import Catalog
 from hostlink.protocol.control import Parameter, decode_topic_info
 from hostlink.protocol.frame import STOP_REQUEST, TOPICS_REQUEST, Id, encode
-from hostlink.sim.self_report import Error
 from tests.firmware.due import ROOT, Robot, library, robot
 from tests.firmware.test_due_robot import Track, logged, velocity
 from tests.firmware.worlds import world
@@ -197,7 +196,7 @@ def test_a_board_that_its_watchdog_started_says_so_once(reset_type: int, lines: 
         assert found == ["started by its watchdog: the loop had not turned for 500 ms"] * lines
 
 
-def test_documents_page_and_simulator_have_the_numbers_of_the_firmware() -> None:
+def test_documents_and_page_have_the_numbers_of_the_firmware() -> None:
     header = (ROOT / "firmware" / "due" / "src" / "self_report.h").read_text()
     known = {int(number) for number in re.findall(r"^  k\w+ = (\d+),", header, re.MULTILINE)}
     table = (ROOT / "docs" / "robot.md").read_text().split("| number |")[1].split("\n\n")[0]
@@ -208,4 +207,3 @@ def test_documents_page_and_simulator_have_the_numbers_of_the_firmware() -> None
     assert len(known) == 12
     assert documented == known
     assert {int(number) for number in re.findall(r'^  (\d+): "', page, re.MULTILINE)} == known
-    assert set(Error) <= known

@@ -1,4 +1,4 @@
-"""Drives in drawn worlds, by their seeds: none wrong. Native firmware and emulated Cortex-M3 drive the same way.
+"""Drives in drawn worlds, by their seeds: none wrong. The module and the emulated Cortex-M3 drive the same way.
 
 A share here; `make soak` sets HOSTLINK_DRIVES to 5000 and HOSTLINK_DRIVES_M3 to 100.
 """
@@ -10,11 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hostlink.sim.firmware_world import FirmwareWorld, columns
-from hostlink.sim.world import World
-from hostlink.sim.world_library import load_library
-from hostlink.sim.world_parameters import WheelParameters, WorldParameters
-from tests.firmware.boards import build_m3, build_native
+from hostlink.sim.firmware_module import columns
+from hostlink.sim.world_parameters import WorldParameters, wheel
+from tests.firmware.boards import build_m3
 from tests.firmware.drive_checks import check_odometry, check_speed, check_standstill
 from tests.firmware.scripts import (
     CONNECT_MS,
@@ -25,7 +23,7 @@ from tests.firmware.scripts import (
     draw_joystick,
     draw_reversals,
     run_m3,
-    run_native,
+    run_module,
     trace,
 )
 
@@ -34,13 +32,15 @@ DRIVES_M3 = int(os.environ.get("HOSTLINK_DRIVES_M3", "2"))
 ROW_MS = 10
 MINUTE = Script(
     WorldParameters(
-        seed=7,
-        caster_twist_rad=0.055,
-        caster_random=0.4,
-        caster_pwm=100.0,
-        battery_sag_v=0.8,
-        left=WheelParameters(radius_m=0.0452, slip_noise_m=0.003),
-        right=WheelParameters(full_speed_rad_s=7.4, slip_accelerating_s2_m=0.02),
+        {
+            "seed": 7,
+            "caster_twist_rad": 0.055,
+            "caster_random": 0.4,
+            "caster_pwm": 100.0,
+            "battery_sag_v": 0.8,
+            **wheel("left", radius_m=0.0452, slip_noise_m=0.003),
+            **wheel("right", full_speed_rad_s=7.4, slip_accelerating_s2_m=0.02),
+        }
     ),
     (
         *((0.25, 0.0, 7000), (0.0, 0.0, 700), (0.0, 0.6, 2600), (0.0, 0.0, 700)) * 4,
@@ -52,8 +52,6 @@ MINUTE = Script(
 @pytest.fixture(scope="module", autouse=True)
 def built() -> None:
     """Compiled before the clock of the first test runs."""
-    build_native()
-    load_library.cache_clear()
     build_m3()
 
 
@@ -70,11 +68,11 @@ def check(script: Script, rows: np.ndarray) -> None:
 def wrong_of(scripts: Iterable[Script], folder: Path | None = None) -> list[str]:
     wrong = []
     for script in scripts:
-        rows = run_native(script.text, script.rows) if folder is None else run_m3(script.text, folder)
+        rows = run_module(script.text, script.rows) if folder is None else run_m3(script.text, folder)
         try:
             check(script, rows)
         except AssertionError as error:
-            wrong.append(f"seed {script.world.seed:.0f}: {error}")
+            wrong.append(f"seed {script.world['seed']:.0f}: {error}")
     return wrong
 
 
@@ -85,7 +83,7 @@ stories = pytest.mark.parametrize(
 
 @stories
 @pytest.mark.timeout(60 + DRIVES)
-def test_no_drive_of_the_native_firmware_is_wrong(story: Callable[[int], Script]) -> None:
+def test_no_drive_of_the_module_is_wrong(story: Callable[[int], Script]) -> None:
     assert wrong_of(map(story, range(DRIVES))) == []
 
 
@@ -116,29 +114,17 @@ def changed(rows: np.ndarray, name: str, change: Callable[[np.ndarray], np.ndarr
 def test_each_kind_of_wrong_drive_is_found(name: str, change: Callable[[np.ndarray], np.ndarray]) -> None:
     for seed in range(3):
         script = Script(draw(seed).world, ((0.25, 0.0, 4000), (0.0, 0.0, STANDS_MS)))
-        rows = run_native(script.text, script.rows)
+        rows = run_module(script.text, script.rows)
         check(script, rows)
         with pytest.raises(AssertionError):
             check(script, changed(rows, name, change))
 
 
-def test_native_and_emulated_firmware_are_where_each_other_is_after_a_minute(tmp_path: Path) -> None:
-    native, emulated = run_native(MINUTE.text, MINUTE.rows), run_m3(MINUTE.text, tmp_path)
-    assert len(native) == len(emulated) >= 6000
-    off_m = np.hypot(column(native, "x_m") - column(emulated, "x_m"), column(native, "y_m") - column(emulated, "y_m"))
-    off_rad = np.abs(column(native, "theta_rad") - column(emulated, "theta_rad"))
+def test_module_and_emulated_firmware_after_a_minute_are_at_the_same_place(tmp_path: Path) -> None:
+    module, emulated = run_module(MINUTE.text, MINUTE.rows), run_m3(MINUTE.text, tmp_path)
+    assert len(module) == len(emulated) >= 6000
+    off_m = np.hypot(column(module, "x_m") - column(emulated, "x_m"), column(module, "y_m") - column(emulated, "y_m"))
+    off_rad = np.abs(column(module, "theta_rad") - column(emulated, "theta_rad"))
     assert float(np.max(off_m)) <= 0.001
     assert float(np.max(off_rad)) <= 0.001
-    assert column(native, "rolled_m")[-1] > 6.0
-
-
-def test_the_python_world_is_where_the_firmware_s_is_under_the_same_pwms() -> None:
-    """Read at each pass of the firmware's loop, and given to the twin one pass later, as the motors get them."""
-    robot, twin = FirmwareWorld(MINUTE.world), World(MINUTE.world)
-    robot.connect()
-    for linear, angular, ms in MINUTE.pieces:
-        robot.drive(linear, angular, ms / 1000, sample_s=0.001)
-    for left, right in zip(robot.trace["left_pwm"], robot.trace["right_pwm"], strict=True):
-        twin.step(0.001)
-        twin.drive(int(left), int(right))
-    assert (twin.x_m, twin.y_m, twin.theta_rad) == robot.pose
+    assert column(module, "rolled_m")[-1] > 6.0

@@ -1,14 +1,15 @@
 """The Due's program in worlds that nobody has tuned it for: odometry true, never too fast, standing after a zero."""
 
+import math
+
 import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from hostlink.sim.drive_train import FULL_PWM
 from hostlink.sim.world_parameters import WorldParameters
 from tests.firmware.drive_checks import ROW_S, check_odometry, check_speed, check_standstill, wheels
-from tests.firmware.worlds import LEFT, METRES_PER_TICK, RIGHT, Trace, World, world, worlds
+from tests.firmware.worlds import FULL_PWM, LEFT, METRES_PER_TICK, RIGHT, Trace, World, world, worlds
 
 WORLDS = settings(max_examples=settings.default.max_examples * 2)  # 20 ms each
 
@@ -30,13 +31,12 @@ def way_m(trace: Trace) -> float:
 
 def top_ticks_s(drawn: WorldParameters) -> float:
     """What the slower wheel reaches with full PWM, on this floor and with this battery."""
-    pwm = FULL_PWM * (drawn.battery_v - drawn.battery_sag_v) / drawn.rated_v - drawn.floor_pwm
+    pwm = FULL_PWM * (drawn["battery_v"] - drawn["battery_sag_v"]) / drawn["rated_v"] - drawn["floor_pwm"]
     found = []
-    for wheel in (drawn.left, drawn.right):
-        free = FULL_PWM - wheel.dead_zone_pwm
-        found.append(
-            (pwm / FULL_PWM if wheel.has_jump else (pwm - wheel.dead_zone_pwm) / free) * wheel.full_speed_ticks_s
-        )
+    for side in ("left", "right"):
+        dead_pwm = 0.0 if drawn[f"{side}.has_jump"] else drawn[f"{side}.dead_zone_pwm"]
+        full_speed_ticks_s = drawn[f"{side}.full_speed_rad_s"] * drawn[f"{side}.ticks_per_turn"] / math.tau
+        found.append((pwm - dead_pwm) / (FULL_PWM - dead_pwm) * full_speed_ticks_s)
     return min(found)
 
 

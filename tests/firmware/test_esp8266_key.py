@@ -11,7 +11,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hostlink.config import Config, TcpConfig
-from hostlink.messages.catalog import Catalog
 from hostlink.protocol.frame import encode
 from hostlink.sim.robot import SimulatedRobot
 from hostlink.sim.run import run_over_streams
@@ -128,7 +127,7 @@ async def test_the_sketch_and_the_daemon(tmp_path: Path, key: bytes, refused: se
     async with daemon(config) as host, asyncio.TaskGroup() as tasks:
         with running_sketch(host.tcp[1], "--key", key.decode()) as sketch:
             reader, writer = await asyncio.open_connection("127.0.0.1", sketch.uart_port)
-            robot = tasks.create_task(run_over_streams(SimulatedRobot("robot_0", Catalog()), reader, writer))
+            robot = tasks.create_task(run_over_streams(SimulatedRobot("robot_0"), reader, writer))
             if refused:
                 await expect(lambda: host.hub.counts.refused["wrong_key"] > 1)  # it comes again
                 assert not host.hub.robots.all()

@@ -16,17 +16,10 @@ from hostlink.lab.experiment import PAPER_WORLD, Errors, Experiment, Laboratory,
 from hostlink.lab.fit import FITTED, fit, world_of
 from hostlink.lab.patterns import BACK, LINE, SQUARE_LEFT, SQUARE_RIGHT, Pattern
 from hostlink.lab.tables import CALIBRATED, CASTER_WORLD, OURS, REBUILT, Table, tables
-from tests.firmware.boards import build_native
 
 RUNS = int(os.environ.get("HOSTLINK_LAB_RUNS", "3"))
 LABORATORY = Laboratory(workers=1)
 NAMED = {cause.name: cause for cause in CAUSES}
-
-
-@pytest.fixture(scope="module", autouse=True)
-def built() -> None:
-    """The library, compiled before the clock of the first test runs."""
-    build_native()
 
 
 def ours(cause: Cause, pattern: Pattern) -> Errors:

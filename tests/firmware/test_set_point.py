@@ -1,44 +1,33 @@
 """The wheels' set-point under commands that change, as a joystick, a ramp or a controller sends them.
 
-The firmware's curve and the simulator's, and the whole firmware in a world.
+The firmware's curve, and the whole firmware in a world.
 """
 
 import math
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from itertools import count, repeat
-from typing import Protocol
 
 import numpy as np
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from hostlink.sim import controller
-from hostlink.sim.controller import LEFT_GAINS, Feedback, WheelController
-from hostlink.sim.firmware_world import COMMAND_S, FirmwareWorld
-from hostlink.sim.world_library import load_library
-from tests.firmware.boards import build_native
+from hostlink.lab.paper_software import S_PER_TICK_S
+from hostlink.sim.firmware_world import COMMAND_S, Feedback, FirmwareWorld
 from tests.firmware.due import library, made
 
 LOOP_S = 1 / 30
 FULL_TICKS_S = 280.0
-STEEPEST_TICKS_S2 = 1.875 / controller.S_PER_TICK_S  # of each minimum-jerk curve, however long its way
-STEEPEST_SLOWER_TICKS_S2 = 1.875 / controller.SLOWER_S_PER_TICK_S  # of one that goes towards zero
+STEEPEST_TICKS_S2 = 1.875 / S_PER_TICK_S  # of each minimum-jerk curve, however long its way
+STEEPEST_SLOWER_TICKS_S2 = 1.875 * 20 / S_PER_TICK_S  # of one that goes towards zero
 ROUNDING_TICKS_S = 0.001
 HUGE = 2.0**122
 LAG_S = 0.1
 Story = list[tuple[float, int]]  # targets, and the turns of the loop until the next one
 
 
-class Curve(Protocol):
-    """A set-point."""
-
-    def aim(self, target: float) -> None: ...
-    def step(self, dt_s: float) -> float: ...
-
-
-class FirmwareCurve:
+class Curve:
     """MinimumJerk of wheel.h."""
 
     def __init__(self, handle: int) -> None:
@@ -52,17 +41,11 @@ class FirmwareCurve:
 
 
 @contextmanager
-def firmware_curve() -> Iterator[Curve]:
+def set_point() -> Iterator[Curve]:
     with made("jerk") as handle:
-        yield FirmwareCurve(handle)
+        yield Curve(handle)
 
 
-def simulated_curve() -> AbstractContextManager[Curve]:
-    return nullcontext(controller.MinimumJerk())
-
-
-CurveOf = Callable[[], AbstractContextManager[Curve]]
-both = pytest.mark.parametrize("curve_of", [firmware_curve, simulated_curve], ids=["firmware", "simulator"])
 steps_s = st.sampled_from([0.001, 0.01, LOOP_S, 0.05, 0.2])
 
 
@@ -87,12 +70,11 @@ def after_command(value: float, target: float) -> float:
     return value if value * target > 0.0 else 0.0
 
 
-@both
 @given(joysticks(), steps_s)
 def test_set_point_under_any_commands_never_passes_the_target_nor_is_steeper_than_its_curve(
-    curve_of: CurveOf, story: Story, dt_s: float
+    story: Story, dt_s: float
 ) -> None:
-    with curve_of() as curve:
+    with set_point() as curve:
         value = 0.0
         for target, turns in story:
             curve.aim(target)
@@ -104,23 +86,19 @@ def test_set_point_under_any_commands_never_passes_the_target_nor_is_steeper_tha
                 assert abs(value - before) <= steepest * dt_s + ROUNDING_TICKS_S
 
 
-@both
 @given(joysticks(), steps_s)
-def test_set_point_after_a_command_of_the_other_sign_never_has_the_old_sign(
-    curve_of: CurveOf, story: Story, dt_s: float
-) -> None:
-    with curve_of() as curve:
+def test_set_point_after_a_command_of_the_other_sign_never_has_the_old_sign(story: Story, dt_s: float) -> None:
+    with set_point() as curve:
         for target, turns in story:
             curve.aim(target)
             assert all(curve.step(dt_s) * target >= 0.0 for _ in range(turns))
 
 
-@both
 @given(joysticks(), steps_s, st.floats(0.0, 1.0))
 def test_set_point_of_a_slower_command_is_there_in_a_fifth_of_the_paper_s_time(
-    curve_of: CurveOf, story: Story, dt_s: float, share: float
+    story: Story, dt_s: float, share: float
 ) -> None:
-    with curve_of() as curve:
+    with set_point() as curve:
         value = target = 0.0
         for target, turns in story:
             curve.aim(target)
@@ -130,17 +108,16 @@ def test_set_point_of_a_slower_command_is_there_in_a_fifth_of_the_paper_s_time(
         if slower in (target, value):
             return
         curve.aim(slower)
-        for _ in range(math.ceil(abs(value - slower) * controller.S_PER_TICK_S / 5.0 / dt_s) + 1):
+        for _ in range(math.ceil(abs(value - slower) * S_PER_TICK_S / 5.0 / dt_s) + 1):
             value = curve.step(dt_s)
         assert value == slower
 
 
-@both
 @given(joysticks(), steps_s, st.floats(-FULL_TICKS_S, FULL_TICKS_S, width=32))
 def test_a_changed_command_is_reached_no_later_than_by_a_curve_from_a_standstill(
-    curve_of: CurveOf, story: Story, dt_s: float, last: float
+    story: Story, dt_s: float, last: float
 ) -> None:
-    with curve_of() as curve:
+    with set_point() as curve:
         value = 0.0
         for target, turns in story:
             curve.aim(target)
@@ -149,35 +126,31 @@ def test_a_changed_command_is_reached_no_later_than_by_a_curve_from_a_standstill
         curve.aim(last)
         if story and last == story[-1][0]:
             return
-        for _ in range(math.ceil(abs(last - after_command(value, last)) * controller.S_PER_TICK_S / dt_s * 1.001) + 1):
+        for _ in range(math.ceil(abs(last - after_command(value, last)) * S_PER_TICK_S / dt_s * 1.001) + 1):
             value = curve.step(dt_s)
         assert value == last
 
 
-@both
 @given(
     first=st.floats(40.0, FULL_TICKS_S, width=32),
     share=st.floats(0.02, 0.98),
     further=st.floats(20.0, 500.0, width=32),
     sign=st.sampled_from([-1.0, 1.0]),
 )
-def test_another_target_the_same_way_keeps_the_slope(
-    curve_of: CurveOf, first: float, share: float, further: float, sign: float
-) -> None:
+def test_another_target_the_same_way_keeps_the_slope(first: float, share: float, further: float, sign: float) -> None:
     """Over a millisecond a curve of 20 ticks/s or more, away from zero, changes its slope by less than 1 tick/s2."""
-    with curve_of() as curve:
+    with set_point() as curve:
         curve.aim(sign * first)
-        values = [curve.step(0.001) for _ in range(math.ceil(share * first * controller.S_PER_TICK_S / 0.001))]
+        values = [curve.step(0.001) for _ in range(math.ceil(share * first * S_PER_TICK_S / 0.001))]
         curve.aim(float(np.float32(values[-1] + sign * further)))
         values.append(curve.step(0.001))
     before, after = np.diff(np.array([0.0, 0.0, *values]))[-2:] / 0.001
     assert after == pytest.approx(before, abs=2.0)
 
 
-@both
 @given(joysticks())
-def test_a_repeated_command_changes_nothing(curve_of: CurveOf, story: Story) -> None:
-    with curve_of() as once, curve_of() as again:
+def test_a_repeated_command_changes_nothing(story: Story) -> None:
+    with set_point() as once, set_point() as again:
         for target, turns in story:
             once.aim(target)
             for _ in range(turns):
@@ -185,18 +158,15 @@ def test_a_repeated_command_changes_nothing(curve_of: CurveOf, story: Story) -> 
                 assert again.step(LOOP_S) == once.step(LOOP_S)
 
 
-@both
 @given(
     rate=st.floats(1.0, 90.0),
     turns=st.integers(1, 6),
     tremble=st.floats(0.0, 1.0),
     sign=st.sampled_from([-1.0, 1.0]),
 )
-def test_a_ramp_of_small_changes_is_followed(
-    curve_of: CurveOf, rate: float, turns: int, tremble: float, sign: float
-) -> None:
+def test_a_ramp_of_small_changes_is_followed(rate: float, turns: int, tremble: float, sign: float) -> None:
     """At up to 90 ticks/s2 (0.11 m/s2) the set-point is behind by what the command changes in LAG_S."""
-    with curve_of() as curve:
+    with set_point() as curve:
         for number in range(round(4.0 / LOOP_S / turns)):
             target = rate * number * turns * LOOP_S + tremble * (-1) ** number
             curve.aim(sign * target)
@@ -208,63 +178,29 @@ def test_a_ramp_of_small_changes_is_followed(
 hostile = st.floats(-HUGE, HUGE, width=32) | st.sampled_from([2.0**-149, -(2.0**-149), HUGE, -HUGE, 0.0])
 
 
-@both
 @given(st.lists(st.tuples(hostile, st.integers(0, 3)), max_size=20), st.floats(1e-6, 0.2))
 @example([(2.0**-146, 0), (2.0**100, 0), (HUGE, 2)], LOOP_S)
-def test_any_number_leaves_a_number(curve_of: CurveOf, story: Story, dt_s: float) -> None:
-    with curve_of() as curve:
+def test_any_number_leaves_a_number(story: Story, dt_s: float) -> None:
+    with set_point() as curve:
         for target, turns in story:
             curve.aim(target)
             assert all(math.isfinite(curve.step(dt_s)) for _ in range(turns))
 
 
-@given(joysticks(), steps_s)
-def test_firmware_and_simulator_compute_the_same_digits(story: Story, dt_s: float) -> None:
-    """The simulator's curve in single precision, as the firmware has it."""
-    twin, single_dt_s = controller.MinimumJerk(), np.float32(dt_s)
-    with firmware_curve() as curve:
-        for target, turns in story:
-            curve.aim(target)
-            twin.aim(np.float32(target))
-            for _ in range(turns):
-                value = twin.step(single_dt_s)
-                assert curve.step(dt_s) == float(value)
-
-
 @given(joysticks())
 def test_a_zero_stops_at_once_and_the_next_motion_begins_without_slope(story: Story) -> None:
-    twin = WheelController(LEFT_GAINS)
-    with made("wheel", Feedback.WASHED_OUT.value) as wheel:
+    with made("wheel", Feedback.WASHED_OUT) as wheel:
         for target, turns in [*story, (200.0, 20)]:
             library().wheel_aim(wheel, target)
-            twin.aim(target)
             for _ in range(turns):
                 library().wheel_step(wheel, 2, LOOP_S)
-                twin.step(2, LOOP_S)
         library().wheel_aim(wheel, 0.0)
-        twin.aim(0.0)
-        assert (library().wheel_set_point(wheel), twin.set_point.value) == (0.0, 0.0)
+        assert library().wheel_set_point(wheel) == 0.0
         library().wheel_step(wheel, 0, LOOP_S)
-        twin.step(0, LOOP_S)
-        assert (library().wheel_pwm(wheel), twin.pwm) == (0, 0)
-        begin_again(wheel, twin)
-
-
-def begin_again(wheel: int, twin: WheelController) -> None:
-    """In its first turn a curve of 200 ticks/s goes 0.002 of them."""
-    library().wheel_aim(wheel, 200.0)
-    twin.aim(200.0)
-    library().wheel_step(wheel, 0, LOOP_S)
-    twin.step(0, LOOP_S)
-    assert abs(library().wheel_set_point(wheel)) < 0.01
-    assert abs(twin.set_point.value) < 0.01
-
-
-@pytest.fixture(scope="module")
-def world_built() -> None:
-    """The library, compiled before the clock of the first test runs."""
-    build_native()
-    load_library.cache_clear()
+        assert library().wheel_pwm(wheel) == 0
+        library().wheel_aim(wheel, 200.0)
+        library().wheel_step(wheel, 0, LOOP_S)
+        assert abs(library().wheel_set_point(wheel)) < 0.01  # in its first turn the curve goes 0.002
 
 
 def reached_s(commands: Iterable[float], share: float = 0.95) -> float:
@@ -278,7 +214,6 @@ def reached_s(commands: Iterable[float], share: float = 0.95) -> float:
     return math.inf
 
 
-@pytest.mark.usefixtures("world_built")
 @pytest.mark.parametrize("acceleration_m_s2", [0.03, 0.1, 0.2, 0.5, 1.0])
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_the_robot_follows_a_joystick_no_later_than_a_single_command_after_it(
@@ -288,14 +223,12 @@ def test_the_robot_follows_a_joystick_no_later_than_a_single_command_after_it(
     assert reached_s(ramp) <= 0.2 / acceleration_m_s2 + reached_s(repeat(sign * 0.2))
 
 
-@pytest.mark.usefixtures("world_built")
 @pytest.mark.parametrize("amplitude_m_s", [0.0001, 0.001, 0.005])
 def test_a_trembling_joystick_drives_the_robot(amplitude_m_s: float) -> None:
     trembling = (0.2 + amplitude_m_s * math.sin(4.0 * number) for number in count())
     assert reached_s(trembling) <= reached_s(repeat(0.2)) + COMMAND_S
 
 
-@pytest.mark.usefixtures("world_built")
 @given(st.lists(st.tuples(st.floats(), st.floats()), min_size=1, max_size=5))
 @example([(3e38, 0.0)])
 @example([(1e300, -1e300)])
@@ -319,7 +252,6 @@ SLOWER = {
 }
 
 
-@pytest.mark.usefixtures("world_built")
 @pytest.mark.parametrize("commands", SLOWER.values(), ids=SLOWER.keys())
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_a_wheel_that_is_to_go_slower_follows_and_does_not_swing(commands: list[float], sign: float) -> None:

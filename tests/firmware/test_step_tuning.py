@@ -6,13 +6,11 @@ import numpy as np
 import pytest
 
 from hostlink.cli.step import PAPER_GAINS, make_stage
+from hostlink.lab.paper_software import FILTER, FULL_PWM, LOOP_S
 from hostlink.robot.motor_model import simc_gains
 from hostlink.robot.step_response import step_figures
-from hostlink.sim.controller import FILTER, LOOP_S, Feedback
-from hostlink.sim.drive_train import FULL_PWM
-from hostlink.sim.world_library import load_library
-from hostlink.sim.world_parameters import WheelParameters, WorldParameters
-from tests.firmware.boards import build_native
+from hostlink.sim.firmware_world import Feedback
+from hostlink.sim.world_parameters import WorldParameters
 from tools.compare_gains import PAPER, SEPARATION_M, SIDES, Gains, compare, drawn_world, drive, identify, rows
 
 FILTER_S = -LOOP_S / math.log(1 - FILTER)  # time constant of the firmware's filter: 0.32 s
@@ -21,26 +19,20 @@ COASTS = 0.2  # share of the time in which the PWM is below what the wheel's spe
 SPEEDS_M_S = (0.1, 0.2, 0.3)
 
 
-@pytest.fixture(scope="module", autouse=True)
-def built() -> None:
-    """The library, compiled before the clock of the first test runs."""
-    build_native()
-    load_library.cache_clear()
-
-
-def true_gain(world: WorldParameters, wheel: WheelParameters) -> float:
+def true_gain(world: WorldParameters, side: str) -> float:
     """Ticks/s for a count of PWM, above the dead zone."""
-    driven_pwm = FULL_PWM if wheel.has_jump else FULL_PWM - wheel.dead_zone_pwm
-    return wheel.full_speed_ticks_s / driven_pwm * world.battery_v / world.rated_v
+    driven_pwm = FULL_PWM if world[f"{side}.has_jump"] else FULL_PWM - world[f"{side}.dead_zone_pwm"]
+    full_speed_ticks_s = world[f"{side}.full_speed_rad_s"] * world[f"{side}.ticks_per_turn"] / math.tau
+    return full_speed_ticks_s / driven_pwm * world["battery_v"] / world["rated_v"]
 
 
 @pytest.mark.parametrize("seed", range(1, 13))
 def test_motors_of_drawn_worlds_are_found(seed: int) -> None:
     world = drawn_world(seed)
-    for (side, model), wheel in zip(identify(world).items(), (world.left, world.right), strict=True):
-        assert model.gain == pytest.approx(true_gain(world, wheel), rel=0.06), side
-        lag_s = model.time_constant_s + model.dead_time_s
-        assert 0 < lag_s - wheel.rise_constant_s - FILTER_S < LATE_S + COASTS * wheel.coast_constant_s, side
+    for side, model in identify(world).items():
+        assert model.gain == pytest.approx(true_gain(world, side), rel=0.06), side
+        late_s = model.time_constant_s + model.dead_time_s - world[f"{side}.rise_constant_s"] - FILTER_S
+        assert 0 < late_s < LATE_S + COASTS * world[f"{side}.coast_constant_s"], side
         assert model.explained > 0.995, side
 
 

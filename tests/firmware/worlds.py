@@ -14,9 +14,7 @@ from hypothesis import strategies as st
 from hostlink.protocol.control import decode_log
 from hostlink.protocol.frame import TOPICS_REQUEST, Frame, Id, encode
 from hostlink.protocol.stream import FrameStream
-from hostlink.sim.drive_train import FULL_PWM
-from hostlink.sim.world_library import array_of
-from hostlink.sim.world_parameters import WheelParameters, WorldParameters
+from hostlink.sim.world_parameters import WorldParameters, wheel
 from tests.firmware.due import FLAGS, LIBRARY, OUT_BYTES, ROOT, ROSSERIAL
 from tests.support.compilers import UNDEFINED, run
 from tests.support.once import once_a_run
@@ -37,6 +35,7 @@ LEFT, RIGHT = 0, 1
 SEPARATION_M = 0.210
 METRES_PER_TICK = 2 * np.pi * 0.045 / 230.4
 FULL_TICKS_S = 280.0
+FULL_PWM = 4095
 _COLUMNS = 15
 _P, _SIZE = ctypes.c_void_p, ctypes.c_size_t
 
@@ -215,7 +214,8 @@ def world(parameters: WorldParameters | None = None, *, setup_s: float = 0.0, re
 
     `reset_type`: why its processor started, RSTTYP of the SAM3X; 2 is the watchdog.
     """
-    values = array_of(WorldParameters() if parameters is None else parameters)
+    numbers = (WorldParameters() if parameters is None else parameters).checked_values()
+    values = (ctypes.c_double * len(numbers))(*numbers)
     handle = library().world_new(values, round(setup_s * 1000), reset_type)
     try:
         made = World(handle)
@@ -236,29 +236,33 @@ def worlds(draw: st.DrawFn) -> WorldParameters:
     friction = draw(st.floats(0.0, 1.0)) * dead_zone_pwm / FULL_PWM
     coast_constant_s = draw(st.floats(max(0.05, time_constant_s), 1.0))
 
-    def wheel() -> WheelParameters:
-        full_speed_rad_s = draw(st.floats(0.9, 1.1)) * WheelParameters().full_speed_rad_s
-        return WheelParameters(
-            full_speed_rad_s=full_speed_rad_s,
+    full_speed_rad_s = WorldParameters()["left.full_speed_rad_s"]
+
+    def draw_wheel(side: str) -> dict[str, float]:
+        return wheel(
+            side,
+            full_speed_rad_s=draw(st.floats(0.9, 1.1)) * full_speed_rad_s,
             dead_zone_pwm=dead_zone_pwm,
             has_jump=has_jump,
             rise_constant_s=time_constant_s,
             coast_constant_s=coast_constant_s,
             brake_constant_s=time_constant_s,  # the same motor against the same resistance, without a voltage
-            friction_rad_s=friction * WheelParameters().full_speed_rad_s,
+            friction_rad_s=friction * full_speed_rad_s,
             radius_m=draw(st.floats(0.044, 0.046)),
             slip_noise_m=draw(st.sampled_from([0.0, 0.003])),
         )
 
     return WorldParameters(
-        seed=draw(st.integers(0, 2**32 - 1)),
-        track_m=draw(st.floats(0.2, 0.22)),
-        caster_pwm=draw(st.sampled_from([0.0, 100.0, 300.0])),
-        caster_twist_rad=draw(st.sampled_from([0.0, 0.055])),
-        caster_random=0.4,
-        floor_pwm=draw(st.sampled_from([0.0, 0.0, 200.0])),
-        battery_v=draw(st.floats(10.5, 13.0)),
-        battery_sag_v=draw(st.floats(0.0, 1.0)),
-        left=wheel(),
-        right=wheel(),
+        {
+            "seed": draw(st.integers(0, 2**32 - 1)),
+            "track_m": draw(st.floats(0.2, 0.22)),
+            "caster_pwm": draw(st.sampled_from([0.0, 100.0, 300.0])),
+            "caster_twist_rad": draw(st.sampled_from([0.0, 0.055])),
+            "caster_random": 0.4,
+            "floor_pwm": draw(st.sampled_from([0.0, 0.0, 200.0])),
+            "battery_v": draw(st.floats(10.5, 13.0)),
+            "battery_sag_v": draw(st.floats(0.0, 1.0)),
+            **draw_wheel("left"),
+            **draw_wheel("right"),
+        }
     )

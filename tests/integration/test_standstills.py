@@ -10,6 +10,7 @@ import pytest
 
 from hostlink.client import StandstillState, connect
 from hostlink.hub.stops import MAX_WATCHED, WAIT_S
+from hostlink.sim.firmware_world import RobotKind
 from tests.support.background import meanwhile
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import FakeDevice, fake_device, pose, robot_topics
@@ -81,7 +82,7 @@ async def test_a_robot_that_moves_on_is_reported_after_the_wait_and_its_zero_is_
 async def test_a_source_that_drives_again_is_named() -> None:
     async with (
         daemon() as host,
-        simulated_robot(host.tcp) as body,
+        simulated_robot(host.tcp, kind=RobotKind.NIMBLE) as body,
         connect(host.url) as planner,
         connect(host.url) as person,
     ):

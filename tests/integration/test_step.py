@@ -31,11 +31,10 @@ from hostlink.protocol.frame import Id, encode
 from hostlink.robot.motor_model import PidGains, identify_motor, simc_gains
 from hostlink.robot.step_response import Record, step_figures
 from hostlink.robot.velocity import PlanarVelocity
-from hostlink.sim.robot import SimulatedRobot
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import FakeDevice, fake_device, pose, robot_topics, topic
 from tests.support.gates import drive_gate
-from tests.support.simulated import simulated_robot
+from tests.support.simulated import DisturbedRobot, simulated_robot
 from tests.support.waiting import expect
 
 pytestmark = pytest.mark.quiet  # a step is a measurement: where commands come late there is none
@@ -45,11 +44,11 @@ PLOT = topic(Id.PUBLISHER, 126, "/robot_0/plot_data", "geometry_msgs/Twist")
 
 
 @contextlib.asynccontextmanager
-async def bench(config: Config | None = None) -> AsyncIterator[tuple[Daemon, SimulatedRobot, Host]]:
+async def bench(config: Config | None = None) -> AsyncIterator[tuple[Daemon, DisturbedRobot, Host]]:
     """A daemon, a simulated robot that it knows, and a program."""
     async with daemon(config) as host, simulated_robot(host.tcp) as robot, connect(host.url, reconnect=False) as me:
         await expect(lambda: host.hub.robots.find("robot_0").link is not None)
-        await expect(lambda: robot.device.is_configured)
+        await expect(lambda: robot.is_configured)
         yield host, robot, me
 
 
@@ -65,7 +64,7 @@ async def record(me: Host, stages: Sequence[Stage] = (SLOW,), wheel: Wheel | Non
     raise AssertionError("this machine was too busy for a step five times")
 
 
-async def stands(robot: SimulatedRobot) -> None:
+async def stands(robot: DisturbedRobot) -> None:
     await expect(lambda: robot.speed_m_s == 0 and all(wheel.speed_m_s == 0 for wheel in robot.wheels))
 
 
@@ -294,15 +293,15 @@ def motor_record() -> Record:
 async def test_gains_are_sent_only_when_requested() -> None:
     records = {"left": motor_record(), "right": motor_record()}
     async with bench() as (_, robot, me):
-        before = [control.pid.gains for control in robot.controllers]
+        before = robot.controls
         tuning = await tune(me, "robot_0", records, sends=False)
         await me.settle()
-        assert [control.pid.gains for control in robot.controllers] == before
+        assert robot.controls == before
         assert not tuning.is_sent
         await tune(me, "robot_0", records, sends=True)
         expected = simc_gains(identify_motor(motor_record()))
-        await expect(lambda: robot.controllers[0].pid.gains.kp == pytest.approx(expected.kp))
-        await expect(lambda: robot.controllers[1].pid.gains.ki == pytest.approx(expected.ki))
+        await expect(lambda: robot.controls[0].kp == pytest.approx(expected.kp))
+        await expect(lambda: robot.controls[1].ki == pytest.approx(expected.ki))
     assert tuning.wheels["left"].present == PAPER_GAINS["left"]
     text = "\n".join(tuning.lines())
     assert "not sent; --send sends them" in text

@@ -25,14 +25,13 @@ from hostlink.protocol.frame import Frame, Id, encode
 from hostlink.protocol.stream import FrameStream
 from hostlink.robot.admission import LEASE_S
 from hostlink.robot.velocity import TWIST_TYPE, ZERO, PlanarVelocity
-from hostlink.sim.robot import LOOP_S, SimulatedRobot
 from tests.support.fake_device import robot_topics
 from tests.support.gates import drive_gate
 from tests.support.memory_transport import MemoryTransport, memory_pair
 from tests.support.participants import publish
 from tests.support.remote_robots import remote_robot
 from tests.support.ros_lib_device import running_hub
-from tests.support.virtual_device import NumberedRobot
+from tests.support.virtual_device import LOOP_S, FirmwareProgram, NumberedRobot
 from tests.support.virtual_loop import VirtualLoop, run_virtual
 from tests.support.virtual_world import CATALOG, World, world
 from tests.support.waiting import expect
@@ -131,22 +130,23 @@ def test_a_thousand_commands_at_once_are_one_and_the_stop_comes_after_it() -> No
 
 def test_a_thousand_messages_of_other_topics_do_not_delay_a_stop() -> None:
     async def run() -> None:
-        robot = SimulatedRobot("robot_0", CATALOG)
+        program = FirmwareProgram()
+        robot = program.robot
         with capture_logs():
-            async with world(Script(), robot) as made:
+            async with world(Script(), program, loop_s=program.loop_s) as made:
                 await ready(made)
                 await driven(made)
-                assert robot.controllers[0].set_point.target > 0
+                assert robot.controls[0].target_ticks_s > 0
                 for number in range(500):
                     for wheel in "lr":
                         publish(made.hub, f"/robot_0/pid_tune_{wheel}", {"x": 20.0 + number / 1000}, source="test")
                 since_s = loop().time()
                 (await ready(made)).stop()
-                await expect(lambda: robot.controllers[0].set_point.target == 0)
+                await expect(lambda: robot.controls[0].target_ticks_s == 0)
                 # a turn for what was on the line already, and the 5 ms between two looks of `expect`
                 assert loop().time() - since_s <= LINE_S + LOOP_S + LOOP_S + 0.005
                 await asyncio.sleep(1.0)
-                assert robot.controllers[0].pid.gains.kp == pytest.approx(20.499)  # the newest came, after the stop
+                assert robot.controls[0].kp == pytest.approx(20.499)  # the newest came, after the stop
 
     run_virtual(run())
 
@@ -155,16 +155,16 @@ def test_a_daemon_that_stands_still_leaves_a_standing_robot_and_goes_on_with_zer
     """Nobody but the robot's own watchdog can stop it then; what was commanded before must not move it afterwards."""
 
     async def run() -> None:
-        robot = SimulatedRobot("robot_0", CATALOG)
+        program = FirmwareProgram()
+        robot = program.robot
         with capture_logs():
-            async with world(Script(), robot) as made:
+            async with world(Script(), program, loop_s=program.loop_s) as made:
                 await ready(made)
                 await driven(made)
                 sent = len(made.taps[-1].written)
                 loop().burn(3.0)
-                stopped = [robot.turn(loop().time() - 3.0 + turn * LOOP_S) for turn in range(90)]
-                assert None in stopped
-                assert robot.controllers[0].set_point.target == 0
+                robot.advance(loop().time())
+                assert robot.controls[0].target_ticks_s == 0
                 await asyncio.sleep(1.0)
                 later = [frame for frame in made.taps[-1].written[sent:] if frame[5:7] == b"\x64\x00"]
                 assert {frame[7:-1] for frame in later} == {STOP}
@@ -196,9 +196,9 @@ def test_commands_that_waited_while_the_daemon_stood_still_are_not_obeyed_and_ze
 
 def test_a_robot_that_nobody_has_driven_for_minutes_is_driven_at_once_unless_the_daemon_stood_still() -> None:
     async def run() -> None:
-        robot = SimulatedRobot("robot_0", CATALOG)
+        program = FirmwareProgram()
         with capture_logs() as logs:
-            async with world(Script(), robot) as made:
+            async with world(Script(), program, loop_s=program.loop_s) as made:
                 await ready(made)
                 await asyncio.sleep(300.0)
                 drive(made)

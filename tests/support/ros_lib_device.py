@@ -20,8 +20,8 @@ from hostlink.protocol.control import TopicInfo, encode_topic_info
 from hostlink.protocol.frame import Frame, Id, encode
 from hostlink.protocol.session import DEFAULT_BUFFER_BYTES
 from hostlink.protocol.stream import FrameStream
-from hostlink.sim.device import DeviceCrashed
 from tests.support.memory_transport import MemoryTransport, memory_pair
+from tests.support.original_device import DeviceCrashed
 
 REQUESTS, RESPONSES = 125, 100  # the ids of the first service client of a device
 TIME_INTERVAL_S = 2.5

@@ -7,19 +7,43 @@ from typing import Protocol
 
 from hostlink.cancellation import raise_if_cancelled
 from hostlink.messages.catalog import Catalog
-from hostlink.sim.device import DeviceCrashed, SimulatedDevice
-from hostlink.sim.robot import LOOP_S
+from hostlink.sim.robot import SimulatedRobot
 from hostlink.transport.base import Transport
+from tests.support.original_device import DeviceCrashed, OriginalDevice
+from tests.support.uart import Uart
 
+LOOP_S = 1 / 30
 RECONNECT_S = 0.5  # docs/reliability.md#the-papers-link: how long this device waits before it dials again
 LINE_POLL_S = 0.004  # how often it polls the UART
 POSE, TWIST = struct.Struct("<3d"), struct.Struct("<6d")
 
 
+class Line(Protocol):
+    """The host's way to a device."""
+
+    def send(self, data: bytes, now_s: float) -> None:
+        """Put bytes on it."""
+        ...
+
+    def cut(self) -> None:
+        """It is dead."""
+        ...
+
+
+class Lines(Protocol):
+    """Of a device, both ways."""
+
+    @property
+    def from_host(self) -> Line: ...
+    @property
+    def to_host(self) -> Uart: ...
+
+
 class Program(Protocol):
     """What runs on a device."""
 
-    device: SimulatedDevice
+    @property
+    def device(self) -> Lines: ...
 
     def turn(self, now_s: float) -> float | None:
         """One turn of its loop; None when it is done, else call again after so many seconds."""
@@ -37,7 +61,7 @@ class NumberedRobot:
     publish_every = 3
 
     def __init__(self, catalog: Catalog, *, retries: bool = True) -> None:
-        self.device = SimulatedDevice(retries=retries)
+        self.device = OriginalDevice(retries=retries)
         self.sent: list[tuple[float, int]] = []  # (time, number)
         self.commands: list[tuple[float, bytes]] = []
         self._turns = 0
@@ -63,6 +87,32 @@ class NumberedRobot:
 
     def _receive(self, payload: bytes) -> None:
         self.commands.append((self._now_s, payload))
+
+
+class FirmwareProgram:
+    """The Due's firmware, whose board has a UART of its own."""
+
+    loop_s = LINE_POLL_S
+
+    def __init__(self) -> None:
+        self.robot = SimulatedRobot("robot_0")
+        self.from_host, self.to_host = self, Uart(baud=None)
+
+    @property
+    def device(self) -> Lines:
+        return self
+
+    def turn(self, now_s: float) -> None:
+        self.to_host.send(self.robot.advance(now_s), now_s)
+
+    def reboot(self) -> None:
+        self.robot.firmware.reboot()
+
+    def send(self, data: bytes, _: float) -> None:
+        self.robot.receive(data)
+
+    def cut(self) -> None:
+        self.robot.firmware.cut()
 
 
 def pose(number: int) -> bytes:

@@ -9,8 +9,6 @@ from typing import Any
 import pytest
 import pytest_asyncio
 
-from hostlink.messages.catalog import Catalog
-from hostlink.sim.device import SimulatedDevice
 from hostlink.sim.faults import FAULTS, HEALTHY, Fault
 from hostlink.sim.robot import SimulatedRobot
 from hostlink.sim.run import run_over_tcp
@@ -46,8 +44,7 @@ async def robots(host: Daemon, faults: dict[str, Fault]) -> AsyncIterator[None]:
     async with asyncio.TaskGroup() as tasks:
         running = []
         for number, (name, fault) in enumerate(faults.items()):
-            device = SimulatedDevice(clock_rate=fault.clock_rate)
-            robot = SimulatedRobot(name, Catalog(), device=device)
+            robot = SimulatedRobot(name, clock_rate=fault.clock_rate)
             where = f"127.0.1.{number + 1}"
             running.append(tasks.create_task(run_over_tcp(robot, *host.tcp, fault=fault, local_host=where)))
         yield

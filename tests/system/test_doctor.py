@@ -11,8 +11,6 @@ from typing import Any
 
 import pytest
 
-from hostlink.messages.catalog import Catalog
-from hostlink.sim.device import SimulatedDevice
 from hostlink.sim.faults import FAULTS, HEALTHY, Fault
 from hostlink.sim.robot import SimulatedRobot
 from hostlink.sim.run import run_over_streams
@@ -41,7 +39,7 @@ async def robot_on_a_port(fault: Fault) -> AsyncIterator[str]:
         protocol = asyncio.StreamReaderProtocol(asyncio.StreamReader())
         transport, _ = await loop.connect_write_pipe(lambda: protocol, sink)
         writer = asyncio.StreamWriter(transport, protocol, None, loop)
-        robot = SimulatedRobot("robot_0", Catalog(), device=SimulatedDevice(baud=None))
+        robot = SimulatedRobot("robot_0", baud=0)
         async with asyncio.TaskGroup() as tasks:
             running = tasks.create_task(run_over_streams(robot, reader, writer, fault=fault))
             try:

@@ -11,20 +11,22 @@ from playwright.async_api import Browser
 from playwright.async_api import expect as expect_text
 
 from hostlink.config import Config, RobotConfig
+from hostlink.protocol.control import Log, encode_log
+from hostlink.protocol.frame import Id, encode
 from hostlink.robot.admission import LEASE_S
 from hostlink.robot.kinematics import Pose
-from hostlink.sim.robot import SimulatedRobot
-from hostlink.sim.self_report import LOW_TURNS, SHOWN_S, Error
 from hostlink.sim.world_parameters import WorldParameters
 from tests.support.browser import PHONE, Visit, visit
 from tests.support.daemon import Daemon, daemon
 from tests.support.proxy import Line, proxy
 from tests.support.rosbridge import client
-from tests.support.simulated import simulated_robot
+from tests.support.simulated import DisturbedRobot, simulated_robot
 from tests.support.waiting import expect, expect_never
 
 pytestmark = [pytest.mark.asyncio(loop_scope="session"), pytest.mark.quiet]
 
+LOW_S = 7.0  # smoothed over a second, low for five
+SHOWN_S = 10.0  # for which the firmware shows an error
 NOTICED_S = 1.0  # within this time the page shows that nobody answers
 MOST_STREAMS = 6  # that a browser opens to one address
 GAMEPAD = """
@@ -51,13 +53,13 @@ class Scene:
     """A daemon with a robot, and the browser."""
 
     host: Daemon
-    robot: SimulatedRobot
+    robot: DisturbedRobot
     browser: Browser
 
     @property
     def wanted(self) -> tuple[float, ...]:
         """The speeds of the wheels that were commanded."""
-        return tuple(control.set_point.target for control in self.robot.controllers)
+        return tuple(control.target_ticks_s for control in self.robot.controls)
 
     @property
     def owner(self) -> str | None:
@@ -227,8 +229,13 @@ async def test_a_page_that_goes_while_driving_stops_the_robot(scene: Scene, way:
 
 async def test_reset_makes_this_the_origin_and_gains_reach_the_robot(scene: Scene) -> None:
     async with connected(scene) as tab:
-        scene.robot.pose = Pose(0.4, 0.3, 0.2)
-        await tab.shows("#pose", "0.40 m")
+        for wheel in scene.robot.wheels:  # by hand
+            wheel.grip(300.0)
+        await expect(lambda: scene.robot.pose.x_m > 0.4)
+        for wheel in scene.robot.wheels:
+            wheel.grip(0.0)
+        await asyncio.sleep(0.1)  # its last edges are counted
+        await tab.shows("#pose", f"{scene.robot.pose.x_m:.2f} m")
         await tab.page.get_by_role("button", name="Reset odometry").click()
         await tab.page.get_by_role("button", name="Really reset?").click()
         await expect(lambda: scene.robot.pose == Pose())
@@ -238,8 +245,7 @@ async def test_reset_makes_this_the_origin_and_gains_reach_the_robot(scene: Scen
         await tab.page.get_by_label("Left Kp").fill("12.5")
         await tab.page.get_by_label("Right Kd").fill("0.25")
         await tab.page.get_by_role("button", name="Send").click()
-        left, right = scene.robot.controllers
-        await expect(lambda: (left.pid.gains.kp, right.pid.gains.kd) == (12.5, 0.25))
+        await expect(lambda: (scene.robot.controls[0].kp, scene.robot.controls[1].kd) == (12.5, 0.25))
         await tab.shows("#tuning-state", "Sent")
 
 
@@ -404,20 +410,19 @@ async def test_it_shows_the_battery_the_signal_and_what_is_wrong_in_words(scene:
         await tab.shows("#link", "Battery12.0 V")
         await tab.shows("#link", "Errorsnone")
         await tab.shows("#link", "WiFi–")
-        scene.robot.device.log(0, "WiFi signal -67 dBm", asyncio.get_running_loop().time())
+        scene.robot.added = encode(Id.LOG, encode_log(Log(0, "WiFi signal -67 dBm")))
         await tab.shows("#link", "WiFi−67 dBm")
         supply(scene.robot, 9.5)
         await tab.shows("#link", "51 battery low")
         await tab.shows("#link", "Battery9.5 V")
         await tab.shows("#link .diagnosis", "limit for five seconds")
         supply(scene.robot, 12.0)
-        scene.robot.errors.raise_(Error.BATTERY_LOW, asyncio.get_running_loop().time() - SHOWN_S)
+        scene.robot.skip(SHOWN_S)
         await tab.shows("#link", "Errorsnone")
         assert tab.complaints == []
 
 
-def supply(robot: SimulatedRobot, volts: float) -> None:
-    """This battery, since almost as long as the robot waits before it calls one low."""
-    robot.world.be(WorldParameters(battery_v=volts))
-    for _ in range(LOW_TURNS - 1):
-        robot.battery.add(volts)
+def supply(robot: DisturbedRobot, volts: float) -> None:
+    """This battery, for longer than the robot waits before it calls one low."""
+    robot.world.change(WorldParameters({"battery_v": volts}))
+    robot.skip(LOW_S)

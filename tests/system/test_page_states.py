@@ -130,7 +130,7 @@ async def test_its_layout_and_its_text_are_right(browser: Browser, size: str) ->
     async with daemon(PAPER) as host, visit(browser, host.url, **SIZES[size]) as tab:
         await tab.is_connected()
         async with simulated_robot(host.tcp) as robot:
-            await tab.shows("#log", "robot_0 is ready")
+            await tab.shows("#log", "robot is ready")
             await tab.shows("#drive-state", "nobody drives")
             await tab.page.keyboard.down("KeyW")
             await tab.page.keyboard.down("KeyA")

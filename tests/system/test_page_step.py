@@ -11,11 +11,10 @@ from playwright.async_api import Browser
 from playwright.async_api import expect as expect_page
 
 from hostlink.config import Config, RobotConfig
-from hostlink.sim.robot import SimulatedRobot
 from tests.support.browser import Visit, visit
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import fake_device, pose, robot_topics
-from tests.support.simulated import simulated_robot
+from tests.support.simulated import DisturbedRobot, simulated_robot
 from tests.support.waiting import expect
 
 pytestmark = [pytest.mark.asyncio(loop_scope="session"), pytest.mark.quiet]
@@ -26,7 +25,7 @@ SLOW = "localStorage.setItem('hostlink.max.linear', '0.06')"
 
 
 @contextlib.asynccontextmanager
-async def bench(browser: Browser) -> AsyncIterator[tuple[Daemon, SimulatedRobot, Visit]]:
+async def bench(browser: Browser) -> AsyncIterator[tuple[Daemon, DisturbedRobot, Visit]]:
     async with (
         daemon(PAPER) as host,
         simulated_robot(host.tcp) as robot,
@@ -132,13 +131,8 @@ async def test_a_robot_whose_plot_data_falls_silent_is_stopped(browser: Browser)
 
 async def test_a_robot_that_rolls_begins_no_step(browser: Browser) -> None:
     async with bench(browser) as (host, robot, tab):
-        left = robot.controllers[0]
-
-        def rolls() -> bool:
-            left.aim(100.0)  # again: its watchdog ends the first one, half a second after the daemon's last zero
-            return bool(left.speed_ticks_s > 10)
-
-        await expect(rolls)
+        robot.wheels[0].grip(100.0)
+        await expect(lambda: robot.world.now("left_measured_ticks_s") > 10)
         await asyncio.sleep(0.3)
         await press(tab)
         await tab.shows("#step-state", "begins with a robot that stands")
@@ -159,7 +153,8 @@ async def test_the_run_before_stays_as_a_ghost_and_a_run_is_saved_as_a_table(bro
         ghost = page.locator("#steps .legend b").first
         for _ in range(2):
             await press(tab)
-            await expect(lambda: robot.speed_m_s > 0.03, timeout_s=10.0)
+            await expect(lambda: robot.world.now("left_measured_ticks_s") > 10.0, timeout_s=10.0)
+            await asyncio.sleep(0.2)  # two messages of plot_data have it
             await page.mouse.up()
             await expect(lambda: speed_m_s(host) == 0 and robot.speed_m_s == 0)
             await asyncio.sleep(0.3)  # a message of plot_data: it must stand
@@ -184,7 +179,7 @@ async def test_gains_are_kept_under_a_name(browser: Browser) -> None:
         await page.locator("#step:enabled").wait_for()
         await page.get_by_label("Kept gains").select_option(HOSTILE)
         assert await page.get_by_label("Left Kp").input_value() == "17.5"
-        assert robot.controllers[0].pid.gains.kp != 17.5  # choosing sends nothing
+        assert robot.controls[0].kp != 17.5  # choosing sends nothing
         await page.get_by_role("button", name="Remove the chosen gains").click()
         await expect_page(page.get_by_label("Kept gains").locator("option")).to_have_count(1)
         assert await page.locator("img").count() == 0

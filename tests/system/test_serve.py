@@ -15,7 +15,6 @@ from pathlib import Path
 import aiohttp
 import pytest
 
-from hostlink.messages.catalog import Catalog
 from hostlink.protocol.frame import Id
 from hostlink.sim.robot import SimulatedRobot
 from hostlink.sim.run import run_over_streams
@@ -56,25 +55,21 @@ async def test_a_signal_while_driving_stops_the_robot_then_silences_it_within_a_
 async def test_a_killed_daemon_leaves_a_simulated_robot_standing() -> None:
     """kill -9: no orderly end; the robot's own watchdog is what stops it."""
     async with serve() as daemon, asyncio.TaskGroup() as tasks:
-        robot = SimulatedRobot("robot_0", Catalog())
+        robot = SimulatedRobot("robot_0")
         reader, writer = await asyncio.open_connection(*daemon.tcp)
         running = tasks.create_task(run_over_streams(robot, reader, writer))
         await daemon.read_log("robot.appeared")
         while robot.speed_m_s < 0.05:
             await put_velocity(daemon.url, 0.3, 0.0)
             await asyncio.sleep(0.1)
+        killed_s = asyncio.get_running_loop().time()
         daemon.child.kill()
         await daemon.child.wait()
         await running
-    assert robot.device.is_configured  # it has not noticed yet, and will not for 11 s
-    last_s = robot._commanded_at_s
-    assert last_s is not None
-    now_s = time.monotonic()
-    for turn in range(int((last_s + STOP_S - now_s) * 30)):
-        robot.turn(now_s + turn / 30)
-    assert [control.pwm for control in robot.controllers] == [0, 0]
-    for turn in range(20):  # it rolls out
-        robot.turn(last_s + 1.0 + turn / 30)
+    assert robot.is_configured  # it has not noticed yet, and will not for 11 s
+    robot.advance(killed_s + STOP_S)
+    assert [wheel.pwm for wheel in robot.wheels] == [0, 0]
+    robot.advance(killed_s + STOP_S + 1.0)  # it rolls out
     assert robot.speed_m_s < 0.01
 
 
@@ -103,7 +98,7 @@ async def test_a_serial_device_does_the_same() -> None:
     for end in (ours, theirs):
         tty.setraw(end, termios.TCSANOW)
     path = os.ttyname(theirs)
-    robot = SimulatedRobot("robot_0", Catalog())
+    robot = SimulatedRobot("robot_0")
     async with (
         serve("--serial", f"{path}@57600") as daemon,
         streams_of(ours) as (reader, writer),

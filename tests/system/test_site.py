@@ -41,6 +41,11 @@ async def test_the_site_is_built_without_a_warning_and_its_reference_is_complete
     index = (tmp_path / "index.html").read_text()
     assert {page for page in pages if f'href="{page}.html"' not in index} == set()
 
+    assert 'href="try.html"' in index
+    assert (
+        len((tmp_path / "try.html").read_text()) > len((ROOT / "docs" / "try.html").read_text()) + 50_000
+    )  # the firmware
+
     commands = (tmp_path / "reference" / "cli.html").read_text()
     assert {name for name in COMMANDS if f'id="hostlink-{name}"' not in commands} == set()
 

@@ -74,6 +74,20 @@ enum class Feedback : uint8_t {
 inline Gains left_gains() { return make_gains(23.0f, 36.0f, 0.1f, kFeedback); }  // table 1 of the paper
 inline Gains right_gains() { return make_gains(24.0f, 35.0f, 0.1f, kFeedback); }
 
+// How quickly the control goes to a new speed.
+struct ControlProfile {
+  Gains left;
+  Gains right;
+  float seconds_per_tick;         // as kSecondsPerTick
+  float slower_seconds_per_tick;  // as kSlowerSecondsPerTick
+  float filter_weight;            // as kFilterWeight
+};
+
+inline ControlProfile paper_profile() {
+  ControlProfile profile = {left_gains(), right_gains(), kSecondsPerTick, kSlowerSecondsPerTick, kFilterWeight};
+  return profile;
+}
+
 inline float battery_volts(uint32_t counts, uint32_t full_counts, float reference_v, float divider) {
   if (divider <= 0.0f) return kNotMeasured;
   return static_cast<float>(counts) / static_cast<float>(full_counts) * reference_v * divider;

@@ -48,7 +48,7 @@ Gains read_gains(const uint8_t* payload) {
 
 }  // namespace
 
-Robot::Robot(Hal& hal, const char* name, ros::Retry retry, Feedback feedback)
+Robot::Robot(Hal& hal, const char* name, ros::Retry retry, Feedback feedback, const ControlProfile& profile)
     : hal_(hal),
       node_(hal, retry),
       odometry_("odometry", FlashText(kPose2DType), FlashText(kPose2DMd5)),
@@ -61,8 +61,8 @@ Robot::Robot(Hal& hal, const char* name, ros::Retry retry, Feedback feedback)
                   &Robot::receive_left_gains, this),
       right_gains_("pid_tune_r", FlashText(kVector3Type), FlashText(kVector3Md5), Size::exactly(kVector3Bytes),
                    &Robot::receive_right_gains, this),
-      left_(left_gains(), feedback),
-      right_(right_gains(), feedback) {
+      left_(profile.left, feedback, profile),
+      right_(profile.right, feedback, profile) {
   node_.setNamespace(name);
 }
 
@@ -92,6 +92,11 @@ uint32_t Robot::loop() {
   turned_at_us_ = now_us;
   turn(passed_s < kLongestStepS ? passed_s : kLongestStepS);
   return 0;
+}
+
+uint32_t Robot::turn_due_in_us() {
+  const uint32_t passed_us = hal_.micros() - due_since_us_;
+  return passed_us < kLoopUs ? kLoopUs - passed_us : 0;
 }
 
 // On each pass, whatever the parser and the control do: nobody drives, so nothing moves.

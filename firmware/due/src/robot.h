@@ -18,12 +18,15 @@ typedef ros::BufferedNode<25, 25, 512, 512, 2048> RobotNode;
 class Robot {
  public:
   explicit Robot(Hal& hal, const char* name = "/robot_0/", ros::Retry retry = ros::Retry::kKeepState,
-                 Feedback feedback = Feedback::kWashedOut);
+                 Feedback feedback = Feedback::kWashedOut, const ControlProfile& profile = paper_profile());
 
   void setup();
   // Call it as often as possible: it drains the UART on each call, and controls thirty times a second. 0, or with the
   // paper's retry clause how many milliseconds to wait before the next call.
   uint32_t loop();
+
+  // Until the next turn of the control: unless something comes from the host, nothing new is sent before.
+  uint32_t turn_due_in_us();
 
   const Pose& pose() const { return pose_; }
   const Wheel& left() const { return left_; }

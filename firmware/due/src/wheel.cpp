@@ -27,7 +27,7 @@ void MinimumJerk::aim(float target) {
   const float way = rest / (1.0f - travelled(1.0f, s));
   from_ = value_ - travelled(way, s);
   target_ = target;
-  length_s_ = magnitude(way) * (magnitude(target) < magnitude(value_) ? kSlowerSecondsPerTick : kSecondsPerTick);
+  length_s_ = magnitude(way) * (magnitude(target) < magnitude(value_) ? slower_seconds_per_tick_ : seconds_per_tick_);
   elapsed_s_ = s * length_s_;
 }
 
@@ -123,7 +123,7 @@ float RecentRequest::most() const {
 float Wheel::step(uint32_t edges, float dt_s) {
   const float ticks = static_cast<float>(edges) * kTicksPerEdge;
   const float rolled = static_cast<float>(direction_) * ticks;
-  speed_ticks_s_ += kFilterWeight * (rolled / dt_s - speed_ticks_s_);
+  speed_ticks_s_ += filter_weight_ * (rolled / dt_s - speed_ticks_s_);
   recent_.add(ticks, dt_s);
   still_s_ = edges == 0 && pwm_ == 0 ? clamp(still_s_ + dt_s, 0.0f, 1.0f) : 0.0f;
   pwm_ = motor_output(regulate(dt_s));
@@ -144,7 +144,7 @@ float Wheel::requested_ticks_s() const {
 // and do not notice a braking: otherwise the wheel is braked to a standstill, driven too fast, and braked again, for as
 // long as the command lasts.
 void Wheel::forget(float before, float wanted) {
-  outdated_ticks_s_ -= kFilterWeight * outdated_ticks_s_;
+  outdated_ticks_s_ -= filter_weight_ * outdated_ticks_s_;
   if (magnitude(wanted) < magnitude(before)) {
     outdated_ticks_s_ += before - wanted;
     pid_.scale_integral(wanted / before);

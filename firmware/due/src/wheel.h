@@ -8,12 +8,14 @@
 
 namespace hostlink {
 
-// A set-point that goes from where it is to a target without a jerk. Its slope is at most 1.875 / kSecondsPerTick away
-// from zero and 1.875 / kSlowerSecondsPerTick towards zero, and it never passes the target. A further or nearer target
-// the same way keeps the slope, so that commands which change ten times a second add up to one motion; one the other
-// way begins at zero slope. Before a target of the other sign it is zero at once, and at a target of zero, too.
+// A set-point that goes from where it is to a target without a jerk. Its slope is at most 1.875 / seconds_per_tick away
+// from zero and 1.875 / slower_seconds_per_tick towards zero, and it never passes the target. A further or nearer
+// target the same way keeps the slope, so that commands which change ten times a second add up to one motion; one the
+// other way begins at zero slope. Before a target of the other sign it is zero at once, and at a target of zero, too.
 class MinimumJerk {
  public:
+  explicit MinimumJerk(float seconds_per_tick = kSecondsPerTick, float slower_seconds_per_tick = kSlowerSecondsPerTick)
+      : seconds_per_tick_(seconds_per_tick), slower_seconds_per_tick_(slower_seconds_per_tick) {}
   void aim(float target);  // the same target again changes nothing
   void stop_at_once();     // be at zero now
   void begin_at_zero();    // go to the target from a standstill
@@ -24,6 +26,8 @@ class MinimumJerk {
  private:
   float rising_phase() const;
 
+  float seconds_per_tick_;
+  float slower_seconds_per_tick_;
   float value_ = 0.0f;
   float target_ = 0.0f;
   float from_ = 0.0f;
@@ -105,7 +109,11 @@ enum class WheelFault : uint8_t {
 //   |                   | no edge meanwhile             |                                                           |
 class Wheel {
  public:
-  explicit Wheel(const Gains& gains, Feedback feedback = Feedback::kWashedOut) : pid_(gains, feedback) {}
+  explicit Wheel(const Gains& gains, Feedback feedback = Feedback::kWashedOut,
+                 const ControlProfile& profile = paper_profile())
+      : set_point_(profile.seconds_per_tick, profile.slower_seconds_per_tick),
+        pid_(gains, feedback),
+        filter_weight_(profile.filter_weight) {}
 
   void aim(float ticks_s) { set_point_.aim(ticks_s); }
   void stop_at_once() { set_point_.stop_at_once(); }
@@ -118,10 +126,12 @@ class Wheel {
   int16_t pwm_now() const { return set_point_.value() == 0.0f ? static_cast<int16_t>(0) : pwm_; }
   float speed_ticks_s() const { return speed_ticks_s_; }
   float set_point_ticks_s() const { return set_point_.value(); }
+  float target_ticks_s() const { return set_point_.target(); }  // of the last command
   bool stands() const;
   WheelFault fault() const { return fault_; }  // stays until it is forgiven
   void forgive();
   Pid& pid() { return pid_; }
+  const Pid& pid() const { return pid_; }
 
  private:
   float requested_ticks_s() const;
@@ -135,6 +145,7 @@ class Wheel {
 
   MinimumJerk set_point_;
   Pid pid_;
+  float filter_weight_;  // of the newest speed
   RecentSpeed recent_;
   RecentRequest recent_request_;
   float speed_ticks_s_ = 0.0f;

@@ -1,10 +1,13 @@
-"""`hostlink sim --world`: a file that is read, or refused with its line."""
+"""`hostlink sim`: a world that is read, or refused with its line; and what is said without wasmtime."""
 
+import platform
+import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
-from hostlink.cli import sim
+from hostlink.cli import calibrate, demo, lab, sim
 from hostlink.errors import ConfigError
 
 
@@ -25,3 +28,29 @@ def test_a_world_that_is_none_is_refused_with_its_line(tmp_path: Path, content: 
     with pytest.raises(ConfigError) as refused:
         sim.command(world=file)
     assert str(refused.value) == f"--world: {file}: {reason}"
+
+
+STARTS: dict[str, Callable[[], None]] = {
+    "hostlink sim": sim.command,
+    "hostlink demo": demo.command,
+    "hostlink lab": lambda: lab.command(lab.What.TABLES),
+    "--simulate": lambda: calibrate.command("robot_0", simulate=True),
+}
+
+
+@pytest.mark.parametrize(
+    ("machine", "advice"),
+    [
+        ("aarch64", "needs wasmtime: run  pip install '.[sim]'  in a clone, or name the wheel's file for the dot"),
+        ("armv7l", "needs wasmtime, which has no library for armv7l: run it on x86_64 or arm64"),
+    ],
+)
+@pytest.mark.parametrize("where", STARTS)
+def test_simulation_without_wasmtime_says_what_to_do(
+    monkeypatch: pytest.MonkeyPatch, where: str, machine: str, advice: str
+) -> None:
+    monkeypatch.setitem(sys.modules, "wasmtime", None)
+    monkeypatch.setattr(platform, "machine", lambda: machine)
+    with pytest.raises(ConfigError) as error:
+        STARTS[where]()
+    assert str(error.value) == f"{where}: {advice}"

@@ -3,9 +3,8 @@
 import pytest
 
 from hostlink.lab.experiment import PAPER_WORLD
-from hostlink.lab.paper_software import Mistakes, PaperWheel, names
+from hostlink.lab.paper_software import LEFT_GAINS, LOOP_S, Mistakes, PaperWheel, names
 from hostlink.lab.robots import PaperRobot
-from hostlink.sim.controller import LEFT_GAINS, LOOP_S
 
 METRES_PER_TICK = 0.0012272
 

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from hostlink.protocol.frame import TOPICS_REQUEST, Frame, Id, encode
 from hostlink.protocol.stream import FrameStream
-from hostlink.sim.device import DeviceCrashed, SimulatedDevice
+from tests.support.original_device import DeviceCrashed, OriginalDevice
 from tests.support.strategies import damaged, frames, noise, split, wire_of
 
 LOOP_S = 1 / 30
@@ -15,7 +15,7 @@ good = st.sampled_from([TOPICS_REQUEST, encode(100, b"\x01"), encode(Id.TIME, by
 lines = st.lists(st.one_of(noise, frames.map(wire_of), good), max_size=8).map(b"".join)
 
 
-def run(device: SimulatedDevice, now_s: float) -> float:
+def run(device: OriginalDevice, now_s: float) -> float:
     """One turn with its retry waits; a crash is a reboot."""
     with contextlib.suppress(DeviceCrashed):
         while (wait_s := device.spin(now_s)) is not None:
@@ -28,7 +28,7 @@ def run(device: SimulatedDevice, now_s: float) -> float:
 @given(st.lists(st.tuples(lines, st.floats(0.0, 0.2)), max_size=8), st.booleans(), st.data())
 def test_any_bytes_at_any_time(story: list[tuple[bytes, float]], retries: bool, data: st.DataObject) -> None:
     heard: list[bytes] = []
-    device = SimulatedDevice(retries=retries)
+    device = OriginalDevice(retries=retries)
     device.advertise("/odometry", "geometry_msgs/Pose2D", "m")
     device.subscribe("/led", "std_msgs/Bool", "m", heard.append)
     now_s = 0.0

@@ -5,29 +5,29 @@ import pytest
 from hostlink.protocol.control import Parameter, decode_parameter_request, encode_parameter, encode_time
 from hostlink.protocol.frame import STOP_REQUEST, TOPICS_REQUEST, Frame, Id, encode
 from hostlink.protocol.stream import FrameStream
-from hostlink.sim.device import RETRY_S, DeviceCrashed, SimulatedDevice
-from hostlink.sim.uart import RING_BYTES, Uart
+from tests.support.original_device import RETRY_S, DeviceCrashed, OriginalDevice
+from tests.support.uart import RING_BYTES, Uart
 
 BYTE_S = 10 / 38400
 LED = encode(100, b"\x01")
 
 
-def device(*, baud: int | None = 38400, retries: bool = True) -> tuple[SimulatedDevice, list[bytes]]:
+def device(*, baud: int | None = 38400, retries: bool = True) -> tuple[OriginalDevice, list[bytes]]:
     heard: list[bytes] = []
-    made = SimulatedDevice(baud=baud, retries=retries)
+    made = OriginalDevice(baud=baud, retries=retries)
     made.advertise("/odometry", "geometry_msgs/Pose2D", "m")
     made.subscribe("/led", "std_msgs/Bool", "m", heard.append)
     return made, heard
 
 
-def spin(made: SimulatedDevice, now_s: float) -> float:
+def spin(made: OriginalDevice, now_s: float) -> float:
     """A whole turn, retry waits included; returns when it ended."""
     while (wait_s := made.spin(now_s)) is not None:
         now_s += wait_s
     return now_s
 
 
-def sent(made: SimulatedDevice, now_s: float) -> list[Frame]:
+def sent(made: OriginalDevice, now_s: float) -> list[Frame]:
     return [item for item in FrameStream().feed(made.to_host.pop(now_s)) if isinstance(item, Frame)]
 
 
@@ -102,7 +102,7 @@ def test_eleven_seconds_without_a_time_answer_silence_it() -> None:
     assert not made.is_configured
 
 
-def spin_and_count_times(made: SimulatedDevice, now_s: float) -> int:
+def spin_and_count_times(made: OriginalDevice, now_s: float) -> int:
     spin(made, now_s)
     return sum(frame.topic_id == Id.TIME for frame in sent(made, now_s))
 

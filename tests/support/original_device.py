@@ -1,4 +1,4 @@
-"""SimulatedDevice: the device side of rosserial, with the faults of the original client library. Pure: time comes in.
+"""OriginalDevice: the device side of rosserial, with the faults of the original client library. Pure: time comes in.
 
 Timing model: the device's program calls `spin` in its loop. The clock that decides is read once, when `spin` begins, in
 whole milliseconds, as the original does; bytes are visible when the Uart has them. Where the retry clause waits, `spin`
@@ -20,7 +20,7 @@ from hostlink.protocol.control import (
     encode_topic_info,
 )
 from hostlink.protocol.frame import FIRST_TOPIC_ID, OVERHEAD_BYTES, Id, encode
-from hostlink.sim.uart import Uart
+from tests.support.uart import Uart
 
 # All of the original library (docs/protocol.md#timing).
 FRAME_TIMEOUT_MS = 20
@@ -49,7 +49,7 @@ class DeviceCrashed(Exception):
     """The host sent a frame that writes outside the device's memory."""
 
 
-class SimulatedDevice:
+class OriginalDevice:
     """One device on a UART. Its endpoints get the ids that the original library gives them.
 
     | mode              | byte                          | next                                             |
@@ -179,7 +179,7 @@ class SimulatedDevice:
                 if len(self._message) == self._size:
                     self._mode = Mode.MESSAGE_CHECKSUM
             case Mode.FIRST_FF:
-                if byte == 0xFF:  # noqa: PLR2004 - the sync byte
+                if byte == 0xFF:
                     self._mode = Mode.PROTOCOL_VERSION
                     self._frame_deadline_ms = self._began_ms + FRAME_TIMEOUT_MS
             case Mode.MESSAGE_CHECKSUM:
@@ -192,7 +192,7 @@ class SimulatedDevice:
         match self._mode:
             case Mode.PROTOCOL_VERSION:
                 self._mode = Mode.SIZE_LOW
-                if byte != 0xFE:  # noqa: PLR2004 - the version
+                if byte != 0xFE:
                     self._mode = Mode.FIRST_FF
                     if not self.is_configured:
                         self.request_time(now_s)
@@ -204,7 +204,7 @@ class SimulatedDevice:
                 self._size += byte << 8
                 self._mode = Mode.SIZE_CHECKSUM
             case Mode.SIZE_CHECKSUM:
-                self._mode = Mode.TOPIC_LOW if self._checksum & 0xFF == 0xFF else Mode.FIRST_FF  # noqa: PLR2004
+                self._mode = Mode.TOPIC_LOW if self._checksum & 0xFF == 0xFF else Mode.FIRST_FF
             case Mode.TOPIC_LOW:
                 self._topic_id = self._checksum = byte
                 self._mode = Mode.TOPIC_HIGH
@@ -220,7 +220,7 @@ class SimulatedDevice:
 
     def _finish_frame(self, now_s: float) -> bool:
         self._mode = Mode.FIRST_FF
-        if self._checksum & 0xFF != 0xFF:  # noqa: PLR2004 - bytes and checksum add up to 255
+        if self._checksum & 0xFF != 0xFF:
             self.dropped_frames += 1
             return False
         self.frames += 1

@@ -3,33 +3,24 @@
 import gc
 import math
 import struct
-from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from hostlink.sim.controller import Feedback
-from hostlink.sim.firmware_world import FirmwareWorld, Retry, columns
-from hostlink.sim.world_library import WorldLibraryMissing, load_library
-from hostlink.sim.world_parameters import WheelParameters, WorldParameters
-from tests.firmware.boards import build_native
+from hostlink.sim.firmware_module import columns
+from hostlink.sim.firmware_world import Feedback, FirmwareWorld, Retry
+from hostlink.sim.world_parameters import WorldParameters
 
 SLIPPERY = WorldParameters(
-    seed=3.0,
-    caster_twist_rad=0.055,
-    caster_random=0.4,
-    left=WheelParameters(slip_noise_m=0.003),
-    right=WheelParameters(slip_noise_m=0.003),
+    {
+        "seed": 3,
+        "caster_twist_rad": 0.055,
+        "caster_random": 0.4,
+        "left.slip_noise_m": 0.003,
+        "right.slip_noise_m": 0.003,
+    }
 )
 SQUARE = ((0.25, 0.0, 4.0), (0.0, 0.0, 0.5), (0.0, 0.6, 2.6), (0.0, 0.0, 0.5)) * 2
-
-
-@pytest.fixture(scope="module", autouse=True)
-def built() -> None:
-    """The library, compiled before the clock of the first test runs."""
-    build_native()
-    load_library.cache_clear()
 
 
 def connected(parameters: WorldParameters | None = None, name: str = "robot_0") -> FirmwareWorld:
@@ -62,7 +53,7 @@ def test_it_connects_and_drives_as_commanded() -> None:
 
 def test_the_same_seed_repeats_and_another_does_not() -> None:
     first, again = drive(connected(SLIPPERY)), drive(connected(SLIPPERY))
-    other = drive(connected(replace(SLIPPERY, seed=4.0)))
+    other = drive(connected(SLIPPERY.changed({"seed": 4})))
     assert first.row == again.row
     assert math.hypot(first.pose.x_m - other.pose.x_m, first.pose.y_m - other.pose.y_m) > 0.001
     assert first.odometry != first.pose
@@ -106,7 +97,7 @@ def test_the_paper_s_feedback_makes_every_speed_low(feedback: Feedback, share: f
 
 
 def test_the_firmware_publishes_the_world_s_battery() -> None:
-    made = connected(WorldParameters(battery_v=11.25))
+    made = connected(WorldParameters({"battery_v": 11.25}))
     made.run(3.0)
     battery = [frame.payload for frame in made.frames if frame.topic_id == made.topics["battery"]]
     header_bytes = 12 + struct.unpack_from("<I", battery[-1], 12)[0] + 4
@@ -133,7 +124,7 @@ def test_at_the_paper_s_baud_rate_nothing_is_lost(retry: Retry) -> None:
 @pytest.mark.parametrize(("turn", "onwards"), [(0.8, 0.2), (-0.8, 0.2), (0.8, -0.2), (-0.8, -0.2)])
 def test_a_caster_that_comes_back_from_a_turn_turns_the_robot_further(turn: float, onwards: float) -> None:
     """The paper's overturning, which its odometry does not count; the way that it drives on does not matter."""
-    made = connected(WorldParameters(caster_twist_rad=0.055))
+    made = connected(WorldParameters({"caster_twist_rad": 0.055}))
     for linear, angular, seconds in ((0.2, 0.0, 4.0), (0.0, 0.0, 0.7), (0.0, turn, 4.0), (0.0, 0.0, 0.7)):
         made.drive(linear, angular, seconds)
     assert unseen_rad(made) == pytest.approx(0.0, abs=0.005)
@@ -146,7 +137,7 @@ def test_a_straight_reversal_leaves_only_the_caster_s_random_share() -> None:
     for random in (0.0, 0.4):
         turned = []
         for seed in range(8):
-            made = connected(WorldParameters(seed=seed, caster_twist_rad=0.055, caster_random=random))
+            made = connected(WorldParameters({"seed": seed, "caster_twist_rad": 0.055, "caster_random": random}))
             made.drive(0.2, 0.0, 4.0)
             made.drive(0.0, 0.0, 1.0)
             before_rad = unseen_rad(made)
@@ -172,11 +163,6 @@ def test_a_hand_at_the_wheels_and_at_the_robot() -> None:
 
 
 def test_its_world_lives_as_long_as_somebody_has_it() -> None:
-    world = connected(WorldParameters(battery_v=11.0)).world
+    world = connected(WorldParameters({"battery_v": 11.0})).world
     gc.collect()
     assert world.battery_v == 11.0
-
-
-def test_a_library_that_is_not_built_is_named_with_what_to_do(tmp_path: Path) -> None:
-    with pytest.raises(WorldLibraryMissing, match="make world"):
-        load_library(tmp_path / "libfirmware_world.so")

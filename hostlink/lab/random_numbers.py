@@ -1,7 +1,4 @@
-"""RandomNumbers: PCG32 (O'Neill 2014, XSH-RR) and normal numbers by Box and Muller. Pure.
-
-firmware/host/random_numbers.cpp gives the same sequence.
-"""
+"""RandomNumbers: PCG32 (O'Neill 2014, XSH-RR) and normal numbers by Box and Muller. Pure."""
 
 import math
 
