@@ -127,7 +127,7 @@ class Rest:
                 method="PUT",
                 request=VelocityRequest,
                 max_body_bytes=VELOCITY_BYTES,
-                check_head=self._find,
+                check_head=self._find_to_drive,
                 role=Role.DRIVE,
                 fails=(BAD_REQUEST, NOT_FOUND, CONFLICT, TOO_LARGE, UNAVAILABLE),
             ),
@@ -218,6 +218,10 @@ class Rest:
         """
         return self._hub.robots.find(request.match_info["name"])
 
+    def _find_to_drive(self, request: web.Request) -> Robot:
+        """The robot that the path names, for whoever commands it to move; as `_find`."""
+        return self._hub.robots.find(request.match_info["name"], driver=self._owner(request))
+
     async def _robots(self, _: web.Request) -> web.Response:
         return reply({"robots": [robot_view(robot) for robot in self._hub.robots.all()]})
 
@@ -232,7 +236,7 @@ class Rest:
         return reply(odometry_view(odometry))
 
     async def _velocity(self, request: web.Request) -> web.Response:
-        robot = self._find(request)
+        robot = self._find_to_drive(request)
         body = decode_body(request[BODY], VelocityRequest, '{"linear": m/s, "linear_y_m_s": m/s, "angular": rad/s}')
         velocity = PlanarVelocity(body.linear, body.linear_y_m_s, body.angular)
         owner = self._owner(request)

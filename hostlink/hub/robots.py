@@ -17,7 +17,7 @@ from hostlink.hub.robot import LocalRobot, RemoteRobot, Robot
 from hostlink.hub.robot_events import EventKind
 from hostlink.hub.robot_settings import correction_of, limits_of, of_namesake
 from hostlink.link.link import Link
-from hostlink.robot.admission import EPOCH_BITS, Admission
+from hostlink.robot.admission import EPOCH_BITS, LEASE_S, Admission
 from hostlink.robot.away import Away
 from hostlink.robot.directory import RobotTopicNames
 from hostlink.robot.odometry_estimator import OdometryEstimator
@@ -28,6 +28,7 @@ log = structlog.get_logger()
 
 
 MAX_ROBOTS = 4096  # connected or locked, which are never forgotten: over it no new one is accepted
+MAX_EARLY = 1024  # commands to robots that do not exist, of the last lease
 
 
 class Robots:
@@ -70,6 +71,7 @@ class Robots:
             limits_of(config)
         self._on_forgotten, self._on_change = on_forgotten, on_change
         self._robots: dict[str, LocalRobot] = {}
+        self._early: dict[tuple[str, Hashable], float] = {}  # when a source commanded a robot that did not exist
         self._away = Away(forget_after_s)  # who may be forgotten
         self._wake = asyncio.Event()
 
@@ -103,16 +105,34 @@ class Robots:
         found = (self._find(name) for name in sorted(self._robots.keys() | self.remote.keys()))
         return [robot for robot in found if robot is not None]
 
-    def find(self, name: str) -> Robot:
-        """The robot of that name, connected or not.
+    def find(self, name: str, *, driver: Hashable = None) -> Robot:
+        """The robot of that name, connected or not. `driver`: the source that commands it to move.
 
         Raises:
-            UnknownTopic: there is none.
+            UnknownTopic: there is none. What `driver` streams does not move a robot that appears later.
         """
         robot = self._find(name.strip("/"))
         if robot is None:
+            self._note_early(name.strip("/"), driver)
             raise UnknownTopic("robot", name, self._robots.keys() | self.remote.keys())
         return robot
+
+    def _note_early(self, name: str, driver: Hashable) -> None:
+        if driver is None:
+            return
+        now_s = _now_s()
+        self._early.pop((name, driver), None)
+        self._early[name, driver] = now_s  # as the newest
+        while len(self._early) > MAX_EARLY or now_s >= next(iter(self._early.values())) + LEASE_S:
+            self._early.pop(next(iter(self._early)))
+
+    def _join_early(self, robot: Robot) -> None:
+        """Note who commanded a robot of this name when there was none: it is in the middle of a motion."""
+        now_s = _now_s()
+        drivers = [
+            driver for (name, driver), at_s in self._early.items() if name == robot.name and now_s < at_s + LEASE_S
+        ]
+        robot.admission.join(drivers, now_s)
 
     def has(self, name: str) -> bool:
         """Whether there is one of that name, here or elsewhere."""
@@ -124,14 +144,15 @@ class Robots:
         is_elsewhere = robot is not None and robot.link is None and remote is not None and remote.link is not None
         return remote if robot is None or is_elsewhere else robot
 
-    def find_here(self, name: str) -> LocalRobot:
-        """The robot of this daemon that has this name, connected or not.
+    def find_here(self, name: str, *, driver: Hashable = None) -> LocalRobot:
+        """The robot of this daemon that has this name, connected or not; as `find`.
 
         Raises:
             UnknownTopic: there is none.
         """
         robot = self.get_here(name)
         if robot is None:
+            self._note_early(name, driver)
             raise UnknownTopic("robot", name, self._robots)
         return robot
 
@@ -188,6 +209,7 @@ class Robots:
         robot = self._robots.get(name)
         if robot is None:
             robot = self._robots[name] = self._make(name, topics, shown)
+            self._join_early(robot)
         before = self.device(robot.link)
         if before is not None:
             before.robot = None
@@ -221,6 +243,7 @@ class Robots:
         """Another daemon has it."""
         self.pop_remote(robot.name)
         self.remote[robot.name] = robot
+        self._join_early(robot)
         self._on_change(robot.name)
 
     def pop_remote(self, name: str) -> RemoteRobot | None:

@@ -53,10 +53,13 @@ _NO_NAN = "its JSON has no number for it, and the request is refused as wrong"
 _EPOCHS = ("the current epoch arms", "an earlier epoch is refused")
 _SIDEWAYS = ("y is passed and limited", "y is refused for a differential drive")
 _PUBLISHED = dict.fromkeys(_EPOCHS, "a Twist has no epoch")
-_IS_TOLD = {"a stream from before a new robot is disarmed": "it names the robot, and is told that there is none"}
-_IS_DROPPED = {
-    "a stream goes on after a reconnection within resume_after_reconnect_s": "what is refused meanwhile is dropped"
-}
+_IS_DROPPED = dict.fromkeys(
+    (
+        "a stream from before a new robot is disarmed",
+        "a stream goes on after a reconnection within resume_after_reconnect_s",
+    ),
+    "what is refused meanwhile is dropped",
+)
 
 
 class EntryPoint:
@@ -167,7 +170,7 @@ class TwistStamped(RosbridgePublish):
 
 
 class RosbridgeDrive(_Rosbridge):
-    cannot: ClassVar = _IS_TOLD | {"a velocity that is not finite": _NO_NAN}
+    cannot: ClassVar = {"a velocity that is not finite": _NO_NAN}
 
     async def give(self, speed_m_s: float, *, left_m_s: float = 0.0, epoch: int | None = None) -> None:
         sent_s = 1000.0 + _now_s() - self.late_s
@@ -213,7 +216,7 @@ class Page(_Rosbridge):
 
 
 class RestPut(EntryPoint):
-    cannot: ClassVar = _IS_TOLD | {"a velocity that is not finite": _NO_NAN}
+    cannot: ClassVar = {"a velocity that is not finite": _NO_NAN}
 
     def __init__(self, made: Scene) -> None:
         super().__init__(made)
@@ -288,8 +291,6 @@ class _Program(EntryPoint):
 
 
 class ClientCommand(_Program):
-    cannot: ClassVar = _IS_TOLD
-
     async def give(self, speed_m_s: float, *, left_m_s: float = 0.0, epoch: int | None = None) -> None:
         await self.robot.command(speed_m_s, 0.0, left_m_s, epoch=epoch)
 
@@ -298,14 +299,10 @@ class ClientDrive(_Program):
     """A velocity that is held: the client repeats it until it is refused."""
 
     goes_on: ClassVar = False
-    cannot: ClassVar = (
-        _IS_TOLD
-        | _IS_DROPPED
-        | {
-            **dict.fromkeys(_EPOCHS, "drive() sends the epoch by itself: tests/integration/test_client.py"),
-            "a lower priority goes on afterwards": "what is refused is dropped, and the program is told",
-        }
-    )
+    cannot: ClassVar = _IS_DROPPED | {
+        **dict.fromkeys(_EPOCHS, "drive() sends the epoch by itself: tests/integration/test_client.py"),
+        "a lower priority goes on afterwards": "what is refused is dropped, and the program is told",
+    }
 
     async def start(self) -> None:
         with contextlib.suppress(HostlinkError):
@@ -325,15 +322,11 @@ class Teleop(_Program):
 
     period_s: ClassVar = 0.02
     goes_on: ClassVar = False  # what is refused must be released, but for one who is more important
-    cannot: ClassVar = (
-        _IS_TOLD
-        | _IS_DROPPED
-        | {
-            **dict.fromkeys(_EPOCHS, "a key has no epoch; the client sends it"),
-            "a velocity that is not finite": "its speeds are steps from a finite one",
-            **dict.fromkeys(_SIDEWAYS, "it has no keys for it"),
-        }
-    )
+    cannot: ClassVar = _IS_DROPPED | {
+        **dict.fromkeys(_EPOCHS, "a key has no epoch; the client sends it"),
+        "a velocity that is not finite": "its speeds are steps from a finite one",
+        **dict.fromkeys(_SIDEWAYS, "it has no keys for it"),
+    }
 
     def _begin(self) -> None:
         super()._begin()
@@ -360,7 +353,7 @@ class Play(_Program):
     cannot: ClassVar = dict.fromkeys(
         (
             *_EPOCHS,
-            *_IS_TOLD,
+            "a stream from before a new robot is disarmed",
             *_IS_DROPPED,
             "a zero arms",
             "a zero of another changes nothing",
@@ -503,7 +496,7 @@ class RmwPublisher(EntryPoint):
 class Fleet(EntryPoint):
     """A program at another daemon."""
 
-    cannot: ClassVar = _IS_TOLD | {"a velocity that is not finite": _NO_NAN}
+    cannot: ClassVar = {"a velocity that is not finite": _NO_NAN}
 
     async def begin(self) -> None:
         self._driver = FleetDriver(self.made)
@@ -533,7 +526,7 @@ class FleetPublisher(Fleet):
 class FleetSender(EntryPoint):
     """A program of this daemon that drives a robot of another one, with both daemons."""
 
-    cannot: ClassVar = _IS_TOLD | {"a velocity that is not finite": _NO_NAN}
+    cannot: ClassVar = {"a velocity that is not finite": _NO_NAN}
 
     async def begin(self) -> None:
         self._sender = foreign_drivers.FleetSender(self.made)
@@ -623,7 +616,7 @@ class Demo(EntryPoint):
                 )
             ),
             "a command without device is refused",
-            *_IS_TOLD,
+            "a stream from before a new robot is disarmed",
             *_IS_DROPPED,
         ),
         "it gives no command after an interruption, until it is told",

@@ -193,7 +193,8 @@ class FleetSender:
         return self.hub.robots.find(ROBOT)
 
     async def drive(self, velocity: PlanarVelocity, *, late_s: float = 0.0, epoch: int | None = None) -> None:
-        participant, robot = self.participant, self.robot
+        participant = self.participant
+        robot = self.hub.robots.find(ROBOT, driver=participant)
         participant.drive(robot, velocity, priority=PRIORITY, received_s=_now_s() - late_s, epoch=epoch)
         await participant.driven(robot, velocity)
 

@@ -129,7 +129,9 @@ class FleetDrivers:
         try:
             match request:
                 case Drive():
-                    robot = self._hub.robots.find_here(request.robot)
+                    is_zero = request.wanted.is_zero
+                    source = None if is_zero else self._participant(neighbour, request.owner, request.owner_name)
+                    robot = self._hub.robots.find_here(request.robot, driver=source)
                     return self._drive(neighbour, robot, request)
                 case Release():
                     driver = self._drivers.get(neighbour.sender.zid, _Drivers()).of.pop(request.owner, None)
