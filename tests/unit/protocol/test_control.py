@@ -1,4 +1,4 @@
-"""Control payloads: what devices send, and what damage makes of it."""
+"""Control payloads: encoding, decoding and damage."""
 
 import struct
 
@@ -24,7 +24,7 @@ from hostlink.protocol.control import (
 from hostlink.protocol.frame import Id
 from tests.support.strategies import topic_infos
 
-RECORDED = bytes.fromhex(  # of the robot in tests/captures: its first TopicInfo
+RECORDED = bytes.fromhex(  # first TopicInfo of the robot in tests/captures
     "7d00110000002f726f626f745f302f6f646f6d657472791400000067656f6d657472795f6d7367732f506f73653244"
     "20000000393338666136353730393538346164386537376432333835323962653133623800020000"
 )
@@ -56,7 +56,7 @@ def test_a_topic_info_that_ends_early_is_none(size: int) -> None:
     ],
     ids=["bytes after it", "4 GB", "no name", "space", "escape", "no ASCII", "long"],
 )
-def test_names_that_no_device_means_are_none(payload: bytes) -> None:
+def test_malformed_names_decode_to_none(payload: bytes) -> None:
     assert decode_topic_info(Id.PUBLISHER, payload) is None
 
 
@@ -94,7 +94,7 @@ def test_logs_round_trip(level: int, text: str) -> None:
     assert decode_log(encode_log(Log(level, text))) == Log(level, text)
 
 
-def test_a_log_level_that_is_none_is_fatal_and_bad_text_is_readable() -> None:
+def test_unknown_log_level_is_fatal_and_bad_text_is_replaced() -> None:
     assert decode_log(b"\xc8\x02\x00\x00\x00\xff!") == Log(4, "\ufffd!")
 
 

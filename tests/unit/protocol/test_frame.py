@@ -1,4 +1,4 @@
-"""The bytes of a frame, as the protocol's own examples give them."""
+"""Encoding of frames, with the examples of the protocol's documentation."""
 
 import pytest
 
@@ -25,7 +25,7 @@ def test_the_two_requests_of_a_host() -> None:
 
 
 def test_a_payload_longer_than_a_length_field_can_carry() -> None:
-    with pytest.raises(ValueError, match="payload of 65536 bytes, a frame takes 65535"):
+    with pytest.raises(ValueError, match="payload of 65536 bytes, a frame holds at most 65535"):
         encode(125, bytes(65536))
 
 
