@@ -34,7 +34,7 @@ async def bind(host: str, port: int) -> list[socket.socket]:
 def why(error: OSError | OverflowError | UnicodeError) -> str:
     """Why `bind` failed, for people."""
     if isinstance(error, OverflowError):
-        return "no such port; they go from 0 (any free one) to 65535"
+        return "invalid port; choose 0 (any free port) to 65535"
     if isinstance(error, UnicodeError):
         return "no such name"
     if isinstance(error, socket.gaierror) or error.errno is None:  # its numbers are not the system's

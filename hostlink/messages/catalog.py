@@ -86,9 +86,8 @@ def _files(folder: Path, suffix: str) -> list[Path]:
     try:
         entries = _entries(folder)
     except ConfigError:
-        if _NAME.fullmatch(
-            folder.parent.name if folder.name in KINDS else folder.name
-        ):  # ignore lost+found and the like
+        # Ignore lost+found and the like.
+        if _NAME.fullmatch(folder.parent.name if folder.name in KINDS else folder.name):
             raise
         return []
     paths = [path for path in entries if path.suffix == suffix]
