@@ -381,7 +381,9 @@ async def test_addresses_are_spelled_as_usual(host: str, prefix: str) -> None:
 
 async def test_a_port_in_use_is_named_in_the_error() -> None:
     async with serve_tcp(TcpConfig(host="127.0.0.1", port=0), lambda _: None) as listener:
-        with pytest.raises(ConfigError, match="is in use, probably by another rosserial host; stop it, or choose another"):
+        with pytest.raises(
+            ConfigError, match="is in use, probably by another rosserial host; stop it, or choose another"
+        ):
             async with serve_tcp(TcpConfig(host="127.0.0.1", port=listener.address[1]), lambda _: None):
                 raise AssertionError("two listeners on one port")
 
