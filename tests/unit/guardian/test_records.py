@@ -1,4 +1,4 @@
-"""Daemon and guardian understand each other."""
+"""Records between daemon and guardian, encoded and decoded."""
 
 from hypothesis import given
 from hypothesis import strategies as st
@@ -9,7 +9,7 @@ NUMBERS = st.integers(0, 2**64 - 1)
 
 
 @given(NUMBERS, st.lists(st.integers(1, 2**16 - 1), max_size=records.MAX_TOPICS), st.integers(0, 2**32 - 1))
-def test_a_record_is_read_as_it_was_meant(number: int, ids: list[int], claim_bytes: int) -> None:
+def test_encoded_record_is_decoded(number: int, ids: list[int], claim_bytes: int) -> None:
     topic_ids = tuple(ids)
     record = records.encode_watch(number, topic_ids, claim_bytes)
     assert records.decode(record) == (records.WATCH, number, topic_ids, claim_bytes)
