@@ -39,7 +39,7 @@ CODE = (  # -I and -S allow no other import path; appended after the standard li
 
 @contextlib.contextmanager
 def guarded(*, is_wanted: bool) -> Iterator["Guardian | None"]:
-    """Run a guardian for the length of a block in the event loop. It stops the robots if an exception leaves the block."""
+    """Run a guardian during a block in the event loop. It stops the robots if an exception leaves the block."""
     if not is_wanted:
         yield None
         return

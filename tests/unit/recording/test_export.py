@@ -1,4 +1,4 @@
-"""A recording in other formats, read by those who made the formats."""
+"""Exports, read by the programs that own the formats."""
 
 import csv
 import io
@@ -39,7 +39,7 @@ ODOMETRY = {
 
 @pytest.fixture
 def catalog(tmp_path: Path) -> Catalog:
-    """With a type that only this user has."""
+    """Return a catalog with a type that only this user has."""
     folder = tmp_path / "messages" / "my_msgs" / "msg"
     folder.mkdir(parents=True)
     (folder / "Wheel.msg").write_text("string name\nfloat32[] speeds\ngeometry_msgs/Pose2D pose\n")
@@ -112,7 +112,7 @@ def test_a_ros_2_bag_is_read_by_rosbags_with_the_same_values(
 
 
 def test_a_ros_2_export_is_decoded_by_mcaps_ros_2_support(recording: Path, tmp_path: Path) -> None:
-    """By its own CDR reader, from the definitions in the file alone."""
+    """mcap-ros2-support uses its own CDR reader, with the definitions in the file only."""
     export_ros(Reader(recording), tmp_path / "bag", RosFormat.ROS2_MCAP, skips_unknown=True)
     (path,) = (tmp_path / "bag").glob("*.mcap")
     with path.open("rb") as file:
@@ -158,7 +158,7 @@ def test_an_export_without_a_message_fails_and_leaves_nothing(
     text, target = catalog.message("std_msgs/String"), tmp_path / "out"
     for name, messages in (("bad", [("/text", text, b"\xff\xff\xff\xffx")]), ("empty", [])):
         if name == "bad" and format_ is RosFormat.ROS1:
-            continue  # the bytes stay as they are
+            continue  # the bytes are unchanged
         path = write(tmp_path / f"{name}.mcap", messages)
         with pytest.raises(RecordingFailed, match="has no message to export"):
             export_csv(Reader(path), target) if format_ is None else export_ros(Reader(path), target, format_)
@@ -183,9 +183,9 @@ def test_pictures_are_drawn_and_a_wrong_field_names_those_that_are_there(recordi
     draw_map(paths, tmp_path / "map.png")
     assert "<svg" in (tmp_path / "fields.svg").read_text()
     assert (tmp_path / "map.png").read_bytes().startswith(b"\x89PNG")
-    with pytest.raises(RecordingFailed, match="it has: x, y, theta"):
+    with pytest.raises(RecordingFailed, match="available: x, y, theta"):
         read_lines(Reader(recording), ["/robot_0/odometry.z"])
-    with pytest.raises(RecordingFailed, match=r"there are: .*/robot_0/odometry"):
+    with pytest.raises(RecordingFailed, match=r"available: .*/robot_0/odometry"):
         read_lines(Reader(recording), ["/robot_1/odometry.x"])
 
 
@@ -229,7 +229,7 @@ def many(tmp_path: Path) -> Any:
     return Catalog([tmp_path / "types"]).message("my_msgs/Many")
 
 
-def test_csv_has_a_column_for_whatever_any_message_has(tmp_path: Path, many: Any) -> None:
+def test_csv_has_a_column_for_every_field_of_any_message(tmp_path: Path, many: Any) -> None:
     path = write(tmp_path / "a.mcap", [("/many", many, many.encode(each)) for each in (FIRST, SECOND)])
     export_csv(Reader(path), tmp_path / "csv")
     first, second = rows(tmp_path / "csv" / "many.csv")
@@ -251,7 +251,7 @@ def test_events_have_a_column_for_every_fact(tmp_path: Path) -> None:
     assert [row["facts.reason"] for row in rows(tmp_path / "csv" / "hostlink.events.csv")] == ["", "a cat"]
 
 
-def test_every_topic_and_type_has_a_file_whatever_their_names_are(tmp_path: Path, catalog: Catalog) -> None:
+def test_every_topic_and_type_has_its_own_file(tmp_path: Path, catalog: Catalog) -> None:
     text, number = (catalog.message(f"std_msgs/{name}") for name in ("String", "UInt8"))
     assert text is not None
     assert number is not None
@@ -284,8 +284,8 @@ def test_a_recording_may_have_more_topics_than_a_process_may_have_files(tmp_path
 
 
 @pytest.mark.parametrize("format_", ["rosbag2", "ros1"])
-def test_a_disk_that_is_full_is_one_line(recording: Path, tmp_path: Path, format_: str) -> None:
-    """A file cannot be larger than a kilobyte here: what the system says then comes in another way, and as late."""
+def test_full_disk_is_reported_in_one_line(recording: Path, tmp_path: Path, format_: str) -> None:
+    """Files are limited to a kilobyte here. The error differs from that of a full disk, but occurs as late."""
     target = str(tmp_path / "bag")
     words = [sys.executable, "-m", "hostlink", "export", str(recording), "--skip-unknown"]
     words += ["--to", format_, "-o", target]

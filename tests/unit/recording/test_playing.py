@@ -1,4 +1,4 @@
-"""When each message is due, and which robots a recording has."""
+"""Playback: when each message is due, and the robots of a recording."""
 
 from hypothesis import given
 from hypothesis import strategies as st
@@ -30,7 +30,7 @@ def test_intervals_are_kept_from_the_first_message_on() -> None:
     assert due() == []
 
 
-def test_a_clock_that_was_set_back_costs_no_interval_and_no_message() -> None:
+def test_clock_set_back_loses_no_interval_and_no_message() -> None:
     assert due(100, 101, 50, 51, 52) == [0, 1, 1, 2, 3]
 
 
@@ -47,7 +47,7 @@ def test_a_robot_has_what_its_device_published_and_its_velocities() -> None:
     assert robots_of([odometry, *others, velocity]) == {"a": [odometry, velocity]}
 
 
-def test_a_topic_that_was_recorded_twice_is_one() -> None:
+def test_topic_recorded_twice_is_one_channel() -> None:
     latched = ros_channel("/a/odometry", "std_msgs/String", None, is_latched=True, robot="a", origin=DEVICE)
     assert robots_of([channel("a", "/a/odometry", DEVICE), latched]) == {"a": [latched]}
 

@@ -1,4 +1,4 @@
-"""What a recorder subscribes to as the graph changes, and what that costs."""
+"""Recorder: its subscriptions as the graph changes, and their cost."""
 
 import asyncio
 from dataclasses import dataclass, field
@@ -23,7 +23,7 @@ VELOCITY = Velocity(0.1, 0.2, 0.3, 0.4, 0.5, 0.6)
 
 
 class Kept:
-    """A sink that keeps what it is given."""
+    """Sink that keeps its messages."""
 
     def __init__(self) -> None:
         self.channels: list[str] = []
@@ -38,7 +38,7 @@ class Kept:
 
 @dataclass(frozen=True)
 class Counted(Selection):
-    """Counts the topics that it is asked about."""
+    """View that counts the requested topics."""
 
     asked: list[str] = field(default_factory=list)
 
@@ -47,7 +47,7 @@ class Counted(Selection):
         return super().has(topic, robot)
 
 
-def test_a_robot_that_comes_or_leaves_costs_a_recorder_what_it_has() -> None:
+def test_connecting_robot_costs_a_recorder_only_its_own_topics() -> None:
     async def run() -> tuple[list[str], list[str], list[str]]:
         hub, kept, selection = Hub(Config(), CATALOG, reraises=True), Kept(), Counted()
         for number in range(300):
@@ -83,7 +83,7 @@ def test_velocities_of_an_event_have_the_names_of_their_fields() -> None:
         hub.events.note(EventKind.COMMANDED, "robot_0", owner="client 1", address="10.0.0.1", limited=VELOCITY)
         return kept.payloads[-1]
 
-    facts = {"owner": "client 1", "limited": VELOCITY._asdict()}  # no address: files go to others
+    facts = {"owner": "client 1", "limited": VELOCITY._asdict()}  # no address: the file may be given to others
     event = msgspec.json.decode(json_of(EVENTS, run_virtual(run())))
     assert event == {"kind": "commanded", "robot": "robot_0", "facts": facts}
 
@@ -97,7 +97,7 @@ def test_the_topics_of_a_robots_name_are_recorded_once_it_is_that_robots() -> No
         await asyncio.sleep(2 * LATEST_S)
         before = recorder.topics
         shown = RobotTopicNames("robot_7", "/robot_7/velocity", "/robot_7/odometry", TYPE, None)
-        nowhere: Any = None  # nobody drives it
+        nowhere: Any = None  # no driver
         hub.robots.put_remote(RemoteRobot(name="robot_7", host="b", place="b", shown=shown, elsewhere=nowhere))
         await asyncio.sleep(2 * LATEST_S)
         return before, recorder.topics
