@@ -218,7 +218,7 @@ def parse_answer(line: bytes) -> Answer | None:
 def value_of(words: str) -> tuple[str, str] | None:
     """Parse `value NAME=VALUE` or `secret NAME=set` to name and value; None for another answer.
 
-    The value of a secret is only "set" or "unset", whatever the board sent.
+    A secret's value is always "set" or "unset", even if the board sent the secret.
     """
     kind, _, rest = words.partition(" ")
     name, equals, value = rest.partition("=")

@@ -51,7 +51,7 @@ def diagnose(evidence: Evidence) -> list[Finding]:
     return [finding(code, found[code]) for code in words() if code in found]
 
 
-# -- bytes that are no frames -----------------------------------------------------------------------------------------
+# -- bytes outside frames ---------------------------------------------------------------------------------------------
 
 
 def _non_rosserial(evidence: Evidence) -> tuple[str, str] | None:

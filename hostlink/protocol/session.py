@@ -461,7 +461,7 @@ class Session:
             self._refused[info.topic_id] = reason
             found.append(events.TopicRefused(info, reason))
         if info.kind is Id.SERVICE_CLIENT_PUBLISHER:
-            fixed_bytes = None  # every request is answered, whatever its size
+            fixed_bytes = None  # every request is answered, even of a wrong size
         self._topics.add(info, fixed_bytes)
         if not info.is_to_device:
             self._stream.limit_bytes = max(self._stream.limit_bytes, info.buffer_bytes)

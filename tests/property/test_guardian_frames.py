@@ -87,7 +87,7 @@ def test_zero_over_a_38400_baud_line_arrives_in_time(*, gives_up: bool) -> None:
 
 @pytest.mark.parametrize("topic_id", [100, 255, 256, 511])
 def test_zero_after_a_frame_that_is_never_given_up_is_obeyed(topic_id: int) -> None:
-    """This includes ids and checksums of FF, which a device between frames takes for a sync."""
+    """The cases include ids and checksums of FF, which a device between frames takes for a sync."""
     for cut in range(1, len(LONG)):
         observed: dict[int, bytes] = {}
         reader = RosLibReader(observed.__setitem__, gives_up=False)

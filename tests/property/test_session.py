@@ -1,4 +1,4 @@
-"""STYLE.md's invariants of the session: any bytes raise nothing, and a good device recovers."""
+"""Invariants of the session: any bytes raise nothing, and a good device recovers."""
 
 import contextlib
 import dataclasses

@@ -1,4 +1,4 @@
-"""STYLE.md's invariants of the stream, for every cut, merge and damage of the bytes."""
+"""Invariants of the stream, for every cut, merge and damage of the bytes."""
 
 from collections.abc import Iterable
 
@@ -70,7 +70,7 @@ def test_every_split_counts_the_same_damage(wire: bytes, data: st.DataObject) ->
 
 
 @given(lines, st.data())
-def test_rejected_syncs_are_no_more_than_the_syncs_that_were_skipped(wire: bytes, data: st.DataObject) -> None:
+def test_rejected_syncs_are_at_most_the_skipped_syncs(wire: bytes, data: st.DataObject) -> None:
     line = damaged(wire, data)
     stream = FrameStream(limit_bytes=LIMIT_BYTES)
     skipped = at = 0

@@ -191,7 +191,7 @@ def requested(monitor: LinkMonitor, *times_s: float, has_waited: bool = False) -
 
 
 def test_time_requests_that_arrive_together_give_no_interval() -> None:
-    """They waited in the device's WiFi module, or in the kernel while the host was paused."""
+    """The requests waited in the device's WiFi module, or in the kernel while the host was paused."""
     monitor = LinkMonitor(session(), now_s=0.0)
     monitor.observe(TopicsRequested("connected"), 0.0)
     assert requested(monitor, 0.01, 0.01, 0.02, 0.02, 0.9) == ()
@@ -227,7 +227,7 @@ def test_losses_during_a_host_pause_are_not_damage() -> None:
 
 
 def test_running_device_has_no_boot_message_after_a_host_start() -> None:
-    """Its first bytes are the end of a long frame, and gaps in the waiting bytes. No board restarted."""
+    """The first bytes are the end of a long frame, and gaps in the waiting bytes. No board restarted."""
     running = session()
     running.open(now_s=0.0)
     monitor = LinkMonitor(running, now_s=0.0)

@@ -49,7 +49,7 @@ def flooded(links: int, frames: int) -> tuple[float, list[int]]:
             await device.send(FRAME * frames)
             ends.append(device)
         watching = loop().create_task(longest_pause_s(done))
-        while min(link.session.counts.frames_from_device for link in made) < frames:  # noqa: ASYNC110 - time stands
+        while min(link.session.counts.frames_from_device for link in made) < frames:  # noqa: ASYNC110 - virtual time does not advance
             await asyncio.sleep(0)
         done.set()
         pause_s = await watching
@@ -91,7 +91,7 @@ def test_links_that_wait_alternate() -> None:
         assert max(counts) - min(counts) <= 2
 
 
-def test_calm_reader_goes_before_flooding_readers() -> None:
+def test_calm_reader_is_served_before_flooding_readers() -> None:
     async def run() -> tuple[list[str], int]:
         share, served = FairShare(), []
 
@@ -240,7 +240,7 @@ def test_flooding_reader_has_a_quarter_of_the_time_while_calm_ones_wait() -> Non
         async with asyncio.TaskGroup() as tasks:
             running = [tasks.create_task(work("flood", 0.003)) for _ in range(4)]
             running += [tasks.create_task(work("calm", 0.0004)) for _ in range(8)]
-            while loop().time() < 1.0:  # noqa: ASYNC110 - time stands
+            while loop().time() < 1.0:  # noqa: ASYNC110 - virtual time does not advance
                 await asyncio.sleep(0)
             for task in running:
                 task.cancel()

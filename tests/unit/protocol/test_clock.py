@@ -151,7 +151,7 @@ def test_a_steady_device_is_never_stamped_backwards_nor_into_the_future(
         clock.update(stamp_ns, at_ns=host_ns(arrival_s), now_s=arrival_s)
         given_ns = clock.to_host_ns(stamp_ns, host_ns(arrival_s))
         assert given_ns <= host_ns(arrival_s)
-        shown_ns = max(shown_ns, given_ns)  # the odometry never goes back in time
+        shown_ns = max(shown_ns, given_ns)  # as in the odometry, whose time never decreases
         assert shown_ns <= host_ns(arrival_s)
 
 

@@ -39,7 +39,7 @@ def test_a_recorded_topic_info() -> None:
 
 
 @pytest.mark.parametrize("size", range(len(RECORDED)))
-def test_a_topic_info_that_ends_early_is_none(size: int) -> None:
+def test_cut_topic_info_decodes_to_none(size: int) -> None:
     assert decode_topic_info(Id.PUBLISHER, RECORDED[:size]) is None
 
 

@@ -22,7 +22,7 @@ BIG = TopicInfo(Id.PUBLISHER, 126, "/image", "sensor_msgs/Image", "m", 5000)
 
 @pytest.mark.parametrize("is_urgent", [False, True])
 def test_queued_command_is_dropped_when_its_id_changes_meaning(is_urgent: bool) -> None:
-    """This holds even before the negotiation ends: one frame of a wrong size crashes a device."""
+    """One frame of a wrong size crashes a device, so the frame is dropped even before the negotiation ends."""
     host = Host(ODOMETRY, LED)
     host.session.publish("/led", b"\x01", is_urgent=is_urgent)
     host.receive(wire(ODOMETRY, MOTOR))
@@ -233,7 +233,7 @@ def test_session_sends_nothing_after_a_stop() -> None:
     assert host.session.wait_s(host.now_s) is None
 
 
-def test_a_tick_that_comes_early_does_nothing() -> None:
+def test_early_tick_does_nothing() -> None:
     host = Host(ODOMETRY)
     deadline_s = host.session.deadline_s()
     assert host.session.tick(now_s=host.now_s) == []

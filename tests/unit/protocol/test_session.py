@@ -456,7 +456,7 @@ def test_a_topic_to_the_device_has_its_id() -> None:
         host.session.topic_id("/nope")
 
 
-def test_how_long_frames_wait_is_known_before_and_after_they_leave() -> None:
+def test_waiting_time_is_reported_before_and_after_sending() -> None:
     host = Host(LED)
     assert not host.session.has_waiting
     host.session.publish("/led", b"\x01")

@@ -126,7 +126,7 @@ def test_unread_frames_are_kept_when_the_caller_stops_iterating() -> None:
     assert frames(stream, WIRE_B) == [B, A, B]
 
 
-def test_a_claim_over_the_limit_is_no_header() -> None:
+def test_length_above_the_limit_is_rejected() -> None:
     stream = FrameStream(limit_bytes=100)
     big = encode(125, bytes(101))
     assert frames(stream, big + WIRE_A) == [A]

@@ -182,7 +182,7 @@ def test_sparse_json_fields_need_memory_for_their_values_only(tmp_path: Path) ->
 
 
 def test_thousand_csv_files_keep_no_buffer(tmp_path: Path) -> None:
-    """Their topics have the same file name, because there is no letter in them."""
+    """The topics have the same file name, because they contain no letters."""
     channels = [channel(number, "/" + "$" * number, "json") + message(number, b"{}") for number in range(1, 1001)]
     path = file(tmp_path, *channels)
     assert peak_bytes(lambda: export_csv(Reader(path), tmp_path / "csv")) < 2 * LITTLE

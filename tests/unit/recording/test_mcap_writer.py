@@ -224,7 +224,7 @@ def test_a_channel_without_a_message_is_in_the_file_and_in_a_repaired_one(tmp_pa
 
 @pytest.mark.parametrize(("profile", "encoding"), [("ros2", "cdr"), ("", "protobuf"), ("ros1", "cbor")])
 def test_damaged_file_of_another_program_is_unchanged(tmp_path: Path, profile: str, encoding: str) -> None:
-    """Its schemas may be in any language and would be lost when rewritten."""
+    """Schemas of another program may be in any language and would be lost when rewritten."""
     path = tmp_path / "theirs.mcap"
     with path.open("wb") as file:
         writer = Writer(file)

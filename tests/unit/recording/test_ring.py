@@ -135,7 +135,7 @@ def test_rings_of_more_robots_than_blocks_keep_the_newest() -> None:
     assert [len(kept_of(rings, f"robot_{number}")) for number in range(40)] == [0] * 36 + [1] * 4
 
 
-def test_ring_has_no_more_messages_than_fit_into_memory_as_objects() -> None:
+def test_messages_of_a_ring_are_bounded() -> None:
     rings = Rings(RingMemory(2 * MAX_MESSAGES * HEADER_BYTES), keep_s=KEEP_S)
     for number in range(MAX_MESSAGES + 5000):
         rings.add("robot_0", *entry(number / 1e6))
@@ -184,7 +184,7 @@ def test_damaged_bytes_lose_only_the_rest_of_their_block(place: int, damage: byt
 
 
 def test_ring_memory_cut_within_a_message_has_all_the_others() -> None:
-    """As after a kill: the bytes of a message are written in order."""
+    """A killed process leaves a message in part, because its bytes are written in order."""
     rings = rings_of(4)
     for number in range(3):
         rings.add("robot_0", *entry(number, 20))

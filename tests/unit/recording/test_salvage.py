@@ -198,7 +198,7 @@ def test_folder_of_another_user_or_name_is_ignored(process: Process, monkeypatch
     process.memory.remove()
 
 
-def test_memory_without_room_has_no_more_blocks(process: Process, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_memory_on_a_full_tmpfs_reuses_its_blocks(process: Process, monkeypatch: pytest.MonkeyPatch) -> None:
     """A full tmpfs: existing blocks are reused, and no page is written that cannot be allocated."""
 
     def refuse(*_: int) -> None:
