@@ -285,7 +285,7 @@ def test_a_board_of_another_library_that_has_no_host_is_set_up() -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "reason"), [(b"\x8a\x03k" * 30, "other bytes: is it the baud"), (b"\xff\xfe", "rosserial")]
+    ("text", "reason"), [(b"\x8a\x03k" * 30, "other bytes; set the baud"), (b"\xff\xfe", "rosserial")]
 )
 def test_a_port_with_other_bytes_is_an_error_that_names_them(text: bytes, reason: str) -> None:
     is_over = threading.Event()

@@ -112,7 +112,7 @@ def check(codec: Codec, payloads: list[tuple[MessageType, bytes]]) -> list[bytes
 
 @BATCHES
 @given(seed=seeds)
-def test_a_board_reads_and_writes_each_type_as_the_host_does(codec: Codec, seed: int) -> None:
+def test_board_reads_and_writes_each_type_as_the_host_does(codec: Codec, seed: int) -> None:
     random = Random(seed)
     payloads = [(type_, type_.encode(random_message(random, type_.layout))) for type_ in codec.types]
     assert len(payloads) > 240
@@ -121,7 +121,7 @@ def test_a_board_reads_and_writes_each_type_as_the_host_does(codec: Codec, seed:
 
 @BATCHES
 @given(seed=seeds)
-def test_a_damaged_payload_is_refused_where_the_host_refuses_it(codec: Codec, seed: int) -> None:
+def test_damaged_payload_is_refused_where_the_host_refuses_it(codec: Codec, seed: int) -> None:
     random = Random(seed)
     payloads = [(type_, damaged(random, type_.encode(random_message(random, type_.layout)))) for type_ in codec.types]
     assert None in check(codec, payloads)
@@ -189,7 +189,7 @@ halves = st.builds(  # exactly between two floats
 
 @BATCHES
 @given(st.lists(st.floats(width=64) | st.floats(width=32) | halves, min_size=200, max_size=200))
-def test_a_double_of_four_bytes_is_the_nearest_float(codec: Codec, values: list[float]) -> None:
+def test_double_of_four_bytes_is_the_nearest_float(codec: Codec, values: list[float]) -> None:
     answers = codec.run([Request(NARROW, struct.pack("<d", value)) for value in values])
     for value, answer in zip(values, answers, strict=True):
         narrow, again = struct.unpack("<fd", answer.payload)

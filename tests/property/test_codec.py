@@ -161,7 +161,7 @@ def test_encoded_bytes_equal_those_of_rosbags(name: str, data: st.DataObject) ->
 
 @PATIENT
 @given(messages, st.data())
-def test_the_validating_codec_agrees_with_the_compiled_one(ours: MessageType, data: st.DataObject) -> None:
+def test_validating_codec_agrees_with_the_compiled_one(ours: MessageType, data: st.DataObject) -> None:
     value = draw_message(data, ours.layout)
     payload = ours.encode(value)
     assert validating_codec.encode(ours.layout, value) == payload

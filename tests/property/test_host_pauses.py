@@ -205,7 +205,7 @@ BESIDE = {"damaged": {"boot_noise"}}  # damage at the beginning of a link looks 
 
 @pytest.mark.parametrize("code", SICK)
 @given(disturbed=disturbances)
-def test_a_sick_device_is_found_after_the_host_has_recovered(code: str, disturbed: list[Pause | Restart]) -> None:
+def test_sick_device_is_found_after_the_host_has_recovered(code: str, disturbed: list[Pause | Restart]) -> None:
     findings = Findings()
     run_virtual(live(Device(**SICK[code]), disturbed, findings, then_s=FINDABLE_S))  # type: ignore[arg-type]
     found = {each for _, each in findings.codes}
@@ -214,7 +214,7 @@ def test_a_sick_device_is_found_after_the_host_has_recovered(code: str, disturbe
 
 
 @given(disturbed=disturbances, wait_s=st.floats(0.0, 4.0))
-def test_a_device_that_falls_silent_is_found_once_after_the_host_has_recovered(
+def test_device_that_falls_silent_is_found_once_after_the_host_has_recovered(
     disturbed: list[Pause | Restart], wait_s: float
 ) -> None:
     findings, device = Findings(), Device()

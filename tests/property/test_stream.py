@@ -55,7 +55,7 @@ sync_frames = st.builds(Frame, topic_ids, sync_payloads).filter(lambda frame: jo
 
 
 @given(st.lists(sync_frames, max_size=10), st.data())
-def test_an_intact_stream_with_syncs_in_its_payloads_counts_no_damage(sent: list[Frame], data: st.DataObject) -> None:
+def test_intact_stream_with_syncs_in_its_payloads_counts_no_damage(sent: list[Frame], data: st.DataObject) -> None:
     stream = FrameStream(limit_bytes=LIMIT_BYTES)
     assert joined_events(stream, split(b"".join(map(wire_of, sent)), data)) == sent
     assert stream.rejected == {}
@@ -171,7 +171,7 @@ def test_junk_without_a_sync_never_costs_the_frame_after_it(junk: bytes, frame: 
 
 
 @given(lines, st.lists(unambiguous, min_size=1, max_size=5))
-def test_intact_frames_after_any_mess_are_found_when_enough_of_them_come(wire: bytes, sent: list[Frame]) -> None:
+def test_enough_intact_frames_after_any_junk_are_found(wire: bytes, sent: list[Frame]) -> None:
     """A false header can hide a frame once. The frames after its claimed length are all found."""
     flood = b"".join(map(wire_of, sent)) * (LIMIT_BYTES // 8)
     found, _ = joined([wire + flood])

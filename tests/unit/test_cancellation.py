@@ -87,7 +87,7 @@ async def test_one_wait_that_lasts_too_long_ends_the_block() -> None:
     assert 0.15 <= loop.time() - began_s < 1.0
 
 
-async def test_short_waits_may_be_many_and_what_lies_between_them_long() -> None:
+async def test_many_short_waits_with_long_pauses_do_not_expire() -> None:
     loop = asyncio.get_running_loop()
     async with patience(0.1) as waits:
         for _ in range(4):

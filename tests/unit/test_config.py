@@ -14,7 +14,7 @@ def write(folder: Path, text: str) -> Path:
     return path
 
 
-def test_an_empty_file_is_the_defaults(tmp_path: Path) -> None:
+def test_empty_file_is_the_defaults(tmp_path: Path) -> None:
     assert load(write(tmp_path, "")) == Config()
 
 

@@ -129,7 +129,7 @@ def test_no_command_installs_hostlink_by_its_name_from_an_index() -> None:
         ("pip install /opt/hostlink", 0),
     ],
 )
-def test_a_command_that_installs_the_name_is_found(text: str, count: int) -> None:
+def test_command_that_installs_the_name_is_found(text: str, count: int) -> None:
     assert len(installed_from_an_index(text)) == count
 
 
@@ -142,7 +142,7 @@ def ways(text: str) -> list[list[tuple[str, str]]]:
     return [found for table in section.split("\n\n") if (found := WAY.findall(table))]
 
 
-def test_the_reader_s_way_names_functions_that_exist_and_no_file_twice() -> None:
+def test_reader_s_way_names_functions_that_exist_and_no_file_twice() -> None:
     both = ways((ROOT / "CONTRIBUTING.md").read_text())
     assert len(both) == 2
     for way in both:

@@ -14,7 +14,7 @@ from hostlink.messages.catalog import Catalog
 from hostlink.protocol.frame import encode
 
 
-def test_an_unknown_type_is_shown_as_bytes() -> None:
+def test_unknown_type_is_shown_as_bytes() -> None:
     strings = b"".join(len(text).to_bytes(4, "little") + text for text in (b"/x", b"my_msgs/New", b"0" * 32))
     info = (125).to_bytes(2, "little") + strings + (512).to_bytes(4, "little")
     inspection = Inspection(Catalog())

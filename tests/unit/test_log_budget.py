@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from hostlink.log_budget import MAX_PEERS, LogBudget
 
 
-def test_a_burst_then_the_rate() -> None:
+def test_budget_allows_a_burst_then_the_rate() -> None:
     budget = LogBudget(burst_lines=5, rate_hz=2.0)
     assert [budget.allows("a", 0.0) for _ in range(7)] == [True] * 5 + [False] * 2
     assert [budget.allows("a", 0.5), budget.allows("a", 0.5)] == [True, False]

@@ -57,7 +57,7 @@ def test_blocked_reader_loses_lines_without_delay(pipe: tuple[int, TextIO]) -> N
     assert (output.pop_lost(), output.pop_lost()) == (2000 - kept, 0)
 
 
-def test_a_line_that_was_cut_is_ended_before_the_next(pipe: tuple[int, TextIO]) -> None:
+def test_line_that_was_cut_is_ended_before_the_next(pipe: tuple[int, TextIO]) -> None:
     reading, stream = pipe
     output = LogOutput(stream)
     output.write("y" * (1 << 17) + "\n")

@@ -51,7 +51,7 @@ def test_settings_are_accepted(name: str, text: str, tmp_path: Path) -> None:
     config.load(tmp_path / "hostlink.toml")
 
 
-def test_a_wrong_snippet_is_found() -> None:
+def test_wrong_snippet_is_found() -> None:
     assert unknown_names("async with hostlink.client.conect() as host: await host.robotz()") == [
         "hostlink.client.conect",
         "host.robotz",

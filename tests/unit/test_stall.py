@@ -6,14 +6,14 @@ from hypothesis import strategies as st
 from hostlink.transport.base import STALL_S, Stall
 
 
-def test_an_idle_connection_does_not_stall() -> None:
+def test_idle_connection_does_not_stall() -> None:
     stall = Stall()
     assert not stall.is_stalled(sent_bytes=0, unacknowledged_bytes=0, now_s=5.0)
     assert not stall.is_stalled(sent_bytes=56, unacknowledged_bytes=0, now_s=1000.0)
     assert not stall.is_stalled(sent_bytes=112, unacknowledged_bytes=0, now_s=2000.0)
 
 
-def test_the_first_byte_after_a_silence_does_not_stall() -> None:
+def test_first_byte_after_a_silence_does_not_stall() -> None:
     stall = Stall()
     assert not stall.is_stalled(sent_bytes=56, unacknowledged_bytes=56, now_s=1000.0)
     assert not stall.is_stalled(sent_bytes=56, unacknowledged_bytes=0, now_s=1000.1)

@@ -24,7 +24,7 @@ def header(tmp_path: Path, text: str) -> str:
     return message_header(made(tmp_path, text))
 
 
-def test_a_fixed_message_has_its_type_md5_and_size() -> None:
+def test_fixed_message_has_its_type_md5_and_size() -> None:
     message = CATALOG.message("geometry_msgs/Twist")
     assert message is not None
     text = message_header(message)
@@ -35,7 +35,7 @@ def test_a_fixed_message_has_its_type_md5_and_size() -> None:
     assert "::ros::Size(48, 48)" in text
 
 
-def test_a_service_has_classes_for_request_and_response_under_both_names() -> None:
+def test_service_has_classes_for_request_and_response_under_both_names() -> None:
     service = CATALOG.service("std_srvs/SetBool")
     assert service is not None
     text = service_header(service)

@@ -44,7 +44,7 @@ def test_library_has_headers_sources_and_the_files_of_each_ide() -> None:
 
 
 @pytest.mark.parametrize("name", ["tf/tf", "tf/transform_broadcaster", "ROS/Node", "hostLink/wifi"])
-def test_a_type_cannot_replace_a_header_of_the_library(tmp_path: Path, name: str) -> None:
+def test_type_cannot_replace_a_header_of_the_library(tmp_path: Path, name: str) -> None:
     path = tmp_path / f"{name}.msg"
     path.parent.mkdir()
     path.write_text("")
@@ -53,7 +53,7 @@ def test_a_type_cannot_replace_a_header_of_the_library(tmp_path: Path, name: str
         library(sources(), selection)
 
 
-def test_the_types_that_sources_include_are_found() -> None:
+def test_types_that_sources_include_are_found() -> None:
     texts = {
         "src/ros.h": b'#include "ros/node.h"\n  #  include <tf/tfMessage.h>\n',
         "src/ros/node.h": b'#include "wire.h"\n',

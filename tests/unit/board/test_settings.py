@@ -33,7 +33,7 @@ def test_line_with_a_wrong_byte_is_ignored(at: int, flip: int) -> None:
 
 
 @given(st.lists(st.binary(max_size=400), max_size=10))
-def test_a_reader_of_any_bytes_has_a_bound_and_finds_the_next_answer(pieces: list[bytes]) -> None:
+def test_reader_of_any_bytes_has_a_bound_and_finds_the_next_answer(pieces: list[bytes]) -> None:
     reader = AnswerReader()
     for piece in pieces:
         list(reader.feed(piece))
@@ -50,7 +50,7 @@ def test_quoted_value_is_unquoted(name: str, value: str) -> None:
     assert value_of(words) == (name, value)
 
 
-def test_the_longest_request_fits_a_line() -> None:
+def test_longest_request_fits_a_line() -> None:
     for setting in SETTINGS.values():
         assert len(request_line(65535, assignment(setting.name, "\u20ac" * (setting.most // 3)))) <= LINE_BYTES_MAX
 
@@ -64,7 +64,7 @@ def test_error_text_does_not_contain_the_value() -> None:
     assert "s3cr3t" not in str(refused.value)
 
 
-def test_a_value_that_is_not_utf_8_is_refused() -> None:
+def test_value_that_is_not_utf_8_is_refused() -> None:
     with pytest.raises(BadRequest, match="wifi_name: not UTF-8"):
         check_value(SETTINGS["wifi_name"], os.fsdecode(b"caf\xe9"))
 

@@ -129,13 +129,13 @@ def test_burst_before_the_topics_is_boot_noise_while_it_is_recent() -> None:
     assert diagnose(replace(evidence, recent=GOOD, non_rosserial=b"")) == []
 
 
-def test_several_findings_are_in_the_order_of_the_words() -> None:
+def test_findings_are_in_the_order_of_their_texts() -> None:
     found = diagnose(replace(HEALTHY, refused=("a",), silent_s=7.0, too_small=("b",)))
     assert [each.code for each in found] == ["wrong_md5", "buffer_too_small", "went_silent"]
 
 
 @pytest.mark.parametrize("code", words())
-def test_every_finding_has_all_its_words_in_one_line_each(code: str) -> None:
+def test_every_text_of_a_finding_is_one_line(code: str) -> None:
     assert set(words()[code]) == {"symptom", "cause", "next_step"}
     assert all(text and "\n" not in text and "|" not in text for text in words()[code].values())
     assert finding(code, "x") == Finding(code, words()[code]["cause"], words()[code]["next_step"], "x")

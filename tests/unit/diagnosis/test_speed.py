@@ -22,7 +22,7 @@ def telemetry() -> bytes:
 @pytest.mark.parametrize("error", [0.98, 1.0, 1.02])
 @pytest.mark.parametrize("gap_bits", [0.0, 0.5, 3.0])
 @pytest.mark.parametrize(("sent", "read"), [(57600, 115200), (9600, 57600), (38400, 57600), (19200, 115200)])
-def test_a_slower_device_is_named_by_its_requests_for_the_time(
+def test_slower_device_is_named_by_its_requests_for_the_time(
     sent: int, read: int, gap_bits: float, error: float
 ) -> None:
     observed = resample(TIME_REQUESTS, ratio=read / sent * error, gap_bits=gap_bits)[:512]
@@ -33,7 +33,7 @@ def test_a_slower_device_is_named_by_its_requests_for_the_time(
 
 
 @pytest.mark.parametrize(("sent", "read"), [(57600, 115200), (9600, 57600), (38400, 57600)])
-def test_a_slower_device_is_named_by_its_telemetry(sent: int, read: int) -> None:
+def test_slower_device_is_named_by_its_telemetry(sent: int, read: int) -> None:
     guess = guess_speed(resample(telemetry(), ratio=read / sent, gap_bits=1.0)[:1024], read)
     assert guess is not None
     assert guess.baud == sent
@@ -60,11 +60,11 @@ def test_reader_behind_a_network_gives_only_the_ratio() -> None:
     ],
     ids=["noise", "text", "too few", "damage at the right speed"],
 )
-def test_a_sample_that_shows_no_speed_gives_no_guess(observed: bytes) -> None:
+def test_sample_without_a_visible_rate_gives_no_guess(observed: bytes) -> None:
     assert guess_speed(observed, 57600) is None
 
 
-def test_a_boot_message_of_another_version_is_recognised() -> None:
+def test_boot_message_of_another_version_is_recognised() -> None:
     text = b" ets Jan  8 2013,rst cause:1, boot mode:(3,7)\n\nload 0x40100000, len 1384, room 16 \ntail 8\n~ld\n"
     guess = guess_speed(resample(text, ratio=115200 / 74880), 115200)
     assert guess is not None

@@ -29,7 +29,7 @@ def test_stop_sequence_for_a_hanging_daemon_has_no_stop_request() -> None:
 
 
 @pytest.mark.parametrize("claim_bytes", [1, 56, 57, 58, 114, 512, 65543])
-def test_the_first_zero_is_repeated_over_the_length_of_any_frame(claim_bytes: int) -> None:
+def test_first_zero_is_repeated_over_the_length_of_any_frame(claim_bytes: int) -> None:
     first, *others = [part for _, part in stop_sequence((100,), claim_bytes)]
     assert first.removeprefix(zero_frame(100)).replace(b"\0" + zero_frame(100), b"") == b""
     assert claim_bytes <= len(first) - 2 * 57 + 1 < claim_bytes + 57

@@ -42,7 +42,7 @@ def watched(topic_id: int = 100, descriptor: int | None = 7) -> Watched:
     return Watched(lambda: descriptor, (topic_id,), 512)
 
 
-def test_a_link_is_sent_with_its_descriptor_then_released() -> None:
+def test_link_is_sent_with_its_descriptor_then_released() -> None:
     roster = Roster()
     roster.watch(3, watched())
     assert roster.next() == (records.encode_watch(3, (100,), 512), 7)
@@ -69,7 +69,7 @@ def test_connection_closed_before_it_was_sent_is_not_sent() -> None:
     assert roster.next() is None
 
 
-def test_a_new_velocity_topic_replaces_the_old_one() -> None:
+def test_new_velocity_topic_replaces_the_old_one() -> None:
     roster = Roster()
     guardian = Guardian(roster)
     for topic_id in (100, 104):

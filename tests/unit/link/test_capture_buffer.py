@@ -74,7 +74,7 @@ def test_bytes_without_frames_are_kept() -> None:
     assert sum(len(piece.data) for piece in found.pieces) >= CAPTURE_BYTES
 
 
-def test_a_capture_with_its_beginning_has_every_byte() -> None:
+def test_capture_with_its_beginning_has_every_byte() -> None:
     found = captured(*both(b"boot\n" + encode(125, b"1"), 3), since=(0, 0))
     assert b"".join(piece.data for piece in found.pieces) == b"boot\n" + encode(125, b"1")
     assert found.lost_bytes == 0

@@ -62,7 +62,7 @@ def flooded(links: int, frames: int) -> tuple[float, list[int]]:
     return run_virtual(run())
 
 
-def test_floods_of_any_number_of_links_leave_the_loop_to_others_every_few_milliseconds() -> None:
+def test_floods_of_any_number_of_links_yield_the_loop_every_few_milliseconds() -> None:
     piece_s = 512 // len(FRAME) * FRAME_COST_S
     for links in (1, 2, 16):
         pause_s, read = flooded(links, 2000)

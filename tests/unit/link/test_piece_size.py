@@ -78,7 +78,7 @@ def test_expensive_frames_after_cheap_ones_delay_others_by_one_first_piece() -> 
     assert max(run_virtual(run())) <= (MOST_FRAMES + 4) * cost_s
 
 
-def test_a_flood_of_expensive_frames_leaves_the_loop_after_each_millisecond() -> None:
+def test_flood_of_expensive_frames_yields_the_loop_each_millisecond() -> None:
     cost_s = 0.0001  # of a refused request
 
     async def run() -> list[float]:

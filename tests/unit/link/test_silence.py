@@ -43,7 +43,7 @@ async def silence_until_the_end(config: LinkConfig, *, time_requests: int) -> tu
         (LinkConfig(idle_timeout_s=None), 3, 5.0),
     ],
 )
-def test_a_dead_device_is_found_in_time(config: LinkConfig, time_requests: int, silence_s: float) -> None:
+def test_dead_device_is_found_in_time(config: LinkConfig, time_requests: int, silence_s: float) -> None:
     end, lasted_s = run_virtual(silence_until_the_end(config, time_requests=time_requests))
     assert end is LinkEnd.IDLE
     assert lasted_s == pytest.approx(silence_s, abs=0.01)
@@ -68,7 +68,7 @@ async def serve_a_device_that_restarts(transport: MemoryTransport, device: Memor
     return session.counts.negotiations
 
 
-def test_a_board_that_restarts_behind_its_radio_keeps_its_link() -> None:
+def test_board_that_restarts_behind_its_radio_keeps_its_link() -> None:
     assert run_virtual(serve_a_device_that_restarts(*memory_pair())) == 3
 
 
@@ -160,7 +160,7 @@ class SlowTransport(MemoryTransport):
         await super().drain()
 
 
-def test_a_device_that_is_behind_is_not_given_up_for_a_pause_of_the_host() -> None:
+def test_device_that_is_behind_is_not_given_up_for_a_pause_of_the_host() -> None:
     async def run() -> LinkEnd:
         loop = asyncio.get_running_loop()
         assert isinstance(loop, VirtualLoop)

@@ -42,7 +42,7 @@ def test_connections_of_one_address_are_limited() -> None:
     assert admission.judge(OTHER, there) == Verdict()
 
 
-def test_the_oldest_unidentified_connection_of_the_fullest_address_is_evicted() -> None:
+def test_oldest_unidentified_connection_of_the_fullest_address_is_evicted() -> None:
     admission = Admission(TcpConfig(max_connections=6))
     there = connections((CROWD, True), (OTHER, False), (CROWD, False), (CROWD, False), (ROBOT, True), (CROWD, False))
     assert admission.judge(ROBOT, there) == Verdict(evicts=2)

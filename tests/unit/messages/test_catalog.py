@@ -95,7 +95,7 @@ def test_every_stored_type_compiles_and_its_defaults_come_back(catalog: Catalog)
         ("std_msgs/String", "992ce8a1687cec8c8bd883ec73ca41d1"),
     ],
 )
-def test_md5_sums_that_devices_announce(catalog: Catalog, name: str, md5: str) -> None:
+def test_md5_sums_equal_those_of_real_devices(catalog: Catalog, name: str, md5: str) -> None:
     assert message(catalog, name).md5 == md5
 
 
@@ -169,7 +169,7 @@ def test_unknown_names_give_none(catalog: Catalog, name: str) -> None:
     assert catalog.service(name) is None
 
 
-def test_a_type_has_its_fields_constants_and_size(catalog: Catalog) -> None:
+def test_type_has_its_fields_constants_and_size(catalog: Catalog) -> None:
     info = message(catalog, "rosserial_msgs/Log")
     assert [(field.name, field.type, field.array_length) for field in info.fields] == [
         ("level", "uint8", -1),
@@ -183,7 +183,7 @@ def test_a_type_has_its_fields_constants_and_size(catalog: Catalog) -> None:
     assert message(catalog, "geometry_msgs/TwistStamped").fixed_bytes is None
 
 
-def test_an_announced_md5_is_checked(catalog: Catalog) -> None:
+def test_announced_md5_is_checked(catalog: Catalog) -> None:
     twist = message(catalog, "geometry_msgs/Twist")
     assert catalog.check_message("/cmd_vel", "geometry_msgs/Twist", twist.md5) is twist
     assert catalog.check_message("/cmd_vel", "robot/Unknown", "0" * 32) is None
@@ -192,7 +192,7 @@ def test_an_announced_md5_is_checked(catalog: Catalog) -> None:
     assert str(error.value) == f"/cmd_vel: wanted geometry_msgs/Twist md5 {twist.md5}, got md5 abc"
 
 
-def test_a_service_is_announced_as_two_md5_sums(catalog: Catalog) -> None:
+def test_service_is_announced_as_two_md5_sums(catalog: Catalog) -> None:
     set_bool = service(catalog, "std_srvs/SetBool")
     assert catalog.check_request("/led", "std_srvs/SetBool", SET_BOOL_REQUEST) is set_bool.request
     assert catalog.check_response("/led", "std_srvs/SetBool", SET_BOOL_RESPONSE) is set_bool.response
@@ -274,13 +274,13 @@ def test_shared_dependencies_are_visited_once(tmp_path: Path) -> None:
         ),
     ],
 )
-def test_a_broken_definition_stops_the_start(tmp_path: Path, files: dict[str, str], where: str, problem: str) -> None:
+def test_broken_definition_stops_the_start(tmp_path: Path, files: dict[str, str], where: str, problem: str) -> None:
     with pytest.raises(ConfigError) as error:
         Catalog([write(tmp_path, **files)])
     assert str(error.value) == f"{tmp_path}/robot/{where}: {problem}"
 
 
-def test_the_deepest_type_that_is_allowed_has_a_codec(tmp_path: Path) -> None:
+def test_deepest_type_that_is_allowed_has_a_codec(tmp_path: Path) -> None:
     levels = {f"msg_T{depth}": f"T{depth + 1} x\n" for depth in range(32)}
     deepest = message(Catalog([write(tmp_path, **levels, msg_T32="int8 x\n")]), "robot/T0")
     assert deepest.encode(deepest.decode(b"\x07")) == b"\x07"
@@ -327,7 +327,7 @@ def test_definition_file_with_an_invalid_name_is_refused(tmp_path: Path) -> None
         Catalog([tmp_path])
 
 
-def test_the_names_of_all_types_are_sorted(tmp_path: Path) -> None:
+def test_names_of_all_types_are_sorted(tmp_path: Path) -> None:
     known = Catalog([write(tmp_path, msg_Arm="float32 angle\n", srv_Grip="---\n")])
     assert known.message_names() == sorted({*STORE_NAMES, "robot/Arm", *Catalog().message_names()})
     assert set(known.service_names()) - set(Catalog().service_names()) == {"robot/Grip"}

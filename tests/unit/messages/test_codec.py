@@ -173,7 +173,7 @@ def calls_a_reader(layout: Layout) -> bool:
     return any(name.startswith("read_") for name in code.co_names)
 
 
-def test_a_list_of_flat_messages_is_read_by_one_struct() -> None:
+def test_list_of_flat_messages_is_read_by_one_struct() -> None:
     deep = Layout("t/Deep", (Field("pair", "t/Pair"), Field("c", "uint8", 3)), NESTED)
     twice = Layout("t/Twice", (Field("pairs", "t/Pair", 2), Field("c", "uint8")), NESTED)
     nested = {**NESTED, "t/Deep": deep, "t/Twice": twice}

@@ -30,7 +30,7 @@ def test_message_within_the_limit_is_unchanged(trigger: MessageType) -> None:
     assert encode_within(trigger, message, 7) == trigger.encode(message)
 
 
-def test_a_text_is_cut_to_the_byte_and_everything_else_stays(trigger: MessageType) -> None:
+def test_text_is_cut_to_the_byte_and_everything_else_stays(trigger: MessageType) -> None:
     payload = encode_within(trigger, {"success": True, "message": "x" * 100}, 25)
     assert payload is not None
     assert (len(payload), trigger.decode(payload)) == (25, {"success": True, "message": "x" * 20})
@@ -42,7 +42,7 @@ def test_shortened_text_ends_at_a_character(trigger: MessageType) -> None:
     assert trigger.decode(payload)["message"] == "é" * 2
 
 
-def test_the_longest_text_is_cut_first() -> None:
+def test_longest_text_is_cut_first() -> None:
     header = Catalog().message("rosgraph_msgs/Log")
     assert header is not None
     payload = encode_within(header, {"name": "n" * 10, "msg": "m" * 50, "function": "f" * 20}, 72)

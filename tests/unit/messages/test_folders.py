@@ -13,7 +13,7 @@ def put(file: Path) -> None:
     file.write_text("int8 a\n")
 
 
-def test_a_folder_of_packages_adds_their_types(tmp_path: Path) -> None:
+def test_folder_of_packages_adds_their_types(tmp_path: Path) -> None:
     put(tmp_path / "robot_msgs" / "msg" / "Wheels.msg")
     put(tmp_path / "robot_srvs" / "Turn.srv")
     assert list(find_definitions(tmp_path, ".msg")) == ["robot_msgs/Wheels"]
@@ -30,7 +30,7 @@ def test_packages_in_subfolders_are_named(tmp_path: Path, deeper: str, place: st
         check_not_empty(tmp_path)
 
 
-def test_a_folder_without_a_package_is_refused(tmp_path: Path) -> None:
+def test_folder_without_a_package_is_refused(tmp_path: Path) -> None:
     (tmp_path / "notes").mkdir()
     with pytest.raises(ConfigError, match=r"contains no package with \.msg or \.srv files"):
         check_not_empty(tmp_path)

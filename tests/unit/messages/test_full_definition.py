@@ -23,7 +23,7 @@ def test_every_type_is_read_from_its_own_text_with_the_same_md5() -> None:
         assert (found.name, found.md5) == (known.name, known.md5), name
 
 
-def test_a_message_is_decoded_as_by_the_catalogs_type() -> None:
+def test_message_is_decoded_as_by_the_catalogs_type() -> None:
     known = CATALOG.message("nav_msgs/Odometry")
     assert known is not None
     payload = known.encode({"child_frame_id": "base", "pose": {"covariance": list(range(36))}})

@@ -102,7 +102,7 @@ def test_encoded_bytes_of_every_kind_of_field(catalog: Catalog) -> None:
     )
 
 
-def test_a_view_decodes_like_bytes(catalog: Catalog) -> None:
+def test_view_decodes_like_bytes(catalog: Catalog) -> None:
     ours = message(catalog, "std_msgs/UInt8MultiArray")
     payload = ours.encode({"data": b"abc"})
     assert ours.decode(memoryview(payload)) == ours.decode(payload)
@@ -185,7 +185,7 @@ def test_null_float_is_encoded_as_nan(catalog: Catalog) -> None:
         ),
     ],
 )
-def test_a_bad_value_is_named_by_its_path(catalog: Catalog, name: str, value: dict[str, object], problem: str) -> None:
+def test_bad_value_is_named_by_its_path(catalog: Catalog, name: str, value: dict[str, object], problem: str) -> None:
     with pytest.raises(BadRequest) as error:
         message(catalog, name).encode(value)
     assert str(error.value) == problem
@@ -237,7 +237,7 @@ def test_a_bad_value_is_named_by_its_path(catalog: Catalog, name: str, value: di
         ("t/Arrays", struct.pack("<I", 9) + b"ab", "t/Arrays: blob: 9 bytes announced, 2 left"),
     ],
 )
-def test_a_bad_payload_is_refused_with_its_numbers(catalog: Catalog, name: str, payload: bytes, problem: str) -> None:
+def test_bad_payload_is_refused_with_its_numbers(catalog: Catalog, name: str, payload: bytes, problem: str) -> None:
     with pytest.raises(BadPayload) as error:
         message(catalog, name).decode(payload)
     assert str(error.value) == problem
@@ -291,7 +291,7 @@ def test_text_that_is_not_utf_8_can_still_become_json(catalog: Catalog) -> None:
     assert message(catalog, "t/Arrays").decode(names)["names"] == ["\ufffd"]
 
 
-def test_a_message_that_is_larger_than_any_receiver_must_accept_is_refused(catalog: Catalog) -> None:
+def test_message_that_is_larger_than_any_receiver_must_accept_is_refused(catalog: Catalog) -> None:
     type_, value = message(catalog, "t/Arrays"), {"names": [""] * (ENCODED_BYTES_MAX // 4 + 1)}
     with pytest.raises(BadRequest, match=f"t/Arrays: more than {ENCODED_BYTES_MAX} bytes"):
         type_.encode(value)

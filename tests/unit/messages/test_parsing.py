@@ -23,7 +23,7 @@ string[] names
 """
 
 
-def test_every_kind_of_line() -> None:
+def test_every_kind_of_line_is_parsed() -> None:
     definition = parse_message("pkg/Type", EVERYTHING, "Type.msg")
     assert definition.constants == (
         Constant("LOW", "int8", "-128"),
@@ -95,13 +95,13 @@ def test_text_ends_with_one_newline_or_is_empty() -> None:
         ("int8[65536] x", "int8[65536]: an array length must be 1 to 65535, or empty"),
     ],
 )
-def test_a_bad_line_is_named(line: str, problem: str) -> None:
+def test_bad_line_is_named(line: str, problem: str) -> None:
     with pytest.raises(ConfigError) as error:
         parse_message("pkg/Type", f"int8 first\n\n{line}\n", "pkg/Type.msg")
     assert str(error.value) == f"pkg/Type.msg:3: {problem}"
 
 
-def test_a_service_is_two_messages() -> None:
+def test_service_is_two_messages() -> None:
     request, response = parse_service("pkg/Ask", "int8 a\n---\n\nint8 b", "Ask.srv")
     assert (request.name, request.fields) == ("pkg/AskRequest", (Field("a", "int8"),))
     assert (response.name, response.fields) == ("pkg/AskResponse", (Field("b", "int8"),))
@@ -117,5 +117,5 @@ def test_service_without_exactly_one_separator_is_refused(text: str, cuts: int) 
 
 
 @pytest.mark.parametrize(("text", "value"), [("True", True), ("false", False), ("+1", True), ("0", False), ("1", True)])
-def test_a_bool_constant_is_a_word_or_a_number(text: str, value: bool) -> None:
+def test_bool_constant_is_a_word_or_a_number(text: str, value: bool) -> None:
     assert bool_value(text) is value

@@ -123,7 +123,7 @@ def test_messages_of_a_stalled_network_keep_their_times() -> None:
     assert stamps == pytest.approx([host_ns(10 + tenth / 10 + 0.002) for tenth in range(20)], abs=1000)
 
 
-def test_the_answer_of_a_device_is_timed_once_a_request() -> None:
+def test_answer_of_a_device_is_timed_once_a_request() -> None:
     clock = DeviceClock()
     clock.topics_answered(1.0)
     assert clock.answer_s is None
@@ -139,7 +139,7 @@ def test_the_answer_of_a_device_is_timed_once_a_request() -> None:
     st.floats(-500, 500),
     st.lists(st.tuples(st.floats(0.01, 3.0), st.floats(0, 0.9)), min_size=1, max_size=60),
 )
-def test_a_steady_device_is_never_stamped_backwards_nor_into_the_future(
+def test_steady_device_is_never_stamped_backwards_nor_into_the_future(
     offset_s: int, ppm: float, messages: list[tuple[float, float]]
 ) -> None:
     """TCP keeps the order: each message arrives after the one before it."""

@@ -33,7 +33,7 @@ INFO = TopicInfo(
 )
 
 
-def test_a_recorded_topic_info() -> None:
+def test_recorded_topic_info_is_decoded() -> None:
     assert decode_topic_info(Id.PUBLISHER, RECORDED) == INFO
     assert encode_topic_info(INFO) == RECORDED
 
@@ -63,7 +63,7 @@ def test_malformed_names_decode_to_none(payload: bytes) -> None:
 @pytest.mark.parametrize(
     ("kind", "is_to_device"), [(0, False), (1, True), (2, False), (3, True), (4, False), (5, True)]
 )
-def test_directions(kind: int, is_to_device: bool) -> None:
+def test_kind_has_its_direction(kind: int, is_to_device: bool) -> None:
     assert INFO._replace(kind=Id(kind)).is_to_device is is_to_device
 
 
@@ -115,5 +115,5 @@ def test_any_bytes_give_a_value_or_none(payload: bytes) -> None:
     assert found is None or encode_topic_info(found) == payload
 
 
-def test_a_count_over_the_payload_is_refused_before_anything_is_allocated() -> None:
+def test_count_over_the_payload_is_refused_before_anything_is_allocated() -> None:
     assert decode_parameter(b"\xff\xff\xff\x7f" + bytes(8)) is None

@@ -42,7 +42,7 @@ def test_time_requests_at_another_period_are_not_regular(period_s: float) -> Non
     assert not host.session.is_requesting_time
 
 
-def test_a_silent_regular_device_receives_a_request_before_its_link_ends() -> None:
+def test_silent_regular_device_receives_a_request_before_its_link_ends() -> None:
     """The device may have restarted behind a radio that keeps the connection open.
 
     Then it waits for a topic request.
@@ -67,7 +67,7 @@ def test_talking_device_has_five_seconds_for_its_next_time_request() -> None:
     assert host.requests() == ["no_time_requests"]
 
 
-def test_a_device_that_never_requests_the_time_receives_a_request_after_five_seconds() -> None:
+def test_device_that_never_requests_the_time_receives_a_request_after_five_seconds() -> None:
     host = Host(ODOMETRY)
     host.wait(4.9)
     assert host.requests() == []
@@ -156,7 +156,7 @@ def test_loss_in_a_confirming_answer_causes_a_request() -> None:
     assert host.session.topics == (LED, ODOMETRY)
 
 
-def test_a_request_for_another_cause_confirms_the_topics() -> None:
+def test_request_for_another_cause_confirms_the_topics() -> None:
     host = Host(ODOMETRY, LED, is_lossy=True)
     host.session.request_topics("claimed_twice")
     assert requests_while_it_publishes(host, 1.5) == ["claimed_twice"]

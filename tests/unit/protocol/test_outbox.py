@@ -55,7 +55,7 @@ def test_first_zero_of_a_session_is_not_replaced_by_newer_velocities() -> None:
     assert drain(outbox) == [b"b"]
 
 
-def test_a_topic_with_depth_keeps_its_newest_in_order_and_topics_alternate() -> None:
+def test_topic_with_depth_keeps_its_newest_in_order_and_topics_alternate() -> None:
     outbox = Outbox()
     for number in range(4):
         outbox.put_command(100, b"a%d" % number, depth=2)
@@ -134,7 +134,7 @@ def test_paced_frames_exceed_the_uart_speed_by_one_ring_at_most(
         assert sent_bytes <= RING_BYTES + now_s * uart_bytes_s + 200
 
 
-def test_a_paced_frame_leaves_when_its_wait_is_over() -> None:
+def test_paced_frame_leaves_when_its_wait_is_over() -> None:
     outbox = Outbox(uart_bytes_s=3840)
     for number in range(4):
         outbox.put_command(100 + number, bytes(40))
@@ -144,7 +144,7 @@ def test_a_paced_frame_leaves_when_its_wait_is_over() -> None:
     assert outbox.pop_frame(now_s=wait_s + 1e-9, wall_ns=0) is not None
 
 
-def test_a_paced_frame_leaves_less_than_a_byte_too_early() -> None:
+def test_paced_frame_leaves_less_than_a_byte_too_early() -> None:
     outbox = Outbox(uart_bytes_s=11520)
     for number in range(3):
         outbox.put_command(100 + number, bytes(40))
@@ -249,7 +249,7 @@ def test_stop_is_on_the_wire_within_one_turn_behind_any_queue(
             stopped_at_s = None
 
 
-def test_a_thousand_messages_do_not_delay_a_stop() -> None:
+def test_thousand_messages_do_not_delay_a_stop() -> None:
     line = Line(3840)
     line.outbox.put_urgent(100, DRIVE)
     line.outbox.robot_moves = True
@@ -262,7 +262,7 @@ def test_a_thousand_messages_do_not_delay_a_stop() -> None:
     assert len(line.begun_at_s) > 100  # the other messages were still sent
 
 
-def test_a_large_message_waits_while_the_robot_moves() -> None:
+def test_large_message_waits_while_the_robot_moves() -> None:
     line = Line(3840)
     large, small = b"L" * 500, b"s" * 20
     line.outbox.put_command(101, large)

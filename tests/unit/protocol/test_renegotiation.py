@@ -120,7 +120,7 @@ def test_new_id_drops_no_command() -> None:
     assert host.sent() == [Frame(100, b"\x01")]
 
 
-def test_a_refused_topic_stays_refused_until_it_is_announced_anew() -> None:
+def test_refused_topic_stays_refused_until_it_is_announced_anew() -> None:
     host = Host(ODOMETRY, WRONG_LED)
     host.receive(wire(ODOMETRY))
     with pytest.raises(WrongType, match="/led: wanted md5 right, got md5 wrong"):
@@ -137,14 +137,14 @@ def test_refused_topic_that_is_no_longer_announced_is_unknown() -> None:
         host.session.publish("/led", b"\x01")
 
 
-def test_a_topic_of_a_right_id_that_was_refused_before_is_usable() -> None:
+def test_topic_of_a_right_id_that_was_refused_before_is_usable() -> None:
     host = Host(WRONG_LED)
     host.receive(TIME)
     host.receive(wire(TEXT._replace(topic_id=100)) + TIME)
     assert [topic.name for topic in host.session.topics] == ["/text"]
 
 
-def test_a_refusal_keeps_no_callers_alive() -> None:
+def test_refusal_keeps_no_callers_alive() -> None:
     """A client may publish to the refused topic for days."""
     host = Host(WRONG_LED)
     lengths = []
@@ -173,7 +173,7 @@ def test_announced_buffer_sets_the_frame_limit_from_the_next_frame() -> None:
     assert host.session.rejected == {"too_long": 1}
 
 
-def test_a_size_is_valid_from_the_next_frame_on() -> None:
+def test_size_is_valid_from_the_next_frame_on() -> None:
     host = Host()
     right, wrong = encode(125, bytes(24)), encode(125, bytes(23))
     found = host.receive(wire(ODOMETRY) + wrong + right)
@@ -206,7 +206,7 @@ def test_invalid_buffer_size_is_replaced_by_the_default(buffer_bytes: int) -> No
         (Parameter(floats=(1e300,)), WrongType, "parameter /p: wanted int32 or float32, got float too large"),
     ],
 )
-def test_a_parameter_that_cannot_be_sent(parameter: Parameter, error: type[Exception], text: str) -> None:
+def test_unsendable_parameter_is_refused(parameter: Parameter, error: type[Exception], text: str) -> None:
     host = Host(LED)
     with pytest.raises(error) as caught:
         host.session.answer_parameter("/p", parameter)
@@ -214,7 +214,7 @@ def test_a_parameter_that_cannot_be_sent(parameter: Parameter, error: type[Excep
     assert host.sent() == []
 
 
-def test_a_service_that_is_called_too_often_is_busy() -> None:
+def test_service_that_is_called_too_often_is_busy() -> None:
     host = Host(ODOMETRY, LED, SERVICE)
     for _ in range(MAX_REPLIES):
         host.session.call("/set", b"\x01")

@@ -54,7 +54,7 @@ def test_good_frame_after_junk_is_found(junk: bytes) -> None:
 
 
 @pytest.mark.parametrize("payload", [b"ab\xff\xfecd", b"\xff\xfe\x01\x00\xfe\x7d\x00x?", b"\xff\xfe\x00\x10\xef"])
-def test_a_payload_may_contain_the_start_of_a_frame(payload: bytes) -> None:
+def test_payload_may_contain_the_start_of_a_frame(payload: bytes) -> None:
     assert events(FrameStream(), encode(125, payload) + WIRE_B) == [Frame(125, payload), B]
 
 
@@ -82,7 +82,7 @@ def test_rejected_syncs_inside_a_damaged_frame_are_counted() -> None:
     assert stream.rejected == {Rejection.CHECKSUM: 1, Rejection.LENGTH_CHECKSUM: 1}
 
 
-def test_a_damaged_payload_costs_its_frame_and_no_other() -> None:
+def test_damaged_payload_costs_its_frame_and_no_other() -> None:
     stream = FrameStream()
     broken = bytearray(WIRE_A)
     broken[9] ^= 1
@@ -105,13 +105,13 @@ def test_nested_frame_is_read_the_same_for_every_cut() -> None:
     assert whole == frames(FrameStream(), *[bytes([byte]) for byte in outer]) == [A]
 
 
-def test_false_headers_in_one_another() -> None:
+def test_nested_false_headers_are_skipped() -> None:
     stream = FrameStream()
     liar = b"\xff\xfe\x20\x00\xdf"
     assert frames(stream, liar * 5 + WIRE_A + liar + WIRE_B) == [A, B]
 
 
-def test_the_largest_claim_before_topics_are_known() -> None:
+def test_default_limit_applies_before_topics_are_known() -> None:
     largest = Frame(125, bytes(1024))
     stream = FrameStream()
     assert frames(stream, encode(*largest), encode(125, bytes(1025)), WIRE_A) == [largest, A]
@@ -135,7 +135,7 @@ def test_length_above_the_limit_is_rejected() -> None:
     assert frames(stream, big) == [Frame(125, bytes(101))]
 
 
-def test_a_size_that_the_type_cannot_have_is_damage() -> None:
+def test_size_that_the_type_cannot_have_is_damage() -> None:
     fixed = {125: 24}
     stream = FrameStream(fixed_bytes=fixed)
     assert frames(stream, WIRE_A + WIRE_B) == [B]

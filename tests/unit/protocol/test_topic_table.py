@@ -68,7 +68,7 @@ def test_topics_over_the_bound_are_counted_and_are_one_event() -> None:
     ]
 
 
-def test_a_topic_that_is_announced_again_is_not_over_the_bound() -> None:
+def test_topic_that_is_announced_again_is_not_over_the_bound() -> None:
     host = Host()
     host.receive(TIME + many(MAX_TOPICS) + many(MAX_TOPICS) + TIME)
     host.receive(many(MAX_TOPICS) + TIME)
@@ -84,7 +84,7 @@ def test_kept_topics_do_not_exceed_the_bound() -> None:
         assert [each.topic_id for each in host.session.topics] == list(range(first, first + MAX_TOPICS))
 
 
-def test_the_bound_is_a_setting() -> None:
+def test_bound_is_a_setting() -> None:
     session = Session(check=check, max_topics=1)
     session.open(now_s=0.0)
     session.receive(TIME + wire(LED, ODOMETRY) + TIME, now_s=0.1)

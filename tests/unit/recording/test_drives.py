@@ -36,7 +36,7 @@ class Story:
         self.drives.observe(RobotEvent(kind, robot, at_s, int((at_s + self.clock_ahead_s) * S), facts))
 
 
-def test_a_drive_lasts_from_its_first_command_to_its_stop() -> None:
+def test_drive_lasts_from_its_first_command_to_its_stop() -> None:
     story = Story()
     for tenth in range(20):
         story.command(10 + tenth / 10, m_s=0.1 + tenth / 100)
@@ -52,7 +52,7 @@ def test_a_drive_lasts_from_its_first_command_to_its_stop() -> None:
 
 
 @pytest.mark.parametrize("step_s", [8_640_000.0, -8_640_000.0])
-def test_a_drive_in_which_the_clock_is_set_lasts_as_long_as_it_took(step_s: float) -> None:
+def test_drive_in_which_the_clock_is_set_lasts_as_long_as_it_took(step_s: float) -> None:
     story = Story()
     story.command(10.0)
     story.clock_ahead_s = step_s
@@ -100,7 +100,7 @@ def test_returning_driver_takes_the_robot_over_again() -> None:
     assert {each.owner: each.end for each in story.drives.under_way()} == {"ann": "", "bob": "taken over by ann"}
 
 
-def test_a_robot_that_is_taken_over_has_two_drives() -> None:
+def test_robot_that_is_taken_over_has_two_drives() -> None:
     story = Story()
     story.command(1.0, "ann")
     story.command(1.1, "bob")
@@ -142,7 +142,7 @@ def test_current_drive_is_listed() -> None:
         assert (drive.commands, drive.end) == (next(numbers), "")
 
 
-def test_a_zero_of_the_driver_is_part_of_its_drive() -> None:
+def test_zero_of_the_driver_is_part_of_its_drive() -> None:
     story = Story()
     story.command(1.0)
     story.other(EventKind.COMMANDED, 1.1, owner="ann", address="", priority=50, velocity=ZERO, limited=ZERO)

@@ -81,7 +81,7 @@ def test_csv_has_a_table_a_topic_with_its_fields_as_columns(recording: Path, tmp
     assert (odom["pose.pose.position.x"], odom["pose.covariance[35]"]) == ("1.5", "0.25")
 
 
-def test_a_ros_1_bag_has_the_same_bytes(recording: Path, tmp_path: Path) -> None:
+def test_ros_1_bag_has_the_same_bytes(recording: Path, tmp_path: Path) -> None:
     done = export_ros(Reader(recording), tmp_path / "run.bag", RosFormat.ROS1, skips_unknown=True)
     before = {(message.channel.topic, message.payload) for message in Reader(recording).messages()}
     with Ros1Reader(tmp_path / "run.bag") as bag:
@@ -95,9 +95,7 @@ def test_a_ros_1_bag_has_the_same_bytes(recording: Path, tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize("format_", [RosFormat.ROS2_MCAP, RosFormat.ROS2_SQLITE])
-def test_a_ros_2_bag_is_read_by_rosbags_with_the_same_values(
-    recording: Path, tmp_path: Path, format_: RosFormat
-) -> None:
+def test_ros_2_bag_is_read_by_rosbags_with_the_same_values(recording: Path, tmp_path: Path, format_: RosFormat) -> None:
     done = export_ros(Reader(recording), tmp_path / "bag", format_, skips_unknown=True)
     store = get_typestore(Stores.ROS2_KILTED)
     with Ros2Reader(tmp_path / "bag") as bag:
@@ -111,7 +109,7 @@ def test_a_ros_2_bag_is_read_by_rosbags_with_the_same_values(
     assert {each.topic for each, _, _ in messages} >= {"/wheel", EVENTS.topic}
 
 
-def test_a_ros_2_export_is_decoded_by_mcaps_ros_2_support(recording: Path, tmp_path: Path) -> None:
+def test_ros_2_export_is_decoded_by_mcaps_ros_2_support(recording: Path, tmp_path: Path) -> None:
     """mcap-ros2-support uses its own CDR reader, with the definitions in the file only."""
     export_ros(Reader(recording), tmp_path / "bag", RosFormat.ROS2_MCAP, skips_unknown=True)
     (path,) = (tmp_path / "bag").glob("*.mcap")
@@ -129,7 +127,7 @@ def test_a_ros_2_export_is_decoded_by_mcaps_ros_2_support(recording: Path, tmp_p
     assert (wheel.name, list(wheel.speeds), wheel.pose.x) == ("left", [1.0, 2.0], 3.0)
 
 
-def test_the_file_itself_is_decoded_by_mcaps_ros_1_support(recording: Path) -> None:
+def test_file_itself_is_decoded_by_mcaps_ros_1_support(recording: Path) -> None:
     with recording.open("rb") as file:
         reader = make_reader(file, decoder_factories=[DecoderFactory()])
         topics = ["/robot_0/odometry", "/robot_0/odom", "/wheel"]
@@ -152,7 +150,7 @@ def test_payloads_that_are_not_messages_are_left_out_and_counted_with_the_reason
 
 
 @pytest.mark.parametrize("format_", [*RosFormat, None])
-def test_an_export_without_a_message_fails_and_leaves_nothing(
+def test_export_without_a_message_fails_and_leaves_nothing(
     tmp_path: Path, catalog: Catalog, format_: RosFormat | None
 ) -> None:
     text, target = catalog.message("std_msgs/String"), tmp_path / "out"
@@ -266,7 +264,7 @@ def test_every_topic_and_type_has_its_own_file(tmp_path: Path, catalog: Catalog)
     assert rows(tmp_path / "csv" / "a.b.csv")[0]["data"] == "a"
 
 
-def test_a_recording_may_have_more_topics_than_a_process_may_have_files(tmp_path: Path, catalog: Catalog) -> None:
+def test_recording_may_have_more_topics_than_a_process_may_have_files(tmp_path: Path, catalog: Catalog) -> None:
     number = catalog.message("std_msgs/UInt8")
     assert number is not None
     names = [f"/robot_{each}/number" for each in range(300)]
@@ -296,7 +294,7 @@ def test_full_disk_is_reported_in_one_line(recording: Path, tmp_path: Path, form
     assert not Path(target).exists()
 
 
-def test_a_line_of_many_points_keeps_its_peaks_in_a_bounded_number() -> None:
+def test_line_of_many_points_keeps_its_peaks_in_a_bounded_number() -> None:
     line = Line(100)
     for number in range(100_000):
         line.add(number, 7.0 if number == 54_321 else -3.0 if number == 77_777 else number % 10 / 10)
@@ -307,7 +305,7 @@ def test_a_line_of_many_points_keeps_its_peaks_in_a_bounded_number() -> None:
     assert times_s.tolist() == sorted(times_s.tolist())
 
 
-def test_a_ros_1_bag_of_many_messages_costs_as_much_memory_as_one_of_few(tmp_path: Path, catalog: Catalog) -> None:
+def test_ros_1_bag_of_many_messages_costs_as_much_memory_as_one_of_few(tmp_path: Path, catalog: Catalog) -> None:
     number = catalog.message("std_msgs/UInt8")
     assert number is not None
     peaks = []

@@ -113,7 +113,7 @@ async def test_more_channels_than_a_file_can_have_do_not_end_the_recording(tmp_p
     ]
 
 
-async def test_a_file_without_room_for_a_channel_is_followed_by_another_that_has_the_newest(
+async def test_file_without_free_channel_numbers_is_followed_by_one_with_the_newest_channels(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A program that makes a topic a minute has made 8192 in a week."""

@@ -68,7 +68,7 @@ def test_poses_end_where_the_robot_is_shown_now() -> None:
     assert found[0] == pytest.approx(Pose(2.0, 0.95, math.pi / 2))
 
 
-def test_a_restart_of_the_device_does_not_jump() -> None:
+def test_restart_of_the_device_does_not_jump() -> None:
     moving = [(0.05 * number, 0.0, 0.0) for number in range(11)]
     found = shown(entries(*moving, (0.0, 0.0, 0.0), (0.05, 0.0, 0.0)))
     assert found[-1].x_m == pytest.approx(0.55)
@@ -116,7 +116,7 @@ def test_estimator_restarts_with_its_settings() -> None:
     assert again[-1].pose == Pose()  # starts again with the device
 
 
-def test_the_odometry_of_a_file_is_the_devices_topic_of_that_name() -> None:
+def test_odometry_of_a_file_is_the_devices_topic_of_that_name() -> None:
     aim, odometry, programs = (
         entries((x, 0.0, 0.0), of=ros_channel(topic, POSE_TYPE, POSE, is_latched=False, origin=origin))
         for x, topic, origin in ((1.0, "/robot_0/aim", DEVICE), (2.0, TOPIC, DEVICE), (3.0, "/a/odometry", "a program"))

@@ -78,7 +78,7 @@ def test_one_silence_of_a_device_is_one_incident(code: str) -> None:
     assert causes(gone, silent._replace(at_s=11.0 + AGAIN_S)) == ["gone", "diagnosed"]
 
 
-def test_a_pause_of_the_host_is_one_incident_that_names_the_host() -> None:
+def test_pause_of_the_host_is_one_incident_that_names_the_host() -> None:
     rules = IncidentRules()
     rules.observe(commanded(FAST))
     found = rules.observe(stopped("hostlink did not run"))

@@ -63,7 +63,7 @@ def test_written_messages_are_read_in_order(tmp_path: Path) -> None:
     assert (reader.damage, reader.profile, reader.metadata) == ([], "ros1", {"owner": "test"})
 
 
-def test_the_librarys_seeking_reader_reads_it_by_its_index(tmp_path: Path) -> None:
+def test_librarys_seeking_reader_reads_it_by_its_index(tmp_path: Path) -> None:
     messages = drawn(500)
     write(tmp_path / "a.mcap", messages)
     with (tmp_path / "a.mcap").open("rb") as file:
@@ -77,7 +77,7 @@ def test_the_librarys_seeking_reader_reads_it_by_its_index(tmp_path: Path) -> No
     assert found == [(message.channel.topic, message.payload) for message in messages]
 
 
-def test_a_schema_has_all_that_its_type_contains(tmp_path: Path) -> None:
+def test_schema_has_all_that_its_type_contains(tmp_path: Path) -> None:
     odometry = CATALOG.message("nav_msgs/Odometry")
     channel = ros_channel("/odom", "nav_msgs/Odometry", odometry, is_latched=False)
     write(tmp_path / "a.mcap", [StoredMessage(channel, 1, b"", 1)])
@@ -97,7 +97,7 @@ def test_each_ended_chunk_of_a_file_that_is_never_finished_can_be_read(tmp_path:
 
 @settings(max_examples=60, deadline=None)
 @given(st.data())
-def test_a_file_that_is_cut_anywhere_gives_every_chunk_before_the_cut(
+def test_file_that_is_cut_anywhere_gives_every_chunk_before_the_cut(
     tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
 ) -> None:
     path, messages = tmp_path_factory.mktemp("cut") / "a.mcap", drawn(300)
@@ -120,7 +120,7 @@ def test_a_file_that_is_cut_anywhere_gives_every_chunk_before_the_cut(
 
 @settings(max_examples=60, deadline=None)
 @given(st.data())
-def test_a_damaged_file_gives_messages_that_were_written_and_no_traceback(
+def test_damaged_file_gives_messages_that_were_written_and_no_traceback(
     tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
 ) -> None:
     path, messages = tmp_path_factory.mktemp("damaged") / "a.mcap", drawn(300)
@@ -164,7 +164,7 @@ def test_file_that_is_not_a_recording_is_refused_and_unchanged(tmp_path: Path, c
     assert [each.name for each in tmp_path.iterdir()] == ["a.mcap"]
 
 
-def test_a_file_that_is_being_written_is_not_repaired(tmp_path: Path) -> None:
+def test_file_that_is_being_written_is_not_repaired(tmp_path: Path) -> None:
     path, messages = tmp_path / "a.mcap", drawn(100)
     writer = McapWriter(path, metadata={})
     for message in messages[:50]:
@@ -190,7 +190,7 @@ def test_existing_file_is_not_overwritten(tmp_path: Path) -> None:
         McapWriter(tmp_path / "a.mcap", metadata={})
 
 
-def test_a_file_that_was_removed_or_replaced_is_noticed(tmp_path: Path) -> None:
+def test_file_that_was_removed_or_replaced_is_noticed(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     writer = McapWriter(path, metadata={})
     assert writer.is_there
@@ -208,7 +208,7 @@ def test_channels_are_values() -> None:
     assert isinstance(again, Channel)
 
 
-def test_a_channel_without_a_message_is_in_the_file_and_in_a_repaired_one(tmp_path: Path) -> None:
+def test_channel_without_a_message_is_in_the_file_and_in_a_repaired_one(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     writer = McapWriter(path, metadata={})
     writer.announce(CHANNELS[0])

@@ -160,7 +160,7 @@ def test_ros_2_types_that_differ_in_ros_1_keep_their_fields(tmp_path: Path) -> N
     )
 
 
-def test_a_definition_in_idl_is_read(tmp_path: Path) -> None:
+def test_definition_in_idl_is_read(tmp_path: Path) -> None:
     idl = "module my_msgs { module msg { struct Own { double x; sequence<uint8> data; }; }; };\n"
     schema = f"{SEPARATOR}IDL: my_msgs/msg/Own\n{idl}".encode()
     payload = b"\0\1\0\0" + np.float64(1.5).tobytes() + b"\2\0\0\0ab"
@@ -198,7 +198,7 @@ def test_ros_1_reader_reads_every_message(tmp_path: Path) -> None:
     assert len(found) == 5
 
 
-def test_the_snippet_of_the_document_reads_a_recording(
+def test_snippet_of_the_document_reads_a_recording(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     document = (Path(__file__).parents[3] / "docs" / "recording.md").read_text()
@@ -225,7 +225,7 @@ def test_events_and_logs_of_older_recordings_are_tables(tmp_path: Path) -> None:
         assert read(path)["/hostlink/events"]["kind"].tolist() == ["locked"]
 
 
-def test_an_export_for_ros_2_is_decoded_by_mcaps_ros_2_support(tmp_path: Path) -> None:
+def test_export_for_ros_2_is_decoded_by_mcaps_ros_2_support(tmp_path: Path) -> None:
     export_ros(open_source(ours(tmp_path / "run.mcap")), tmp_path / "bag", RosFormat.ROS2_MCAP, skips_unknown=True)
     (path,) = (tmp_path / "bag").glob("*.mcap")
     with path.open("rb") as file:

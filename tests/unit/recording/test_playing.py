@@ -41,7 +41,7 @@ def test_every_message_is_due_in_order(seconds: list[int], rate: float) -> None:
     assert found == sorted(found)
 
 
-def test_a_robot_has_what_its_device_published_and_its_velocities() -> None:
+def test_robot_has_what_its_device_published_and_its_velocities() -> None:
     odometry, velocity = channel("a", "/a/odometry", DEVICE), channel("a", "/a/velocity", VELOCITY)
     others = [channel("a", "/a/odom", HOSTLINK), channel("", "/chat", ""), channel("b", "/b/cmd_vel", VELOCITY), EVENTS]
     assert robots_of([odometry, *others, velocity]) == {"a": [odometry, velocity]}
@@ -52,7 +52,7 @@ def test_topic_recorded_twice_is_one_channel() -> None:
     assert robots_of([channel("a", "/a/odometry", DEVICE), latched]) == {"a": [latched]}
 
 
-def test_a_robot_is_driven_as_the_chosen_one_of_two_that_had_the_same_topic() -> None:
+def test_robot_is_driven_as_the_chosen_one_of_two_that_had_the_same_topic() -> None:
     forward, back = Velocity(linear_x_m_s=0.2), Velocity(linear_x_m_s=-0.2)
     mine, others = (
         ros_channel("/cmd_vel", TWIST_TYPE, None, is_latched=False, robot=name, origin=VELOCITY) for name in ("a", "b")

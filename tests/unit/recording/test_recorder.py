@@ -88,7 +88,7 @@ def test_velocities_of_an_event_have_the_names_of_their_fields() -> None:
     assert event == {"kind": "commanded", "robot": "robot_0", "facts": facts}
 
 
-def test_the_topics_of_a_robots_name_are_recorded_once_it_is_that_robots() -> None:
+def test_topics_of_a_robots_name_are_recorded_once_it_is_that_robots() -> None:
     async def run() -> tuple[list[str], list[str]]:
         hub = Hub(Config(), CATALOG, reraises=True)
         hub.join("program").advertise("/robot_7/plan", TYPE)

@@ -28,7 +28,7 @@ def write(path: Path, *messages: tuple[str, str, dict[str, Any]], is_finished: b
     writer.close() if is_finished else writer.abandon()
 
 
-def test_a_field_is_a_column_and_time_counts_from_the_beginning(tmp_path: Path) -> None:
+def test_field_is_a_column_and_time_counts_from_the_beginning(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     write(path, *(("/odometry", "geometry_msgs/Pose2D", {"x": 0.5 * number}) for number in range(4)))
     table = hostlink.recording.read(path)["/odometry"]

@@ -14,7 +14,7 @@ SECOND_NS = 1_000_000_000
 COUNT = 10 * BURST
 
 
-def test_an_incident_is_written_in_the_order_of_arrival_with_a_rest_after_each_burst(tmp_path: Path) -> None:
+def test_incident_is_written_in_the_order_of_arrival_with_a_rest_after_each_burst(tmp_path: Path) -> None:
     robot = [Entry(EVENTS, (100 + number) * SECOND_NS, b"{}", 100 + number) for number in range(COUNT // 2)]
     nobody = [Entry(LOG, (100 + number) * SECOND_NS + 1, b"{}", 100 + number) for number in range(COUNT // 2)]
     old = Entry(LOG, 1 * SECOND_NS, b"{}", 1)
