@@ -277,9 +277,7 @@ class ZenohConfig:
     connect: tuple[str, ...] = ()  # "tls/10.0.0.2:7447"; without `ca` peers in the local network also find each other
     # "tls/0.0.0.0:7447"; empty: with `ca` not at all, otherwise a free port on every address.
     listen: tuple[str, ...] = ()
-    multicast: bool | None = (
-        None  # find and be found in the local network; None: unless there is `ca`, with which never
-    )
+    multicast: bool | None = None  # discovery in the local network, never with `ca`; None: only without `ca`
     gossip: bool | None = None  # connect to daemons that neighbours announce; None: only without `ca`
     ca: Path | None = None  # PEM; with `certificate` and `key`: only mutual TLS
     certificate: Path | None = None

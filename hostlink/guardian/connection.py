@@ -20,10 +20,10 @@ class Connection:
 
     Only the daemon reads and writes before the first `step`, except while it hangs.
 
-    | call              | while the daemon        | writes                      | reads, closes        |
-    |-------------------|-------------------------|-----------------------------|----------------------|
-    | `hold`, repeated  | hangs, and may recover  | zeros                       | never                |
-    | `step`, repeated  | is gone                 | zeros, then id 11           | everything; finally  |
+    | call              | while the daemon        | writes                      | reads       | closes     |
+    |-------------------|-------------------------|-----------------------------|-------------|------------|
+    | `hold`, repeated  | hangs, and may recover  | zeros                       | nothing     | never      |
+    | `step`, repeated  | is gone                 | zeros, then id 11           | everything  | at the end |
     """
 
     def __init__(self, descriptor: int, topic_ids: tuple[int, ...], claim_bytes: int) -> None:
@@ -55,7 +55,7 @@ class Connection:
     def hold(self, now_s: float) -> float | None:
         """Write the zeros that are due `now_s` after `begin_hold`, as far as there is room. Return when to call again.
 
-        None: nothing is left to write. After an error nothing is written; the connection belongs to the daemon.
+        None: nothing is left to write, or an error occurred, which is left to the daemon.
         """
         try:
             self._write(self._zeros, now_s)
@@ -64,7 +64,7 @@ class Connection:
         return now_s if self._zeros.has_waiting else self._zeros.next_s()
 
     def events(self, now_s: float) -> int:
-        """poll() events to wait for."""
+        """Events for which poll() should wait."""
         wanted = select.POLLIN if self._is_readable else 0
         return wanted | select.POLLOUT if self._writer.pop_due(now_s) else wanted
 

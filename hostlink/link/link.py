@@ -69,7 +69,7 @@ LARGE_PIECE_S = 0.0001
 
 
 class PieceSize:
-    """Size of the next piece of one link. It is halved after an expensive piece and doubled after cheap ones."""
+    """Size of the next piece of one link. It is halved after an expensive piece and doubled after a cheap one."""
 
     __slots__ = ("size_bytes",)
 

@@ -57,7 +57,7 @@ def check_not_empty(folder: Path) -> None:
             if found := min(folder.glob(pattern.format(kind)), default=None):
                 place = found.parents[2]
                 raise ConfigError(
-                    str(folder), f"the packages are in subfolders; give the folder that contains them: {place}"
+                    str(folder), f"the packages are in subfolders; give each folder that has some, such as {place}"
                 )
     raise ConfigError(str(folder), "contains no package with .msg or .srv files")
 

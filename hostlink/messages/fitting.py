@@ -7,8 +7,7 @@ from hostlink.messages.message_type import MessageType
 
 
 def encode_within(type_: MessageType, message: Mapping[str, object], limit_bytes: int) -> bytes | None:
-    """Encode the message. Shorten its longest strings if it exceeds `limit_bytes`; None if it exceeds them without
-    strings.
+    """Encode the message, with its longest strings shortened to `limit_bytes`; None if it does not fit without them.
 
     Raises:
         BadRequest: the message does not fit the type.

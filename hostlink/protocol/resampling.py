@@ -17,9 +17,7 @@ _FRAME_BITS = 10  # start bit, eight data bits, stop bit
 
 
 def resample(data: bytes, *, ratio: float, gap_bits: float = 0.0) -> bytes:
-    """Return the read bytes if the reader's rate is `ratio` times the sender's, with `gap_bits` of idle line between
-    bytes.
-    """
+    """Return what a reader at `ratio` times the sender's rate reads, with `gap_bits` of idle line between bytes."""
     return _read(*_levels(data, ratio, gap_bits))
 
 

@@ -40,8 +40,9 @@ class UdpTransport:
         on_other: Callable[[Datagram], object],
         on_limited: Callable[[], None] = lambda: None,
     ) -> None:
-        """`first` is the datagram that began the session. `on_other` gets datagrams received before the socket was
-        connected.
+        """`first` is the datagram that began the session.
+
+        `on_other` gets datagrams of other sources that arrived before the socket was connected.
 
         `on_limited` is called when data cannot be sent because the device is not verified.
         """

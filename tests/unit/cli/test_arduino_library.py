@@ -90,8 +90,14 @@ def test_a_folder_that_adds_nothing_is_refused_with_where_its_packages_are(tmp_p
     package(tmp_path / "work" / "src" / "repository")
     for folder, problem in (
         ("empty", "empty: contains no package with .msg or .srv files"),
-        ("tree", "tree: the packages are in subfolders; give the folder that contains them: .*/tree/repository$"),
-        ("work", "work: the packages are in subfolders; give the folder that contains them: .*/work/src/repository$"),
+        (
+            "tree",
+            "tree: the packages are in subfolders; give each folder that has some, such as .*/tree/repository$",
+        ),
+        (
+            "work",
+            "work: the packages are in subfolders; give each folder that has some, such as .*/work/src/repository$",
+        ),
         ("tree/repository/my_msgs", "this is a package; give the folder that contains it"),
         ("tree/repository/my_msgs/msg", "this is a package; give the folder that contains it"),
         ("gone", "gone: the folder does not exist"),

@@ -25,7 +25,8 @@ def test_folder_of_packages_adds_their_types(tmp_path: Path) -> None:
 def test_packages_in_subfolders_are_named(tmp_path: Path, deeper: str, place: str) -> None:
     put(tmp_path / deeper / "msg" / "Wheels.msg")
     with pytest.raises(
-        ConfigError, match=f"the packages are in subfolders; give the folder that contains them: {tmp_path / place}$"
+        ConfigError,
+        match=f"the packages are in subfolders; give each folder that has some, such as {tmp_path / place}$",
     ):
         check_not_empty(tmp_path)
 
