@@ -1,1 +1,1 @@
-"""hostlink: the host for rosserial robots."""
+"""hostlink: a host for rosserial robots."""

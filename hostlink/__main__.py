@@ -1,4 +1,4 @@
-"""`python -m hostlink` is `hostlink`."""
+"""Run the command line interface: `python -m hostlink`."""
 
 from hostlink.cli.start import main
 

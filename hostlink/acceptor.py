@@ -1,6 +1,6 @@
-"""Acceptor: accepts connections of listening sockets, one a turn of the loop, and reports when descriptors run out.
+"""Acceptor: accepts connections of listening sockets, one per turn of the loop, and reports a lack of descriptors.
 
-asyncio's own does neither: without descriptors it logs a traceback at each try.
+asyncio's own server does neither: without descriptors it logs a traceback at each try.
 """
 
 import asyncio
@@ -12,19 +12,19 @@ from collections.abc import Callable
 
 from hostlink.listening import close_all, listen_on
 
-RETRY_S = 0.25  # a descriptor may be free again by then
+RETRY_S = 0.25  # a descriptor may be free by then
 EXHAUSTED = frozenset({errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM})
 
 OnAccepted = Callable[[socket.socket, str, float], None]
 
 
 async def bind(host: str, port: int) -> list[socket.socket]:
-    """Listen on each address that the name has here.
+    """Listen on each local address of the host name.
 
     Raises:
-        OSError: nobody can listen there; a name that has no address is one, too.
-        OverflowError: the port is no port.
-        UnicodeError: the host is no name.
+        OSError: an address cannot be listened on, or the name has no address.
+        OverflowError: the port is out of range.
+        UnicodeError: the host name is invalid.
     """
     loop = asyncio.get_running_loop()
     found = await loop.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
@@ -32,18 +32,18 @@ async def bind(host: str, port: int) -> list[socket.socket]:
 
 
 def why(error: OSError | OverflowError | UnicodeError) -> str:
-    """Why `bind` failed, for people."""
+    """Explain for people why `bind` failed."""
     if isinstance(error, OverflowError):
-        return "no such port; they go from 0 (any free one) to 65535"
+        return "invalid port; choose 0 (any free port) to 65535"
     if isinstance(error, UnicodeError):
         return "no such name"
-    if isinstance(error, socket.gaierror) or error.errno is None:  # its numbers are not the system's
+    if isinstance(error, socket.gaierror) or error.errno is None:  # getaddrinfo has its own error numbers
         return error.strerror or str(error)
     return os.strerror(error.errno)
 
 
 class Acceptor:
-    """Owns the listening sockets."""
+    """Owner of listening sockets."""
 
     def __init__(
         self,
@@ -53,19 +53,19 @@ class Acceptor:
         on_exhausted: Callable[[], None],
         came_s: Callable[[float], float] = lambda now_s: now_s,
     ) -> None:
-        """`on_accepted` owns the connection that it receives, with the address of its peer, and since when it may wait.
+        """`on_accepted` gets the connection, its peer's address, and the time since when it may have waited.
 
-        `came_s`: since when something may have waited that is noticed now.
+        `came_s` returns the time since when an event noticed now may have waited.
         """
         self._listening, self._came_s = listening, came_s
-        self._since_s: dict[int, float] = {}  # since when connections have waited at a socket, without a moment of none
+        self._since_s: dict[int, float] = {}  # time since when each socket always had a waiting connection
         self._on_accepted, self._on_exhausted = on_accepted, on_exhausted
         self._retries: dict[int, asyncio.TimerHandle] = {}
         for each in listening:
             self._watch(each)
 
     def close(self) -> None:
-        """Nobody can connect any more; connections that were accepted stay."""
+        """Stop listening. Accepted connections are not affected."""
         for retry in self._retries.values():
             retry.cancel()
         for each in self._listening:
@@ -77,14 +77,14 @@ class Acceptor:
         asyncio.get_running_loop().add_reader(listening.fileno(), self._accept, listening)
 
     def _accept(self, listening: socket.socket) -> None:
-        """Accept one; the loop comes back for the next, and others have their turn in between."""
+        """Accept one connection. The loop calls again for the next, so that others have their turn in between."""
         since_s = self._since_s.setdefault(listening.fileno(), self._came_s(asyncio.get_running_loop().time()))
         try:
             connection, address = listening.accept()
         except (BlockingIOError, InterruptedError):
             del self._since_s[listening.fileno()]
             return
-        except OSError as error:  # another is of the connection, which was reset before it was accepted: accept(2)
+        except OSError as error:  # other errors belong to a connection that was reset before it was accepted: accept(2)
             if error.errno in EXHAUSTED:
                 self._pause(listening)
             return
@@ -94,7 +94,7 @@ class Acceptor:
         self._on_accepted(connection, str(address[0]), since_s)
 
     def _pause(self, listening: socket.socket) -> None:
-        """The socket stays readable: without a pause each turn of the loop would try again."""
+        """Stop accepting for RETRY_S. The socket stays readable, so each turn of the loop would try again."""
         loop = asyncio.get_running_loop()
         loop.remove_reader(listening.fileno())
         self._retries[listening.fileno()] = loop.call_later(RETRY_S, self._watch, listening)

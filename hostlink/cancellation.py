@@ -1,4 +1,4 @@
-"""What `except*` around a task group hides, and time-outs that end before their time, or are set very often."""
+"""Cancellation hidden by `except*`, and timeouts that can be ended early or set very often."""
 
 import asyncio
 import contextlib
@@ -6,9 +6,9 @@ from collections.abc import AsyncIterator
 
 
 def raise_if_cancelled() -> None:
-    """Call it behind an `except*` that caught an error of a task group: a cancellation at the same time is not in it.
+    """Raise the cancellation that an `except*` block hides. Call it after the block.
 
-    Never call it in the block: before Python 3.11.4, what is raised there leaves it in an exception group.
+    Never call it in the block: before Python 3.11.4 the exception would leave the block in an exception group.
 
     Raises:
         asyncio.CancelledError: this task is being cancelled.
@@ -19,13 +19,13 @@ def raise_if_cancelled() -> None:
 
 
 def expire(timeout: asyncio.Timeout) -> None:
-    """Let a block under a time-out end now; it may be ending already, in this turn of the loop."""
+    """Expire a timeout now, unless it has expired already."""
     if not timeout.expired():
         timeout.reschedule(asyncio.get_running_loop().time())
 
 
 class Patience:
-    """A time limit for each of very many waits in a block: one timer looks whether the latest lasts too long."""
+    """Time limit for each of many waits in a block. One timer checks the latest wait."""
 
     def __init__(self, timeout: asyncio.Timeout, limit_s: float) -> None:
         self._timeout, self._limit_s = timeout, limit_s
@@ -34,13 +34,13 @@ class Patience:
         self._timer: asyncio.TimerHandle | None = None
 
     def begin(self, now_s: float) -> None:
-        """A wait begins; without an `end` in time the block is cancelled, and raises TimeoutError."""
+        """Start a wait. Without `end` within the limit the block is cancelled and raises TimeoutError."""
         self._since_s = now_s
         if self._timer is None:
             self._timer = self._loop.call_at(now_s + self._limit_s, self._look)
 
     def end(self) -> None:
-        """It is over."""
+        """End the wait."""
         self._since_s = None
 
     def _look(self) -> None:
@@ -54,17 +54,17 @@ class Patience:
             self._timer = self._loop.call_at(due_s, self._look)
 
     def close(self) -> None:
-        """Look no more."""
+        """Cancel the timer."""
         if self._timer is not None:
             self._timer.cancel()
 
 
 @contextlib.asynccontextmanager
 async def patience(limit_s: float) -> AsyncIterator[Patience]:
-    """A block in which no wait may last longer.
+    """Run a block in which no wait may last longer than `limit_s`.
 
     Raises:
-        TimeoutError: one did.
+        TimeoutError: a wait lasted longer.
     """
     async with asyncio.timeout(None) as timeout:
         made = Patience(timeout, limit_s)

@@ -1,4 +1,4 @@
-"""Every setting of the daemon: a frozen dataclass a part, read once from a TOML file and the flags."""
+"""Settings of the daemon: one frozen dataclass for each part, read once from a TOML file and the flags."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ import msgspec
 from hostlink.errors import ConfigError
 
 MAX_PORT = 0xFFFF
-MAX_FILE_BYTES = 64 * 1024 * 1024  # of settings; 20,000 robots have two; a device file has no end
+MAX_FILE_BYTES = 64 * 1024 * 1024  # 20,000 robots need two; a device file such as /dev/zero is endless
 MOST_CALIBRATION = 2.0  # a robot whose wheels differ more has wrong constants
 
 MAX_ROS_DOMAIN_ID = 232
-ZENOH_NAME = r"[A-Za-z0-9_.-]{1,64}"  # a part of a key
+ZENOH_NAME = r"[A-Za-z0-9_.-]{1,64}"  # part of a Zenoh key
 
 ParameterScalar = bool | int | float | str
 ParameterValue = ParameterScalar | list[ParameterScalar]
@@ -30,41 +30,41 @@ ParameterValue = ParameterScalar | list[ParameterScalar]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TcpConfig:
-    """Where devices connect."""
+    """TCP port for devices."""
 
     host: str = "0.0.0.0"  # noqa: S104 - devices come from the network; the API is what stays on loopback
     port: int = 11411  # the port of every rosserial TCP client
-    allow: tuple[str, ...] = ()  # networks that may connect, as "192.168.4.0/24"; none named: everybody
-    max_connections: int = 256  # a fourth of the descriptors that a process usually has
-    max_connections_per_address: int = 64  # a fleet behind one address, as the simulated one
-    key_file: Path | None = None  # a key that devices must prove, as the project's ESP8266 firmware can
+    allow: tuple[str, ...] = ()  # networks that may connect, such as "192.168.4.0/24"; empty: all
+    max_connections: int = 256  # a quarter of the usual descriptor limit of a process
+    max_connections_per_address: int = 64  # a fleet behind one address, such as the simulated one
+    key_file: Path | None = None  # key that devices must prove, as the project's ESP8266 firmware can
     keyless: tuple[str, ...] = ()  # with key_file: networks of devices that need no key
-    mdns: bool = False  # announce this port in the local network, as _rosserial._tcp
+    mdns: bool = False  # advertise this port in the local network as _rosserial._tcp
 
     def __post_init__(self) -> None:
         for network in (*self.allow, *self.keyless):
-            ipaddress.ip_network(network)  # its ValueError names it
+            ipaddress.ip_network(network)  # raises ValueError with its name
         if min(self.max_connections, self.max_connections_per_address) < 1:
             raise ValueError("a bound on connections must be at least 1")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class UdpConfig:
-    """Where devices send datagrams."""
+    """UDP port for devices."""
 
     host: str = "0.0.0.0"  # noqa: S104 - devices come from the network; the API is what stays on loopback
-    port: int = 11411  # rosserial_server's
-    allow: tuple[str, ...] = ()  # networks that may send; none named: everybody
-    trusted: tuple[str, ...] = ()  # networks where nobody sends under another's address; others get what they send
-    devices: tuple[str, ...] = ()  # "HOST:PORT" of those that wait until the host has sent something
-    max_connections: int = 256  # sessions; half of them of addresses that may be another's
+    port: int = 11411  # the default of rosserial_server
+    allow: tuple[str, ...] = ()  # networks that may send; empty: all
+    trusted: tuple[str, ...] = ()  # networks without forged source addresses; others get no more bytes than they send
+    devices: tuple[str, ...] = ()  # "HOST:PORT" of devices that wait until the host has sent a datagram
+    max_connections: int = 256  # sessions; half of them of unverified addresses
     max_connections_per_address: int = 64
     key_file: Path | None = None
     keyless: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         for network in (*self.allow, *self.trusted, *self.keyless):
-            ipaddress.ip_network(network)  # its ValueError names it
+            ipaddress.ip_network(network)  # raises ValueError with its name
         if self.max_connections < 2 or self.max_connections_per_address < 1:  # noqa: PLR2004 - each kind has its half
             raise ValueError("max_connections must be at least 2, max_connections_per_address 1")
         self.device_addresses()
@@ -73,20 +73,20 @@ class UdpConfig:
         """Host and port of each of `devices`.
 
         Raises:
-            ValueError: one has no IP address, or no port.
+            ValueError: an entry has no IP address, or no port.
         """
         return [_device_address(text) for text in self.devices]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SerialConfig:
-    """One serial port with a device on it."""
+    """Serial port of one device."""
 
-    path: str | None = None  # "/dev/ttyACM0", or a pattern that fits one port: "/dev/serial/by-id/usb-Arduino*"
-    usb_serial: str | None = None  # instead: the serial number of the USB device, whatever its port is called today
-    baud: int | tuple[int, ...] = 57600  # rosserial's default; several are tried in turn until frames come
-    baud_try_s: float = 4.5  # for each of several; the host requests topics every 2 s, so twice at each
-    on_open: Literal["leave", "reset"] = "leave"  # the board's DTR line: leave it as it is, or reset the board
+    path: str | None = None  # "/dev/ttyACM0", or a pattern that matches one port: "/dev/serial/by-id/usb-Arduino*"
+    usb_serial: str | None = None  # alternative: serial number of the USB device, independent of the port's name
+    baud: int | tuple[int, ...] = 57600  # rosserial's default; several rates are tried in turn until frames arrive
+    baud_try_s: float = 4.5  # for each rate; the host requests topics every 2 s, so twice at each rate
+    on_open: Literal["leave", "reset"] = "leave"  # DTR line of the board: leave it, or reset the board
 
     def __post_init__(self) -> None:
         if (self.path is None) == (self.usb_serial is None):
@@ -96,25 +96,25 @@ class SerialConfig:
 
     @property
     def name(self) -> str:
-        """What stays when the port is plugged in again; `address` of a robot refers to it."""
+        """Name of the port that does not change when it is plugged in again; `address` of a robot refers to it."""
         return self.usb_serial or self.path or ""
 
     @property
     def bauds(self) -> tuple[int, ...]:
-        """The rates to try."""
+        """Baud rates to try."""
         return (self.baud,) if isinstance(self.baud, int) else self.baud
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LinkConfig:
-    """How one live connection is watched and paced."""
+    """Supervision and pacing of one link."""
 
-    silence_timeout_s: float | None = 5.0  # of a device that requests the time, every 2.5 s: two were missed
-    idle_timeout_s: float | None = 11.0  # of one that never does; without answers a device falls silent after 11 s
+    silence_timeout_s: float | None = 5.0  # for a device that requests the time every 2.5 s: two requests were missed
+    idle_timeout_s: float | None = 11.0  # for other devices; without time answers a device stops sending after 11 s
     write_timeout_s: float = 5.0  # a socket that accepts nothing for two time requests of its device is dead
-    uart_bytes_s: int | None = None  # None: as fast as the socket; 3840 for the paper's robot (38400 baud)
-    max_topics: int = 256  # of one device, with its services; rosserial's own library has 25 of each by default
-    forget_robot_after_s: float = 600.0  # a robot that nobody configured and nobody locked, once it has left
+    uart_bytes_s: int | None = None  # None: not paced; 3840 for the paper's robot (38400 baud)
+    max_topics: int = 256  # per device, including services; rosserial's library has 25 of each kind by default
+    forget_robot_after_s: float = 600.0  # for an unconfigured and unlocked robot after it has disconnected
 
     def __post_init__(self) -> None:
         if self.max_topics < 1 or not self.forget_robot_after_s >= 0:
@@ -123,103 +123,108 @@ class LinkConfig:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TokenConfig:
-    """One token of the API: whose it is, what it allows."""
+    """API token: its name and its role."""
 
     name: str
     role: Literal["read", "drive"] = "read"
     token: str | None = field(default=None, repr=False)
-    token_file: Path | None = None  # one of the two
+    token_file: Path | None = None  # alternative to `token`
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ApiConfig:
-    """Where programs connect, who may, and how much of it."""
+    """API port, access and limits."""
 
     host: str = "127.0.0.1"
-    port: int = 9090  # rosbridge's
+    port: int = 9090  # the default of rosbridge
     tokens: tuple[TokenConfig, ...] = ()
-    origins: tuple[str, ...] = ()  # web pages of other places that may talk to the API
-    certificate: Path | None = None  # PEM, with `key`: TLS
+    origins: tuple[str, ...] = ()  # origins of other web pages that may use the API
+    certificate: Path | None = None  # PEM; with `key`: TLS
     key: Path | None = None
     max_clients: int = 256  # WebSockets and event streams at once
-    max_connections: int = 512  # TCP connections, theirs included: half of the descriptors that a process usually has
+    # TCP connections, including those of clients: half of the usual descriptor limit of a process.
+    max_connections: int = 512
     max_connections_per_address: int = 320  # this computer is one address, and may have every client
     request_timeout_s: float = 10.0  # for the head of a request, and again for its body
-    max_message_bytes: int = 1024 * 1024  # the largest frame of a device as base64 is a tenth of it
-    max_requests_s: float = 1000.0  # of one address, and of one WebSocket; ten robots driven at 100 Hz
+    max_message_bytes: int = 1024 * 1024  # ten times the largest device frame in base64
+    max_requests_s: float = 1000.0  # per address, and per WebSocket; ten robots driven at 100 Hz
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Ros1Config:
-    """The daemon as a node of a ROS 1 graph."""
+    """Node of the daemon in a ROS 1 graph."""
 
     master: str = ""  # "http://localhost:11311"; empty: no node
-    name: str = "hostlink"  # of the node
+    name: str = "hostlink"  # name of the node
     namespace: str = "/"
-    host: str | None = None  # by which name or address other nodes reach this one; None: its address towards the master
-    port: int = 0  # of the slave API; 0: any free one
+    # Name or address under which other nodes reach this one; None: its address towards the master.
+    host: str | None = None
+    port: int = 0  # of the slave API; 0: any free port
     tcpros_port: int = 0
-    allow: tuple[str, ...] = ()  # networks from which nodes may connect; none named: all. ROS 1 has no passwords
+    allow: tuple[str, ...] = ()  # networks from which nodes may connect; empty: all. ROS 1 has no passwords
     max_connections: int = 256  # on each of the two ports, and to other nodes
-    max_message_bytes: int = 4 * 1024 * 1024  # of other nodes; a device's is a hundredth of it
+    max_message_bytes: int = 4 * 1024 * 1024  # from other nodes; a device's messages have a hundredth of it
     remappings: dict[str, str] = field(default_factory=dict)  # of topics and services
 
     def __post_init__(self) -> None:
         for network in self.allow:
-            ipaddress.ip_network(network)  # its ValueError names it
+            ipaddress.ip_network(network)  # raises ValueError with its name
         if self.master and not _is_master(self.master):
-            raise ValueError(f"{self.master!r} is no master's address; they look like http://localhost:11311")
+            raise ValueError(f"{self.master!r} is not the address of a ROS master, such as http://localhost:11311")
         if not re.fullmatch(r"[A-Za-z]\w*", self.name, re.ASCII):
-            raise ValueError(f"{self.name!r} is no name of a node: letters, digits and _, and a letter first")
+            raise ValueError(
+                f"{self.name!r} is not a valid node name; use letters, digits and _, and begin with a letter"
+            )
         if not re.fullmatch(r"/?([A-Za-z]\w*(/[A-Za-z]\w*)*)?/?", self.namespace, re.ASCII):
-            raise ValueError(f"{self.namespace!r} is no namespace; they look like /lab")
+            raise ValueError(f"{self.namespace!r} is not a namespace, such as /lab")
         if min(self.max_connections, self.max_message_bytes) < 1:
             raise ValueError("a bound must be at least 1")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CalibrationConfig:
-    """How the true wheels of a robot differ from those that its device believes in; `hostlink calibrate` finds them."""
+    """Difference between the true wheels and the device's constants; `hostlink calibrate` measures it."""
 
-    left_factor: float = 1.0  # true radius of the left wheel to the device's
+    left_factor: float = 1.0  # true radius of the left wheel, divided by the device's value
     right_factor: float = 1.0
-    nominal_separation_m: float = 0.210  # of the wheels, as the device has it; the paper's robot
-    separation_m: float = 0.210  # in truth
+    nominal_separation_m: float = 0.210  # device's value; the paper's robot
+    separation_m: float = 0.210  # true value
 
     def __post_init__(self) -> None:
         factors = (self.left_factor, self.right_factor, self.separation_m / max(self.nominal_separation_m, 1e-3))
         if not all(1 / MOST_CALIBRATION <= factor <= MOST_CALIBRATION for factor in factors):
-            raise ValueError(f"a calibration changes a number by a factor of {MOST_CALIBRATION:g} at most")
+            raise ValueError(f"a calibration may change a value by a factor of at most {MOST_CALIBRATION:g}")
 
 
-MAX_RESUME_S = 60.0  # a robot that was away for longer may have been carried somewhere else
+MAX_RESUME_S = 60.0  # after a longer absence the robot may have been carried to another place
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RobotConfig:
-    """One robot: how its device is known, what it may do. The limits apply to every source of commands."""
+    """Device and limits of one robot. The limits apply to every source of commands."""
 
-    address: str | None = None  # the peer address or serial port of its device
+    address: str | None = None  # peer address or serial port of its device
     uart_bytes_s: int | None = None
     kinematics: Literal["", "differential"] = ""  # a differential drive refuses linear.y; "": it is limited and passed
     wheel_separation_m: float | None = None
     max_wheel_m_s: float | None = None
-    max_linear_m_s: float = 1.0  # a small robot's; a faster one has its own setting
+    max_linear_m_s: float = 1.0  # for a small robot; a faster one needs its own setting
     max_angular_rad_s: float = 4.0
     max_linear_acceleration_m_s2: float | None = None
     max_angular_acceleration_rad_s2: float | None = None
-    max_linear_deceleration_m_s2: float | None = None  # None: a stop is a stop at once
+    max_linear_deceleration_m_s2: float | None = None  # None: a stop is immediate
     max_angular_deceleration_rad_s2: float | None = None
     odometry_after_restart: Literal["continue", "restart"] = "continue"  # REP 105: an odometry does not jump
-    odom_topic: str | None = None  # of topics: None is the usual name below the robot's, "" is none at all
+    odom_topic: str | None = None  # topic name: None is the usual name below the robot's, "" disables the topic
     cmd_vel_topic: str | None = None
-    cmd_vel_stamped_topic: str | None = None  # one topic has one type
-    cmd_vel_max_age_s: float | None = None  # None: clocks differ, and the lease begins when the command comes
-    odom_frame: str | None = None  # None: "<robot>/odom"; Nav2 and rviz look for "odom" unless they are told otherwise
+    cmd_vel_stamped_topic: str | None = None  # separate topic, because one topic has one type
+    cmd_vel_max_age_s: float | None = None  # None: clocks differ, so the lease starts at the arrival of the command
+    odom_frame: str | None = None  # None: "<robot>/odom"; Nav2 and rviz use "odom" by default
     base_frame: str | None = None  # None: "<robot>/base_link"
-    calibration: CalibrationConfig = field(default_factory=CalibrationConfig)  # of a device that keeps its own numbers
-    publish_tf: bool = True  # false where something else publishes the transform between these frames
-    resume_after_reconnect_s: float = 0.0  # a program that keeps commanding goes on after a shorter absence
+    # For a device that keeps its own constants.
+    calibration: CalibrationConfig = field(default_factory=CalibrationConfig)
+    publish_tf: bool = True  # false if another node publishes the transform between these frames
+    resume_after_reconnect_s: float = 0.0  # a program that continues to command may continue after a shorter absence
 
     def __post_init__(self) -> None:
         if not 0 <= self.resume_after_reconnect_s <= MAX_RESUME_S:
@@ -228,15 +233,15 @@ class RobotConfig:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RecordingConfig:
-    """Where recordings are kept, and how much of them."""
+    """Folder of recordings, and its limits."""
 
-    folder: Path | None = None  # None: where the system keeps what a service leaves, else below the user's home
-    max_disk_mb: float = 4096.0  # of all recordings; over it the oldest go
-    min_free_disk_mb: float = 256.0  # below it a recording ends: a full disk harms others
-    max_file_mb: float = 512.0  # then another file is begun
+    folder: Path | None = None  # None: the state folder of a service or of the user
+    max_disk_mb: float = 4096.0  # of all recordings; above it the oldest are removed
+    min_free_disk_mb: float = 256.0  # below it a recording ends, because a full disk harms other programs
+    max_file_mb: float = 512.0  # afterwards a new file is started
     max_file_s: float = 3600.0
-    fsync: bool = False  # each second to the disk itself: survives a power cut, and wears out SD cards
-    drives: bool = True  # keep in this folder who drove which robot, and when
+    fsync: bool = False  # sync each second to the disk: survives a power failure, and wears out SD cards
+    drives: bool = True  # log in this folder who drove which robot, and when
 
     def __post_init__(self) -> None:
         if min(self.max_disk_mb, self.max_file_mb, self.max_file_s) <= 0:
@@ -245,13 +250,13 @@ class RecordingConfig:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BlackBoxConfig:
-    """The last minutes of every robot, saved when something happens."""
+    """Black box: the last minutes of every robot, saved after an incident."""
 
     enabled: bool = True
     before_s: float = 120.0
     after_s: float = 30.0
     max_memory_mb: float = 32.0  # of all robots
-    max_disk_mb: float = 512.0  # of all incidents, in the folder of the recordings; over it the oldest go
+    max_disk_mb: float = 512.0  # of all incidents, in the folder of the recordings; above it the oldest are removed
 
     def __post_init__(self) -> None:
         if min(self.before_s, self.max_memory_mb, self.max_disk_mb) <= 0 or self.after_s < 0:
@@ -260,35 +265,36 @@ class BlackBoxConfig:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ZenohConfig:
-    """The Zenoh session of this daemon, and what goes over it: the fleet, and ROS 2 by rmw_zenoh's protocol."""
+    """Zenoh session of the daemon, for the fleet and for ROS 2 over rmw_zenoh's protocol."""
 
-    fleet: bool = True  # show and drive the robots of other daemons, and show them those of this one
-    ros2: bool = False  # be a part of a ROS 2 graph whose nodes use rmw_zenoh
+    fleet: bool = True  # share robots with other daemons: show and drive theirs, and offer one's own
+    ros2: bool = False  # join a ROS 2 graph whose nodes use rmw_zenoh
     ros_domain_id: int = 0
-    ros_distribution: Literal["humble", "iron", "jazzy", "kilted", "lyrical"] = "kilted"  # of those nodes
-    name: str = ""  # of this daemon in the fleet; empty: the computer's name
-    fleet_name: str = "hostlink"  # the first part of every key: daemons with another one are another fleet
-    drivers: tuple[str, ...] = ("*",)  # daemons whose programs may drive the robots here; others may read, and stop
+    ros_distribution: Literal["humble", "iron", "jazzy", "kilted", "lyrical"] = "kilted"  # distribution of those nodes
+    name: str = ""  # name of this daemon in the fleet; empty: the computer's name
+    fleet_name: str = "hostlink"  # first part of every key; daemons with another name form another fleet
+    drivers: tuple[str, ...] = ("*",)  # daemons whose programs may drive this daemon's robots; others may read and stop
     mode: Literal["peer", "client", "router"] = "peer"
     connect: tuple[str, ...] = ()  # "tls/10.0.0.2:7447"; without `ca` peers in the local network also find each other
-    listen: tuple[str, ...] = ()  # "tls/0.0.0.0:7447"; none: with `ca` nowhere, else a free port on every address
-    multicast: bool | None = (
-        None  # find and be found in the local network; None: unless there is `ca`, with which never
-    )
-    gossip: bool | None = None  # connect to those that neighbours name; None: unless there is `ca`
-    ca: Path | None = None  # PEM; with `certificate` and `key`: TLS on both sides of every link, and nothing else
+    # "tls/0.0.0.0:7447"; empty: with `ca` not at all, otherwise a free port on every address.
+    listen: tuple[str, ...] = ()
+    multicast: bool | None = None  # discovery in the local network, never with `ca`; None: only without `ca`
+    gossip: bool | None = None  # connect to daemons that neighbours announce; None: only without `ca`
+    ca: Path | None = None  # PEM; with `certificate` and `key`: only mutual TLS
     certificate: Path | None = None
     key: Path | None = None
-    file: Path | None = None  # a configuration of Zenoh, JSON5, for everything else: access rules, leases
+    file: Path | None = None  # JSON5 configuration of Zenoh for all other settings: access rules, leases
 
     def __post_init__(self) -> None:
         for setting, name in (("name", self.name), ("fleet_name", self.fleet_name)):
             if name and not re.fullmatch(ZENOH_NAME, name):
                 raise ValueError(f"zenoh.{setting} {name!r} must be made of letters, digits, _, - and .")
         if (self.certificate is None) != (self.key is None):
-            raise ValueError("zenoh.certificate and zenoh.key belong together")
+            raise ValueError("set zenoh.certificate and zenoh.key together")
         if self.certificate is not None and self.ca is None:
-            raise ValueError("zenoh.certificate needs zenoh.ca: without an authority nobody else is asked for theirs")
+            raise ValueError(
+                "zenoh.certificate needs zenoh.ca; without it other daemons are not asked for a certificate"
+            )
         if not 0 <= self.ros_domain_id <= MAX_ROS_DOMAIN_ID:
             raise ValueError(f"zenoh.ros_domain_id must be 0 to {MAX_ROS_DOMAIN_ID}")
         if not self.fleet_name:
@@ -297,10 +303,10 @@ class ZenohConfig:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Config:
-    """The whole of hostlink.toml."""
+    """All settings of hostlink.toml."""
 
     tcp: TcpConfig = field(default_factory=TcpConfig)
-    udp: UdpConfig | None = None  # without it nobody receives datagrams
+    udp: UdpConfig | None = None  # None: no UDP port
     serial: tuple[SerialConfig, ...] = ()
     link: LinkConfig = field(default_factory=LinkConfig)
     api: ApiConfig = field(default_factory=ApiConfig)
@@ -310,8 +316,8 @@ class Config:
     message_folders: tuple[Path, ...] = ()
     recording: RecordingConfig = field(default_factory=RecordingConfig)
     black_box: BlackBoxConfig = field(default_factory=BlackBoxConfig)
-    zenoh: ZenohConfig | None = None  # None: no Zenoh, and none of it is imported
-    guardian: bool = True  # a process of its own that stops the robots when the daemon's has ended without doing so
+    zenoh: ZenohConfig | None = None  # None: Zenoh is not used and not imported
+    guardian: bool = True  # run a second process that stops the robots when the daemon died or hangs
 
 
 def load(path: Path) -> Config:
@@ -331,13 +337,13 @@ def load(path: Path) -> Config:
     except (msgspec.DecodeError, UnicodeDecodeError) as error:
         raise ConfigError(str(path), f"is not TOML: {error}") from error
     except RecursionError:
-        raise ConfigError(str(path), "is no settings file: nested too deeply") from None
+        raise ConfigError(str(path), "is not a settings file: nested too deeply") from None
     _refuse_unknown_keys(raw, Config, str(path), "")
     try:
         config = msgspec.convert(raw, Config, dec_hook=_decode)
     except msgspec.ValidationError as error:
         raise ConfigError(str(path), str(error)) from error
-    return typing.cast("Config", _beside(config, path.parent))
+    return typing.cast("Config", _with_absolute_paths(config, path.parent))
 
 
 def _device_address(text: str) -> tuple[str, int]:
@@ -348,19 +354,25 @@ def _device_address(text: str) -> tuple[str, int]:
 
 
 def _is_master(text: str) -> bool:
-    """Whether it is an address of a ROS master; raises ValueError where it is no URL, or its port is none."""
+    """Whether the text is the URL of a ROS master.
+
+    Raises:
+        ValueError: it is not a URL, or its port is invalid.
+    """
     url = urllib.parse.urlsplit(text)
     return url.scheme == "http" and bool(url.hostname) and url.port != 0
 
 
-def _beside(part: Any, folder: Path) -> Any:
-    """The same settings, with every path relative to the file's folder."""
+def _with_absolute_paths(part: Any, folder: Path) -> Any:
+    """Make every path of the settings relative to the file's folder."""
     if isinstance(part, Path):
         return folder / part
     if isinstance(part, tuple):
-        return tuple(_beside(each, folder) for each in part)
+        return tuple(_with_absolute_paths(each, folder) for each in part)
     if dataclasses.is_dataclass(part) and not isinstance(part, type):
-        changes = {each.name: _beside(getattr(part, each.name), folder) for each in dataclasses.fields(part)}
+        changes = {
+            each.name: _with_absolute_paths(getattr(part, each.name), folder) for each in dataclasses.fields(part)
+        }
         return dataclasses.replace(part, **changes)
     return part
 
@@ -373,12 +385,15 @@ def _decode(wanted: type, value: object) -> object:
 
 @functools.cache
 def _hints(part: type) -> dict[str, Any]:
-    """Of a dataclass. Python compiles each of them again at every call, which 20,000 robots would wait for."""
+    """Type hints of a dataclass.
+
+    Cached, because Python compiles them at every call, which 20,000 robots would notice.
+    """
     return typing.get_type_hints(part)
 
 
 def _refuse_unknown_keys(raw: Any, wanted: Any, file: str, prefix: str) -> None:
-    """Walk the tables that the dataclasses describe; a key that none has is an error."""
+    """Check every key of the tables that the dataclasses describe. An unknown key is an error."""
     if type(None) in typing.get_args(wanted):
         wanted = typing.get_args(wanted)[0]
     if dataclasses.is_dataclass(wanted) and isinstance(raw, dict):

@@ -1,4 +1,4 @@
-"""Work that waits for files, in a thread that may be left behind: a dead disk or network keeps nobody from ending."""
+"""DetachedThread: blocking work in a thread that may be abandoned, so that a dead disk delays no shutdown."""
 
 import asyncio
 import contextlib
@@ -10,24 +10,24 @@ Result = TypeVar("Result")
 
 
 class DetachedThread:
-    """One piece of work at a time, each in a thread that the process does not wait for at its end."""
+    """Runner of one piece of work at a time. The process does not wait for its thread at the end."""
 
     def __init__(self, name: str) -> None:
-        self.is_busy = False  # the last work still runs, also one that was given up
+        self.is_busy = False  # the last work still runs, including work that was abandoned
         self._name = name
 
     async def run(self, work: Callable[[], Result], *, timeout_s: float | None = None) -> Result:
-        """Return what the work returns, or raise what it raises. Begin nothing while `is_busy`.
+        """Return what the work returns, or raise what it raises. Do not call it while `is_busy`.
 
         Raises:
-            TimeoutError: it lasts longer than timeout_s seconds; it goes on, and its result is dropped.
+            TimeoutError: the work lasts longer than timeout_s seconds. It continues, and its result is dropped.
         """
         loop = asyncio.get_running_loop()
         finished: asyncio.Future[Result] = loop.create_future()
 
         def note(result: Result | None, error: BaseException | None) -> None:
             self.is_busy = False
-            if finished.done():  # nobody waits for it any more
+            if finished.done():  # the caller has given up
                 return
             if error is None:
                 finished.set_result(result)  # type: ignore[arg-type]
@@ -38,7 +38,7 @@ class DetachedThread:
             result, error = None, None
             try:
                 result = work()
-            except BaseException as raised:  # noqa: BLE001 - raised where it is waited for
+            except BaseException as raised:  # noqa: BLE001 - raised in the caller
                 error = raised
             with contextlib.suppress(RuntimeError):  # the loop has ended
                 loop.call_soon_threadsafe(note, result, error)

@@ -1,4 +1,4 @@
-"""Every error that hostlink raises on purpose, with its numbers as attributes."""
+"""Errors that hostlink raises on purpose, with their numbers as attributes."""
 
 import itertools
 from collections.abc import Hashable, Iterable
@@ -7,21 +7,21 @@ from typing import Self
 
 
 class HostlinkError(Exception):
-    """Base of all: a caller requested what cannot be done. The text names the next step.
+    """Base class: a request cannot be fulfilled. The text names the next step.
 
-    `kind` is its public name, for programs: the name of the class, unless a class says otherwise.
+    `kind` is the public name of the error: the class name, unless a class overrides it.
     """
 
     kind: str = "HostlinkError"
 
     def __init_subclass__(cls) -> None:
-        """Name the class."""
+        """Set `kind` to the class name."""
         super().__init_subclass__()
         cls.kind = cls.__name__
 
 
 class ConfigError(HostlinkError):
-    """A setting is wrong; raised once, at the start."""
+    """A setting is wrong. Raised once, at the start."""
 
     def __init__(self, where: str, problem: str) -> None:
         super().__init__(f"{where}: {problem}")
@@ -29,27 +29,30 @@ class ConfigError(HostlinkError):
 
 
 class LibraryMissing(ConfigError):
-    """What was asked for needs a library that only an extra of hostlink installs."""
+    """A feature needs a library that only an extra of hostlink installs."""
 
     def __init__(self, where: str, library: str, extra: str) -> None:
-        """The text names no index: hostlink is in none, so that whoever takes its name there is a stranger."""
+        """Build the advice.
+
+        It names no package index: hostlink is in none, so a package of that name may be malicious.
+        """
         self.library, self.extra = library, extra
-        advice = f"run  pip install '.[{extra}]'  in a clone, or name the wheel's file for the dot"
+        advice = f"run  pip install '.[{extra}]'  in a clone, or use the wheel's file instead of the dot"
         super().__init__(where, f"needs {library}: {advice}")
 
 
 class UnknownTopic(HostlinkError):
-    """No topic, service or robot of that name."""
+    """There is no topic, service or robot of that name."""
 
     def __init__(self, what: str, name: str, known: Iterable[str] = ()) -> None:
-        """The text names some of those that are known: devices may announce any number of them."""
+        """Build the text with some of the known names, because devices may announce any number of them."""
         self.what, self.name, self.known = what, name, tuple(itertools.islice(known, 64))
         hint = f"; known: {', '.join(sorted(self.known)[:8])}" if self.known else ""
         super().__init__(f"no {what} named {name}{hint}")
 
 
 class WrongType(HostlinkError):
-    """Two sides mean different things by one name."""
+    """Two sides use different types under one name."""
 
     def __init__(self, name: str, wanted: str, got: str) -> None:
         super().__init__(f"{name}: wanted {wanted}, got {got}")
@@ -57,7 +60,7 @@ class WrongType(HostlinkError):
 
 
 class BadPayload(HostlinkError):
-    """Bytes that are no message of the type that was announced for them."""
+    """Bytes that are not a message of the announced type."""
 
     def __init__(self, type_name: str, problem: str) -> None:
         super().__init__(f"{type_name}: {problem}")
@@ -65,7 +68,7 @@ class BadPayload(HostlinkError):
 
 
 class FrameTooLarge(HostlinkError):
-    """A frame that is larger than the device's buffer, or than its line allows while a stop may be needed."""
+    """A frame is larger than the device's buffer, or than its line allows while a stop may be needed."""
 
     def __init__(self, topic: str, frame_bytes: int, limit_bytes: int, *, when: str = "") -> None:
         super().__init__(f"{topic}: frame of {frame_bytes} bytes, the device takes {limit_bytes}{when and f' {when}'}")
@@ -73,7 +76,7 @@ class FrameTooLarge(HostlinkError):
 
 
 class DeviceGone(HostlinkError):
-    """The device left before it answered, or is not connected."""
+    """The device disconnected before it answered, or is not connected."""
 
     def __init__(self, name: str, why: str = "its device is not connected") -> None:
         super().__init__(f"{name}: {why}")
@@ -81,7 +84,7 @@ class DeviceGone(HostlinkError):
 
 
 class DeviceBusy(HostlinkError):
-    """A bounded queue towards a device is full."""
+    """A bounded queue to a device is full."""
 
     def __init__(self, name: str, waiting: int) -> None:
         super().__init__(f"{name}: {waiting} requests wait already; try again later")
@@ -89,7 +92,7 @@ class DeviceBusy(HostlinkError):
 
 
 class ServiceFailed(HostlinkError):
-    """A service reports that it could not do it, or does not answer in time."""
+    """A service reported a failure, or did not answer in time."""
 
     def __init__(self, service: str, reason: str) -> None:
         super().__init__(f"{service}: {reason}")
@@ -97,12 +100,12 @@ class ServiceFailed(HostlinkError):
 
     @classmethod
     def timeout(cls, service: str, timeout_s: float) -> Self:
-        """No answer came within the deadline."""
+        """Create the error of a missing answer."""
         return cls(service, f"no answer within {timeout_s:g} s")
 
 
 class BadRequest(HostlinkError):
-    """A client's request that makes no sense as it is."""
+    """A client's request is invalid."""
 
     def __init__(self, problem: str) -> None:
         super().__init__(problem)
@@ -110,7 +113,7 @@ class BadRequest(HostlinkError):
 
 
 class ReloadRefused(HostlinkError):
-    """The configuration cannot be read again, or not now."""
+    """The configuration cannot be reloaded, or not now."""
 
 
 class RecordingFailed(HostlinkError):
@@ -118,15 +121,15 @@ class RecordingFailed(HostlinkError):
 
 
 class UnknownFormat(RecordingFailed):
-    """A recording, or a channel of it, has messages that hostlink cannot convert."""
+    """A recording, or one of its channels, has messages that hostlink cannot convert."""
 
 
 class RecordingBusy(HostlinkError):
-    """The name is in use, the file is being written, or too many recordings are under way."""
+    """The name is in use, the file is being written, or too many recordings are running."""
 
 
 class RefusalKind(StrEnum):
-    """Why a velocity was refused. Public: REST, rosbridge, client, CLI, events and metrics use these names."""
+    """Reason of a refused velocity. Public: REST, rosbridge, client, CLI, events and metrics use these names."""
 
     NOT_FINITE = "not_finite"
     UNSUPPORTED = "unsupported"  # the robot's kinematics lack a component that is not zero
@@ -140,7 +143,7 @@ class RefusalKind(StrEnum):
 
 
 class CommandRefused(HostlinkError):
-    """A velocity was refused; `kind` says by which rule, `holder` is the source that holds the robot, if any."""
+    """A velocity was refused. `kind` is the rule; `holder` is the source that holds the lease, if any."""
 
     kind: RefusalKind
 
@@ -150,7 +153,7 @@ class CommandRefused(HostlinkError):
 
 
 class Refused(HostlinkError):
-    """The daemon has refused a request of the client; `kind` is the daemon's own."""
+    """The daemon has refused a request of the client. `kind` is the daemon's."""
 
     def __init__(self, kind: str, reason: str) -> None:
         super().__init__(reason)

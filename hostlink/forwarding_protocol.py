@@ -1,10 +1,10 @@
-"""ForwardingProtocol: an asyncio protocol around another one, for whoever must know when it begins and ends."""
+"""ForwardingProtocol: wrapper of an asyncio protocol, for subclasses that watch its start and end."""
 
 import asyncio
 
 
 class ForwardingProtocol(asyncio.Protocol):
-    """Passes everything on; a subclass adds to `connection_made` and `connection_lost`."""
+    """Forwards every call. A subclass extends `connection_made` and `connection_lost`."""
 
     def __init__(self, inner: asyncio.Protocol) -> None:
         self._inner = inner

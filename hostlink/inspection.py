@@ -1,8 +1,8 @@
-"""Inspection: the content of a recording of a link's bytes, both directions, however its reads cut them.
+"""Inspection: content of a recording of a link's bytes in both directions, independent of how the reads were cut.
 
 A recording is JSON lines: {"t": seconds, "dir": "device" | "host", "hex": bytes, "conn": n, "event": "open" | "close"}.
-`dir` is who sent; `conn` counts connections; only a line without bytes has an `event`. Reads stand in order of time.
-One more event, `topics`, stands where the recording has lost its beginning: its bytes announce the topics of then.
+`dir` is the sender; `conn` counts connections; only a line without bytes has an `event`. Lines are ordered by time. The
+event `topics` marks that the beginning is lost; its bytes announce the topics of that time.
 """
 
 from collections import Counter
@@ -43,7 +43,7 @@ class Read(msgspec.Struct):
 
 @dataclass(frozen=True, slots=True)
 class Payload:
-    """The bytes of a message, and its fields if its type is known and they fit it."""
+    """Bytes of a message, and its fields if its type is known and the bytes fit it."""
 
     data: bytes
     fields: dict[str, Any] | None = None
@@ -52,7 +52,7 @@ class Payload:
 
 @dataclass(frozen=True, slots=True)
 class Series:
-    """How many messages of a topic, and the first and the last of them."""
+    """Message count of a topic, with the first and the last message."""
 
     count: int
     first: Payload
@@ -61,7 +61,7 @@ class Series:
 
 @dataclass(frozen=True, slots=True)
 class ServiceCounts:
-    """What passed of one service."""
+    """Message counts of one service."""
 
     requests: int
     responses: int
@@ -69,7 +69,7 @@ class ServiceCounts:
 
 @dataclass(frozen=True, slots=True)
 class ParameterRequest:
-    """A parameter that the device requested; the reply is None when none came."""
+    """Parameter that the device requested; `reply` is None without an answer."""
 
     name: str
     reply: Parameter | None
@@ -77,7 +77,7 @@ class ParameterRequest:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Report:
-    """A whole recording."""
+    """Content of a whole recording."""
 
     topics: tuple[TopicInfo, ...]
     messages: dict[str, Series]  # from the device
@@ -91,10 +91,10 @@ class Report:
 
 
 def load_reads(path: Path) -> Iterator[Read]:
-    """The lines of a recording.
+    """Read the lines of a recording.
 
     Raises:
-        BadRequest: the file cannot be read, or a line is none of a recording; it names the line.
+        BadRequest: the file cannot be read, or a line is not one of a recording; the text names the line.
     """
     decoder = msgspec.json.Decoder(Read)
     try:
@@ -111,12 +111,12 @@ def _read_line(decoder: "msgspec.json.Decoder[Read]", line: bytes, where: str) -
         read = decoder.decode(line)
         bytes.fromhex(read.hex)
     except (msgspec.DecodeError, UnicodeDecodeError, ValueError) as error:
-        raise BadRequest(f"{where}: no line of a recording: {error}") from error
+        raise BadRequest(f"{where}: not a line of a recording: {error}") from error
     return read
 
 
 class Inspection:
-    """Adds up the reads of a recording; `report` is the sum."""
+    """Sums over the reads of a recording. `report` returns them."""
 
     def __init__(self, catalog: Catalog) -> None:
         self._catalog = catalog
@@ -124,16 +124,16 @@ class Inspection:
         self._topics: dict[tuple[Id, int, str], TopicInfo] = {}
         self._messages: dict[str, _Series] = {}
         self._to_device: dict[str, _Series] = {}
-        self._requests: Counter[str] = Counter()  # by service
+        self._requests: Counter[str] = Counter()  # per service
         self._responses: Counter[str] = Counter()
-        self._services: dict[str, None] = {}  # in the order in which they were first used
+        self._services: dict[str, None] = {}  # in the order of first use
         self._parameters: list[_ParameterRequest] = []
         self._logs: list[Log] = []
         self._time_requests = 0
         self._skipped_bytes = 0
 
     def add_all(self, reads: Iterable[Read]) -> None:
-        """Add every read, in order, then what is left over at the end."""
+        """Add every read in order, then the incomplete frames at the end."""
         for read in reads:
             connection = self._connections.get(read.conn)
             if connection is None:
@@ -147,7 +147,7 @@ class Inspection:
             self._finish(connection)
 
     def report(self) -> Report:
-        """The whole recording."""
+        """Return the sums."""
         return Report(
             topics=tuple(self._topics.values()),
             messages={name: series.sum() for name, series in self._messages.items()},
@@ -177,7 +177,7 @@ class Inspection:
             self._add_items(connection, connection.from_device.give_up(), self._from_device)
         while connection.to_device.pending_bytes:
             self._add_items(connection, connection.to_device.give_up(), self._from_host)
-        for frame in connection.early:  # went to the device before the recording shows what its id means
+        for frame in connection.early:  # sent to the device before the recording shows the meaning of its id
             self._add_message(connection, frame, is_to_device=True)
 
     def _from_device(self, connection: "_Connection", frame: Frame) -> None:
@@ -241,12 +241,12 @@ class _ParameterRequest:
 
 
 class _Connection:
-    """The streams and topics of one connection."""
+    """Streams and topics of one connection."""
 
     def __init__(self, fixed_bytes_of: Callable[[TopicInfo], int | None]) -> None:
         self.topics: dict[int, TopicInfo] = {}
         self.reads = 0
-        self.open_requests: list[_ParameterRequest] = []  # of parameters, without a reply yet
+        self.open_requests: list[_ParameterRequest] = []  # parameter requests without a reply
         self._requested_in_read = 0
         self.early: list[Frame] = []
         self._fixed_bytes_of = fixed_bytes_of
@@ -255,7 +255,7 @@ class _Connection:
         self.to_device = FrameStream(fixed_bytes=self._fixed_bytes, limit_bytes=MAX_PAYLOAD_BYTES)
 
     def request_parameter(self, request: _ParameterRequest) -> None:
-        """A device requests one parameter at a time: it has given up a request of an earlier read."""
+        """Note a parameter request. A device makes one at a time, so requests of earlier reads were given up."""
         if self._requested_in_read != self.reads:
             self.open_requests.clear()
         self._requested_in_read = self.reads
@@ -273,7 +273,7 @@ class _Connection:
 
 
 class _Series:
-    """Counts the messages of a topic, and keeps the first and the last of them."""
+    """Counter of a topic's messages, with the first and the last one."""
 
     def __init__(self, type_: MessageType | None) -> None:
         self._type = type_

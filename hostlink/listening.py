@@ -1,6 +1,6 @@
-"""Sockets that listen. Imports next to nothing: a program listens first, and imports what serves the connections then.
+"""Listening sockets, with few imports: a program listens first, and imports the server afterwards.
 
-Until somebody accepts them, connections wait in the kernel.
+Connections wait in the kernel until they are accepted.
 """
 
 import errno
@@ -13,23 +13,23 @@ MAX_PORT = 0xFFFF
 
 
 def listen(host: str, port: int) -> list[socket.socket]:
-    """Listen on each address that the name has here.
+    """Listen on each local address of the host name.
 
     Raises:
-        OSError: nobody can listen there; a name that has no address is one, too.
-        OverflowError: the port is no port.
-        UnicodeError: the host is no name.
+        OSError: an address cannot be listened on, or the name has no address.
+        OverflowError: the port is out of range.
+        UnicodeError: the host name is invalid.
     """
     found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
     return listen_on(host, port, found)
 
 
 def listen_on(host: str, port: int, found: Iterable[tuple[Any, ...]]) -> list[socket.socket]:
-    """Listen on each of the addresses that `getaddrinfo` has found for a host and a port.
+    """Listen on each of the addresses that `getaddrinfo` found for a host and a port.
 
     Raises:
-        OSError: nobody can listen on one of them, or on none of those that are of this computer.
-        OverflowError: the port is no port; `getaddrinfo` makes 0 of 65536.
+        OSError: one of them cannot be listened on, or none is an address of this computer.
+        OverflowError: the port is out of range; `getaddrinfo` would turn 65536 into 0.
     """
     if not 0 <= port <= MAX_PORT:
         raise OverflowError(f"port {port}")
@@ -40,7 +40,7 @@ def listen_on(host: str, port: int, found: Iterable[tuple[Any, ...]]) -> list[so
             listening.append(_listen(family, protocol, address))
         except OSError as error:
             refusal = error
-            if error.errno not in (errno.EADDRNOTAVAIL, errno.EAFNOSUPPORT):  # as ::1 where there is no IPv6
+            if error.errno not in (errno.EADDRNOTAVAIL, errno.EAFNOSUPPORT):  # such as ::1 without IPv6
                 close_all(listening)
                 raise
     if not listening:
@@ -64,6 +64,6 @@ def _listen(family: int, protocol: int, address: tuple[object, ...]) -> socket.s
 
 
 def close_all(listening: Iterable[socket.socket]) -> None:
-    """Nobody can connect any more."""
+    """Close the sockets."""
     for each in listening:
         each.close()

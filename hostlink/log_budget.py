@@ -1,10 +1,10 @@
-"""LogBudget: how many lines each peer may cause, so that no device fills a disk. Pure."""
+"""LogBudget: limit of log lines for each peer, so that no device fills a disk. Pure."""
 
 from collections import OrderedDict
 
-BURST_LINES = 500  # fifty robots connect from behind one address
+BURST_LINES = 500  # fifty robots connect from one address
 RATE_HZ = 10.0
-MAX_PEERS = 1024  # with a bucket each; a new one replaces the one that was quiet for longest
+MAX_PEERS = 1024  # with a bucket each; a new peer replaces the one that was silent for longest
 
 
 class _Bucket:
@@ -15,16 +15,16 @@ class _Bucket:
 
 
 class LogBudget:
-    """A token bucket a peer; what is over it is counted."""
+    """Token bucket for each peer. Lines above the limit are counted."""
 
     def __init__(self, *, burst_lines: int = BURST_LINES, rate_hz: float = RATE_HZ) -> None:
-        self.left_out = 0  # of all peers, since the start
+        self.left_out = 0  # lines of all peers since the start
         self._burst_lines, self._rate_hz = burst_lines, rate_hz
         self._buckets: OrderedDict[str, _Bucket] = OrderedDict()
         self._left_out_of_forgotten = 0
 
     def allows(self, peer: str, now_s: float) -> bool:
-        """Whether one more line may be written for this peer; False: it is counted."""
+        """Whether one more line of this peer may be written. A refused line is counted."""
         bucket = self._buckets.get(peer) or self._open(peer, now_s)
         self._buckets.move_to_end(peer)
         bucket.left = min(bucket.left + (now_s - bucket.at_s) * self._rate_hz, self._burst_lines)
@@ -37,7 +37,7 @@ class LogBudget:
         return False
 
     def pop_left_out(self) -> dict[str, int]:
-        """Peer -> lines that were left out since the last call; "" is the sum of those that were forgotten."""
+        """Return the lines refused since the last call, by peer; "" is the sum of removed peers."""
         found = {peer: bucket.left_out for peer, bucket in self._buckets.items() if bucket.left_out}
         if self._left_out_of_forgotten:
             found[""] = self._left_out_of_forgotten

@@ -1,17 +1,17 @@
-"""LogOutput: writes the log. Neither a reader that is gone or asleep nor a full disk stops the daemon."""
+"""LogOutput: writer of the log. Neither a missing or blocked reader nor a full disk stops the daemon."""
 
 import os
 import select
 from typing import TextIO
 
-CHUNK_BYTES = 4096  # PIPE_BUF: a pipe that is ready accepts that many bytes without blocking
+CHUNK_BYTES = 4096  # PIPE_BUF: a ready pipe accepts this many bytes without blocking
 
 
 class LogOutput:
-    """A file for structlog. What cannot be written at once is lost and counted."""
+    """Output file for structlog. Lines that cannot be written at once are lost and counted."""
 
     def __init__(self, stream: TextIO | None) -> None:
-        """`stream` may be None, as `sys.stderr` is when nobody gave the process one."""
+        """`stream` may be None, as `sys.stderr` is for a process without one."""
         self.lost_lines = 0  # since the start
         self._reported_lost_lines = 0
         self._stream = stream
@@ -22,10 +22,10 @@ class LogOutput:
             self._poll.register(self._descriptor, select.POLLOUT)
 
     def isatty(self) -> bool:
-        """Whether people read it."""
+        """Whether the output is a terminal."""
         try:
             return self._stream is not None and self._stream.isatty()
-        except ValueError:  # it is closed
+        except ValueError:  # the stream is closed
             return False
 
     def write(self, text: str) -> None:
@@ -35,17 +35,17 @@ class LogOutput:
                 self._write_to_stream(text)
             else:
                 self._write_to_descriptor(("\n" if self._is_cut else "") + text)
-        except (OSError, ValueError):  # also a stream that is closed
+        except (OSError, ValueError):  # a closed stream raises ValueError
             self.lost_lines += 1
 
     def pop_lost(self) -> int:
-        """Lines that were lost since the last call."""
+        """Return the number of lines lost since the last call."""
         lost = self.lost_lines - self._reported_lost_lines
         self._reported_lost_lines = self.lost_lines
         return lost
 
     def flush(self) -> None:
-        """Nothing waits here."""
+        """Do nothing: no line is buffered."""
 
     def _write_to_stream(self, text: str) -> None:
         if self._stream is None:
@@ -60,19 +60,19 @@ class LogOutput:
         try:
             while written < len(data):
                 if not self._is_ready():
-                    raise BlockingIOError("nobody reads the log")
+                    raise BlockingIOError("the reader of the log is blocked")
                 written += os.write(self._descriptor, data[written : written + CHUNK_BYTES])
         finally:
             if written:
                 self._is_cut = written < len(data)
 
     def _is_ready(self) -> bool:
-        """A write would block where this is false; an error shows in the write itself."""
+        """Whether a write would not block. An error shows in the write itself."""
         return bool(self._poll.poll(0))
 
 
 def _descriptor(stream: TextIO | None) -> int | None:
     try:
         return None if stream is None else stream.fileno()
-    except (OSError, ValueError, AttributeError):  # a stream in memory, or one that is closed
+    except (OSError, ValueError, AttributeError):  # a stream in memory, or a closed one
         return None

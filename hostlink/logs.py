@@ -1,4 +1,4 @@
-"""The log: structlog events on stderr, JSON when that is no terminal. This list of events is the log's contract.
+"""The log: structlog events on stderr, JSON if that is not a terminal. This list of events is a public interface.
 
 Life of a link   link.opened, link.closed, link.trouble, link.refused, link.broken, link.crashed, link.diagnosed,
                  connection.refused, serial.waiting, serial.baud_tried, serial.baud_found
@@ -14,12 +14,12 @@ The daemon       daemon.started, daemon.stop_requested, daemon.stopping, daemon.
                  task.crashed, diagnosis.crashed, systemd.deaf, config.suspicious, config.reloaded,
                  config.refused, descriptors.exhausted, loop.error, library.complained
 Recordings       recording.started, recording.stopped, recording.failed, incident.begun, incident.saved, incident.lost,
-                 incident.postponed, recording.crowded, drives.lost, black_box.volatile
+                 incident.postponed, recording.channel_limit_reached, drives.lost, black_box.volatile
 A ROS 1 graph    ros1.started, ros1.ended, ros1.master_found, ros1.master_lost, ros1.registered_again, ros1.crashed,
                  ros1.name_refused, ros1.publisher_failed, ros1.publication_failed, ros1.message_refused,
                  ros1.message_malformed, ros1.topic_unknown, ros1.service_unknown, ros1.service_unusable,
                  ros1.parameter_unusable
-Its guardian     guardian.started, guardian.ended, guardian.missing, guardian.incomplete, guardian.stopped_robots
+Its guardian     guardian.started, guardian.ended, guardian.start_failed, guardian.incomplete, guardian.stopped_robots
 Zenoh            zenoh.opened, zenoh.closed, zenoh.failed, fleet.daemon_appeared, fleet.daemon_gone, fleet.name_twice,
                  fleet.name_differs, fleet.unanswered, fleet.topic_refused, graph.crashed
 ROS 2 on Zenoh   ros2.joined, ros2.left, ros2.trouble, ros2.refused, ros2.topic_refused, ros2.service_refused,
@@ -39,17 +39,19 @@ from hostlink.log_budget import LogBudget
 from hostlink.log_output import LogOutput
 
 _MAX_PRINTED = 64
-_BUDGET_KEY = "log_budget"  # bound around what a peer causes; never printed
+_BUDGET_KEY = "log_budget"  # bound around the work for a peer; never printed
 
 budget = LogBudget()
 output = LogOutput(None)
-listeners: dict[Hashable, Callable[[int, Mapping[str, object]], None]] = {}  # who else has each line, and its wall time
+# Called with wall time and content of each line.
+listeners: dict[Hashable, Callable[[int, Mapping[str, object]], None]] = {}
 
 
 def configure(*, level: str = "info", stream: TextIO | None = None) -> None:
-    """Send events at or above `level` to `stream` (stderr): readable on a terminal, else one JSON object a line.
+    """Send events at or above `level` to `stream` (stderr): readable on a terminal, otherwise one JSON object per line.
 
-    Writing never blocks or fails: what cannot be written is counted. What a peer causes has a budget (`of_peer`).
+    Writing never blocks and never fails: lines that cannot be written are counted. Lines for a peer have a budget
+    (`of_peer`).
     """
     global output  # noqa: PLW0603 - as structlog's own configuration
     output = LogOutput(sys.stderr if stream is None else stream)
@@ -70,19 +72,19 @@ def configure(*, level: str = "info", stream: TextIO | None = None) -> None:
             renderer,
         ],
         wrapper_class=structlog.make_filtering_bound_logger(logging.getLevelNamesMapping()[level.upper()]),
-        logger_factory=structlog.WriteLoggerFactory(file=output),  # type: ignore[arg-type]  # write and flush are all
+        logger_factory=structlog.WriteLoggerFactory(file=output),  # type: ignore[arg-type]  # write and flush suffice
         cache_logger_on_first_use=False,
     )
     logging.captureWarnings(capture=True)
 
 
 def of_peer(address: str) -> dict[str, str]:
-    """What to bind around all that a peer causes, so that its lines have a budget."""
+    """Return the context to bind around all work for a peer, so that its log lines have a budget."""
     return {_BUDGET_KEY: address}
 
 
 def log_what_is_missing() -> None:
-    """One line for each peer whose lines were left out, and one for lines that could not be written."""
+    """Log one line for each peer with refused lines, and one for lines that could not be written."""
     log = structlog.get_logger()
     for peer, lines in budget.pop_left_out().items():
         log.warning("log.lines_left_out", about=printable(peer) or "others", lines=lines)
@@ -92,12 +94,12 @@ def log_what_is_missing() -> None:
 
 
 def _make_printable(_: object, __: str, event: structlog.typing.EventDict) -> structlog.typing.EventDict:
-    """For a terminal; JSON escapes by itself what is not ASCII."""
+    """Replace unprintable characters for a terminal. JSON escapes them itself."""
     return {key: _replace(value) if isinstance(value, str) else value for key, value in event.items()}
 
 
 def printable(text: str, max_chars: int = _MAX_PRINTED) -> str:
-    """A text of a peer, safe for a terminal: printable characters only, and at most `max_chars`."""
+    """Make a text of a peer safe for a terminal: printable characters only, at most `max_chars`."""
     return _replace(text[:max_chars])
 
 
@@ -111,7 +113,7 @@ def _keep_budget(
 
 
 def _round_figures(_: object, __: str, event: structlog.typing.EventDict) -> structlog.typing.EventDict:
-    """Six digits after the point: microseconds, where they are seconds."""
+    """Round numbers to six decimals: microseconds, if they are seconds."""
     return {key: _rounded(value) for key, value in event.items()}
 
 
@@ -130,5 +132,5 @@ def _pass_on(_: object, __: str, event: structlog.typing.EventDict) -> structlog
 
 
 def _replace(text: str) -> str:
-    """Without controls, old terminals' C1, and what turns the direction of reading: none of them is printable."""
+    """Replace unprintable characters, such as control characters, C1 codes and bidirectional overrides."""
     return text if text.isprintable() else "".join(char if char.isprintable() else "?" for char in text)

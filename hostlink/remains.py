@@ -1,6 +1,6 @@
-"""Where a daemon keeps what must survive its process: a folder in memory (tmpfs), named after user and process.
+"""Folders for data that must survive the daemon's process, on a tmpfs and named after user and process.
 
-No SD card wears out by it, and a restart of the computer clears it. The standard library only, and little of that.
+A tmpfs does not wear out SD cards, and a restart of the computer clears it. Imports little of the standard library.
 """
 
 import os
@@ -9,35 +9,35 @@ PLACE = "/dev/shm"  # noqa: S108 - a tmpfs on every Linux; folders there belong 
 _PREFIX = "hostlink-"
 _PARTS = 5
 _NICE = 19
-PENDING = "incident-"  # what the names of facts about incidents begin with
-SALVAGE = (  # what a Python with site-packages runs to make incidents of it: where hostlink is, and the process
+PENDING = "incident-"  # prefix of the names of facts about incidents
+SALVAGE = (  # program that saves the incidents; arguments: the folder of hostlink, and the process id
     "import sys; sys.path.append(sys.argv[1]); from hostlink.remains import yield_to_others; yield_to_others(); "
     "from hostlink.recording.salvage import main; main(int(sys.argv[2]))"
 )
 
 
 def prefix_of(purpose: str) -> str:
-    """What the names of this process's folders begin with. `purpose`: letters and digits."""
+    """Return the prefix of the names of this process's folders. `purpose`: letters and digits."""
     return f"{_PREFIX}{os.geteuid()}-{purpose}-{os.getpid()}-"
 
 
 def of_purpose(purpose: str) -> list[str]:
-    """The folders that processes of this user have left for it, also processes that still run."""
+    """Return the folders for a purpose, of ended and running processes of this user."""
     return _folders(purpose=purpose)
 
 
 def of_process(pid: int) -> list[str]:
-    """The folders of one process of this user."""
+    """Return the folders of one process of this user."""
     return _folders(pid=pid)
 
 
 def of_user() -> list[str]:
-    """All of this user."""
+    """Return all folders of this user."""
     return _folders()
 
 
 def yield_to_others() -> None:
-    """Let the robots and the next daemon have the processor first, also where each session has a share of it."""
+    """Lower this process's priority below that of the robots' daemon, also with autogroup scheduling."""
     try:
         os.nice(_NICE)
         with open("/proc/self/autogroup", "w") as file:  # noqa: PTH123
@@ -47,20 +47,20 @@ def yield_to_others() -> None:
 
 
 def remove_empty(pid: int) -> None:
-    """Remove the folders of a process that is gone in which no incident is pending; nobody was driving, either."""
+    """Remove folders of an ended process without pending incidents. Call it only if no robot was driven."""
     for path in of_process(pid):
         try:
-            names = os.listdir(path)  # noqa: PTH208 - pathlib is not small
+            names = os.listdir(path)  # noqa: PTH208 - pathlib is a large import
             if not any(name.startswith(PENDING) for name in names):
                 for name in names:
                     os.unlink(f"{path}/{name}")  # noqa: PTH108
                 os.rmdir(path)  # noqa: PTH106
         except OSError:
-            continue  # somebody else is at it
+            continue  # another process is using it
 
 
 def _folders(*, purpose: str | None = None, pid: int | None = None) -> list[str]:
-    """hostlink-USER-PURPOSE-PID-RANDOM; one that belongs to somebody else is a trap."""
+    """Return folders named hostlink-USER-PURPOSE-PID-RANDOM. Another user's folder of that name is ignored."""
     try:
         names = os.listdir(PLACE)  # noqa: PTH208 - pathlib is not small
     except OSError:

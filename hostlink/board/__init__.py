@@ -1,1 +1,1 @@
-"""What a board is programmed with: the Arduino library with the headers of messages; the settings of a board."""
+"""Board programming: the Arduino library with message headers, and the settings of a board."""

@@ -1,4 +1,4 @@
-"""C++ literals for the values of a definition's constants. Pure."""
+"""C++ headers of message types for the Arduino library. Pure."""
 
 import math
 import re
@@ -15,14 +15,14 @@ from hostlink.messages.message_type import MessageType, ServiceType
 # -- literals ---------------------------------------------------------------------------------------------------------
 
 _INT64_LEAST: Final = -(2**63)
-_INT32_BITS: Final = 31  # without its sign
+_INT32_BITS: Final = 31  # without the sign
 _FLOAT32_LARGEST: Final = (2 - 2**-23) * 2.0**127
 _FLOAT32_LEAST: Final = 2.0**-126
-_PLAIN: Final = frozenset(range(0x20, 0x7F)) - frozenset(b'"\\?')  # "??=" is one character to some compilers
+_PLAIN: Final = frozenset(range(0x20, 0x7F)) - frozenset(b'"\\?')  # "??=" is a trigraph
 
 
 def literal(constant: Constant) -> str:
-    """The value as C++ writes it."""
+    """Write the value as a C++ literal."""
     if constant.type == "string":
         return text_literal(constant.text)
     if constant.type in FLOATS:
@@ -33,7 +33,7 @@ def literal(constant: Constant) -> str:
 
 
 def text_literal(text: str) -> str:
-    """The UTF-8 of the text in quotation marks; octal escapes end by themselves."""
+    """Write the text's UTF-8 bytes as a C++ string; an octal escape has a fixed length."""
     return '"' + "".join(chr(byte) if byte in _PLAIN else f"\\{byte:03o}" for byte in text.encode()) + '"'
 
 
@@ -58,7 +58,7 @@ def _float_literal(type_name: str, value: float) -> str:
 
 
 def fits_float32(value: float) -> bool:
-    """Whether a double of 4 bytes, as AVR has it, accepts the literal without a warning."""
+    """Whether a 4-byte double, as on AVR, accepts the literal without a warning."""
     return value == 0 or not math.isfinite(value) or _FLOAT32_LEAST <= abs(value) <= _FLOAT32_LARGEST
 
 
@@ -80,9 +80,9 @@ _KEYWORDS: Final = """
     thread_local throw true try typedef typeid typename union unsigned using virtual void volatile wchar_t while xor
     xor_eq
 """
-# Macros without arguments of Arduino.h and of what it includes: a field or a constant of that name does not compile.
-# Macros with arguments (min, max, abs) do no harm: no "(" ever stands behind a member. macros.txt has those of the AVRs
-# and of the C libraries, out of their headers (tools/board_macros.py); these are of SAM, ESP8266, ESP32 and compilers.
+# Macros without arguments of Arduino.h and its includes: a field or constant with such a name does not compile. Macros
+# with arguments (min, max, abs) are harmless, because no "(" follows a member. macros.txt has the macros of AVR and of
+# the C libraries, taken from their headers (tools/board_macros.py); these are of SAM, ESP8266, ESP32 and compilers.
 _MACROS: Final = """
     ANALOG BIT0 BIT1 BIT2 BIT3 BIT4 BIT5 BIT6 BIT7 BIT8 BIT9 BIT10 BIT11 BIT12 BIT13 BIT14 BIT15 BIT16 BIT17 BIT18 BIT19
     BIT20 BIT21 BIT22 BIT23 BIT24 BIT25 BIT26 BIT27 BIT28 BIT29 BIT30 BIT31 CHIPID CPU2X ESP32 ESP8266 ESP_FAIL ESP_OK
@@ -95,7 +95,7 @@ _MACROS: Final = """
     RTC RTT SMC SPI SUPC TC0 TC1 TC2 TRNG TRUE TWI0 TWI1 UART UNUSED UOTGHS USART0 USART1 USART2 USART3 WDT arm avr i386
     int16_t int32_t int64_t int8_t linux uint16_t uint32_t uint64_t uint8_t unix
 """
-# Functions and classes of Arduino's cores and of C that a package could be named like: its namespace cannot be.
+# Functions and classes of Arduino's cores and of C. A package's namespace cannot have such a name.
 _GLOBALS: Final = """
     Client EEPROM ESP Ethernet Print Printable SPI Serial Serial_ Server Servo Stream String UDP WiFi Wire abort abs
     accept access alarm basename bind boolean byte ceil clock close connect crypt daemon delay div dup encrypt equals
@@ -104,7 +104,7 @@ _GLOBALS: Final = """
     scanf select send setup shutdown signal sin sleep socket sqrt square stat stderr stdin stdout swab sync system tan
     time tone trunc truncate wait word write y0 y1 yield
 """
-METHODS: Final = ("serialize", "deserialize", "getType", "getMD5", "getSize")  # of each message's class
+METHODS: Final = ("serialize", "deserialize", "getType", "getMD5", "getSize")  # methods of each message class
 
 
 @cache
@@ -119,13 +119,13 @@ def _global_names() -> frozenset[str]:
 
 
 class Names:
-    """Gives each name of one class once: a name that is in use or means something else gets a _ behind it."""
+    """Unique C++ names of one class. A used or reserved name gets a _ appended."""
 
     def __init__(self, used: Iterable[str] = ()) -> None:
         self._used = set(used)
 
     def add(self, name: str) -> str:
-        """The C++ name for it."""
+        """Add a name. Return its C++ form."""
         name = identifier(name)
         while name in self._used:
             name += "_"
@@ -134,17 +134,17 @@ class Names:
 
 
 def identifier(name: str) -> str:
-    """The name, or with a _ behind it where it is a keyword or a macro."""
+    """Return the name, with a _ appended if it is a keyword or a macro."""
     return f"{name}_" if name in _reserved() else name
 
 
 def class_identifier(base: str) -> str:
-    """As `identifier`, for a class with METHODS."""
+    """Return the C++ name of a class with METHODS, as `identifier` does."""
     return f"{base}_" if base in METHODS else identifier(base)
 
 
 def namespace(package: str) -> str:
-    """As `identifier`, for a package."""
+    """Return the C++ namespace of a package, as `identifier` does."""
     name = identifier(package)
     while name in _global_names():
         name += "_"
@@ -152,7 +152,7 @@ def namespace(package: str) -> str:
 
 
 def class_name(full_name: str) -> str:
-    """ "std_msgs/Header" -> "::std_msgs::Header"."""
+    """Convert "std_msgs/Header" to "::std_msgs::Header"."""
     package, _, base = full_name.partition("/")
     return f"::{namespace(package)}::{class_identifier(base)}"
 
@@ -178,13 +178,13 @@ CPP_TYPES: Final = {
     "string": "const char*",
 }
 _INITIAL: Final = {**dict.fromkeys(FORMATS, " = 0"), "bool": " = false", "string": ' = ""'}
-_ARRAYS: Final = {"string": "::ros::Texts", "float64": "::ros::Doubles"}  # that a sketch may have in two forms
-SIZE_MAX: Final = 65535  # of a payload
+_ARRAYS: Final = {"string": "::ros::Texts", "float64": "::ros::Doubles"}  # types that a sketch may have in two forms
+SIZE_MAX: Final = 65535  # bytes of a payload
 _STATIC: Final = re.compile(r"  static constexpr (.+?) (\w+) =")
 
 
 class _Member(NamedTuple):
-    """A field with its C++ names; `length` is the member with the number of elements of a variable array."""
+    """Field with its C++ names. `length` names the member with the number of elements of a variable array."""
 
     field: Field
     name: str
@@ -197,13 +197,13 @@ class _Member(NamedTuple):
 
 
 def message_header(message: MessageType) -> str:
-    """The file <package>/<Type>.h."""
+    """Write the file <package>/<Type>.h of a message type."""
     base = message.name.partition("/")[2]
     return _file(message.name, _dependencies(message), list(_class(message, base, message.name)))
 
 
 def service_header(service: ServiceType) -> str:
-    """The file <package>/<Type>.h with the classes of request and response."""
+    """Write the file <package>/<Type>.h with the classes of request and response."""
     base = service.name.partition("/")[2]
     name = Names(("Request", "Response", *METHODS)).add(base)
     lines = [
@@ -283,7 +283,7 @@ def _members(message: MessageType, names: Names) -> Iterator[_Member]:
 
 
 def _constants(constants: tuple[Constant, ...], names: Names) -> Iterator[str]:
-    """Whole numbers as enumerators of their type, which need no definition elsewhere; others as static members."""
+    """Declare whole numbers as enumerators, which need no definition, and other constants as static members."""
     for type_name, group in groupby(constants, lambda constant: constant.type):
         if type_name == "string" or type_name in FLOATS:
             for constant in group:
@@ -307,7 +307,7 @@ def _static_constant(constant: Constant, name: str) -> Iterator[str]:
 
 
 def _definitions(class_: str, constants: list[str]) -> Iterator[str]:
-    """Of the static members, for whoever takes a reference of one, as std::max does; C++17 has them by itself."""
+    """Define the static members for references to them, such as in std::max. C++17 needs no definitions."""
     found = dict.fromkeys(match.groups() for line in constants if (match := _STATIC.match(line)))
     if found:
         yield "#if __cplusplus < 201703L"
@@ -328,7 +328,7 @@ def _declaration(member: _Member) -> Iterator[str]:
 
 
 def _size(message: MessageType) -> str:
-    """The least and the most that a payload has."""
+    """Smallest and largest size of a payload."""
     most = SIZE_MAX if message.fixed_bytes is None else message.fixed_bytes
     return f"{min(message.layout.minimum_bytes, SIZE_MAX)}, {min(most, SIZE_MAX)}"
 

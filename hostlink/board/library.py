@@ -1,4 +1,4 @@
-"""A ZIP whose bytes depend on nothing but the files in it. Pure."""
+"""Arduino library: selected types, generated headers, and a reproducible ZIP. Pure."""
 
 import io
 import json
@@ -19,13 +19,13 @@ from hostlink.messages.message_type import MessageType, ServiceType
 
 # -- archive ----------------------------------------------------------------------------------------------------------
 
-TIME: Final = (1980, 1, 1, 0, 0, 0)  # the first that a ZIP knows
+TIME: Final = (1980, 1, 1, 0, 0, 0)  # the earliest time of a ZIP
 _PLAIN_FILE: Final = 0o100644 << 16
 _UNIX: Final = 3
 
 
 def pack(files: Mapping[str, bytes]) -> bytes:
-    """The ZIP of these files, by their paths in it."""
+    """Pack files, by their paths in the ZIP. The bytes depend only on the files."""
     packed = io.BytesIO()
     with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as archive:
         for path in sorted(files):
@@ -45,33 +45,33 @@ T = TypeVar("T", MessageType, ServiceType)
 
 @dataclass(frozen=True, slots=True)
 class Selection:
-    """Types, sorted by name; every type that stands in another one is there too."""
+    """Selected types, sorted by name, with all nested types."""
 
     messages: tuple[MessageType, ...]
     services: tuple[ServiceType, ...]
 
     @property
     def names(self) -> list[str]:
-        """Of all of them."""
+        """Names of all selected types."""
         return [*(message.name for message in self.messages), *(service.name for service in self.services)]
 
     @property
     def packages(self) -> list[str]:
-        """The packages of which something is there."""
+        """Packages of the selected types."""
         return sorted({name.partition("/")[0] for name in self.names})
 
 
 def known_names(catalog: Catalog) -> list[str]:
-    """Packages, and types with their packages: what can be selected."""
+    """List the names that can be selected: packages, and types with their packages."""
     types = {*catalog.message_names(), *catalog.service_names()}
     return sorted(types | {name.partition("/")[0] for name in types})
 
 
 def select(catalog: Catalog, wanted: Iterable[str] | None) -> Selection:
-    """The types of the packages and the types that are `wanted`, with all that stand in them; None: of all packages.
+    """Select the `wanted` packages and types, with all nested types; None selects all packages.
 
     Raises:
-        ConfigError: a definition is wrong, or a name cannot be one of C++ beside the others.
+        ConfigError: a definition is wrong, or two names clash in C++.
     """
     chosen = None if wanted is None else frozenset(wanted)
     messages: dict[str, MessageType] = {}
@@ -101,23 +101,25 @@ def _add(message: MessageType, messages: dict[str, MessageType]) -> None:
 
 
 def _check_names(messages: Collection[str], services: Collection[str]) -> None:
-    """A header has the name of its type, and some file systems know no capital letters."""
+    """Check that C++ names and header names are unique, also on file systems that ignore case."""
     for name in (*messages, *services):
         if name.partition("/")[0] in RESERVED_PACKAGES:
-            raise ConfigError(name, "its package has the name of a namespace of the library; rename the package")
+            raise ConfigError(name, "the package has the name of a C++ namespace of the library; rename the package")
     classes = set(messages)
     headers = {name.lower(): name for name in sorted(classes, reverse=True)}
     for service in services:
         if both := classes & {service, f"{service}Request", f"{service}Response"}:
-            raise ConfigError(service, f"its header needs the name of the message {min(both)}; rename one of them")
+            raise ConfigError(
+                service, f"the service header needs the name of the message {min(both)}; rename one of them"
+            )
         headers.setdefault(service.lower(), service)
     names: dict[str, str] = {}
     for name in (*messages, *services):
         if (other := names.setdefault(class_name(name), name)) != name:
-            raise ConfigError(name, f"its C++ name is {class_name(name)[2:]}, as that of {other}; rename one of them")
+            raise ConfigError(name, f"its C++ name {class_name(name)[2:]} is also that of {other}; rename one of them")
         if headers[name.lower()] != name:
             raise ConfigError(
-                name, f"differs from {headers[name.lower()]} by capital letters alone; rename one of them"
+                name, f"differs from {headers[name.lower()]} only in upper and lower case; rename one of them"
             )
 
 
@@ -127,8 +129,8 @@ def _sorted(types: dict[str, T]) -> tuple[T, ...]:
 
 # -- library ----------------------------------------------------------------------------------------------------------
 
-NAME: Final = "hostlink_rosserial"  # of the library, and of its folder in the ZIP
-CHECKOUT: Final = Path(__file__).parents[2] / "firmware" / "rosserial"  # where hostlink runs from its sources
+NAME: Final = "hostlink_rosserial"  # also its folder in the ZIP
+CHECKOUT: Final = Path(__file__).parents[2] / "firmware" / "rosserial"  # used when hostlink runs from its sources
 PARTS: Final = ("src", "examples")
 SUFFIXES: Final = (".h", ".cpp", ".ino", ".md")
 _INCLUDED: Final = re.compile(rb'^\s*#\s*include\s*[<"]([A-Za-z]\w*/[A-Za-z]\w*)\.h[>"]', re.MULTILINE)
@@ -136,7 +138,7 @@ _SENTENCE: Final = "rosserial for any board: topics, services, parameters and ti
 
 
 def sources() -> dict[str, bytes]:
-    """The files of firmware/rosserial that belong into a library, by their paths there, and the licence."""
+    """Read the files of firmware/rosserial for the library, by their paths there, and the licence."""
     installed = files("hostlink.board") / "rosserial"
     root, terms = (installed, installed) if installed.is_dir() else (CHECKOUT, CHECKOUT.parents[1])
     found = {path: entry.read_bytes() for part in PARTS for path, entry in _walk(root / part, part)}
@@ -145,25 +147,25 @@ def sources() -> dict[str, bytes]:
 
 
 def types_needed(texts: Mapping[str, bytes]) -> set[str]:
-    """The types whose headers these sources include, and that are not among them."""
+    """Return the types whose headers these sources include and that are not among them."""
     included = {name.decode() for text in texts.values() for name in _INCLUDED.findall(text)}
     return {name for name in included if f"src/{name}.h" not in texts}
 
 
 def headers(selection: Selection) -> dict[str, str]:
-    """The header of each type, by its path: "std_msgs/String.h"."""
+    """Write the header of each type, by its path: "std_msgs/String.h"."""
     made = {f"{each.name}.h": message_header(each) for each in selection.messages}
     return made | {f"{each.name}.h": service_header(each) for each in selection.services}
 
 
 def library(texts: Mapping[str, bytes], selection: Selection) -> dict[str, bytes]:
-    """All files of the library, by their paths in the ZIP.
+    """Return all files of the library, by their paths in the ZIP.
 
     Raises:
-        ConfigError: the header of a type has the name of one of the sources.
+        ConfigError: a type's header has the same name as one of the sources.
     """
     made = {f"src/{path}": text for path, text in headers(selection).items()}
-    there = {path.lower() for path in texts}  # some file systems know no capital letters
+    there = {path.lower() for path in texts}  # some file systems ignore case
     for path in made:
         if path.lower() in there:
             name = path.removeprefix("src/").removesuffix(".h")
@@ -189,7 +191,7 @@ def _walk(folder: Traversable, path: str) -> Iterator[tuple[str, Traversable]]:
 
 
 def _properties() -> str:
-    """For the Arduino IDE."""
+    """Write library.properties for the Arduino IDE."""
     facts = {
         "name": NAME,
         "version": version("hostlink"),
@@ -220,7 +222,7 @@ def _platformio() -> str:
 
 
 def _keywords(selection: Selection) -> str:
-    """For the Arduino IDE, which colours them; the separator is a tab."""
+    """Write keywords.txt for the Arduino IDE's highlighting. The separator is a tab."""
     classes = {name.partition("/")[2] for name in selection.names}
     rows = [f"{name}\tKEYWORD1" for name in sorted({*classes, *_CLASSES})]
     return "\n".join([*rows, *(f"{name}\tKEYWORD2" for name in sorted(_METHODS))]) + "\n"

@@ -1,4 +1,4 @@
-"""Reads and sets what a board keeps, over its serial port: requests are repeated until they are answered."""
+"""Read and write the settings of a board over its serial port. Requests are repeated until they are answered."""
 
 import asyncio
 import re
@@ -13,34 +13,34 @@ from hostlink.transport.base import Transport
 
 # -- settings port ----------------------------------------------------------------------------------------------------
 
-TRY_S: Final = 1.0  # for a slow loop of the sketch
-EXCHANGE_BITS: Final = 10_000  # the longest request and its answer: 1,000 bytes of 10 bits
+TRY_S: Final = 1.0  # long enough for a slow loop of the sketch
+EXCHANGE_BITS: Final = 10_000  # the longest request with its answer: 1,000 bytes of 10 bits
 STORE_TRIES: Final = 3
 LOST: Final = "error lost"
 NUMBERS: Final = 65536
 _ERRORS: Final = {
-    "unknown": "its sketch does not know this setting: flash one with the library of today",
+    "unknown": "the sketch does not know this setting; flash a sketch with the current library",
     "short": "too short",
     "long": "too long",
     "value": "not a value for it",
-    "stored": "its flash accepts nothing: is the EEPROM of the sketch large enough?",
+    "stored": "the value could not be stored; check that the sketch's EEPROM is large enough",
 }
 
 
 class BoardSettings:
-    """The settings of the board on one port."""
+    """Settings of the board on one port."""
 
     def __init__(self, transport: Transport, *, patience_s: float, baud: int) -> None:
-        """`patience_s`: a board that was reset by opening the port answers when its sketch runs."""
+        """`patience_s` includes the start of the sketch, because opening the port may reset the board."""
         self._transport = transport
         self._patience_s = patience_s
         self._try_s = max(TRY_S, EXCHANGE_BITS / baud)
         self._baud = baud
-        self._number = time.monotonic_ns() % NUMBERS  # another program's answers may still be on their way
+        self._number = time.monotonic_ns() % NUMBERS  # answers to another program may still arrive
         self._reader = AnswerReader()
 
     async def read(self) -> dict[str, str]:
-        """The settings by their names; of a secret only "set" or "unset".
+        """Read the settings by name. A secret is only "set" or "unset".
 
         Raises:
             HostlinkError: the board does not answer.
@@ -48,10 +48,10 @@ class BoardSettings:
         return dict(found for words in await self._request("info", "info") if (found := value_of(words)))
 
     async def write(self, values: Mapping[str, str]) -> None:
-        """Store all of them, or none.
+        """Store all settings, or none.
 
         Raises:
-            BadRequest: a value is none for its setting.
+            BadRequest: a value is not valid for its setting.
             HostlinkError: the board does not answer, or refuses.
         """
         for name, value in values.items():
@@ -63,17 +63,19 @@ class BoardSettings:
         except BaseException:
             self._transport.write(request_line(self._next_number(), "forget"))
             raise
-        raise HostlinkError(f"{self._transport.peer}: it restarts before it stores anything; is its supply too weak?")
+        raise HostlinkError(
+            f"{self._transport.peer}: the board restarts before it stores the settings; check its power supply"
+        )
 
     async def _store(self, values: Mapping[str, str]) -> bool:
-        """False: the board restarted in between, which forgets what was set."""
+        """Store all settings. False: the board restarted meanwhile and has dropped them."""
         await self._request("forget", "forget")
         for name, value in values.items():
             await self._request(assignment(name, value), name)
         return (await self._request(f"save {len(values)}", "save"))[-1] != LOST
 
     async def _request(self, words: str, what: str) -> list[str]:
-        """The words of each line of the answer; `what` stands in the error.
+        """Request an answer and return the text of each of its lines. `what` is named in the error.
 
         Raises:
             HostlinkError: the board refuses, or has not answered in time.
@@ -94,10 +96,10 @@ class BoardSettings:
         raise HostlinkError(self._silence())
 
     async def _collect(self, answers: list[str], number: int, deadline_s: float) -> None:
-        """Add what answers the request, until its last line or the deadline.
+        """Add answers to the request, until its last line or the deadline.
 
         Raises:
-            HostlinkError: the port is gone.
+            HostlinkError: the port was removed.
         """
         loop = asyncio.get_running_loop()
         while not _is_complete(answers) and (left_s := deadline_s - loop.time()) > 0:
@@ -107,7 +109,7 @@ class BoardSettings:
             except TimeoutError:
                 return
             if not data:
-                raise HostlinkError(f"{self._transport.peer}: the port is gone; plug the board in again")
+                raise HostlinkError(f"{self._transport.peer}: the port was removed; plug the board in again")
             answers += [answer.words for answer in self._reader.feed(data) if answer.number == number]
 
     def _next_number(self) -> int:
@@ -117,10 +119,12 @@ class BoardSettings:
     def _silence(self) -> str:
         start = f"{self._transport.peer}: no answer within {self._patience_s:g} s at {self._baud} baud"
         if self._reader.has_rosserial:
-            return f"{start}: it speaks rosserial on this port; its sketch needs a SettingsLine that reads it before"
+            return (
+                f"{start}: the board sends rosserial frames; add a SettingsLine to the sketch that reads the port first"
+            )
         if self._reader.received_bytes:
-            return f"{start}, only other bytes: is it the baud rate of its Serial.begin()? --baud names another"
-        return f"{start}: its sketch needs a hostlink::SettingsLine (docs/arduino.md), and this baud rate (--baud)"
+            return f"{start}, only other bytes; set the baud rate of the sketch's Serial.begin() with --baud"
+        return f"{start}; the sketch needs a hostlink::SettingsLine (docs/arduino.md) and this baud rate (--baud)"
 
 
 def _is_complete(answers: list[str]) -> bool:
@@ -137,11 +141,11 @@ _NAME: Final = re.compile(rb"(?!.*//)[A-Za-z][A-Za-z0-9_/]*(?<!/)")
 _NAME_RULE: Final = "a letter, then letters, digits, _ and single /"
 _PRINTABLE: Final = re.compile(rb"[!-~\x80-\xff]*")
 _WITH_SPACES: Final = re.compile(rb"[ -~\x80-\xff]*")
-_SAFE: Final = "!\"$&'()*+,-./:;<=>?@[\\]^_`{|}~"  # what is not quoted, besides letters and digits
+_SAFE: Final = "!\"$&'()*+,-./:;<=>?@[\\]^_`{|}~"  # characters that are not quoted, besides letters and digits
 
 
 class Setting(NamedTuple):
-    """One setting of a board; `least` and `most` are the bytes of a value that is not empty."""
+    """One setting of a board. `least` and `most` are the sizes in bytes of a value that is not empty."""
 
     name: str
     question: str
@@ -156,7 +160,7 @@ SETTINGS: Final = {
     setting.name: setting
     for setting in (
         Setting("host", "The host's name or address", 1, 63, False, _PRINTABLE, "no spaces"),
-        Setting("port", "Its port", 1, 5, False, re.compile(rb"\d*"), "1 to 65535"),
+        Setting("port", "The host's port", 1, 5, False, re.compile(rb"\d*"), "1 to 65535"),
         Setting("name", "The robot's name, before its topics", 1, 32, False, _NAME, _NAME_RULE),
         Setting("wifi_name", "The WiFi's name", 1, 32, False, _WITH_SPACES, "no control characters"),
         Setting("wifi_password", "The WiFi's password", 8, 64, True, _WITH_SPACES, "no control characters"),
@@ -167,21 +171,21 @@ SETTINGS: Final = {
 
 
 class Answer(NamedTuple):
-    """A line of the board; `words` is what stands between number and check."""
+    """Answer line of the board. `words` is the text between number and checksum."""
 
     number: int
     words: str
 
 
 def check_value(setting: Setting, value: str) -> None:
-    """Accept a value; an empty one means: not set. The text of the error does not have it.
+    """Check a value. An empty one unsets the setting. The error text does not contain the value.
 
     Raises:
         BadRequest: a board would refuse it.
     """
     try:
         encoded = value.encode()
-    except UnicodeEncodeError:  # what a terminal in another encoding gave
+    except UnicodeEncodeError:  # input of a terminal with another encoding
         raise BadRequest(f"{setting.name}: not UTF-8") from None
     if not encoded:
         return
@@ -193,18 +197,18 @@ def check_value(setting: Setting, value: str) -> None:
 
 
 def assignment(name: str, value: str) -> str:
-    """The words that set it."""
+    """Text of the request that sets a value."""
     return f"set {name}={urllib.parse.quote(value, safe=_SAFE)}"
 
 
 def request_line(number: int, words: str) -> bytes:
-    """A line for the board."""
+    """Encode a request line for the board."""
     line = MARK + f"{number} {words}".encode()
     return line + b" %08X\n" % zlib.crc32(line)
 
 
 def parse_answer(line: bytes) -> Answer | None:
-    """The answer at the end of a line; None: the sketch's own text, or damaged."""
+    """Decode the answer at the end of a line; None if it is the sketch's own text or damaged."""
     found = _ANSWER.fullmatch(line, max(line.rfind(MARK), 0))
     if found is None or zlib.crc32(line[found.start() : found.start(3) - 1]) != int(found[3], 16):
         return None
@@ -212,9 +216,9 @@ def parse_answer(line: bytes) -> Answer | None:
 
 
 def value_of(words: str) -> tuple[str, str] | None:
-    """Name and value of `value NAME=VALUE` or `secret NAME=set`; None: it is another answer.
+    """Parse `value NAME=VALUE` or `secret NAME=set` to name and value; None for another answer.
 
-    Of a secret only "set" or "unset", whatever the board sent.
+    A secret's value is always "set" or "unset", even if the board sent the secret.
     """
     kind, _, rest = words.partition(" ")
     name, equals, value = rest.partition("=")
@@ -226,15 +230,15 @@ def value_of(words: str) -> tuple[str, str] | None:
 
 
 class AnswerReader:
-    """Finds the answers in what a port brings: the sketch may print there too."""
+    """Finds answers in the bytes of a port, on which the sketch may print too."""
 
     def __init__(self) -> None:
         self.received_bytes = 0
-        self.has_rosserial = False  # a frame's first bytes were there
+        self.has_rosserial = False  # the start of a frame was received
         self._rest = b""
 
     def feed(self, data: bytes) -> Iterator[Answer]:
-        """The answers that are complete now."""
+        """Add bytes and yield the complete answers."""
         self.received_bytes += len(data)
         self._rest += data
         self.has_rosserial = self.has_rosserial or b"\xff\xfe" in self._rest

@@ -234,7 +234,7 @@ async def _work(
             view = await host.post(_INCIDENTS_PATH, {"robot": save, "reason": reason})
             write_error("it is saved when the time after it is over: hostlink incidents")
         elif name is not None and output is not None:
-            await fetch(host, f"{_PATH}/{name}", output)
+            await fetch(host, f"{_INCIDENTS_PATH}/{name}", output)
             write(str(output))
             return
         else:

@@ -1,1 +1,1 @@
-"""What is wrong with a link, by what came over its wire: evidence, rules, words. Pure."""
+"""Diagnosis of a link from the traffic on its wire: evidence, rules and findings. Pure."""

@@ -1,4 +1,4 @@
-"""HostClock: whether this computer's own clock can be trusted for stamps. Pure: both times come in."""
+"""Evidence of a link, of its serial port and of the host's own clock. Pure; both times are arguments."""
 
 import errno
 from dataclasses import dataclass
@@ -9,15 +9,16 @@ from hostlink.diagnosis.finding import Finding, finding
 # -- host clock -------------------------------------------------------------------------------------------------------
 
 MIN_WALL_NS = (
-    1_735_689_600_000_000_000  # 2025: hostlink did not exist before; a computer without a battery is there at boot
+    # 2025, before the first hostlink; a computer without a clock battery boots with an earlier time.
+    1_735_689_600_000_000_000
 )
-STEP_S = 0.5  # NTP slews what is less (128 ms) and steps what is more
-REMEMBERED_S = 30.0  # as long as any evidence
+STEP_S = 0.5  # NTP slews smaller offsets (128 ms) and steps larger ones
+REMEMBERED_S = 30.0  # at least as long as any evidence
 _NS_PER_S = 1_000_000_000
 
 
 class HostClock:
-    """Compares the wall clock with the monotonic one at each check."""
+    """Detector of steps of the host's wall clock, by comparison with the monotonic clock."""
 
     def __init__(self) -> None:
         self._offset_s: float | None = None
@@ -25,7 +26,7 @@ class HostClock:
         self._stepped_at_s = float("-inf")
 
     def check(self, now_s: float, wall_ns: int) -> str:
-        """What is wrong with the clock; empty where nothing is."""
+        """Return what is wrong with the clock; empty if it is right."""
         offset_s = wall_ns / _NS_PER_S - now_s
         if self._offset_s is not None and abs(offset_s - self._offset_s) > STEP_S:
             self._step_s, self._stepped_at_s = offset_s - self._offset_s, now_s
@@ -51,17 +52,17 @@ _CODES = {
 
 
 def port_finding(error: OSError) -> Finding:
-    """The error's number gives the code, its text the detail."""
+    """Build the finding of a port error: its number gives the code, its text the detail."""
     return finding(_CODES.get(error.errno or 0, "serial_unusable"), error.strerror or str(error))
 
 
 # -- evidence ---------------------------------------------------------------------------------------------------------
 
-RECENT_S = 30.0  # twelve of a device's time requests: trouble that is older is over
+RECENT_S = 30.0  # twelve time requests of a device: older trouble is over
 
 
 class EarlierLink(NamedTuple):
-    """A link of the same address that has ended."""
+    """Ended link of the same address."""
 
     end: str
     seconds: float
@@ -69,7 +70,7 @@ class EarlierLink(NamedTuple):
 
 
 class Complaint(NamedTuple):
-    """The last line of a device's log about a fault of its own."""
+    """Last line of a device's log about one of its own faults."""
 
     text: str
     ago_s: float
@@ -77,42 +78,45 @@ class Complaint(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Tally:
-    """Counts over some time; `Evidence` has one since the link opened, and one of the last RECENT_S."""
+    """Counts over some time. `Evidence` has one since the link opened and one of the last RECENT_S."""
 
     bytes_from_device: int = 0
     frames: int = 0
     skipped_bytes: int = 0
-    unknown_ids: int = 0  # since the last negotiation, which explained those before
+    unknown_ids: int = 0  # since the last negotiation, which explained the earlier ones
     bad_checksums: int = 0
     wrong_sizes: int = 0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Evidence:
-    """Times are in seconds before the moment of the evidence; None where a thing has not happened."""
+    """Evidence of one link.
+
+    Times are in seconds before the moment of the evidence; None if something did not happen.
+    """
 
     age_s: float
     silent_s: float
     total: Tally = Tally()
     recent: Tally = Tally()
-    baud: int | None = None  # of a serial port; None behind TCP
-    requests: int = 0  # requests for topics
+    baud: int | None = None  # of a serial port; None for TCP
+    requests: int = 0  # number of topic requests
     negotiated_s: float | None = None  # since the first negotiation
-    time_requested_s: float | None = None  # since the last request for the time that the host did not provoke
-    time_intervals_s: tuple[float, ...] = ()  # between requests for the time, none of them provoked
-    stamps_behind_s: float | None = None  # what the device's header stamps lack to the time of their arrival
-    early_non_rosserial: bytes = b""  # what was skipped before the first negotiation, the last of it
-    non_rosserial: bytes = b""  # what was skipped recently
+    time_requested_s: float | None = None  # since the last time request that the host did not provoke
+    time_intervals_s: tuple[float, ...] = ()  # between unprovoked time requests
+    stamps_behind_s: float | None = None  # arrival time minus the device's header stamps
+    early_non_rosserial: bytes = b""  # last bytes skipped before the first negotiation
+    non_rosserial: bytes = b""  # recently skipped bytes
     is_protocol_1: bool = False
-    refused: tuple[str, ...] = ()  # why topics were refused, a text each
-    too_small: tuple[str, ...] = ()  # what does not fit a buffer, a text each
+    refused: tuple[str, ...] = ()  # reasons of refused topics, one text each
+    too_small: tuple[str, ...] = ()  # messages that exceed a buffer, one text each
     wheel_stalled: Complaint | None = None
     wheel_runaway: Complaint | None = None
     battery_low: Complaint | None = None
     watchdog_restart: Complaint | None = None
-    signal_dbm: int | None = None  # of the WiFi, where the passthrough reports it
-    revivals: int = 0  # recently: it fell silent, and announced its topics when they were requested
+    signal_dbm: int | None = None  # of the WiFi, if the passthrough reports it
+    revivals: int = 0  # recent times that the device fell silent and announced its topics on request
     earlier: tuple[EarlierLink, ...] = ()
-    end: str | None = None  # why the link is no more
+    end: str | None = None  # reason of the link's end
     host_clock: str = ""  # what is wrong with this computer's clock
-    numbered: str = ""  # the robot's name has a number, because another device has the same
+    numbered: str = ""  # set if the robot's name got a number, because another device has the same name

@@ -1,4 +1,4 @@
-"""Finding: one thing that is wrong, in the words of log, API, page and documents."""
+"""Finding: one detected fault, with the texts that log, API, page and documents use."""
 
 import functools
 import tomllib
@@ -8,7 +8,7 @@ from importlib.resources import files
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """`code` names it for programs; `detail` has the numbers and names of this case, and may be empty."""
+    """One detected fault. `code` is for programs; `detail` has the numbers and names of this case and may be empty."""
 
     code: str
     cause: str
@@ -18,11 +18,11 @@ class Finding:
 
 @functools.cache
 def words() -> dict[str, dict[str, str]]:
-    """findings.toml: code -> symptom, cause, next_step; in the order of the findings."""
+    """Texts of findings.toml: code -> symptom, cause, next_step, in the order of the findings."""
     return tomllib.loads((files("hostlink.diagnosis") / "findings.toml").read_text())
 
 
 def finding(code: str, detail: str = "") -> Finding:
-    """The finding of that code."""
+    """Build the finding of a code."""
     found = words()[code]
     return Finding(code, found["cause"], found["next_step"], detail)

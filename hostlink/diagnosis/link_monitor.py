@@ -1,4 +1,4 @@
-"""LinkMonitor: gathers the evidence of one link. Pure: events, the time and the session's counts come in by calls."""
+"""LinkMonitor: gathers the evidence of one link. Pure: events, times and the session's counts are arguments."""
 
 import math
 import re
@@ -14,22 +14,25 @@ from hostlink.protocol.session import Session
 from hostlink.protocol.stream import Rejection
 
 SAMPLE_INTERVAL_S = 1.0
-TOGETHER_S = TIME_PERIOD_S[0]  # requests for the time that are closer have waited together on their way
-STAMPS_SAMPLES = 10  # a DeviceClock believes a step after 5 s, and a device sets its clock every 2.5 s
-REVIVALS_S = 60.0  # a board that starts anew four times a minute does so for a reason
+TOGETHER_S = TIME_PERIOD_S[0]  # time requests that arrive closer together have waited on their way
+STAMPS_SAMPLES = 10  # DeviceClock accepts a step after 5 s, and a device sets its clock every 2.5 s
+REVIVALS_S = 60.0  # a board that restarts four times a minute has a fault
 _KEPT = 16  # intervals and revivals: more add nothing
-_ERROR = 3  # rosserial: the level of a log line
-_COMPLAINT = re.compile(  # firmware/due, hostlink sim
+_ERROR = 3  # level of a rosserial log line
+_COMPLAINT = re.compile(  # log lines of firmware/due and hostlink sim
     r"(?:(?:left|right) wheel (stalled|runs away)|(battery low|started by its watchdog))\b[ -~]{0,100}"
 )
 _SIGNAL = re.compile(r"WiFi signal (-\d{1,3}) dBm")  # firmware/esp8266
 _FIRMWARE = re.compile(r"firmware ([\w.+-]{1,40} v?\d[\w.+-]{0,23})", re.ASCII)  # any device: docs/robot.md
-SIGNAL_S = 150.0  # it comes once a minute, or when it has changed
+SIGNAL_S = 150.0  # the line is sent once a minute, and when the signal has changed
 _TOO_LARGE_TEXT = "larger than buffer"  # rosserial: "Message from device dropped: message larger than buffer."
 
 
 class LinkMonitor:
-    """It observes every event but messages, and samples the counts each SAMPLE_INTERVAL_S."""
+    """Gatherer of one link's evidence.
+
+    Observes every event but messages, and samples the counts each SAMPLE_INTERVAL_S.
+    """
 
     def __init__(self, session: Session, *, now_s: float) -> None:
         self.baud: int | None = None  # of a serial port
@@ -40,30 +43,30 @@ class LinkMonitor:
         )
         self._negotiated_at_s: float | None = None
         self._early_non_rosserial = b""
-        self._unknown_before = 0  # the last negotiation: what it has explained
-        self._is_provoked = False  # a device sends a request for the time with its topics
-        self._is_fresh = False  # the last request for the time: it was read when it was sent
-        self._excluded = Tally()  # what was lost while the host was away
+        self._unknown_before = 0  # unknown ids that the last negotiation explained
+        self._is_provoked = False  # a device sends a time request with its topics
+        self._is_fresh = False  # the last time request was read when it was sent
+        self._excluded = Tally()  # losses while the host was paused
         self._stamps_behind_s: deque[float] = deque(maxlen=STAMPS_SAMPLES)
         self._fell_silent = False
-        self._was_host_away = False  # since the last request for the time: a device that had no answers is silent
+        self._was_host_away = False  # since the last time request: a device without answers falls silent
         self._time_requested_at_s: float | None = None
-        self._previous_at_s = -math.inf  # the last request for the time, also one that was provoked
+        self._previous_at_s = -math.inf  # last time request, including provoked ones
         self._intervals_s: deque[float] = deque(maxlen=_KEPT)
         self._revived_at_s: deque[float] = deque(maxlen=_KEPT)
         self._device_complaint = ""
-        self._complaints: dict[str, tuple[str, float]] = {}  # what is wrong: the last line of it, and when it came
-        self._signal = (0, -math.inf)  # dBm, and when they came
+        self._complaints: dict[str, tuple[str, float]] = {}  # fault -> last log line about it, and its time
+        self._signal = (0, -math.inf)  # dBm, and time of the line
         self.firmware: str | None = None  # name and version, as the device logs them
 
     def set_baud(self, baud: int, now_s: float) -> None:
-        """The line is read at this speed from now on: earlier counts do not apply to it."""
+        """Note the baud rate at which the line is read. Earlier counts are dropped."""
         self.baud = baud
         self._samples.clear()
         self._samples.append((now_s, self._total()))
 
     def observe(self, event: events.Event, now_s: float, *, has_waited: bool = False) -> None:
-        """Note an event of the session; `has_waited`: it was read right after the host was away."""
+        """Note an event of the session. `has_waited`: it was read right after a pause of the host."""
         match event:
             case events.TopicsRequested(reason):
                 self._is_provoked = True
@@ -72,7 +75,8 @@ class LinkMonitor:
                 self._note_time_request(now_s, has_waited=has_waited)
             case events.TopicsNegotiated():
                 if self._negotiated_at_s is None and self._session.counts.unknown_ids:
-                    self._begin_anew(now_s)  # it was running: what came began in the middle of a frame, or had waited
+                    # A running device: its first bytes were the middle of a frame, or had waited.
+                    self._begin_anew(now_s)
                 self._unknown_before = self._session.counts.unknown_ids
                 if self._negotiated_at_s is None:
                     self._negotiated_at_s = now_s
@@ -88,7 +92,7 @@ class LinkMonitor:
                 self.firmware = found[1]
 
     def sample(self, now_s: float) -> None:
-        """Remember the counts: the recent ones are a difference to them."""
+        """Sample the counts. Recent counts are a difference to the samples."""
         if now_s >= self._samples[-1][0] + SAMPLE_INTERVAL_S / 2:
             self._samples.append((now_s, self._total()))
             offset_ns = self._session.device_clock.offset_ns
@@ -96,7 +100,7 @@ class LinkMonitor:
                 self._stamps_behind_s.append(offset_ns / 1e9)
 
     def exclude_waited(self) -> None:
-        """The host was away since the last sample: what was lost since then is not the device's doing."""
+        """Exclude the losses since the last sample, because the host was paused."""
         self._exclude(since=self._samples[-1][1])
         self._was_host_away = True
 
@@ -117,7 +121,7 @@ class LinkMonitor:
 
     @property
     def sampled_at_s(self) -> float:
-        """When the counts were remembered last."""
+        """Time of the last sample."""
         return self._samples[-1][0]
 
     @property
@@ -125,7 +129,7 @@ class LinkMonitor:
         return self._negotiated_at_s is not None
 
     def signal_dbm(self, now_s: float) -> int | None:
-        """How strong the device's WiFi is; None where nothing reports it."""
+        """Signal strength of the device's WiFi; None if the device does not report it."""
         dbm, at_s = self._signal
         return dbm if now_s < at_s + SIGNAL_S else None
 
@@ -140,9 +144,9 @@ class LinkMonitor:
         host_clock: str = "",
         numbered: str = "",
     ) -> Evidence:
-        """All that is known now; the arguments are what the link itself cannot know.
+        """Return the current evidence. The arguments are what the link itself cannot know.
 
-        Times count while the host runs, `silent_s` too: while it is paused, nobody listens.
+        Times, including `silent_s`, do not count pauses of the host, when nothing was received.
         """
         host = HostPauses() if pauses is None else pauses
         session, total = self._session, self._total()
@@ -183,14 +187,14 @@ class LinkMonitor:
         return Complaint(text, now_s - at_s)
 
     def _note_time_request(self, now_s: float, *, has_waited: bool) -> None:
-        """An interval counts from a request that was read when it was sent: of others nobody knows when that was."""
+        """Note a time request. An interval counts only from a request that was read when it was sent."""
         interval_s, self._previous_at_s = now_s - self._previous_at_s, now_s
         is_provoked, self._is_provoked = self._is_provoked, False
         are_together = interval_s < TOGETHER_S
         was_fresh, self._is_fresh = self._is_fresh, not (is_provoked or are_together or has_waited)
         was_host_away, self._was_host_away = self._was_host_away, self._was_host_away and has_waited
         if is_provoked:
-            if was_host_away:  # the device had no answers and gave up: its requests begin anew with this one
+            if was_host_away:  # without answers the device gave up; its requests start again with this one
                 self._time_requested_at_s = now_s
             return
         if was_fresh and not are_together and not has_waited:
@@ -201,13 +205,13 @@ class LinkMonitor:
         self._time_requested_at_s = now_s
 
     def _stamps(self) -> float | None:
-        """The least that the device's stamps were off lately: what waited on its way has older ones for a while."""
+        """Smallest recent offset of the device's stamps. Messages that waited have older stamps for a while."""
         if len(self._stamps_behind_s) < STAMPS_SAMPLES:
             return None
         return min(self._stamps_behind_s, key=abs)
 
     def _total(self) -> Tally:
-        """What was counted, without what was lost while the host was away."""
+        """Counts since the link opened, without the losses during pauses of the host."""
         counts, rejected = self._session.counts, self._session.rejected
         total = Tally(
             bytes_from_device=counts.bytes_from_device,
@@ -220,7 +224,7 @@ class LinkMonitor:
         return _difference(total, self._excluded)
 
     def _too_small(self) -> list[str]:
-        """What does not fit: by the sizes that the device announced, by what was refused, by what it logged."""
+        """List what exceeds a buffer: by announced sizes, refused frames and the device's log."""
         fixed_bytes = self._session.fixed_bytes
         announced = [
             f"{info.name}: a frame of {fixed_bytes[info.topic_id] + OVERHEAD_BYTES} bytes, the device takes "

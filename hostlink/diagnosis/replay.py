@@ -1,4 +1,4 @@
-"""The diagnosis of a recording: what a LinkMonitor finds in it. Pure."""
+"""Diagnosis of a recording. Pure."""
 
 import dataclasses
 from collections.abc import Callable, Iterable
@@ -17,18 +17,18 @@ from hostlink.protocol.stream import FrameStream
 
 
 class Replay:
-    """One connection of a recording; times are the recording's own."""
+    """Diagnosis of one connection of a recording. Times are those of the recording."""
 
     def __init__(self, check: Callable[[TopicInfo], int | None], *, now_s: float) -> None:
         self.opened_at_s = self.ended_at_s = now_s
         self._check = check
         self._to_device = FrameStream(limit_bytes=MAX_PAYLOAD_BYTES)
         self._found: dict[str, Finding] = {}
-        self._announced: bytes | None = None  # before the first byte of the device that the recording has
+        self._announced: bytes | None = None  # topics announced before the device's first recorded byte
         self._begin(now_s)
 
     def _begin(self, now_s: float) -> None:
-        self.begun_at_s = now_s  # later than it was opened, where the recording has lost its beginning
+        self.begun_at_s = now_s  # later than opened_at_s if the beginning of the recording is lost
         self.session = Session(check=self._check)
         self._monitor = LinkMonitor(self.session, now_s=now_s)
         self._received_at_s = self._sampled_at_s = now_s
@@ -36,12 +36,12 @@ class Replay:
         self.session.open(now_s=now_s)
 
     def add(self, read: Read) -> None:
-        """One line of the recording."""
+        """Add one line of the recording."""
         if read.event == "topics":
             self._announced = bytes.fromhex(read.hex)
         elif self._announced is None:
             self._add(read)
-        elif read.dir == "device" and read.hex:  # before it nobody knows whether the device was silent
+        elif read.dir == "device" and read.hex:  # before this line it is unknown whether the device was silent
             announced, self._announced = self._announced, None
             self._begin(read.t)
             self._add(msgspec.structs.replace(read, hex=announced.hex() + read.hex))
@@ -58,11 +58,11 @@ class Replay:
         elif read.hex:
             for item in self._to_device.feed(bytes.fromhex(read.hex)):
                 if isinstance(item, Frame) and item.topic_id == Id.PUBLISHER:
-                    self._requests += 1  # the host's at that time, not those that the session would send
+                    self._requests += 1  # requests of the recorded host, not of this session
                     self._monitor.observe(TopicsRequested("recorded"), read.t)
 
     def findings(self) -> list[Finding]:
-        """All that was wrong at any time, the likeliest cause first."""
+        """Return every fault that was detected at any time, the likeliest cause first."""
         self._sample(self.ended_at_s)
         return [self._found[code] for code in words() if code in self._found]
 
@@ -77,7 +77,7 @@ class Replay:
 
 
 def replay(reads: Iterable[Read], check: Callable[[TopicInfo], int | None]) -> dict[int, Replay]:
-    """Every connection of a recording, by its number."""
+    """Replay a recording. Return its connections by number."""
     connections: dict[int, Replay] = {}
     for read in reads:
         if read.conn not in connections:

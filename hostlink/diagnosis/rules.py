@@ -1,6 +1,6 @@
-"""The rules: evidence in, findings out, the likeliest cause first. Each threshold has its source beside it.
+"""Diagnosis rules: evidence -> findings, the likeliest cause first. Each threshold names its source.
 
-The codes and their words are in findings.toml; the numbers of a case go into the finding's detail.
+Codes and texts are in findings.toml. The numbers of a case are in the finding's detail.
 """
 
 from collections.abc import Callable
@@ -10,36 +10,36 @@ from hostlink.diagnosis.evidence import Complaint, Evidence
 from hostlink.diagnosis.finding import Finding, finding, words
 from hostlink.diagnosis.speed import guess_speed
 
-TIME_REQUEST_S = 2.5  # docs/protocol.md#time: how often a configured device requests the time
-NO_BYTES_S = 5.0  # the topics are requested at 0, 2 and 4 s, and an answer comes within 2 s
-WENT_SILENT_S = 2 * TIME_REQUEST_S + 1.0  # two requests for the time are missing, and a second for the radio
-TIME_STOPPED_S = 3 * TIME_REQUEST_S + 0.5  # a request for topics may put one off: three are missing
-MIN_REQUESTS = 3  # at 0, 2 and 4 s: one answer may be lost, not three
-NON_ROSSERIAL_BYTES = 32  # less is the end of a frame that was cut
-BURST_BYTES = 64  # before the first frame: the shortest boot message has more, half a frame of a robot's less
+TIME_REQUEST_S = 2.5  # docs/protocol.md#time: time request interval of a configured device
+NO_BYTES_S = 5.0  # topics are requested at 0, 2 and 4 s; an answer arrives within 2 s
+WENT_SILENT_S = 2 * TIME_REQUEST_S + 1.0  # two missing time requests, and a second for the radio
+TIME_STOPPED_S = 3 * TIME_REQUEST_S + 0.5  # three missing time requests: a topic request may delay one
+MIN_REQUESTS = 3  # at 0, 2 and 4 s: one answer may be lost, but not three
+NON_ROSSERIAL_BYTES = 32  # fewer bytes are the end of a cut frame
+BURST_BYTES = 64  # before the first frame: the shortest boot message is longer, half a frame of a robot is shorter
 JUDGED_S = 3.0  # a boot message and a first negotiation are over by then
 UNREADABLE_SHARE = 0.5  # a line that only loses bytes still has most of them in frames
-TEXT_SHARE = 0.9  # of random bytes 38 % are printable, of a TopicInfo 88 %; of a program's text all
+TEXT_SHARE = 0.9  # 38 % of random bytes are printable, 88 % of a TopicInfo, and all of a program's text
 BAD_CHECKSUMS = 3  # in RECENT_S; an intact line has none
 WRONG_SIZES = 3
-UNKNOWN_IDS = 10  # more than come between two negotiations
-UNKNOWN_AFTER_S = 5.0  # three requests for topics were answered by then
+UNKNOWN_IDS = 10  # more than arrive between two negotiations
+UNKNOWN_AFTER_S = 5.0  # three topic requests were answered by then
 REBOOTS = 3  # in a minute
 SHORT_LIFE_S = 30.0  # a link that lasted longer did not end in a boot loop
 CLOCK_ERROR = 0.04  # ceramic resonators are within 0.5 %, RC oscillators within 2 or 3 %
-STAMPS_BEHIND_S = 1.0  # a device adds one round trip to the time that it receives: some tens of milliseconds
-JITTER_S = 0.5  # a request may be so late on its way, and those after it seem early: a radio, a busy host
-CLOCK_INTERVALS = 3  # the median of three stands one outlier
-WHEEL_S = 600.0  # a wheel shows what is wrong with it only while it is driven, and the person may be at it
-WEAK_DBM = -80  # as firmware/esp8266 has it: below it packets are lost and sent again
+STAMPS_BEHIND_S = 1.0  # a device adds one round trip to the time that it receives, some tens of milliseconds
+JITTER_S = 0.5  # a radio or a busy host may delay one request so much, and the next ones then seem early
+CLOCK_INTERVALS = 3  # the median of three tolerates one outlier
+WHEEL_S = 600.0  # a wheel shows its fault only while it is driven, and a person may be repairing it
+WEAK_DBM = -80  # same limit as firmware/esp8266: below it packets are lost and sent again
 BOOT_WORDS = (b"ets Jan", b"ets Jun", b"rst cause", b"rst:0x", b"boot mode", b"boot:0x", b"Brownout")
 EXCERPT_CHARS = 40
 
-Rule = Callable[[Evidence], str | None]  # the detail; None where the rule does not apply
+Rule = Callable[[Evidence], str | None]  # returns the detail; None if the rule does not apply
 
 
 def diagnose(evidence: Evidence) -> list[Finding]:
-    """What is wrong with a link, the likeliest cause first; an empty list where nothing is."""
+    """Return the faults of a link, the likeliest cause first; empty if there are none."""
     found: dict[str, str] = {}
     for code, rule in _RULES.items():
         detail = rule(evidence)
@@ -51,16 +51,16 @@ def diagnose(evidence: Evidence) -> list[Finding]:
     return [finding(code, found[code]) for code in words() if code in found]
 
 
-# -- bytes that are no frames -----------------------------------------------------------------------------------------
+# -- bytes outside frames ---------------------------------------------------------------------------------------------
 
 
 def _non_rosserial(evidence: Evidence) -> tuple[str, str] | None:
-    """The one code for what was skipped recently, and its detail."""
+    """Return the one code for the recently skipped bytes, and its detail."""
     recent, sample = evidence.recent, evidence.non_rosserial
     if evidence.is_protocol_1:
         return "protocol_1", ""
     if evidence.negotiated_s is None and evidence.age_s < JUDGED_S:
-        return None  # a device that was running when the host came is read from the middle of a frame
+        return None  # the first bytes of a running device are the middle of a frame
     if recent.skipped_bytes >= NON_ROSSERIAL_BYTES:
         if is_text(sample):
             is_boot = any(word in sample for word in BOOT_WORDS)
@@ -80,7 +80,7 @@ def _unreadable(evidence: Evidence) -> tuple[str, str]:
 
 
 def _burst(evidence: Evidence) -> tuple[str, str] | None:
-    """Bytes before the first topics, and none since."""
+    """Detect bytes before the first topics, and none since."""
     early = evidence.early_non_rosserial
     is_new = evidence.recent.skipped_bytes >= len(early) >= BURST_BYTES
     if not is_new or evidence.total.skipped_bytes - len(early) >= NON_ROSSERIAL_BYTES:
@@ -91,13 +91,13 @@ def _burst(evidence: Evidence) -> tuple[str, str] | None:
 
 
 def is_text(sample: bytes) -> bool:
-    """Whether a program printed it."""
+    """Whether the bytes are text printed by a program."""
     return bool(sample) and sum(byte in _TEXT_BYTES for byte in sample) >= TEXT_SHARE * len(sample)
 
 
 def _excerpt(sample: bytes) -> str:
     lines = [line for line in sample.decode("ascii", "replace").splitlines() if line.strip()]
-    longest = max(lines[-4:], key=len, default="")  # the last one may be cut, and so may the first
+    longest = max(lines[-4:], key=len, default="")  # the first and the last line may be cut
     return "".join(char if char.isprintable() else "?" for char in longest)[:EXCERPT_CHARS]
 
 
@@ -115,13 +115,11 @@ def _no_bytes(evidence: Evidence) -> str | None:
 def _no_topics(evidence: Evidence) -> str | None:
     total = evidence.total
     is_so = total.frames > 0 and evidence.negotiated_s is None and evidence.requests >= MIN_REQUESTS
-    return f"asked {evidence.requests} times, {total.frames} frames" if is_so else None
+    return f"{evidence.requests} topic requests, {total.frames} frames" if is_so else None
 
 
 def _went_silent(evidence: Evidence) -> str | None:
-    is_silent = (
-        evidence.silent_s >= WENT_SILENT_S or evidence.end == "idle"
-    )  # a link is ended sooner where that is safe
+    is_silent = evidence.silent_s >= WENT_SILENT_S or evidence.end == "idle"  # the hub may end a link earlier
     return f"for {evidence.silent_s:.0f} s" if evidence.negotiated_s is not None and is_silent else None
 
 
@@ -157,7 +155,7 @@ def _reboots(evidence: Evidence) -> str | None:
     if len(short) >= REBOOTS:
         ends = ", ".join(sorted({link.end for link in short}))
         return f"{len(short)} links in the last minute; ends: {ends}"
-    return f"{evidence.revivals} times in the last minute" if evidence.revivals >= REBOOTS else None
+    return f"{evidence.revivals} restarts in the last minute" if evidence.revivals >= REBOOTS else None
 
 
 def _wheel_stalled(evidence: Evidence) -> str | None:
@@ -195,8 +193,8 @@ def _clock_trouble(evidence: Evidence) -> str | None:
         return None
     interval_s = median(evidence.time_intervals_s)
     early_s = TIME_REQUEST_S * len(evidence.time_intervals_s) - sum(evidence.time_intervals_s)
-    is_fast = interval_s < TIME_REQUEST_S * (1 - CLOCK_ERROR) and early_s >= JITTER_S  # a slow one may be a slow loop's
-    return f"the device asks every {interval_s:.2f} s, not every {TIME_REQUEST_S:g} s" if is_fast else None
+    is_fast = interval_s < TIME_REQUEST_S * (1 - CLOCK_ERROR) and early_s >= JITTER_S  # a slow clock may be a slow loop
+    return f"time requests every {interval_s:.2f} s instead of {TIME_REQUEST_S:g} s" if is_fast else None
 
 
 def _too_many_robots(evidence: Evidence) -> str | None:

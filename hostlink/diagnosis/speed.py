@@ -1,9 +1,9 @@
-"""Which speed a device's UART has, by the bytes that a reader at another speed makes of its frames.
+"""Guess the baud rate of a device's UART from the bytes that a reader at another rate receives.
 
-Frames of rosserial are put on a simulated line at every usual speed and read at the reader's. The pairs of bytes that
-come out are the model of a speed; the speed under which the sample is most likely is the guess. In simulation,
-with clocks 2 % off and any pauses between bytes, 149 of 152 speeds that it named were right. Of a device that is faster
-than its reader, where whole bytes fall between two samples, it names only that, and that six times in ten.
+rosserial frames are put on a simulated line at every usual rate and read at the reader's rate. The byte pairs in the
+result are the model of a rate. The guess is the rate under which the sample is most likely. In simulation, with clocks
+2 % off and any pauses between bytes, 149 of 152 named rates were right. Whole bytes of a faster
+device fall between two samples. Then only that fact is reported, in six of ten cases.
 """
 
 import functools
@@ -15,12 +15,12 @@ from hostlink.protocol.control import TopicInfo, encode_topic_info
 from hostlink.protocol.frame import Id, encode
 from hostlink.protocol.resampling import STANDARD_BAUDS, resample
 
-BOOT_BAUD = 74880  # of an ESP8266's boot loader, whatever the firmware sets later; nobody else uses it
-MIN_SAMPLE_BYTES = 64  # below it the guesses were hardly better than chance
-MIN_MARGIN = 0.3  # nats a byte between the best speed and the next: at 0.1 one named speed in ten was wrong
-BRIDGE_BAUD = 115200  # a reader behind a network does not know its own: most sketches use this one
-_CLOCK_ERRORS = (0.985, 1.0, 1.015)  # RC oscillators and integer dividers
-_GAPS_BITS = (0.0, 0.5, 1.3, 3.0)  # back to back, and with the pauses that a loop leaves
+BOOT_BAUD = 74880  # rate of an ESP8266's boot loader, independent of the firmware; otherwise unused
+MIN_SAMPLE_BYTES = 64  # with fewer bytes the guesses were hardly better than chance
+MIN_MARGIN = 0.3  # nats per byte between the best rate and the next: at 0.1 one named rate in ten was wrong
+BRIDGE_BAUD = 115200  # assumed rate of a reader behind a network, which is unknown here: most sketches use it
+_CLOCK_ERRORS = (0.985, 1.0, 1.015)  # errors of RC oscillators and integer dividers
+_GAPS_BITS = (0.0, 0.5, 1.3, 3.0)  # back to back, and with the pauses of a busy loop
 _SMOOTHING = 0.02
 _PAIRS = 1 << 16
 
@@ -44,26 +44,26 @@ _BOOT_TEXT = (
 
 
 class Speed(NamedTuple):
-    """A guess at the device's speed; `baud` 0: faster than its reader, which is all that the bytes show."""
+    """Guess at the device's baud rate. 0 means faster than the reader, which is all that the bytes show."""
 
     baud: int
     reader_baud: int | None
 
     @property
     def is_of_boot(self) -> bool:
-        """Whether it is the speed of an ESP8266's boot message."""
+        """Whether this is the rate of an ESP8266's boot message."""
         return self.baud == BOOT_BAUD
 
     def __str__(self) -> str:
         if not self.baud:
-            return "the device is faster than its reader"
+            return "the device's baud rate is higher than the reader's"
         if self.reader_baud:
             return f"read at {self.reader_baud} baud, most likely sent at {self.baud}"
-        return f"sent at about {self.baud / BRIDGE_BAUD:.2g} times the speed at which they are read"
+        return f"sent at about {self.baud / BRIDGE_BAUD:.2g} times the reader's baud rate"
 
 
 def guess_speed(sample: bytes, baud: int | None) -> Speed | None:
-    """The device's speed; None where the bytes do not show it. `baud` is the reader's, None if it is not known."""
+    """Guess the device's baud rate; None if the bytes do not show it. `baud` is the reader's rate, None if unknown."""
     if len(sample) < MIN_SAMPLE_BYTES:
         return None
     reader_baud = BRIDGE_BAUD if baud is None else baud
@@ -94,7 +94,7 @@ def _pairs(data: bytes) -> Counter[bytes]:
 
 
 def _most_likely(sample: bytes, models: dict[int, _Model]) -> tuple[int, float]:
-    """The best model, and by how much a byte it beats the next."""
+    """Return the best model, and its margin per byte over the next one."""
     found = _pairs(sample)
     likelihoods = sorted(((_mean_likelihood(found, model), name) for name, model in models.items()), reverse=True)
     return likelihoods[0][1], likelihoods[0][0] - likelihoods[1][0]

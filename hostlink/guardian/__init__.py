@@ -1,1 +1,1 @@
-"""guardian: a process of its own that stops the robots when the daemon's has ended without doing so."""
+"""Guardian: separate process that stops the robots when the daemon died or hangs."""

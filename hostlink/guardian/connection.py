@@ -1,4 +1,4 @@
-"""A duplicate of one robot's connection in the guardian's process, and how it is written when the daemon is gone."""
+"""Duplicate of one robot's connection in the guardian's process, and its writing when the daemon is gone."""
 
 import _socket
 import fcntl
@@ -9,19 +9,21 @@ import termios
 
 from hostlink.guardian.frames import StopWriter
 
-STALE_BYTES = 128  # a turn of a robot's loop at 38400 baud: what the daemon's pacing may leave in a serial port
+STALE_BYTES = 128  # one turn of a robot's loop at 38400 baud: the most that the daemon's pacing leaves in a serial port
 READ_BYTES = 65536
-DATAGRAM_BYTES = 1024  # of one write over UDP: no network splits it
+DATAGRAM_BYTES = 1024  # of one write over UDP: no network fragments it
 _GONE = select.POLLERR | select.POLLHUP | select.POLLNVAL
 
 
 class Connection:
-    """TCP, UDP or serial. Reading and writing are the daemon's before the first `step`, unless it hangs.
+    """Duplicate of a TCP, UDP or serial connection.
 
-    | call              | while the daemon        | writes                      | reads, closes |
-    |-------------------|-------------------------|-----------------------------|---------------|
-    | `hold`, repeated  | hangs, and may go on    | zeros                       | never         |
-    | `step`, repeated  | is gone                 | zeros, then id 11           | all, at last  |
+    Only the daemon reads and writes before the first `step`, except while it hangs.
+
+    | call              | while the daemon        | writes                      | reads       | closes     |
+    |-------------------|-------------------------|-----------------------------|-------------|------------|
+    | `hold`, repeated  | hangs, and may recover  | zeros                       | nothing     | never      |
+    | `step`, repeated  | is gone                 | zeros, then id 11           | everything  | at the end |
     """
 
     def __init__(self, descriptor: int, topic_ids: tuple[int, ...], claim_bytes: int) -> None:
@@ -30,30 +32,30 @@ class Connection:
         self._is_serial = os.isatty(descriptor)
         self._is_udp = not self._is_serial and _is_udp(descriptor)
         if self._is_udp and claim_bytes <= DATAGRAM_BYTES:
-            claim_bytes = 0  # such a frame left as one datagram, whole or not at all
+            claim_bytes = 0  # such a frame was sent as one datagram, whole or not at all
         self._topic_ids, self._claim_bytes = topic_ids, claim_bytes
         self._writer = StopWriter(topic_ids, claim_bytes)
-        self._zeros = self._writer  # of `hold`
-        self._is_readable = True  # until its end has come
+        self._zeros = self._writer  # used by `hold`
+        self._is_readable = True  # until the end of the stream was read
         self._is_begun = self._is_finished = False
 
     def close(self) -> None:
-        """Close the duplicate; another process's descriptor of the same connection stays as it is."""
+        """Close the duplicate. The daemon's descriptor of the same connection is not affected."""
         if self.is_open:
             self.is_open = False
-            try:  # noqa: SIM105 - contextlib is not small
+            try:  # noqa: SIM105 - contextlib is a large import
                 os.close(self.descriptor)
             except OSError:
-                pass  # the port has vanished; it is closed all the same
+                pass  # the port was removed; the descriptor is closed all the same
 
     def begin_hold(self) -> None:
-        """The daemon hangs: zeros are due from now on."""
+        """Start the zeros for a daemon that hangs."""
         self._zeros = StopWriter(self._topic_ids, self._claim_bytes, is_end=False)
 
     def hold(self, now_s: float) -> float | None:
-        """Write the zeros that are due and have room, `now_s` after `begin_hold`; returns when to call it again.
+        """Write the zeros that are due `now_s` after `begin_hold`, as far as there is room. Return when to call again.
 
-        None: there is nothing more to write. An error is left to the daemon, whose connection it is.
+        None: nothing is left to write, or an error occurred, which is left to the daemon.
         """
         try:
             self._write(self._zeros, now_s)
@@ -62,16 +64,16 @@ class Connection:
         return now_s if self._zeros.has_waiting else self._zeros.next_s()
 
     def events(self, now_s: float) -> int:
-        """What poll() should wait for."""
+        """Events for which poll() should wait."""
         wanted = select.POLLIN if self._is_readable else 0
         return wanted | select.POLLOUT if self._writer.pop_due(now_s) else wanted
 
     def next_s(self) -> float | None:
-        """When there is more to write; None: never."""
+        """Time of the next write; None if none is left."""
         return self._writer.next_s()
 
     def step(self, events: int, now_s: float) -> None:
-        """Write what is due and has room, discard what came; what goes wrong here ends this connection alone."""
+        """Write what is due and discard received bytes. An error closes only this connection."""
         try:
             if not self._is_begun:
                 self._begin()
@@ -83,11 +85,11 @@ class Connection:
                 self._discard()
             if self.is_open and self._writer.is_done():
                 self._finish()
-        except (OSError, termios.error):  # the second is none of the first
+        except (OSError, termios.error):  # termios.error is not an OSError
             self.close()
 
     def abandon(self) -> None:
-        """The time is over: what has not left now never will, and close() would wait for it."""
+        """Close at the end of the time. Discard unsent bytes of a serial port, because close() would wait for them."""
         try:
             if self.is_open and self._is_serial:
                 termios.tcflush(self.descriptor, termios.TCOFLUSH)
@@ -96,7 +98,7 @@ class Connection:
         self.close()
 
     def _begin(self) -> None:
-        """The daemon is gone: the connection is this process's alone."""
+        """Take over the connection, because the daemon is gone."""
         self._is_begun = True
         os.set_blocking(self.descriptor, False)
         if self._is_serial and self._unsent_bytes() > STALE_BYTES:  # old commands would take too long
@@ -107,10 +109,10 @@ class Connection:
             while waiting := writer.pop_due(now_s):
                 writer.written(self._send(waiting) if self._is_udp else os.write(self.descriptor, waiting))
         except BlockingIOError:
-            return  # poll() returns when there is room
+            return  # poll() reports when there is room
 
     def _send(self, waiting: bytes) -> int:
-        """A datagram of it. An error may be about an earlier one; one that cannot be sent at all is lost, as others."""
+        """Send one datagram. An error may belong to an earlier one, so try twice, then count it as lost."""
         datagram = waiting[:DATAGRAM_BYTES]
         for _ in range(2):
             try:
@@ -122,7 +124,10 @@ class Connection:
         return len(datagram)
 
     def _discard(self) -> None:
-        """A device whose bytes nobody takes may stop reading; closing a connection with unread bytes resets it."""
+        """Discard received bytes.
+
+        A device may block while its bytes are not read, and closing a TCP connection with unread bytes resets it.
+        """
         if self._is_udp:
             _discard_datagram(self.descriptor)
             return
@@ -131,10 +136,10 @@ class Connection:
         except BlockingIOError:
             return
         if self._is_serial and not self._is_readable:
-            self.close()  # it hung up
+            self.close()  # the serial device hung up
 
     def _finish(self) -> None:
-        """All is written: a serial port is closed when it has sent that, a TCP connection when its peer closes too."""
+        """Close after the last write: a serial port when all bytes are sent, a TCP connection when the peer closes."""
         if self._is_udp:
             self.close()
             return
@@ -149,7 +154,7 @@ class Connection:
             self.close()
 
     def _unsent_bytes(self) -> int:
-        """What a serial port has not sent yet; 0 where the driver has no such figure."""
+        """Number of unsent bytes of a serial port; 0 where the driver does not report it."""
         try:
             count = fcntl.ioctl(self.descriptor, termios.TIOCOUTQ, bytes(4))
         except OSError:
@@ -168,7 +173,7 @@ def _is_udp(descriptor: int) -> bool:
 
 
 def _discard_datagram(descriptor: int) -> None:
-    """An empty one is no end, and neither is an error: it may be about one that was sent before."""
+    """Discard one datagram. Neither an empty datagram nor an error means that the connection ended."""
     try:
         os.read(descriptor, READ_BYTES)
     except OSError:
@@ -176,7 +181,7 @@ def _discard_datagram(descriptor: int) -> None:
 
 
 def _end_sending(descriptor: int) -> None:
-    """The peer reads to the end of what was written, then its end."""
+    """Shut down sending, so that the peer reads everything that was written and then the end."""
     connection = _socket.socket(fileno=descriptor)
     try:
         connection.shutdown(_socket.SHUT_WR)

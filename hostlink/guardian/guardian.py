@@ -1,7 +1,7 @@
-"""Guardian: the daemon's side of the guardian's process. It starts it, passes it the robots' connections, replaces it.
+"""Guardian: the daemon's side. Starts the guardian's process, passes it the robots' connections, and replaces it.
 
-Everything happens in callbacks of the event loop that do not wait: a guardian that is stuck, gone or cannot be started
-delays nothing and ends nothing.
+All work is done in event loop callbacks that never wait. A guardian that hangs, ended or cannot be started neither
+delays nor ends anything.
 """
 
 import asyncio
@@ -23,23 +23,23 @@ from hostlink.guardian.roster import Roster, Watched
 log = structlog.get_logger()
 
 PING_S = 2.0
-BEAT_S = 0.2  # between two beats while robots are driven; a second without one is a daemon that hangs
-ANSWER_S = 5.0  # it answers within milliseconds, on a loaded machine within a second: after that it is stuck
+BEAT_S = 0.2  # interval of the beats while robots are driven; the guardian acts after a second without one
+ANSWER_S = 5.0  # it answers within milliseconds, on a busy machine within a second; afterwards it counts as stuck
 REAP_S = 0.02
-GOODBYE_S = 0.2  # a guardian that does not end by itself is killed; it has nothing to do any more
-WRITING_S = 1.0  # longer than a guardian stops robots
-SHORTEST_PAUSE_S, LONGEST_PAUSE_S = 0.25, 30.0  # before another is started; doubled each time that one ends at once
-SETTLED_S = 60.0  # one that has lived longer did not end at once
+GOODBYE_S = 0.2  # a guardian that does not end in this time is killed
+WRITING_S = 1.0  # longer than a guardian needs to stop the robots
+SHORTEST_PAUSE_S, LONGEST_PAUSE_S = 0.25, 30.0  # before the next start; doubled each time that a process ends at once
+SETTLED_S = 60.0  # a process that lived longer did not end at once
 _STDERR = 2
 ROOT = Path(__file__).resolve().parents[2]
-CODE = (  # -I and -S leave no other way to find it; behind the standard library, so that nothing shadows that
+CODE = (  # -I and -S allow no other import path; appended after the standard library, so that nothing shadows it
     "import sys; sys.path.append(sys.argv[1]); from hostlink.guardian.process import main; main(int(sys.argv[2]))"
 )
 
 
 @contextlib.contextmanager
 def guarded(*, is_wanted: bool) -> Iterator["Guardian | None"]:
-    """A guardian for the length of a block, in a running event loop. It acts when an exception leaves the block."""
+    """Run a guardian during a block in the event loop. It stops the robots if an exception leaves the block."""
     if not is_wanted:
         yield None
         return
@@ -55,20 +55,24 @@ def guarded(*, is_wanted: bool) -> Iterator["Guardian | None"]:
 
 
 def forbid_core_dumps() -> None:
-    """A process that crashed keeps its connections open until its core is written: longer than a robot may wait."""
+    """Disable core dumps:
+
+    a crashed process keeps its connections open until its core is written, which takes too long.
+    """
     _, hard = resource.getrlimit(resource.RLIMIT_CORE)
-    with contextlib.suppress(OSError, ValueError):  # systemd's sandbox forbids it; the unit has LimitCORE
-        resource.setrlimit(resource.RLIMIT_CORE, (1, hard))  # core(5): 0 would not hold for a core that goes to a pipe
+    with contextlib.suppress(OSError, ValueError):  # systemd's sandbox forbids it; the unit sets LimitCORE
+        # Core(5): 0 does not apply when cores are piped to a program.
+        resource.setrlimit(resource.RLIMIT_CORE, (1, hard))
 
 
 class Guardian:
-    """One process at a time.
+    """Supervisor of one guardian process at a time.
 
     | state    | entered by                                             | left by                                |
     |----------|--------------------------------------------------------|----------------------------------------|
-    | running  | `start`: the process is there; it is sent all links     | its end, or no answer for ANSWER_S     |
-    | ending   | the above; it is killed                                | the process is reaped                  |
-    | waiting  | the above, or a start that failed                      | a pause                                |
+    | running  | `start`: the process runs; all links are sent to it    | its end, or no answer for ANSWER_S     |
+    | ending   | the end of running; the process is killed              | the process is reaped                  |
+    | waiting  | the end of ending, or a failed start                   | a pause                                |
     | over     | `goodbye`, `abandon`                                   |                                        |
     """
 
@@ -80,30 +84,31 @@ class Guardian:
         self._channel: socket.socket | None = None
         self._timer: asyncio.TimerHandle | None = None
         self._started_at_s = 0.0
-        self._ping: tuple[float, int] | None = None  # an unanswered ping: when, and what was guarded then
+        # Unanswered ping: its time, and the number of guarded connections then.
+        self._ping: tuple[float, int] | None = None
         self._pause_s = SHORTEST_PAUSE_S
-        self._missing = ""  # why the last start failed
+        self._missing = ""  # reason of the last failed start
         self._is_incomplete = False
         self._driven = set[int]()  # of the last beat
-        self._beat_s = 0.0  # when it was sent
-        self._stopped = 0  # robots that the process has stopped because no beat came
+        self._beat_s = 0.0  # time of the last beat
+        self._stopped = 0  # robots that the process has stopped because of missing beats
 
     # -- what the daemon reports --------------------------------------------------------------------------------------
 
     def watch(
         self, number: int, connection: Callable[[], int | None], *, topic_ids: Sequence[int], claim_bytes: int
     ) -> None:
-        """A link has these velocity topics; `connection` gives its descriptor while it is open."""
+        """Guard a link with these velocity topics. `connection` returns its descriptor while it is open."""
         self._roster.watch(number, Watched(connection, tuple(topic_ids), claim_bytes))
         self._send_next()
 
     def release(self, number: int) -> None:
-        """A link has ended, or is no robot's any more."""
+        """Stop guarding a link that ended or is no longer a robot's."""
         self._roster.release(number)
         self._send_next()
 
     def beat(self, driven: set[int]) -> None:
-        """The loop runs, and these links have robots that may move."""
+        """Report that the loop runs, and which links have robots that may move."""
         now_s = asyncio.get_running_loop().time()
         is_news = bool(driven - self._driven) or (not driven and bool(self._driven))
         if not (is_news or (driven and now_s >= self._beat_s + BEAT_S)):
@@ -112,7 +117,7 @@ class Guardian:
         self._send_beat()
 
     def start(self) -> None:
-        """Start the process, now or as soon as it can be."""
+        """Start the process. Retry later if that fails."""
         loop = asyncio.get_running_loop()
         try:
             self._channel, self._process = _spawn()
@@ -129,21 +134,21 @@ class Guardian:
             self._send_beat()
 
     def goodbye(self) -> None:
-        """The daemon has stopped the robots by itself: end the process, which sends nothing."""
+        """End the process without a stop sequence, because the daemon has stopped the robots."""
         if self._channel is not None:
-            with contextlib.suppress(OSError):  # it is stuck or gone, and will be killed
+            with contextlib.suppress(OSError):  # a stuck process is killed below
                 self._channel.send(encode_goodbye())
         self._end(GOODBYE_S)
 
     def abandon(self) -> None:
-        """The daemon fails: leave what is still connected to the process, and wait until it has done its work."""
+        """Leave the open connections to the process, because the daemon fails. Wait until it has stopped the robots."""
         self._close_channel()
         self._end(WRITING_S)
 
     # -- the process --------------------------------------------------------------------------------------------------
 
     def _send_next(self) -> None:
-        """Send what the process does not know yet, as far as there is room."""
+        """Send the records that the process has not got, as far as there is room."""
         if self._channel is None:
             return
         loop = asyncio.get_running_loop()
@@ -162,7 +167,7 @@ class Guardian:
 
     def _send_beat(self) -> None:
         if self._channel is not None:
-            with contextlib.suppress(OSError):  # no room: it is stuck or gone, which `_check` and `_receive` notice
+            with contextlib.suppress(OSError):  # a stuck or ended process is detected by `_check` and `_receive`
                 self._channel.send(encode_beat(self._driven))
 
     def _receive(self) -> None:
@@ -190,7 +195,7 @@ class Guardian:
         self._is_incomplete = connections < sent
 
     def _check(self) -> None:
-        """Request a sign of life; replace it when it has not answered the last request."""
+        """Ping the process. Replace it if the last ping is unanswered."""
         assert self._channel is not None  # noqa: S101 - the timer is replaced with the channel
         now_s = asyncio.get_running_loop().time()
         if self._ping is not None and now_s >= self._ping[0] + self._answer_s:
@@ -198,7 +203,7 @@ class Guardian:
             return
         if self._ping is None:
             self._ping = (now_s, self._roster.connections)
-            with contextlib.suppress(OSError):  # no room: no answer will come
+            with contextlib.suppress(OSError):  # no room: there will be no answer
                 self._channel.send(encode_ping())
         self._later(self._ping_s, self._check)
 
@@ -224,7 +229,7 @@ class Guardian:
     def _miss(self, reason: str) -> None:
         if reason != self._missing:
             self._missing = reason
-            log.warning("guardian.missing", reason=reason)
+            log.warning("guardian.start_failed", reason=reason)
         self._pause()
 
     def _pause(self) -> None:
@@ -232,7 +237,7 @@ class Guardian:
         self._pause_s = min(2 * self._pause_s, LONGEST_PAUSE_S)
 
     def _later(self, wait_s: float, act: Callable[..., None], *arguments: object) -> None:
-        """The one thing that happens next by itself."""
+        """Replace the timer."""
         if self._timer is not None:
             self._timer.cancel()
         self._timer = asyncio.get_running_loop().call_later(wait_s, act, *arguments)
@@ -246,7 +251,7 @@ class Guardian:
             self._channel = None
 
     def _end(self, wait_s: float) -> None:
-        """Wait a moment for the process to end by itself, then end it."""
+        """Wait `wait_s` for the process to end, then kill it."""
         if self._timer is not None:
             self._timer.cancel()
         if self._process is not None:
@@ -259,7 +264,11 @@ class Guardian:
 
 
 def _spawn() -> tuple[socket.socket, "subprocess.Popen[bytes]"]:
-    """The process and the way to it. An OSError where it cannot be."""
+    """Start the process. Return it and the channel to it.
+
+    Raises:
+        OSError: the process cannot be started.
+    """
     ours, theirs = map(_above_stdio, socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET))
     with theirs, contextlib.ExitStack() as undo:
         undo.callback(ours.close)
@@ -279,7 +288,7 @@ def _spawn() -> tuple[socket.socket, "subprocess.Popen[bytes]"]:
 
 @contextlib.contextmanager
 def _signals_blocked() -> Iterator[None]:
-    """What is started meanwhile has them blocked for ever: those to the daemon's terminal or service are not for it."""
+    """Block all signals for a process that is started meanwhile: signals to the daemon's terminal are not for it."""
     before = signal.pthread_sigmask(signal.SIG_SETMASK, signal.valid_signals())
     try:
         yield
@@ -288,7 +297,7 @@ def _signals_blocked() -> Iterator[None]:
 
 
 def _above_stdio(end: socket.socket) -> socket.socket:
-    """A daemon that was started without stdin has its number free, and the process gets a stdin of its own there."""
+    """Move a socket above the standard streams' numbers, which are free in a daemon that was started without them."""
     if end.fileno() > _STDERR:
         return end
     with end:

@@ -1,6 +1,6 @@
-"""The guardian's process: a duplicate of each robot's connection, to stop them when the daemon is gone or hangs.
+"""The guardian's process: holds a duplicate of each robot's connection, and stops the robots without the daemon.
 
-The standard library only, and of that what is small: `socket` imports enum, which alone takes 0.6 MiB.
+It imports only small parts of the standard library: `socket` imports enum, which alone takes 0.6 MiB.
 """
 
 import _socket
@@ -25,19 +25,19 @@ from hostlink.guardian.records import (
 )
 from hostlink.remains import SALVAGE, of_process, remove_empty
 
-HANG_S = 1.0  # after the last beat, while a robot is driven; the daemon sends one every 0.2 s
-HOLD_POLL_S = 0.01  # while a device takes nothing
-LINGER_S = 0.5  # after the last byte: a device may take all of it before its connection is closed
+HANG_S = 1.0  # after the last beat while a robot is driven; the daemon sends one every 0.2 s
+HOLD_POLL_S = 0.01  # while a device does not read
+LINGER_S = 0.5  # after the last byte: a device may read all of it before its connection is closed
 END_S = ZEROS * INTERVAL_S + LINGER_S
-POLL_S = 0.01  # whether a serial port has sent all: the kernel sends no event
-OOM_SCORE = b"-1000"  # the kernel ends others first; needs a privilege
-NAME = b"guardian"  # in ps and top
+POLL_S = 0.01  # interval of the check whether a serial port has sent everything: the kernel sends no event
+OOM_SCORE = b"-1000"  # the kernel kills other processes first; needs a privilege
+NAME = b"guardian"  # shown by ps and top
 _ANCILLARY_BYTES = _socket.CMSG_SPACE(DESCRIPTOR_BYTES)
 _CLOEXEC = _socket.MSG_CMSG_CLOEXEC
 
 
 def main(descriptor: int) -> None:
-    """Serve the daemon at the other end of this socket until it sends its goodbye or is gone."""
+    """Serve the daemon on this socket until its goodbye or its end."""
     prepare()
     daemon = os.getppid()
     channel = _socket.socket(fileno=descriptor)
@@ -47,13 +47,13 @@ def main(descriptor: int) -> None:
         stop(list(connections.values()))
         channel.close()
         save_remains(daemon, is_driven=is_driven)
-    os._exit(0)  # closes what is guarded, without the interpreter's own shutdown
+    os._exit(0)  # closes the connections without the interpreter's shutdown
 
 
 def save_remains(daemon: int, *, is_driven: bool) -> None:
-    """Start a process that writes incidents out of what the daemon has left in memory. Signals stay blocked in it.
+    """Start a process that writes incidents from the daemon's data in memory. Signals stay blocked in it.
 
-    A service manager's next start of the daemon does it as well, and would wait for this process to end.
+    Under a service manager the next start of the daemon does this. The manager would wait for this process to end.
     """
     if not is_driven:
         remove_empty(daemon)
@@ -63,11 +63,11 @@ def save_remains(daemon: int, *, is_driven: bool) -> None:
     try:
         os.posix_spawn(sys.executable, command, os.environ)
     except OSError:
-        return  # the next start does it
+        return  # the next start of the daemon does it
 
 
 def prepare() -> None:
-    """Be the last that the system ends, and in nobody's way. Signals are blocked: it was started so."""
+    """Lower the priority for the OOM killer and raise the descriptor limit. Signals are blocked by the starter."""
     os.chdir("/")
     write("/proc/self/oom_score_adj", OOM_SCORE)
     write("/proc/self/comm", NAME)
@@ -79,7 +79,7 @@ def prepare() -> None:
 
 
 def write(path: str, text: bytes) -> None:
-    """Where the system allows it."""
+    """Write a file of /proc, if the system allows it."""
     try:
         descriptor = os.open(path, os.O_WRONLY)
     except OSError:
@@ -93,19 +93,18 @@ def write(path: str, text: bytes) -> None:
 
 
 def listen(channel: _socket.socket, connections: dict[int, Connection]) -> bool | None:
-    """Keep what the daemon passes until its end of the channel closes; returns whether robots were driven then.
+    """Guard connections until the channel closes. Return whether robots were driven then; None after a goodbye.
 
-    None: a goodbye came before.
-    While robots are driven and no beat comes for HANG_S, they are sent zeros. The daemon may go on afterwards.
+    While robots are driven and no beat arrives for HANG_S, they are sent zeros. The daemon may recover afterwards.
     """
     poll = select.poll()
     poll.register(channel.fileno(), select.POLLIN)
-    driven: list[int] = []  # none: no beat is expected
-    held: list[Connection] = []  # that are sent zeros
+    driven: list[int] = []  # empty: no beat is expected
+    held: list[Connection] = []  # connections that are sent zeros
     is_driven, beat_s, stopped = False, 0.0, 0
     while True:
         now_s = time.monotonic()
-        if driven and now_s >= beat_s + HANG_S and not poll.poll(0):  # what has come is read first
+        if driven and now_s >= beat_s + HANG_S and not poll.poll(0):  # received records are read first
             held = [connections[number] for number in driven if number in connections]
             for connection in held:
                 connection.begin_hold()
@@ -118,7 +117,7 @@ def listen(channel: _socket.socket, connections: dict[int, Connection]) -> bool 
             continue
         try:
             record, ancillary, _, _ = channel.recvmsg(MAX_RECORD_BYTES, _ANCILLARY_BYTES, _CLOEXEC)
-        except ConnectionResetError:  # it ended with answers unread; what it sent before is still here
+        except ConnectionResetError:  # the daemon ended with unread answers; its records are still readable
             continue
         if not record:
             return is_driven
@@ -136,15 +135,15 @@ def listen(channel: _socket.socket, connections: dict[int, Connection]) -> bool 
         old = connections.pop(number, None)
         if old is not None:
             old.close()
-        if kind != RELEASE and ancillary:  # without a descriptor: this process has none left; the answers show it
+        if kind != RELEASE and ancillary:  # without a descriptor: this process has none left, which the answers show
             descriptor = int.from_bytes(ancillary[0][2][:DESCRIPTOR_BYTES], sys.byteorder)
             connections[number] = Connection(descriptor, topic_ids, claim_bytes)
 
 
 def hold(connections: list[Connection], now_s: float) -> tuple[list[Connection], float | None]:
-    """Write the zeros that are due, `now_s` after the daemon began to hang; returns who is owed more, and in how long.
+    """Write the zeros that are due `now_s` after the hang began. Return the unfinished connections and the wait.
 
-    A write of a few frames is one call, so nothing of a daemon that goes on comes between.
+    A write of a few frames is one system call, so no bytes of a recovering daemon are between them.
     """
     owed, next_s = [], END_S
     if now_s < END_S:
@@ -157,15 +156,15 @@ def hold(connections: list[Connection], now_s: float) -> tuple[list[Connection],
 
 
 def answer(channel: _socket.socket, count: int, stopped: int) -> None:
-    """Without waiting for a daemon that does not read."""
+    """Answer a ping. Do not wait for a daemon that does not read."""
     try:
         channel.send(encode_answer(count, stopped), _socket.MSG_DONTWAIT)
     except OSError:
-        return  # the next record, or its end, decides what to do
+        return  # the next record or the end of the channel decides
 
 
 def stop(connections: list[Connection]) -> None:
-    """Write every device's stop sequence, all at the same time; one that takes nothing delays no other."""
+    """Write every device's stop sequence in parallel. A device that does not read delays no other."""
     began_s = time.monotonic()
     events: dict[int, int] = {}
     while connections and (now_s := time.monotonic() - began_s) < END_S:
@@ -178,7 +177,7 @@ def stop(connections: list[Connection]) -> None:
 
 
 def wait(connections: list[Connection], now_s: float) -> dict[int, int]:
-    """Until something can be read or written, or is due: what happened, by descriptor."""
+    """Wait until a connection is ready or due. Return the events by descriptor."""
     poll = select.poll()
     wait_s = POLL_S
     for connection in connections:

@@ -1,68 +1,72 @@
-"""What the daemon sends to its guardian, and what it answers: packets on a pair of sockets. Pure; imports little."""
+"""Records between daemon and guardian: packets on a socket pair. Pure, with few imports."""
 
 import struct
 
-WATCH = b"W"  # with the connection's descriptor: this device is a robot, here is how to stop it
-RELEASE = b"R"  # its connection has ended, or it is no robot any more
-BEAT = b"B"  # the daemon runs; the numbers of the links whose robots may move now
-PING = b"P"  # is answered with the number of connections that are guarded
-GOODBYE = b"G"  # the daemon ends as it should: nothing is to be sent
+WATCH = b"W"  # guard this robot's connection; its descriptor is attached
+RELEASE = b"R"  # the connection has ended, or is no longer a robot's
+BEAT = b"B"  # the daemon runs; names the links whose robots may move
+PING = b"P"  # answered with the number of guarded connections
+GOODBYE = b"G"  # the daemon ends normally; nothing is to be sent
 
 MAX_TOPICS = 16  # of one device
-MAX_DRIVEN = 1024  # links that a beat names; a beat with more means all of them
-_RECORD = struct.Struct(f"<cQI{MAX_TOPICS}H")  # an id of 0 is none
+MAX_DRIVEN = 1024  # link numbers in a beat; a beat with more means all links
+_RECORD = struct.Struct(f"<cQI{MAX_TOPICS}H")  # a topic id of 0 is unused
 _NONE = (0,) * MAX_TOPICS
 _ANSWER = struct.Struct("<II")
 _NUMBER_BYTES = 8
 MAX_RECORD_BYTES = 1 + _NUMBER_BYTES * (MAX_DRIVEN + 1)
 ANSWER_BYTES = _ANSWER.size
-DESCRIPTOR_BYTES = 4  # of an int in SCM_RIGHTS
+DESCRIPTOR_BYTES = 4  # size of the int in SCM_RIGHTS
 
 
 def encode_watch(number: int, topic_ids: tuple[int, ...], claim_bytes: int) -> bytes:
-    """Link number, ids of the velocity topics, the longest frame that the device may have been sent."""
+    """Encode link number, ids of the velocity topics and the longest frame that may have been sent to the device."""
     return _RECORD.pack(WATCH, number, claim_bytes, *(topic_ids + _NONE)[:MAX_TOPICS])
 
 
 def encode_release(number: int) -> bytes:
-    """Link number."""
+    """Encode the number of a link that is no longer guarded."""
     return _RECORD.pack(RELEASE, number, 0, *_NONE)
 
 
 def encode_beat(driven: set[int]) -> bytes:
-    """Link numbers of what may move; none: the guardian expects no further beat."""
+    """Encode the numbers of the links that may move. An empty set: the guardian expects no further beat."""
     numbers = sorted(driven)[: MAX_DRIVEN + 1]
     return BEAT + struct.pack(f"<{len(numbers)}Q", *numbers)
 
 
 def decode_beat(record: bytes) -> tuple[int, ...] | None:
-    """The link numbers; None: all links."""
+    """Decode the link numbers of a beat; None means all links."""
     count = (len(record) - 1) // _NUMBER_BYTES
     return None if count > MAX_DRIVEN else struct.unpack(f"<{count}Q", record[1:])
 
 
 def encode_ping() -> bytes:
-    """A question that any living guardian answers."""
+    """Encode a ping, which the guardian answers."""
     return _RECORD.pack(PING, 0, 0, *_NONE)
 
 
 def encode_goodbye() -> bytes:
-    """The last record."""
+    """Encode the goodbye, the last record."""
     return _RECORD.pack(GOODBYE, 0, 0, *_NONE)
 
 
 def decode(record: bytes) -> tuple[bytes, int, tuple[int, ...], int]:
-    """(kind, link number, topic ids, claim) of everything but a beat; struct.error for what is no record."""
+    """Decode any record but a beat: kind, link number, topic ids, claim.
+
+    Raises:
+        struct.error: the bytes are not a record.
+    """
     kind, number, claim_bytes, *topic_ids = _RECORD.unpack(record)
     return kind, number, tuple(filter(None, topic_ids)), claim_bytes
 
 
 def encode_answer(connections: int, stopped: int) -> bytes:
-    """To a ping: how many connections are guarded; how many robots were stopped so far because no beat came."""
+    """Encode the answer to a ping: guarded connections, and robots stopped so far because of missing beats."""
     return _ANSWER.pack(connections, stopped & 0xFFFFFFFF)
 
 
 def decode_answer(answer: bytes) -> tuple[int, int]:
-    """(guarded connections, robots that were stopped so far because no beat came)."""
+    """Decode an answer: guarded connections, and robots stopped so far because of missing beats."""
     connections, stopped = _ANSWER.unpack(answer)
     return connections, stopped

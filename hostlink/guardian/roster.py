@@ -1,6 +1,6 @@
-"""Roster: which connections the guardian should hold, and what must still be sent to it. Pure.
+"""Roster: connections that the guardian should hold, and records still to be sent to it. Pure.
 
-It is bounded by the daemon's own links: one entry each, and one for each that the guardian holds without need.
+The size is bounded by the daemon's links: one entry for each, and one for each that the guardian still has to release.
 """
 
 from collections.abc import Callable
@@ -11,40 +11,40 @@ from hostlink.guardian.records import encode_release, encode_watch
 
 @dataclass(frozen=True, slots=True)
 class Watched:
-    """How one robot is stopped."""
+    """Data needed to stop one robot."""
 
-    connection: Callable[[], int | None]  # its descriptor, as long as it is open
+    connection: Callable[[], int | None]  # returns its descriptor while it is open
     topic_ids: tuple[int, ...]
     claim_bytes: int
 
 
 class Roster:
-    """Links by number. What changes twice before it was sent is sent once."""
+    """Wanted and guarded links by number. Two changes of a link before it is sent cause one record."""
 
     def __init__(self) -> None:
         self._wanted: dict[int, Watched] = {}
-        self._guarded: set[int] = set()  # as far as the guardian knows
-        self._unsent: dict[int, None] = {}  # the oldest first
+        self._guarded: set[int] = set()  # by the guardian, if it received every record
+        self._unsent: dict[int, None] = {}  # link numbers, oldest first
 
     @property
     def connections(self) -> int:
-        """How many connections the guardian has, if it received all that were sent."""
+        """Number of connections that the guardian has, if it received every record."""
         return len(self._guarded)
 
     def watch(self, number: int, watched: Watched) -> None:
-        """Give the guardian this link, or this link's new velocity topics."""
+        """Guard a link, or replace its velocity topics."""
         self._wanted[number] = watched
         self._unsent[number] = None
 
     def release(self, number: int) -> None:
-        """The guardian needs this link no more."""
+        """Stop guarding a link."""
         self._wanted.pop(number, None)
         self._unsent.pop(number, None)
         if number in self._guarded:
             self._unsent[number] = None
 
     def next(self) -> tuple[bytes, int | None] | None:
-        """The record to send next, and the descriptor to go with it; None: the guardian knows all."""
+        """Return the next record and its descriptor; None if the guardian is up to date."""
         while self._unsent:
             number = next(iter(self._unsent))
             watched = self._wanted.get(number)
@@ -53,11 +53,11 @@ class Roster:
                 return encode_watch(number, watched.topic_ids, watched.claim_bytes), descriptor
             if number in self._guarded:
                 return encode_release(number), None
-            del self._unsent[number]  # it closed before it was passed on
+            del self._unsent[number]  # closed before it was sent
         return None
 
     def confirm(self, *, has_descriptor: bool) -> None:
-        """The record that `next` gave was sent; `is_held`: with a descriptor."""
+        """Note that the record of `next` was sent, with or without a descriptor."""
         number = next(iter(self._unsent))
         del self._unsent[number]
         if has_descriptor:
@@ -66,6 +66,6 @@ class Roster:
             self._guarded.discard(number)
 
     def forget(self) -> None:
-        """The guardian has ended: everything will have to be sent to another."""
+        """Reset what the guardian knows, because it ended. Everything is sent to the next one."""
         self._guarded.clear()
         self._unsent = dict.fromkeys(self._wanted)

@@ -1,1 +1,1 @@
-"""One Session on one Transport, from connect to a named end."""
+"""Link: one Session on one Transport, from the connect to a named end."""

@@ -1,6 +1,6 @@
-"""CaptureBuffer: the last bytes of one direction of a link with the times at which they passed. Pure: time comes in.
+"""CaptureBuffer: the last bytes of one direction of a link, with their times. Pure; times are arguments.
 
-A capture from the beginning whose beginning is lost begins with a whole frame.
+When older bytes were dropped, a capture starts with a whole frame.
 """
 
 import heapq
@@ -13,14 +13,14 @@ from typing import NamedTuple
 from hostlink.protocol.frame import Frame
 from hostlink.protocol.stream import DEFAULT_LIMIT_BYTES, FrameStream
 
-CAPTURE_BYTES = 65536  # 17 s of a full 38400 baud line, minutes of a robot's usual traffic
-_SLACK_BYTES = CAPTURE_BYTES // 4  # more than that is trimmed at once, so that it costs next to nothing a byte
-_MAX_PIECES = 4096  # the times then take as much memory as the bytes
-_JOINED_BYTES = 64  # what neighbours may share a time for: at most 2560 pieces are left then
+CAPTURE_BYTES = 65536  # 17 s of a fully used 38400 baud line, minutes of a robot's usual traffic
+_SLACK_BYTES = CAPTURE_BYTES // 4  # trimmed in steps of this size, so that trimming costs little for each byte
+_MAX_PIECES = 4096  # their times need as much memory as the bytes
+_JOINED_BYTES = 64  # neighbours up to this size share one time, which leaves at most 2560 pieces
 
 
 class Piece(NamedTuple):
-    """Bytes that passed together; `end` counts the bytes of the direction up to and with its last one."""
+    """Bytes that passed together. `end` is the position of the last byte in the direction's stream, counted from 1."""
 
     time_s: float
     end: int
@@ -28,7 +28,7 @@ class Piece(NamedTuple):
 
 
 class CaptureBuffer:
-    """The last CAPTURE_BYTES and a little more. Of very many pieces, small neighbours share the earlier time."""
+    """Ring buffer of about CAPTURE_BYTES. Of very many pieces, small neighbours share the earlier time."""
 
     __slots__ = ("_data", "_ends", "_times", "total_bytes")
 
@@ -39,7 +39,7 @@ class CaptureBuffer:
         self._ends = array("Q")
 
     def add(self, data: bytes, now_s: float) -> None:
-        """Add what passed just now."""
+        """Add bytes that passed at `now_s`."""
         if not data:
             return
         self.total_bytes += len(data)
@@ -52,7 +52,7 @@ class CaptureBuffer:
             self._join()
 
     def pieces(self, since: int = 0) -> Iterator[Piece]:
-        """The pieces after the first `since` bytes of the direction, oldest first; what is lost is left out."""
+        """Yield the pieces after the first `since` bytes of the direction, oldest first, as far as they are kept."""
         base = self.total_bytes - len(self._data)
         begin = max(since, base)
         for number in range(bisect_right(self._ends, begin), len(self._ends)):
@@ -61,7 +61,7 @@ class CaptureBuffer:
             begin = end
 
     def lost_bytes(self, since: int = 0) -> int:
-        """How many bytes after the first `since` are not in the buffer any more."""
+        """Number of bytes after the first `since` that are no longer kept."""
         return max(0, self.total_bytes - len(self._data) - since)
 
     def _join(self) -> None:
@@ -85,7 +85,7 @@ class CaptureBuffer:
 
 
 class CapturedPiece(NamedTuple):
-    """Bytes that passed together, in one direction."""
+    """Bytes that passed together in one direction."""
 
     time_s: float
     is_from_device: bool
@@ -94,20 +94,20 @@ class CapturedPiece(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Captured:
-    """What passed on a link after a position, in order of time."""
+    """Traffic of a link after a position, in order of time."""
 
     pieces: tuple[CapturedPiece, ...]
-    position: tuple[int, int]  # bytes from the device and to it, up to here
-    lost: tuple[int, int]  # bytes after the position that are not kept, from the device and to it
+    position: tuple[int, int]  # bytes from the device and to it at the end of the capture
+    lost: tuple[int, int]  # bytes after the position that are no longer kept, from the device and to it
 
     @property
     def lost_bytes(self) -> int:
-        """Of both directions."""
+        """Lost bytes of both directions."""
         return sum(self.lost)
 
 
 def captured(from_device: CaptureBuffer, to_device: CaptureBuffer, since: tuple[int, int]) -> Captured:
-    """Both directions after the first `since` bytes of each."""
+    """Merge both directions after the first `since` bytes of each."""
     pieces = heapq.merge(
         (CapturedPiece(piece.time_s, True, piece.data) for piece in _whole_frames(from_device, since[0])),
         (CapturedPiece(piece.time_s, False, piece.data) for piece in _whole_frames(to_device, since[1])),
@@ -118,7 +118,7 @@ def captured(from_device: CaptureBuffer, to_device: CaptureBuffer, since: tuple[
 
 
 def _whole_frames(buffer: CaptureBuffer, since: int) -> Iterable[Piece]:
-    """The pieces, without the rest of a frame whose beginning is lost: to a reader it would be damage on the wire."""
+    """Return the pieces without the rest of a cut frame, which a reader would take for damage on the wire."""
     pieces = list(buffer.pieces(since))
     cut_bytes = _rest_of_frame_bytes(pieces) if buffer.lost_bytes(since) else 0
     for piece in pieces:
@@ -128,7 +128,7 @@ def _whole_frames(buffer: CaptureBuffer, since: int) -> Iterable[Piece]:
 
 
 def _rest_of_frame_bytes(pieces: Iterable[Piece]) -> int:
-    """How many bytes come before the first frame; none where they are more than a frame has."""
+    """Number of bytes before the first frame; 0 when it is more than a frame can have."""
     stream, before = FrameStream(), 0
     for piece in pieces:
         for item in stream.feed(piece.data):

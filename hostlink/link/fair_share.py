@@ -1,4 +1,4 @@
-"""FairShare: how much of each turn of the event loop goes into what links and clients send, and who is next."""
+"""FairShare: scheduling of the work of links and clients in each turn of the event loop."""
 
 import asyncio
 from collections import deque
@@ -8,39 +8,42 @@ from typing import Protocol
 
 from hostlink.transport.base import READ_BYTES
 
-TURN_S = 0.0002  # of all together; what drives a robot comes in between, within a few turns of the loop
-CALM_PARTS = 3  # of four of the time is theirs while they wait: one piece of a flood can cost ten turns
-MAX_DEFERRALS = 3  # then one is let in though the turn is used up: nobody waits without end
-_Queue = deque[tuple[Callable[[], None], float]]  # what lets in, and what that is expected to cost
+TURN_S = 0.0002  # for all of them together, so that a command for a robot is handled within a few turns of the loop
+# Of four parts of the time belong to calm readers while they wait: one piece of a flood can cost ten turns.
+CALM_PARTS = 3
+MAX_DEFERRALS = 3  # afterwards one is admitted although the turn is used up, so that no one starves
+# Callback that admits the waiting task, and its expected cost in seconds.
+_Queue = deque[tuple[Callable[[], None], float]]
 
 
 class FairShare:
-    """Links and clients that read wait here when a turn of the loop is used up.
+    """Scheduler of links and clients. Readers wait here when a turn of the loop is used up.
 
-    Those of which no more waits than one read takes go first, in the order in which they came: a robot's own questions
-    do not wait behind a flood. Those that flood take turns in what is left: all of it, or a quarter of the time.
+    A reader is calm while no more bytes wait than one read takes. Calm readers go first, in order of arrival, so that a
+    robot's own requests do not wait behind a flood. Flooding readers take turns in the remaining time: all of it, or a
+    quarter while calm readers wait.
     """
 
     def __init__(self, turn_s: float = TURN_S) -> None:
-        self.waits = 0  # how often somebody had to wait
+        self.waits = 0  # number of waits so far
         self._turn_s = turn_s
-        self._spent_s = 0.0  # in this turn
-        self._owed_s = 0.0  # that calm ones may compute, if they wait, before a flood has its next turn
+        self._spent_s = 0.0  # used time of this turn
+        self._owed_s = 0.0  # time for calm readers, if they wait, before a flood has its next turn
         self._is_turn_due = False
         self._calm: _Queue = deque()
         self._flooding: _Queue = deque()
 
     def is_free(self, *, is_flooding: bool = False) -> bool:
-        """Whether `wait` would return at once: something of the turn is left, and nobody waits before the caller."""
+        """Whether `wait` would return at once: the turn is not used up, and no other reader waits before this one."""
         return not self._is_used_up and self._is_first(is_flooding=is_flooding)
 
     async def wait(self, expected_s: float, *, is_flooding: bool = False) -> None:
-        """Returns when the caller may compute for about `expected_s`: at once while something of the turn is left."""
+        """Wait until the caller may compute for about `expected_s`. Return at once while the turn is not used up."""
         queue = self._flooding if is_flooding else self._calm
         is_admitted = self._is_first(is_flooding=is_flooding)
         deferrals = 0
         while not is_admitted or (self._is_used_up and deferrals < MAX_DEFERRALS):
-            deferrals += is_admitted  # those before have cost more than was expected
+            deferrals += is_admitted  # the readers before it have cost more than expected
             turn = asyncio.get_running_loop().create_future()
             put = queue.appendleft if is_admitted else queue.append
             put((partial(_admit, turn), expected_s))
@@ -50,14 +53,14 @@ class FairShare:
             is_admitted = True
 
     def call(self, work: Callable[[], None], expected_s: float, *, is_flooding: bool = False) -> None:
-        """Call `work`, which raises nothing, when it is its turn; it spends what it has computed."""
+        """Schedule `work` for its turn. It must not raise, and must call `spend` with its cost."""
         queue = self._flooding if is_flooding else self._calm
         queue.append((work, expected_s))
         self.waits += 1
         self._expect_turn()
 
     def spend(self, seconds: float) -> None:
-        """The caller has computed for this long. What is left of a turn stays until it is used up."""
+        """Subtract computing time from the turn. A turn ends only when it is used up."""
         self._spent_s += seconds
         if self._is_used_up:
             self._expect_turn()
@@ -75,7 +78,7 @@ class FairShare:
             asyncio.get_running_loop().call_soon(self._begin_turn)
 
     def _begin_turn(self) -> None:
-        """Let in as many as are expected to fill the turn: calm ones first, if they are owed time or nobody floods."""
+        """Start a turn: admit as many as are expected to fill it. Calm readers go first while they have time left."""
         self._is_turn_due = False
         self._spent_s = 0.0
         left_s = self._turn_s
@@ -97,21 +100,21 @@ class FairShare:
 
 
 def _admit(turn: "asyncio.Future[None]") -> None:
-    if not turn.done():  # else whoever waited has ended
+    if not turn.done():  # otherwise the waiting task has ended
         turn.set_result(None)
 
 
 class Turns:
-    """The part of one link or one client in a FairShare; it remembers what its work costs."""
+    """Share of one link or client in a FairShare, with the cost of its last piece of work."""
 
     __slots__ = ("_cost_s", "_share")
 
     def __init__(self, share: FairShare) -> None:
         self._share = share
-        self._cost_s = TURN_S  # of the first piece nobody knows
+        self._cost_s = TURN_S  # assumed cost of the first piece
 
     async def run(self, work: Callable[[], None], *, is_flooding: bool) -> None:
-        """Do a piece of work when it is its turn."""
+        """Run a piece of work in its turn."""
         began_s = await self.begin(is_flooding=is_flooding)
         try:
             work()
@@ -119,37 +122,37 @@ class Turns:
             self.end(began_s)
 
     def is_free(self, *, is_flooding: bool) -> bool:
-        """Whether a piece of work may be done without waiting."""
+        """Whether a piece of work may run without waiting."""
         return self._share.is_free(is_flooding=is_flooding)
 
     def call(self, work: Callable[[], None], *, is_flooding: bool) -> None:
-        """Call a piece of work, which raises nothing, when it is its turn."""
+        """Schedule a piece of work for its turn. It must not raise."""
         self._share.call(work, self._cost_s, is_flooding=is_flooding)
 
     def reader(self, source: "Source", read: Callable[[], None], on_end: Callable[[], None]) -> "TurnReader":
-        """What reads `source` in these turns."""
+        """Create a reader of `source` that reads in these turns."""
         return TurnReader(self, source, read, on_end)
 
     async def begin(self, *, is_flooding: bool) -> float:
-        """Wait for the turn of a piece of work; returns when it begins."""
+        """Wait for the turn of a piece of work. Return the time at which it begins."""
         await self._share.wait(self._cost_s, is_flooding=is_flooding)
         return asyncio.get_running_loop().time()
 
     def end(self, began_s: float) -> float:
-        """The piece of work is done; returns the time."""
+        """End the piece of work and charge its cost. Return the time."""
         now_s = asyncio.get_running_loop().time()
         self._cost_s = now_s - began_s
         self._share.spend(self._cost_s)
         return now_s
 
     async def wait(self, cost_s: float, *, is_flooding: bool = False) -> None:
-        """Returns when it is its turn, for work of about this cost that can only be begun here."""
+        """Wait for a turn for work of about `cost_s` that is only started here."""
         await self._share.wait(cost_s, is_flooding=is_flooding)
         self._share.spend(cost_s)
 
 
 class Source(Protocol):
-    """What a connection has received: a Transport, or a Connection itself."""
+    """Received bytes of a connection: a Transport or a Connection."""
 
     @property
     def unread_bytes(self) -> int: ...
@@ -159,10 +162,10 @@ class Source(Protocol):
 
 
 class TurnReader:
-    """Reads a connection piece by piece: at once while it is its turn, else later.
+    """Reads a connection piece by piece: at once while it is its turn, otherwise later.
 
-    `read` reads one piece, ends its turn, and raises nothing; `on_end` is called when all is read and nothing more
-    will come.
+    `read` reads one piece, ends its turn and must not raise. `on_end` is called when everything was read and the source
+    has ended.
     """
 
     __slots__ = ("_is_due", "_is_flooding", "_is_stopped", "_on_end", "_read", "_source", "_turns")
@@ -173,13 +176,13 @@ class TurnReader:
         self._is_due = self._is_flooding = self._is_stopped = False
 
     def stop(self) -> None:
-        """Nothing is read any more."""
+        """Stop reading for good."""
         self._is_stopped = True
-        self._read = self._on_end = _read_nothing  # else it and its owner keep each other until a collection
+        self._read = self._on_end = _read_nothing  # otherwise the reader and its owner form a reference cycle
         self._source = _NOTHING
 
     def receive(self) -> None:
-        """Bytes have come, or the end has."""
+        """Handle new bytes or the end of the source."""
         if self._is_due or self._is_stopped:
             return
         source = self._source
@@ -196,7 +199,7 @@ class TurnReader:
             self._on_end()
 
     def _read_due(self) -> None:
-        """It is its turn."""
+        """Read one piece in its turn, then continue."""
         self._is_due = False
         if self._source.unread_bytes and not self._is_stopped:
             self._read()
@@ -204,7 +207,7 @@ class TurnReader:
 
 
 class _Nothing:
-    """The source of a TurnReader after `stop`."""
+    """Source of a TurnReader after `stop`."""
 
     unread_bytes = 0
     is_ended = True
@@ -214,4 +217,4 @@ _NOTHING: Source = _Nothing()
 
 
 def _read_nothing() -> None:
-    """What a TurnReader calls after `stop`."""
+    """Do nothing. Replaces the callbacks of a TurnReader after `stop`."""

@@ -1,4 +1,4 @@
-"""What begins a link where nothing connects: the first datagram of a device, and what makes a silent one send it."""
+"""Link: one device connection, from its first byte to a named end."""
 
 import asyncio
 import contextlib
@@ -29,12 +29,12 @@ from hostlink.transport.base import Transport
 
 # -- greeting ---------------------------------------------------------------------------------------------------------
 
-INVITATION = TOPICS_REQUEST  # a device that was not requested its topics sends nothing
-MAX_HEADS = 8  # that are tried: bytes that are none can look like many
+INVITATION = TOPICS_REQUEST  # a silent device sends its first datagram when its topics are requested
+MAX_HEADS = 8  # false frame starts that are examined, so that the work is bounded
 
 
 def has_frame(data: bytes) -> bool:
-    """Whether a whole frame stands in it, wherever it begins: what carries a UART's bytes cuts them anywhere."""
+    """Whether the data contains a whole frame at any offset. A UART bridge over UDP cuts the stream anywhere."""
     at = -1
     for _ in range(MAX_HEADS):
         at = data.find(SYNC, at + 1)
@@ -46,7 +46,7 @@ def has_frame(data: bytes) -> bool:
 
 
 def _is_frame(data: bytes, at: int) -> bool:
-    """Whether a whole frame begins there."""
+    """Whether a whole frame begins at the offset."""
     if len(data) < at + OVERHEAD_BYTES:
         return False
     sync, size, length_check, topic_id = HEADER.unpack_from(data, at)
@@ -59,16 +59,17 @@ def _is_frame(data: bytes, at: int) -> bool:
 
 # -- piece size -------------------------------------------------------------------------------------------------------
 
-MOST_BYTES = 4096  # four frames of 1 KiB: one that is read in parts costs twice as much
-FIRST_BYTES = 512  # of the first piece nobody knows what it costs; what a robot sends at once is mostly less
-LEAST_BYTES = 64  # reading itself costs as much as the smallest frames in it
-PIECE_S = 0.0005  # others have their turn after it: a piece of requests that are all refused took 3 ms
-MOST_FRAMES = FIRST_BYTES // 8  # of one piece: as many as FIRST_BYTES hold, which bounds what one can cost
-LARGE_PIECE_S = 0.0001  # of more than FIRST_BYTES: half a turn of all links, so that a flood delays nobody by it
+MOST_BYTES = 4096  # four frames of 1 KiB: reading one in parts costs twice as much
+FIRST_BYTES = 512  # the cost of the first piece is unknown; a robot mostly sends less at once
+LEAST_BYTES = 64  # the read itself costs as much as the smallest frames in it
+PIECE_S = 0.0005  # limit for one piece before others have their turn; a piece of refused requests took 3 ms
+MOST_FRAMES = FIRST_BYTES // 8  # in one piece: as many as FIRST_BYTES hold, which bounds its cost
+# Limit for more than FIRST_BYTES: half a turn of all links, so that a flood delays no other link.
+LARGE_PIECE_S = 0.0001
 
 
 class PieceSize:
-    """Of one link: smaller after a piece that was expensive, larger again after some that were cheap."""
+    """Size of the next piece of one link. It is halved after an expensive piece and doubled after a cheap one."""
 
     __slots__ = ("size_bytes",)
 
@@ -76,12 +77,13 @@ class PieceSize:
         self.size_bytes = FIRST_BYTES
 
     def is_crowded(self, data: bytes) -> bool:
-        """Whether a piece is to be read in parts: after long frames, that were cheap, came many short ones."""
-        is_likely = len(data) > FIRST_BYTES and data.count(SYNC[:1]) > MOST_FRAMES  # a third of the time of the next
+        """Whether a piece must be read in parts, because it has many short frames after cheap long ones."""
+        # Costs a third of the exact count below.
+        is_likely = len(data) > FIRST_BYTES and data.count(SYNC[:1]) > MOST_FRAMES
         return is_likely and data.count(SYNC) > MOST_FRAMES
 
     def update(self, cost_s: float) -> None:
-        """A piece was read, and what was in it has cost this."""
+        """Note the cost of the last piece."""
         is_large = self.size_bytes > FIRST_BYTES
         if cost_s > (LARGE_PIECE_S if is_large else PIECE_S):
             self.size_bytes = max(LEAST_BYTES, self.size_bytes // 2)
@@ -93,11 +95,11 @@ class PieceSize:
 
 log = structlog.get_logger()
 
-TROUBLE_INTERVAL_S = 10.0  # damage on the wire is counted, and logged this often
+TROUBLE_INTERVAL_S = 10.0  # damage on the wire is counted and logged at this interval
 
 
 class Trouble:
-    """Logs damage on the wire: at most one line in TROUBLE_INTERVAL_S, with what came since the last one."""
+    """Logger of damage on the wire: at most one line per TROUBLE_INTERVAL_S, with the counts since the last one."""
 
     __slots__ = ("_logged", "_logged_at_s")
 
@@ -106,7 +108,7 @@ class Trouble:
         self._logged: dict[str, int] = {}
 
     def report(self, session: Session, now_s: float) -> None:
-        """Log what is new, if the last line is old enough."""
+        """Log the new counts, if the last line is old enough."""
         if now_s < self._logged_at_s + TROUBLE_INTERVAL_S:
             return
         self._logged_at_s = now_s
@@ -128,12 +130,12 @@ class Trouble:
 # -- link -------------------------------------------------------------------------------------------------------------
 
 LAST_FRAME_TIMEOUT_S = 0.2
-SOON_S = 0.001  # a timer's grain: what is due within it is due
-AGAIN_S = 0.1  # how often it is looked whether what was put off may be done
+SOON_S = 0.001  # granularity of a timer: work due within it is done
+AGAIN_S = 0.1  # retry interval for work that was postponed
 
 
 class LinkEnd(Enum):
-    """Why a link is no more."""
+    """Reason for the end of a link."""
 
     PEER_CLOSED = "peer_closed"
     IDLE = "idle"
@@ -144,12 +146,12 @@ class LinkEnd(Enum):
     STOPPED = "stopped"
     BROKEN = "broken"
     CRASHED = "crashed"
-    UNANSWERABLE = "unanswerable"  # the device waits for an answer that it could not take
+    UNANSWERABLE = "unanswerable"  # the device waits for an answer that its buffer cannot hold
 
 
 @dataclass(frozen=True, slots=True)
 class LinkFacts:
-    """What a link has seen so far."""
+    """Counts and times of a link so far."""
 
     seconds: float
     counts: SessionCounts
@@ -164,11 +166,11 @@ Authenticate = Callable[[], Awaitable[None]]
 
 
 async def trust() -> None:
-    """The `authenticate` of a device that needs no key."""
+    """Accept a device that needs no key."""
 
 
 class Link:
-    """The owner of one connection's transport and session."""
+    """Owner of one connection's transport and session."""
 
     __slots__ = (
         "__weakref__", "_config", "_context", "_end", "_failure", "_finished", "_from_device", "_idle_limit_s",
@@ -190,15 +192,15 @@ class Link:
         wall_ns: Callable[[], int] = time.time_ns,
         pauses: Callable[[float], HostPauses] = never_paused,
     ) -> None:
-        """`share`: of the event loop, with all other links; `wall_ns`: the time that the device is given.
+        """`share` divides the event loop among all links. `wall_ns` is the time that devices get.
 
-        `pauses`: when the host itself did not run, until the time that it is called with.
+        `pauses` returns when the host itself did not run, up to its argument.
         """
         self.number = number
         self.kind, self.peer = transport.kind, transport.peer
         self.address = transport.address
         self.session = session
-        self.last_frame = b""  # of a robot: its zero
+        self.last_frame = b""  # the zero velocity of a robot; empty for other devices
         self.command_latency = Latency()  # from a velocity's command to the transport
         self._from_device, self._to_device = CaptureBuffer(), CaptureBuffer()
         self._now_s = asyncio.get_running_loop().time
@@ -212,7 +214,8 @@ class Link:
         self._reader = self._turns.reader(self, self._read_guarded, partial(self._guarded, self._read_end))
         self._piece = PieceSize()
         self._is_drained = asyncio.Event()
-        self._is_behind = asyncio.Event()  # nothing more may be written: not yet open, not keeping up, at an end
+        # Nothing may be written: not open yet, the device is behind, or the link has ended.
+        self._is_behind = asyncio.Event()
         self._is_behind.set()
         self._is_write_due = False
         self._timer: asyncio.TimerHandle | None = None
@@ -230,12 +233,12 @@ class Link:
         return f"link {self.number} ({self.peer})"
 
     async def run(self, authenticate: Authenticate = trust) -> LinkEnd:
-        """Serve the connection until it ends; returns why.
+        """Serve the connection until it ends. Return the reason.
 
-        `authenticate`: returns when rosserial may begin, or raises ConnectionRefusedError.
+        `authenticate` returns when rosserial may begin, or raises ConnectionRefusedError.
         """
         end = LinkEnd.BROKEN
-        self._context = contextvars.copy_context()  # log lines have what the caller has bound
+        self._context = contextvars.copy_context()  # log lines have the caller's bound keys
         try:
             async with asyncio.TaskGroup() as tasks:
                 writer = tasks.create_task(self._catch_up(authenticate), name=f"link {self.number} writer")
@@ -245,7 +248,7 @@ class Link:
                     writer.cancel()
                 if self._failure is not None:
                     raise self._failure
-        except* ConnectionRefusedError:  # the device has no key
+        except* ConnectionRefusedError:  # the device did not prove the key
             end = LinkEnd.UNAUTHENTICATED
         except* OSError as broken:
             end = LinkEnd.BROKEN
@@ -254,13 +257,13 @@ class Link:
             self._close()
             try:
                 await self._send_last()
-            finally:  # also when it is cancelled
+            finally:  # also when cancelled
                 await self._transport.aclose()
         raise_if_cancelled()
         return self._end or end
 
     def _close(self) -> None:
-        """Nothing is read or written any more."""
+        """Stop reading and writing."""
         self._is_behind.set()
         self._is_drained.set()
         self._reader.stop()
@@ -270,20 +273,20 @@ class Link:
             self._timer.cancel()
 
     async def _send_last(self) -> None:
-        """A link leaves a standing robot, also one that only sends no more; who takes nothing is not waited for."""
+        """Send the final zero velocity before closing. Give up after LAST_FRAME_TIMEOUT_S."""
         if self.last_frame and not self.session.is_stopped:
-            with contextlib.suppress(OSError):  # a TimeoutError is one
+            with contextlib.suppress(OSError):  # TimeoutError is an OSError
                 async with asyncio.timeout(LAST_FRAME_TIMEOUT_S):
                     await self._transport.send(self.last_frame)
 
     def end(self, reason: LinkEnd) -> None:
-        """End the link soon; `run` returns the reason."""
+        """End the link. `run` returns the reason."""
         if self._end is None:
             self._end = reason
             self._finish(reason)
 
     def wake(self) -> None:
-        """Something was put into the session's outbox: it leaves in the next turn of the loop."""
+        """Write newly queued frames in the next turn of the loop."""
         if self._finished.done():
             return
         self._is_drained.clear()
@@ -294,25 +297,25 @@ class Link:
             loop.call_soon(self._guarded, self._write_due, context=self._context)
 
     async def drained(self) -> None:
-        """Wait until everything that was queued has left."""
+        """Wait until every queued frame was sent."""
         await self._is_drained.wait()
 
     def descriptor(self) -> int | None:
-        """The connection's, as long as it is open; None where it has none."""
+        """File descriptor of the connection; None when it has none or is closed."""
         return self._transport.descriptor()
 
     @property
     def topics(self) -> tuple[TopicInfo, ...]:
-        """What the device has announced."""
+        """Topics that the device has announced."""
         return self.session.topics
 
     @property
     def silent_s(self) -> float:
-        """Since the last byte of the device."""
+        """Seconds since the last byte from the device."""
         return self._now_s() - self.received_at_s
 
     def facts(self) -> LinkFacts:
-        """The counts and times of the link: for its last log line and for the API."""
+        """Counts and times of the link, for its last log line and for the API."""
         now_s = self._now_s()
         return LinkFacts(
             seconds=now_s - self.opened_at_s,
@@ -325,13 +328,13 @@ class Link:
         )
 
     def captured(self, since: tuple[int, int] = (0, 0)) -> Captured:
-        """What passed after the first `since` bytes from the device and to it, as far as it is kept."""
+        """Captured traffic after the first `since` bytes from the device and to it, as far as it is kept."""
         return captured(self._from_device, self._to_device, since)
 
     # -- from the device ----------------------------------------------------------------------------------------------
 
     def _begin(self) -> None:
-        """Rosserial may begin."""
+        """Open the session and start reading."""
         now_s = self._now_s()
         self._dispatch(self.session.open(now_s=now_s), now_s)
         self._transport.start(self._reader.receive)
@@ -340,7 +343,7 @@ class Link:
         self._context.run(self._guarded, self._read)
 
     def _read(self) -> None:
-        """One piece, so that others may have their turn between two."""
+        """Read one piece, so that others have their turn between two pieces."""
         now_s = self.received_at_s = self._now_s()
         data = self._rest or self._transport.read(self._piece.size_bytes)
         self._rest = b""
@@ -354,25 +357,25 @@ class Link:
 
     @property
     def unread_bytes(self) -> int:
-        """What has come and was not read."""
+        """Number of received and unread bytes."""
         return len(self._rest) + self._transport.unread_bytes
 
     @property
     def is_ended(self) -> bool:
-        """Whether nothing more will come."""
+        """Whether the connection ended, so that no more bytes arrive."""
         return self._transport.is_ended
 
     def _read_end(self) -> None:
-        self._transport.read(1)  # raises what broke the connection
+        self._transport.read(1)  # raises the error that broke the connection
         self._finish(LinkEnd.PEER_CLOSED)
 
     def _silent_at_s(self) -> float:
-        """When the link ends if not a byte comes; sooner for a device that requests the time regularly."""
+        """Time at which silence ends the link; earlier for a device that requests the time regularly."""
         limit_s = self._regular_limit_s if self.session.is_requesting_time else self._idle_limit_s
         return self.received_at_s + limit_s
 
     def _dispatch(self, found: list[Event], now_s: float) -> None:
-        self._is_write_due = True  # what the events lead to leaves together
+        self._is_write_due = True  # answers to the events are written together
         for event in found:
             self._on_event(self, event)
         if self.session.has_waiting or self._next_s() < self._timer_s:
@@ -381,11 +384,11 @@ class Link:
             self._is_write_due = False
 
     def _next_s(self) -> float:
-        """When something is due without a byte from the device."""
+        """Time at which something is due if no byte arrives."""
         return min(self.session.deadline_s(), self._silent_at_s())
 
     def _guarded(self, work: Callable[[], None]) -> None:
-        """Do what the event loop has called for; what it raises ends the link, and `run` raises it."""
+        """Run a callback of the event loop. An exception ends the link, and `run` raises it."""
         try:
             work()
         except Exception as error:  # noqa: BLE001 - raised by `run`
@@ -401,7 +404,7 @@ class Link:
     # -- to the device ------------------------------------------------------------------------------------------------
 
     async def _catch_up(self, authenticate: Authenticate) -> None:
-        """Let the device authenticate itself; then wait for one that is behind."""
+        """Authenticate the device. Then wait whenever the device is behind, and write again."""
         await authenticate()
         self._is_behind.clear()
         self._begin()
@@ -412,17 +415,17 @@ class Link:
             self._write(self._now_s())
 
     async def _drain(self) -> None:
-        """Wait for a device that is behind; while the host pauses it is not the device that is slow.
+        """Wait until the device keeps up. A timeout during a pause of the host is not counted.
 
         Raises:
-            OSError: the connection is gone, or the device takes nothing.
+            OSError: the connection is lost, or the device does not read for write_timeout_s.
         """
         began_s = self._now_s()
         while True:
             try:
                 async with asyncio.timeout(self._config.write_timeout_s):
                     return await self._transport.drain()
-            except TimeoutError:  # an OSError: broken
+            except TimeoutError:  # an OSError, so the link ends as broken
                 if not self._pauses(self._now_s()).was_paused(began_s):
                     raise
                 began_s = self._now_s()
@@ -432,7 +435,7 @@ class Link:
             self._write(self._now_s())
 
     def _write(self, now_s: float) -> None:
-        """Write what may leave by now, and do what is due; then expect what is next."""
+        """Write the frames that may be sent now, do what is due, and set the timer."""
         self._is_write_due = False
         session = self.session
         session.begin_waiting(now_s)
@@ -451,11 +454,14 @@ class Link:
             self._expect(now_s)
 
     def _is_settled(self, now_s: float) -> bool:
-        """Whether what is due may be done: after a pause of the host what waits is read first, which may change it."""
+        """Whether due work may be done.
+
+        After a pause of the host, waiting bytes are read first, which may change it.
+        """
         return self._pauses(now_s).is_settled(now_s)
 
     def _is_silent(self, now_s: float) -> bool:
-        """Whether nothing came for too long while the host ran."""
+        """Whether no byte arrived for too long while the host ran."""
         if self._silent_at_s() > now_s + SOON_S or not self._is_settled(now_s) or self.unread_bytes:
             return False
         limit_s = self._silent_at_s() - self.received_at_s
@@ -469,14 +475,14 @@ class Link:
         self._to_device.add(outgoing.frame, now_s)
 
     def _expect(self, now_s: float) -> None:
-        """Call `_write` again when something is due, at the latest."""
+        """Set the timer for the next `_write`."""
         next_s, wait_s = self._silent_at_s(), None
         if not self._is_behind.is_set():
             wait_s = self.session.wait_s(now_s)
             next_s = min(next_s, self.session.deadline_s())
             if wait_s is None:
                 self._is_drained.set()
-        if next_s <= now_s + SOON_S:  # it was due and was put off: what waits is read first
+        if next_s <= now_s + SOON_S:  # due work was postponed: waiting bytes are read first
             next_s = now_s + AGAIN_S
         if wait_s is not None:
             next_s = min(next_s, now_s + wait_s)

@@ -1,1 +1,1 @@
-"""The ways in for devices: TCP, UDP and serial ports."""
+"""Listeners for devices on TCP, UDP and serial ports."""

@@ -1,4 +1,4 @@
-"""Accepting devices on TCP, UDP and serial ports, and refusing them."""
+"""Acceptors of devices on TCP, UDP and serial ports, and the admission of connections."""
 
 import asyncio
 import dataclasses
@@ -26,12 +26,12 @@ from hostlink.transport.udp_port import Datagram, UdpPort
 
 log = structlog.get_logger()
 
-PAUSE_S = 5.0  # a device for which there is no room comes again at once, and nothing will have changed
-LOG_INTERVAL_S = 10.0  # whoever is refused comes again at once
+PAUSE_S = 5.0  # a refused device reconnects at once, when there is still no room
+LOG_INTERVAL_S = 10.0  # a refused peer reconnects at once
 
 
 class Refusals:
-    """What one acceptor has refused."""
+    """Counts and pauses of one acceptor's refused peers."""
 
     def __init__(self, hub: Hub) -> None:
         self._hub = hub
@@ -44,13 +44,13 @@ class Refusals:
         self._paused_until_s[address] = _now_s() + PAUSE_S
 
     def is_paused(self, address: str) -> bool:
-        """Whether its pause is not over."""
+        """Whether the address is refused because of a pause."""
         now_s = _now_s()
         self._paused_until_s = {each: until_s for each, until_s in self._paused_until_s.items() if until_s > now_s}
         return address in self._paused_until_s
 
     def count(self, cause: str, peer: str) -> None:
-        """Count it; log the first, then at most one in LOG_INTERVAL_S, with what came since."""
+        """Count a refusal. Log the first one, then at most one line per LOG_INTERVAL_S with the counts since."""
         self._hub.counts.refused[cause] += 1
         self._unlogged[cause] += 1
         now_s = _now_s()
@@ -69,30 +69,33 @@ def _now_s() -> float:
 
 @dataclass(frozen=True, slots=True)
 class OpenConnection:
-    """One connection that is served."""
+    """One accepted connection."""
 
     number: int
     address: str
-    is_identified: bool  # as every device does within a second; such a one is never evicted
+    is_identified: bool  # true for a device within a second; an identified connection is never evicted
 
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """Whether a connection may stay: why not, or who must go for it."""
+    """Decision about a new connection: accepted, refused with a reason, or accepted in place of another one."""
 
     refusal: str | None = None
     evicts: int | None = None
 
 
 class Admission:
-    """
-    | a connection comes                | what happens                                                             |
+    """Rules for a new connection.
+
+    | new connection                    | decision                                                                 |
     |-----------------------------------|--------------------------------------------------------------------------|
     | from outside the allowed networks | refused: not_allowed                                                     |
     | over the bound of its address     | refused: too_many_of_address                                             |
-    | over the bound of all             | of the unidentified, without topics, the oldest of the address that has  |
-    |                                   | most of them is evicted, if its own has none, or at least two fewer;     |
-    |                                   | else it is refused: too_many                                             |
+    | over the bound of all             | the oldest unidentified connection of the address with most of them is   |
+    |                                   | evicted, if the new address has none, or at least two fewer;             |
+    |                                   | otherwise refused: too_many                                              |
+
+    A connection is unidentified until its device has announced topics.
     """
 
     def __init__(self, config: TcpConfig | UdpConfig) -> None:
@@ -101,7 +104,10 @@ class Admission:
         self._keyless = [ipaddress.ip_network(network) for network in config.keyless]
 
     def judge(self, address: str, connections: Sequence[OpenConnection], *, room: int | None = None) -> Verdict:
-        """`connections`: those that are there, oldest first; `room`: for how many, if not the bound of all."""
+        """Decide about a new connection.
+
+        `connections` are the accepted ones, oldest first. `room` replaces the bound of all connections.
+        """
         most = self._config.max_connections if room is None else room
         if self._allowed and not is_within(address, self._allowed):
             return Verdict(refusal="not_allowed")
@@ -114,17 +120,18 @@ class Admission:
         oldest = max(
             unidentified, key=lambda connection: counts[connection.address], default=None
         )  # the first of equals
-        if oldest is None or 0 < counts[address] >= counts[oldest.address] - 1:  # else crowds take turns without end
+        # Otherwise two crowds would evict each other without end.
+        if oldest is None or 0 < counts[address] >= counts[oldest.address] - 1:
             return Verdict(refusal="too_many")
         return Verdict(evicts=oldest.number)
 
     def needs_key(self, address: str) -> bool:
-        """If there is a key: whether this one must prove it."""
+        """Whether a device at this address must prove the key, if there is one."""
         return not is_within(address, self._keyless)
 
 
 def is_within(address: str, networks: Sequence[ipaddress.IPv4Network | ipaddress.IPv6Network]) -> bool:
-    """Whether one of the networks has the address."""
+    """Whether one of the networks contains the address."""
     found = ipaddress.ip_address(address)
     return any(found in network for network in networks)
 
@@ -133,10 +140,10 @@ def is_within(address: str, networks: Sequence[ipaddress.IPv4Network | ipaddress
 
 
 class TcpAcceptor:
-    """Owns the connections that came over TCP."""
+    """Acceptor of TCP connections."""
 
     def __init__(self, hub: Hub, config: TcpConfig) -> None:
-        """Starts without connections.
+        """Create the acceptor.
 
         Raises:
             ConfigError: the key file cannot be used.
@@ -148,7 +155,7 @@ class TcpAcceptor:
         self._refusals = Refusals(hub)
 
     def accept(self, transport: Transport) -> None:
-        """A device has connected."""
+        """Accept or refuse a new connection."""
         connections = [
             OpenConnection(link.number, link.address, is_identified=link.session.counts.negotiations > 0)
             for link in self._links.values()
@@ -183,8 +190,8 @@ class TcpAcceptor:
 
 # -- udp acceptor -----------------------------------------------------------------------------------------------------
 
-OPENED_A_SECOND = 20.0  # sessions of each kind, and as many at once: each costs about a millisecond
-INVITE_S = 2.0  # as often as a link requests the topics of a device that does not answer
+OPENED_A_SECOND = 20.0  # new sessions of each kind, and burst size: each costs about a millisecond
+INVITE_S = 2.0  # the interval at which a link repeats an unanswered topic request
 _NO_DESCRIPTOR = frozenset({errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM})
 
 
@@ -194,16 +201,16 @@ class _Session:
     transport: UdpTransport
 
     def as_connection(self) -> OpenConnection:
-        """As Admission has it: who is verified is not evicted."""
+        """Describe the session for Admission. A verified device counts as identified, so it is not evicted."""
         is_identified = self.transport.is_verified or self.link.session.counts.negotiations > 0
         return OpenConnection(self.link.number, self.link.address, is_identified=is_identified)
 
 
 class UdpAcceptor:
-    """Owns the sessions that began over UDP."""
+    """Acceptor of UDP sessions."""
 
     def __init__(self, hub: Hub, config: UdpConfig) -> None:
-        """Starts without sessions.
+        """Create the acceptor.
 
         Raises:
             ConfigError: the key file cannot be used.
@@ -213,12 +220,12 @@ class UdpAcceptor:
         self._key = None if config.key_file is None else read_key(config.key_file, "udp.key_file")
         self._trusted = [ipaddress.ip_network(network) for network in config.trusted]
         self._devices = config.device_addresses()
-        self._sessions: dict[tuple[str, int], _Session] = {}  # by where their datagrams come from, oldest first
+        self._sessions: dict[tuple[str, int], _Session] = {}  # by source address, oldest first
         self._refusals = Refusals(hub)
         self._rates = {is_verified: _Rate() for is_verified in (False, True)}
 
     def receive(self, port: UdpPort, datagram: Datagram) -> bool:
-        """A datagram came that no session's own socket received; returns whether it has opened one."""
+        """Handle a datagram from the shared port. Return whether it opened a session."""
         session = self._sessions.get(datagram.source[:2])
         if session is not None:
             session.transport.feed(datagram.data)
@@ -229,7 +236,7 @@ class UdpAcceptor:
         return False
 
     async def invite(self, ports: Sequence[UdpPort]) -> None:
-        """Send something to each device that waits for it and has no session, again and again, until cancelled."""
+        """Send INVITATION to each configured device without a session, repeatedly, until cancelled."""
         while True:
             for address in self._devices:
                 is_ipv6 = ":" in address[0]
@@ -273,7 +280,7 @@ class UdpAcceptor:
         return source in self._devices or is_within(source[0], self._trusted)
 
     def _refusal(self, address: str, peer: str, *, is_verified: bool) -> str | None:
-        """Why it gets no session; another may be ended for it."""
+        """Return why the peer gets no session, or None. May evict another session to make room."""
         if self._refusals.is_paused(peer):
             return "too_many_robots"
         if not self._rates[is_verified].allows(asyncio.get_running_loop().time()):
@@ -282,10 +289,10 @@ class UdpAcceptor:
         others = [each for each in self._sessions.values() if not each.transport.is_verified]
         most = self._config.max_connections
         room = most if is_verified else min(most // 2, most - len(verified))
-        beside = [*verified, *others] if is_verified else others
-        verdict = self._admission.judge(address, [each.as_connection() for each in beside], room=room)
+        rivals = [*verified, *others] if is_verified else others
+        verdict = self._admission.judge(address, [each.as_connection() for each in rivals], room=room)
         if verdict.evicts is not None:
-            self._evict(next(each for each in beside if each.link.number == verdict.evicts))
+            self._evict(next(each for each in rivals if each.link.number == verdict.evicts))
         return verdict.refusal
 
     def _evict(self, session: _Session) -> None:
@@ -313,7 +320,7 @@ class UdpAcceptor:
 
 
 class _Rate:
-    """At most OPENED_A_SECOND, and as many at once."""
+    """Rate limit: OPENED_A_SECOND a second, with a burst of the same number."""
 
     def __init__(self) -> None:
         self._left = OPENED_A_SECOND
@@ -331,11 +338,11 @@ class _Rate:
 # -- serial ports -----------------------------------------------------------------------------------------------------
 
 BITS_A_BYTE = 10  # 8N1
-RETRY_S = 1.0  # a port that vanished is searched this often
+RETRY_S = 1.0  # interval of the search for a removed port
 
 
 async def serve_serial(hub: Hub, config: SerialConfig, *, retry_s: float = RETRY_S) -> None:
-    """Serve until cancelled."""
+    """Serve the serial port until cancelled. Retry after `retry_s` when it fails."""
     logged = ""
     while True:
         with hub.isolation.around("task", task=f"serial port {config.name}"):
@@ -347,7 +354,7 @@ async def serve_serial(hub: Hub, config: SerialConfig, *, retry_s: float = RETRY
 
 
 async def _serve_once(hub: Hub, config: SerialConfig) -> str:
-    """Serve the port to the end of its link; the reason when it cannot be opened."""
+    """Serve the port to the end of its link. Return the reason when it cannot be opened."""
     try:
         transport = await open_serial(config)
     except OSError as error:
@@ -364,20 +371,23 @@ async def _serve_once(hub: Hub, config: SerialConfig) -> str:
 
 
 def _link_config(hub: Hub, config: SerialConfig) -> LinkConfig:
-    """Silence ends no link here: a port that is gone raises an error, and opening one may reset a board."""
+    """Return the settings of a serial link. Silence does not end it, because reopening a port may reset a board.
+
+    A removed port raises an error instead.
+    """
     uart_bytes_s = hub.config.link.uart_bytes_s or min(config.bauds) // BITS_A_BYTE
     return dataclasses.replace(hub.config.link, idle_timeout_s=None, silence_timeout_s=None, uart_bytes_s=uart_bytes_s)
 
 
 async def _try_bauds(hub: Hub, transport: SerialTransport, link: Link, config: SerialConfig) -> None:
-    """One rate after the other, until a frame has come whole."""
+    """Try the baud rates in turn until a whole frame was received."""
     if len(config.bauds) == 1:
         return
     for baud in itertools.cycle(config.bauds):
         log.debug("serial.baud_tried", port=config.name, baud=baud)
         try:
             transport.set_baud(baud)
-        except OSError:  # the port has vanished; the link finds that by itself
+        except OSError:  # the port was removed; the link ends by its own error
             return
         hub.diagnoses.observe_baud(link, baud)
         await asyncio.sleep(config.baud_try_s)

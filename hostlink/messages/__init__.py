@@ -1,1 +1,1 @@
-"""What a payload means: types, md5 sums and the codec; pure."""
+"""Message types, md5 sums and codecs. Pure."""

@@ -1,4 +1,4 @@
-"""Folders of .msg and .srv files: which type stands in which file."""
+"""Catalog of message and service types from folders of .msg and .srv files."""
 
 import re
 import struct
@@ -16,13 +16,13 @@ from hostlink.messages.parsing import Definition, parse_message, parse_service
 # -- folders ----------------------------------------------------------------------------------------------------------
 
 KINDS: Final = ("msg", "srv")
-_DEEPER: Final = ("*/*/{0}/*.{0}", "*/*/*/{0}/*.{0}")  # as in the sources of a catkin workspace
+_DEEPER: Final = ("*/*/{0}/*.{0}", "*/*/*/{0}/*.{0}")  # the layout of a catkin workspace's sources
 SUFFIXES: Final = tuple(f".{kind}" for kind in KINDS)
 _NAME: Final = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 
 
 def find_definitions(folder: Path, suffix: str) -> dict[str, Path]:
-    """The files below the folder by the name of their type: <package>/msg/Type.msg or <package>/Type.msg."""
+    """Return the files in the folder's packages by type name: <package>/msg/Type.msg or <package>/Type.msg."""
     kind = suffix.removeprefix(".")
     found: dict[str, Path] = {}
     for package in _packages(folder):
@@ -32,32 +32,42 @@ def find_definitions(folder: Path, suffix: str) -> dict[str, Path]:
 
 
 def check_folder(folder: Path) -> None:
-    """ConfigError where a folder of the user's is not what he thinks it is."""
+    """Check a folder that the user named for its packages.
+
+    Raises:
+        ConfigError: the folder does not exist, or is itself a package.
+    """
     if not folder.is_dir():
-        raise ConfigError(str(folder), "no such folder")
+        raise ConfigError(str(folder), "the folder does not exist")
     for kind in KINDS:
         if _files(folder / kind, f".{kind}") or _files(folder, f".{kind}"):
-            raise ConfigError(str(folder), "this is a package; give the folder that it stands in")
+            raise ConfigError(str(folder), "this is a package; give the folder that contains it")
 
 
 def check_not_empty(folder: Path) -> None:
-    """Check a folder that was named for the definitions in it.
+    """Check a folder that the user named for the definitions in it.
 
     Raises:
-        ConfigError: no package right in the folder has one.
+        ConfigError: none of the folder's packages has a definition.
     """
     if any(find_definitions(folder, suffix) for suffix in SUFFIXES):
         return
-    for pattern in _DEEPER:  # somebody may give the root of his disk
+    for pattern in _DEEPER:  # limited depth, because the user may give the root of the disk
         for kind in KINDS:
             if found := min(folder.glob(pattern.format(kind)), default=None):
                 place = found.parents[2]
-                raise ConfigError(str(folder), f"its packages are deeper; give the folder of each, as {place}")
-    raise ConfigError(str(folder), "no package with .msg or .srv files is in it")
+                raise ConfigError(
+                    str(folder), f"the packages are in subfolders; give each folder that has some, such as {place}"
+                )
+    raise ConfigError(str(folder), "contains no package with .msg or .srv files")
 
 
 def read_definition(path: Path) -> str:
-    """The text of the file."""
+    """Read a definition file.
+
+    Raises:
+        ConfigError: the file cannot be read or is not UTF-8.
+    """
     try:
         return path.read_text(encoding="utf-8-sig")
     except OSError as error:
@@ -72,25 +82,26 @@ def _packages(folder: Path) -> Iterator[Path]:
 
 
 def _files(folder: Path, suffix: str) -> list[Path]:
-    """The definitions right in the folder; none where it is not there."""
+    """Return the definitions directly in the folder; an empty list when the folder does not exist."""
     try:
         entries = _entries(folder)
     except ConfigError:
-        if _NAME.fullmatch(folder.parent.name if folder.name in KINDS else folder.name):  # lost+found is no package
+        # Ignore lost+found and the like.
+        if _NAME.fullmatch(folder.parent.name if folder.name in KINDS else folder.name):
             raise
         return []
     paths = [path for path in entries if path.suffix == suffix]
     for path in paths:
         if not _NAME.fullmatch(path.stem) or not _NAME.fullmatch(folder.name):
-            raise ConfigError(str(path), "no name for a type: letters, digits and _, a letter first")
+            raise ConfigError(str(path), "invalid type name; use letters, digits and _, and begin with a letter")
     return paths
 
 
 def _entries(folder: Path) -> list[Path]:
-    """What is in the folder and not hidden; nothing where it is no folder.
+    """Return the folder's entries that are not hidden; an empty list when it is not a folder.
 
     Raises:
-        ConfigError: it cannot be read.
+        ConfigError: the folder cannot be read.
     """
     try:
         return sorted(path for path in folder.iterdir() if not path.name.startswith("."))
@@ -106,10 +117,10 @@ _NEXT = re.compile(rf"^{re.escape(SEPARATOR)}\s*\nMSG: *(\S+) *\n", re.MULTILINE
 
 
 def read_full_definition(name: str, text: str) -> MessageType:
-    """The type of that name, from a text that also has every type in it.
+    """Build a type from a text that also contains every nested type.
 
     Raises:
-        ConfigError: the text is no definition, or lacks a type.
+        ConfigError: the text is not a definition, or lacks a type.
     """
     first, *rest = _NEXT.split(text)
     texts = {name: first} | dict(zip(rest[::2], rest[1::2], strict=True))
@@ -124,7 +135,7 @@ def _build(
         return built[name]
     definition = definitions.get(name)
     if definition is None:
-        raise ConfigError(outer[-1] if outer else name, f"the definition of {name} is not in it")
+        raise ConfigError(outer[-1] if outer else name, f"the definition of {name} is missing")
     if name in outer or len(outer) > NESTING_MAX:
         raise ConfigError(name, "contains itself")
     inner = {field.type for field in definition.fields if field.type not in BUILT_IN}
@@ -142,7 +153,7 @@ _NS_PER_S = 1_000_000_000
 
 
 def decode_clock(payload: bytes) -> int | None:
-    """The time in ns; None: the payload is not a message of CLOCK_TYPE."""
+    """Decode a message of CLOCK_TYPE to nanoseconds; None when the payload is not one."""
     if len(payload) != _TIME.size:
         return None
     secs, nsecs = _TIME.unpack(payload)
@@ -152,15 +163,18 @@ def decode_clock(payload: bytes) -> int | None:
 # -- catalog ----------------------------------------------------------------------------------------------------------
 
 DEFINITIONS: Final = Path(__file__).with_name("definitions")
-NESTING_MAX: Final = 32  # messages in messages; ROS has none deeper than 6
-MESSAGE_BYTES_MAX: Final = 65535  # what a rosserial frame can claim
+NESTING_MAX: Final = 32  # ROS has no message nested deeper than 6
+MESSAGE_BYTES_MAX: Final = 65535  # the longest payload of a rosserial frame
 
 
 class Catalog:
-    """Types by name, each built once."""
+    """Message and service types by name. Each type is built once."""
 
     def __init__(self, folders: Sequence[Path] = ()) -> None:
-        """`folders` hold packages of .msg and .srv files; the first one that has a name wins."""
+        """Read the definitions in `folders` of packages.
+
+        The first folder that has a name wins, also over built-in types.
+        """
         for folder in folders:
             check_folder(folder)
         store = get_typestore(Stores.ROS1_NOETIC)
@@ -177,19 +191,19 @@ class Catalog:
             self._build_all()
 
     def message_names(self) -> list[str]:
-        """Of all types that are known, "pkg/Type", sorted."""
+        """Return the names of all known message types, "pkg/Type", sorted."""
         return sorted({*self._store, *self._message_files})
 
     def service_names(self) -> list[str]:
-        """Of all service types that are known, "pkg/Type", sorted."""
+        """Return the names of all known service types, "pkg/Type", sorted."""
         return sorted(self._service_files)
 
     def message(self, name: str) -> MessageType | None:
-        """The type of that name, "pkg/Type" or "pkg/msg/Type"; None: unknown."""
+        """Return the type named "pkg/Type" or "pkg/msg/Type"; None if unknown."""
         return self._message(_short(name), ())
 
     def service(self, name: str) -> ServiceType | None:
-        """The service type of that name, "pkg/Type" or "pkg/srv/Type"; None: unknown."""
+        """Return the service type named "pkg/Type" or "pkg/srv/Type"; None if unknown."""
         name = _short(name)
         if name not in self._services and name in self._service_files:
             path = self._service_files[name]
@@ -198,16 +212,20 @@ class Catalog:
         return self._services.get(name)
 
     def check_message(self, topic: str, type_name: str, md5: str) -> MessageType | None:
-        """The type that a device announced for a topic; None: unknown; WrongType: its md5 sum is another."""
+        """Return the type that a device announced for a topic; None if unknown.
+
+        Raises:
+            WrongType: the type has another md5 sum here.
+        """
         return _checked(topic, self.message(type_name), md5)
 
     def check_request(self, service: str, type_name: str, md5: str) -> MessageType | None:
-        """As `check_message`, for the requests of a service type."""
+        """Return the request type of an announced service, as `check_message` does."""
         known = self.service(type_name)
         return _checked(service, known.request if known else None, md5)
 
     def check_response(self, service: str, type_name: str, md5: str) -> MessageType | None:
-        """As `check_message`, for the responses of a service type."""
+        """Return the response type of an announced service, as `check_message` does."""
         known = self.service(type_name)
         return _checked(service, known.response if known else None, md5)
 
@@ -234,7 +252,7 @@ class Catalog:
         return None
 
     def _build(self, definition: Definition, outer: tuple[str, ...]) -> MessageType:
-        """`outer`: the types that this one is being built for, and itself."""
+        """Build a type. `outer` holds the types that contain it, and itself."""
         nested = {
             field.type: self._nested(definition, field, outer)
             for field in definition.fields
@@ -250,15 +268,15 @@ class Catalog:
         if field.type in outer:
             raise definition.error(field, f"{field.type} contains itself")
         if len(outer) > NESTING_MAX:
-            raise definition.error(field, f"messages in messages, more than {NESTING_MAX} deep")
+            raise definition.error(field, f"messages nested more than {NESTING_MAX} deep")
         message = self._message(field.type, outer)
         if message is None:
-            raise definition.error(field, f"no type is named {field.type}")
+            raise definition.error(field, f"unknown type {field.type}")
         return message
 
 
 def _short(name: str) -> str:
-    """ "pkg/msg/Type" -> "pkg/Type"."""
+    """Shorten "pkg/msg/Type" to "pkg/Type"."""
     package, _, rest = name.partition("/")
     kind, _, base = rest.rpartition("/")
     return f"{package}/{base}" if kind in {"msg", "srv"} else name

@@ -1,8 +1,8 @@
-"""Payload <-> dict, compiled once a type: Python source with one struct for each run of fixed fields.
+"""Compiled codec, payload <-> dict. It is Python source with one struct for each run of fixed fields.
 
-What is compiled is fast and strict: it accepts whole messages of plain values and intact payloads, and raises one of
-UNCOMMON_LAYOUT for everything else. `validating_codec` then does the same slowly, with all that is allowed, or
-names what is wrong.
+The compiled functions are fast and strict: they accept complete messages of plain values and intact payloads, and raise
+one of UNCOMMON_LAYOUT for everything else. `validating_codec` then does the work slowly, accepts every permitted form,
+or names what is wrong.
 """
 
 import struct
@@ -18,21 +18,21 @@ UNCOMMON_LAYOUT: Final = (ValueError, TypeError, LookupError, AttributeError, Ov
 
 
 def compile_encoder(layout: Layout) -> Encoder:
-    """The function that makes bytes of a complete message."""
+    """Compile the function that encodes a complete message."""
     module = _Module()
     module.add_encoder(layout)
     return cast("Encoder", module.load()["encode_0"])
 
 
 def compile_decoder(layout: Layout) -> Decoder:
-    """The function that makes a dict of a whole payload."""
+    """Compile the function that decodes a whole payload to a dict."""
     module = _Module()
     module.add_decoder(layout)
     return cast("Decoder", module.load()["decode_0"])
 
 
 class _Module:
-    """The source of the functions for one type and for the types of the elements in its arrays."""
+    """Source of the functions for one type and for the element types of its arrays."""
 
     def __init__(self) -> None:
         self.names: dict[str, Any] = {"UncommonLayout": ValueError, "bools": frozenset({bool})}
@@ -41,7 +41,7 @@ class _Module:
         self._lines: list[str] = []
 
     def add_encoder(self, layout: Layout) -> str:
-        """The name of the function that encodes the layout."""
+        """Add the function that encodes the layout. Return its name."""
         if layout not in self._functions:
             self._functions[layout] = f"encode_{len(self._functions)}"
             body = _EncoderBody(self)
@@ -50,7 +50,7 @@ class _Module:
         return self._functions[layout]
 
     def add_decoder(self, layout: Layout) -> str:
-        """The name of the function that decodes a whole payload of the layout."""
+        """Add the function that decodes a whole payload of the layout. Return its name."""
         name = self._functions[layout] = f"decode_{len(self._functions)}"
         body = _DecoderBody(self)
         value = body.read_message(layout)
@@ -59,7 +59,7 @@ class _Module:
         return name
 
     def add_reader(self, layout: Layout) -> str:
-        """The name of the function that reads one element at an offset: (b, o, size) -> value, next offset."""
+        """Add the function that reads one element at an offset: (b, o, size) -> value, next offset. Return its name."""
         if layout not in self._functions:
             name = self._functions[layout] = f"read_{len(self._functions)}"
             body = _DecoderBody(self)
@@ -68,7 +68,7 @@ class _Module:
         return self._functions[layout]
 
     def add_struct(self, codes: list[str]) -> tuple[struct.Struct, int]:
-        """A struct and the number in its names: p<n> packs, u<n> unpacks at an offset, i<n> iterates."""
+        """Add a struct. Return it and the number in its names: p<n> packs, u<n> unpacks at an offset, i<n> iterates."""
         compiled, number = struct.Struct(f"<{''.join(codes)}"), len(self.names)
         self.names[f"p{number}"] = compiled.pack
         self.names[f"u{number}"] = compiled.unpack_from
@@ -76,19 +76,19 @@ class _Module:
         return compiled, number
 
     def load(self) -> dict[str, Any]:
-        # Nothing of a definition reaches the source but names that the parser has checked, each as a quoted literal.
+        # From a definition, only names that the parser has checked reach the source, each as a quoted literal.
         exec("\n".join(self._lines), self.names)  # noqa: S102
         return self.names
 
 
 class _DecoderBody:
-    """Statements that read in wire order, and the expression that makes a dict of what they read."""
+    """Statements that read fields in wire order, and the expression that builds a dict of them."""
 
     def __init__(self, module: _Module) -> None:
         self._module = module
         self._lines: list[str] = []
         self._codes: list[str] = []
-        self._values = 0  # in the tuple that the open run will give
+        self._values = 0  # values in the tuple of the open run
         self._tuples = 0
         self._locals = 0
 
@@ -172,7 +172,7 @@ class _DecoderBody:
         return value
 
     def _read_value(self, code: str, values: int = 1) -> str:
-        """Add to the open run; the expression of its (first) value."""
+        """Add a value to the open run. Return the expression of its first value."""
         self._codes.append(code)
         self._values += values
         return f"t{self._tuples}[{self._values - values}]"
@@ -194,7 +194,7 @@ class _DecoderBody:
 
 
 class _EncoderBody:
-    """Statements that check and convert in wire order, and the parts of the payload."""
+    """Statements that check and convert fields in wire order, and the parts of the payload."""
 
     def __init__(self, module: _Module) -> None:
         self._module = module
@@ -211,7 +211,7 @@ class _EncoderBody:
         return [f" {line}" for line in [*self._lines, f"return {payload}"]]
 
     def write_message(self, layout: Layout, message: str) -> None:
-        """All fields of the message that the expression names; more or fewer are an UncommonLayout."""
+        """Write all fields of the message that the expression names. More or fewer fields raise UncommonLayout."""
         self._lines.append(f"if len({message}) != {len(layout.fields)}: raise UncommonLayout")
         for field in layout.fields:
             self._write_field(layout, field, f"{message}[{field.name!r}]")
@@ -287,7 +287,7 @@ class _EncoderBody:
 
 
 def _is_flat(layout: Layout) -> bool:
-    """One struct reads it: fixed, and no array of messages in it."""
+    """Whether one struct reads the layout: fixed size, and no array of messages."""
     return layout.fixed_bytes is not None and all(
         field.type in FORMATS or (field.array_length == SCALAR and _is_flat(layout.nested[field.type]))
         for field in layout.fields

@@ -1,4 +1,4 @@
-"""What a message consists of: fields, constants, and the layout that the codecs work on."""
+"""Fields, constants and the layout of a message type, as the codecs use them."""
 
 import struct
 from collections.abc import Mapping
@@ -31,17 +31,17 @@ FLOATS: Final = frozenset({"float32", "float64"})
 OCTETS: Final = frozenset({"uint8", "char"})  # arrays of these are bytes
 BUILT_IN: Final = frozenset({*FORMATS, "string", "time", "duration"})
 
-# What a program may send another; a device takes far less. Fields that are left out take room too, so that a short text
-# can mean a long message.
+# Limit for messages between programs; a device accepts far less. Omitted fields count too, so a short request can mean
+# a long message.
 ENCODED_BYTES_MAX: Final = 1024 * 1024
 
-# Messages without fields cost memory here and nothing on the wire, so the length of a list of them cannot be checked
-# against the payload; so many cost a payload byte about what the smallest other messages do.
+# A message without fields costs memory here but no bytes on the wire, so the payload does not bound the length of a
+# list of them. This many elements cost about as much memory per payload byte as the smallest other messages.
 EMPTY_ELEMENTS_MAX: Final = 16
 
 
 class Constant(NamedTuple):
-    """A named value in a definition; `text` is what stands behind the equals sign."""
+    """Named value in a definition. `text` is the part after the equals sign."""
 
     name: str
     type: str
@@ -49,7 +49,7 @@ class Constant(NamedTuple):
 
 
 class Field(NamedTuple):
-    """One field; `array_length` is SCALAR (-1), VARIABLE (0) or the length."""
+    """Field of a message. `array_length` is SCALAR (-1), VARIABLE (0) or the length."""
 
     name: str
     type: str
@@ -57,7 +57,7 @@ class Field(NamedTuple):
 
     @property
     def type_text(self) -> str:
-        """The type as a definition writes it: "float64[36]"."""
+        """The type in the form of a definition: "float64[36]"."""
         if self.array_length == SCALAR:
             return self.type
         return f"{self.type}[{self.array_length or ''}]"
@@ -69,7 +69,7 @@ class Field(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """The fields of one type in wire order, with the layouts of the types in them."""
+    """Fields of one type in wire order, with the layouts of the nested types."""
 
     name: str
     fields: tuple[Field, ...]
@@ -77,22 +77,22 @@ class Layout:
 
     @cached_property
     def fixed_bytes(self) -> int | None:
-        """The serialised size where every value has the same, else None."""
+        """Serialised size if every value has the same size, else None."""
         sizes = [self._fixed_bytes(field) for field in self.fields]
         return None if None in sizes else sum(size for size in sizes if size is not None)
 
     @cached_property
     def minimum_bytes(self) -> int:
-        """The size of the message whose fields are all zero; its bytes are zeros too."""
+        """Size of the message whose fields are all zero. Its bytes are zeros too."""
         return sum(self.field_minimum_bytes(field) for field in self.fields)
 
     @cached_property
     def room(self) -> int:
-        """`minimum_bytes`, where a message without fields counts as one byte: what a value takes at least in memory."""
+        """Lower bound of the memory of a value: `minimum_bytes`, with one byte for each message without fields."""
         return max(1, sum(self._room(field) for field in self.fields))
 
     def element_minimum_bytes(self, field: Field) -> int:
-        """The least that one element of the field takes on the wire."""
+        """Smallest size of one element of the field on the wire."""
         if field.type in SIZES:
             return SIZES[field.type]
         return COUNT_BYTES if field.type == "string" else self.nested[field.type].minimum_bytes
@@ -120,12 +120,12 @@ DURATION: Final = Layout("duration", (Field("secs", "int32"), Field("nsecs", "in
 
 
 def bool_value(text: str) -> bool:
-    """The value of a bool constant, as `+1` or `True`."""
+    """Value of a bool constant, written as `+1` or `True`."""
     return _BOOLS[text] if text in _BOOLS else int(text) == 1
 
 
 def integer_range(type_name: str) -> range:
-    """The values that a bool or an integer type can take."""
+    """Range of values of a bool or an integer type."""
     if type_name == "bool":
         return range(2)
     bits = 8 * SIZES[type_name]

@@ -1,4 +1,4 @@
-"""Messages for a reader whose buffer is small: texts are cut, nothing else is."""
+"""Encode messages for a receiver with a small buffer, by shortening strings."""
 
 from collections.abc import Mapping
 
@@ -7,7 +7,7 @@ from hostlink.messages.message_type import MessageType
 
 
 def encode_within(type_: MessageType, message: Mapping[str, object], limit_bytes: int) -> bytes | None:
-    """The message, its longest texts cut where it would be over the limit; None: without any text it still is.
+    """Encode the message, with its longest strings shortened to `limit_bytes`; None if it does not fit without them.
 
     Raises:
         BadRequest: the message does not fit the type.
@@ -23,7 +23,7 @@ def encode_within(type_: MessageType, message: Mapping[str, object], limit_bytes
     }
     for name in sorted(texts, key=lambda name: len(texts[name]), reverse=True):
         kept_bytes = max(len(texts[name]) - (len(payload) - limit_bytes), 0)
-        values[name] = texts[name][:kept_bytes].decode(errors="ignore")  # never in the middle of a character
+        values[name] = texts[name][:kept_bytes].decode(errors="ignore")  # a character is never cut in two
         payload = type_.encode(values)
         if len(payload) <= limit_bytes:
             return payload

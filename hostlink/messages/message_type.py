@@ -1,4 +1,4 @@
-"""One message type, one service type: the definition, its md5 sum by the rule of ROS 1, and its codec."""
+"""MessageType and ServiceType: definition, md5 sum by the rule of ROS 1, and codec."""
 
 import hashlib
 from collections.abc import Mapping
@@ -16,7 +16,7 @@ _EMPTY: Final = "\n"
 
 
 class MessageType:
-    """What the payloads of one type mean. The codec is compiled when it is first used."""
+    """One message type and its codec. The codec is compiled at its first use."""
 
     def __init__(self, definition: Definition, nested: "Mapping[str, MessageType]") -> None:
         """`nested`: the type of every field that is a message, by its full name."""
@@ -27,7 +27,7 @@ class MessageType:
         layouts |= {"time": TIME, "duration": DURATION}
         self.layout: Layout = Layout(definition.name, definition.fields, layouts)
         self.nested: Mapping[str, MessageType] = nested
-        self.fallbacks = 0  # messages and payloads that the compiled codec left to the validating one
+        self.fallbacks = 0  # messages and payloads that the validating codec handled
 
     @property
     def fields(self) -> tuple[Field, ...]:
@@ -35,19 +35,19 @@ class MessageType:
 
     @property
     def fixed_bytes(self) -> int | None:
-        """The serialised size where every value has the same, else None."""
+        """Serialised size if every value has the same size, else None."""
         return self.layout.fixed_bytes
 
     @cached_property
     def has_time(self) -> bool:
-        """Whether a time stands anywhere in it."""
+        """Whether the type or a nested type has a time field."""
         return any(field.type == "time" for field in self.fields) or any(
             nested.has_time for nested in self.nested.values()
         )
 
     @cached_property
     def md5_text(self) -> str:
-        """What the md5 sum is the sum of: constants, fields; a message in it is the md5 sum of its type."""
+        """Input of the md5 sum: constants and fields; a nested message is represented by its own md5 sum."""
         lines = [f"{constant.type} {constant.name}={constant.text}" for constant in self.constants]
         for field in self.fields:
             nested = self.nested.get(field.type)
@@ -60,9 +60,9 @@ class MessageType:
 
     @cached_property
     def full_definition(self) -> str:
-        """The definition and those of all types in it, each once, as `gendeps --cat` of ROS prints them.
+        """The definition followed by those of all nested types, each once, as `gendeps --cat` of ROS prints them.
 
-        An empty one is an empty line: rospy, which reads such texts, needs an end of the line behind its name.
+        An empty definition becomes an empty line, because rospy needs a line end after the type's name.
         """
         dependencies: dict[str, str] = {}
         _collect_definitions(self, dependencies)
@@ -71,12 +71,12 @@ class MessageType:
         )
 
     def encode(self, message: Mapping[str, object]) -> bytes:
-        """The payload; missing fields are zero.
+        """Encode a message. Missing fields are zero.
 
         Raises:
             BadRequest: a field is unknown or has a wrong value, or the message is too long.
         """
-        encode = self._encoder  # compiled before the fallback is near: a compiler that fails is no uncommon message
+        encode = self._encoder  # outside the try: a failing compiler must not look like an uncommon message
         try:
             payload = encode(message)
         except UNCOMMON_LAYOUT:
@@ -89,9 +89,9 @@ class MessageType:
         return payload
 
     def decode(self, payload: bytes | memoryview) -> dict[str, object]:
-        """A dict in field order.
+        """Decode a payload to a dict in field order.
 
-        Text that is not UTF-8 gets replacement characters, so that every decoded message can become JSON.
+        Text that is not UTF-8 gets replacement characters, so that every decoded message can be written as JSON.
 
         Raises:
             BadPayload: the payload is not exactly one message.
@@ -106,7 +106,7 @@ class MessageType:
 
     @cached_property
     def _zero(self) -> dict[str, object]:
-        """A message of nothing but zeros."""
+        """The message whose fields are all zero."""
         return self.decode(validating_codec.encode(self.layout, {}))
 
     @cached_property
@@ -120,7 +120,7 @@ class MessageType:
 
 @dataclass(frozen=True, slots=True)
 class ServiceType:
-    """The two message types of a service."""
+    """Request and response type of a service."""
 
     name: str
     request: MessageType
@@ -132,19 +132,19 @@ class ServiceType:
 
 
 def _completed(message: Mapping[str, object], zero: dict[str, object]) -> dict[str, object]:
-    """The message with zeros for the fields that are missing; one of UNCOMMON_LAYOUT if it has others."""
+    """Fill in zeros for missing fields. Raise one of UNCOMMON_LAYOUT if the message has unknown fields."""
     completed = {**zero, **message}
     if len(completed) != len(zero):
         raise LookupError("an unknown field")
     for name, value in message.items():
         default = zero[name]
         if isinstance(default, dict):
-            completed[name] = _completed(value, default)  # type: ignore[arg-type]  # a TypeError if it is none
+            completed[name] = _completed(value, default)  # type: ignore[arg-type]  # a TypeError if the value is not a mapping
     return completed
 
 
 def _collect_definitions(message: MessageType, definitions: dict[str, str]) -> None:
-    """Add the definitions of all types in the message, depth first."""
+    """Add the definitions of all nested types, depth first."""
     for nested in message.nested.values():
         if nested.name not in definitions:
             definitions[nested.name] = nested.definition

@@ -1,4 +1,4 @@
-"""The text of .msg and .srv files by the rules of ROS 1: text in, `Definition` out. Other types are but names here."""
+"""Parse the text of .msg and .srv files by the rules of ROS 1. References to other types are not resolved."""
 
 import re
 from collections.abc import Iterator
@@ -24,7 +24,7 @@ _TYPE: Final = re.compile(r"([A-Za-z][A-Za-z0-9_]*(?:/[A-Za-z][A-Za-z0-9_]*)?)(?
 
 
 class Definition(NamedTuple):
-    """One parsed message definition; `field_lines` are the line numbers of the fields."""
+    """One parsed message definition. `field_lines` are the line numbers of the fields."""
 
     name: str
     text: str
@@ -34,13 +34,13 @@ class Definition(NamedTuple):
     field_lines: tuple[int, ...]
 
     def error(self, field: Field, problem: str) -> ConfigError:
-        """The error that names the line of the field."""
+        """Build an error that names the line of the field."""
         line = self.field_lines[self.fields.index(field)]
         return ConfigError(f"{self.where}:{line}", f"field {field.name}: {problem}")
 
 
 def parse_message(name: str, text: str, where: str, *, first_line: int = 1) -> Definition:
-    """Read one message definition; `where` and the line stand in every ConfigError."""
+    """Parse one message definition. Each ConfigError names `where` and the line."""
     constants: dict[str, Constant] = {}
     fields: dict[str, tuple[Field, int]] = {}
     package = name.partition("/")[0]
@@ -65,11 +65,11 @@ def parse_message(name: str, text: str, where: str, *, first_line: int = 1) -> D
 
 
 def parse_service(name: str, text: str, where: str) -> tuple[Definition, Definition]:
-    """Read a service definition: its request and its response, named as ROS names them."""
+    """Parse a service definition into request and response, with the names that ROS gives them."""
     lines = text.split("\n")
     cuts = [index for index, line in enumerate(lines) if line.startswith("---")]
     if len(cuts) != 1:
-        raise ConfigError(where, f"a service needs one line of ---, this has {len(cuts)}")
+        raise ConfigError(where, f"a service definition needs exactly one line of ---, found {len(cuts)}")
     request, response = "\n".join(lines[: cuts[0]]), "\n".join(lines[cuts[0] + 1 :])
     return (
         parse_message(f"{name}Request", request, where),
@@ -78,8 +78,8 @@ def parse_service(name: str, text: str, where: str) -> tuple[Definition, Definit
 
 
 def _lines(text: str, first_line: int) -> Iterator[tuple[int, str, str]]:
-    """Number, line, and the line without its comment, of every line that is not empty."""
-    for number, line in enumerate(text.split("\n"), first_line):  # nothing else ends a line, in a comment or a text
+    """Yield number, text, and text without comment of every line that is not empty."""
+    for number, line in enumerate(text.split("\n"), first_line):  # only \n ends a line, also in comments and strings
         if code := line.partition("#")[0].strip():
             yield number, line, code
 
@@ -88,9 +88,9 @@ def _constant(line: str, code: str) -> Constant:
     declaration, _, text = code.partition("=")
     type_name, name = _two_words(declaration, "TYPE NAME=VALUE", code)
     if type_name == "string":
-        text = line.partition("=")[2]  # a # in a string is no comment
+        text = line.partition("=")[2]  # a # in a string constant does not start a comment
     elif type_name not in FORMATS:
-        raise ValueError(f"a constant cannot be a {type_name}")
+        raise ValueError(f"a constant cannot have the type {type_name}")
     text = text.strip()
     _check_value(type_name, name, text)
     return Constant(name, type_name, text)
@@ -104,23 +104,23 @@ def _two_words(declaration: str, wanted: str, code: str) -> tuple[str, str]:
 
 
 def _ros2_hint(code: str) -> str:
-    """What to do with a line of ROS 2, whose definitions have more than those of ROS 1 and rosserial."""
+    """Advice for a line with ROS 2 syntax that ROS 1 and rosserial lack."""
     if "<=" in code:
-        return "; bounded types are of ROS 2: leave the bound out"
+        return "; bounded types exist only in ROS 2; remove the bound"
     if len(code.split()) > len(("TYPE", "NAME")) and "=" not in code:
-        return "; default values are of ROS 2: leave it out"
+        return "; default values exist only in ROS 2; remove it"
     return ""
 
 
 def _check_name(name: str, *, is_there: bool) -> None:
     if is_there:
-        raise ValueError(f"{name} is there twice")
+        raise ValueError(f"{name} is defined twice")
     if not _NAME.fullmatch(name):
-        raise ValueError(f"{name!r} is no name: letters, digits and _, a letter first")
+        raise ValueError(f"{name!r} is not a valid name; use letters, digits and _, and begin with a letter")
 
 
 def _check_value(type_name: str, name: str, text: str) -> None:
-    """ValueError where the text is no value of the type."""
+    """Raise ValueError if the text is not a value of the type."""
     if type_name == "string":
         return
     if type_name == "bool" and text in {"True", "False", "true", "false"}:
@@ -129,7 +129,7 @@ def _check_value(type_name: str, name: str, text: str) -> None:
     try:
         value = converted(text)
     except ValueError:
-        raise ValueError(f"constant {name}: {text!r} is no {kind}") from None
+        raise ValueError(f"constant {name}: {text!r} is not a {kind}") from None
     if type_name not in FLOATS and int(value) not in integer_range(type_name):
         raise ValueError(f"constant {name}: {text} is outside {range_text(type_name)}")
 
@@ -138,13 +138,13 @@ def _field(code: str, package: str) -> Field:
     written, name = _two_words(code, "TYPE NAME", code)
     match = _TYPE.fullmatch(written)
     if match is None:
-        raise ValueError(f"{written!r} is no type")
+        raise ValueError(f"{written!r} is not a valid type")
     type_name, length = match.groups()
     return Field(name, _full_type(type_name, package), _array_length(written, length))
 
 
 def _full_type(type_name: str, package: str) -> str:
-    if type_name == "Header":  # in every package
+    if type_name == "Header":  # Header needs no package name
         return "std_msgs/Header"
     return type_name if "/" in type_name or type_name in BUILT_IN else f"{package}/{type_name}"
 
@@ -155,7 +155,7 @@ def _array_length(written: str, length: str | None) -> int:
     if not length:
         return VARIABLE
     if length != "0" and length.startswith("0"):
-        raise ValueError(f"{written}: the length of an array begins with no 0")  # ROS has it in its md5 sum
+        raise ValueError(f"{written}: an array length must not begin with 0")  # ROS includes the digit in its md5 sum
     if not 0 < int(length) <= ARRAY_LENGTH_MAX:
-        raise ValueError(f"{written}: the length of an array is 1 to {ARRAY_LENGTH_MAX}, or left out")
+        raise ValueError(f"{written}: an array length must be 1 to {ARRAY_LENGTH_MAX}, or empty")
     return int(length)

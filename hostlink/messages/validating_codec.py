@@ -1,6 +1,6 @@
-"""The slow codec: for messages with missing fields and unusual values, and to name what is wrong with bad ones.
+"""Slow codec: accepts missing fields and uncommon values, and names what is wrong with bad ones.
 
-It accepts all that the compiled codec accepts, with the same result, and more.
+It accepts everything that the compiled codec accepts, with the same result.
 """
 
 import base64
@@ -27,12 +27,12 @@ from hostlink.messages.fields import (
     range_text,
 )
 
-UNFIT: Final = (struct.error, OverflowError, TypeError, ValueError)  # what struct raises for values that are none
+UNFIT: Final = (struct.error, OverflowError, TypeError, ValueError)  # what struct raises for unsuitable values
 ROS2_TIME: Final = {"sec": "secs", "nanosec": "nsecs"}
 
 
 def encode(layout: Layout, message: object) -> bytes:
-    """Bytes of a message whose missing fields are zero.
+    """Encode a message. Missing fields are zero.
 
     Raises:
         BadRequest: a field is unknown or has a wrong value; the first one is named by its path.
@@ -41,10 +41,10 @@ def encode(layout: Layout, message: object) -> bytes:
 
 
 def decode(layout: Layout, payload: bytes) -> dict[str, object]:
-    """A dict of a whole payload.
+    """Decode a whole payload to a dict.
 
     Raises:
-        BadPayload: the payload ends before a field, or after the last one.
+        BadPayload: the payload ends before a field, or continues after the last one.
     """
     reader = _Reader(layout.name, payload)
     message = reader.read_message(layout, "")
@@ -89,23 +89,23 @@ def _encode_field(layout: Layout, field: Field, value: object, path: str) -> byt
         return count + elements
     if field.type in FORMATS and field.type != "bool":
         return count + _numbers(field.type, elements, path)
-    check_size(len(elements) * layout.element_minimum_bytes(field), path)  # before any of them is encoded
+    check_size(len(elements) * layout.element_minimum_bytes(field), path)  # before any element is encoded
     encoded = (_encode_one(layout, field, element, f"{path}[{index}]") for index, element in enumerate(elements))
     return count + _joined(path, encoded)
 
 
 def check_size(size_bytes: int, path: str) -> None:
-    """Bound the size of a message.
+    """Check the size of an encoded message.
 
     Raises:
-        BadRequest: it is larger than any receiver has to accept.
+        BadRequest: the message is larger than ENCODED_BYTES_MAX.
     """
     if size_bytes > ENCODED_BYTES_MAX:
         raise BadRequest(f"{path}: more than {ENCODED_BYTES_MAX} bytes")
 
 
 def _joined(path: str, parts: Iterable[bytes]) -> bytes:
-    """All parts, as long as they are not too many bytes: a few characters may stand for a long message of zeros."""
+    """Join the parts and check the size after each: a short request may mean a long message of zeros."""
     joined = bytearray()
     for part in parts:
         joined += part
@@ -156,7 +156,7 @@ def _text(value: object, path: str) -> bytes:
 
 
 def _elements(value: object, path: str) -> list[object]:
-    """The elements of a list, a tuple, or a numpy array."""
+    """Return the elements of a list, a tuple or a numpy array."""
     if hasattr(value, "tolist"):
         value = value.tolist()
     if not isinstance(value, list | tuple):
@@ -165,7 +165,7 @@ def _elements(value: object, path: str) -> list[object]:
 
 
 def _octets(value: object, path: str) -> bytes:
-    """Bytes of bytes, base64, or a list of numbers."""
+    """Convert bytes, base64 or a list of numbers to bytes."""
     if isinstance(value, bytes | bytearray):
         return bytes(value)
     if isinstance(value, str):
@@ -181,7 +181,7 @@ def _refuse(path: str, wanted: str, value: object) -> NoReturn:
 
 
 class _Reader:
-    """One pass through one payload."""
+    """Sequential reader of one payload."""
 
     def __init__(self, type_name: str, payload: bytes) -> None:
         self.offset = 0
@@ -221,7 +221,7 @@ class _Reader:
             size = f"{count} elements of at least {element_bytes} bytes" if element_bytes > 1 else f"{count} bytes"
             self._refuse(f"{path}: {size} announced, {self._left_bytes} left")
         if not element_bytes and count > EMPTY_ELEMENTS_MAX:
-            self._refuse(f"{path}: {count} elements without fields, at most {EMPTY_ELEMENTS_MAX} are taken")
+            self._refuse(f"{path}: {count} elements without fields, at most {EMPTY_ELEMENTS_MAX} are accepted")
         return count
 
     def _read_bytes(self, size: int, path: str) -> bytes:

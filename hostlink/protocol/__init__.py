@@ -1,1 +1,1 @@
-"""rosserial on the wire: pure, no I/O, no clock."""
+"""rosserial protocol: frames, sessions, topic negotiation. No I/O and no clock."""

@@ -1,20 +1,20 @@
-"""DeviceClock: how far a device's clock is off, by the header stamps of its messages, and how fast it answers. Pure.
+"""Estimate the offset, drift and answer time of a device's clock from the header stamps of its messages.
 
-A rosserial device sets its clock by the answers to its time requests, about every 2.5 s, and adds the whole round trip.
-It echoes nothing. So from stamps only a sum can be known: how far its clock is off and how long its messages travel.
-The least of it, over many messages, is the offset with the shortest way; the rest is jitter.
+A rosserial device sets its clock from the answers to its time requests, about every 2.5 s, and adds the whole round
+trip. It never echoes the host's time. Stamps therefore show only the sum of clock offset and travel time.
+The minimum over many messages is the offset over the shortest travel time; the rest is jitter.
 """
 
 from collections import deque
 from dataclasses import dataclass
 
 WRAP_NS = 2**32 * 1_000_000  # a device counts milliseconds in 32 bits: 49.7 days
-STEP_NS = 1_000_000_000  # further away a stamp is damaged, or its clock or the host's was set
-STEP_AFTER_S = 5.0  # stamps are away for longer: believed, after two time requests of the device
-LATEST_NS = 5_000_000_000  # a message that is older on its arrival has a wrong stamp
-BUCKET_S = 10.0  # the least of some four time requests
+STEP_NS = 1_000_000_000  # a stamp further away is damaged, or a clock was set
+STEP_AFTER_S = 5.0  # accept a changed offset that lasts longer: two time requests of the device
+LATEST_NS = 5_000_000_000  # an older message has a wrong stamp
+BUCKET_S = 10.0  # one bucket keeps the smallest offset of about four time requests
 BUCKETS = 60  # ten minutes, for the drift
-RECENT_BUCKETS = 3  # for the offset
+RECENT_BUCKETS = 3  # 30 s, for the offset
 DRIFT_SPAN_S = 60.0  # over less, jitter of milliseconds would appear as drift
 _NS_PER_S = 1e9
 
@@ -28,7 +28,7 @@ class _Bucket:
 
 @dataclass(frozen=True, slots=True)
 class ClockReading:
-    """What is known of a device's clock and of the way to it; None where it is not measured."""
+    """Measured clock values of one device. A field is None until it is measured."""
 
     offset_s: float | None
     drift_ppm: float | None
@@ -37,25 +37,25 @@ class ClockReading:
 
 
 class DeviceClock:
-    """Wall times are in nanoseconds, `now_s` is monotonic."""
+    """Clock of one device, seen from the host. Wall times are in nanoseconds; `now_s` is monotonic."""
 
     def __init__(self) -> None:
-        self.answer_s: float | None = None  # from a request for topics to the first of them: network, UART and loop
+        self.answer_s: float | None = None  # from a topic request to the first TopicInfo: network, UART and device loop
         self._requested_at_s: float | None = None
         self._buckets: deque[_Bucket] = deque(maxlen=BUCKETS)
         self._away_since_s: float | None = None
 
     def topics_requested(self, now_s: float) -> None:
-        """A request for topics leaves."""
+        """Note that a topic request was sent."""
         self._requested_at_s = now_s
 
     def topics_answered(self, now_s: float) -> None:
-        """A topic came."""
+        """Note that a TopicInfo was received."""
         if self._requested_at_s is not None:
             self.answer_s, self._requested_at_s = now_s - self._requested_at_s, None
 
     def update(self, stamp_ns: int, *, at_ns: int, now_s: float) -> None:
-        """A message with this header stamp arrived at `at_ns`; zero is no stamp."""
+        """Use the header stamp of a message that arrived at `at_ns`. Ignore a stamp of zero."""
         if stamp_ns == 0:
             return
         behind_ns = self._behind_ns(stamp_ns, at_ns)
@@ -74,7 +74,7 @@ class DeviceClock:
             self._buckets[-1] = _Bucket(number, now_s, behind_ns)
 
     def to_host_ns(self, stamp_ns: int, at_ns: int) -> int:
-        """When a message was stamped, in the host's time; its arrival when the stamp cannot be believed."""
+        """Return the host time at which a message was stamped, or `at_ns` when the stamp is implausible."""
         offset_ns = self.offset_ns
         if stamp_ns == 0 or offset_ns is None:
             return at_ns
@@ -83,7 +83,7 @@ class DeviceClock:
 
     @property
     def offset_ns(self) -> int | None:
-        """How far the device's stamps are behind the host's time of arrival, on the fastest way of the last 30 s."""
+        """Offset of the device's stamps behind the host's arrival time: the minimum of the last 30 s."""
         if not self._buckets:
             return None
         newest = self._buckets[-1].number
@@ -91,7 +91,7 @@ class DeviceClock:
 
     @property
     def drift_ppm(self) -> float | None:
-        """How much faster the device's clock runs than the host's: the slope of a straight line through the offsets."""
+        """Rate of the device's clock relative to the host's, as the slope of a straight line through the offsets."""
         if not self._buckets or self._buckets[-1].at_s - self._buckets[0].at_s < DRIFT_SPAN_S:
             return None
         first = self._buckets[0]
@@ -103,7 +103,7 @@ class DeviceClock:
         return -1e6 * sum((time_s - mean_time_s) * (behind_s - mean_s) for time_s, behind_s in pairs) / variance
 
     def reading(self, round_trip_s: float | None) -> ClockReading | None:
-        """All that is known; None when nothing is. `round_trip_s` is what the network's own measurement says."""
+        """Return all measured values, or None when there are none. `round_trip_s` is measured by the transport."""
         offset_ns = self.offset_ns
         if (offset_ns, round_trip_s, self.answer_s) == (None, None, None):
             return None
@@ -111,7 +111,7 @@ class DeviceClock:
         return ClockReading(offset_s, self.drift_ppm, round_trip_s, self.answer_s)
 
     def _behind_ns(self, stamp_ns: int, at_ns: int) -> int:
-        """How far a stamp is behind, as if the device's counter had not wrapped."""
+        """Return the offset of one stamp, corrected for wraps of the device's 32-bit counter."""
         behind_ns, offset_ns = at_ns - stamp_ns, self.offset_ns
         if offset_ns is None:
             return behind_ns

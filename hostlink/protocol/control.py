@@ -1,6 +1,6 @@
-"""The payloads of rosserial's own frames: TopicInfo, Parameter, Log, Time.
+"""Payloads of rosserial's control frames: TopicInfo, Parameter, Log, Time.
 
-`decode_*` returns None for a payload that is malformed: damage is data, not an exception.
+`decode_*` returns None for a malformed payload and raises nothing.
 """
 
 from collections.abc import Callable
@@ -38,7 +38,10 @@ class TopicInfo(NamedTuple):
 
 
 class Parameter(NamedTuple):
-    """The answer to a parameter request: one of the three is filled, none when there is no such parameter."""
+    """Answer to a parameter request.
+
+    One of the three fields is filled; all are empty when the parameter does not exist.
+    """
 
     ints: tuple[int, ...] = ()
     floats: tuple[float, ...] = ()
@@ -46,20 +49,20 @@ class Parameter(NamedTuple):
 
 
 class Log(NamedTuple):
-    """A line that the device's program logged; `level` indexes LOG_LEVELS."""
+    """Log line of the device's program; `level` indexes LOG_LEVELS."""
 
     level: int
     text: str
 
 
 def encode_topic_info(info: TopicInfo) -> bytes:
-    """The payload of a TopicInfo frame."""
+    """Encode the payload of a TopicInfo frame."""
     strings = b"".join(_encode_string(text) for text in (info.name, info.type, info.md5))
     return _TOPIC_ID.pack(info.topic_id) + strings + _I32.pack(info.buffer_bytes)
 
 
 def decode_topic_info(kind: Id, payload: bytes) -> TopicInfo | None:
-    """None: malformed, or a name, type or md5 that no device means (empty, too long, unprintable)."""
+    """Decode a TopicInfo; None if it is malformed or if a name, type or md5 is empty, too long or unprintable."""
 
     def read(reader: _Reader) -> TopicInfo:
         (topic_id,) = reader.unpack(_TOPIC_ID)
@@ -71,17 +74,17 @@ def decode_topic_info(kind: Id, payload: bytes) -> TopicInfo | None:
 
 
 def encode_parameter_request(name: str) -> bytes:
-    """The payload of a device's request for a parameter."""
+    """Encode the payload of a device's parameter request."""
     return _encode_string(name)
 
 
 def decode_parameter_request(payload: bytes) -> str | None:
-    """The name of the parameter that the device requests."""
+    """Decode the name of the parameter that the device requests; None if malformed."""
     return _decode(payload, lambda reader: reader.string().decode(errors="replace"))
 
 
 def encode_parameter(parameter: Parameter) -> bytes:
-    """The payload of the answer."""
+    """Encode the payload of the answer to a parameter request."""
     ints = Struct(f"<I{len(parameter.ints)}i").pack(len(parameter.ints), *parameter.ints)
     floats = Struct(f"<I{len(parameter.floats)}f").pack(len(parameter.floats), *parameter.floats)
     strings = b"".join(_encode_string(text) for text in parameter.strings)
@@ -89,7 +92,7 @@ def encode_parameter(parameter: Parameter) -> bytes:
 
 
 def decode_parameter(payload: bytes) -> Parameter | None:
-    """The answer, as a device reads it."""
+    """Decode the answer to a parameter request, as a device does; None if malformed."""
 
     def read(reader: _Reader) -> Parameter:
         ints = reader.unpack(Struct(f"<{reader.count(4)}i"))
@@ -101,12 +104,12 @@ def decode_parameter(payload: bytes) -> Parameter | None:
 
 
 def encode_log(log: Log) -> bytes:
-    """The payload of a log line."""
+    """Encode the payload of a log line."""
     return bytes([log.level]) + _encode_string(log.text)
 
 
 def decode_log(payload: bytes) -> Log | None:
-    """A level above fatal is read as fatal: the line matters more than its level."""
+    """Decode a log line; None if malformed. A level above fatal is read as fatal."""
 
     def read(reader: _Reader) -> Log:
         level = reader.read(1)[0]
@@ -116,13 +119,13 @@ def decode_log(payload: bytes) -> Log | None:
 
 
 def encode_time(wall_ns: int) -> bytes:
-    """The payload of a time answer: seconds and nanoseconds since 1970."""
+    """Encode a time answer: seconds and nanoseconds since 1970."""
     seconds, nanoseconds = divmod(wall_ns, _NS_PER_S)
     return _TIME.pack(seconds & 0xFFFFFFFF, nanoseconds)
 
 
 def decode_time(payload: bytes) -> int | None:
-    """Nanoseconds since 1970."""
+    """Decode a time answer to nanoseconds since 1970; None if malformed."""
 
     def read(reader: _Reader) -> int:
         seconds, nanoseconds = reader.unpack(_TIME)
@@ -132,7 +135,7 @@ def decode_time(payload: bytes) -> int | None:
 
 
 class _Reader:
-    """Reads a payload from its begin to its end.
+    """Sequential reader of one payload.
 
     Raises:
         ValueError: the payload ends before the value.
@@ -152,10 +155,10 @@ class _Reader:
         return layout.unpack(self.read(layout.size))
 
     def count(self, item_bytes: int) -> int:
-        """A length from the wire, never larger than what can follow it."""
+        """Read a length field. Reject a count whose items would exceed the rest of the payload."""
         count: int = self.unpack(_U32)[0]
         if count * item_bytes > len(self._payload) - self._at:
-            raise ValueError("a length that the payload does not hold")
+            raise ValueError("a count larger than the payload")
         return count
 
     def string(self) -> bytes:
@@ -182,8 +185,8 @@ def _encode_string(text: str) -> bytes:
 
 
 def _word(data: bytes) -> str:
-    """A name as rosserial devices write them: printable ASCII without spaces."""
+    """Decode a name, type or md5: printable ASCII without spaces."""
     text = data.decode("ascii")
     if not text or len(text) > _MAX_NAME_BYTES or not text.isprintable() or " " in text:
-        raise ValueError("no name")
+        raise ValueError("not a name")
     return text

@@ -1,4 +1,4 @@
-"""What a Session makes of a device's bytes: one value an event, named in the past."""
+"""Events that a Session derives from a device's bytes."""
 
 from typing import NamedTuple
 
@@ -7,9 +7,10 @@ from hostlink.protocol.control import TopicInfo
 
 
 class TopicsNegotiated(NamedTuple):
-    """The device has announced its topics; `gap_at` is an id whose TopicInfo was lost, and is requested again.
+    """The device has announced its topics.
 
-    `is_changed`: they are others than before, or some were in between, and what waited for the device was dropped.
+    `is_changed`: the topics differ from the ones before, or an id changed its meaning meanwhile; frames that waited for
+    the device were dropped. `gap_at`: an id whose TopicInfo was lost; the session requests the topics again.
     """
 
     topics: tuple[TopicInfo, ...]
@@ -18,7 +19,7 @@ class TopicsNegotiated(NamedTuple):
 
 
 class TopicRefused(NamedTuple):
-    """An endpoint that cannot be used; the others go on."""
+    """One endpoint cannot be used. The other endpoints of the device are not affected."""
 
     topic: TopicInfo
     reason: HostlinkError
@@ -31,7 +32,7 @@ class TopicsRequested(NamedTuple):
 
 
 class MessageReceived(NamedTuple):
-    """A message of a topic of the device's."""
+    """The device published a message."""
 
     topic: TopicInfo
     payload: bytes
@@ -45,7 +46,7 @@ class ServiceRequested(NamedTuple):
 
 
 class ServiceResponded(NamedTuple):
-    """The device's own service answers."""
+    """A service of the device answered."""
 
     service: TopicInfo
     payload: bytes
@@ -56,7 +57,7 @@ class TimeRequested(NamedTuple):
 
 
 class ParameterRequested(NamedTuple):
-    """The device waits for a parameter, spinning."""
+    """The device requested a parameter. It blocks until the answer arrives."""
 
     name: str
 
@@ -69,13 +70,13 @@ class DeviceLogged(NamedTuple):
 
 
 class UnknownTopicUsed(NamedTuple):
-    """A frame came for an id that the device never announced."""
+    """The device sent a frame with an id that it never announced."""
 
     topic_id: int
 
 
 class Protocol1Recognised(NamedTuple):
-    """The device speaks rosserial of before 2013; one event a session."""
+    """The device speaks rosserial protocol version 1 (before 2013). Occurs once per session."""
 
 
 Event = (

@@ -1,6 +1,6 @@
-"""One frame of rosserial protocol version 2: its bytes, its two checksums and the ids with a meaning of their own.
+"""Frame of rosserial protocol version 2: encoding, both checksums and the special ids.
 
-Source of every number: the rosserial protocol (docs/protocol.md#frame, docs/protocol.md#special-ids).
+The numbers are from the rosserial protocol (docs/protocol.md#frame, docs/protocol.md#special-ids).
 """
 
 import re
@@ -14,16 +14,16 @@ import numpy as np
 SYNC = b"\xff\xfe"
 SYNC_WORD = 0xFEFF  # SYNC as a little-endian integer
 HEADER = Struct("<HHBH")  # sync, payload length, its checksum, topic id
-OVERHEAD_BYTES = 8  # seven of header, one of checksum
+OVERHEAD_BYTES = 8  # seven bytes of header, one of checksum
 MAX_PAYLOAD_BYTES = 0xFFFF
-FIRST_TOPIC_ID = 100  # a device numbers its topics from here
-ADLER_MAX_BYTES = 256  # so many bytes of 255 add up to less than Adler's modulus of 65521
-_PROTOCOL_1_HEAD = re.compile(rb"(?=\xff\xff..(.)\x00)", re.DOTALL)  # a length below 256, as in any frame of its time
+FIRST_TOPIC_ID = 100  # the first topic id of a device
+ADLER_MAX_BYTES = 256  # this many bytes of 255 sum to less than Adler's modulus of 65521
+_PROTOCOL_1_HEAD = re.compile(rb"(?=\xff\xff..(.)\x00)", re.DOTALL)  # a payload length below 256
 PROTOCOL_1_MAX_BYTES = 262  # 255 of payload, two syncs, id, length and checksum
 
 
 class Id(IntEnum):
-    """Topic ids below FIRST_TOPIC_ID; 0 to 5 are also the kinds of endpoint, named from the device's side."""
+    """Topic ids below FIRST_TOPIC_ID. Ids 0 to 5 are also the kinds of endpoint, named from the device's side."""
 
     PUBLISHER = 0
     SUBSCRIBER = 1
@@ -38,28 +38,28 @@ class Id(IntEnum):
 
 
 class Frame(NamedTuple):
-    """A frame whose two checksums were right."""
+    """Frame with two correct checksums."""
 
     topic_id: int
     payload: bytes
 
 
 def byte_sum(data: bytes | bytearray | memoryview) -> int:
-    """The sum of the bytes; only its lowest 8 bits mean anything. The lower half of Adler-32 is a sum, in C."""
+    """Sum the bytes; only the lowest 8 bits are valid. Adler-32's lower half computes the sum in C."""
     if len(data) <= ADLER_MAX_BYTES:
         return zlib.adler32(data, 0)
     return int(np.frombuffer(data, np.uint8).sum(dtype=np.uint8))
 
 
 def encode(topic_id: int, payload: bytes) -> bytes:
-    """The bytes of one frame.
+    """Encode one frame.
 
     Raises:
-        ValueError: the payload is longer than a length field can carry.
+        ValueError: the payload is longer than MAX_PAYLOAD_BYTES.
     """
     size = len(payload)
     if size > MAX_PAYLOAD_BYTES:
-        raise ValueError(f"payload of {size} bytes, a frame takes {MAX_PAYLOAD_BYTES}")
+        raise ValueError(f"payload of {size} bytes, a frame holds at most {MAX_PAYLOAD_BYTES}")
     length_check = ~(size + (size >> 8)) & 0xFF
     body_check = ~(topic_id + (topic_id >> 8) + byte_sum(payload)) & 0xFF
     return b"%b%b%c" % (HEADER.pack(SYNC_WORD, size, length_check, topic_id), payload, body_check)
@@ -70,9 +70,9 @@ STOP_REQUEST = encode(Id.STOP, b"")
 
 
 def contains_protocol_1(data: bytes) -> bool:
-    """Whether a whole frame of protocol version 1 (before 2013) stands in bytes that are no frame of version 2.
+    """Whether the data contains a whole frame of protocol version 1 (before 2013).
 
-    FF FF, id (2), length (2), payload, checksum = 255 - sum of all after the FFs.
+    Layout: FF FF, id (2), length (2), payload, checksum = 255 - sum of all bytes after the FFs.
     """
     for head in _PROTOCOL_1_HEAD.finditer(data):
         size = head[1][0] + 5

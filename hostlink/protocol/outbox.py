@@ -1,4 +1,4 @@
-"""Outbox: what waits for one device, in which order it leaves, and when its UART is free for it."""
+"""Outbox: queues of frames for one device, their order, and pacing to the device's UART."""
 
 from collections import deque
 from collections.abc import Hashable, Iterator
@@ -11,20 +11,20 @@ from hostlink.protocol.frame import FIRST_TOPIC_ID, HEADER, STOP_REQUEST, TOPICS
 LOOP_S = 1 / 30  # docs/robot.md#numbers: one turn of the robot's loop, the longest that a stop may wait
 RING_BYTES = 128  # docs/robot.md#numbers: the receive ring of the Due's UART, so the largest burst that it accepts
 TIME_BYTES = 16
-CONTROL_BYTES = TIME_BYTES + len(TOPICS_REQUEST)  # what may go ahead of a velocity
+CONTROL_BYTES = TIME_BYTES + len(TOPICS_REQUEST)  # the most that may be sent ahead of a velocity
 VELOCITY_BYTES = 56
 MAX_REPLIES = 32
 
 
 class OutgoingFrame(NamedTuple):
-    """A frame to write now, and since when it waits if it is a velocity."""
+    """Frame to write now. `waiting_since_s` is set for a velocity only."""
 
     frame: bytes
     waiting_since_s: float | None = None
 
 
 class _Waiting:
-    """A frame, and since when it waits."""
+    """Queued frame and the time since when it waits."""
 
     __slots__ = ("frame", "is_awaited", "is_kept", "since_s")
 
@@ -36,18 +36,20 @@ class _Waiting:
         return 0.0 if self.since_s is None else now_s - self.since_s
 
 
-_Queues = dict[Hashable, deque[_Waiting]]  # they take turns: the first in the dictionary is next
+_Queues = dict[Hashable, deque[_Waiting]]  # round robin: the first key is next
 
 
 class Outbox:
-    """In this order: time answer, request for topics, urgent commands, replies and calls, other commands, stop.
+    """Send queues of one device. Order: time answer, topic request, urgent commands, replies and calls, commands, stop.
 
-    A command replaces the one of its topic that has not left yet. A frame leaves when the device's UART has so little
-    left of earlier ones that a velocity put after it is on the wire within one LOOP_S. A frame on the wire cannot be
-    interrupted, and in pieces a device would drop it (its rule of 20 ms): so one that alone takes longer waits while
-    the robot moves. Only an answer to the device's own request does not: the device waits for it in a loop.
+    A command replaces the queued command of its topic. A frame is sent when the device's UART has so few bytes left
+    that a velocity queued after it is on the wire within one LOOP_S. A frame on the wire cannot be interrupted, and a
+    device drops a frame that arrives in pieces (timeout of 20 ms). A frame that alone takes longer than LOOP_S
+    therefore waits while the robot moves. Answers to the device's own requests are exempt: the device blocks until they
+    arrive.
 
-    Age counts from the first `begin_waiting` or `pop_frame` after a frame was put; the link calls it at once.
+    The age of a frame counts from the first `begin_waiting` or `pop_frame` after it was queued; the link calls it at
+    once.
     """
 
     __slots__ = (
@@ -57,49 +59,49 @@ class Outbox:
 
     def __init__(self, *, uart_bytes_s: int | None = None) -> None:
         self.replaced = 0
-        self.slowest_wait_s = 0.0  # of all frames that left
+        self.slowest_wait_s = 0.0  # of all frames sent
         self.robot_moves = False
         self._uart = _Uart(uart_bytes_s)
         self._is_time_due = self._is_request_due = self._is_stop_due = self._is_stopped = False
         self._urgent: _Queues = {}
         self._replies: _Queues = {}
         self._commands: _Queues = {}
-        self._new: list[_Waiting] = []  # whose age has not begun
+        self._new: list[_Waiting] = []  # frames whose age is not counted yet
 
     @property
     def is_stopped(self) -> bool:
-        """Whether nothing but what waits already, and the stop, leaves any more."""
+        """Whether only queued urgent commands and the stop are still sent."""
         return self._is_stopped
 
     @property
     def prompt_bytes(self) -> float:
-        """The longest frame that may leave while the robot moves."""
+        """Length of the longest frame that may be sent while the robot moves."""
         return self._uart.prompt_bytes
 
     @property
     def has_waiting(self) -> bool:
-        """Whether any frame waits."""
+        """Whether any frame is queued."""
         return bool(
             self._is_time_due or self._is_request_due or self._is_stop_due
             or self._urgent or self._replies or self._commands
         )  # fmt: skip
 
     def put_time(self) -> None:
-        """Answer the time; the clock is read when the answer leaves."""
+        """Queue a time answer. The clock is read when the answer is sent."""
         self._is_time_due = True
 
     def put_topics_request(self) -> None:
-        """Request the topics of the device."""
+        """Queue a topic request."""
         self._is_request_due = True
 
     def put_stop(self) -> None:
-        """Request silence of the device, after the urgent commands; nothing else is sent any more."""
+        """Queue the stop request after the urgent commands. No other frame is sent from now on."""
         self._is_stop_due = self._is_stopped = True
 
     def put_urgent(self, topic_id: int, frame: bytes, *, is_kept: bool = False) -> None:
-        """Queue a command that must not wait behind anything but the time: a velocity. After a stop it is too late.
+        """Queue a velocity, ahead of everything but time answer and topic request. Ignore it after `put_stop`.
 
-        One that is kept leaves also when a newer one comes before: the zero with which a session begins.
+        `is_kept`: a newer command does not replace this frame, such as the zero velocity that starts a session.
         """
         if not self._is_stopped:
             kept = self._urgent.get(topic_id)
@@ -123,11 +125,14 @@ class Outbox:
         self._put_reply(name, _Waiting(frame))
 
     def put_command(self, topic_id: int, frame: bytes, *, depth: int = 1) -> None:
-        """Queue a message of a topic that keeps the newest `depth`; it takes its turn behind other topics."""
+        """Queue a message of a topic that keeps the newest `depth` messages. Topics are sent in turn."""
         self._put(self._commands, topic_id, _Waiting(frame), depth=depth)
 
     def drop_messages(self) -> None:
-        """Forget every command, call and response: the ids may mean other topics now. Parameters have no such id."""
+        """Drop every command, call and response, because topic ids may have changed their meaning.
+
+        Parameter answers are kept: their id never changes.
+        """
         self.robot_moves = False
         self._urgent.clear()
         self._commands.clear()
@@ -139,13 +144,13 @@ class Outbox:
                 del self._replies[name]
 
     def begin_waiting(self, now_s: float) -> None:
-        """What was put since the last call waits from now on."""
+        """Count the age of the frames queued since the last call from now on."""
         for waiting in self._new:
             waiting.since_s = now_s
         self._new.clear()
 
     def pop_frame(self, *, now_s: float, wall_ns: int) -> OutgoingFrame | None:
-        """Remove the next frame to write; None: nothing waits, or the UART is still busy with the last ones."""
+        """Remove and return the next frame. None: the queues are empty, or the UART is still busy."""
         self.begin_waiting(now_s)
         if self.wait_s(now_s) != 0:
             return None
@@ -154,7 +159,10 @@ class Outbox:
         return outgoing
 
     def wait_s(self, now_s: float) -> float | None:
-        """Seconds until `pop_frame` gives a frame; None when nothing waits, or only for the robot to stand."""
+        """Seconds until `pop_frame` returns a frame.
+
+        None: no frame is queued that may be sent while the robot moves.
+        """
         if not self._is_stopped and (self._is_time_due or self._is_request_due):
             return self._uart.wait_s(TIME_BYTES, now_s)
         found = self._head()
@@ -165,7 +173,7 @@ class Outbox:
         return self._uart.wait_s(len(STOP_REQUEST), now_s) if self._is_stop_due else None
 
     def oldest_s(self, now_s: float) -> float:
-        """How long the frame has waited that waits longest; 0 when none does."""
+        """Age of the oldest queued frame in seconds; 0 when the queues are empty."""
         return max((waiting.age_s(now_s) for waiting in self._all()), default=0.0)
 
     def _all(self) -> Iterator[_Waiting]:
@@ -190,7 +198,7 @@ class Outbox:
         self._new.append(new)
 
     def _head(self) -> tuple[_Queues, Hashable] | None:
-        """Where the next frame of a queue is."""
+        """Find the queue and key of the next frame."""
         for queues in (self._urgent,) if self._is_stopped else (self._urgent, self._replies, self._commands):
             for key, waiting in queues.items():
                 if queues is self._urgent or not self._is_delayed(waiting[0]):
@@ -215,13 +223,13 @@ class Outbox:
         waiting = queues.pop(key)
         one = waiting.popleft()
         if waiting:
-            queues[key] = waiting  # behind the others
+            queues[key] = waiting  # to the end of the turn order
         self.slowest_wait_s = max(self.slowest_wait_s, one.age_s(now_s))
         return OutgoingFrame(one.frame, one.since_s if queues is self._urgent else None)
 
 
 class _Uart:
-    """How much of what was sent the device's UART has not passed on yet; one of unknown speed passes all on at once."""
+    """Model of the device's UART: bytes sent to it and not passed on yet. With unknown speed it is never busy."""
 
     __slots__ = ("_busy_until_s", "_bytes_s", "_turn_bytes", "prompt_bytes")
 
@@ -229,20 +237,20 @@ class _Uart:
         self._bytes_s = bytes_s
         self._busy_until_s = float("-inf")
         self._turn_bytes = float("inf") if bytes_s is None else min(RING_BYTES, bytes_s * LOOP_S)
-        # On a line so slow that a velocity alone takes longer than a turn, others may be as long as a velocity.
+        # On a line so slow that a velocity alone takes longer than LOOP_S, other frames may be as long as a velocity.
         self.prompt_bytes = max(self._turn_bytes - CONTROL_BYTES, VELOCITY_BYTES)
 
     def add(self, size_bytes: int, now_s: float) -> None:
-        """A frame leaves."""
+        """Add a sent frame to the backlog."""
         if self._bytes_s is not None:
             self._busy_until_s = max(self._busy_until_s, now_s) + size_bytes / self._bytes_s
 
     def wait_s(self, size_bytes: int, now_s: float, *, spare_bytes: int = 0) -> float:
-        """Seconds until a frame may leave: with what is left of others it must fit into one turn, less the spare."""
+        """Seconds until a frame may be sent: backlog, frame and spare bytes must fit into one LOOP_S."""
         if self._bytes_s is None:
             return 0.0
         left_bytes = (self._busy_until_s - now_s) * self._bytes_s
         allowed_bytes = max(self._turn_bytes - spare_bytes - size_bytes, 0.0)
-        if left_bytes < allowed_bytes + 1:  # less than a byte may be rounding, for which no clock can wait
+        if left_bytes < allowed_bytes + 1:  # a difference below one byte may be rounding, which no clock can wait for
             return 0.0
         return (left_bytes - allowed_bytes) / self._bytes_s

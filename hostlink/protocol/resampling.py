@@ -1,7 +1,7 @@
-"""What a UART reads that listens at another speed than the other end sends. Pure arithmetic on one line's bits.
+"""Simulation of a UART that reads at another baud rate than the sender's. Pure arithmetic on the bits of one line.
 
-Both ends use 8N1. The reader waits for a falling edge, takes the middle of each of its own bits that follow, and
-waits for the next edge; as PC drivers do, it passes bytes on whose stop bit was wrong.
+Both ends use 8N1. The reader waits for a falling edge, samples the middle of each following bit at its own rate, and
+waits for the next edge. It also returns bytes with a wrong stop bit, as PC drivers do.
 """
 
 from bisect import bisect_right
@@ -13,16 +13,16 @@ STANDARD_BAUDS = (9600, 19200, 38400, 57600, 74880, 115200, 230400, 250000, 4608
 _Times = npt.NDArray[np.float64]
 _Bits = npt.NDArray[np.uint8]
 _DATA_BITS = 8
-_FRAME_BITS = 10  # start, eight of data, stop
+_FRAME_BITS = 10  # start bit, eight data bits, stop bit
 
 
 def resample(data: bytes, *, ratio: float, gap_bits: float = 0.0) -> bytes:
-    """What comes out where the reader's speed is `ratio` times the sender's; `gap_bits` of idle line between bytes."""
+    """Return what a reader at `ratio` times the sender's rate reads, with `gap_bits` of idle line between bytes."""
     return _read(*_levels(data, ratio, gap_bits))
 
 
 def _levels(data: bytes, ratio: float, gap_bits: float) -> tuple[_Times, _Bits]:
-    """The line as times at which a level ends, and these levels; the unit is one bit of the reader's."""
+    """Return the times at which a level ends, in bits of the reader, and the levels."""
     count = len(data)
     bits = np.ones((count, _FRAME_BITS), np.uint8)  # the start bit is 0, the stop bit 1, the lowest bit first
     bits[:, 0] = 0
@@ -41,7 +41,7 @@ def _read(ends: _Times, levels: _Bits) -> bytes:
 
 
 def _starts(ends: _Times, levels: _Bits) -> list[float]:
-    """When the reader takes a level of 0 for a start bit; each depends on the one before."""
+    """Return the times at which the reader detects a start bit. Each depends on the one before."""
     low = np.flatnonzero(levels == 0)
     low_ends, low_begins = ends[low].tolist(), ends[low - 1].tolist()
     found: list[float] = []

@@ -1,6 +1,6 @@
-"""Session: the host's side of one device, from the first byte on; decides what bytes and time mean.
+"""Session: the host's side of the protocol with one device. Decides what bytes and times mean.
 
-It owns the stream, the topics and the outbox. The Link moves the bytes and reads the clock.
+The Session owns the stream, the topics and the outbox. The Link moves the bytes and reads the clock.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -36,15 +36,15 @@ from hostlink.protocol.stream import DEFAULT_LIMIT_BYTES, FrameStream, Skipped
 from hostlink.protocol.topic_table import MAX_TOPICS, TopicTable
 
 STALLED_FRAME_S = 2.0  # longer than TCP takes to send a lost segment again
-DEFAULT_BUFFER_BYTES = 512  # rosserial's
-KEPT_BYTES = 1024  # some boot messages, or a hundred lines of a counter's text
+DEFAULT_BUFFER_BYTES = 512  # rosserial's default
+KEPT_BYTES = 1024  # a few boot messages, or a hundred lines of plain text
 
-_KINDS_FROM_DEVICE = (Id.PUBLISHER, Id.SERVICE_SERVER_PUBLISHER)  # and those of service clients
+_KINDS_FROM_DEVICE = (Id.PUBLISHER, Id.SERVICE_SERVER_PUBLISHER)  # and the request endpoints of service clients
 
 
 @dataclass(slots=True)
 class SessionCounts:
-    """What came and what was wrong with it, since the link opened."""
+    """Counters of received and sent data and of damage, since the link opened."""
 
     frames_from_device: int = 0
     frames_to_device: int = 0
@@ -52,22 +52,22 @@ class SessionCounts:
     bytes_to_device: int = 0
     skipped_bytes: int = 0
     unknown_ids: int = 0
-    refused_frames: int = 0  # to the host with an id that only the host may use, or of a refused topic
-    malformed: int = 0  # control frames whose payload makes no sense
-    excess_topics: int = 0  # TopicInfos over the bound of one device
+    refused_frames: int = 0  # frames with an id that only the host may use, or of a refused topic
+    malformed: int = 0  # control frames with an undecodable payload
+    excess_topics: int = 0  # TopicInfos above max_topics
     negotiations: int = 0
-    topic_requests: int = 0  # requests for topics
+    topic_requests: int = 0
 
 
 class NonRosserialBytes:
-    """The last of the skipped bytes, and whether they were frames of protocol version 1."""
+    """The last skipped bytes, and whether they contained a frame of protocol version 1."""
 
     def __init__(self) -> None:
         self.is_protocol_1 = False
         self.tail = b""
 
     def add(self, data: bytes) -> bool:
-        """Keep skipped bytes; True the first time that they hold a frame of protocol version 1."""
+        """Keep skipped bytes. Return True when they contain a frame of protocol version 1 for the first time."""
         watched = self.tail[1 - PROTOCOL_1_MAX_BYTES :] + data
         self.tail = (self.tail + data)[-KEPT_BYTES:]
         if self.is_protocol_1 or not contains_protocol_1(watched):
@@ -77,10 +77,10 @@ class NonRosserialBytes:
 
 
 class Session:
-    """The state machine of one device, host side. All times are of one monotonic clock, in seconds.
+    """State machine of one device, host side. All times are of one monotonic clock, in seconds.
 
-    Its state is a SessionState, its transitions are TRANSITIONS, both in `negotiation.py`. Messages of known topics are
-    delivered in every state.
+    States and transitions are SessionState and TRANSITIONS in `negotiation.py`. Messages of known topics are delivered
+    in every state.
     """
 
     def __init__(
@@ -91,12 +91,13 @@ class Session:
         max_topics: int = MAX_TOPICS,
         is_lossy: bool = False,
     ) -> None:
-        """`check` gives the fixed payload size of a topic's type, None if it varies; it raises to refuse the topic.
+        """Create the session of a new link.
 
-        `is_lossy`: frames may be lost whole on the way, as datagrams are, so that nothing shows it.
+        `check` returns the fixed payload size of a topic's type, or None if it varies; it raises to refuse the topic.
+        `is_lossy`: the transport may lose whole frames without a trace, as UDP does.
         """
         self.counts = SessionCounts()
-        self.too_large = ""  # the last frame that was refused for its size
+        self.too_large = ""  # text about the last frame that was refused for its size
         self.device_clock = DeviceClock()
         self.non_rosserial = NonRosserialBytes()
         self._check = check
@@ -107,19 +108,19 @@ class Session:
         self._stream = FrameStream(fixed_bytes=self._topics.fixed_bytes)
         self._negotiation = NegotiationScheduler()
         self._is_lossy = is_lossy
-        self._has_dropped = False  # what waited, in this negotiation
+        self._has_dropped = False  # queued frames were dropped during this negotiation
 
     # -- what the link reports ----------------------------------------------------------------------------------------
 
     def open(self, *, now_s: float) -> list[events.Event]:
-        """The connection is open: request the topics at once."""
+        """Request the topics of a new connection."""
         self._negotiation.open(now_s)
         found: list[events.Event] = []
         self._request_if_due(now_s, found)
         return found
 
     def receive(self, data: bytes, *, now_s: float) -> list[events.Event]:
-        """Process what came from the device."""
+        """Process bytes from the device."""
         self.counts.bytes_from_device += len(data)
         self._negotiation.received_at_s = now_s
         found: list[events.Event] = []
@@ -128,7 +129,7 @@ class Session:
         return found
 
     def tick(self, *, now_s: float) -> list[events.Event]:
-        """Do what is due by now; call it when `deadline_s` has come."""
+        """Do what is due by now. Call it at `deadline_s`."""
         found: list[events.Event] = []
         negotiation = self._negotiation
         if self._stream.pending_bytes and now_s >= negotiation.received_at_s + STALLED_FRAME_S:
@@ -143,14 +144,14 @@ class Session:
         return found
 
     def deadline_s(self) -> float:
-        """When `tick` must be called next if nothing comes before."""
+        """Time at which `tick` must be called if no byte arrives before."""
         deadline_s = self._negotiation.deadline_s()
         if self._stream.pending_bytes:
             return min(deadline_s, self._negotiation.received_at_s + STALLED_FRAME_S)
         return deadline_s
 
     def pop_frame(self, *, now_s: float, wall_ns: int) -> OutgoingFrame | None:
-        """Remove the next frame to write; None when nothing waits or the device's UART is busy."""
+        """Remove and return the next frame. None: the queues are empty, or the device's UART is busy."""
         outgoing = self._outbox.pop_frame(now_s=now_s, wall_ns=wall_ns)
         if outgoing is not None:
             if outgoing.frame is TOPICS_REQUEST:
@@ -169,15 +170,15 @@ class Session:
 
     @property
     def has_waiting(self) -> bool:
-        """Whether any frame waits to be written."""
+        """Whether any frame is queued."""
         return self._outbox.has_waiting
 
     def wait_s(self, now_s: float) -> float | None:
-        """Seconds until `pop_frame` gives a frame; None when nothing waits."""
+        """Seconds until `pop_frame` returns a frame; None when no frame can be sent."""
         return self._outbox.wait_s(now_s)
 
     def begin_waiting(self, now_s: float) -> None:
-        """What was queued since the last call waits from now on."""
+        """Count the age of the frames queued since the last call from now on."""
         self._outbox.begin_waiting(now_s)
 
     # -- what the hub reads and requests ------------------------------------------------------------------------------
@@ -189,17 +190,17 @@ class Session:
 
     @property
     def longest_to_device_bytes(self) -> int:
-        """The longest frame that may have been sent to the device."""
+        """Length of the longest frame that may have been sent to the device."""
         return max((_buffer_bytes(info) for info in self._known if info.is_to_device), default=DEFAULT_BUFFER_BYTES)
 
     @property
     def replaced(self) -> int:
-        """Commands that never left, because a newer one took their place."""
+        """Number of commands that a newer one replaced before they were sent."""
         return self._outbox.replaced
 
     @property
     def slowest_wait_s(self) -> float:
-        """The longest that a frame waited before it left."""
+        """Longest time that a sent frame waited."""
         return self._outbox.slowest_wait_s
 
     @property
@@ -208,17 +209,17 @@ class Session:
         return self._outbox.is_stopped
 
     def oldest_waiting_s(self, now_s: float) -> float:
-        """How long the frame has waited that waits longest; 0 when none does."""
+        """Age of the oldest queued frame; 0 when the queues are empty."""
         return self._outbox.oldest_s(now_s)
 
     @property
     def is_requesting_time(self) -> bool:
-        """Whether it requests the time as often as a rosserial client does: then its silence means something."""
+        """Whether the device requests the time at rosserial's period, so that its silence shows a fault."""
         return self._negotiation.is_regular
 
     @property
     def refusals(self) -> tuple[tuple[TopicInfo, HostlinkError], ...]:
-        """The endpoints that cannot be used, and why."""
+        """Endpoints that cannot be used, with the reason."""
         known = ((self._topics.get(topic_id), reason) for topic_id, reason in self._refused.items())
         return tuple((info, reason) for info, reason in known if info is not None)
 
@@ -229,17 +230,17 @@ class Session:
 
     @property
     def rejected(self) -> dict[str, int]:
-        """Starts of frames that were none, by cause."""
+        """Number of rejected frame starts, by cause."""
         return {cause.value: count for cause, count in self._stream.rejected.items()}
 
     def request_topics(self, reason: str) -> None:
-        """Request the topics as soon as that may be: a device that lives answers."""
+        """Request the topics as soon as REQUEST_INTERVAL_S allows. A working device answers."""
         self._negotiation.request(reason)
 
     # -- what the hub sends -------------------------------------------------------------------------------------------
 
     def keep_clear(self, *, robot_moves: bool) -> None:
-        """While the robot moves, no frame may take a slow line for longer than a stop may wait."""
+        """While the robot moves, hold back or refuse frames that would delay a stop on a slow line."""
         self._outbox.robot_moves = robot_moves
 
     def publish(
@@ -260,13 +261,13 @@ class Session:
             self._outbox.put_command(info.topic_id, self._prompt(info, frame), depth=depth)
 
     def send_last(self, frame: bytes) -> None:
-        """Queue a frame for an endpoint that the device may still have, unless its id is another's by now."""
+        """Queue a frame for an endpoint that the device may still have. Drop it if its id has a new meaning."""
         topic_id: int = HEADER.unpack_from(frame)[3]
         if self._topics.get(topic_id) is None:
             self._outbox.put_urgent(topic_id, frame)
 
     def frame_to(self, topic: str, payload: bytes) -> bytes:
-        """The frame of a message to the device, as `publish` would queue it.
+        """Encode a message to the device, as `publish` would queue it.
 
         Raises:
             HostlinkError: as from `publish`.
@@ -274,10 +275,10 @@ class Session:
         return self._encode(self._endpoint("topic", topic, Id.SUBSCRIBER), payload)
 
     def topic_id(self, topic: str) -> int:
-        """The id of a topic to which the device subscribes.
+        """Return the id of a topic to which the device subscribes.
 
         Raises:
-            UnknownTopic: it does not.
+            UnknownTopic: the device does not subscribe to it.
             WrongType: the topic was refused.
         """
         return self._endpoint("topic", topic, Id.SUBSCRIBER).topic_id
@@ -295,10 +296,10 @@ class Session:
         self._outbox.put_call(service, self._prompt(info, self._encode(info, payload)))
 
     def response_endpoint(self, request: TopicInfo) -> TopicInfo:
-        """Where the device receives the response to a request of this endpoint.
+        """Return the endpoint at which the device receives the response to a request of this endpoint.
 
         Raises:
-            UnknownTopic: it announced no such endpoint.
+            UnknownTopic: the device announced no such endpoint.
         """
         found = self._topics.response_to(request)
         if found is None:
@@ -310,14 +311,14 @@ class Session:
         return self._topics.get(info.topic_id) == info
 
     def is_refused(self, info: TopicInfo) -> bool:
-        """Whether the type of this endpoint is not what it is known as here."""
+        """Whether this endpoint was refused because of its type."""
         return info.topic_id in self._refused
 
     def respond(self, response: TopicInfo, payload: bytes | None) -> None:
         """Queue a response to a request of the device.
 
-        None: nobody here knows the layout. Zeros are empty texts and lists, and numbers of zero, in any; with fewer
-        bytes than its layout takes a device would read on in what its buffer contained before.
+        `payload` is None when the layout is unknown. Then zeros are sent: they decode as empty strings, empty lists and
+        zero in any layout. With fewer bytes than its layout needs, a device would read old data in its buffer.
 
         Raises:
             FrameTooLarge: the device's buffer is smaller.
@@ -330,10 +331,10 @@ class Session:
         self._outbox.put_reply(response.name, frame)
 
     def answer_parameter(self, name: str, parameter: Parameter) -> None:
-        """Queue the answer to a parameter request; an empty one means that there is none.
+        """Queue the answer to a parameter request. An empty Parameter means that the parameter does not exist.
 
         Raises:
-            WrongType: a number is outside of what the protocol can carry.
+            WrongType: a number is outside the range that the protocol can carry.
             FrameTooLarge: the smallest buffer of the device is smaller.
             DeviceBusy: too many requests and responses wait.
         """
@@ -347,7 +348,7 @@ class Session:
         self._outbox.put_reply(name, self._fitting(what, Id.PARAMETER, payload, limit_bytes))
 
     def stop(self) -> None:
-        """Queue the request to fall silent, after the urgent commands; the last frame of the session."""
+        """Queue the request to stop sending, after the urgent commands. It is the last frame of the session."""
         self._outbox.put_stop()
 
     def _endpoint(self, what: str, name: str, kind: Id) -> TopicInfo:
@@ -355,7 +356,7 @@ class Session:
         if info is None:
             raise UnknownTopic(what, name, tuple(known.name for known in self._known if known.kind is kind))
         if info.topic_id in self._refused:
-            raise self._refused[info.topic_id].with_traceback(None)  # else it grows by each raise
+            raise self._refused[info.topic_id].with_traceback(None)  # otherwise the traceback grows with each raise
         return info
 
     def _encode(self, info: TopicInfo, payload: bytes) -> bytes:
@@ -365,7 +366,7 @@ class Session:
         return self._fitting(info.name, info.topic_id, payload, _buffer_bytes(info))
 
     def _fitting(self, what: str, topic_id: int, payload: bytes, limit_bytes: int) -> bytes:
-        """The frame, if the device's buffer has room for it."""
+        """Encode the frame. Raise FrameTooLarge if it exceeds the device's buffer."""
         if len(payload) + OVERHEAD_BYTES > limit_bytes:
             error = FrameTooLarge(what, len(payload) + OVERHEAD_BYTES, limit_bytes)
             self.too_large = str(error)
@@ -373,7 +374,7 @@ class Session:
         return encode(topic_id, payload)
 
     def _prompt(self, info: TopicInfo, frame: bytes) -> bytes:
-        """The frame, unless a stop would wait behind it."""
+        """Return the frame. Raise FrameTooLarge if it would delay a stop."""
         if self._outbox.robot_moves and len(frame) > self._outbox.prompt_bytes:
             raise FrameTooLarge(info.name, len(frame), int(self._outbox.prompt_bytes), when="while the robot moves")
         return frame
@@ -405,7 +406,7 @@ class Session:
             found.append(events.UnknownTopicUsed(topic_id))
             return
         kind = info.kind
-        if kind is Id.SERVICE_CLIENT_PUBLISHER:  # also of a type that was refused: the device waits
+        if kind is Id.SERVICE_CLIENT_PUBLISHER:  # also for a refused type, because the device waits for a response
             self._negotiation.called(self._negotiation.received_at_s)
             found.append(events.ServiceRequested(info, payload))
         elif topic_id in self._refused or kind not in _KINDS_FROM_DEVICE:
@@ -416,7 +417,7 @@ class Session:
             found.append(events.ServiceResponded(info, payload))
 
     def _answer(self, frame: Frame, now_s: float, found: list[events.Event]) -> None:
-        """A control frame: the time is answered here, the rest is the hub's."""
+        """Handle a control frame. Answer time requests here; report the others to the hub."""
         if frame.topic_id == Id.TIME:
             self._negotiation.time_requested(now_s)
             self._outbox.put_time()
@@ -447,7 +448,7 @@ class Session:
         if not self._topics.is_room(info.topic_id):
             self._refuse_excess(info, found)
             return
-        if self._topics.get(info.topic_id) not in (None, info):  # what waits must not meet the id's new meaning
+        if self._topics.get(info.topic_id) not in (None, info):  # frames wait for the old meaning
             self._outbox.drop_messages()
             self._has_dropped = True
         self._refused.pop(info.topic_id, None)
@@ -456,28 +457,29 @@ class Session:
         try:
             fixed_bytes = self._check(info)
         except HostlinkError as error:
-            reason = error.with_traceback(None)  # with it, `found` and the error would keep each other alive
+            reason = error.with_traceback(None)  # a traceback would keep `found` and the error alive in a cycle
             self._refused[info.topic_id] = reason
             found.append(events.TopicRefused(info, reason))
         if info.kind is Id.SERVICE_CLIENT_PUBLISHER:
-            fixed_bytes = None  # every request is answered, whatever is in it
+            fixed_bytes = None  # every request is answered, even of a wrong size
         self._topics.add(info, fixed_bytes)
         if not info.is_to_device:
             self._stream.limit_bytes = max(self._stream.limit_bytes, info.buffer_bytes)
 
     def _refuse_excess(self, info: TopicInfo, found: list[events.Event]) -> None:
-        """Count a topic over the bound; the first of a negotiation is an event."""
+        """Count a topic above max_topics. Report the first one of a negotiation."""
         self.counts.excess_topics += 1
         self._topics.excess += 1
         if self._topics.excess == 1:
-            reason = f"{info.name}: one topic more than the {self._topics.max_topics} that [link] max_topics allows"
+            reason = f"{info.name}: the device has more than {self._topics.max_topics} topics ([link] max_topics)"
             found.append(events.TopicRefused(info, BadRequest(reason)))
 
     def _is_behind_topics(self, topic_id: int) -> bool:
-        """Whether a frame means that the device has announced all.
+        """Whether a frame shows that the device has announced all of its topics.
 
-        A line of the log may be a passthrough's, between any two. A device that is configured goes on publishing while
-        it announces its topics again: until it has announced them all only a pause tells that some are gone.
+        A log line does not: a passthrough may insert its own log line anywhere. A configured device continues to
+        publish while it announces its topics again. Until it has announced as many as before, only a pause ends the
+        negotiation.
         """
         return topic_id == Id.TIME or (topic_id != Id.LOG and not self._topics.is_partial)
 
@@ -507,10 +509,10 @@ class Session:
 
 
 def response_bytes(response: TopicInfo) -> int:
-    """How long the payload of a response to the device may be."""
+    """Longest payload of a response that fits the device's buffer."""
     return _buffer_bytes(response) - OVERHEAD_BYTES
 
 
 def _buffer_bytes(info: TopicInfo) -> int:
-    """The device's buffer, no longer than the longest frame; old clients announce none."""
+    """The device's buffer, limited to the longest frame. Old clients announce none and get DEFAULT_BUFFER_BYTES."""
     return min(info.buffer_bytes, MAX_PAYLOAD_BYTES + OVERHEAD_BYTES) if info.buffer_bytes > 0 else DEFAULT_BUFFER_BYTES

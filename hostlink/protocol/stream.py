@@ -1,4 +1,4 @@
-"""FrameStream: bytes in, however they were cut; frames and skipped bytes out. It knows no topic and no time."""
+"""FrameStream: split received bytes into frames and skipped bytes, independent of how the reads were cut."""
 
 from bisect import bisect_left, insort
 from collections import Counter, OrderedDict
@@ -9,10 +9,10 @@ from typing import NamedTuple
 
 from hostlink.protocol.frame import HEADER, MAX_PAYLOAD_BYTES, OVERHEAD_BYTES, SYNC, SYNC_WORD, Frame, byte_sum
 
-MAX_CLAIMED_BYTES = 4 * (MAX_PAYLOAD_BYTES + OVERHEAD_BYTES)  # read at most for one byte that completes them all
-DEFAULT_LIMIT_BYTES = 1024  # twice rosserial's usual buffer: what a header may claim before topics are known
+MAX_CLAIMED_BYTES = 4 * (MAX_PAYLOAD_BYTES + OVERHEAD_BYTES)  # limits what one received byte can complete
+DEFAULT_LIMIT_BYTES = 1024  # twice rosserial's usual buffer; limit of a length field before topics are known
 new_frame = tuple.__new__  # twice as fast as Frame(...)
-_SUM_IS_RIGHT = 0xFF  # bytes and their checksum add up to 255 modulo 256
+_SUM_IS_RIGHT = 0xFF  # payload and checksum sum to 255 modulo 256
 
 
 class Skipped(NamedTuple):
@@ -22,7 +22,7 @@ class Skipped(NamedTuple):
 
 
 class Rejection(Enum):
-    """Why a sync was no start of a frame."""
+    """Reason why a sync was not the start of a frame."""
 
     LENGTH_CHECKSUM = "length_checksum"
     TOO_LONG = "too_long"
@@ -33,25 +33,25 @@ class Rejection(Enum):
 
 
 class FrameStream:
-    """Reads frames from a stream in which bytes may be damaged, missing or not rosserial's.
+    """Reads frames from a stream in which bytes may be damaged, missing or not rosserial.
 
-    Every sync with a good length checksum and a claim within the limit is a *candidate*. The candidate that is
-    first complete and right wins, whatever began before it: so a damaged header that claims a kilobyte costs
-    neither the frames inside it nor the time until that kilobyte has come, and how the bytes were cut changes
-    nothing. The bytes before the winner are skipped; no byte is ever lost: frames + skipped + pending = input.
+    Every sync with a correct length checksum and a length within the limit is a *candidate*. The candidate that is
+    complete and correct first wins, even when another one began before it. A damaged header that claims a kilobyte
+    therefore neither hides the frames inside that kilobyte nor delays them, and the result does not depend on how the
+    bytes were cut. The bytes before the winner are skipped. No byte is lost: frames + skipped + pending = input.
 
-    | head of the buffer              | what happens                                       |
+    | head of the buffer              | result                                             |
     |---------------------------------|----------------------------------------------------|
-    | no sync                         | skipped up to the next possible one                |
-    | candidate, right, none inside   | frame                                              |
+    | no sync                         | skipped up to the next possible sync               |
+    | candidate, correct, none inside | frame                                              |
     | candidate, incomplete           | waits; each candidate inside it is followed too    |
-    | candidate, complete and wrong   | no candidate any more: its bytes are read again    |
+    | candidate, complete and wrong   | not a candidate any longer: its bytes are re-read  |
 
-    `rejected` counts the false starts among the bytes that were skipped. A payload may hold a sync: when the frame
-    around it turns out right, nothing was lost, and the sync is not counted.
+    `rejected` counts the false starts among the skipped bytes. A payload may contain a sync. When the frame around it
+    is correct, the sync is not counted, because nothing was lost.
 
-    What all candidates together claim is bounded by MAX_CLAIMED_BYTES, because one byte can complete all of them. Above
-    it, the candidate that ends last is dropped: `too_many`. With a limit of 1024 bytes it is never reached.
+    MAX_CLAIMED_BYTES bounds the sum of all candidates' lengths, because one byte can complete all of them. Above the
+    bound, the candidate that ends last is dropped (`too_many`). With a limit of 1024 bytes the bound is never reached.
     """
 
     __slots__ = (
@@ -60,35 +60,36 @@ class FrameStream:
     )  # fmt: skip
 
     def __init__(self, *, limit_bytes: int = DEFAULT_LIMIT_BYTES, fixed_bytes: Mapping[int, int] | None = None) -> None:
-        """`limit_bytes`: the largest payload that a header may claim; `fixed_bytes`: id -> its only right size."""
+        """`limit_bytes`: largest payload length in a header; `fixed_bytes`: id -> its only valid payload size."""
         self.limit_bytes = limit_bytes
         self.rejected: Counter[Rejection] = Counter()
         self._fixed_bytes: Mapping[int, int] = {} if fixed_bytes is None else fixed_bytes
         self._buffer = bytearray()
-        self._base = 0  # where the buffer begins, counted from the first byte of the stream
-        self._candidates: OrderedDict[int, int] = (
-            OrderedDict()
-        )  # start -> end of what is not decided yet, first at front
-        self._ends: list[tuple[int, int]] = []  # (end, start) of the same, sorted: the first to be complete at front
-        self._claimed_bytes = 0  # of all candidates together
-        self._false_starts: list[tuple[int, str]] = []  # a heap: (start, Rejection) of what is still in the buffer
-        self._searched = 0  # up to here every sync was checked
+        self._base = 0  # stream offset of the first buffered byte
+        self._candidates: OrderedDict[int, int] = OrderedDict()  # start -> end of the undecided candidates, by start
+        self._ends: list[tuple[int, int]] = []  # (end, start) of the same candidates, sorted by end
+        self._claimed_bytes = 0  # sum of the candidates' lengths
+        self._false_starts: list[tuple[int, str]] = []  # heap of (start, Rejection) in the buffer
+        self._searched = 0  # stream offset up to which every sync was checked
 
     @property
     def pending_bytes(self) -> int:
-        """Bytes that are neither frame nor skipped yet."""
+        """Number of bytes that are neither part of a frame nor skipped yet."""
         return len(self._buffer)
 
     def feed(self, data: bytes) -> Iterator[Frame | Skipped]:
-        """Add bytes. What one frame changes (limit, sizes) holds for the next, so the iterator is lazy."""
+        """Add bytes and yield what they complete.
+
+        The iterator is lazy, so that a change of the limit or of the sizes after one frame applies to the next.
+        """
         buffer, unpack = self._buffer, HEADER.unpack_from
-        is_short = len(data) < len(buffer)  # then a copy of all would cost more than linear work
+        is_short = len(data) < len(buffer)  # a copy of the buffer would cost more than linear work
         buffer += data
-        source = buffer if is_short else bytes(buffer)  # frames are cut from bytes faster
+        source = buffer if is_short else bytes(buffer)  # slicing bytes is faster
         while source:
-            at, last = 0, len(source) - OVERHEAD_BYTES  # where the last frame without a payload could begin
+            at, last = 0, len(source) - OVERHEAD_BYTES  # last possible start of a frame
             try:
-                while at <= last:  # the fast way: frames at the head that are complete, right and uncontested
+                while at <= last:  # fast path: frames at the head that are complete, correct and without a sync inside
                     sync, size, check, topic_id = unpack(source, at)
                     end = at + size + OVERHEAD_BYTES
                     if (
@@ -104,7 +105,7 @@ class FrameStream:
                     frame = new_frame(Frame, (topic_id, bytes(source[at + 7 : end - 1])))
                     at = end
                     yield frame
-            finally:  # also when nobody reads on
+            finally:  # also when the caller stops iterating
                 if at:
                     self._drop(at)
             source = buffer
@@ -115,7 +116,7 @@ class FrameStream:
                 yield event
 
     def give_up(self) -> Iterator[Frame | Skipped]:
-        """Stop waiting for what stands at the head: read again from the byte after it."""
+        """Stop waiting for the frame at the head. Read again from the byte after it."""
         if self._buffer:
             self._reject(self._base, Rejection.INCOMPLETE)
             end = self._candidates.get(self._base)
@@ -125,7 +126,10 @@ class FrameStream:
         return self.feed(b"")
 
     def _contested(self) -> Frame | Skipped | None:
-        """The next event where the head is noise, incomplete or has a sync inside; None: more bytes are needed."""
+        """Return the next event where the head is noise, incomplete or has a sync inside.
+
+        None: more bytes are needed.
+        """
         while True:
             self._search()
             if not self._ends or self._ends[0][0] > self._base + len(self._buffer):
@@ -145,7 +149,7 @@ class FrameStream:
         return self._skip(first) if first > self._base else None
 
     def _search(self) -> None:
-        """Find candidates as far as one could still end before those that are known."""
+        """Search for candidates, up to the last start that could end before the known candidates."""
         buffer, base = self._buffer, self._base
         while True:
             at = buffer.find(SYNC, self._searched - base)
@@ -174,7 +178,7 @@ class FrameStream:
             self._reject(dropped, Rejection.TOO_MANY)
 
     def _remove_candidate(self, index: int) -> tuple[int, int]:
-        """End and start of the candidate that stood at `index` of the ends."""
+        """Remove the candidate at `index` of `_ends`. Return its end and start."""
         end, start = self._ends.pop(index)
         del self._candidates[start]
         self._claimed_bytes -= end - start
@@ -186,7 +190,7 @@ class FrameStream:
         self._claimed_bytes = 0
 
     def _is_right(self, start: int, end: int) -> bool:
-        """Judge a complete candidate; one that is wrong is a false start."""
+        """Check a complete candidate. Note a wrong one as a false start."""
         topic_id = self._buffer[start + 5] | self._buffer[start + 6] << 8
         size = end - start - OVERHEAD_BYTES
         if byte_sum(self._buffer[start + 5 : end]) & 0xFF != _SUM_IS_RIGHT:
@@ -198,7 +202,7 @@ class FrameStream:
         return False
 
     def _reject(self, start: int, cause: Rejection) -> None:
-        """Note a false start, which counts when it is skipped and not when it is inside a frame."""
+        """Note a false start. It is counted when its bytes are skipped, not when they are inside a frame."""
         heappush(self._false_starts, (start, cause.value))
 
     def _skip(self, until: int) -> Skipped:
@@ -212,11 +216,11 @@ class FrameStream:
         return skipped
 
     def _drop(self, size: int) -> None:
-        """Remove frames from the head; candidates that overlap them are no longer any."""
+        """Remove frames from the head, and the candidates that overlap them."""
         del self._buffer[:size]
         self._base += size
         self._searched = self._base
         if self._ends:
             self._forget_candidates()
-        if self._false_starts:  # they were all looked for inside the frame: none is behind its end
+        if self._false_starts:  # every known false start is inside the removed frames
             self._false_starts.clear()

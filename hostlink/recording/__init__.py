@@ -1,4 +1,4 @@
-"""What happened, kept in MCAP files: recordings, the black box, reading and playing them.
+"""Recordings in MCAP files, the black box, and their reading and playback.
 
 import hostlink.recording
 
@@ -15,7 +15,7 @@ __all__ = ["Table", "Tables", "read"]
 
 
 def __getattr__(name: str) -> object:
-    """Loaded when it is used: the daemon records without numpy and without a reader."""
+    """Import on first use, because the daemon records without numpy and without a reader."""
     if name in __all__:
         from hostlink.recording import tables  # noqa: PLC0415 - see above
 

@@ -1,4 +1,4 @@
-"""BlackBox: the last minutes of every robot, in memory; saved with the half minute after when something happens."""
+"""BlackBox: keeps the last minutes of every robot in memory, and saves them around each incident."""
 
 import asyncio
 import contextlib
@@ -33,31 +33,31 @@ from hostlink.recording.salvage import MAX_PENDING_CHANNELS as MAX_FACT_CHANNELS
 
 log = structlog.get_logger()
 
-MAX_PENDING = 256  # incidents whose half minute after is not over: something happened to all robots
-MAX_REQUESTED = 8  # among them, that somebody requested
-MAX_CHANNELS = 1024  # of one robot, that are in its incidents without a message; the newest
+MAX_PENDING = 256  # incidents that wait for their last half minute: something happened to all robots
+MAX_REQUESTED = 8  # requested incidents among them
+MAX_CHANNELS = 1024  # channels of one robot that its incidents contain even without a message; the newest
 MAX_DETAIL = 400  # characters
 REST_S = 0.001
-END_S = 0.6  # for what is pending when the daemon ends; another process writes the rest
-LONGEST_END_S = 5.0  # where nothing survives this process
+END_S = 0.6  # to write pending incidents when the daemon ends; another process writes the rest
+LONGEST_END_S = 5.0  # if the memory does not survive this process
 _ROOT = Path(__file__).resolve().parents[2]
 
 
 class BlackBox:
-    """A sink for everything, and an observer of what happens.
+    """Recorder of all topics and events into memory, and observer of incidents.
 
-    What it keeps survives the process, if there is a tmpfs: salvage.py writes what a daemon that was killed could not.
+    The memory survives the process if there is a tmpfs. salvage.py then writes what a killed daemon could not write.
     """
 
     def __init__(self, hub: Hub, folder: Path) -> None:
-        """`folder`: of the recordings; incidents have one in it."""
+        """`folder` is that of the recordings; incidents have a subfolder."""
         config = hub.config.black_box
         self.folder = Folder(
             folder / "incidents",
             max_disk_mb=config.max_disk_mb,
             min_free_disk_mb=hub.config.recording.min_free_disk_mb,
         )
-        self.saved = self.missed = 0  # incidents
+        self.saved = self.missed = 0  # numbers of incidents
         self.pending: deque[Incident] = deque()
         self._purpose = hashlib.blake2s(str(self.folder.path.absolute()).encode(), digest_size=6).hexdigest()
         max_bytes = int(config.max_memory_mb * MEGABYTE)
@@ -67,16 +67,19 @@ class BlackBox:
         self._hub, self._config = hub, config
         self._rules = IncidentRules()
         self._channels: defaultdict[str, dict[Channel, None]] = defaultdict(dict)  # by robot
-        self._unsaved: dict[Incident, str] = {}  # names of facts in the memory
+        self._unsaved: dict[Incident, str] = {}  # name of each incident's fact in the memory
         self._numbers = itertools.count()
-        self._turn = asyncio.Lock()  # one file at a time: the loop shares the interpreter with the thread
+        self._turn = asyncio.Lock()  # one file at a time, because the thread slows the loop
         self._thread = DetachedThread("incident")
-        self._ends_at_s: float | None = None  # monotonic; then nothing more is written here
+        self._ends_at_s: float | None = None  # monotonic end of writing when the daemon ends
         self._recorder = Recorder(hub, self, Selection(has_derived=False, has_remote=False))
         self._observer = hub.join_daemon()
 
     def start(self, on_last_commands: Callable[[list[LastCommand]], None] = lambda _: None) -> None:
-        """Keep everything from now on. Save what an earlier process has left; `on_last_commands`: who drove in it."""
+        """Keep everything from now on, and save the incidents of an earlier process.
+
+        `on_last_commands` gets the last drivers of that process.
+        """
         if self._config.enabled:
             disk = (self.folder.max_disk_mb, self.folder.min_free_disk_mb)
             self._memory.put_fact(ABOUT, About(str(self.folder.path.absolute()), *disk, self._config.before_s))
@@ -87,9 +90,9 @@ class BlackBox:
         self._hub.spawn(self._salvage(on_last_commands), name="incidents of an earlier process")
 
     async def aclose(self) -> None:
-        """Keep nothing more; what is pending is saved without the rest of its half minute.
+        """Stop recording, and save pending incidents without the rest of their half minute.
 
-        What END_S is too short for is left to another process: it is in the memory that survives.
+        Incidents that END_S is too short for are left to another process, because the memory survives.
         """
         self._recorder.stop()
         self._observer.leave()
@@ -100,7 +103,7 @@ class BlackBox:
             async with asyncio.timeout(end_s):
                 for incident in list(self.pending):
                     await self._save(incident)
-                async with self._turn:  # one may be being written
+                async with self._turn:  # wait for a file that is being written
                     pass
         if self._unsaved and self._memory.folder is not None:
             log.warning("incident.postponed", count=len(self._unsaved))
@@ -112,7 +115,7 @@ class BlackBox:
         self._memory.remove()
 
     def announce(self, channel: Channel) -> None:
-        """The channels of a robot are in each of its incidents."""
+        """Note a channel, which all incidents of its robot contain."""
         note_newest(self._channels[channel.robot], channel, MAX_CHANNELS)
 
     def put(self, channel: Channel, stamp_ns: int, payload: bytes, robot: str) -> None:
@@ -120,10 +123,10 @@ class BlackBox:
         self._add(robot, channel, stamp_ns, payload, monotonic())
 
     def save(self, robot: str, reason: str) -> Incident:
-        """Save a robot's last minutes because somebody requests it.
+        """Save a robot's last minutes on request.
 
         Raises:
-            UnknownTopic: there is no robot of that name here.
+            UnknownTopic: this daemon has no robot of that name.
             RecordingBusy: the black box is turned off, or too many incidents are pending.
         """
         found = self._hub.robots.find_here(robot.strip("/"))
@@ -146,7 +149,7 @@ class BlackBox:
             self.missed += 1
 
     def _forget(self, robot: str) -> None:
-        """What is kept of a robot that is no more, unless an incident of it is pending."""
+        """Drop the data of a removed robot, unless one of its incidents is pending."""
         if all(each.robot != robot for each in self._unsaved) and not self._hub.robots.has(robot):
             self.rings.forget(robot)
             self._channels.pop(robot, None)
@@ -199,10 +202,10 @@ class BlackBox:
         log.warning("incident.lost", robot=incident.robot, cause=incident.cause, reason=reason)
 
     def _rest(self) -> None:
-        """In a thread that writes: the loop has the interpreter for itself, until the daemon ends.
+        """Yield the interpreter to the loop, from a writing thread. At the end of the daemon, check the time instead.
 
         Raises:
-            OutOfTime: it has ended, and does not wait any more.
+            OutOfTime: the time of the ending daemon is over.
         """
         if self._ends_at_s is None:
             time.sleep(REST_S)
@@ -210,7 +213,7 @@ class BlackBox:
             raise OutOfTime
 
     async def _salvage(self, on_last_commands: Callable[[list[LastCommand]], None]) -> None:
-        """Save what earlier processes with the same folder have left."""
+        """Save the incidents that earlier processes with the same folder have left."""
         for path in remains.of_purpose(self._purpose):
             if Path(path) == self._memory.folder:
                 continue
@@ -235,7 +238,7 @@ class BlackBox:
 
 
 def _start_salvage() -> None:
-    """A process that outlives this one, and is not ended by the signal that ended it."""
+    """Start a process that survives this one and ignores its signals."""
     before = signal.pthread_sigmask(signal.SIG_SETMASK, signal.valid_signals())
     try:
         subprocess.Popen(  # noqa: S603 - every argument is our own
@@ -245,7 +248,7 @@ def _start_salvage() -> None:
             stderr=subprocess.DEVNULL,
             start_new_session=True,
         )
-    except OSError as error:  # the next start does it
+    except OSError as error:  # the next start of the daemon does it
         log.warning("incident.postponed", reason=error.strerror or str(error))
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)

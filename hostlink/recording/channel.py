@@ -1,4 +1,4 @@
-"""Channel: one topic in a recording, and what a reader must know to understand its messages."""
+"""Channel: one topic of a recording, with the data that a reader needs for its messages."""
 
 import struct
 from dataclasses import dataclass
@@ -8,48 +8,48 @@ from hostlink.messages.message_type import MessageType
 
 JSON, ROS1, CDR = "json", "ros1", "cdr"
 SCHEMA_ENCODINGS = {ROS1: "ros1msg", JSON: "jsonschema", CDR: "ros2msg"}
-LIBRARY = "hostlink"  # that wrote a file, as its header names it: one whose messages have wall times alone
+LIBRARY = "hostlink"  # library name in the header of a file that has only wall times
 LIBRARY_STEADY = "hostlink; publish_time is steady"
-NS_PER_S = 1_000_000_000  # of the stamps of messages
-DEVICE, VELOCITY, HOSTLINK = "device", "velocity", "hostlink"  # who publishes a topic
+NS_PER_S = 1_000_000_000  # also of message stamps
+DEVICE, VELOCITY, HOSTLINK = "device", "velocity", "hostlink"  # publishers of a topic
 EVENT, LOG_LINE, PARAMETER_SET = "hostlink.Event", "hostlink.LogLine", "hostlink.Parameters"
 TEXT_TYPE, TEXT_DEFINITION = "std_msgs/String", "string data\n"
 TEXT_MD5 = "992ce8a1687cec8c8bd883ec73ca41d1"
-TEXT_HEAD = struct.Struct("<I")  # a string of ROS 1: how many bytes, then these
+TEXT_HEAD = struct.Struct("<I")  # a string of ROS 1: length in bytes, then the bytes
 EVENTS_TOPIC, LOG_TOPIC, PARAMETERS_TOPIC = "/hostlink/events", "/hostlink/log", "/hostlink/parameters"
 
 
 @dataclass(frozen=True, slots=True)
 class Channel:
-    """As MCAP has it: https://mcap.dev/spec, and its profile ros1."""
+    """Channel as in MCAP: https://mcap.dev/spec, and its profile ros1."""
 
     topic: str
-    encoding: str  # ROS1: the payload as rosserial and ROS 1 have it; JSON
+    encoding: str  # ROS1: payload in the serialisation of rosserial and ROS 1; or JSON
     type_name: str
-    schema: str  # ros1msg: the definition with all that it contains; jsonschema
+    schema: str  # ros1msg: the full definition; or jsonschema
     metadata: tuple[tuple[str, str], ...] = ()
-    language: str = ""  # of the schema, if it is not the one that hostlink writes with this encoding
+    language: str = ""  # schema language, if not the one that hostlink writes with this encoding
 
     @property
     def robot(self) -> str:
-        """Whose it is."""
+        """Name of the robot that the channel belongs to; empty if none."""
         return dict(self.metadata).get("robot", "")
 
     @property
     def origin(self) -> str:
-        """Who publishes it."""
+        """Publisher of the channel: DEVICE, VELOCITY, HOSTLINK or empty."""
         return dict(self.metadata).get("origin", "")
 
     @property
     def schema_encoding(self) -> str:
-        """What language the schema is in."""
+        """Language of the schema."""
         return self.language or SCHEMA_ENCODINGS.get(self.encoding, "")
 
     @property
     def content(self) -> str:
-        """What hostlink itself writes on the channel, as JSON: one of EVENT, LOG_LINE, PARAMETER_SET; empty: nothing.
+        """Kind of hostlink's own JSON on the channel: EVENT, LOG_LINE or PARAMETER_SET; empty for other channels.
 
-        Older recordings have these channels as JSON; now they are texts of ROS 1.
+        Older recordings have these channels as JSON. Newer ones have them as std_msgs/String.
         """
         if self.encoding == JSON:
             return self.type_name
@@ -57,23 +57,24 @@ class Channel:
 
 
 class Sink(Protocol):
-    """Where a recorder puts messages: a file's writer, a black box. It never waits."""
+    """Destination of recorded messages: a file writer or a black box. Its methods never wait."""
 
     def announce(self, channel: Channel) -> None:
-        """There is this channel from now on, though it may have no message: what a robot listens to is part of it."""
+        """Add a channel, which may stay without a message: the topics that a robot subscribes to are recorded too."""
         ...
 
     def put(self, channel: Channel, stamp_ns: int, payload: bytes, robot: str) -> None:
-        """`robot`: whose it is; empty: nobody's."""
+        """Add a message. `robot` is the robot that it belongs to; empty if none."""
         ...
 
 
 def ros_channel(
     topic: str, type_name: str, type_: MessageType | None, *, is_latched: bool, robot: str = "", origin: str = ""
 ) -> Channel:
-    """The channel of a topic; without a definition its messages are kept, and nobody can decode them.
+    """Create the channel of a topic. Without a definition its messages are kept but cannot be decoded.
 
-    `robot`: whose it is; `origin`: who publishes it, one of DEVICE, VELOCITY (a command to the robot), HOSTLINK and "".
+    `robot` is the robot that it belongs to. `origin` is its publisher: DEVICE, VELOCITY (a command to the robot),
+    HOSTLINK or "".
     """
     md5 = "*" if type_ is None else type_.md5
     metadata = (
@@ -88,7 +89,7 @@ def ros_channel(
 
 
 def _text_channel(topic: str, content: str) -> Channel:
-    """A text of ROS 1 with JSON in it: a reader that knows ROS 1 alone reads the whole file."""
+    """Create a std_msgs/String channel with JSON in it, so that a reader of ROS 1 can read the whole file."""
     facts = {"callerid": "/hostlink", "md5sum": TEXT_MD5, "latching": "0", "topic": topic, "content": content}
     return Channel(topic, ROS1, TEXT_TYPE, TEXT_DEFINITION, tuple(facts.items()))
 
@@ -99,17 +100,17 @@ PARAMETERS = _text_channel(PARAMETERS_TOPIC, PARAMETER_SET)
 
 
 def as_text(data: bytes) -> bytes:
-    """The payload of a text of ROS 1."""
+    """Encode the payload of a std_msgs/String."""
     return TEXT_HEAD.pack(len(data)) + data
 
 
 def json_of(channel: Channel, payload: bytes) -> bytes:
-    """The JSON of a message whose channel has `content`, or is encoded so."""
+    """Return the JSON of a message on a channel that has `content` or the encoding JSON."""
     return payload if channel.encoding == JSON else payload[TEXT_HEAD.size :]
 
 
 def note_newest(channels: dict[Channel, None], channel: Channel, most: int) -> None:
-    """Put a channel last, also one that is there already; over `most` the first goes."""
+    """Move a channel to the end, or add it. Above `most` channels, remove the first."""
     channels.pop(channel, None)
     channels[channel] = None
     if len(channels) > most:

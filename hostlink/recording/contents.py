@@ -1,4 +1,4 @@
-"""What is in a recording, without decoding it."""
+"""Contents of a recording, without decoding."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -7,69 +7,69 @@ from typing import NamedTuple
 from hostlink.recording.channel import NS_PER_S, Channel
 from hostlink.recording.source import open_source
 
-CLOCK_STEP_NS = NS_PER_S  # a smaller one is how long a message waited, or the clock being adjusted
-MAX_STEPS = 10  # that are told
+CLOCK_STEP_NS = NS_PER_S  # a smaller step is the delay of a message, or a slewed clock
+MAX_STEPS = 10  # listed clock steps
 
 
 @dataclass(slots=True)
 class TopicContents:
-    """One channel."""
+    """Contents of one channel."""
 
     channel: Channel
     messages: int = 0
     payload_bytes: int = 0
-    first_ns: int = 0  # steady time, as last_ns
+    first_ns: int = 0  # steady time, as is last_ns
     last_ns: int = 0
 
     @property
     def rate_hz(self) -> float | None:
-        """Messages a second; None: one message has no rate."""
+        """Messages per second; None with fewer than two messages."""
         seconds = (self.last_ns - self.first_ns) / NS_PER_S
         return (self.messages - 1) / seconds if seconds > 0 else None
 
 
 class ClockStep(NamedTuple):
-    """The clock on the wall was set: when, and by how much."""
+    """Step of the wall clock: its time and size."""
 
-    at_s: float  # after the beginning of the recording
+    at_s: float  # since the beginning of the recording
     step_s: float
 
 
 @dataclass(slots=True)
 class Contents:
-    """A recording."""
+    """Contents of a recording."""
 
     path: Path
     size_bytes: int
     metadata: dict[str, str]
     damage: list[str]
     topics: list[TopicContents] = field(default_factory=list)
-    begin_ns: int = 0  # wall time of the first message; 0: there is none
+    begin_ns: int = 0  # wall time of the first message; 0 without messages
     clock_steps: list[ClockStep] = field(default_factory=list)  # the first MAX_STEPS
 
     @property
     def messages(self) -> int:
-        """Of all topics."""
+        """Number of messages of all topics."""
         return sum(topic.messages for topic in self.topics)
 
     @property
     def seconds(self) -> float:
-        """From the earliest message to the latest, by a clock that is never set."""
+        """Time from the first to the last message, by a clock that is never set."""
         met = [topic for topic in self.topics if topic.messages]
         last_ns = max((topic.last_ns for topic in met), default=0)
         return (last_ns - min((topic.first_ns for topic in met), default=0)) / NS_PER_S
 
 
 def contents_of(path: Path) -> Contents:
-    """Look through a file.
+    """Read the contents of a file.
 
     Raises:
-        RecordingFailed: it cannot be read, or is not a recording.
+        RecordingFailed: the file cannot be read, or is not a recording.
     """
     source = open_source(path)
     found = Contents(path, 0, {}, [])
     topics: dict[Channel, TopicContents] = {}
-    ahead_ns: int | None = None  # of the steady times, the clock on the wall
+    ahead_ns: int | None = None  # wall time minus steady time
     for message in source.messages():
         topic = topics.get(message.channel)
         if topic is None:

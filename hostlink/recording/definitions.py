@@ -1,6 +1,6 @@
-"""Definitions: what the payloads of a recording's channels mean, in ROS 1 and in ROS 2.
+"""Message definitions of a recording's channels, for ROS 1 and ROS 2.
 
-A file may be made to harm: a type whose messages could grow without end from few bytes is refused.
+A file may be malicious: a type whose messages could grow without limit from few bytes is refused.
 """
 
 import functools
@@ -17,18 +17,18 @@ from hostlink.messages.catalog import read_full_definition
 from hostlink.messages.message_type import MessageType
 from hostlink.recording.channel import CDR, ROS1, Channel
 
-MAX_TYPE_BYTES = 64 * 1024 * 1024  # that the smallest message of a type has
-MAX_DEPTH = 32  # of messages in messages
-MAX_REASON = 200  # characters of a library's words
+MAX_TYPE_BYTES = 64 * 1024 * 1024  # size of a type's smallest message
+MAX_DEPTH = 32  # nesting of messages
+MAX_REASON = 200  # characters of a library's error text
 _HEADER = "std_msgs/msg/Header"
 _TIMES = ("builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration")
-_DUMMY = "structure_needs_at_least_one_member"  # a message of ROS 2 without a field has this one
+_DUMMY = "structure_needs_at_least_one_member"  # ROS 2 adds this field to a message without fields
 _IDL_SEPARATOR = "=" * 80 + "\n"
 _CDR_HEAD_BYTES = 4
-_PADDING_BYTES = 3  # that may be behind a message
+_PADDING_BYTES = 3  # allowed after a message
 _BYTES = ("uint8", "char", "octet")
 
-Types = dict[str, Any]  # of rosbags: name -> (constants, fields)
+Types = dict[str, Any]  # as in rosbags: name -> (constants, fields)
 
 
 @functools.cache
@@ -37,19 +37,19 @@ def _store(which: Stores) -> Typestore:
 
 
 def ros2_name(type_name: str) -> str:
-    """As ROS 2 and rosbags name a type: geometry_msgs/msg/Pose2D."""
+    """Convert a type name to the form of ROS 2 and rosbags: geometry_msgs/msg/Pose2D."""
     package, _, base = type_name.rpartition("/")
     return f"{package.removesuffix('/msg')}/msg/{base}"
 
 
 def ros1_name(type_name: str) -> str:
-    """As ROS 1 names a type: geometry_msgs/Pose2D."""
+    """Convert a type name to the form of ROS 1: geometry_msgs/Pose2D."""
     package, _, base = type_name.rpartition("/")
     return f"{package.removesuffix('/msg')}/{base}"
 
 
 def ros1_type(channel: Channel) -> MessageType:
-    """The type of a channel with payloads of ROS 1.
+    """Return the type of a channel with ROS 1 payloads.
 
     Raises:
         UnknownFormat: the channel has another encoding, or no definition.
@@ -61,26 +61,26 @@ def ros1_type(channel: Channel) -> MessageType:
     try:
         return read_full_definition(channel.type_name, channel.schema)
     except ConfigError as error:
-        raise UnknownFormat(f"the definition of {channel.type_name} is not readable: {error}"[:MAX_REASON]) from error
+        raise UnknownFormat(f"the definition of {channel.type_name} cannot be read: {error}"[:MAX_REASON]) from error
 
 
 class Ros2Type:
-    """A type of ROS 2: decodes its messages, and converts those of ROS 1 from and to it."""
+    """ROS 2 type: decodes its messages, and converts ROS 1 messages from and to it."""
 
     def __init__(self, name: str, store: Typestore) -> None:
-        """`name`: as geometry_msgs/msg/Pose2D; `store`: has all of it.
+        """`name` has the form geometry_msgs/msg/Pose2D. `store` contains the type and its nested types.
 
         Raises:
-            UnknownFormat: a part of it is missing, or it could grow without end.
+            UnknownFormat: a nested type is missing, or the type could grow without limit.
         """
         self.name, self.store = name, store
         self._least_bytes = _least_bytes(store.fielddefs, name, {}, ())
 
     def decode(self, payload: bytes) -> dict[str, Any]:
-        """The fields of a message in CDR; a time is {"secs", "nsecs"}, as in messages of ROS 1.
+        """Decode a CDR message. A time is {"secs", "nsecs"}, as in ROS 1 messages.
 
         Raises:
-            BadPayload: it is not a message of this type.
+            BadPayload: the payload is not a message of this type.
         """
         self._check(payload)
         try:
@@ -89,10 +89,10 @@ class Ros2Type:
             raise BadPayload(self.name, _words(error)) from None
 
     def to_ros1(self, payload: bytes) -> bytes:
-        """A message of ROS 1 from one in CDR; a header's number is 0.
+        """Convert a CDR message to ROS 1. A header's sequence number is 0.
 
         Raises:
-            BadPayload: it is not a message of this type.
+            BadPayload: the payload is not a message of this type.
         """
         self._check(payload)
         try:
@@ -104,10 +104,10 @@ class Ros2Type:
             raise BadPayload(self.name, _words(error)) from None
 
     def from_ros1(self, payload: bytes) -> bytes:
-        """A message in CDR from one of ROS 1, which must be one: rosbags would take hours for what is not.
+        """Convert a ROS 1 message to CDR. The payload must be valid: rosbags would take hours for an invalid one.
 
         Raises:
-            BadPayload: it is not a message of this type.
+            BadPayload: the payload is not a message of this type.
         """
         try:
             return bytes(self.store.ros1_to_cdr(payload, self.name))
@@ -115,15 +115,15 @@ class Ros2Type:
             raise BadPayload(self.name, _words(error)) from None
 
     def check_cdr(self, payload: bytes) -> None:
-        """Refuse what is not a message in CDR.
+        """Check that the payload is a CDR message of this type.
 
         Raises:
-            BadPayload: it is not one of this type.
+            BadPayload: it is not.
         """
         self.decode(payload)
 
     def ros1_definition(self) -> tuple[str, str]:
-        """(definition with all that it contains, md5 sum) of the same type in ROS 1: ROS 1's own, where it is equal."""
+        """Return the full ROS 1 definition of the type and its md5 sum. An equal type of ROS 1 itself is preferred."""
         ros1 = _store(Stores.ROS1_NOETIC)
         if self.name in ros1.fielddefs and _is_equal(self.store.fielddefs, ros1.fielddefs, self.name):
             return ros1.generate_msgdef(self.name)
@@ -134,14 +134,14 @@ class Ros2Type:
 
     def _check(self, payload: bytes) -> None:
         if len(payload) - _CDR_HEAD_BYTES < self._least_bytes:
-            raise BadPayload(self.name, f"{len(payload)} bytes are too few")
+            raise BadPayload(self.name, f"{len(payload)} bytes are too short for this type")
 
 
 def ros2_type(channel: Channel) -> Ros2Type:
-    """The type of ROS 2 of a channel with payloads of ROS 1 or in CDR: ROS 2's own, where it is equal.
+    """Return the ROS 2 type of a channel with ROS 1 or CDR payloads. An equal type of ROS 2 itself is preferred.
 
     Raises:
-        UnknownFormat: the channel has another encoding, or no definition that can be read.
+        UnknownFormat: the channel has another encoding, or no readable definition.
     """
     name = ros2_name(channel.type_name)
     if channel.encoding == ROS1:
@@ -158,7 +158,7 @@ def ros2_type(channel: Channel) -> Ros2Type:
         types.setdefault(each, ros2.fielddefs[each])
     if channel.encoding == ROS1:
         types[_HEADER] = ros2.fielddefs[_HEADER]
-    _least_bytes(types, name, {}, ())  # before anything is made of it
+    _least_bytes(types, name, {}, ())  # before the types are used
     if name in ros2.fielddefs and _is_equal(types, ros2.fielddefs, name):
         return Ros2Type(name, ros2)
     store = get_typestore(Stores.EMPTY)
@@ -170,12 +170,12 @@ def ros2_type(channel: Channel) -> Ros2Type:
     except UnknownFormat:
         raise
     except Exception as error:
-        raise UnknownFormat(f"the definition of {channel.type_name} is not readable: {_words(error)}") from error
+        raise UnknownFormat(f"the definition of {channel.type_name} cannot be read: {_words(error)}") from error
     return found
 
 
 def why_unknown(channel: Channel) -> str:
-    """Why hostlink cannot convert the messages of a channel; empty: it can."""
+    """Return why hostlink cannot convert the messages of a channel; empty if it can."""
     try:
         if not channel.content and channel.encoding != "json":
             ros2_type(channel)
@@ -185,15 +185,15 @@ def why_unknown(channel: Channel) -> str:
 
 
 def _encoding_of(channel: Channel) -> str:
-    schema = f", its definitions are {channel.schema_encoding!r}" if channel.schema_encoding else ""
-    return f"its messages are {channel.encoding!r}{schema}; hostlink reads ros1, cdr and json"
+    schema = f", its schema encoding is {channel.schema_encoding!r}" if channel.schema_encoding else ""
+    return f"its message encoding is {channel.encoding!r}{schema}; hostlink reads ros1, cdr and json"
 
 
 def _types_of(channel: Channel, name: str) -> Types:
-    """From the definition in the file; empty: it has none.
+    """Return the types of the definition in the file; empty if it has none.
 
     Raises:
-        UnknownFormat: it is none.
+        UnknownFormat: the definition cannot be read.
     """
     text = channel.schema
     if not text.strip():
@@ -206,22 +206,22 @@ def _types_of(channel: Channel, name: str) -> Types:
         for part in parts:
             types.update(get_types_from_idl(part.partition("\n")[2]))
     except Exception as error:
-        raise UnknownFormat(f"the definition of {channel.type_name} is not readable: {_words(error)}") from error
+        raise UnknownFormat(f"the definition of {channel.type_name} cannot be read: {_words(error)}") from error
     return types
 
 
 def _least_bytes(types: Types, name: str, known: dict[str, int], outer: tuple[str, ...]) -> int:
-    """How many bytes the smallest message has.
+    """Return the size of the smallest message.
 
     Raises:
-        UnknownFormat: something of it is missing, it contains itself, or a list of it costs no bytes.
+        UnknownFormat: a nested type is missing, the type contains itself, or list elements have no bytes.
     """
     if name in known:
         return known[name]
     if name not in types:
         raise UnknownFormat(f"the definition of {ros1_name(name)} is not in the recording")
     if name in outer or len(outer) > MAX_DEPTH:
-        raise UnknownFormat(f"{ros1_name(name)} contains itself, or too many others")
+        raise UnknownFormat(f"{ros1_name(name)} contains itself, or is nested too deeply")
     total = 0
     for _, (kind, content) in types[name][1]:
         if kind == Nodetype.NAME:
@@ -233,7 +233,7 @@ def _least_bytes(types: Types, name: str, known: dict[str, int], outer: tuple[st
             each = _least_bytes(types, inner, known, (*outer, name)) if inner_kind == Nodetype.NAME else 1
             total += each * count if kind == Nodetype.ARRAY else 1
             if each == 0 and types[inner][1]:
-                raise UnknownFormat(f"a list of {ros1_name(inner)} costs no bytes")
+                raise UnknownFormat(f"a list of {ros1_name(inner)} has no bytes per element")
         if total > MAX_TYPE_BYTES:
             raise UnknownFormat(f"a message of {ros1_name(name)} has more than {MAX_TYPE_BYTES} bytes")
     known[name] = total
@@ -241,7 +241,7 @@ def _least_bytes(types: Types, name: str, known: dict[str, int], outer: tuple[st
 
 
 def _is_equal(types: Types, others: Types, name: str) -> bool:
-    """Whether a message of this type has the same bytes in both; headers differ by a number that is left out."""
+    """Whether messages of this type have the same bytes in both. Headers count as equal despite the sequence number."""
     if name == _HEADER:
         return True
     if name not in types or name not in others:
@@ -269,7 +269,7 @@ def _not_empty(fields: list[Any]) -> list[Any]:
 
 
 def _unbounded(fields: list[Any]) -> list[Any]:
-    """Without the limits of lists and texts, which ROS 1 does not have."""
+    """Remove the bounds of lists and strings, which ROS 1 does not have."""
     return [(name, _unbounded_kind(kind)) for name, kind in fields]
 
 

@@ -1,4 +1,4 @@
-"""The files with who drove when: a line of JSON for the beginning of a drive, and one for its end."""
+"""DriveLog: files of all drives, with one JSON line for the start and one for the end of each drive."""
 
 import asyncio
 import contextlib
@@ -20,14 +20,14 @@ from hostlink.recording.drives import PAUSE_NS, Drive, Drives
 # -- drive file -------------------------------------------------------------------------------------------------------
 
 MAX_RECENT = 1000
-MAX_FILE_BYTES = 1_000_000  # about 2,000 drives, two lines each; there is one such file more, the one before
+MAX_FILE_BYTES = 1_000_000  # about 2,000 drives with two lines each; one earlier file is kept
 NAME = "drives.jsonl"
 NAME_BEFORE = "drives.before.jsonl"
-DIED = "the daemon died"  # the end of a drive of which the file has the beginning alone
+DIED = "the daemon died"  # end of a drive that has only a start line
 
 
 class LastCommand(NamedTuple):
-    """Who drove a robot last when the daemon was killed, and until when."""
+    """Last driver of a robot when the daemon was killed, with the time of the last command."""
 
     robot: str
     owner: str
@@ -35,10 +35,10 @@ class LastCommand(NamedTuple):
 
 
 def append_drives(folder: Path, drives: list[Drive]) -> None:
-    """Write them, a line each; over MAX_FILE_BYTES another file is begun. It waits for the disk.
+    """Append drives, one line each. Start a new file above MAX_FILE_BYTES. Blocks on the disk.
 
     Raises:
-        OSError: of the disk.
+        OSError: the disk failed.
     """
     folder.mkdir(parents=True, exist_ok=True)
     file = folder / NAME
@@ -46,20 +46,21 @@ def append_drives(folder: Path, drives: list[Drive]) -> None:
         file.replace(folder / NAME_BEFORE)
     with file.open("ab+") as stream:
         stream.seek(-min(1, stream.tell()), os.SEEK_END)
-        is_cut = stream.read() not in (b"", b"\n")  # by a full disk, or the end of the power: the next one is whole
+        # The last line was cut by a full disk or a power failure; start a new line.
+        is_cut = stream.read() not in (b"", b"\n")
         stream.write(b"\n" * is_cut + b"".join(msgspec.json.encode(drive) + b"\n" for drive in drives))
 
 
 def read_drives(folder: Path) -> list[Drive]:
-    """The last MAX_RECENT of the files, in the order of their ends; lines that are damaged or cut are left out.
+    """Read the last MAX_RECENT drives, ordered by their ends. Skip damaged and cut lines.
 
-    One that has no end has ended with its daemon.
+    A drive without an end has ended with its daemon.
     """
     found: dict[tuple[str, str, int], Drive] = {}
     for name in (NAME_BEFORE, NAME):
         try:
             lines = (folder / name).read_bytes()[-2 * MAX_FILE_BYTES :].splitlines()
-        except OSError:  # there is none yet
+        except OSError:  # there is no file yet
             continue
         for drive in map(_read, lines):
             if drive is not None:
@@ -73,10 +74,10 @@ def read_drives(folder: Path) -> list[Drive]:
 
 
 def finish_drives(folder: Path, commands: list[LastCommand]) -> None:
-    """Write when drives ended that a daemon that was killed could not end.
+    """Write the ends of drives that a killed daemon could not write.
 
     Raises:
-        OSError: of the disk.
+        OSError: the disk failed.
     """
     changed = [drive for drive in read_drives(folder) if corrected(drive, commands)]
     if changed:
@@ -84,12 +85,12 @@ def finish_drives(folder: Path, commands: list[LastCommand]) -> None:
 
 
 def corrected(drive: Drive, commands: list[LastCommand]) -> bool:
-    """Let a drive end with its last command, if the file has its beginning alone; whether it is so."""
+    """Set the end of a drive that has only a start line to its last command. Return whether it was changed."""
     is_unknown = drive.end == DIED and drive.ended_ns == drive.began_ns
     last_ns = max((each.stamp_ns for each in commands if each[:2] == (drive.robot, drive.owner)), default=0)
     if not is_unknown or last_ns <= drive.ended_ns:
         return False
-    drive.ended_ns, drive.seconds = last_ns, None  # the steady clock of its daemon is gone
+    drive.ended_ns, drive.seconds = last_ns, None  # the steady clock of its daemon is lost
     return True
 
 
@@ -104,27 +105,27 @@ def _read(line: bytes) -> Drive | None:
 
 log = structlog.get_logger()
 
-END_S = 1.0  # for the lines of the last drives
+END_S = 1.0  # to write the last drives
 
 
 class DriveLog:
-    """An observer of what is commanded."""
+    """Log of all drives, from the events of commands."""
 
     def __init__(self, hub: Hub, folder: Path, *, is_kept: bool) -> None:
-        """`folder`: of the recordings; `is_kept`: in a file there."""
+        """`folder` is that of the recordings. `is_kept`: also write a file there."""
         self.lost = 0  # drives that could not be written
         self._hub, self._folder, self._is_kept = hub, folder, is_kept
         self._drives = Drives()
         self._recent: deque[Drive] = deque(maxlen=MAX_RECENT)
         self._observer = hub.join_daemon()
-        self._is_open = asyncio.Event()  # a drive is under way, or was a moment ago
+        self._is_open = asyncio.Event()  # set while a drive lasts, and shortly afterwards
         self._has_begun = asyncio.Event()
-        self._turn = asyncio.Lock()  # at the file
+        self._turn = asyncio.Lock()  # for access to the file
         self._thread = DetachedThread("drives")
         self._is_failing = False
 
     async def start(self) -> None:
-        """Note every drive from now on, after those that the file has."""
+        """Log every drive from now on, after the drives in the file."""
         if self._is_kept:
             self._recent.extend(await asyncio.to_thread(read_drives, self._folder))
         self._observer.observe(self._receive)
@@ -132,12 +133,12 @@ class DriveLog:
         self._hub.spawn(self._finish(), name="drives")
 
     def correct(self, commands: list[LastCommand]) -> None:
-        """When the drives ended that an earlier daemon did not end; the file has it already."""
+        """Set the ends of drives that an earlier daemon did not end. The file has them already."""
         for drive in self._recent:
             corrected(drive, commands)
 
     async def aclose(self) -> None:
-        """The daemon ends: no drive goes on."""
+        """End all drives, because the daemon ends."""
         self._observer.leave()
         for drive in self._drives.under_way():
             drive.end = drive.end or "hostlink stopped"
@@ -150,7 +151,7 @@ class DriveLog:
         await self._keep(self._drives.pop_finished(time.time_ns() + 2 * PAUSE_NS))
 
     def newest_first(self, *, robot: str | None = None, limit: int | None = None) -> list[Drive]:
-        """The last MAX_RECENT drives, and those that are under way; of these so many as `limit` allows."""
+        """Return the last MAX_RECENT drives and the current ones, newest first, at most `limit`."""
         found = [*self._recent, *self._drives.under_way()]
         return list(islice((drive for drive in reversed(found) if robot in (None, drive.robot)), limit))
 
@@ -162,7 +163,7 @@ class DriveLog:
             self._has_begun.set()
 
     async def _begin(self) -> None:
-        """A daemon that is killed leaves the line of a drive without an end."""
+        """Write the start line of each drive, so that a killed daemon leaves it."""
         while True:
             await self._has_begun.wait()
             self._has_begun.clear()
@@ -190,4 +191,4 @@ class DriveLog:
             if not self._is_failing:
                 log.warning("drives.lost", file=str(self._folder / NAME), reason=error.strerror or str(error))
             self._is_failing = True
-            self.lost += sum(bool(drive.end) for drive in drives)  # of the others a later line has all
+            self.lost += sum(bool(drive.end) for drive in drives)  # a later line has the complete data of the others

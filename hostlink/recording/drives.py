@@ -1,4 +1,4 @@
-"""Drives: who drove which robot, from when to when. A pause of a few seconds is no end."""
+"""Drives: who drove which robot, from when to when. A pause of a few seconds does not end a drive."""
 
 from collections.abc import Iterator
 from typing import NamedTuple
@@ -8,20 +8,23 @@ import msgspec
 from hostlink.hub.robot_events import EventKind, RobotEvent
 from hostlink.robot.velocity import PlanarVelocity, Twist
 
-PAUSE_NS = 3_000_000_000  # between two commands of one drive: a key is let go, and pressed again
-MAX_OPEN = 1024  # drives that are not over
+PAUSE_NS = 3_000_000_000  # between two commands of one drive: a key is released and pressed again
+MAX_OPEN = 1024  # unfinished drives
 
 
 class Drive(msgspec.Struct, kw_only=True):
-    """One drive; wall times, and how long it took by a clock that is never set. `end` is empty while it lasts."""
+    """One drive.
+
+    Times are wall times; `seconds` is measured by a clock that is never set. `end` is empty while it lasts.
+    """
 
     robot: str
     owner: str
-    address: str = ""  # from which he drove last
+    address: str = ""  # of the last command
     priority: int
     began_ns: int
     ended_ns: int  # so far
-    seconds: float | None = None  # so far; None: of a file that older releases wrote
+    seconds: float | None = None  # so far; None in files of older releases
     commands: int = 0
     fastest_m_s: float = 0.0
     fastest_rad_s: float = 0.0
@@ -34,18 +37,18 @@ class _Key(NamedTuple):
 
 
 class Drives:
-    """Those that are under way, and those that may go on."""
+    """Current drives, and paused ones that may continue."""
 
     def __init__(self) -> None:
         self._open: dict[_Key, Drive] = {}  # oldest first
-        self._began_s: dict[_Key, float] = {}  # loop time
+        self._began_s: dict[_Key, float] = {}  # loop time of the start
         self._begun: list[Drive] = []
 
     def __len__(self) -> int:
         return len(self._open)
 
     def observe(self, event: RobotEvent) -> None:
-        """Something has happened to a robot."""
+        """Handle an event of a robot."""
         if event.kind is EventKind.COMMANDED:
             self._command(event)
         elif event.kind is EventKind.STOPPED:
@@ -54,24 +57,24 @@ class Drives:
         elif event.kind is EventKind.LOCKED:
             self._end(self._of(event.robot), event, f"locked: {event.facts['reason']}")
         elif event.kind is EventKind.GONE:
-            self._end(self._of(event.robot), event, "its device was gone")
+            self._end(self._of(event.robot), event, "its device disconnected")
 
     @property
     def has_begun(self) -> bool:
-        """Whether `pop_begun` has any."""
+        """Whether `pop_begun` has drives."""
         return bool(self._begun)
 
     def pop_begun(self) -> list[Drive]:
-        """Those that have begun since the last call."""
+        """Remove and return the drives that have started since the last call."""
         begun, self._begun = self._begun, []
         return begun
 
     def under_way(self) -> list[Drive]:
-        """Oldest first; those that paused are not over yet."""
+        """Return the current drives, oldest first. Paused ones are included."""
         return list(self._open.values())
 
     def pop_finished(self, now_ns: int) -> list[Drive]:
-        """Those that were over for long enough, and the oldest over MAX_OPEN."""
+        """Remove and return the drives that ended long enough ago, and the oldest above MAX_OPEN."""
         surplus = len(self._open) - MAX_OPEN
         finished = [
             key
@@ -89,7 +92,7 @@ class Drives:
         velocity, owner = event.facts["limited"], str(event.facts["owner"])
         assert isinstance(velocity, PlanarVelocity | Twist)  # noqa: S101 - see EventKind
         if velocity.is_zero:
-            return  # nobody drives by that
+            return  # a zero starts no drive
         key = _Key(event.robot, owner)
         drive = self._open.get(key)
         is_continued = drive is not None and not drive.end
@@ -100,14 +103,14 @@ class Drives:
             )
             self._open[key], self._began_s[key] = drive, event.at_s
             self._begun.append(drive)
-            del self._begun[:-MAX_OPEN]  # nobody asks for them
+            del self._begun[:-MAX_OPEN]  # bounded, in case no caller reads them
         drive.end = ""
         self._lasts_until(drive, event)
         drive.address = str(event.facts["address"])
         drive.commands += 1
         drive.fastest_m_s = max(drive.fastest_m_s, velocity.speed_m_s)
         drive.fastest_rad_s = max(drive.fastest_rad_s, velocity.turn_rad_s)
-        if not is_continued:  # else the others have ended before
+        if not is_continued:  # otherwise the other drives have ended already
             others = (other for other in self._of(event.robot) if other is not drive)
             self._end(others, event, f"taken over by {owner}")
 

@@ -1,4 +1,4 @@
-"""What every export has in common: which topics are converted, what was left out, and that a failure leaves nothing."""
+"""Common parts of all exports: choice of topics, report of omissions, and cleanup after a failure."""
 
 import contextlib
 import fnmatch
@@ -13,20 +13,20 @@ from hostlink.recording.channel import Channel
 from hostlink.recording.definitions import why_unknown
 from hostlink.recording.source import Source, open_source
 
-MAX_NAMED = 10  # topics that a refusal names
+MAX_NAMED = 10  # topics named in a refusal
 
 
 @dataclass(slots=True)
 class Exported:
-    """What became of a recording's messages."""
+    """Result of an export."""
 
     messages: int = 0
-    left_out: dict[str, str] = field(default_factory=dict)  # topics, and what of them, and why
-    damage: list[str] = field(default_factory=list)  # of what was read
+    left_out: dict[str, str] = field(default_factory=dict)  # topic -> what was omitted, and why
+    damage: list[str] = field(default_factory=list)  # of the source
     _bad: Counter[str] = field(default_factory=Counter)
 
     def leave_out(self, topic: str, error: BadPayload) -> None:
-        """One message of a topic cannot be converted."""
+        """Count a message that cannot be converted."""
         self._bad[topic] += 1
         if self._bad[topic] == 1:
             self.left_out[topic] = f"a message cannot be decoded: {error}"
@@ -36,19 +36,19 @@ class Exported:
 
 
 def chosen_channels(path: Path, patterns: Iterable[str], done: Exported, *, skips_unknown: bool) -> set[Channel]:
-    """The channels that are exported: those whose topics match a pattern, or all without one.
+    """Return the channels to export: those whose topics match a pattern, or all without patterns.
 
-    `skips_unknown`: those that cannot be converted are noted in `done`, and left out.
+    `skips_unknown`: channels that cannot be converted are noted in `done` and omitted.
 
     Raises:
-        UnknownFormat: some cannot be converted; the text names them.
+        UnknownFormat: some channels cannot be converted; the text names them.
         RecordingFailed: no topic matches, or the recording cannot be read.
     """
     listed, channels = tuple(patterns), open_source(path).read_channels()
     chosen = {channel for channel in channels if not listed or matches(channel.topic, listed)}
     if listed and not chosen:
         topics = ", ".join(sorted({channel.topic for channel in channels}))
-        raise RecordingFailed(f"{path} has no topic {' '.join(listed)}; it has: {topics or 'none'}")
+        raise RecordingFailed(f"{path} has no topic {' '.join(listed)}; available: {topics or 'none'}")
     unknown = {channel: why for channel in chosen if (why := why_unknown(channel))}
     named = {channel.topic: f"{channel.type_name}: {why}" for channel, why in unknown.items()}
     if unknown and not skips_unknown:
@@ -63,32 +63,32 @@ def chosen_channels(path: Path, patterns: Iterable[str], done: Exported, *, skip
 
 
 def matches(topic: str, patterns: Iterable[str]) -> bool:
-    """Whether a topic is named by one of these, which may have *."""
+    """Whether the topic matches one of the patterns, which may contain *."""
     return any(fnmatch.fnmatchcase(topic, pattern) for pattern in patterns)
 
 
 @contextlib.contextmanager
 def new_output(path: Path) -> Iterator[None]:
-    """A file or folder is made in the block; if the block fails, it is removed.
+    """Create a file or folder in the block. If the block fails, remove it.
 
     Raises:
-        FileExistsError: there is something of that name.
+        FileExistsError: the path exists.
     """
     if path.exists() or path.is_symlink():
-        raise FileExistsError(17, "is there already", str(path))
+        raise FileExistsError(17, "already exists", str(path))
     try:
         yield
     except BaseException:
         if path.is_dir():
             shutil.rmtree(path, ignore_errors=True)
         else:
-            with contextlib.suppress(OSError):  # a disk that fails; the first error is raised
+            with contextlib.suppress(OSError):  # of a failing disk; the first error is raised
                 path.unlink(missing_ok=True)
         raise
 
 
 def check_done(source: Source, done: Exported) -> None:
-    """Refuse an export without a message.
+    """Check that at least one message was exported.
 
     Raises:
         RecordingFailed: nothing was exported; the text says why.

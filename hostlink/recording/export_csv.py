@@ -1,4 +1,4 @@
-"""A recording as tables of text: one CSV file a topic, one line a message."""
+"""Export to CSV: one file for each topic, one line for each message."""
 
 import csv
 import json
@@ -14,32 +14,33 @@ from hostlink.recording.export import Exported, check_done, chosen_channels, new
 from hostlink.recording.source import Source, open_source
 from hostlink.recording.tables import decoder_of, flat
 
-MAX_ARRAY = 64  # elements of an array that have columns of their own; more are one column, as JSON
-MAX_COLUMNS = 10_000  # of a file; JSON may have other fields in each message
-MAX_OPEN_FILES = 128  # at once; a process may have 1024, or 256, and a hundred robots have more topics
-_LONGEST_NAME = 200  # characters; a file's may have 255 bytes
-_TIME = "time_s"  # since the epoch, when the message arrived
+MAX_ARRAY = 64  # elements of an array with columns of their own; a longer array is one column with JSON
+MAX_COLUMNS = 10_000  # of one file; JSON messages may have varying fields
+MAX_OPEN_FILES = 128  # a process may open 1024 files, or 256, and a hundred robots have more topics
+_LONGEST_NAME = 200  # characters; a file name may have 255 bytes
+_TIME = "time_s"  # arrival time since the epoch
 
-_Key = tuple[str, str]  # a topic may change its type
+_Key = tuple[str, str]  # topic and type, because the type of a topic may change
 
 
 def export_csv(
     source: Source, folder: Path, *, topics: Iterable[str] = (), skips_unknown: bool = False
 ) -> tuple[Exported, dict[str, int]]:
-    """Write the tables into a new folder; returns what became of the messages, and how many lines each file has.
+    """Write the tables into a new folder. Return the result, and the number of lines of each file.
 
-    A topic has the columns of all its messages: the recording is read twice. A failure leaves no folder.
-    `topics`: names or patterns, none: all; `skips_unknown`: topics that cannot be converted are left out.
+    A table has the columns of all messages of its topic, so the recording is read twice. After a failure no folder is
+    left.
+    `topics`: names or patterns, empty for all; `skips_unknown`: topics that cannot be converted are omitted.
 
     Raises:
-        OSError: of the folder, or it is there already.
+        OSError: the folder exists or cannot be written.
         RecordingFailed: the recording cannot be read, or has nothing to export.
         UnknownFormat: it has topics that cannot be converted; nothing was written.
     """
     done = Exported()
     channels = chosen_channels(source.path, topics, done, skips_unknown=skips_unknown)
     files: dict[_Key, _File] = {}
-    opened: dict[_Key, _File] = {}  # the one that was written to last is the last
+    opened: dict[_Key, _File] = {}  # the last one is the one written to last
     names = _Names()
     columns = _columns(open_source(source.path), channels)
     with new_output(folder):
@@ -62,18 +63,18 @@ def export_csv(
 
 
 def file_name(topic: str) -> str:
-    """Of a topic: /robot_0/odometry is robot_0.odometry."""
+    """Convert a topic to a file name: /robot_0/odometry becomes robot_0.odometry."""
     return re.sub(r"[^A-Za-z0-9_.-]", ".", topic.strip("/")).strip(".")[:_LONGEST_NAME] or "topic"
 
 
 class _Names:
-    """Those of a folder's files; on some disks a and A are one name."""
+    """File names of one folder, unique also on disks that ignore case."""
 
     def __init__(self) -> None:
-        self._tries: Counter[str] = Counter()  # the names that are taken, too
+        self._tries: Counter[str] = Counter()  # also the used names
 
     def free(self, name: str) -> str:
-        """With a number, if another topic has it."""
+        """Return a free name, with a number if another topic has it."""
         free, wanted = name, name.lower()
         while free.lower() in self._tries:
             self._tries[wanted] += 1
@@ -127,7 +128,7 @@ class _File:
         self._open("x").writeheader()
 
     def _open(self, mode: str) -> "csv.DictWriter[str]":
-        file = self.path.open(mode, newline="", encoding="utf-8", errors="replace")  # JSON may have half a pair
+        file = self.path.open(mode, newline="", encoding="utf-8", errors="replace")  # JSON may contain a lone surrogate
         self._file, self._writer = file, csv.DictWriter(file, self._columns, restval="", extrasaction="ignore")
         return self._writer
 
@@ -140,4 +141,4 @@ class _File:
     def close(self) -> None:
         if self._file is not None:
             self._file.close()
-        self._file = self._writer = None  # with their buffers, 100 kB: thousands of files may be closed
+        self._file = self._writer = None  # frees their buffers of 100 kB, because thousands of files may be closed

@@ -1,4 +1,4 @@
-"""A recording as a bag of ROS 1, or of ROS 2: rosbags writes both, and converts payloads between them."""
+"""Export to a ROS 1 bag or a ROS 2 bag. rosbags writes both and converts the payloads."""
 
 import sqlite3
 from collections.abc import Callable, Iterable
@@ -28,27 +28,27 @@ from hostlink.recording.definitions import ros1_type, ros2_name, ros2_type
 from hostlink.recording.export import Exported, check_done, chosen_channels, new_output
 from hostlink.recording.source import Source
 
-_VERSION: Final = 9  # of rosbag2's metadata, since Iron
+_VERSION: Final = 9  # version of rosbag2's metadata, since Iron
 Convert = Callable[[bytes], bytes]
 
 
 class RosFormat(Enum):
-    """What is written."""
+    """Output format."""
 
-    ROS1 = "ros1"  # a file .bag
-    ROS2_MCAP = "ros2"  # a folder with an MCAP file of CDR, as `ros2 bag record` makes it
+    ROS1 = "ros1"  # a .bag file
+    ROS2_MCAP = "ros2"  # a folder with an MCAP file of CDR, as `ros2 bag record` writes it
     ROS2_SQLITE = "rosbag2"  # a folder with a .db3 file
 
 
 def export_ros(
     source: Source, path: Path, format_: RosFormat, *, topics: Iterable[str] = (), skips_unknown: bool = False
 ) -> Exported:
-    """Write a new bag; a failure leaves nothing of it.
+    """Write a new bag. After a failure nothing is left of it.
 
-    `topics`: names or patterns, none: all; `skips_unknown`: topics that cannot be converted are left out.
+    `topics`: names or patterns, empty for all; `skips_unknown`: topics that cannot be converted are omitted.
 
     Raises:
-        OSError: of the file or folder, or it is there already.
+        OSError: the file or folder exists or cannot be written.
         RecordingFailed: the recording cannot be read, or has nothing to export.
         UnknownFormat: it has topics that cannot be converted; nothing was written.
     """
@@ -63,7 +63,7 @@ def export_ros(
                 plugin = StoragePlugin.MCAP if format_ is RosFormat.ROS2_MCAP else StoragePlugin.SQLITE3
                 with Ros2Writer(path, version=_VERSION, storage_plugin=plugin) as ros2:
                     _export(source, _Ros2(ros2), channels, done)
-    except sqlite3.Error as error:  # the disk is full, most of all
+    except sqlite3.Error as error:  # mostly a full disk
         raise OSError(str(error)) from error
     return done
 
@@ -76,7 +76,7 @@ def _export(source: Source, bag: "_Ros1 | _Ros2", channels: set[Channel], done: 
             opened[channel] = bag.open(channel)
         connection, convert = opened[channel]
         if message.stamp_ns > bag.last_ns:
-            reason = f"it came {message.stamp_ns} ns after 1970, a time that a bag lacks"
+            reason = f"its time, {message.stamp_ns} ns since 1970, is outside the range of a bag"
             done.leave_out(channel.topic, BadPayload(channel.type_name, reason))
             continue
         try:
@@ -90,7 +90,7 @@ def _export(source: Source, bag: "_Ros1 | _Ros2", channels: set[Channel], done: 
 
 
 class _Ros1:
-    """Payloads of ROS 1 as they are, others converted."""
+    """ROS 1 bag: ROS 1 payloads are copied, others converted."""
 
     last_ns: Final = 2**32 * NS_PER_S - 1  # in 2106
 
@@ -100,7 +100,7 @@ class _Ros1:
         self._connections: dict[tuple[object, ...], Any] = {}
 
     def open(self, channel: Channel) -> tuple[Any, Convert]:
-        """The connection in the bag, and how payloads are converted."""
+        """Return the bag's connection for a channel, and its payload conversion."""
         facts = dict(channel.metadata)
         convert: Convert = _as_is
         if channel.encoding == JSON:
@@ -124,14 +124,14 @@ class _Ros1:
         """Add a message."""
         self._writer.write(connection, stamp_ns, payload)
         chunks = self._writer.chunks
-        if len(chunks) > self._chunks:  # of one that was written only the number of its messages is still needed
+        if len(chunks) > self._chunks:  # of a written chunk only the number of messages is still needed
             for number, messages in chunks[-2].connections.items():
                 chunks[-2].connections[number] = range(len(messages))  # type: ignore[assignment]
             self._chunks = len(chunks)
 
 
 class _Ros2:
-    """Payloads in CDR as they are, others converted."""
+    """ROS 2 bag: CDR payloads are copied, others converted."""
 
     last_ns: Final = 2**63 - 1
 
@@ -141,7 +141,7 @@ class _Ros2:
         self._connections: dict[tuple[object, ...], Any] = {}
 
     def open(self, channel: Channel) -> tuple[Any, Convert]:
-        """The connection in the bag, and how payloads are converted."""
+        """Return the bag's connection for a channel, and its payload conversion."""
         if channel.encoding == JSON:
             return self._add(channel.topic, ros2_name(TEXT_TYPE), self._text_store, ""), self._text
         type_ = ros2_type(channel)
@@ -149,7 +149,7 @@ class _Ros2:
         connection = self._add(channel.topic, type_.name, type_.store, qos)
         if channel.encoding == CDR:
             return connection, _checked(type_.check_cdr)
-        decode = ros1_type(channel).decode  # what is not a message would take rosbags hours, or all of the memory
+        decode = ros1_type(channel).decode  # rosbags would take hours, or all memory, for an invalid message
         return connection, _checked(decode, type_.from_ros1)
 
     def write(self, connection: Any, stamp_ns: int, payload: bytes) -> None:
@@ -160,7 +160,7 @@ class _Ros2:
         try:
             profiles = parse_qos(qos)
         except Exception as error:
-            raise RecordingFailed(f"{topic}: its QoS is not readable: {error}") from error
+            raise RecordingFailed(f"{topic}: its QoS profile cannot be read: {error}") from error
         key = topic, name, qos
         if key not in self._connections:
             self._connections[key] = self._writer.add_connection(
@@ -177,7 +177,7 @@ def _as_is(payload: bytes) -> bytes:
 
 
 def _checked(check: Callable[[bytes], object], convert: Convert = _as_is) -> Convert:
-    """`convert`, after `check` has raised BadPayload for what is not a message."""
+    """Return a conversion that first calls `check`, which raises BadPayload for an invalid message."""
 
     def convert_checked(payload: bytes) -> bytes:
         check(payload)

@@ -1,4 +1,4 @@
-"""FileThread: writes a recording off the event loop, in files that are split by size and time."""
+"""FileThread: writes a recording in a thread, into files that are split by size and time."""
 
 import asyncio
 import contextlib
@@ -13,20 +13,21 @@ from typing import NamedTuple
 from hostlink.recording.channel import Channel, note_newest
 from hostlink.recording.mcap_writer import MAX_CHANNELS, McapWriter
 
-MAX_WAITING_BYTES = 16 * 1024 * 1024  # of messages that the disk is too slow for; a new one is dropped over it
-MESSAGE_BYTES = 200  # that a waiting message takes beside its payload
+MAX_WAITING_BYTES = 16 * 1024 * 1024  # waiting messages on a slow disk; further ones are dropped
+MESSAGE_BYTES = 200  # memory of a waiting message besides its payload
 WRITE_INTERVAL_S = 0.05
-CHUNK_INTERVAL_S = 0.7  # with the intervals of writing and of poses, on a busy machine: under a second is lost
-MAX_ANNOUNCEMENTS = 16_384  # of topics that come and go; later channels begin with their first message
-MAX_EXPECTED = MAX_CHANNELS // 2  # channels with which a file begins, the newest: others must have room
-FULL_FILE_S = 60.0  # a file without room for a channel is ended no sooner: ten thousand topics at once are no end
-BURST = 64  # messages between two looks at the clock; the loop gets the interpreter within half a millisecond
+CHUNK_INTERVAL_S = 0.7  # together with the write and pose intervals less than a second is lost on a busy machine
+MAX_ANNOUNCEMENTS = 16_384  # bounds short-lived topics; later channels are added with their first message
+MAX_EXPECTED = MAX_CHANNELS // 2  # channels at the start of each file, the newest: there must be room for others
+# A file whose channels are used up is ended no sooner, so that ten thousand topics at once cause few files.
+FULL_FILE_S = 60.0
+BURST = 64  # messages between two checks of the clock; the loop waits at most half a millisecond for the interpreter
 CLOSE_TIMEOUT_S = 2.0
 
 
 @dataclass(frozen=True, slots=True)
 class Splitting:
-    """When a recording continues in another file."""
+    """Limits after which a recording continues in another file."""
 
     max_file_bytes: int
     max_file_s: float
@@ -36,14 +37,14 @@ class Splitting:
 class _Waiting(NamedTuple):
     channel: Channel
     stamp_ns: int
-    payload: bytes | None  # None: the channel is announced
+    payload: bytes | None  # None announces the channel
     steady_ns: int
 
 
 class FileThread:
-    """`put`, `aclose` and the figures are for the loop's thread; the rest happens in a thread of its own.
+    """Writer thread of one recording. `put`, `aclose` and the counters belong to the loop's thread.
 
-    A file that cannot be written any more ends the recording: `failure` has the reason, `on_end` is called in the loop.
+    A file that can no longer be written ends the recording: `failure` has the reason, `on_end` is called in the loop.
     """
 
     def __init__(
@@ -56,18 +57,20 @@ class FileThread:
         on_end: Callable[[], None] = lambda: None,
         on_file: Callable[[], None] = lambda: None,
     ) -> None:
-        """Make the first file, which may wait for the disk: not in the loop's own thread.
+        """Create the first file. It may wait for the disk, so do not call it in the loop's thread.
 
-        `path_of` the file of that number, from 0; `on_file` is called in the thread before each file.
+        `path_of` returns the path of a file by its number, from 0; `on_file` is called in the thread before each file.
 
         Raises:
-            OSError: the first file cannot be made.
+            OSError: the first file cannot be created.
         """
         self.messages = self.written_bytes = 0
-        self._monotonic_to_steady_ns = time.time_ns() - time.monotonic_ns()  # the same in every file of the recording
+        # The same offset in every file of the recording.
+        self._monotonic_to_steady_ns = time.time_ns() - time.monotonic_ns()
         self._announcements = 0
-        self._not_put = self._not_written = 0  # messages; each is counted by one thread
-        self.has_no_room = False  # for a channel: its messages are dropped until the next file
+        self._not_put = self._not_written = 0  # messages; each counter is written by one thread
+        # The file has no free channel number; messages of further channels are dropped until the next file.
+        self.has_no_room = False
         self.paths: list[Path] = []
         self.failure: str | None = None
         self._path_of, self._splitting, self._metadata = path_of, splitting, dict(metadata)
@@ -79,7 +82,7 @@ class FileThread:
         self._ending = threading.Event()
         self._is_discarded = False
         self._ended = asyncio.Event()
-        self._files_bytes = 0  # of those before the present one
+        self._files_bytes = 0  # of the earlier files
         self._begun_s = self._chunk_due_s = 0.0
         self._number = 0  # of the next file
         self._writer = self._open()
@@ -88,17 +91,17 @@ class FileThread:
 
     @property
     def dropped(self) -> int:
-        """Messages that are not in the file."""
+        """Number of messages that are not in the files."""
         return self._not_put + self._not_written
 
     def announce(self, channel: Channel) -> None:
-        """Every file has this channel from now on, also without a message, as long as it is among the newest."""
+        """Add a channel to every file from now on, as long as it is among the newest."""
         self._announcements += 1
         if self._announcements <= MAX_ANNOUNCEMENTS:
             self._waiting.append(_Waiting(channel, 0, None, 0))
 
     def put(self, channel: Channel, stamp_ns: int, payload: bytes, robot: str = "") -> None:  # noqa: ARG002 - of a Sink
-        """Write it soon; dropped and counted while too much waits, or after the end."""
+        """Queue a message. Drop and count it when the queue is full, or after the end."""
         size_bytes = len(payload) + MESSAGE_BYTES
         is_full = self._put_bytes - self._taken_bytes + size_bytes > MAX_WAITING_BYTES
         if is_full or self.failure is not None or self._ending.is_set():
@@ -108,7 +111,7 @@ class FileThread:
         self._waiting.append(_Waiting(channel, stamp_ns, payload, time.monotonic_ns() + self._monotonic_to_steady_ns))
 
     async def aclose(self) -> None:
-        """Write what waits and complete the file; a disk that takes nothing for CLOSE_TIMEOUT_S is left to itself."""
+        """Write what is queued and complete the file. Give up when the disk accepts nothing for CLOSE_TIMEOUT_S."""
         self._ending.set()
         taken_bytes = -1
         while not self._ended.is_set() and self._taken_bytes > taken_bytes:
@@ -117,10 +120,10 @@ class FileThread:
                 async with asyncio.timeout(CLOSE_TIMEOUT_S):
                     await self._ended.wait()
         if not self._ended.is_set():
-            self.failure = self.failure or f"the disk has taken nothing of the rest for {CLOSE_TIMEOUT_S:g} s"
+            self.failure = self.failure or f"the disk accepted no data for {CLOSE_TIMEOUT_S:g} s"
 
     def discard(self) -> None:
-        """End it, and remove what it has written, without waiting."""
+        """End the recording and remove its files, without waiting."""
         self._is_discarded = True
         self._ending.set()
 
@@ -135,14 +138,14 @@ class FileThread:
             if self._is_discarded:
                 for path in self.paths:
                     path.unlink(missing_ok=True)
-        except Exception as error:  # noqa: BLE001 - whatever it is, it ends this recording and nothing else
+        except Exception as error:  # noqa: BLE001 - any error ends this recording only
             self.failure = _reason(error)
             self._writer.abandon()
             self._not_written += len(self._waiting)
             self._waiting.clear()
         finally:
             self.written_bytes = self._files_bytes + self._writer.last_size_bytes
-            with contextlib.suppress(RuntimeError):  # the loop has ended and does not wait for a disk that stands still
+            with contextlib.suppress(RuntimeError):  # the loop has ended without waiting for a blocked disk
                 self._loop.call_soon_threadsafe(self._note_end)
 
     def _note_end(self) -> None:
@@ -168,7 +171,7 @@ class FileThread:
         self._writer.announce(channel)
 
     def _write(self, channel: Channel, stamp_ns: int, payload: bytes, steady_ns: int) -> bool:
-        """False: the file has no room for one more channel, and is too new to be ended."""
+        """Write a message. False: the file has no free channel number and is too new to be ended."""
         if self._writer.write(channel, stamp_ns, payload, steady_ns):
             return True
         if time.monotonic() < self._begun_s + FULL_FILE_S:
@@ -206,7 +209,7 @@ class FileThread:
         return writer
 
     def _new_file(self) -> McapWriter:
-        """With its number; for a later file with the next that is free: the recording must not end for a name."""
+        """Create the next file. A later file skips numbers in use, because a name must not end the recording."""
         is_first = not self.paths
         while True:
             path = self._path_of(self._number)

@@ -1,4 +1,4 @@
-"""Which recordings go when there is no room: the oldest first, never one that is being written."""
+"""Folder of recordings, and its disk budget: the oldest files are removed first, never one being written."""
 
 import contextlib
 import os
@@ -15,7 +15,7 @@ from hostlink.errors import BadRequest
 
 @dataclass(frozen=True, slots=True)
 class StoredFile:
-    """One file of the folder."""
+    """File of the folder."""
 
     name: str
     size_bytes: int
@@ -24,7 +24,7 @@ class StoredFile:
 
 
 def over_budget(files: Iterable[StoredFile], budget_bytes: int) -> list[str]:
-    """The names of the files that must go, so that the others fit, oldest first."""
+    """Return the names of the files to remove so that the rest fits the budget, oldest first."""
     kept = sorted(files, key=lambda file: (file.modified_s, file.name))
     total_bytes = sum(file.size_bytes for file in kept)
     gone = []
@@ -41,35 +41,40 @@ def over_budget(files: Iterable[StoredFile], budget_bytes: int) -> list[str]:
 
 SUFFIX = ".mcap"
 MEGABYTE = 1_000_000
-NAME_PATTERN = r"^[A-Za-z0-9]([A-Za-z0-9_+-]|\.(?!\.)){0,99}$"  # no way out of the folder
+NAME_PATTERN = r"^[A-Za-z0-9]([A-Za-z0-9_+-]|\.(?!\.)){0,99}$"  # cannot leave the folder
 
 
 def default_folder() -> Path:
-    """systemd's for a service, else the user's, as the XDG base directories have it."""
+    """Default folder:
+
+    systemd's state directory for a service, otherwise the user's, by the XDG base directory rules.
+    """
     of_service = os.environ.get("STATE_DIRECTORY", "").partition(":")[0]
     state = Path(os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state")
     return (Path(of_service) if of_service else state / "hostlink") / "recordings"
 
 
 def is_name(name: str) -> bool:
-    """Whether a recording may be called so: no path, and nothing that begins with a dot."""
+    """Whether a recording may have this name: not a path, and no leading dot."""
     return re.fullmatch(NAME_PATTERN, name, re.ASCII) is not None
 
 
 def check_name(name: str) -> str:
-    """The name of a recording, without its suffix.
+    """Return the name of a recording without its suffix.
 
     Raises:
-        BadRequest: it is none.
+        BadRequest: the name is invalid.
     """
     if not is_name(name):
-        raise BadRequest("a recording's name has letters, digits, and . _ + - between them, 100 at most")
+        raise BadRequest(
+            "invalid recording name; use at most 100 letters, digits and . _ + -, and begin with a letter or digit"
+        )
     return name.removesuffix(SUFFIX)
 
 
 @dataclass(frozen=True, slots=True)
 class DiskUsage:
-    """What the files of a folder take, and what its disk has left."""
+    """Disk space: used and allowed for a folder, free and to be kept free on its disk."""
 
     used_bytes: int
     budget_bytes: int
@@ -78,23 +83,23 @@ class DiskUsage:
 
 
 class Folder:
-    """Its files; every method raises the OSError of the disk."""
+    """Folder of recordings. Every method raises the OSError of the disk."""
 
     def __init__(self, path: Path, *, max_disk_mb: float, min_free_disk_mb: float) -> None:
         self.path = path
         self.max_disk_mb, self.min_free_disk_mb = max_disk_mb, min_free_disk_mb
 
     def file(self, name: str, number: int) -> Path:
-        """Of a recording, its file of that number from 0."""
+        """Return the path of a recording's file with this number, from 0."""
         return self.path / (f"{name}_{number + 1}{SUFFIX}" if number else f"{name}{SUFFIX}")
 
     def files(self, is_open: Collection[Path] = ()) -> list[StoredFile]:
-        """The recordings in it, oldest first."""
+        """List the recordings, oldest first."""
         if not self.path.is_dir():
             return []
         found = []
         for entry in os.scandir(self.path):
-            with contextlib.suppress(FileNotFoundError):  # it was removed meanwhile
+            with contextlib.suppress(FileNotFoundError):  # removed meanwhile
                 if entry.name.endswith(SUFFIX) and entry.is_file():
                     facts = entry.stat()
                     is_written = self.path / entry.name in is_open
@@ -102,14 +107,14 @@ class Folder:
         return sorted(found, key=lambda file: (file.modified_s, file.name))
 
     def find(self, name: str) -> Path | None:
-        """The file of that name, with or without its suffix."""
+        """Return the file of that name, with or without its suffix; None if there is none."""
         if not is_name(name):
             return None
         path = self.path / f"{name.removesuffix(SUFFIX)}{SUFFIX}"
         return path if path.is_file() else None
 
     def usage(self) -> DiskUsage:
-        """Of the folder, or of where it would be made."""
+        """Disk usage of the folder, or of the place where it would be created."""
         there = next(path for path in (self.path, *self.path.parents) if path.exists())
         return DiskUsage(
             used_bytes=sum(file.size_bytes for file in self.files()),
@@ -119,10 +124,10 @@ class Folder:
         )
 
     def make_room(self, is_open: Collection[Path]) -> list[str]:
-        """Remove the oldest recordings over the budget; returns their names.
+        """Remove the oldest recordings above the budget. Return their names.
 
         Raises:
-            OSError: less than `min_free_disk_mb` are free all the same, or the folder cannot be made.
+            OSError: less than `min_free_disk_mb` is free afterwards, or the folder cannot be created.
         """
         self.path.mkdir(parents=True, exist_ok=True)
         gone = over_budget(self.files(is_open), int(self.max_disk_mb * MEGABYTE))
@@ -131,5 +136,5 @@ class Folder:
         free_mb = shutil.disk_usage(self.path).free / MEGABYTE
         if free_mb < self.min_free_disk_mb:
             least = self.min_free_disk_mb
-            raise OSError(f"{free_mb:.0f} MB are free on its disk, less than min_free_disk_mb = {least:g}")
+            raise OSError(f"{free_mb:.0f} MB of disk space are free, less than min_free_disk_mb = {least:g}")
         return gone

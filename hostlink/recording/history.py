@@ -1,4 +1,4 @@
-"""History: what the black box or an incident's file has of a robot's last minutes, bounded. Pure."""
+"""RobotHistory: bounded samples of a robot's last minutes, from the black box or an incident's file. Pure."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -16,8 +16,8 @@ from hostlink.robot.odometry_estimator import OdometryEstimator
 from hostlink.robot.odometry_reader import READERS
 from hostlink.robot.velocity import TWIST_TYPE, PlanarVelocity
 
-MAX_SAMPLES = 6000  # of one topic: two and a half minutes at 40 Hz; of more only every second, third, ... is kept
-MAX_TOPICS = 16  # with odometry, and with velocities; a robot has one of each
+MAX_SAMPLES = 6000  # of one topic: two and a half minutes at 40 Hz; above it every second, third, ... sample is kept
+MAX_TOPICS = 16  # of odometry, and of velocities; a robot has one of each
 PLOT_LEAF = "plot_data"
 FREQUENT = (EventKind.COMMANDED.value, EventKind.REFUSED.value)
 
@@ -29,7 +29,7 @@ Rest = Callable[[], None]
 
 @dataclass(frozen=True, slots=True)
 class PastPose:
-    """Where the robot was, in the frame in which it is shown now, and how it moved."""
+    """Pose and twist of the robot at a time, in the frame in which it is shown now."""
 
     at_s: float
     pose: Pose
@@ -41,10 +41,13 @@ class _Kind(msgspec.Struct):
 
 
 class RobotHistory:
-    """Collects the entries of a robot that are shown, each part bounded before anything is decoded."""
+    """Collector of a robot's entries that are shown. Each part is bounded before anything is decoded."""
 
     def __init__(self, robot: str, *, odometry: tuple[str, str] | None = None, commands: str | None = None) -> None:
-        """`odometry`: (topic, type) of what is shown; None: what a device published. `commands`: the topic, or any."""
+        """`odometry` is the (topic, type) shown; None selects what a device published.
+
+        `commands` is the topic; None any.
+        """
         self._plot_topic = f"/{robot}/{PLOT_LEAF}"
         self._odometry, self._commands = odometry, commands
         self._parts: dict[int, tuple[Channel, Part | None]] = {}
@@ -55,10 +58,10 @@ class RobotHistory:
         return self._part_of(channel) is not None
 
     def add(self, entry: Entry) -> None:
-        """Keep an entry, if it is shown; in the order of arrival."""
+        """Keep an entry if it is shown. Call it in the order of arrival."""
         channel = entry.channel
         known = self._parts.get(id(channel))
-        if known is None:  # a channel's hash costs more than the rest
+        if known is None:  # hashing a channel costs more than the rest
             known = self._parts[id(channel)] = channel, self._part_of(channel)
         part = known[1]
         if part is None or (part == "events" and _kind_of(entry) in FREQUENT):
@@ -72,10 +75,10 @@ class RobotHistory:
         kept.add(entry)
 
     def poses(self, estimator: OdometryEstimator, present: Pose | None, rest: Rest) -> list[PastPose]:
-        """As the robot's estimator would have shown them.
+        """Return the poses as the robot's estimator would have shown them.
 
-        `estimator`: a new one with the robot's settings; `present`: where the robot is shown at the last of the
-        entries; `rest`: called after each entry.
+        `estimator` is a new one with the robot's settings. `present` is the pose shown at the last entry. `rest` is
+        called after each entry.
         """
         found = [(topic, type_name) for part, topic, type_name in self._kept if part == "odometry"]
         if not found:
@@ -85,16 +88,16 @@ class RobotHistory:
         return thinned(past_poses(kept, type_name, estimator, present, rest))
 
     def commands(self, decode: Decode, rest: Rest) -> list[tuple[float, dict[str, Any]]]:
-        """(at_s, fields) of the velocities that were sent to the device."""
+        """Return (at_s, fields) of the velocities that were sent to the device."""
         topic = min((topic for part, topic, _ in self._kept if part == "velocity"), default="")
         return self._messages("velocity", topic, decode, rest)
 
     def plot_data(self, decode: Decode, rest: Rest) -> list[tuple[float, dict[str, Any]]]:
-        """(at_s, fields) of what the device published to be plotted."""
+        """Return (at_s, fields) of the device's plot data."""
         return self._messages("plot", self._plot_topic, decode, rest)
 
     def events(self, rest: Rest) -> list[tuple[float, dict[str, Any]]]:
-        """(at_s, event) of what happened, without single commands."""
+        """Return (at_s, event) of the events, without single commands."""
         found = []
         for (part, _, _), kept in self._kept.items():
             if part == "events":
@@ -123,7 +126,7 @@ class RobotHistory:
 def past_poses(
     entries: Iterable[Entry], type_name: str, estimator: OdometryEstimator, present: Pose | None, rest: Rest
 ) -> list[PastPose]:
-    """The poses of entries of one topic, see `RobotHistory.poses`."""
+    """Return the poses of entries of one topic, see `RobotHistory.poses`."""
     read = READERS[type_name]
     found: list[PastPose] = []
     for entry in entries:
@@ -145,7 +148,7 @@ def past_poses(
 def past_messages(
     entries: Iterable[Entry], decode: Callable[[Entry], dict[str, Any]], rest: Rest
 ) -> list[tuple[float, dict[str, Any]]]:
-    """(at_s, fields) of messages; one that cannot be decoded is left out."""
+    """Return (at_s, fields) of messages. Omit messages that cannot be decoded."""
     found = []
     for entry in entries:
         rest()
@@ -157,10 +160,10 @@ def past_messages(
 
 
 def decode_event(entry: Entry) -> dict[str, Any]:
-    """The fields of what happened.
+    """Decode the fields of an event.
 
     Raises:
-        BadPayload: it is not JSON of an object.
+        BadPayload: the payload is not a JSON object.
     """
     try:
         return msgspec.json.decode(json_of(entry.channel, entry.payload), type=dict[str, Any])
@@ -171,11 +174,11 @@ def decode_event(entry: Entry) -> dict[str, Any]:
 def _kind_of(entry: Entry) -> str:
     try:
         return msgspec.json.decode(json_of(entry.channel, entry.payload), type=_Kind).kind
-    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):  # it is left out when it is decoded
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):  # omitted later, when it is decoded
         return ""
 
 
 def thinned(samples: list[Sample]) -> list[Sample]:
-    """At most MAX_SAMPLES, at equal steps; the last is always one of them."""
+    """Return at most MAX_SAMPLES at equal steps, always with the last one."""
     step = -(-len(samples) // MAX_SAMPLES)
     return samples[::-1][::step][::-1] if step > 1 else samples

@@ -1,4 +1,4 @@
-"""Which events are incidents: what somebody will want to look at afterwards. Pure."""
+"""Incidents: the rules that recognise them, their files, and the writing of these files."""
 
 import itertools
 import re
@@ -23,38 +23,38 @@ from hostlink.robot.velocity import ZERO
 
 Cause = Literal["locked", "lease", "gone", "diagnosed", "device_error", "watchdog", "requested", "daemon_died"]
 
-AGAIN_S = 60.0  # the same cause at the same robot is one incident
-MAX_NAMES = 4096  # of robots, and of topics by which devices are driven that are none; the oldest go
+AGAIN_S = 60.0  # the same cause of the same robot is one incident during this time
+MAX_NAMES = 4096  # of robots, and of topics by which devices are driven that are not robots; the oldest are removed
 ERROR_LEVEL = 3
-WATCHDOG_TEXT = "no command for"  # of the project's firmware, when its own watchdog has stopped it
-SILENCES = ("went_silent", "time_stopped")  # findings for which a link ends
-_ENDS = (EventKind.STOPPED, EventKind.LOCKED, EventKind.GONE)  # of a drive
+WATCHDOG_TEXT = "no command for"  # log text of the project's firmware when its own watchdog has stopped it
+SILENCES = ("went_silent", "time_stopped")  # findings that end a link
+_ENDS = (EventKind.STOPPED, EventKind.LOCKED, EventKind.GONE)  # end of a drive
 
 
 @dataclass(frozen=True, slots=True)
 class Incident:
-    """What happened, to which robot."""
+    """Incident of one robot."""
 
     robot: str
     cause: Cause
     detail: str
     stamp_ns: int
-    at_s: float = 0.0  # loop time, which nobody sets; 0: it is of a file
+    at_s: float = 0.0  # loop time, which is never set; 0 if read from a file
 
 
 class IncidentRules:
-    """Decides for each event. It keeps how fast each robot was last told to be, and what was an incident lately."""
+    """Rules that decide whether an event is an incident. They keep each robot's last velocity and recent incidents."""
 
     def __init__(self) -> None:
         self._is_driven: dict[str, bool] = {}
         self._last_s: dict[str, dict[Cause, float]] = {}
 
     def __len__(self) -> int:
-        """Of how many names it knows something."""
+        """Number of names with data."""
         return max(len(self._is_driven), len(self._last_s))
 
     def observe(self, event: RobotEvent) -> Incident | None:
-        """The incident that this event is, if it is one."""
+        """Return the incident that this event causes, or None."""
         cause, detail = self._cause(event)
         if cause is None or not event.robot:
             return None
@@ -67,12 +67,12 @@ class IncidentRules:
         return Incident(event.robot, cause, detail, event.stamp_ns, event.at_s)
 
     def forget(self, robot: str) -> None:
-        """The robot is forgotten."""
+        """Drop the data of a removed robot."""
         self._is_driven.pop(robot, None)
         self._last_s.pop(robot, None)
 
     def _cause(self, event: RobotEvent) -> tuple[Cause | None, str]:
-        """(cause, detail); no cause: it is no incident."""
+        """Return (cause, detail); cause is None if the event is not an incident."""
         facts = event.facts
         was_driven = self._is_driven.pop(event.robot, False) if event.kind in _ENDS else False
         match event.kind:
@@ -80,7 +80,7 @@ class IncidentRules:
                 self._is_driven[event.robot] = facts["limited"] != ZERO
                 _drop_oldest(self._is_driven)
             case EventKind.STOPPED if was_driven and facts["reason"] == LEASE_ENDED:
-                return "lease", f"no command of {facts['owner']} came"
+                return "lease", f"no command from {facts['owner']} within the lease"
             case EventKind.STOPPED if was_driven and facts["reason"] == HOST_AWAY:
                 return "lease", f"{HOST_AWAY} while {facts['owner']} drove"
             case EventKind.LOCKED:
@@ -95,7 +95,7 @@ class IncidentRules:
 
 
 def _same_silence(event: RobotEvent) -> tuple[Cause, ...]:
-    """The causes by which the same silence shows as well: its link ends, or the robot's own watchdog stops it."""
+    """Return other causes by which the same silence appears: the link ends, or the robot's watchdog stops it."""
     if event.kind is EventKind.DIAGNOSED and event.facts["code"] in SILENCES:
         return ("gone",)
     return ("watchdog",) if event.kind is EventKind.STOPPED and event.facts["reason"] == HOST_AWAY else ()
@@ -114,27 +114,27 @@ def _cause_of_line(text: str, level: object) -> tuple[Cause | None, str]:
 
 # -- incident files ---------------------------------------------------------------------------------------------------
 
-_FIRST_RECORDS = 2  # the header, and what the file says of itself
+_FIRST_RECORDS = 2  # the header and the metadata
 MAX_LISTED = 1000
 
 
 @dataclass(frozen=True, slots=True)
 class SavedIncident:
-    """One file."""
+    """File of one incident."""
 
     incident: Incident
     file: StoredFile
 
 
 class IncidentFiles:
-    """Reads each file's beginning once; every method waits for the disk."""
+    """Incidents of a folder. Each file's beginning is read once; every method waits for the disk."""
 
     def __init__(self, folder: Folder) -> None:
         self._folder = folder
         self._known: dict[StoredFile, Incident] = {}
 
     def newest_first(self) -> list[SavedIncident]:
-        """The newest MAX_LISTED. A file that says nothing of itself is none.
+        """List the newest MAX_LISTED incidents, newest first. Files without incident metadata are skipped.
 
         Raises:
             OSError: the folder cannot be read.
@@ -150,7 +150,7 @@ class IncidentFiles:
 
 
 def read_incident(path: Path) -> Incident | None:
-    """What a file says of itself; None: it is no incident's."""
+    """Read the incident of a file from its metadata; None if it has none."""
     try:
         with path.open("rb") as file:
             for record in islice(stored_records(file), _FIRST_RECORDS):
@@ -158,7 +158,7 @@ def read_incident(path: Path) -> Incident | None:
                     facts = record.metadata
                     cause = cast("Cause", facts["cause"])
                     return Incident(facts.get("robot", ""), cause, facts.get("detail", ""), int(facts["stamp_ns"]))
-    except (OSError, McapError, ValueError, KeyError):  # removed meanwhile, damaged, or put there by somebody else
+    except (OSError, McapError, ValueError, KeyError):  # removed meanwhile, damaged, or not an incident's file
         return None
     return None
 
@@ -169,7 +169,7 @@ BURST = 64  # messages, which take about half a millisecond
 
 
 class OutOfTime(Exception):
-    """The process ends, and waits no more for a file."""
+    """The process ends and no longer waits for a file."""
 
 
 def write_incident(
@@ -181,13 +181,13 @@ def write_incident(
     before_s: float,
     rest: Callable[[], None],
 ) -> Path:
-    """Write an incident's file, in the order of arrival; returns where. It waits for the disk.
+    """Write an incident's file in the order of arrival. Return its path. Blocks on the disk.
 
-    `rest` is called after every BURST messages: the loop would be half as fast without the interpreter for itself.
-    What it raises ends the work, and no file is left.
+    `rest` is called after every BURST messages, because the loop would otherwise run at half speed. An exception from
+    it ends the writing, and no file is left.
 
     Raises:
-        OSError: of the disk.
+        OSError: the disk failed.
     """
     from hostlink.recording.mcap_writer import McapWriter  # noqa: PLC0415 - most daemons never save one
 
@@ -205,9 +205,9 @@ def write_incident(
         "stamp_ns": str(incident.stamp_ns),
     }
     first_s = incident.at_s - before_s
-    beside = path.with_suffix(".part")
-    beside.unlink(missing_ok=True)
-    writer = McapWriter(beside, metadata=metadata)
+    part = path.with_suffix(".part")
+    part.unlink(missing_ok=True)
+    writer = McapWriter(part, metadata=metadata)
     try:
         for channel in channels:
             writer.announce(channel)
@@ -220,7 +220,7 @@ def write_incident(
         writer.close()
     except BaseException:
         writer.abandon()
-        beside.unlink(missing_ok=True)
+        part.unlink(missing_ok=True)
         raise
-    beside.rename(path)
+    part.rename(path)
     return path

@@ -1,4 +1,4 @@
-"""The index at the end of a finished MCAP file: which chunk has messages of which channels, and where it is."""
+"""Index at the end of a finished MCAP file: position and channels of each chunk."""
 
 import io
 import os
@@ -15,10 +15,10 @@ from mcap.records import Channel, Schema
 
 MAGIC = b"\x89MCAP0\r\n"
 RECORD_HEAD = struct.Struct("<BQ")  # opcode, length
-MAX_RECORD_BYTES = 256 * 1024 * 1024  # a length that damage has made is not read into memory
-_FOOTER = struct.Struct("<BQQQI")  # opcode, length, beginning of the summary, of its offsets, checksum
+MAX_RECORD_BYTES = 256 * 1024 * 1024  # a larger length is damage and is not read into memory
+_FOOTER = struct.Struct("<BQQQI")  # opcode, length, start of the summary, start of its offsets, checksum
 _FOOTER_BYTES = 20
-_CHUNK_INDEX = struct.Struct("<QQQQI")  # first and last time, beginning, length, bytes of the list of channels
+_CHUNK_INDEX = struct.Struct("<QQQQI")  # first and last time, start, length, bytes of the channel list
 _CHANNEL_OFFSET = struct.Struct("<HQ")
 _STATISTICS = struct.Struct("<QHIIII")  # messages, schemas, channels, attachments, metadata, chunks
 _LENGTH = struct.Struct("<Q")
@@ -27,12 +27,12 @@ _DAMAGES = (McapError, ValueError, struct.error, OverflowError, MemoryError)
 
 
 class Index:
-    """The chunks of a file, in its order, as columns: a file of two gigabytes has a hundred thousand of them."""
+    """Chunks of a file in its order, stored as columns: a file of two gigabytes has a hundred thousand chunks."""
 
     def __init__(self) -> None:
-        self.begins = array("Q")  # where the chunk's record begins
-        self.ends = array("Q")  # where the record after the chunk and its own indexes begins
-        self.first_ns = array("Q")  # the lowest and highest time of its messages, both 0 without any
+        self.begins = array("Q")  # start of the chunk's record
+        self.ends = array("Q")  # start of the record after the chunk and its message indexes
+        self.first_ns = array("Q")  # lowest and highest time of its messages; both 0 without messages
         self.last_ns = array("Q")
         self.is_wanted = bytearray()
 
@@ -40,10 +40,10 @@ class Index:
         return len(self.begins)
 
     def add(self, begin: int, end: int, first_ns: int, last_ns: int, *, is_wanted: bool) -> None:
-        """Note a chunk, in the order of the file.
+        """Add a chunk, in the order of the file.
 
         Raises:
-            ValueError: it is in the chunk before.
+            ValueError: it overlaps the chunk before.
         """
         if self.ends and begin < self.ends[-1]:
             raise ValueError("the chunks of the index overlap")
@@ -57,9 +57,9 @@ class Index:
 def read_index(
     file: IO[bytes], note: Callable[[Schema | Channel], None], is_wanted: Callable[[int], bool]
 ) -> Index | None:
-    """The index of a file; None: it has none, or a damaged one.
+    """Read the index of a file; None if it has none, or a damaged one.
 
-    `note` is called with each definition, and before any channel's number is passed to `is_wanted`.
+    `note` is called with each definition, before its channel's number is passed to `is_wanted`.
     """
     try:
         summary = _find_summary(file)
@@ -77,7 +77,7 @@ def read_index(
 
 
 def _find_summary(file: IO[bytes]) -> tuple[int, int] | None:
-    """Where it begins and ends; None: the file was never finished, or the summary is damaged."""
+    """Return start and end of the summary; None if the file was not finished or the summary is damaged."""
     tail_bytes = RECORD_HEAD.size + _FOOTER_BYTES + len(MAGIC)
     size = file.seek(0, os.SEEK_END)
     if size < tail_bytes + len(MAGIC):
@@ -102,10 +102,11 @@ def _checksum(file: IO[bytes], begin: int, end: int) -> int:
 
 
 def _records(file: IO[bytes], begin: int, end: int, wanted: tuple[Opcode, ...]) -> Iterator[tuple[int, bytes]]:
-    """(opcode, content) of the records of these kinds.
+    """Yield (opcode, content) of the records of these kinds.
 
     Raises:
-        ValueError: a length is too large. struct.error: a record is cut.
+        ValueError: a length is too large.
+        struct.error: a record is cut.
     """
     at = begin
     while at < end:
@@ -119,7 +120,7 @@ def _records(file: IO[bytes], begin: int, end: int, wanted: tuple[Opcode, ...]) 
 
 
 def _read_definitions(file: IO[bytes], begin: int, end: int, note: Callable[[Schema | Channel], None]) -> int | None:
-    """Note schemas before channels; returns how many chunks there should be, if the file says so."""
+    """Note schemas before channels. Return the number of chunks that the file states, or None."""
     for _, body in _records(file, begin, end, (Opcode.SCHEMA,)):
         note(Schema.read(ReadDataStream(io.BytesIO(body))))
     chunk_count = None
@@ -139,5 +140,5 @@ def _add_chunk(index: Index, body: bytes, summary_begin: int, is_wanted: Callabl
     end = begin + length + indexes_bytes
     if begin < len(MAGIC) or end > summary_begin or length < RECORD_HEAD.size:
         raise ValueError("a chunk of the index is outside the file")
-    # Without a list of channels, which a writer may leave out, the chunk may have any.
+    # A writer may omit the list of channels. Then the chunk may contain any channel.
     index.add(begin, end, first_ns, last_ns, is_wanted=not channels or any(map(is_wanted, channels)))

@@ -1,4 +1,4 @@
-"""When each message of a recording is due, which robots are in it, and what of it moves a robot. Pure."""
+"""Playback of a recording: when each message is due, which robots it has, and which messages move a robot. Pure."""
 
 import math
 from collections.abc import Iterable, Iterator
@@ -10,16 +10,16 @@ from hostlink.recording.reader import StoredMessage
 from hostlink.robot.admission import LEASE_S, NOT_PLANAR
 from hostlink.robot.velocity import TWIST_TYPE, ZERO, PlanarVelocity, Twist
 
-_MOVING = ("Twist", "TwistStamped", "")  # the last part of a type's name; none: the topic's own, whatever that is
+_MOVING = ("Twist", "TwistStamped", "")  # last part of a type's name; empty: the type is the topic's own
 
 
 @dataclass(frozen=True, slots=True)
 class Due:
-    """A message, and when it is due after the beginning of the play."""
+    """Message with the time at which it is due after the start of the playback."""
 
     at_s: float
     message: StoredMessage
-    cut_s: float = 0.0  # of the pause before it in the recording, that is not played
+    cut_s: float = 0.0  # omitted part of the pause before it
 
 
 def schedule(
@@ -30,10 +30,10 @@ def schedule(
     start_s: float = 0.0,
     max_pause_s: float = math.inf,
 ) -> Iterator[Due]:
-    """Every message from `start_s` on, in the order of the file, at its intervals; times that go back are none.
+    """Yield every message from `start_s` on, in the order of the file and at its intervals. Backward steps count as 0.
 
-    `begin_ns`: the steady time of the recording's beginning, None: of the first message; `max_pause_s`: of the
-    recording, that a longer pause is played as.
+    `begin_ns` is the steady time of the recording's beginning; None uses the first message. `max_pause_s`: longer
+    pauses of the recording are shortened to this.
     """
     at_s, before_ns = 0.0, None if begin_ns is None else begin_ns + int(start_s * NS_PER_S)
     for message in messages:
@@ -41,7 +41,7 @@ def schedule(
             before_ns = message.steady_ns + int(start_s * NS_PER_S)
         pause_s = (message.steady_ns - before_ns) / NS_PER_S
         if pause_s < 0 and not at_s and start_s:
-            continue  # it is before the start
+            continue  # before the start
         cut_s = max(0.0, pause_s - max_pause_s)
         at_s += max(0.0, pause_s - cut_s)
         before_ns = message.steady_ns
@@ -50,27 +50,28 @@ def schedule(
 
 @dataclass(frozen=True, slots=True)
 class DueVelocity:
-    """A velocity, and when it is due after the beginning of the play."""
+    """Velocity with the time at which it is due after the start of the playback."""
 
     at_s: float
     velocity: PlanarVelocity
 
 
 def drives(due_messages: Iterable[Due], robot: str, topic: str, *, rate: float = 1.0) -> Iterator[DueVelocity]:
-    """The velocities of a robot's topic, and a zero wherever it would have stood: after a lease without another one.
+    """Yield the velocities of a robot's topic, and a zero after each lease without another velocity.
 
-    A recording may lack the zero that ended a drive: the link was lost, the file is cut, a chunk of it is damaged.
+    A recording may lack the zero that ended a drive: the link was lost, the file is cut, or a chunk is damaged.
 
     Raises:
-        BadPayload: a velocity is none, or has components that no robot has.
+        BadPayload: a message is not a velocity, or has components that no robot has.
     """
-    end_s: float | None = None  # of the velocity that moves
+    end_s: float | None = None  # end of the lease of a moving velocity
     for due in due_messages:
         if end_s is not None and due.at_s >= end_s:
             yield DueVelocity(end_s, ZERO)
             end_s = None
         channel = due.message.channel
-        if channel.topic == topic and channel.robot == robot and is_drive(channel):  # one that came later may have it
+        # A robot that connected later may have the topic.
+        if channel.topic == topic and channel.robot == robot and is_drive(channel):
             twist = Twist.decode(due.message.payload)
             if not twist.is_planar:
                 raise BadPayload(TWIST_TYPE, NOT_PLANAR)
@@ -82,22 +83,22 @@ def drives(due_messages: Iterable[Due], robot: str, topic: str, *, rate: float =
 
 
 def is_drive(channel: Channel) -> bool:
-    """Whether it has what a gate sent to a robot."""
+    """Whether the channel has velocities that a gate sent to a robot."""
     return channel.origin == VELOCITY and channel.encoding == ROS1 and channel.type_name == TWIST_TYPE
 
 
 def may_move(channel: Channel) -> bool:
-    """Whether a robot could take it for a velocity, now or when it comes: by its type, whoever published it.
+    """Whether a robot could read messages of this channel as velocities, judged by type and not by publisher.
 
-    A daemon reads geometry_msgs/msg/Twist as geometry_msgs/Twist: a file of another program may have either.
+    A daemon reads geometry_msgs/msg/Twist as geometry_msgs/Twist. A file of another program may have either.
     """
     return channel.origin == VELOCITY or channel.type_name.rpartition("/")[2] in _MOVING
 
 
 def robots_of(channels: Iterable[Channel]) -> dict[str, list[Channel]]:
-    """By robot, the channels that its device published, and those of its velocity; others have none of both.
+    """Return the channels that each robot's device published, and those of its velocity. Other robots are omitted.
 
-    What a device published that may be the velocity of another robot is none of its channels.
+    A topic that the device published and that may be the velocity of another robot is omitted.
     """
     robots: dict[str, dict[str, Channel]] = {}
     for channel in channels:

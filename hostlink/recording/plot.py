@@ -1,7 +1,7 @@
-"""Pictures of recordings: fields over time, and paths on the floor. matplotlib draws them, an extra.
+"""Pictures of recordings: fields over time, and paths on the floor, drawn by the extra matplotlib.
 
-A recording may be larger than the memory: only the topics that are drawn are read, and of each line so many points are
-kept as a picture can show.
+A recording may be larger than the memory. Only the drawn topics are read, and each line keeps as many points as a
+picture can show.
 """
 
 from array import array
@@ -18,8 +18,8 @@ from hostlink.recording.source import Source
 from hostlink.recording.tables import Decoders, flat
 from hostlink.recording.thinning import Thinned
 
-MAX_POINTS = 4000  # of a line, and at most twice as many; a picture has 1200 pixels, each drawn point costs memory
-_POINTS_AT_ONCE = 1000  # of a line, that matplotlib draws: it keeps every pixel that these cross
+MAX_POINTS = 4000  # of a line, up to twice as many at a time; a picture has 1200 pixels, and each point costs memory
+_POINTS_AT_ONCE = 1000  # of a line that matplotlib draws at once: it keeps every pixel that these cross
 MAX_LINES = 64  # of a field that is an array
 _SIZE_IN = (10.0, 5.0)
 _MAP_SIZE_IN = (7.0, 7.0)
@@ -28,7 +28,7 @@ _POSES = ("Pose2D", "Odometry")
 
 
 class Line:
-    """Numbers over time, to be drawn: of more than `most`, the lowest and the highest of each few are kept."""
+    """Values over time. Above `most` points, the lowest and highest of each few are kept."""
 
     def __init__(self, most: int = MAX_POINTS) -> None:
         self._most = most
@@ -42,7 +42,7 @@ class Line:
             self._halve()
 
     def _halve(self) -> None:
-        """Of every four points the lowest and the highest, in their order."""
+        """Keep the lowest and the highest of every four points, in order."""
         times_s, values = self.points()
         whole = len(values) // 4 * 4
         of_four = values[:whole].reshape(-1, 4)
@@ -52,7 +52,7 @@ class Line:
         self._values = array("d", values[numbers].tobytes())
 
     def points(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """(times, values)."""
+        """Return (times, values)."""
         return np.array(self._times_s, dtype=np.float64), np.array(self._values, dtype=np.float64)
 
 
@@ -62,10 +62,10 @@ class _Field(NamedTuple):
 
 
 def read_lines(source: Source, names: Iterable[str]) -> dict[str, list[Line]]:
-    """The lines of each field, as `/robot_0/odometry.x`; an array has a line for each of its elements.
+    """Read the lines of each field, such as `/robot_0/odometry.x`. An array has one line for each element.
 
     Raises:
-        RecordingFailed: a field is not there, the text names those that are; or the recording cannot be read.
+        RecordingFailed: a field does not exist (the text names the existing ones), or the recording cannot be read.
     """
     topics = sorted({channel.topic for channel in source.read_channels()})
     fields = {name: _field(name, topics) for name in names}
@@ -89,7 +89,9 @@ def read_lines(source: Source, names: Iterable[str]) -> dict[str, list[Line]]:
                     lines[name][number].add(time_s, value)
     for name, (topic, path) in fields.items():
         if not lines[name]:
-            raise RecordingFailed(f"{topic} has no number {path!r}; it has: {', '.join(numeric[topic]) or 'none'}")
+            raise RecordingFailed(
+                f"{topic} has no numeric field {path!r}; available: {', '.join(numeric[topic]) or 'none'}"
+            )
     return lines
 
 
@@ -97,11 +99,11 @@ def _field(name: str, topics: list[str]) -> _Field:
     for topic in sorted(topics, key=len, reverse=True):
         if name == topic or name.startswith(f"{topic}."):
             return _Field(topic, name[len(topic) + 1 :])
-    raise RecordingFailed(f"no topic of {name!r} was recorded; there are: {', '.join(topics)}")
+    raise RecordingFailed(f"{name!r}: the recording has no such topic; available: {', '.join(topics)}")
 
 
 def _numbers(value: Any) -> list[float]:
-    """Of a field; empty: it is none."""
+    """Return the numbers of a field; empty if it has none."""
     if isinstance(value, (bool, int, float)):
         return [float(value)]
     if isinstance(value, (list, bytes)) and all(isinstance(each, (int, float)) for each in value[:MAX_LINES]):
@@ -110,10 +112,10 @@ def _numbers(value: Any) -> list[float]:
 
 
 def read_paths(source: Source) -> dict[str, list[tuple[float, float]]]:
-    """The path of every topic that has positions: (x, y) in metres.
+    """Read the path of every topic with positions: (x, y) in metres.
 
     Raises:
-        RecordingFailed: there is none, or the recording cannot be read.
+        RecordingFailed: no topic has positions, or the recording cannot be read.
     """
     paths: dict[str, Thinned[tuple[float, float]]] = {}
     decoders = Decoders()

@@ -1,4 +1,4 @@
-"""Reading MCAP files, also those that were never finished: a daemon was killed, a disk was full, a cable was pulled."""
+"""Reader of MCAP files, including unfinished ones of a killed daemon, a full disk or a power failure."""
 
 import bisect
 import itertools
@@ -22,25 +22,26 @@ from hostlink.errors import RecordingFailed
 from hostlink.recording.channel import LIBRARY, LIBRARY_STEADY, NS_PER_S, SCHEMA_ENCODINGS, Channel
 from hostlink.recording.mcap_index import MAGIC, MAX_RECORD_BYTES, RECORD_HEAD, Index, read_index
 
-MAX_CHUNK_BYTES = 64 * 1024 * 1024  # unpacked; those of other writers have a few MB
-MAX_DEFINITIONS_BYTES = 64 * 1024 * 1024  # of schemas and channels, which are kept; a large one has a few kB
-MAX_NAMED = 10  # damaged chunks; of the others the number alone is told
-MAX_REASON = 200  # characters of a library's words for one
-LONGEST_GAP_NS = 3600 * NS_PER_S  # between two messages of a file without steady times; over it, the clock was set
-_DAMAGES = (McapError, ValueError, OverflowError, MemoryError, struct.error)  # of a length that is none
-_MESSAGE = struct.Struct("<HIQQ")  # channel, number, log time, publish time; then the payload
+MAX_CHUNK_BYTES = 64 * 1024 * 1024  # unpacked; chunks of other writers have a few MB
+MAX_DEFINITIONS_BYTES = 64 * 1024 * 1024  # of schemas and channels, which stay in memory; a large one has a few kB
+MAX_NAMED = 10  # damaged chunks that are described; the others are counted
+MAX_REASON = 200  # characters of a library's error text
+# Between two messages of a file without steady times; a larger gap means that the clock was set.
+LONGEST_GAP_NS = 3600 * NS_PER_S
+_DAMAGES = (McapError, ValueError, OverflowError, MemoryError, struct.error)  # of an invalid length
+_MESSAGE = struct.Struct("<HIQQ")  # channel, number, log time, publish time; the payload follows
 _NEVER = 2**64
 
 Wanted = Callable[[Channel], bool]
 
 
 class StoredMessage(NamedTuple):
-    """One message of a file."""
+    """Message of a file."""
 
     channel: Channel
-    stamp_ns: int  # when it arrived, by the clock on the wall, which may have been set meanwhile
+    stamp_ns: int  # arrival time by the wall clock, which may have been set meanwhile
     payload: bytes
-    steady_ns: int  # when it arrived, by a clock that is never set: for order, gaps and ages
+    steady_ns: int  # arrival time by a clock that is never set: for order, gaps and ages
 
 
 class _FileCut(EndOfFile):
@@ -48,14 +49,14 @@ class _FileCut(EndOfFile):
 
 
 class SteadyTimes:
-    """Steady times for a file that has none: wall times, without the steps of a clock that was set."""
+    """Steady times for a file without them: wall times with the steps of the clock removed."""
 
     def __init__(self) -> None:
         self._offset_ns = 0
         self._newest_ns: int | None = None
 
     def at(self, stamp_ns: int) -> int:
-        """Of the next message in the file's order."""
+        """Return the steady time of the next message in the file's order."""
         newest_ns = self._newest_ns
         if newest_ns is not None and not -LONGEST_GAP_NS < stamp_ns - newest_ns < LONGEST_GAP_NS:
             self._offset_ns += newest_ns - stamp_ns
@@ -63,19 +64,22 @@ class SteadyTimes:
         return stamp_ns + self._offset_ns
 
     def skip(self, first_ns: int, last_ns: int) -> None:
-        """A chunk is not read. The times of one in which the clock was set have no order; the next chunk's tell."""
+        """Account for a chunk that is not read.
+
+        A chunk with a clock step has no usable times; the next one shows the step.
+        """
         if last_ns and last_ns - first_ns < LONGEST_GAP_NS:
             self.at(first_ns)
             self.at(last_ns)
 
 
 class Reader:
-    """Reads one file, by its index if it has one; `damage` says what was wrong with what was read."""
+    """Reader of one file, by its index if it has one. `damage` describes what was wrong with the read parts."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
         self._damage: list[str] = []  # of the whole file
-        self._chunks: list[str] = []  # why those that are named are damaged
+        self._chunks: list[str] = []  # descriptions of damaged chunks
         self._damaged_chunks = 0
         self.profile = ""
         self.metadata: dict[str, str] = {}
@@ -90,13 +94,13 @@ class Reader:
         self._definitions_left_bytes = MAX_DEFINITIONS_BYTES
 
     def messages(self, wanted: Wanted | None = None, *, after_s: float = 0.0) -> Iterator[StoredMessage]:
-        """Every message that can be read, of the channels that are wanted, in the order of writing.
+        """Yield every readable message of the wanted channels, in the order of writing.
 
-        With an index, chunks without such messages are not read. What came less than `after_s` after the first message
-        may be left out where the file's index and steady times tell where that is.
+        With an index, chunks without such messages are not read. Messages earlier than `after_s` after the first one
+        may be omitted if index and steady times of the file show where they are.
 
         Raises:
-            RecordingFailed: the file cannot be read, or is no MCAP file.
+            RecordingFailed: the file cannot be read, or is not an MCAP file.
         """
         self._wanted, self._steady, self._begin_ns = wanted or _all, SteadyTimes(), _NEVER
         self._chosen.clear()
@@ -104,7 +108,7 @@ class Reader:
             with self.path.open("rb") as file:
                 self._read_header(file)
                 index = read_index(file, self._note, self._is_wanted)
-                if index is not None and not self._is_ours:  # their messages may have any order
+                if index is not None and not self._is_ours:  # messages of other writers may be in any order
                     self._begin_ns = min(
                         (first for first, last in zip(index.first_ns, index.last_ns, strict=True) if last),
                         default=_NEVER,
@@ -116,20 +120,20 @@ class Reader:
             raise RecordingFailed(f"{self.path}: {error.strerror or error}") from error
 
     def read_channels(self) -> list[Channel]:
-        """Every channel, also one without a message; a file without an index is read for them.
+        """Return every channel, also those without a message. A file without an index is read for that.
 
         Raises:
-            RecordingFailed: the file cannot be read, or is no MCAP file.
+            RecordingFailed: the file cannot be read, or is not an MCAP file.
         """
         for _ in self.messages(lambda _: False):
             pass
         return self.channels
 
     def reads_steady_times(self) -> bool:
-        """Whether the file has them; else they are worked out of its wall times.
+        """Whether the file has steady times; otherwise they are derived from wall times.
 
         Raises:
-            RecordingFailed: the file cannot be read, or is no MCAP file.
+            RecordingFailed: the file cannot be read, or is not an MCAP file.
         """
         try:
             with self.path.open("rb") as file:
@@ -140,23 +144,23 @@ class Reader:
 
     @property
     def damage(self) -> list[str]:
-        """What was wrong with what was read so far; empty: nothing."""
+        """Damage of the parts read so far; empty if there is none."""
         others = self._damaged_chunks - len(self._chunks)
-        return [*self._chunks, *([f"{others} other chunks of it are damaged"] if others else []), *self._damage]
+        return [*self._chunks, *([f"{others} other chunks are damaged"] if others else []), *self._damage]
 
     @property
     def channels(self) -> list[Channel]:
-        """Those that were met so far, also without a message."""
+        """Channels read so far, also those without a message."""
         return list(dict.fromkeys(self._channels.values()))
 
     @property
     def begin_ns(self) -> int:
-        """The steady time of the earliest message that was met so far, wanted or not; 0: there was none."""
+        """Steady time of the earliest message read so far, wanted or not; 0 if there is none."""
         return 0 if self._begin_ns == _NEVER else self._begin_ns
 
     @property
     def size_bytes(self) -> int:
-        """Of the file."""
+        """Size of the file."""
         return self.path.stat().st_size
 
     # -- the file's records -------------------------------------------------------------------------------------------
@@ -173,12 +177,12 @@ class Reader:
         self._is_ours = record.library in (LIBRARY, LIBRARY_STEADY)
 
     def _read(self, file: IO[bytes], index: Index | None) -> Iterator[StoredMessage]:
-        """Go from record to record. A chunk that is damaged is left out, with what it contains."""
+        """Read record by record. A damaged chunk is skipped with its content."""
         at, number = len(MAGIC), 0
         try:
             while True:
                 if index is not None and number < len(index) and at == index.begins[number]:
-                    if number and not index.is_wanted[number]:  # the first has the beginning
+                    if number and not index.is_wanted[number]:  # the first chunk has the beginning
                         self._steady.skip(index.first_ns[number], index.last_ns[number])
                     else:
                         _, body = _read_record(file, at)
@@ -199,7 +203,9 @@ class Reader:
                     self._note_record(opcode, body)
         except _DAMAGES as error:
             is_cut = isinstance(error, _FileCut)
-            self._damage.append("it was never finished" if is_cut else f"unreadable from byte {file.tell()}: {error}")
+            self._damage.append(
+                "the file was not finished" if is_cut else f"unreadable from byte {file.tell()}: {error}"
+            )
 
     def _of_chunk(self, body: bytes) -> Iterator[StoredMessage]:
         try:
@@ -207,10 +213,10 @@ class Reader:
         except Exception as error:  # noqa: BLE001 - the library's and its decompressors', for damaged bytes
             self._damaged_chunks += 1
             if self._damaged_chunks <= MAX_NAMED:
-                self._chunks.append(f"a chunk of it is damaged: {type(error).__name__}: {error}"[:MAX_REASON])
+                self._chunks.append(f"a chunk is damaged: {type(error).__name__}: {error}"[:MAX_REASON])
 
     def _of_records(self, data: bytes) -> Iterator[StoredMessage]:
-        """Of a chunk: millions of them may be in it.
+        """Yield the messages of a chunk, which may have millions of records.
 
         Raises:
             ValueError: a record is cut.
@@ -250,7 +256,7 @@ class Reader:
     # -- definitions --------------------------------------------------------------------------------------------------
 
     def _is_wanted(self, number: int) -> bool:
-        """Whether a chunk of the index has to be read for this channel; for an unknown one, too."""
+        """Whether a chunk of the index has to be read for this channel; also true for an unknown one."""
         return number not in self._channels or self._choose(number) is not None
 
     def _choose(self, number: int) -> Channel | None:
@@ -273,19 +279,17 @@ class Reader:
                 self._chosen.pop(record.id, None)
 
     def _has_room(self, *texts: str) -> bool:
-        """For one more definition: they are kept, and a few bytes of a file can become many of them."""
+        """Whether one more definition may be kept: a few bytes of a file can expand to many definitions."""
         if self._definitions_left_bytes >= 0:
             self._definitions_left_bytes -= sum(map(len, texts))
             if self._definitions_left_bytes < 0:
-                self._damage.append(
-                    f"its definitions have more than {MAX_DEFINITIONS_BYTES} bytes: the rest is left out"
-                )
+                self._damage.append(f"the definitions exceed {MAX_DEFINITIONS_BYTES} bytes; the rest is omitted")
         return self._definitions_left_bytes >= 0
 
     # -- times --------------------------------------------------------------------------------------------------------
 
     def _leave_out(self, file: IO[bytes], index: Index, after_ns: int) -> None:
-        """Mark the chunks before the one in which this time after the beginning is as not wanted."""
+        """Mark the chunks before the one with this time after the beginning as not wanted."""
         begin_ns = _first_steady_ns(file, index, 0)
         if begin_ns is not None:
             last = bisect.bisect_right(
@@ -296,10 +300,10 @@ class Reader:
 
 
 def stored_records(file: IO[bytes]) -> Iterator[McapRecord]:
-    """The records of a file, its chunks as they are stored.
+    """Yield the records of a file, with chunks as stored.
 
     Raises:
-        McapError: it is no MCAP file, or damaged.
+        McapError: the file is damaged, or is not an MCAP file.
     """
     yield from StreamReader(file, emit_chunks=True, record_size_limit=MAX_RECORD_BYTES).records
 
@@ -310,10 +314,11 @@ def _all(channel: Channel) -> bool:
 
 
 def _read_record(file: IO[bytes], at: int) -> tuple[int, bytes]:
-    """(opcode, content).
+    """Return (opcode, content) of the record at this position.
 
     Raises:
-        _FileCut: the file ends in it. RecordLengthLimitExceeded: no record is so long.
+        _FileCut: the file ends in it.
+        RecordLengthLimitExceeded: the length is damaged.
     """
     file.seek(at)
     head = file.read(RECORD_HEAD.size)
@@ -329,10 +334,11 @@ def _read_record(file: IO[bytes], at: int) -> tuple[int, bytes]:
 
 
 def _check_end(file: IO[bytes], at: int) -> None:
-    """What is behind the footer.
+    """Check the magic bytes after the footer.
 
     Raises:
-        _FileCut: nothing; InvalidMagic: something else.
+        _FileCut: they are missing.
+        InvalidMagic: they are wrong.
     """
     file.seek(at)
     end = file.read(len(MAGIC))
@@ -341,7 +347,7 @@ def _check_end(file: IO[bytes], at: int) -> None:
 
 
 def _steady_ns_from(file: IO[bytes], index: Index, number: int) -> int:
-    """The steady time of the first message in this chunk, or in the next one that can be read."""
+    """Return the steady time of the first message in this chunk, or in the next readable one."""
     found = (_first_steady_ns(file, index, each) for each in range(number, len(index)))
     return next((steady_ns for steady_ns in found if steady_ns is not None), _NEVER)
 
@@ -361,14 +367,15 @@ def _first_steady_ns(file: IO[bytes], index: Index, number: int) -> int | None:
 
 
 def _unpacked(chunk: Chunk) -> bytes:
-    """Never more than it claims: a few bytes can become all that the memory has.
+    """Unpack a chunk, but not more than the size that it states: a few bytes could expand to all memory.
 
     Raises:
-        ValueError: it is something else than it claims, or claims too much; or what the decompressor raises.
+        ValueError: the stated size is too large, or size, compression or checksum is wrong; also a decompressor's
+            error.
     """
     size = chunk.uncompressed_size
     if size > MAX_CHUNK_BYTES:
-        raise ValueError(f"it claims {size} bytes")
+        raise ValueError(f"its stated size of {size} bytes is too large")
     if chunk.compression == "zstd":
         data = zstandard.ZstdDecompressor().stream_reader(chunk.data).read(size + 1)
     elif chunk.compression == "lz4":
@@ -378,9 +385,9 @@ def _unpacked(chunk: Chunk) -> bytes:
     else:
         data = chunk.data
     if len(data) != size:
-        raise ValueError(f"it has {len(data)} bytes{' or more' * (len(data) > size)} and claims {size}")
+        raise ValueError(f"it has {len(data)} bytes{' or more' * (len(data) > size)}, its stated size is {size}")
     if chunk.uncompressed_crc not in (0, zlib.crc32(data)):
-        raise ValueError("its checksum is another")
+        raise ValueError("its checksum is wrong")
     return data
 
 

@@ -1,4 +1,4 @@
-"""Recorder: a participant that passes what it receives to a sink: topics, events of robots, log lines, parameters."""
+"""Recorder: participant that passes topics, events of robots, log lines and parameters to a sink."""
 
 import dataclasses
 import fnmatch
@@ -33,30 +33,30 @@ from hostlink.robot.velocity import PlanarVelocity, Twist
 
 _ENCODER = msgspec.json.Encoder(enc_hook=str)
 _KINDS = {kind: kind.value for kind in EventKind}
-GROUP = OBSERVERS  # what recorders subscribe to is not worth recording for that alone
+GROUP = OBSERVERS  # a subscription of a recorder alone does not make a topic worth recording
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Selection:
-    """What is recorded."""
+    """Topics and robots to record."""
 
-    topics: tuple[str, ...] = ()  # names, or patterns with *; none: all
-    robots: tuple[str, ...] = ()  # topics and events of these alone; none: of all, and of nobody
-    has_remote: bool = True  # also what other daemons and graphs publish, which then travels all the time
-    has_derived: bool = True  # also what hostlink makes of other topics, as odom and tf
+    topics: tuple[str, ...] = ()  # names, or patterns with *; empty: all
+    robots: tuple[str, ...] = ()  # only topics and events of these; empty: of all robots and of none
+    has_remote: bool = True  # include topics of other daemons and graphs, which are then transferred all the time
+    has_derived: bool = True  # include topics that hostlink derives from others, such as odom and tf
 
     def has(self, topic: str, robot: str) -> bool:
-        """Whether a topic of this robot, or of none, is recorded."""
+        """Whether a topic of this robot, or of no robot, is recorded."""
         is_named = not self.topics or any(fnmatch.fnmatchcase(topic, pattern) for pattern in self.topics)
         return is_named and self.has_robot(robot)
 
     def has_robot(self, robot: str) -> bool:
-        """Whether what happens to this robot is recorded."""
+        """Whether events of this robot are recorded."""
         return not self.robots or robot in self.robots
 
 
 class Recorder:
-    """From `start` to `stop`."""
+    """Recorder of the selected topics and events, from `start` to `stop`."""
 
     def __init__(self, hub: Hub, sink: Sink, selection: Selection) -> None:
         self._hub, self._sink, self._selection = hub, sink, selection
@@ -68,18 +68,18 @@ class Recorder:
 
     @property
     def topics(self) -> list[str]:
-        """What it records at present."""
+        """Topics that are recorded now."""
         return sorted(self._subscriptions)
 
     def start(self) -> None:
-        """Record from now on."""
+        """Start recording."""
         self._participant.observe(self._receive_event)
         self._participant.watch_graph(self._follow_graph)
         logs.listeners[self] = self._receive_line
         self._follow_graph()
 
     def stop(self) -> None:
-        """Nothing more is put into the sink."""
+        """Stop recording. Nothing more is put into the sink."""
         logs.listeners.pop(self, None)
         self._participant.leave()
 
@@ -90,7 +90,7 @@ class Recorder:
             self._put_json(PARAMETERS, stamp_ns, self._parameters, "")
 
     def _follow_graph(self) -> None:
-        """Subscribe to the topics that came, and not to those that nobody else uses any more."""
+        """Subscribe to new topics, and unsubscribe from those that no other participant uses."""
         news = self._participant.view.news(self._version)
         self._version = news.version
         changed = dict(news.topics)
@@ -98,7 +98,7 @@ class Recorder:
             changed |= dict.fromkeys(self._subscriptions.keys() - changed.keys())
         for name, topic in changed.items():
             self._names.put(name, is_there=topic is not None)
-        for name in self._names.of(news.robots) - changed.keys():  # whose they are may have changed
+        for name in self._names.of(news.robots) - changed.keys():  # the robot of these topics may have changed
             changed[name] = self._participant.view.topic(name)
         for name, topic in changed.items():
             self._follow(name, topic)
@@ -132,12 +132,12 @@ class Recorder:
         receive = functools.partial(self._receive, channel, robot)
         try:
             subscription = self._participant.subscribe(topic.name, receive, type_name=topic.type_name)
-        except WrongType:  # it has changed since; the next change comes soon
+        except WrongType:  # the type has changed meanwhile; another change follows
             return
         self._subscriptions[topic.name] = key, subscription
 
     def _robot_of(self, topic: str) -> str:
-        """By its name, or by the device that publishes it."""
+        """Return the robot of a topic, by its name or by the device that publishes it; empty if none."""
         first = _first_part(topic)
         found = self._hub.topics.find_or_none(topic)
         users: tuple[Hashable, ...] = () if found is None else (*found.publishers, *found.devices)
@@ -152,7 +152,7 @@ class Recorder:
         return DEVICE if is_device else HOSTLINK if topic.is_derived else ""
 
     def _is_remote(self, topic: str) -> bool:
-        """Whether it comes from another graph alone, and no device uses it; or from another daemon."""
+        """Whether the topic is published by other graphs only and used by no device, or belongs to another daemon."""
         name = _first_part(topic)
         found = self._hub.topics.find_or_none(topic)
         if found is not None and found.publishers and not found.devices and all(map(_is_of_graph, found.publishers)):
@@ -171,7 +171,7 @@ class Recorder:
                 facts[name] = _shown(value)
             elif isinstance(value, Twist):
                 facts[name] = value._asdict()
-            elif name != "address":  # files go to others
+            elif name != "address":  # the file may be given to others
                 facts[name] = value
         shown = {"kind": _KINDS[event.kind], "robot": event.robot, "facts": facts}
         self._put_json(EVENTS, event.stamp_ns, shown, event.robot)
@@ -184,13 +184,13 @@ class Recorder:
 
 
 class _NamesByRobot:
-    """The names of topics by their first part, which may be a robot's name."""
+    """Names of topics by their first part, which may be a robot's name."""
 
     def __init__(self) -> None:
         self._names: defaultdict[str, set[str]] = defaultdict(set)
 
     def put(self, name: str, *, is_there: bool) -> None:
-        """The topic is there, or is gone."""
+        """Add or remove a topic."""
         first = _first_part(name)
         if is_there:
             self._names[first].add(name)
@@ -200,7 +200,7 @@ class _NamesByRobot:
                 del self._names[first]
 
     def of(self, robots: Iterable[str]) -> set[str]:
-        """Those whose first part is one of these."""
+        """Return the topics whose first part is one of these names."""
         return {name for robot in robots for name in self._names.get(robot, ())}
 
 
@@ -209,16 +209,16 @@ def _first_part(name: str) -> str:
 
 
 def _fixed(topic: GraphTopic) -> GraphTopic:
-    """What a channel is made of: who else subscribes changes nothing."""
+    """Reduce a topic to the parts that determine its channel. Other subscribers do not change it."""
     return dataclasses.replace(topic, type=None, is_published=True, is_subscribed=True, is_derived=False)
 
 
 def _shown(velocity: PlanarVelocity) -> dict[str, float]:
-    """By the names that a Twist has; several times as fast as `_asdict`, for each command."""
+    """Return the named fields; several times as fast as `_asdict`, and called for each command."""
     x_m_s, y_m_s, yaw_rad_s = velocity
     return {"linear_x_m_s": x_m_s, "linear_y_m_s": y_m_s, "angular_z_rad_s": yaw_rad_s}
 
 
 def _is_of_graph(key: Hashable) -> bool:
-    """Whether it stands for another graph."""
+    """Whether the key represents another graph."""
     return isinstance(key, Node) and bool(key.group)

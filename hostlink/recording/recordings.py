@@ -1,4 +1,4 @@
-"""Recordings: those that are under way, and those in the folder."""
+"""Recordings: current ones, and the files in the folder."""
 
 import asyncio
 import functools
@@ -22,12 +22,12 @@ from hostlink.recording.recorder import Recorder, Selection
 log = structlog.get_logger()
 
 MAX_UNDER_WAY = 8
-LOOK_INTERVAL_S = 1.0  # at parameters, and at the room on the disk
+LOOK_INTERVAL_S = 1.0  # of the parameters and the free disk space
 
 
 @dataclass(slots=True, eq=False)
 class Recording:
-    """One that is under way."""
+    """Current recording."""
 
     name: str
     owner: str
@@ -39,20 +39,20 @@ class Recording:
 
     @property
     def seconds(self) -> float:
-        """How long it has lasted."""
+        """Duration so far."""
         return asyncio.get_running_loop().time() - self.began_s
 
 
 @dataclass(frozen=True, slots=True)
 class Totals:
-    """Of all recordings since the daemon began."""
+    """Sums of all recordings since the daemon started."""
 
     messages: int = 0
     written_bytes: int = 0
     dropped: int = 0
 
     def plus(self, thread: FileThread) -> "Totals":
-        """With those of one more."""
+        """Add the counters of one more recording."""
         return Totals(
             self.messages + thread.messages,
             self.written_bytes + thread.written_bytes,
@@ -61,7 +61,7 @@ class Totals:
 
 
 class Recordings:
-    """Owns the folder, and what is being recorded into it."""
+    """Owner of the folder and of the current recordings."""
 
     def __init__(self, hub: Hub) -> None:
         config = hub.config.recording
@@ -69,27 +69,27 @@ class Recordings:
         self.folder = Folder(path, max_disk_mb=config.max_disk_mb, min_free_disk_mb=config.min_free_disk_mb)
         self.black_box = BlackBox(hub, self.folder.path)
         self.drives = DriveLog(hub, self.folder.path, is_kept=config.drives)
-        self.removed = 0  # old recordings, for the budget
-        self.failed = 0  # recordings that ended before they were stopped
-        self.changes = 0  # of the folder: a recording ended, or files were removed
+        self.removed = 0  # old recordings removed for the budget
+        self.failed = 0  # recordings that ended by a failure
+        self.changes = 0  # changes of the folder: a recording ended, or files were removed
         self._hub, self._config = hub, config
         self._under_way: dict[str, Recording] = {}
         self._starting: set[str] = set()
         self._ended = Totals()
 
     def under_way(self) -> list[Recording]:
-        """Oldest first."""
+        """Return the current recordings, oldest first."""
         return list(self._under_way.values())
 
     def totals(self) -> Totals:
-        """Of those that have ended and those that are under way."""
+        """Return the sums of ended and current recordings."""
         totals = self._ended
         for recording in self._under_way.values():
             totals = totals.plus(recording.thread)
         return totals
 
     def check_robot(self, name: str) -> None:
-        """Refuse a name that no robot has.
+        """Check that there is a robot of this name.
 
         Raises:
             UnknownTopic: there is none.
@@ -97,14 +97,14 @@ class Recordings:
         self._hub.robots.find(name)
 
     def open_files(self) -> set[Path]:
-        """What is being written."""
+        """Return the files that are being written."""
         return {path for each in self._under_way.values() for path in each.thread.paths[-1:]}
 
     def find(self, name: str) -> Recording:
-        """The recording of that name, if it is under way.
+        """Return the current recording of that name.
 
         Raises:
-            UnknownTopic: it is not.
+            UnknownTopic: there is none.
         """
         found = self._under_way.get(name)
         if found is None:
@@ -112,11 +112,11 @@ class Recordings:
         return found
 
     async def start(self, selection: Selection, *, name: str = "", owner: str = "") -> Recording:
-        """Record from now on, until `stop` or the end of the daemon.
+        """Start a recording that lasts until `stop` or the end of the daemon.
 
         Raises:
-            BadRequest: the name is none.
-            RecordingBusy: it is in use, or too much is recorded already.
+            BadRequest: the name is invalid.
+            RecordingBusy: the name is in use, or too many recordings are running.
             RecordingFailed: the folder cannot be written to, or its disk is full.
         """
         name = check_name(name) if name else await asyncio.to_thread(self._new_name, selection)
@@ -139,10 +139,10 @@ class Recordings:
         return recording
 
     async def stop(self, name: str) -> Recording:
-        """End it; its file is complete when this returns.
+        """End a recording and complete its file.
 
         Raises:
-            UnknownTopic: it is not under way.
+            UnknownTopic: no current recording has this name.
         """
         recording = self.find(name)
         recording.recorder.stop()
@@ -151,7 +151,7 @@ class Recordings:
         return recording
 
     async def remove(self, name: str) -> str:
-        """Remove a file; returns its name.
+        """Remove a file and return its name.
 
         Raises:
             RecordingBusy: it is being written.
@@ -171,12 +171,12 @@ class Recordings:
         return path.name
 
     async def open(self) -> None:
-        """Keep from now on what nobody has to start."""
+        """Start the drive log and the black box."""
         await self.drives.start()
         self.black_box.start(self.drives.correct)
 
     async def aclose(self) -> None:
-        """End all."""
+        """End all recordings."""
         async with asyncio.TaskGroup() as tasks:
             tasks.create_task(self.drives.aclose(), name="end of the drives")
             tasks.create_task(self.black_box.aclose(), name="end of the black box")
@@ -208,12 +208,12 @@ class Recordings:
             opening.add_done_callback(_discard)
             raise
         except FileExistsError:
-            raise RecordingBusy(f"there is a recording {name} already; choose another name") from None
+            raise RecordingBusy(f"a recording named {name} already exists; choose another name") from None
         except OSError as error:
             raise RecordingFailed(f"{self.folder.path}: {error.strerror or error}") from error
 
     def _make_room(self) -> None:
-        """In the recording's thread, or before it begins."""
+        """Make room in the folder. Called in the recording's thread, or before it starts."""
         removed = len(self.folder.make_room(self.open_files()))
         self.removed += removed
         self.changes += removed > 0
@@ -224,11 +224,11 @@ class Recordings:
             recording.recorder.note_parameters(time.time_ns())
             was_crowded, is_crowded = is_crowded, recording.thread.has_no_room
             if is_crowded and not was_crowded:
-                log.warning("recording.crowded", recording=recording.name, max_channels=MAX_CHANNELS)
+                log.warning("recording.channel_limit_reached", recording=recording.name, max_channels=MAX_CHANNELS)
             await asyncio.sleep(LOOK_INTERVAL_S)
 
     def _note_end(self, name: str) -> None:
-        """Its thread has ended: it was stopped, or it failed."""
+        """Handle the end of the thread, which was stopped or failed."""
         recording = self._under_way.get(name)
         if recording is not None and recording.thread.failure is not None:
             self.failed += 1
@@ -248,23 +248,26 @@ class Recordings:
                 log.error("recording.failed", recording=recording.name, reason=thread.failure, **facts)
 
     def _new_name(self, selection: Selection) -> str:
-        """From the time, as people sort it, and the robots. In a thread: it waits for the disk."""
+        """Build a name from the time and the robots. Called in a thread, because it waits for the disk."""
         stamp = time.strftime("%Y-%m-%dT%H-%M-%S", time.localtime())
         base = re.sub(r"[^A-Za-z0-9_+-]", "-", "_".join((stamp, *selection.robots)))[:90]
         names = itertools.chain((base,), (f"{base}.{number}" for number in itertools.count(2)))
         return next(name for name in names if not self._is_taken(name))
 
     def _is_taken(self, name: str) -> bool:
-        """By a recording, or by a file: of the same second, or of an hour to which the clock was set back."""
+        """Whether a recording or a file has the name:
+
+        from the same second, or from an hour repeated by a clock change.
+        """
         if name in self._under_way or name in self._starting:
             return True
         try:
             return self.folder.file(name, 0).exists()
-        except OSError:  # the attempt to make it will say why
+        except OSError:  # creating the file will report the error
             return False
 
 
 def _discard(opening: "asyncio.Future[FileThread]") -> None:
-    """Nobody waits for it any more, and nobody could stop it."""
+    """Discard a recording whose start was cancelled."""
     if not opening.cancelled() and opening.exception() is None:
         opening.result().discard()

@@ -1,10 +1,10 @@
-"""RingMemory: blocks of memory that survive the process: a file on tmpfs, with what a reader must know beside it.
+"""RingMemory and Rings: the black box's memory, in blocks of a tmpfs file that survives the process.
 
-| file          | what it has                                                                                       |
+| file          | content                                                                                           |
 |---------------|---------------------------------------------------------------------------------------------------|
-| ring          | the blocks: ring.py. The process that uses them holds a lock on it                                |
-| schemas       | definitions of message types, a line of JSON each: numbers in the blocks refer to their order     |
-| *.json        | one fact each, written whole: `put_fact`                                                          |
+| ring          | the blocks. The process that uses them holds a lock on it                                         |
+| schemas       | definitions of message types, one JSON line each; numbers in the blocks refer to their order      |
+| *.json        | one fact each, written atomically: `put_fact`                                                     |
 """
 
 import contextlib
@@ -29,7 +29,7 @@ from hostlink.recording.channel import Channel
 # -- ring memory ------------------------------------------------------------------------------------------------------
 
 BLOCK_BYTES = 16 * 1024
-GROWTH_BLOCKS = 16  # taken from the system at a time: what is never needed is never taken
+GROWTH_BLOCKS = 16  # allocated at a time, so that unneeded memory is not allocated
 FEWEST_BLOCKS = 4
 MAX_SCHEMAS = 4096
 MAX_SCHEMA_BYTES = 8 * 1024 * 1024
@@ -37,12 +37,12 @@ RING, SCHEMAS = "ring", "schemas"
 
 
 class RingMemory:
-    """`folder` is None where it does not survive: there is no tmpfs, or no room on it."""
+    """Memory of the rings. `folder` is None if it does not survive: there is no tmpfs, or no room on it."""
 
     def __init__(self, max_bytes: int, *, purpose: str | None = None) -> None:
-        """`purpose`: who may find it later, letters and digits; None: nobody, it does not survive."""
+        """`purpose` identifies the memory for a later process (letters and digits); None: it does not survive."""
         self.max_blocks = max(FEWEST_BLOCKS, max_bytes // BLOCK_BYTES)
-        self.blocks = 0  # that may be used
+        self.blocks = 0  # usable blocks
         self.folder: Path | None = None
         self._descriptor = -1
         self._schemas: dict[str, int] = {"": 0}
@@ -52,7 +52,7 @@ class RingMemory:
                 self._open(purpose)
         if self.folder is None:
             self.bytes = mmap.mmap(-1, self.max_blocks * BLOCK_BYTES)
-            self.blocks = self.max_blocks  # the system gives each page when it is first written to
+            self.blocks = self.max_blocks  # the system allocates each page at its first write
 
     def _open(self, purpose: str) -> None:
         folder = Path(tempfile.mkdtemp(prefix=remains.prefix_of(purpose), dir=remains.PLACE))
@@ -63,7 +63,7 @@ class RingMemory:
             fcntl.flock(self._descriptor, fcntl.LOCK_EX)
             os.ftruncate(self._descriptor, self.max_blocks * BLOCK_BYTES)
             self.bytes = mmap.mmap(self._descriptor, self.max_blocks * BLOCK_BYTES)
-            os.posix_fallocate(self._descriptor, 0, FEWEST_BLOCKS * BLOCK_BYTES)  # its OSError: there is no room
+            os.posix_fallocate(self._descriptor, 0, FEWEST_BLOCKS * BLOCK_BYTES)  # raises OSError if there is no room
             self.blocks = FEWEST_BLOCKS
             (folder / SCHEMAS).touch()
         except BaseException:
@@ -75,9 +75,9 @@ class RingMemory:
         self.folder = folder
 
     def grow(self) -> bool:
-        """Take more blocks from the system; False: it has none, or there are as many as may be.
+        """Allocate more blocks. False: there is no room, or the maximum is reached.
 
-        A page of a full tmpfs would end the process with SIGBUS when it is first written to.
+        Writing to a page of a full tmpfs would end the process with SIGBUS, so blocks are allocated first.
         """
         more = min(GROWTH_BLOCKS, self.max_blocks - self.blocks)
         if more <= 0:
@@ -91,7 +91,7 @@ class RingMemory:
         return True
 
     def schema_number(self, schema: str) -> int:
-        """The number of a definition; 0, that of the empty one, where there are too many."""
+        """Return the number of a definition; 0, the empty one, if there are too many."""
         number = self._schemas.get(schema)
         if number is not None:
             return number
@@ -102,45 +102,45 @@ class RingMemory:
             if self.folder is not None:
                 with (self.folder / SCHEMAS).open("ab") as file:
                     file.write(line)
-        except OSError:  # no room
+        except OSError:  # no room on the tmpfs
             return 0
         self._schema_bytes += len(line)
         number = self._schemas[schema] = len(self._schemas)
         return number
 
     def schemas(self) -> list[str]:
-        """By their numbers."""
+        """Return the definitions in the order of their numbers."""
         return list(self._schemas)
 
     def put_fact(self, name: str, fact: object) -> None:
-        """Keep it beside the blocks, whole or not at all."""
+        """Store a fact with the blocks, atomically."""
         if self.folder is not None:
-            with contextlib.suppress(OSError):  # no room
+            with contextlib.suppress(OSError):  # no room on the tmpfs
                 write_fact(self.folder, name, fact)
 
     def drop_fact(self, name: str) -> None:
-        """Nobody needs to know it any more."""
+        """Remove a fact that is no longer needed."""
         if self.folder is not None:
             with contextlib.suppress(OSError):
                 (self.folder / f"{name}.json").unlink()
 
     def release(self) -> Path | None:
-        """The process needs it no more: whoever finds it may have it. Returns where it is."""
+        """Release the lock, so that another process may take the memory. Return its folder."""
         if self._descriptor >= 0:
-            fcntl.flock(self._descriptor, fcntl.LOCK_UN)  # the map has a descriptor of its own, as long as this process
+            fcntl.flock(self._descriptor, fcntl.LOCK_UN)  # the map keeps a descriptor of its own until the process ends
             os.close(self._descriptor)
             self._descriptor = -1
         return self.folder
 
     def remove(self) -> None:
-        """Nobody needs it."""
+        """Remove the memory."""
         if self.folder is not None:
             shutil.rmtree(self.folder, ignore_errors=True)
         self.release()
 
 
 def write_fact(folder: Path, name: str, fact: object) -> None:
-    """Write it whole, or not at all.
+    """Write a fact atomically.
 
     Raises:
         OSError: there is no room.
@@ -151,7 +151,7 @@ def write_fact(folder: Path, name: str, fact: object) -> None:
 
 
 def read_schemas(folder: Path) -> list[str]:
-    """Those of a process that is gone; a line that was not finished is left out."""
+    """Read the definitions of an ended process. Skip an unfinished line."""
     found = [""]
     with contextlib.suppress(OSError):
         for line in (folder / SCHEMAS).read_bytes().splitlines():
@@ -166,30 +166,30 @@ _BEGIN = struct.Struct("<Q")
 _RECORD = struct.Struct("<IHHqd")
 _MARK = 0x9E5D
 _MARK_BYTES = struct.pack("<H", _MARK)
-HEADER_BYTES = _RECORD.size + len(_MARK_BYTES)  # that a message takes beside its payload
+HEADER_BYTES = _RECORD.size + len(_MARK_BYTES)  # of a message besides its payload
 _ZEROS = bytes(BLOCK_BYTES)
 _MAX_PACKERS = 4096
 MAX_DEFINITIONS = 4096
-MAX_MESSAGES = 150_000  # of a ring: as objects, which whoever reads it makes, they take 200 bytes each
+MAX_MESSAGES = 150_000  # of one ring: a reader creates objects of 200 bytes for each
 _NO_NUMBER = 0
 _MAX_NUMBER = 0xFFFF
 _MESSAGE, _MORE, _CONTINUED, _NAME, _CHANNEL = 0, 1, 2, 4, 8  # flags
-_LEAST_ROOM = 1024  # of the rest of a block for a piece of a message; with less the next block is begun
+_LEAST_ROOM = 1024  # smallest rest of a block for a part of a message; below it the next block is used
 
 
 class Entry(NamedTuple):
-    """One message that is kept."""
+    """Message in a ring."""
 
     channel: Channel
     stamp_ns: int
     payload: bytes
-    at_s: float = 0.0  # when it was added, of a clock that nobody sets; 0: it is of a file
+    at_s: float = 0.0  # time of `add` by a clock that is never set; 0 if read from a file
 
 
 Pack = Callable[..., None]
 
 
-_packers: dict[int, Pack] = {}  # what writes a record into memory in one call, by the size of its payload
+_packers: dict[int, Pack] = {}  # by payload size: writes a whole record into memory in one call
 
 
 def _packer_of(size_bytes: int) -> Pack:
@@ -202,7 +202,7 @@ def _packer_of(size_bytes: int) -> Pack:
 
 
 class _Kept(NamedTuple):
-    """A block that is full."""
+    """Full block."""
 
     block: int
     end: int
@@ -211,7 +211,7 @@ class _Kept(NamedTuple):
 
 
 class Ring:
-    """The newest of one robot. Only the last of its blocks is written to."""
+    """Newest messages of one robot. Only the last block is written to."""
 
     __slots__ = (
         "_channels", "_definitions", "_memory", "_name", "block", "end", "full", "in_full", "last_s", "limit",
@@ -222,23 +222,23 @@ class Ring:
         self._name, self._memory, self._definitions = name, memory, definitions
         self.full: deque[_Kept] = deque()
         self.last_s = float("-inf")
-        self.block, self.messages, self.in_full = -1, 0, 0  # none yet; messages in it, and in the full ones
-        self.end = self.limit = 0  # of what is in the block, and of the block, in all of the memory
-        self.numbers: dict[int, int] = {}  # of channels, by id(); `_channels` keeps these objects alive
+        self.block, self.messages, self.in_full = -1, 0, 0  # no block yet; messages in it, and in the full ones
+        self.end = self.limit = 0  # end of the data and of the block, as offsets in the memory
+        self.numbers: dict[int, int] = {}  # channel numbers by id(); `_channels` keeps these objects alive
         self._channels: list[Channel] = []
 
     @property
     def blocks(self) -> int:
-        """How many it has."""
+        """Number of blocks."""
         return len(self.full) + (self.block >= 0)
 
     @property
     def room(self) -> int:
-        """Bytes that are left in its block."""
+        """Free bytes in the current block."""
         return self.limit - self.end
 
     def put(self, number: int, flags: int, payload: bytes, stamp_ns: int = 0, at_s: float = 0.0) -> None:
-        """Add a record, for which there must be room. `Rings.add` has the same for a whole message."""
+        """Add a record; there must be room for it. `Rings.add` repeats this code for a whole message."""
         size_bytes = len(payload)
         _packer_of(size_bytes)(self._memory.bytes, self.end, size_bytes, number, flags, stamp_ns, at_s, payload, _MARK)
         self.end += HEADER_BYTES + size_bytes
@@ -247,7 +247,7 @@ class Ring:
             self.messages += not flags & _MORE
 
     def number_of(self, channel: Channel) -> int | None:
-        """The channel's number in this block, from now on; None: there is no room for its definition."""
+        """Return the channel's number in this block, and define it if needed; None if there is no room for that."""
         number = self.numbers.get(id(channel))
         if number is not None:
             return number
@@ -261,7 +261,7 @@ class Ring:
         return number
 
     def begin(self, block: int, sequence: int) -> None:
-        """Write into this block from now on."""
+        """Continue in this block."""
         if self.block >= 0:
             self.full.append(_Kept(self.block, self.end, self.last_s, self.messages))
             self.in_full += self.messages
@@ -273,7 +273,7 @@ class Ring:
         _BEGIN.pack_into(self._memory.bytes, start, sequence)
 
     def drop_oldest(self) -> _Kept:
-        """The block of its oldest messages, which are gone."""
+        """Remove and return the block of the oldest messages."""
         if self.full:
             dropped = self.full.popleft()
             self.in_full -= dropped.messages
@@ -285,7 +285,7 @@ class Ring:
         return dropped
 
     def copy(self) -> list[bytes]:
-        """Its blocks, the oldest first, as they are now."""
+        """Return copies of the blocks, oldest first."""
         blocks = [(kept.block, kept.end) for kept in self.full]
         if self.block >= 0:
             blocks.append((self.block, self.end))
@@ -293,7 +293,7 @@ class Ring:
 
 
 class _Definition(msgspec.Struct, array_like=True):
-    """A channel in a block."""
+    """Channel definition in a block."""
 
     topic: str
     encoding: str
@@ -303,14 +303,14 @@ class _Definition(msgspec.Struct, array_like=True):
 
 
 class _Definitions:
-    """Of channels, encoded once: a channel is in many blocks."""
+    """Encoded channel definitions, because a channel is in many blocks."""
 
     def __init__(self, memory: RingMemory) -> None:
         self._memory = memory
         self._encoded: dict[int, tuple[Channel, bytes]] = {}  # by id()
 
     def of(self, channel: Channel) -> bytes:
-        """As a record has it."""
+        """Return the definition as a record contains it."""
         found = self._encoded.get(id(channel))
         if found is not None:
             return found[1]
@@ -324,25 +324,25 @@ class _Definitions:
 
 
 class Rings:
-    """A ring for each robot, and one for what is nobody's; each has an equal part of the room, in blocks."""
+    """One ring for each robot and one for messages without a robot. Each gets an equal number of blocks."""
 
     def __init__(self, memory: RingMemory, *, keep_s: float) -> None:
-        self.dropped = 0  # messages that were not too old
+        self.dropped = 0  # messages dropped before they were too old
         self._memory, self._keep_s = memory, keep_s
         self._bytes, self._definitions = memory.bytes, _Definitions(memory)
         self._rings: dict[str, Ring] = {}
-        self._free: list[int] = []  # used again before the system is requested for more
+        self._free: list[int] = []  # reused before more are allocated
         self._taken = 0  # blocks that were ever used
         self._sequence = itertools.count(1)
 
     def add(self, robot: str, channel: Channel, stamp_ns: int, payload: bytes, at_s: float) -> None:
-        """Keep a message; `at_s`: now, of a clock that nobody sets."""
+        """Keep a message. `at_s` is the current time of a clock that is never set."""
         ring = self._rings.get(robot)
         if ring is not None:
             number = ring.numbers.get(id(channel)) or ring.number_of(channel)
             size_bytes = len(payload)
             end = ring.end + HEADER_BYTES + size_bytes
-            if number is not None and end <= ring.limit and size_bytes in _packers:  # one in hundreds is not so
+            if number is not None and end <= ring.limit and size_bytes in _packers:  # false for one message in hundreds
                 _packers[size_bytes](
                     self._bytes, ring.end, size_bytes, number, _MESSAGE, stamp_ns, at_s, payload, _MARK
                 )
@@ -353,7 +353,7 @@ class Rings:
         self._add_in_next(robot, channel, stamp_ns, payload, at_s)
 
     def _add_in_next(self, robot: str, channel: Channel, stamp_ns: int, payload: bytes, at_s: float) -> None:
-        """It needs a number, a ring, or more than the rest of a block."""
+        """Add a message that needs a channel number, a ring or another block."""
         ring = self._rings.get(robot)
         if ring is None:
             self._drop_unused(at_s - self._keep_s)
@@ -373,17 +373,17 @@ class Rings:
             if number is not None and is_long and room >= _LEAST_ROOM:
                 ring.put(number, flags | _MORE, rest[:room], stamp_ns, at_s)
                 rest, flags = rest[room:], _CONTINUED
-            elif number is None and ring.block >= 0 and room >= BLOCK_BYTES // 2:  # a definition that fits no block
+            elif number is None and ring.block >= 0 and room >= BLOCK_BYTES // 2:  # the definition fits no block
                 self.dropped += 1
                 return
             ring.begin(self._block_for(ring, at_s), next(self._sequence))
 
     def _room(self) -> int:
-        """Blocks that each ring may have."""
+        """Number of blocks that each ring may have."""
         return max(1, self._memory.max_blocks // max(1, len(self._rings)))
 
     def _block_for(self, ring: Ring, at_s: float) -> int:
-        """A free block, at the cost of what is oldest in the ring that has the most."""
+        """Return a free block. If there is none, drop the oldest block of the ring that has the most."""
         oldest_s = at_s - self._keep_s
         while ring.full and ring.full[0].newest_s < oldest_s:
             self._free.append(ring.drop_oldest().block)
@@ -403,18 +403,18 @@ class Rings:
         return dropped.block
 
     def _drop_unused(self, oldest_s: float) -> None:
-        """Those of which all is too old: they would leave less room for the others."""
+        """Remove rings with only old messages, because they reduce the room of the others."""
         for robot in [robot for robot, ring in self._rings.items() if ring.last_s < oldest_s]:
             self.forget(robot)
 
     def forget(self, robot: str) -> None:
-        """The robot is forgotten."""
+        """Remove a robot's ring."""
         ring = self._rings.pop(robot, None)
         while ring is not None and ring.blocks:
             self._free.append(ring.drop_oldest().block)
 
     def copies(self, robot: str) -> list[Iterator[Entry]]:
-        """What is kept of a robot, and of nobody; to be read once, also by another thread."""
+        """Return the entries of a robot and of no robot. They can be read once, also by another thread."""
         names = (robot, "") if robot else ("",)
         schemas = self._memory.schemas()
         rings = [self._rings[name] for name in names if name in self._rings]
@@ -422,7 +422,7 @@ class Rings:
 
     @property
     def size_bytes(self) -> int:
-        """Of all."""
+        """Size of all used blocks."""
         return BLOCK_BYTES * sum(ring.blocks for ring in self._rings.values())
 
 
@@ -438,7 +438,7 @@ class _Record(NamedTuple):
 
 
 def _records(block: bytes) -> Iterator[_Record]:
-    """Up to the end, or to what cannot be a record."""
+    """Yield records up to the end, or up to damage."""
     start = _BEGIN.size
     while start + HEADER_BYTES <= len(block):
         size_bytes, number, flags, stamp_ns, at_s = _RECORD.unpack_from(block, start)
@@ -450,13 +450,13 @@ def _records(block: bytes) -> Iterator[_Record]:
 
 @dataclass(slots=True)
 class _ChannelReader:
-    """The channels of many blocks, each made once."""
+    """Decoder of the channels of many blocks. Each channel is decoded once."""
 
     schemas: Sequence[str]
     _known: dict[bytes, Channel | None] = field(default_factory=dict)
 
     def read(self, definition: bytes) -> Channel | None:
-        """None: it is damaged."""
+        """Decode a definition; None if it is damaged."""
         if definition not in self._known:
             self._known[definition] = self._read(definition)
         return self._known[definition]
@@ -471,9 +471,9 @@ class _ChannelReader:
 
 
 def read_entries(blocks: Iterable[bytes], schemas: Sequence[str], *, oldest_s: float = 0.0) -> Iterator[Entry]:
-    """The messages of one ring's blocks, as they were added; those that were added before `oldest_s` are left out."""
+    """Yield the messages of one ring's blocks in order, without those added before `oldest_s`."""
     reader = _ChannelReader(schemas)
-    parts: list[bytes] = []  # of a message over several blocks
+    parts: list[bytes] = []  # parts of a message in several blocks
     for block in blocks:
         channels: dict[int, Channel | None] = {}
         for record in _records(block):
@@ -485,7 +485,7 @@ def read_entries(blocks: Iterable[bytes], schemas: Sequence[str], *, oldest_s: f
             if not record.flags & _CONTINUED:
                 parts = []
             elif not parts:
-                continue  # its beginning is gone
+                continue  # the beginning of the message is lost
             parts.append(record.payload)
             if record.flags & _MORE:
                 continue
@@ -496,7 +496,7 @@ def read_entries(blocks: Iterable[bytes], schemas: Sequence[str], *, oldest_s: f
 
 
 def read_blocks(memory: bytes) -> dict[str, list[bytes]]:
-    """The blocks of a process that is gone, by robot, the oldest first; what is damaged is left out."""
+    """Return the blocks of an ended process by robot, oldest first, without damaged ones."""
     found: list[tuple[int, str, bytes]] = []
     for start in range(0, len(memory) - BLOCK_BYTES + 1, BLOCK_BYTES):
         (sequence,) = _BEGIN.unpack_from(memory, start)

@@ -1,12 +1,12 @@
-"""Salvage: incidents out of the memory that a process has left (ring_memory.py): one that was killed, or had no time.
+"""Salvage of incidents from the memory (ring.py) of a process that was killed or ran out of time, and file repair.
 
-| who does it                         | when                                                             |
-|-------------------------------------|------------------------------------------------------------------|
+| who does it                         | when                                                               |
+|-------------------------------------|--------------------------------------------------------------------|
 | a process that the guardian starts  | the daemon was killed; under systemd its next start is soon enough |
-| a process that the daemon starts    | it ends, and more incidents are pending than it has time to write  |
-| the next daemon, in a thread        | it starts, and nobody else does it                                 |
+| a process that the daemon starts    | it ends, and has no time to write all pending incidents            |
+| the next daemon, in a thread        | it starts, and no other process does it                            |
 
-Whoever has the memory's lock does it; the others leave it alone. What was written is not written again.
+The holder of the memory's lock does it; others leave the memory alone. Incidents are not written twice.
 """
 
 import contextlib
@@ -34,14 +34,14 @@ from hostlink.recording.ring import RING, Entry, read_blocks, read_entries, read
 # -- salvage ----------------------------------------------------------------------------------------------------------
 
 ABOUT, CLOSED, _FACT = "about", "closed", ".json"
-MAX_PENDING_CHANNELS = 64  # of a pending incident, that are in its file without a message
-BEGUN_S = 60.0  # a memory without a lock that is younger may just be made
-KEPT_S = 7 * 24 * 3600.0  # what nobody could write for so long is removed: memory is short
+MAX_PENDING_CHANNELS = 64  # channels of a pending incident that its file contains even without a message
+BEGUN_S = 60.0  # a younger memory without a lock may just be being created
+KEPT_S = 7 * 24 * 3600.0  # memory that could not be saved for so long is removed, because tmpfs is small
 _STOPS = ("stopped", "locked", "gone")
 
 
 class About(msgspec.Struct):
-    """Where the incidents of a memory belong, and how much of them."""
+    """Target folder and limits of a memory's incidents."""
 
     folder: str
     max_disk_mb: float
@@ -50,7 +50,7 @@ class About(msgspec.Struct):
 
 
 class Pending(msgspec.Struct):
-    """An incident that has begun, and channels that are in its file without a message."""
+    """Pending incident, and channels that its file contains even without a message."""
 
     incident: Incident
     channels: list[Channel]
@@ -58,7 +58,7 @@ class Pending(msgspec.Struct):
 
 @dataclass(slots=True)
 class Salvaged:
-    """What was written, what never will be and why, and who drove last."""
+    """Result of a salvage: saved incidents, lost incidents with the reason, and the last drivers."""
 
     saved: list[tuple[Incident, Path]] = field(default_factory=list)
     lost: list[tuple[Incident, str]] = field(default_factory=list)
@@ -66,25 +66,25 @@ class Salvaged:
 
 
 def pending_name(number: int) -> str:
-    """Of the fact about a pending incident."""
+    """Return the name of the fact about a pending incident."""
     return f"{remains.PENDING}{number}"
 
 
 def main(pid: int) -> None:
-    """Write what this process has left. What a disk refuses is left to the daemon's next start."""
+    """Save the incidents of this process. What a disk refuses is left to the next start of the daemon."""
     for path in remains.of_process(pid):
         with contextlib.suppress(OSError):
             salvage(Path(path))
 
 
 def salvage(folder: Path, *, rest: Callable[[], None] = lambda: None) -> Salvaged | None:
-    """Write the incidents of a process that is gone, and remove its memory. It waits for the disk.
+    """Write the incidents of an ended process and remove its memory. Blocks on the disk.
 
-    None: the process lives, or somebody else is at it. `rest` as of `write_incident`.
+    Return None if the process is alive or another one does it. `rest` is that of `write_incident`.
 
     Raises:
-        OSError: of the disk; what was not written is tried again at the next start.
-        OutOfTime: `rest` has raised it; likewise.
+        OSError: the disk failed; unwritten incidents are retried at the next start.
+        OutOfTime: raised by `rest`; unwritten incidents are retried too.
     """
     with contextlib.ExitStack() as stack:
         try:
@@ -96,7 +96,7 @@ def salvage(folder: Path, *, rest: Callable[[], None] = lambda: None) -> Salvage
             return None
         except BlockingIOError:
             return None
-        if not (folder / RING).exists():  # somebody has just done it
+        if not (folder / RING).exists():  # another process has just done it
             return None
         found = Salvaged()
         about = _read(folder / f"{ABOUT}{_FACT}", About)
@@ -107,7 +107,7 @@ def salvage(folder: Path, *, rest: Callable[[], None] = lambda: None) -> Salvage
 
 
 def clear_old() -> None:
-    """Remove what nobody could write for a long time."""
+    """Remove memory that could not be saved for KEPT_S."""
     for path in remains.of_user():
         with contextlib.suppress(OSError), (Path(path) / RING).open("rb") as file:
             if _age_s(Path(path)) > KEPT_S:
@@ -143,7 +143,7 @@ def _save_all(
 
 
 def _note_death(folder: Path, by_robot: dict[str, Iterator[Entry]], found: Salvaged) -> None:
-    """An incident for each robot that was driven when the process ended without stopping it."""
+    """Add an incident for each robot that was driven when the process ended without stopping it."""
     for number, (robot, entries) in enumerate(by_robot.items()):
         last, newest_ns, newest_s = _last_command(robot, entries)
         if last is not None:
@@ -155,13 +155,14 @@ def _note_death(folder: Path, by_robot: dict[str, Iterator[Entry]], found: Salva
 
 
 def _last_command(robot: str, entries: Iterable[Entry]) -> tuple[LastCommand | None, int, float]:
-    """(who drives it, wall time and monotonic time of the newest message); None: it was stopped."""
+    """Return the last command (None if the robot was stopped), and wall and steady time of the newest message."""
     last, newest_ns, newest_s = None, 0, 0.0
     for entry in entries:
         newest_ns, newest_s = entry.stamp_ns, entry.at_s
         if entry.channel.topic != EVENTS.topic or entry.channel.type_name != EVENTS.type_name:
             continue
-        with contextlib.suppress(BadPayload, KeyError, AttributeError, TypeError):  # a program's own message
+        # A program may publish other content on the topic.
+        with contextlib.suppress(BadPayload, KeyError, AttributeError, TypeError):
             event = decode_event(entry)
             facts = event["facts"]
             if event["kind"] == "commanded":
@@ -180,7 +181,7 @@ def _age_s(folder: Path) -> float:
 
 
 def _read(path: Path, kind: type[Any]) -> Any:
-    """The fact in a file; None: it is not there, or damaged."""
+    """Read the fact of a file; None if it is missing or damaged."""
     try:
         return msgspec.json.decode(path.read_bytes(), type=kind)
     except (OSError, msgspec.DecodeError, UnicodeDecodeError):
@@ -192,27 +193,28 @@ def _read(path: Path, kind: type[Any]) -> Any:
 
 @dataclass(frozen=True, slots=True)
 class Repaired:
-    """What was found in a file."""
+    """Result of a repair."""
 
     messages: int
     damage: tuple[str, ...]
 
 
 def repair(path: Path, on_progress: Callable[[int], None] = lambda _: None) -> Repaired:
-    """Put a finished file in the place of this one, with every message that can be read; a whole one stays as it is.
+    """Replace a file by a finished one with every readable message. An intact file is not changed.
 
-    `on_progress`: called with the number of messages, now and then. Whatever fails leaves the file as it was.
+    `on_progress` is called with the number of messages now and then. After any failure the file is unchanged.
 
     Raises:
-        RecordingFailed: it cannot be read or written, is no MCAP file, is damaged and another program's, or is not
-            finished because it is being written: what comes later would be lost.
+        RecordingFailed: the file cannot be read or written, is not an MCAP file, is a damaged file of another program,
+            or
+            is still being written.
     """
     _check_left(path)
     reader = Reader(path)
-    beside = path.with_name(f"{path.name}.repaired")
+    part = path.with_name(f"{path.name}.repaired")
     try:
-        beside.unlink(missing_ok=True)
-        writer = McapWriter(beside, metadata={}, has_steady_times=Reader(path).reads_steady_times())
+        part.unlink(missing_ok=True)
+        writer = McapWriter(part, metadata={}, has_steady_times=Reader(path).reads_steady_times())
         try:
             for message in reader.messages():
                 if not writer.write(*message):
@@ -225,10 +227,10 @@ def repair(path: Path, on_progress: Callable[[int], None] = lambda _: None) -> R
             writer.close()
             if reader.damage:
                 _check_ours(reader)
-                beside.replace(path)
+                part.replace(path)
         finally:
             writer.abandon()
-            beside.unlink(missing_ok=True)
+            part.unlink(missing_ok=True)
     except OSError as error:
         raise RecordingFailed(f"{path}: {error.strerror or error}") from error
     return Repaired(writer.messages, tuple(reader.damage))
@@ -240,11 +242,11 @@ def _check_left(path: Path) -> None:
             fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
     except BlockingIOError:
         raise RecordingFailed(f"{path} is being written: stop the recording first") from None
-    except OSError:  # reading says why, or there are no locks
+    except OSError:  # reading reports the error, or the file system has no locks
         return
 
 
 def _check_ours(reader: Reader) -> None:
-    """Whatever else a file has would be lost: schemas in other languages, attachments."""
+    """Check that the file is hostlink's. Other content, such as foreign schemas or attachments, would be lost."""
     if reader.profile != PROFILE or any(channel.encoding not in (ROS1, JSON) for channel in reader.channels):
-        raise RecordingFailed(f"{reader.path} is of another program: `mcap recover` may repair it")
+        raise RecordingFailed(f"{reader.path} was written by another program; `mcap recover` may repair it")

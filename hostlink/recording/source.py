@@ -1,4 +1,4 @@
-"""Source: a recording of any kind that hostlink reads: an MCAP file, a bag of ROS 1, a folder or file of rosbag2."""
+"""Source: any recording that hostlink reads: an MCAP file, a ROS 1 bag, a folder or file of rosbag2."""
 
 import contextlib
 from collections.abc import Iterator
@@ -10,53 +10,53 @@ from hostlink.recording.channel import CDR, NS_PER_S, ROS1, Channel
 from hostlink.recording.reader import Reader, StoredMessage, Wanted
 
 ROS1_SUFFIX, ROS2_SUFFIX = ".bag", ".db3"
-MAX_REASON = 200  # characters of a library's words
+MAX_REASON = 200  # characters of a library's error text
 _NEVER = 2**64
 
 
 class Source(Protocol):
-    """What is read of a recording; each is read once."""
+    """Recording that can be read once."""
 
     path: Path
     metadata: dict[str, str]
 
     def messages(self, wanted: Wanted | None = None, *, after_s: float = 0.0) -> Iterator[StoredMessage]:
-        """As `Reader.messages`."""
+        """See `Reader.messages`."""
         ...
 
     def read_channels(self) -> list[Channel]:
-        """As `Reader.read_channels`."""
+        """See `Reader.read_channels`."""
         ...
 
     @property
     def channels(self) -> list[Channel]:
-        """As `Reader.channels`."""
+        """See `Reader.channels`."""
         ...
 
     @property
     def damage(self) -> list[str]:
-        """As `Reader.damage`."""
+        """See `Reader.damage`."""
         ...
 
     @property
     def begin_ns(self) -> int:
-        """As `Reader.begin_ns`."""
+        """See `Reader.begin_ns`."""
         ...
 
     @property
     def size_bytes(self) -> int:
-        """Of all its files."""
+        """Size of all files of the recording."""
         ...
 
 
 def open_source(path: Path) -> Source:
-    """A recording, by its name; the file itself is opened when it is read."""
+    """Choose the reader by name. The file itself is opened when it is read."""
     is_bag = path.is_dir() or path.suffix in (ROS1_SUFFIX, ROS2_SUFFIX)
     return BagReader(path) if is_bag else Reader(path)
 
 
 class BagReader:
-    """A bag of ROS 1 or ROS 2; rosbags reads it."""
+    """Reader of a ROS 1 or ROS 2 bag, by rosbags."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -67,30 +67,30 @@ class BagReader:
 
     @property
     def begin_ns(self) -> int:
-        """Of the first message of all, when it was read."""
+        """Time of the bag's first message; 0 before it was read."""
         return 0 if self._begin_ns == _NEVER else self._begin_ns
 
     @property
     def size_bytes(self) -> int:
-        """Of all its files."""
+        """Size of all files of the recording."""
         files = self.path.iterdir() if self.path.is_dir() else [self.path]
         return sum(file.stat().st_size for file in files if file.is_file())
 
     def read_channels(self) -> list[Channel]:
-        """Those that the bag names.
+        """Return the channels that the bag lists.
 
         Raises:
-            RecordingFailed: it cannot be read, or is not a bag.
+            RecordingFailed: the bag cannot be read, or is not a bag.
         """
         with self._opened() as bag:
             self.channels = list(dict.fromkeys(map(_channel, bag.connections)))
         return self.channels
 
     def messages(self, wanted: Wanted | None = None, *, after_s: float = 0.0) -> Iterator[StoredMessage]:
-        """By time.
+        """Yield the messages ordered by time.
 
         Raises:
-            RecordingFailed: it cannot be read, or is not a bag.
+            RecordingFailed: the bag cannot be read, or is not a bag.
         """
         with self._opened() as bag:
             channels = {connection.id: _channel(connection) for connection in bag.connections}
@@ -103,14 +103,14 @@ class BagReader:
             try:
                 for connection, stamp_ns, payload in found:
                     yield StoredMessage(channels[connection.id], stamp_ns, bytes(payload), stamp_ns)
-            except Exception as error:  # noqa: BLE001 - rosbags' readers raise what they find in damaged bytes
+            except Exception as error:  # noqa: BLE001 - rosbags' readers raise any exception for damaged bytes
                 self.damage.append(f"unreadable after a part: {type(error).__name__}: {error}"[:MAX_REASON])
 
     def _opened(self) -> contextlib.AbstractContextManager[Any]:
-        """Open it.
+        """Open the bag.
 
         Raises:
-            RecordingFailed: it cannot be read, or is not a bag.
+            RecordingFailed: the bag cannot be read, or is not a bag.
         """
         from rosbags.rosbag1 import Reader as Ros1Reader  # noqa: PLC0415 - most recordings are MCAP files
         from rosbags.rosbag2 import Reader as Ros2Reader  # noqa: PLC0415
@@ -121,7 +121,7 @@ class BagReader:
         except OSError as error:
             raise RecordingFailed(f"{self.path}: {error.strerror or error}") from error
         except Exception as error:
-            raise RecordingFailed(f"{self.path} is not readable: {error}"[:MAX_REASON]) from error
+            raise RecordingFailed(f"{self.path} cannot be read: {error}"[:MAX_REASON]) from error
         return contextlib.closing(bag)
 
 

@@ -1,4 +1,4 @@
-"""Tables: a recording as numpy arrays, a table a topic, a column a field."""
+"""Tables: a recording as numpy arrays, with one table for each topic and one column for each field."""
 
 import array
 import functools
@@ -19,18 +19,18 @@ from hostlink.recording.source import Source, open_source
 
 Column = NDArray[Any]
 Decode = Callable[[bytes], dict[str, Any]]
-MAX_DEPTH = 64  # of messages in messages, and lists in lists
-MAX_COLUMNS = 2048  # of a table; JSON may have other fields in each message
-MAX_PART = 2**32  # of a time: its seconds, its nanoseconds
-MAX_STAMP_NS = 2**63 - 1  # of numpy's int64; the format has twice that
+MAX_DEPTH = 64  # nesting of messages and lists
+MAX_COLUMNS = 2048  # of one table; JSON messages may have varying fields
+MAX_PART = 2**32  # of the seconds or nanoseconds of a time
+MAX_STAMP_NS = 2**63 - 1  # limit of numpy's int64; the format allows twice that
 
 
 class Table(Mapping[str, Column]):
-    """The messages of one topic, N of them.
+    """Messages of one topic, N of them.
 
-    `table["pose.position.x"]` is an array of N numbers, of N x M where the field is an array of M, and of N objects
-    where it is a text or has no fixed length. `time_s` (N, float64) counts from the beginning of the recording, by a
-    clock that is never set; `stamp_ns` (N, int64) is wall time. JSON with ever new fields has the first MAX_COLUMNS.
+    `table["pose.position.x"]` is an array of N numbers, of N x M if the field is an array of M, and of N objects if it
+    is a string or has no fixed length. `time_s` (N, float64) counts from the beginning of the recording, by a clock
+    that is never set. `stamp_ns` (N, int64) is wall time. JSON with varying fields has the first MAX_COLUMNS of them.
     """
 
     def __init__(
@@ -62,9 +62,10 @@ class Table(Mapping[str, Column]):
 
 
 class Tables(Mapping[str, Table]):
-    """The tables of a recording, by topic.
+    """Tables of a recording, by topic.
 
-    `damage` says what of the file could not be read; `undecoded` counts the messages that nobody could, by topic.
+    `damage` describes the unreadable parts of the file. `undecoded` counts the messages that could not be decoded, by
+    topic.
     """
 
     def __init__(self, tables: dict[str, Table], source: Source, undecoded: dict[str, int]) -> None:
@@ -75,7 +76,7 @@ class Tables(Mapping[str, Table]):
         try:
             return self._tables[topic]
         except KeyError:
-            raise KeyError(f"no topic {topic}; there are: {', '.join(self)}") from None
+            raise KeyError(f"no topic {topic}; available: {', '.join(self)}") from None
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._tables)
@@ -88,12 +89,12 @@ class Tables(Mapping[str, Table]):
 
 
 def read(path: str | Path, topics: tuple[str, ...] = ()) -> Tables:
-    """Read a recording, also one that was never finished; of these topics alone, if any are named.
+    """Read a recording, also an unfinished one; only the named topics, if there are any.
 
-    `path`: of an MCAP file, a bag of ROS 1, or a folder or file of rosbag2.
+    `path` is an MCAP file, a ROS 1 bag, or a folder or file of rosbag2.
 
     Raises:
-        RecordingFailed: the file cannot be read, or is no recording.
+        RecordingFailed: the file cannot be read, or is not a recording.
     """
     source = open_source(Path(path))
     found: dict[str, _Rows] = {}
@@ -108,7 +109,7 @@ def read(path: str | Path, topics: tuple[str, ...] = ()) -> Tables:
 
 
 def flat(message: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """(path, value) of every field that is no message; a time is seconds."""
+    """Yield (path, value) of every field that is not a message. A time becomes seconds."""
     for name, value in message.items():
         path = f"{prefix}{name}"
         if isinstance(value, Mapping) and _is_time(value):
@@ -120,14 +121,14 @@ def flat(message: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, An
 
 
 def _is_time(value: Mapping[str, Any]) -> bool:
-    """By its fields and what they are: JSON may have anything in them."""
+    """Whether the value is a time, by its fields and their values, because JSON may contain anything."""
     return value.keys() == {"secs", "nsecs"} and all(
         isinstance(part, int) and abs(part) < MAX_PART for part in value.values()
     )
 
 
 def _is_deep(value: Any) -> bool:
-    """Whether JSON is nested so that reading it would exhaust Python's stack; decoding it does so in some releases."""
+    """Whether JSON is nested so deeply that reading it would exhaust Python's stack. Some releases can decode it."""
     level = [value]
     for _ in range(MAX_DEPTH):
         inner = itertools.chain.from_iterable(each.values() if isinstance(each, dict) else each for each in level)
@@ -138,13 +139,13 @@ def _is_deep(value: Any) -> bool:
 
 
 class Decoders:
-    """How the messages of each channel are decoded."""
+    """Decoders of the messages of each channel."""
 
     def __init__(self) -> None:
         self._found: dict[Channel, Decode | None] = {}
 
     def decode(self, message: StoredMessage) -> dict[str, Any] | None:
-        """The fields; None: the channel or the message cannot be decoded."""
+        """Decode a message to its fields; None if the channel or the message cannot be decoded."""
         channel = message.channel
         if channel not in self._found:
             try:
@@ -159,7 +160,7 @@ class Decoders:
 
 
 def decoder_of(channel: Channel) -> Decode:
-    """How its messages become fields.
+    """Return the function that decodes the channel's messages to fields.
 
     Raises:
         UnknownFormat: hostlink cannot read them; the text says why.
@@ -172,12 +173,14 @@ def decoder_of(channel: Channel) -> Decode:
 
 
 def _decode_json(channel: Channel, payload: bytes) -> dict[str, Any]:
-    """Raises:
-    BadPayload: it is not JSON of an object, or is nested too deeply.
+    """Decode a JSON object.
+
+    Raises:
+        BadPayload: the payload is not a JSON object, or is nested too deeply.
     """
     try:
         found = json.loads(json_of(channel, payload))
-    except (ValueError, RecursionError) as error:  # JSON in JSON, without end
+    except (ValueError, RecursionError) as error:  # endlessly nested JSON
         raise BadPayload(channel.type_name, str(error)) from None
     if not isinstance(found, dict) or _is_deep(found):
         raise BadPayload(channel.type_name, "it is not JSON of an object")
@@ -185,7 +188,7 @@ def _decode_json(channel: Channel, payload: bytes) -> dict[str, Any]:
 
 
 class _Values:
-    """Of one field: the messages that have it. As long as the table it is while somebody reads it, not before."""
+    """Values of one field, for the messages that have it. The full column is built only when it is read."""
 
     def __init__(self) -> None:
         self._rows = array.array("Q")
@@ -223,7 +226,7 @@ class _Rows:
         self._topic, self._type_name = message.channel.topic, message.channel.type_name
         for path, value in dict(flat(fields)).items():
             values = self._values.get(path)
-            if values is None and len(self._values) < MAX_COLUMNS:  # JSON has other fields each time
+            if values is None and len(self._values) < MAX_COLUMNS:  # JSON messages may have varying fields
                 values = self._values[path] = _Values()
             if values is not None:
                 values.add(len(self.stamps_ns), value)
@@ -241,12 +244,12 @@ class _Rows:
 
 
 def _column(values: list[Any]) -> Column:
-    """Numbers where all are; else objects."""
+    """Build a column of numbers if all values are numbers, otherwise of objects."""
     is_regular = len({len(value) for value in values if isinstance(value, list)}) <= 1
     if is_regular and None not in values:
         try:
             found = np.array(values)
-        except (ValueError, OverflowError):  # lists in lists, of several lengths
+        except (ValueError, OverflowError):  # nested lists of different lengths
             found = np.empty(0)
         if found.dtype.kind in "biuf" and len(found) == len(values):
             return found

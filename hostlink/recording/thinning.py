@@ -1,4 +1,4 @@
-"""Thinned: some of any number of samples, at equal steps. Pure."""
+"""Thinned: a bounded number of samples at equal steps. Pure."""
 
 from typing import Generic, TypeVar
 
@@ -6,7 +6,7 @@ Sample = TypeVar("Sample")
 
 
 class Thinned(Generic[Sample]):
-    """At most twice `most` of the samples that were added, at equal steps, and the last."""
+    """Samples at equal steps, at most twice `most`, and always the last one."""
 
     def __init__(self, most: int) -> None:
         self._most, self._step, self._count = most, 1, 0
@@ -14,7 +14,7 @@ class Thinned(Generic[Sample]):
         self._last: Sample | None = None
 
     def add(self, sample: Sample) -> None:
-        """Add the next; when there is no room, every second that is kept goes."""
+        """Add the next sample. Without room, drop every second kept sample."""
         if self._count % self._step == 0:
             self._kept.append(sample)
             self._last = None
@@ -26,5 +26,5 @@ class Thinned(Generic[Sample]):
         self._count += 1
 
     def samples(self) -> list[Sample]:
-        """Those that are kept, in their order."""
+        """Return the kept samples in order."""
         return self._kept if self._last is None else [*self._kept, self._last]

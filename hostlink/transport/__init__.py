@@ -1,1 +1,1 @@
-"""Bytes in and out of a device; knows no frame."""
+"""Transports: bytes to and from a device over TCP, UDP or a serial port. They do not know frames."""

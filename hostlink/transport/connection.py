@@ -1,19 +1,19 @@
-"""Connection: one asyncio connection as its owner wants it: small reads, and writes that wait for the system."""
+"""Connection: asyncio protocol of one connection, with small reads and awaitable writes."""
 
 import asyncio
 from collections.abc import Callable
 
 from hostlink.transport.base import READ_BYTES
 
-_INTO = bytearray(READ_BYTES)  # of all connections: what came is copied out of it before the next one reads
+_INTO = bytearray(READ_BYTES)  # shared by all connections: data is copied out before the next one reads
 _VIEW = memoryview(_INTO)
 
 
 class Connection(asyncio.BufferedProtocol):
-    """The protocol of one connection.
+    """Protocol of one connection.
 
-    A turn of the loop reads READ_BYTES at most, and nothing more before that was received: so the system slows the
-    sender.
+    One turn of the loop reads at most READ_BYTES. Reading pauses until the data was consumed, so that the system slows
+    the sender.
     """
 
     __slots__ = (
@@ -35,19 +35,19 @@ class Connection(asyncio.BufferedProtocol):
 
     @property
     def is_lost(self) -> bool:
-        """Whether the connection is gone."""
+        """Whether the connection is lost."""
         return self._lost.done()
 
     @property
     def unread_bytes(self) -> int:
-        """What has come and was not read."""
+        """Number of received and unread bytes."""
         return len(self._received)
 
     def read(self, limit_bytes: int) -> bytes:
-        """What has come; b"" while there is nothing, and at the end.
+        """Return received bytes; b"" when none are unread, and at the end.
 
         Raises:
-            OSError: the connection broke, and everything before was read.
+            OSError: the connection broke, and every byte before was read.
         """
         received = self._received
         if not received and self._error is not None:
@@ -61,10 +61,10 @@ class Connection(asyncio.BufferedProtocol):
         return data
 
     async def drain(self) -> None:
-        """Wait until the system has what was written.
+        """Wait until the system has accepted the written data.
 
         Raises:
-            OSError: the connection is gone.
+            OSError: the connection is lost.
         """
         if self._lost.done() or self.transport.is_closing():
             raise self._error or ConnectionResetError("connection lost")
@@ -76,7 +76,7 @@ class Connection(asyncio.BufferedProtocol):
                 self._writable = None
 
     async def wait_closed(self) -> None:
-        """Wait until the connection is gone."""
+        """Wait until the connection is lost."""
         await asyncio.shield(self._lost)
 
     # -- what asyncio calls -------------------------------------------------------------------------------------------
@@ -93,7 +93,7 @@ class Connection(asyncio.BufferedProtocol):
         self.data_received(_VIEW[:nbytes])
 
     def data_received(self, data: bytes | memoryview) -> None:
-        """Of pyserial-asyncio, which knows no buffered protocols."""
+        """Add received data. pyserial-asyncio calls it directly, because it has no buffered protocols."""
         self._received += data
         if len(self._received) >= READ_BYTES and not self._is_paused:
             self._is_paused = True
@@ -101,7 +101,7 @@ class Connection(asyncio.BufferedProtocol):
         self.on_readable()
 
     def eof_received(self) -> bool:
-        """The peer sends no more; what was sent to it may still leave."""
+        """Note that the peer sends no more. Data may still be sent to it."""
         self.is_ended = True
         self.on_readable()
         return True
@@ -125,4 +125,4 @@ class Connection(asyncio.BufferedProtocol):
 
 
 def ignore() -> None:
-    """Nobody reads yet: what comes waits."""
+    """Do nothing: no reader is registered yet."""

@@ -1,10 +1,9 @@
-"""A key that host and device share, proven by both at the start of a connection, before the first byte of rosserial.
+"""Pre-shared key of host and device. Both prove it at the start of a connection, before the first rosserial byte.
 
-    host -> device   "HLK1", 16 random bytes
-    device -> host   "HLK1", 16 random bytes, HMAC-SHA256(key, "device", both randoms)
-    host -> device   HMAC-SHA256(key, "host", both randoms)
+host -> device   "HLK1", 16 random bytes device -> host   "HLK1", 16 random bytes, HMAC-SHA256(key, "device", both
+randoms) host -> device   HMAC-SHA256(key, "host", both randoms)
 
-It proves who is there at the start: what comes later is neither encrypted nor protected.
+The proof covers only the start of the connection: later bytes are neither encrypted nor authenticated.
 """
 
 import asyncio
@@ -19,14 +18,14 @@ from hostlink.transport.base import Transport
 MAGIC = b"HLK1"
 RANDOM_BYTES = 16
 PROOF_BYTES = 32
-HELLO = MAGIC + bytes(RANDOM_BYTES)  # by which a device begins over UDP, where nothing connects
+HELLO = MAGIC + bytes(RANDOM_BYTES)  # first datagram of a device over UDP, which has no connection setup
 ANSWER_BYTES = len(MAGIC) + RANDOM_BYTES + PROOF_BYTES
-PROOF_TIMEOUT_S = 3.0  # two ways over a bad radio; less than a link waits for its first write
+PROOF_TIMEOUT_S = 3.0  # two round trips over a bad radio; less than a link waits for its first write
 SHORTEST_KEY_BYTES = 16
 
 
 def read_key(file: Path, where: str) -> bytes:
-    """The key, without the white space around it; `where`: the setting that names the file.
+    """Read the key without surrounding white space. `where` is the setting that names the file.
 
     Raises:
         ConfigError: the file cannot be read, or the key is too short.
@@ -43,12 +42,12 @@ def read_key(file: Path, where: str) -> bytes:
 
 
 def proof(key: bytes, side: bytes, host_random: bytes, device_random: bytes) -> bytes:
-    """What only an owner of the key can compute; `side` keeps one end from repeating the other's."""
+    """Compute the proof of the key. `side` prevents that one end repeats the other's proof."""
     return hmac.digest(key, side + host_random + device_random, "sha256")
 
 
 class KeyProof:
-    """Proves the key at the start of a connection."""
+    """Mutual proof of the key at the start of a connection."""
 
     def __init__(
         self,
@@ -58,19 +57,19 @@ class KeyProof:
         on_refused: Callable[[str], None],
         on_proven: Callable[[], None] = lambda: None,
     ) -> None:
-        """`on_refused`: called with the reason, "no_key" or "wrong_key", before `authenticate` raises.
+        """`on_refused` is called with "no_key" or "wrong_key" before `authenticate` raises.
 
-        `on_proven`: called when the device has proven the key, and so that it is where it seems to be.
+        `on_proven` is called when the device has proven the key, which also verifies its address.
         """
         self._transport = transport
         self._key = key
         self._on_refused, self._on_proven = on_refused, on_proven
 
     async def authenticate(self) -> None:
-        """Returns when both ends have proven the key.
+        """Prove the key to the device and check the device's proof.
 
         Raises:
-            ConnectionRefusedError: the device cannot prove it.
+            ConnectionRefusedError: the device cannot prove the key.
         """
         refusal = await self._prove()
         if refusal is not None:
@@ -86,10 +85,11 @@ class KeyProof:
                 while len(answer) < ANSWER_BYTES and (data := await self._transport.receive()):
                     answer += data
                     while self._transport.kind == "udp" and answer.startswith(HELLO):
-                        answer = answer[len(HELLO) :]  # again, before this end's random came
+                        answer = answer[len(HELLO) :]  # a repeated hello, sent before the host's random arrived
         except TimeoutError:
             return "no_key"
-        if len(answer) != ANSWER_BYTES or not answer.startswith(MAGIC):  # a device waits for the host's proof
+        # A device sends nothing more before the host's proof.
+        if len(answer) != ANSWER_BYTES or not answer.startswith(MAGIC):
             return "no_key"
         device_random, claimed = answer[len(MAGIC) : -PROOF_BYTES], answer[-PROOF_BYTES:]
         if not hmac.compare_digest(claimed, proof(self._key, b"device", host_random, device_random)):

@@ -1,4 +1,4 @@
-"""The device port's name in the local network, for programs that browse `_rosserial._tcp` by mDNS (Bonjour, Avahi)."""
+"""mDNS advertisement of the device port as `_rosserial._tcp` (Bonjour, Avahi)."""
 
 import contextlib
 import ipaddress
@@ -13,7 +13,7 @@ SERVICE = "_rosserial._tcp.local."
 
 @contextlib.asynccontextmanager
 async def advertised(config: TcpConfig, address: tuple[str, int]) -> AsyncIterator[None]:
-    """Announce the port in the network until the block is left, if configured."""
+    """Advertise the port until the block is left, if `config.mdns` is set."""
     if not config.mdns:
         yield
         return
@@ -36,7 +36,7 @@ async def advertised(config: TcpConfig, address: tuple[str, int]) -> AsyncIterat
     )
     network = AsyncZeroconf(interfaces=zeroconf.InterfaceChoice.All if is_any else addresses)
     try:
-        await (await network.async_register_service(info, allow_name_change=True))  # another host may have the name
+        await (await network.async_register_service(info, allow_name_change=True))  # another host may use the name
         yield
     finally:
         await network.async_unregister_all_services()
@@ -44,5 +44,5 @@ async def advertised(config: TcpConfig, address: tuple[str, int]) -> AsyncIterat
 
 
 def _reachable(addresses: list[str]) -> list[str]:
-    """Those that another computer may use; without any, all."""
+    """Return the addresses that another computer can reach; all addresses if none is reachable."""
     return [address for address in addresses if not ipaddress.ip_address(address).is_loopback] or addresses

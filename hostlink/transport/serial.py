@@ -1,4 +1,4 @@
-"""Which serial port a configuration means today: a port that comes back under another name is found again."""
+"""Serial ports: finding the configured port under its current name, and the transport over it."""
 
 import asyncio
 import contextlib
@@ -26,10 +26,10 @@ BY_ID = Path("/dev/serial/by-id")
 
 
 def find_port(config: SerialConfig) -> str:
-    """The path to open.
+    """Return the path of the configured port.
 
     Raises:
-        OSError: there is none, or more than one; its text names the ports that there are.
+        OSError: no port or more than one port matches; the text lists them.
     """
     if config.usb_serial is not None:
         found = {port.device: port.serial_number for port in list_ports.comports() if port.serial_number}
@@ -37,19 +37,22 @@ def find_port(config: SerialConfig) -> str:
     pattern = config.path or ""
     paths = sorted(glob.glob(pattern)) if glob.has_magic(pattern) else [pattern]  # noqa: PTH207 - an absolute pattern
     if len(paths) > 1:
-        raise OSError(errno.EINVAL, f"{pattern}: fits {len(paths)} ports: {_listed(paths)}; say which")
+        raise OSError(errno.EINVAL, f"{pattern}: matches {len(paths)} ports: {_listed(paths)}; name one of them")
     if not paths or not Path(paths[0]).exists():
         known = sorted(str(path) for path in BY_ID.glob("*"))
-        raise OSError(errno.ENOENT, f"{pattern}: no such port; there are: {_listed(known)}")
+        raise OSError(errno.ENOENT, f"{pattern}: no such port; available: {_listed(known)}")
     return paths[0]
 
 
 def choose_by_serial(wanted: str, found: dict[str, str]) -> str:
-    """`found`: path -> serial number of its USB device. A device with two ports: its first."""
+    """Return the path of the USB device with this serial number. `found`: path -> serial number.
+
+    Of a device with two ports, the first is returned.
+    """
     paths = sorted(path for path, number in found.items() if number == wanted)
     if not paths:
         known = _listed(sorted(f"{number} ({path})" for path, number in found.items()))
-        raise OSError(errno.ENOENT, f"{wanted}: no USB device with this serial number; there are: {known}")
+        raise OSError(errno.ENOENT, f"{wanted}: no USB device with this serial number; available: {known}")
     return paths[0]
 
 
@@ -59,9 +62,9 @@ def _listed(names: Iterable[str]) -> str:
 
 # -- serial -----------------------------------------------------------------------------------------------------------
 
-DTR_PULSE_S = 0.1  # the boards' capacitor needs a tenth of it
-_CFLAG = 2  # its place in what tcgetattr gives
-LEAVE_CHECK_S = 0.01  # 10 ms are 58 bytes at 57600 baud
+DTR_PULSE_S = 0.1  # the boards' capacitor needs a tenth of this
+_CFLAG = 2  # index in the result of tcgetattr
+LEAVE_CHECK_S = 0.01  # 10 ms correspond to 58 bytes at 57600 baud
 _ADVICE = {
     errno.EACCES: "no permission: add this user to the group dialout, then log in again",
     errno.EBUSY: "another program has it open",
@@ -72,10 +75,10 @@ _ADVICE = {
 
 
 async def open_serial(config: SerialConfig) -> "SerialTransport":
-    """Find the port and open it, for this program alone.
+    """Find the port and open it exclusively.
 
     Raises:
-        OSError: it cannot be opened; its text advises what to do.
+        OSError: the port cannot be opened; the text says what to do.
     """
     loop = asyncio.get_running_loop()
     opening = loop.run_in_executor(None, _open, config)
@@ -96,7 +99,7 @@ async def open_serial(config: SerialConfig) -> "SerialTransport":
 async def _streams(port: "_Port", path: str, address: str) -> "SerialTransport":
     loop = asyncio.get_running_loop()
     transport, connection = await serial_asyncio.connection_for_serial(loop, Connection, port)
-    connection.transport = transport  # asyncio sets it only in the loop's next turn
+    connection.transport = transport  # asyncio sets it only in the next turn of the loop
     return SerialTransport(port, connection, peer=path, address=address)
 
 
@@ -105,7 +108,7 @@ def _open(config: SerialConfig) -> tuple["_Port", str]:
     try:
         port = serial.Serial(path, baudrate=config.bauds[0], exclusive=True)
         _keep_dtr(port.fileno())
-    except (OSError, termios.error) as error:  # pyserial lets the second through
+    except (OSError, termios.error) as error:  # pyserial does not convert termios.error
         number = _error_number(error)
         raise OSError(number or errno.EIO, f"{path}: {_explain(number, error)}") from error
     except (ValueError, OverflowError) as error:
@@ -114,26 +117,26 @@ def _open(config: SerialConfig) -> tuple["_Port", str]:
 
 
 def _close_opened(opening: "asyncio.Future[tuple[_Port, str]]") -> None:
-    """Nobody waits for the port any more that a thread has opened."""
+    """Close a port that a thread opened after the caller was cancelled."""
     if not opening.cancelled() and opening.exception() is None:
         opening.result()[0].close()
 
 
 def _keep_dtr(descriptor: int) -> None:
-    """Closing the port leaves its DTR line on, so that opening it the next time is no reset."""
+    """Keep the DTR line on when the port is closed, so that the next open does not reset the board."""
     settings = termios.tcgetattr(descriptor)
     settings[_CFLAG] &= ~termios.HUPCL
     termios.tcsetattr(descriptor, termios.TCSANOW, settings)
 
 
 class DtrLine(Protocol):
-    """Of a port, the line that resets its board."""
+    """Port with a DTR line, which resets its board."""
 
     def set_dtr(self, *, is_on: bool) -> None: ...
 
 
 async def pulse(port: DtrLine) -> None:
-    """Release DTR and set it again: the reset of most boards. A port without that line has nothing to reset."""
+    """Release DTR and set it again, which resets most boards. Ignore a port without DTR."""
     with contextlib.suppress(OSError):
         port.set_dtr(is_on=False)
         await asyncio.sleep(DTR_PULSE_S)
@@ -141,7 +144,7 @@ async def pulse(port: DtrLine) -> None:
 
 
 class SerialTransport(StreamTransport):
-    """A stream over a `_Port`, which knows what the stream does not: why a write failed, what has not left yet."""
+    """Stream over a `_Port`, which reports write errors and unsent bytes."""
 
     kind = "serial"
 
@@ -150,15 +153,15 @@ class SerialTransport(StreamTransport):
         self._port = port
 
     def set_baud(self, baud: int) -> None:
-        """Go on at another rate; the port stays open, because opening one again may reset its board."""
+        """Change the baud rate. The port stays open, because reopening may reset the board."""
         self._port.set_baud(baud)
 
     def write(self, data: bytes) -> bool:
-        """False also when it failed: `drain` raises why."""
+        """Pass data to the kernel. False also after a failure; `drain` raises its error."""
         return super().write(data) and self._port.write_error is None
 
     async def drain(self) -> None:
-        """Returns when the kernel has it."""
+        """Wait until the kernel has accepted the written data."""
         await super().drain()
         if self._port.write_error is not None:
             raise self._port.write_error
@@ -172,15 +175,15 @@ class SerialTransport(StreamTransport):
             await asyncio.sleep(LEAVE_CHECK_S)
 
     def _abort(self) -> None:
-        if self._port.is_open:  # pyserial-asyncio fails to abort what is closed already
+        if self._port.is_open:  # pyserial-asyncio fails to abort a closed port
             super()._abort()
 
 
 class _Port:
-    """What pyserial-asyncio uses of a port, so that one port cannot stop the daemon.
+    """Replacement of pyserial's I/O for pyserial-asyncio, so that one port cannot block the daemon.
 
-    pyserial's own `flush` waits without bound for a device that takes nothing, its `write` spins while the kernel's
-    buffer is full, and its `read` goes through select(), which fails from descriptor 1024 on.
+    pyserial's `flush` waits without bound for a device that reads nothing, its `write` spins while the kernel's buffer
+    is full, and its `read` uses select(), which fails from descriptor 1024 on.
     """
 
     def __init__(self, port: serial.Serial) -> None:
@@ -198,28 +201,34 @@ class _Port:
     def set_baud(self, baud: int) -> None:
         try:
             self._port.baudrate = baud
-        except termios.error as error:  # it is no OSError
+        except termios.error as error:  # termios.error is not an OSError
             raise OSError(*error.args) from error
 
     def set_dtr(self, *, is_on: bool) -> None:
         self._port.dtr = is_on
 
     def waiting_bytes(self) -> int:
-        """What the kernel has not given to the device yet."""
+        """Number of bytes that the kernel has not sent to the device yet."""
         return int(self._port.out_waiting)
 
     def read(self, _size: int) -> bytes:
-        """Called when there is something; a port that then has nothing has vanished."""
+        """Read what is available.
+
+        pyserial-asyncio calls it only then, so an empty read means that the port was removed.
+        """
         try:
             data = os.read(self.fileno(), READ_BYTES)
         except OSError as error:
             raise serial.SerialException(error.errno, f"{self._port.name}: {error.strerror}") from error
         if not data:
-            raise serial.SerialException(errno.ENODEV, f"{self._port.name}: the port has vanished")
+            raise serial.SerialException(errno.ENODEV, f"{self._port.name}: the port was removed")
         return data
 
     def write(self, data: bytes) -> int:
-        """How much the kernel has taken. An error is kept for `drain`: raised here, asyncio would log a traceback."""
+        """Write to the kernel and return the number of accepted bytes.
+
+        An error is kept for `drain`, because asyncio would log a traceback if it were raised here.
+        """
         try:
             return os.write(self.fileno(), data)
         except BlockingIOError:
@@ -229,21 +238,21 @@ class _Port:
             return len(data)
 
     def flush(self) -> None:
-        """Called before closing: what has not left by now never will, and close() would wait for it."""
-        with contextlib.suppress(OSError):  # a port that has vanished holds nothing
+        """Discard unsent bytes before closing, because close() would wait for them."""
+        with contextlib.suppress(OSError):  # a removed port has no unsent bytes
             if self.waiting_bytes():
                 self._port.reset_output_buffer()
 
     def close(self) -> None:
-        """Another process may hold a duplicate for a moment longer, and with it pyserial's lock."""
+        """Unlock and close the port. A duplicate in another process would otherwise keep pyserial's lock."""
         if self.is_open:
-            with contextlib.suppress(OSError):  # a port that has vanished is locked for nobody
+            with contextlib.suppress(OSError):  # a removed port needs no unlocking
                 fcntl.flock(self.fileno(), fcntl.LOCK_UN)
         self._port.close()
 
 
 def _error_number(error: Exception) -> int | None:
-    """An OSError's own; termios.error has it as its first argument, and pyserial hides one of those in a text."""
+    """Return the error number of an OSError or a termios.error; pyserial wraps the latter in a text."""
     if isinstance(error.__context__, termios.error):
         error = error.__context__
     number = error.args[0] if error.args else None

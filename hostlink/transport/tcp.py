@@ -1,4 +1,4 @@
-"""StreamTransport: a Connection as a Transport; TCP and serial ports differ only in how they open."""
+"""StreamTransport and TcpTransport, and the listener for TCP devices."""
 
 import asyncio
 import contextlib
@@ -24,7 +24,7 @@ from hostlink.transport.socket_options import set_options
 
 
 class StreamTransport:
-    """Owns the connection. Nothing waits in the process behind `send`: the write buffer's high-water mark is 0."""
+    """Transport over a Connection, for TCP and serial ports. The write buffer's high-water mark is 0."""
 
     kind = "stream"
 
@@ -35,27 +35,27 @@ class StreamTransport:
         connection.transport.set_write_buffer_limits(high=0)
 
     def start(self, on_readable: Callable[[], None]) -> None:
-        """From now on `on_readable` is called whenever bytes have come, and at the end."""
+        """Call `on_readable` from now on whenever bytes arrived, and at the end."""
         self._connection.on_readable = on_readable
         if self.unread_bytes or self.is_ended:
             on_readable()
 
     @property
     def unread_bytes(self) -> int:
-        """What has come and was not read."""
+        """Number of received and unread bytes."""
         return self._connection.unread_bytes
 
     @property
     def is_ended(self) -> bool:
-        """Whether nothing more will come."""
+        """Whether the connection ended, so that no more bytes arrive."""
         return self._connection.is_ended
 
     def read(self, limit_bytes: int) -> bytes:
-        """What has come; b"" while there is nothing, and at the end."""
+        """Return received bytes; b"" when none are unread, and at the end."""
         return self._connection.read(limit_bytes)
 
     def write(self, data: bytes) -> bool:
-        """One write, so one segment where it fits."""
+        """Write the data in one call, so that it is one segment where possible."""
         connection = self._connection
         if connection.transport.is_closing():
             return False
@@ -63,11 +63,11 @@ class StreamTransport:
         return not connection.is_writing_paused
 
     async def drain(self) -> None:
-        """Returns when the system has what was written."""
+        """Wait until the system has accepted the written data."""
         await self._connection.drain()
 
     async def receive(self) -> bytes:
-        """What has come; b"" at the end."""
+        """Wait for bytes; b"" at the end."""
         came = asyncio.Event()
         self.start(came.set)
         await came.wait()
@@ -79,25 +79,25 @@ class StreamTransport:
         await self.drain()
 
     def round_trip_s(self) -> float | None:
-        """Nobody measures it."""
+        """Return None: a stream has no measurement of its round trip."""
         return None
 
     def descriptor(self) -> int | None:
-        """The socket's or the port's, until it is being closed."""
+        """File descriptor of the socket or port, until it is being closed."""
         return None if self._is_closed or self._connection.transport.is_closing() else self._open_descriptor()
 
     def _open_descriptor(self) -> int | None:
-        """None where there is none."""
+        """Return the descriptor of the open socket or port; None if there is none."""
         return None
 
     async def aclose(self) -> None:
-        """Let what was sent leave, but do not wait for a dead peer; whoever gives this up aborts."""
-        if self._is_closed:  # a close that was given up cannot be waited for again
+        """Send what was written, then close. Abort after CLOSE_TIMEOUT_S or when cancelled."""
+        if self._is_closed:  # a cancelled close cannot be awaited again
             return
         self._is_closed = True
         try:
             async with asyncio.timeout(CLOSE_TIMEOUT_S):
-                with contextlib.suppress(OSError):  # a broken connection has nothing to leave
+                with contextlib.suppress(OSError):  # a broken connection has nothing left to send
                     await self._leave()
                 self._connection.transport.close()
                 await self._connection.wait_closed()
@@ -107,10 +107,10 @@ class StreamTransport:
             self._abort()
             raise
         finally:
-            self._connection.on_readable = ignore  # else link and connection keep each other until a collection
+            self._connection.on_readable = ignore  # otherwise link and connection form a reference cycle
 
     async def _leave(self) -> None:
-        """What must be waited for before the connection is closed: nothing, closing sends what was written."""
+        """Wait before closing. A stream needs nothing: closing sends what was written."""
 
     def _abort(self) -> None:
         self._connection.transport.abort()
@@ -118,23 +118,23 @@ class StreamTransport:
 
 # -- tcp --------------------------------------------------------------------------------------------------------------
 
-_RTT_AT = 68  # tcpi_rtt, microseconds, in Linux's struct tcp_info
-SEND_BUFFER_BYTES = 8192  # stale commands must not pile up in the kernel, where nothing can replace them
-RECEIVE_BUFFER_BYTES = 65536  # of a flood, in the kernel: by so much a device's news may be late
-ACCEPTED_AT_ONCE = 1  # before others have their turn: each connection costs about a millisecond
+_RTT_AT = 68  # offset of tcpi_rtt, in microseconds, in Linux's struct tcp_info
+SEND_BUFFER_BYTES = 8192  # bounds old commands in the kernel, where they cannot be replaced
+RECEIVE_BUFFER_BYTES = 65536  # bounds how late a device's data may be during a flood
+ACCEPTED_AT_ONCE = 1  # per turn of the loop, because each connection costs about a millisecond
 STALL_POLL_S = 0.01
-USER_TIMEOUT_MS = 5000  # sent and not acknowledged after that: the peer is gone
+USER_TIMEOUT_MS = 5000  # the peer is gone when sent data stays unacknowledged for longer
 
 
 @dataclass(frozen=True, slots=True)
 class Listener:
-    """Where it really listens."""
+    """Address of the listening socket."""
 
     address: tuple[str, int]
 
 
 class TcpTransport(StreamTransport):
-    """A connection whose system measures the way, and is sent nothing more while the network stands still."""
+    """TCP connection with a measured round trip. Nothing more is sent to it while the network stalls."""
 
     kind = "tcp"
 
@@ -145,13 +145,13 @@ class TcpTransport(StreamTransport):
         self._stall = Stall()
 
     def write(self, data: bytes) -> bool:
-        """What is next is chosen as late as can be: when the peer keeps up with what was sent."""
+        """Write, and report False during a stall, so that the next frame is chosen as late as possible."""
         is_through = super().write(data)
         self._sent_bytes += len(data)
         return is_through and not self._is_stalled()
 
     async def drain(self) -> None:
-        """Returns when the peer keeps up with what was sent."""
+        """Wait until the peer acknowledges what was sent."""
         await super().drain()
         while self._is_stalled():  # noqa: ASYNC110 - the kernel sends no event
             await asyncio.sleep(STALL_POLL_S)
@@ -162,7 +162,7 @@ class TcpTransport(StreamTransport):
         return self._stall.is_stalled(sent_bytes=self._sent_bytes, unacknowledged_bytes=waiting, now_s=now_s)
 
     def _unacknowledged_bytes(self) -> int:
-        """0 where the system has no such figure, or the connection is gone."""
+        """Number of unacknowledged bytes; 0 where the system has no such figure, or the connection is lost."""
         connection = self._open_socket()
         if connection is None or sys.platform != "linux":
             return 0
@@ -177,17 +177,17 @@ class TcpTransport(StreamTransport):
         super()._abort()
 
     def _shut_down(self) -> None:
-        """End the connection for the peer, also while another process holds a duplicate: closing this one would not."""
+        """Shut the connection down. Closing alone would not end it while another process holds a duplicate."""
         number = None if self._connection.transport.is_closing() else self._open_descriptor()
         if number is None:
             return
         connection = socket.socket(fileno=number)
-        with contextlib.suppress(OSError):  # the peer was first
+        with contextlib.suppress(OSError):  # the peer has closed already
             connection.shutdown(socket.SHUT_RDWR)
         connection.detach()
 
     def round_trip_s(self) -> float | None:
-        """What the kernel makes of its acknowledgements; None where it has no TCP_INFO, or the connection is gone."""
+        """Round trip time from the kernel; None where it has no TCP_INFO, or the connection is lost."""
         connection = self._open_socket()
         if connection is None or not hasattr(socket, "TCP_INFO"):
             return None
@@ -203,7 +203,7 @@ class TcpTransport(StreamTransport):
         return None if found is None else found.fileno()
 
     def _open_socket(self) -> socket.socket | None:
-        """None when it is closed: asyncio's own has no descriptor then, and uvloop's fails at any question."""
+        """Return the open socket. None when it is closed: uvloop's closed sockets raise on any call."""
         found = self._socket
         return None if found is None or self._connection.is_lost or found.fileno() < 0 else found
 
@@ -212,7 +212,7 @@ class TcpTransport(StreamTransport):
 async def serve_tcp(
     config: TcpConfig, on_connection: Callable[[Transport], None], *, listening: Sequence[socket.socket] = ()
 ) -> AsyncIterator[Listener]:
-    """Accept devices until the block is left. `listening`: sockets that listen already, from `hostlink.listening`.
+    """Accept devices until the block is left. `listening`: sockets from `hostlink.listening` that listen already.
 
     Raises:
         ConfigError: the address cannot be listened on.
@@ -229,7 +229,7 @@ async def serve_tcp(
             )
         except OSError:
             peername = None
-        if peername is None:  # it has reset the connection already
+        if peername is None:  # the peer has already reset the connection
             connection.transport.abort()
             return
         host, port = peername[:2]
@@ -247,7 +247,7 @@ async def serve_tcp(
     for server in servers:
         for each in server.sockets:
             with socket.socket(fileno=os.dup(each.fileno())) as same:
-                same.listen(BACKLOG)  # in the kernel, where asyncio means both by one number
+                same.listen(BACKLOG)  # kernel backlog; asyncio uses one number for both
     try:
         yield Listener(address)
     finally:
@@ -256,16 +256,16 @@ async def serve_tcp(
 
 
 def spelled(host: str, port: int) -> str:
-    """An address for people; IPv6 in brackets."""
+    """Format an address for people; IPv6 in brackets."""
     return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
 
 
 def explain(error: OSError | OverflowError, option: str) -> str:
-    """Why an address cannot be listened on; `option` chooses another."""
+    """Explain why an address cannot be listened on. `option` is the flag that chooses another."""
     if isinstance(error, OverflowError):
-        return "no such port; they go from 0 (any free one) to 65535"
+        return "invalid port; choose 0 (any free port) to 65535"
     if error.errno == errno.EADDRINUSE:
-        return f"is in use: another host for rosserial runs; stop it, or choose another port with {option} HOST:PORT"
-    is_lookup = isinstance(error, socket.gaierror)  # its numbers are not the system's
+        return f"is in use, probably by another rosserial host; stop it, or choose another port with {option} HOST:PORT"
+    is_lookup = isinstance(error, socket.gaierror)  # getaddrinfo has its own error numbers
     reason = error.strerror if is_lookup or error.errno is None else os.strerror(error.errno)
-    return f"cannot be listened on: {reason or error}"  # Python 3.13 has a text alone for an address of no interface
+    return f"cannot be listened on: {reason or error}"  # Python 3.13 has only a text for an address of no interface

@@ -1,7 +1,8 @@
-"""One device over UDP: a connected socket of its own.
+"""UdpTransport: one device over UDP, with a connected socket of its own.
 
-The kernel gives such a socket the datagrams and the ICMP errors of its peer alone, in a buffer of its own: a flood from
-elsewhere takes nothing from a device, an error ends no other's link, and another process can be given a duplicate.
+The kernel gives a connected socket only the datagrams and ICMP errors of its peer, in a separate buffer. A flood from
+other addresses therefore takes nothing from the device, an ICMP error ends no other link, and another process can get a
+duplicate.
 """
 
 import asyncio
@@ -15,16 +16,16 @@ from hostlink.transport.base import READ_BYTES, Allowance
 from hostlink.transport.tcp import spelled
 from hostlink.transport.udp_port import Datagram, receive_from
 
-MAX_DATAGRAM_BYTES = 1452  # to a device: what passes an Ethernet or a WiFi whole, also by IPv6 (1500 - 40 - 8)
-DATAGRAMS_A_TURN = 4  # of one device, before others have their turn: a robot sends tens in a second
-PATIENCE_S = 1.0  # for a kernel without room: a command that waited longer means nothing
-_RESERVE = bytes(56)  # a velocity: what leaves next is chosen when this much may be sent
+MAX_DATAGRAM_BYTES = 1452  # to a device: passes Ethernet and WiFi unfragmented, also over IPv6 (1500 - 40 - 8)
+DATAGRAMS_A_TURN = 4  # per device and turn of the loop: a robot sends tens a second
+PATIENCE_S = 1.0  # wait for room in the kernel: a command that waited longer is expired
+_RESERVE = bytes(56)  # size of a velocity: the next frame is chosen when this much may be sent
 
 
 class UdpTransport:
-    """Owns the socket of one session. There is no end but silence, and the peer's system that refuses its port.
+    """Transport over the socket of one session. It ends by silence, or when the peer's system refuses the port.
 
-    An address that is not verified is behind while it has not sent enough for the next velocity.
+    A device with an unverified address is behind while it has not sent enough to allow the next velocity.
     """
 
     kind = "udp"
@@ -39,9 +40,11 @@ class UdpTransport:
         on_other: Callable[[Datagram], object],
         on_limited: Callable[[], None] = lambda: None,
     ) -> None:
-        """`first`: what began the session; `on_other`: for what came to this socket before it was connected.
+        """`first` is the datagram that began the session.
 
-        `on_limited`: called when something cannot be sent because the device is not verified.
+        `on_other` gets datagrams of other sources that arrived before the socket was connected.
+
+        `on_limited` is called when data cannot be sent because the device is not verified.
         """
         self.peer = spelled(*first.source[:2])
         self.address: str = first.source[0]
@@ -58,18 +61,18 @@ class UdpTransport:
 
     @property
     def is_verified(self) -> bool:
-        """Whether the device is known to be where its datagrams come from."""
+        """Whether the device has proven that it receives at its source address."""
         return not self._allowance.is_limited
 
     def verify(self) -> None:
-        """The device has proven that it receives what is sent to its address."""
+        """Note that the device has proven that it receives at its source address."""
         self._allowance.is_limited = False
         self._progress.set()
 
     # -- from the device ----------------------------------------------------------------------------------------------
 
     def start(self, on_readable: Callable[[], None]) -> None:
-        """From now on `on_readable` is called whenever bytes have come, and at the end."""
+        """Call `on_readable` from now on whenever bytes arrived, and at the end."""
         self._on_readable = on_readable
         self._read_on()
         if self.unread_bytes or self.is_ended:
@@ -77,19 +80,19 @@ class UdpTransport:
 
     @property
     def unread_bytes(self) -> int:
-        """What has come and was not read."""
+        """Number of received and unread bytes."""
         return len(self._received)
 
     @property
     def is_ended(self) -> bool:
-        """Whether nothing more will come."""
+        """Whether the connection ended, so that no more bytes arrive."""
         return self._is_closed or self._error is not None
 
     def read(self, limit_bytes: int) -> bytes:
-        """What has come; b"" while there is nothing, and after `aclose`.
+        """Return received bytes; b"" when none are unread, and after `aclose`.
 
         Raises:
-            OSError: the peer's system has nobody at that port, and everything before was read.
+            OSError: the device's port is closed, and every byte before was read.
         """
         if not self._received and self._error is not None:
             raise self._error
@@ -99,7 +102,7 @@ class UdpTransport:
         return data
 
     def feed(self, data: bytes) -> None:
-        """A datagram of this device that came by the port's own socket."""
+        """Add a datagram of this device that arrived at the shared port."""
         if self.is_ended or self._is_full:
             self._dropped["unread"] += 1
             return
@@ -107,7 +110,7 @@ class UdpTransport:
         self._on_readable()
 
     async def receive(self) -> bytes:
-        """What has come; b"" at the end."""
+        """Wait for bytes; b"" at the end."""
         came = asyncio.Event()
         self.start(came.set)
         await came.wait()
@@ -118,7 +121,7 @@ class UdpTransport:
         return len(self._received) >= READ_BYTES
 
     def _read_on(self) -> None:
-        """Read the socket while there is room; else the kernel keeps what comes, up to its bound."""
+        """Read the socket while there is room. Otherwise the kernel keeps the data, up to its bound."""
         if not self._is_reading and not self._is_full and not self.is_ended:
             self._is_reading = True
             asyncio.get_running_loop().add_reader(self._socket, self._receive)
@@ -137,7 +140,7 @@ class UdpTransport:
             except ConnectionRefusedError:
                 self._break()
                 return
-            except OSError:  # no way there at this moment; silence decides
+            except OSError:  # no route at the moment; the silence timeout decides
                 self._dropped["unreachable"] += 1
                 continue
             if found is None:
@@ -159,9 +162,9 @@ class UdpTransport:
         self._progress.set()
 
     def _break(self) -> None:
-        """ICMP: nobody has the device's port. As of TCP it is a reset; a refusal would be hostlink's own."""
+        """End the transport: the device's port is closed (ICMP). Report a reset, as TCP does."""
         if not self.is_ended:
-            self._error = ConnectionResetError(errno.ECONNRESET, "nobody has the device's port any more")
+            self._error = ConnectionResetError(errno.ECONNRESET, "the device's port is closed")
             self._stop_reading()
             self._progress.set()
             asyncio.get_running_loop().call_soon(self._on_readable)
@@ -169,9 +172,9 @@ class UdpTransport:
     # -- to the device ------------------------------------------------------------------------------------------------
 
     def write(self, data: bytes) -> bool:
-        """A frame is a datagram; one that no network passes whole is several.
+        """Send a frame as one datagram, or as several if it exceeds MAX_DATAGRAM_BYTES.
 
-        What may not be sent is dropped, as datagrams are: kept, it would move the robot after a stop that came later.
+        A frame that may not be sent is dropped. If it were kept, it could move the robot after a later stop.
         """
         if self.is_ended:
             return False
@@ -183,7 +186,7 @@ class UdpTransport:
         return self._flush() and self._has_reserve
 
     async def drain(self) -> None:
-        """Returns when what was written has left, and a velocity may be sent.
+        """Wait until the written data was sent and the allowance permits a velocity.
 
         Raises:
             OSError: the connection broke, or was closed.
@@ -195,10 +198,10 @@ class UdpTransport:
             self._check()
 
     async def send(self, data: bytes) -> None:
-        """Write, and wait until it has left."""
+        """Write, and wait until the data was sent."""
         self.write(data)
         await self._leave()
-        await asyncio.sleep(0)  # nothing slows a sender of datagrams; others have their turn
+        await asyncio.sleep(0)  # a datagram sender never blocks, so yield to other tasks
 
     @property
     def _has_reserve(self) -> bool:
@@ -210,7 +213,7 @@ class UdpTransport:
         self._on_limited()
 
     async def _leave(self) -> None:
-        """Returns when what was written has left, or the kernel had no room for it for PATIENCE_S."""
+        """Wait until the written data was sent. Drop it after PATIENCE_S without room in the kernel."""
         self._check()
         loop = asyncio.get_running_loop()
         while not self._flush():
@@ -225,7 +228,7 @@ class UdpTransport:
             self._check()
 
     async def _is_progress(self) -> bool:
-        """Wait until something came or may leave, PATIENCE_S at most."""
+        """Wait until a datagram arrived or may be sent, at most PATIENCE_S. Return whether one did."""
         self._progress.clear()
         try:
             async with asyncio.timeout(PATIENCE_S):
@@ -239,7 +242,7 @@ class UdpTransport:
             raise self._error or ConnectionResetError("connection lost")
 
     def _flush(self) -> bool:
-        """Send what has room; whether all has left."""
+        """Send as much as the kernel accepts. Return whether everything was sent."""
         while self._unsent:
             try:
                 self._socket.send(self._unsent[0])
@@ -248,7 +251,7 @@ class UdpTransport:
             except ConnectionRefusedError:
                 self._break()
                 return False
-            except OSError:  # no way there at this moment; silence decides
+            except OSError:  # no route at the moment; the silence timeout decides
                 self._dropped["unreachable"] += 1
             self._allowance.spend(len(self._unsent.pop(0)))
         return True
@@ -256,24 +259,22 @@ class UdpTransport:
     # -- its end ------------------------------------------------------------------------------------------------------
 
     def round_trip_s(self) -> float | None:
-        """Nobody measures it."""
+        """Return None: UDP has no measurement of its round trip."""
         return None
 
     def descriptor(self) -> int | None:
-        """The socket's, until it is closed."""
+        """File descriptor of the socket, until it is closed."""
         return None if self._is_closed else self._socket.fileno()
 
     async def aclose(self) -> None:
-        """Close at once: what was sent has left."""
+        """Close at once. Everything that was sent has left the process."""
         if self._is_closed:
             return
         self._stop_reading()
         asyncio.get_running_loop().remove_writer(self._socket)
         self._is_closed = True
         self._progress.set()
-        with contextlib.suppress(
-            OSError
-        ):  # a duplicate in another process gets none of the device's datagrams any more
+        with contextlib.suppress(OSError):  # a duplicate in another process receives no more datagrams of the device
             self._socket.connect(self._socket.getsockname())
         self._socket.close()
         on_readable, self._on_readable = self._on_readable, _ignore
@@ -281,4 +282,4 @@ class UdpTransport:
 
 
 def _ignore() -> None:
-    """Nobody reads yet: what comes waits."""
+    """Do nothing: no reader is registered yet."""

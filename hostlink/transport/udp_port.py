@@ -1,4 +1,4 @@
-"""The port for devices over UDP: it receives what no session has, and connects a socket for each session."""
+"""UdpPort: shared UDP socket for datagrams without a session. It connects a socket for each session."""
 
 import asyncio
 import contextlib
@@ -13,18 +13,18 @@ from hostlink.errors import ConfigError
 from hostlink.transport.base import READ_BYTES
 from hostlink.transport.tcp import explain, spelled
 
-RECEIVE_BUFFER_BYTES = 65536  # of one socket, in the kernel: what comes when it is full is lost
-DATAGRAMS_A_TURN = 16  # of those without a session: they cost a tenth of a millisecond in all
-_IP_PKTINFO = 8  # Linux; Python has no name for it
-_ANCILLARY_BYTES = socket.CMSG_SPACE(20)  # of in6_pktinfo, the longer one
-_INTO = bytearray(READ_BYTES + 1)  # of all sockets: what came is copied out of it before the next one reads
+RECEIVE_BUFFER_BYTES = 65536  # of one socket, in the kernel; datagrams above it are lost
+DATAGRAMS_A_TURN = 16  # without a session; together they cost a tenth of a millisecond
+_IP_PKTINFO = 8  # Linux value; Python has no constant for it
+_ANCILLARY_BYTES = socket.CMSG_SPACE(20)  # size of in6_pktinfo, the longer one
+_INTO = bytearray(READ_BYTES + 1)  # shared by all sockets: data is copied out before the next one reads
 _VIEW = memoryview(_INTO)
 
-Address = tuple[Any, ...]  # as the socket module has it: host and port, by IPv6 two numbers more
+Address = tuple[Any, ...]  # as in the socket module: host and port, for IPv6 also flow info and scope
 
 
 class Datagram(NamedTuple):
-    """What came, from where, and to which address of this computer: from there answers leave."""
+    """Received datagram with its source and the local address that it was sent to; replies are sent from there."""
 
     data: bytes
     source: Address
@@ -32,11 +32,11 @@ class Datagram(NamedTuple):
 
 
 def receive_from(from_socket: socket.socket, dropped: Counter[str]) -> tuple[bytes, Address] | None:
-    """The next datagram and its source; None: it is empty, or larger than READ_BYTES.
+    """Receive the next datagram and its source; None if it is empty or larger than READ_BYTES.
 
     Raises:
-        BlockingIOError: there is none.
-        OSError: an ICMP error came.
+        BlockingIOError: no datagram is waiting.
+        OSError: an ICMP error was received.
     """
     size, source = from_socket.recvfrom_into(_INTO)
     if size > READ_BYTES:
@@ -46,9 +46,9 @@ def receive_from(from_socket: socket.socket, dropped: Counter[str]) -> tuple[byt
 
 
 class UdpPort:
-    """Owns one socket that is bound and not connected.
+    """One bound and unconnected socket.
 
-    `on_datagram` returns whether it has opened a session: that costs as much as a whole turn should.
+    `on_datagram` returns whether it opened a session. Then the turn of the loop ends, because that is expensive.
     """
 
     def __init__(
@@ -60,10 +60,10 @@ class UdpPort:
         asyncio.get_running_loop().add_reader(bound, self._receive)
 
     def connect(self, datagram: Datagram) -> socket.socket:
-        """A socket that receives what comes from that source from now on.
+        """Open a socket that receives the datagrams of this source from now on.
 
         Raises:
-            OSError: no descriptor is left, or there is no way to the source.
+            OSError: no descriptor is left, or the source cannot be reached.
         """
         connection = socket.socket(self.family, socket.SOCK_DGRAM)
         try:
@@ -77,14 +77,14 @@ class UdpPort:
         return connection
 
     def send(self, data: bytes, to: Address) -> None:
-        """To an address without a session; whoever is not there is no error."""
+        """Send to an address without a session. An unreachable address is counted and is not an error."""
         try:
             self._socket.sendto(data, to)
         except OSError:
             self._dropped["unreachable"] += 1
 
     def close(self) -> None:
-        """Receive nothing more."""
+        """Stop receiving."""
         asyncio.get_running_loop().remove_reader(self._socket)
         self._socket.close()
 
@@ -103,7 +103,7 @@ class UdpPort:
                 return
 
     def _local(self, ancillary: list[tuple[int, int, bytes]]) -> Address:
-        """The address of this computer that it was sent to."""
+        """Return the local address that a datagram was sent to."""
         for level, kind, data in ancillary:
             if (level, kind) == (socket.IPPROTO_IP, _IP_PKTINFO):
                 return socket.inet_ntop(socket.AF_INET, data[4:8]), self.address[1]
@@ -118,7 +118,7 @@ class UdpPort:
 async def serve_udp(
     config: UdpConfig, dropped: Counter[str], on_datagram: Callable[[UdpPort, Datagram], bool]
 ) -> AsyncIterator[list[UdpPort]]:
-    """Receive until the block is left; a port for each address that the host's name has.
+    """Receive until the block is left, on one port for each address of the host name.
 
     Raises:
         ConfigError: the address cannot be used.
@@ -132,7 +132,7 @@ async def serve_udp(
             for family, _, _, _, address in dict.fromkeys(found):
                 ports.append(UdpPort(_bind(family, address), dropped, on_datagram))
         except UnicodeError as error:
-            raise ConfigError(f"UDP {spelled(config.host, config.port)}", "is no name of a computer") from error
+            raise ConfigError(f"UDP {spelled(config.host, config.port)}", "is not a valid host name") from error
         except (OSError, OverflowError) as error:
             raise ConfigError(f"UDP {spelled(config.host, config.port)}", explain(error, "--udp")) from error
         yield ports
@@ -142,7 +142,10 @@ async def serve_udp(
 
 
 def _bind(family: int, address: Address) -> socket.socket:
-    """Bound before it may be shared: so nobody else's port is, and afterwards only this user's sockets can."""
+    """Bind before SO_REUSEPORT is set.
+
+    The bind therefore fails if another program uses the port, and afterwards only sockets of this user can share it.
+    """
     bound = socket.socket(family, socket.SOCK_DGRAM)
     try:
         _set_options(bound)

@@ -152,7 +152,7 @@ async def test_a_person_answers_questions_and_no_password_is_on_the_screen(flash
             await terminal.keys(f"{HOSTLINK} board setup {robot.port}; echo status $?", "Enter")
             for question, wrong, complaint, answer in (
                 ("The host's name", "my host", "host: no spaces", "mule.local"),
-                ("Its port", "70000", "port: 1 to 65535", "11411"),
+                ("The host's port", "70000", "port: 1 to 65535", "11411"),
                 ("The robot's name", "3x", "name: a letter", "robot_3"),
                 (r"The WiFi's name [red\u009b31m]", "x" * 33, "wifi_name: at most 32 bytes", "My net"),
                 ("The WiFi's password", "s3cret", "wifi_password: 8 to 64 bytes, this has 6", "s3cret-s3cret"),
@@ -177,7 +177,7 @@ async def test_ctrl_c_at_a_question_stores_nothing(flash: Path) -> None:
             await terminal.keys(f"{HOSTLINK} board setup {robot.port}; echo status $?", "Enter")
             await terminal.shows("The host's name")
             await terminal.keys("mule.local", "Enter")
-            await terminal.shows("Its port")
+            await terminal.shows("The host's port")
             await terminal.keys("C-c")
             assert "Traceback" not in await terminal.shows("status 130")
     with board(flash) as restarted:
@@ -251,7 +251,7 @@ def test_a_port_that_is_gone_is_named_once() -> None:
 
 def test_a_flash_that_takes_nothing_is_an_error_and_changes_nothing(flash: Path) -> None:
     with board(flash, "worn") as robot:
-        with pytest.raises(HostlinkError, match="its flash accepts nothing"):
+        with pytest.raises(HostlinkError, match="the value could not be stored"):
             run("setup", robot.port, "--host", "mule.local")
         assert "mule.local" not in run("info", robot.port)
 
@@ -285,7 +285,7 @@ def test_a_board_of_another_library_that_has_no_host_is_set_up() -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "reason"), [(b"\x8a\x03k" * 30, "other bytes: is it the baud"), (b"\xff\xfe", "rosserial")]
+    ("text", "reason"), [(b"\x8a\x03k" * 30, "other bytes; set the baud"), (b"\xff\xfe", "rosserial")]
 )
 def test_a_port_with_other_bytes_is_an_error_that_names_them(text: bytes, reason: str) -> None:
     is_over = threading.Event()

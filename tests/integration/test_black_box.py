@@ -158,7 +158,7 @@ async def test_a_driver_that_falls_silent_is_an_incident_and_one_that_stops_is_n
         assert (await host.get("/api/incidents"))["incidents"] == []
         pilot.drive(robot, PlanarVelocity(0.2))
         (incident,) = await saved(host)
-    assert (incident["cause"], incident["detail"]) == ("lease", "no command of pilot came")
+    assert (incident["cause"], incident["detail"]) == ("lease", "no command from pilot within the lease")
     found = (message for message in read(tmp_path, incident) if message.channel.content)
     events = [json.loads(json_of(message.channel, message.payload)) for message in found]
     assert [event["facts"].get("owner") for event in events if event["kind"] == "commanded"] == ["pilot"] * 3

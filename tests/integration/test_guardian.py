@@ -357,7 +357,7 @@ async def test_a_daemon_without_descriptors_starts_its_guardian_when_it_has_some
             ours.start()
         finally:
             resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
-        assert [line["event"] for line in lines] == ["guardian.missing"]
+        assert [line["event"] for line in lines] == ["guardian.start_failed"]
         await expect(lambda: any(line["event"] == "guardian.started" for line in lines))
         await expect(lambda: guarded(ours) == 1)
         ours.goodbye()

@@ -466,4 +466,4 @@ async def test_topics_for_which_a_file_has_no_room_are_told_once(
             await device.send(POSES[0])
             await asyncio.sleep(0.5)
             assert (await stop(host, "run"))["dropped"] > 0
-    assert [line["recording"] for line in lines if line["event"] == "recording.crowded"] == ["run"]
+    assert [line["recording"] for line in lines if line["event"] == "recording.channel_limit_reached"] == ["run"]

@@ -86,7 +86,7 @@ async def test_a_board_that_comes_back_under_another_name_is_found_again(tmp_pat
                 await expect(lambda: not host.hub.links.all())
     waiting = next(line["reason"] for line in lines if line["event"] == "serial.waiting")
     assert "[Errno" not in waiting
-    assert "no such port; there are:" in waiting
+    assert "no such port; available:" in waiting
 
 
 async def test_the_rates_are_tried_until_frames_come() -> None:
@@ -175,7 +175,7 @@ async def test_an_opening_that_nobody_waits_for_any_more_leaves_no_port_open() -
 def test_a_pattern_that_fits_two_ports_is_not_guessed(tmp_path: Path) -> None:
     for name in ("ttyACM0", "ttyACM1"):
         (tmp_path / name).touch()
-    with pytest.raises(OSError, match=r"ttyACM\*: fits 2 ports: .*ttyACM0, .*ttyACM1; say which"):
+    with pytest.raises(OSError, match=r"ttyACM\*: matches 2 ports: .*ttyACM0, .*ttyACM1; name one of them"):
         find_port(SerialConfig(path=str(tmp_path / "ttyACM*")))
     assert find_port(SerialConfig(path=str(tmp_path / "*1"))) == str(tmp_path / "ttyACM1")
 
@@ -183,19 +183,19 @@ def test_a_pattern_that_fits_two_ports_is_not_guessed(tmp_path: Path) -> None:
 def test_a_usb_device_is_known_by_its_serial_number() -> None:
     found = {"/dev/ttyACM1": "7543", "/dev/ttyACM0": "8000", "/dev/ttyACM2": "7543"}
     assert choose_by_serial("7543", found) == "/dev/ttyACM1"
-    with pytest.raises(OSError, match=r"^\[Errno 2\] 9999: no USB device .*; there are: 7543 \(/dev/ttyACM1\), 7543"):
+    with pytest.raises(OSError, match=r"^\[Errno 2\] 9999: no USB device .*; available: 7543 \(/dev/ttyACM1\), 7543"):
         choose_by_serial("9999", found)
 
 
 def test_a_missing_usb_device_is_reported() -> None:
-    with pytest.raises(OSError, match="no-such-number: no USB device with this serial number; there are: "):
+    with pytest.raises(OSError, match="no-such-number: no USB device with this serial number; available: "):
         find_port(SerialConfig(usb_serial="no-such-number"))
 
 
 @pytest.mark.parametrize(
     ("path", "text"),
     [
-        ("/dev/ttyNONE", r"/dev/ttyNONE: no such port; there are: "),
+        ("/dev/ttyNONE", r"/dev/ttyNONE: no such port; available: "),
         ("/dev/null", r"/dev/null: not a serial port"),
         ("/dev", r"/dev: not a serial port"),
     ],

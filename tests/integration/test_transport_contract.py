@@ -381,7 +381,9 @@ async def test_addresses_are_spelled_as_usual(host: str, prefix: str) -> None:
 
 async def test_a_port_in_use_is_named_in_the_error() -> None:
     async with serve_tcp(TcpConfig(host="127.0.0.1", port=0), lambda _: None) as listener:
-        with pytest.raises(ConfigError, match="is in use: another host for rosserial runs; stop it, or choose another"):
+        with pytest.raises(
+            ConfigError, match="is in use, probably by another rosserial host; stop it, or choose another"
+        ):
             async with serve_tcp(TcpConfig(host="127.0.0.1", port=listener.address[1]), lambda _: None):
                 raise AssertionError("two listeners on one port")
 
@@ -389,7 +391,7 @@ async def test_a_port_in_use_is_named_in_the_error() -> None:
 @pytest.mark.parametrize(
     ("config", "text"),
     [
-        (TcpConfig(port=65536), r"^TCP 0\.0\.0\.0:65536: no such port; they go from 0 \(any free one\) to 65535$"),
+        (TcpConfig(port=65536), r"^TCP 0\.0\.0\.0:65536: invalid port; choose 0 \(any free port\) to 65535$"),
         (
             TcpConfig(host="192.0.2.1"),
             r"^TCP 192\.0\.2\.1:11411: cannot be listened on: (Cannot assign requested|could not bind on any) address",

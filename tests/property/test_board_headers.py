@@ -1,4 +1,4 @@
-"""The codec of the generated headers against the codec here: every type, drawn definitions, damage, small buffers."""
+"""Generated C++ codec compared with the Python codec: every type, drawn definitions, damage, small buffers."""
 
 import struct
 from pathlib import Path
@@ -23,7 +23,7 @@ BATCHES = settings(deadline=None, max_examples=max(5, settings().max_examples //
 
 
 class Codec:
-    """The program, and the types that it knows."""
+    """Compiled program, and the types that it knows."""
 
     def __init__(self, selection: Selection, folder: Path) -> None:
         names = board_codec.write_headers(selection, folder)
@@ -41,16 +41,16 @@ class Codec:
 
 @pytest.fixture(scope="module")
 def codec(tmp_path_factory: pytest.TempPathFactory) -> Codec:
-    """Of all types of the catalogue."""
+    """Return the codec of all types of the catalogue."""
     return Codec(select(Catalog(), None), tmp_path_factory.mktemp("headers"))
 
 
 class Damage(Exception):
-    """The payload ends before a field does."""
+    """Payload that ends before a field does."""
 
 
 class Rewritten:
-    """The payload as a board writes it that has read it: a bool is 0 or 1, and a text ends at its first zero."""
+    """Payload as a board writes it back: a bool is 0 or 1, and a string ends at its first zero."""
 
     def __init__(self, payload: bytes) -> None:
         self.left = payload
@@ -89,7 +89,7 @@ class Rewritten:
 
 
 def expected(type_: MessageType, payload: bytes) -> bytes | None:
-    """What a board writes again; None: it refuses the payload. The codec here accepts the same ones."""
+    """Return what a board writes back; None if it refuses the payload. The Python codec accepts the same payloads."""
     try:
         type_.decode(payload)
     except BadPayload:
@@ -101,7 +101,7 @@ def expected(type_: MessageType, payload: bytes) -> bytes | None:
 
 
 def check(codec: Codec, payloads: list[tuple[MessageType, bytes]]) -> list[bytes | None]:
-    """Every payload is read and written again as expected, or refused as expected."""
+    """Check that every payload is read and written back, or refused, as expected."""
     answers = codec.run([codec.request(type_, payload) for type_, payload in payloads])
     wanted = [expected(type_, payload) for type_, payload in payloads]
     for (type_, payload), answer, rewritten in zip(payloads, answers, wanted, strict=True):
@@ -112,7 +112,7 @@ def check(codec: Codec, payloads: list[tuple[MessageType, bytes]]) -> list[bytes
 
 @BATCHES
 @given(seed=seeds)
-def test_a_board_reads_and_writes_each_type_as_the_host_does(codec: Codec, seed: int) -> None:
+def test_board_reads_and_writes_each_type_as_the_host_does(codec: Codec, seed: int) -> None:
     random = Random(seed)
     payloads = [(type_, type_.encode(random_message(random, type_.layout))) for type_ in codec.types]
     assert len(payloads) > 240
@@ -121,7 +121,7 @@ def test_a_board_reads_and_writes_each_type_as_the_host_does(codec: Codec, seed:
 
 @BATCHES
 @given(seed=seeds)
-def test_a_damaged_payload_is_refused_where_the_host_refuses_it(codec: Codec, seed: int) -> None:
+def test_damaged_payload_is_refused_where_the_host_refuses_it(codec: Codec, seed: int) -> None:
     random = Random(seed)
     payloads = [(type_, damaged(random, type_.encode(random_message(random, type_.layout)))) for type_ in codec.types]
     assert None in check(codec, payloads)
@@ -129,7 +129,7 @@ def test_a_damaged_payload_is_refused_where_the_host_refuses_it(codec: Codec, se
 
 @BATCHES
 @given(seed=seeds)
-def test_a_board_without_room_refuses_and_never_goes_beyond_it(codec: Codec, seed: int) -> None:
+def test_board_without_room_refuses_and_stays_within_its_buffer(codec: Codec, seed: int) -> None:
     random = Random(seed)
     requests = []
     for type_ in codec.types:
@@ -163,7 +163,7 @@ DRAWN = settings(deadline=None, max_examples=max(1, settings().max_examples // 1
 def test_drawn_definitions_compile_and_are_read_as_the_host_does(
     tmp_path_factory: pytest.TempPathFactory, seed: int
 ) -> None:
-    """Not shrunk: each try is a compilation. The seed repeats it."""
+    """Not shrunk, because each try is a compilation. The seed repeats it."""
     random, folder = Random(seed), tmp_path_factory.mktemp("drawn")
     definitions = {}
     for number in range(8):
@@ -182,19 +182,19 @@ def test_drawn_definitions_compile_and_are_read_as_the_host_does(
     assert wanted[::2] == [payload for _, payload in payloads[::2]]
 
 
-halves = st.builds(  # as near to one float as to the next
+halves = st.builds(  # exactly between two floats
     lambda fraction, exponent: (2 * fraction + 1) * 2.0**exponent, st.integers(2**23, 2**24 - 1), st.integers(-140, 102)
 )
 
 
 @BATCHES
 @given(st.lists(st.floats(width=64) | st.floats(width=32) | halves, min_size=200, max_size=200))
-def test_a_double_of_four_bytes_is_the_nearest_float(codec: Codec, values: list[float]) -> None:
+def test_double_of_four_bytes_is_the_nearest_float(codec: Codec, values: list[float]) -> None:
     answers = codec.run([Request(NARROW, struct.pack("<d", value)) for value in values])
     for value, answer in zip(values, answers, strict=True):
         narrow, again = struct.unpack("<fd", answer.payload)
         with np.errstate(over="ignore", under="ignore"):
             nearest = float(np.float32(value))
-        if abs(nearest) < 2.0**-126 or abs(value) < 2.0**-126:  # smaller than a float's normal ones
+        if abs(nearest) < 2.0**-126 or abs(value) < 2.0**-126:  # subnormal floats
             nearest = 0.0
         assert narrow == again == nearest or (np.isnan(narrow) and np.isnan(again) and np.isnan(value))

@@ -1,4 +1,4 @@
-"""The codec against the serialisation of rosbags, and against any bytes at all."""
+"""The codec compared with the serialisation of rosbags, and fed with any bytes."""
 
 import math
 import struct
@@ -65,7 +65,7 @@ NAMES = [
 ELEMENTS_MAX = 3
 PATIENT = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])  # the machine may be busy
 
-# What a ROS 1 time or duration has in common with the type of ROS 2 that rosbags keeps it in
+# Fields that ROS 1 times and durations share with the ROS 2 type that rosbags uses for them.
 SECONDS = {"time": st.integers(0, 2**31 - 1), "duration": st.integers(-(2**31), 2**31 - 1)}
 NANOSECONDS = st.integers(0, 2**31 - 1)
 
@@ -116,7 +116,7 @@ def draw_one(data: st.DataObject, layout: Layout, field: Field) -> object:
 
 
 def stored(layout: Layout, value: dict[str, object]) -> object:
-    """The value as an object of the typestore."""
+    """Return the value as an object of the typestore."""
     if layout.name in {"time", "duration"}:
         kind = STORE.types[f"builtin_interfaces/msg/{layout.name.title()}"]
         return kind(sec=value["secs"], nanosec=value["nsecs"])
@@ -136,7 +136,7 @@ def stored_field(layout: Layout, field: Field, value: object) -> object:
 
 
 def same(ours: object, theirs: object) -> bool:
-    """Equal, where a NaN equals a NaN."""
+    """Whether two values are equal, with NaN equal to NaN."""
     if isinstance(ours, dict) and isinstance(theirs, dict):
         return list(ours) == list(theirs) and all(same(ours[name], theirs[name]) for name in ours)
     if isinstance(ours, list) and isinstance(theirs, list):
@@ -149,7 +149,7 @@ def same(ours: object, theirs: object) -> bool:
 @pytest.mark.parametrize("name", NAMES)
 @settings(PATIENT, max_examples=settings().max_examples // 5)
 @given(data=st.data())
-def test_bytes_are_those_of_rosbags_and_come_back(name: str, data: st.DataObject) -> None:
+def test_encoded_bytes_equal_those_of_rosbags(name: str, data: st.DataObject) -> None:
     ours = known(name)
     value = draw_message(data, ours.layout)
     payload = bytes(STORE.serialize_ros1(stored(ours.layout, value), ours.name.replace("/", "/msg/")))
@@ -161,7 +161,7 @@ def test_bytes_are_those_of_rosbags_and_come_back(name: str, data: st.DataObject
 
 @PATIENT
 @given(messages, st.data())
-def test_the_validating_codec_agrees_with_the_compiled_one(ours: MessageType, data: st.DataObject) -> None:
+def test_validating_codec_agrees_with_the_compiled_one(ours: MessageType, data: st.DataObject) -> None:
     value = draw_message(data, ours.layout)
     payload = ours.encode(value)
     assert validating_codec.encode(ours.layout, value) == payload
@@ -170,7 +170,7 @@ def test_the_validating_codec_agrees_with_the_compiled_one(ours: MessageType, da
 
 @PATIENT
 @given(messages, st.data())
-def test_a_cut_or_longer_payload_is_a_bad_one(ours: MessageType, data: st.DataObject) -> None:
+def test_cut_or_longer_payload_is_refused(ours: MessageType, data: st.DataObject) -> None:
     payload = ours.encode(draw_message(data, ours.layout))
     cuts = [payload[:end] for end in range(max(0, len(payload) - 64), len(payload))]
     for wrong in (*cuts, payload + data.draw(st.binary(min_size=1, max_size=3))):
@@ -180,7 +180,7 @@ def test_a_cut_or_longer_payload_is_a_bad_one(ours: MessageType, data: st.DataOb
 
 @PATIENT
 @given(messages, st.lists(st.binary(max_size=60) | st.integers(0, 4).map(lambda n: struct.pack("<I", n)), max_size=12))
-def test_any_bytes_are_a_message_or_a_bad_payload(ours: MessageType, parts: list[bytes]) -> None:
+def test_any_bytes_decode_or_raise_bad_payload(ours: MessageType, parts: list[bytes]) -> None:
     payload = b"".join(parts)
     try:
         decoded = ours.decode(payload)

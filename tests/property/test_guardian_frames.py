@@ -1,4 +1,4 @@
-"""What devices of every kind make of the guardian's frames, wherever the daemon's last frame was cut."""
+"""The guardian's frames as devices of every kind read them, with the daemon's last frame cut anywhere."""
 
 import itertools
 import math
@@ -17,7 +17,7 @@ LONG = encode(101, bytes(value % 251 for value in range(BUFFER_BYTES - 8)))
 
 
 class Device:
-    """Reads every so many seconds what has come by then; obeys the last velocity."""
+    """Device that reads at an interval and obeys the last velocity."""
 
     def __init__(self, *, gives_up: bool) -> None:
         self.velocities: list[tuple[float, bytes]] = []
@@ -42,7 +42,7 @@ class Device:
                 return
 
     def zero_at_s(self) -> float:
-        """When it stood for good."""
+        """Time of the final stop."""
         moving = [at_s for at_s, payload in self.velocities if payload != bytes(48)]
         zeros = [at_s for at_s, payload in self.velocities if payload == bytes(48)]
         return next((at_s for at_s in zeros if not moving or at_s >= moving[-1]), math.inf)
@@ -53,7 +53,7 @@ READERS = [(True, 0.001), (True, 0.033), (False, 0.001), (False, 0.033)]
 
 @pytest.mark.parametrize(("gives_up", "turn_s"), READERS)
 @pytest.mark.parametrize("whole", [VELOCITY, LONG, encode(101, bytes(VELOCITY * 8)), encode(6, b"\xff" * 300)])
-def test_a_frame_that_was_cut_anywhere_costs_no_robot_its_stop(whole: bytes, *, gives_up: bool, turn_s: float) -> None:
+def test_robot_stops_after_a_frame_cut_anywhere(whole: bytes, *, gives_up: bool, turn_s: float) -> None:
     for cut in range(1, len(whole)):
         device = Device(gives_up=gives_up)
         device.run([(-0.001, VELOCITY + whole[:cut]), *stop_sequence((100,), BUFFER_BYTES)], first_s=0.0, turn_s=turn_s)
@@ -62,9 +62,7 @@ def test_a_frame_that_was_cut_anywhere_costs_no_robot_its_stop(whole: bytes, *, 
 
 @pytest.mark.parametrize("gives_up", [True, False])
 @pytest.mark.parametrize("busy_until_s", [0.0, 0.03, 0.049, 0.07, 0.085, 0.099, 0.12, 0.149, 0.16])
-def test_nor_does_a_device_that_was_busy_meanwhile_and_reads_all_at_once(
-    busy_until_s: float, *, gives_up: bool
-) -> None:
+def test_busy_device_that_reads_everything_at_once_stops(busy_until_s: float, *, gives_up: bool) -> None:
     for cut in range(1, len(LONG)):
         device = Device(gives_up=gives_up)
         arrivals = [(-0.001, VELOCITY + LONG[:cut]), *stop_sequence((100,), BUFFER_BYTES)]
@@ -73,8 +71,8 @@ def test_nor_does_a_device_that_was_busy_meanwhile_and_reads_all_at_once(
 
 
 @pytest.mark.parametrize("gives_up", [True, False])
-def test_a_line_of_38400_baud_has_the_zero_in_time_too(*, gives_up: bool) -> None:
-    """Behind a radio bridge: what the daemon sent before is through, the rest comes byte by byte."""
+def test_zero_over_a_38400_baud_line_arrives_in_time(*, gives_up: bool) -> None:
+    """Behind a radio bridge the daemon's bytes have passed, and the rest arrives byte by byte."""
     byte_s = 1 / 3840
     for cut in range(1, len(LONG), 7):
         arrivals, free_at_s = [(-0.001, VELOCITY + LONG[:cut])], 0.0
@@ -88,8 +86,8 @@ def test_a_line_of_38400_baud_has_the_zero_in_time_too(*, gives_up: bool) -> Non
 
 
 @pytest.mark.parametrize("topic_id", [100, 255, 256, 511])
-def test_a_frame_that_is_never_given_up_costs_its_own_length_and_no_more(topic_id: int) -> None:
-    """Also where an id or a checksum is FF, which a device outside of frames takes for the start of one."""
+def test_zero_after_a_frame_that_is_never_given_up_is_obeyed(topic_id: int) -> None:
+    """The cases include ids and checksums of FF, which a device between frames takes for a sync."""
     for cut in range(1, len(LONG)):
         observed: dict[int, bytes] = {}
         reader = RosLibReader(observed.__setitem__, gives_up=False)
@@ -99,7 +97,7 @@ def test_a_frame_that_is_never_given_up_costs_its_own_length_and_no_more(topic_i
 
 
 @pytest.mark.parametrize("topic_ids", [(100, 107), (255, 511, 256), tuple(range(100, 116))])
-def test_a_frame_that_is_never_given_up_costs_none_of_several_topics(topic_ids: tuple[int, ...]) -> None:
+def test_every_topic_is_zeroed_after_a_frame_that_is_never_given_up(topic_ids: tuple[int, ...]) -> None:
     for cut in range(1, len(LONG)):
         observed: dict[int, bytes] = {}
         reader = RosLibReader(observed.__setitem__, gives_up=False)
@@ -108,7 +106,7 @@ def test_a_frame_that_is_never_given_up_costs_none_of_several_topics(topic_ids: 
         assert {each: observed.get(each) for each in topic_ids} == dict.fromkeys(topic_ids, bytes(48)), cut
 
 
-def test_without_the_repetition_a_long_claim_would_swallow_every_zero() -> None:
+def test_zeros_without_repetition_are_lost_in_a_long_claim() -> None:
     device = Device(gives_up=False)
     device.run([(-0.001, VELOCITY + LONG[:10]), *stop_sequence((100,), 0)], first_s=0.0, turn_s=0.001)
     assert device.zero_at_s() == math.inf

@@ -1,4 +1,4 @@
-"""A host that pauses and starts again blames no healthy device for it, and still finds a sick one afterwards."""
+"""A host that pauses or restarts reports no healthy device, and still finds a faulty one afterwards."""
 
 import asyncio
 import contextlib
@@ -22,20 +22,20 @@ from tests.support.memory_transport import MemoryTransport, memory_pair
 from tests.support.virtual_loop import VirtualLoop, run_virtual
 
 CATALOG = Catalog()
-ROOM_BYTES = 1 << 20  # of a kernel: what comes while the host is away waits
+ROOM_BYTES = 1 << 20  # of a kernel: bytes that arrive during a pause of the host wait here
 TIME = encode(Id.TIME, bytes(8))
 ANNOUNCEMENT = TIME + b"".join(encode(info.kind, encode_topic_info(info)) for info in robot_topics())
-UNANSWERED_S = 11.0  # docs/protocol.md#time: then a device publishes no more
+UNANSWERED_S = 11.0  # docs/protocol.md#time: afterwards a device stops publishing
 POLL_S, POSE_S = 0.1, 0.2
-FINDABLE_S = 40.0  # all findings are made of the last 30 s
+FINDABLE_S = 40.0  # all findings use the last 30 s
 
 
 @dataclass
 class Device:
-    """A robot that publishes on, whatever its host does; what cannot leave waits in a ring of its WiFi module."""
+    """Robot that publishes all the time. Unsent bytes wait in the ring of its WiFi module."""
 
     time_period_s: float = 2.5
-    damages_every: int = 0  # so many frames, one with a wrong byte; 0: none
+    damages_every: int = 0  # one damaged byte per this many frames; 0: none
     ring_bytes: int = 5840  # lwIP's send buffer; the oldest bytes are lost
     is_mute: bool = False
     end: MemoryTransport | None = None
@@ -48,7 +48,7 @@ class Device:
     _stream: FrameStream = field(default_factory=FrameStream)
 
     async def run(self) -> None:
-        """Do what is due: after a pause of the loop all that was due meanwhile, at once."""
+        """Do everything that is due. After a pause of the loop, all due work is done at once."""
         now_s = asyncio.get_running_loop().time
         while True:
             await asyncio.sleep(POLL_S)
@@ -61,7 +61,7 @@ class Device:
                 self._ring = b""
 
     async def connect(self, hub: Hub) -> None:
-        """Talk to a host until it ends the connection."""
+        """Serve a host until it ends the connection."""
         host_end, self.end = memory_pair(room_bytes=ROOM_BYTES)
         hub.spawn(hub.links.serve(hub.links.open(host_end)), name="link")
         while data := await self.end.receive():
@@ -97,7 +97,7 @@ class Device:
 
 
 class SteadyClock(HostClock):
-    """The wall clock goes on in virtual time."""
+    """Wall clock that follows virtual time."""
 
     def check(self, now_s: float, wall_ns: int) -> str:  # noqa: ARG002 - as the real one
         return ""
@@ -105,7 +105,7 @@ class SteadyClock(HostClock):
 
 @dataclass
 class Findings:
-    """What was found, and when; and how often links ended."""
+    """Findings with their times, and the number of ended links."""
 
     codes: list[tuple[float, str]] = field(default_factory=list)
     ends: list[str] = field(default_factory=list)
@@ -119,7 +119,7 @@ class Findings:
 
 @dataclass(frozen=True)
 class Pause:
-    """The process of the host stands still for so long, after it has run for a while."""
+    """The host's process stops for a time, after it has run for a while."""
 
     after_s: float
     lasts_s: float
@@ -127,7 +127,7 @@ class Pause:
 
 @dataclass(frozen=True)
 class Restart:
-    """It is gone for so long; the device goes on."""
+    """The host's process is absent for a time, while the device continues."""
 
     after_s: float
     lasts_s: float
@@ -140,7 +140,7 @@ disturbances = st.lists(pauses | restarts, min_size=1, max_size=6)
 
 
 async def live(device: Device, disturbed: list[Pause | Restart], findings: Findings, *, then_s: float) -> float:
-    """One device, and the hosts that it meets; returns when the last disturbance was over."""
+    """Run one device and its hosts. Return the end of the last disturbance."""
     loop = asyncio.get_running_loop()
     assert isinstance(loop, VirtualLoop)
     over_s = 0.0
@@ -161,7 +161,7 @@ async def live(device: Device, disturbed: list[Pause | Restart], findings: Findi
                 if isinstance(what, Restart):
                     away = what
                 else:
-                    loop.burn(what.lasts_s)  # the next round finds its timers due, and nothing read yet
+                    loop.burn(what.lasts_s)  # in the next round the timers are due and nothing is read yet
                     await asyncio.sleep(0)
                 over_s = loop.time()
             if away is None:
@@ -184,7 +184,7 @@ async def live(device: Device, disturbed: list[Pause | Restart], findings: Findi
 @example([Pause(2.0, 12.0)] * 4, 5840)
 @example([Restart(6.0, 9.0)], 1 << 20)
 @example([Restart(6.0, 3.0)] * 5, 777)
-def test_pauses_and_restarts_of_the_host_are_no_findings_about_a_healthy_device(
+def test_host_pauses_and_restarts_cause_no_finding_about_a_healthy_device(
     disturbed: list[Pause | Restart], ring_bytes: int
 ) -> None:
     findings = Findings()
@@ -200,12 +200,12 @@ SICK = {
 }
 
 
-BESIDE = {"damaged": {"boot_noise"}}  # what is damaged at the beginning of a link looks like noise of the boot
+BESIDE = {"damaged": {"boot_noise"}}  # damage at the beginning of a link looks like a boot message
 
 
 @pytest.mark.parametrize("code", SICK)
 @given(disturbed=disturbances)
-def test_a_sick_device_is_found_after_the_host_has_recovered(code: str, disturbed: list[Pause | Restart]) -> None:
+def test_sick_device_is_found_after_the_host_has_recovered(code: str, disturbed: list[Pause | Restart]) -> None:
     findings = Findings()
     run_virtual(live(Device(**SICK[code]), disturbed, findings, then_s=FINDABLE_S))  # type: ignore[arg-type]
     found = {each for _, each in findings.codes}
@@ -214,7 +214,7 @@ def test_a_sick_device_is_found_after_the_host_has_recovered(code: str, disturbe
 
 
 @given(disturbed=disturbances, wait_s=st.floats(0.0, 4.0))
-def test_a_device_that_falls_silent_is_found_once_after_the_host_has_recovered(
+def test_device_that_falls_silent_is_found_once_after_the_host_has_recovered(
     disturbed: list[Pause | Restart], wait_s: float
 ) -> None:
     findings, device = Findings(), Device()

@@ -1,4 +1,4 @@
-"""`hostlink inspect` against what the original host decoded, however the bytes are cut."""
+"""`hostlink inspect` compared with the original host's decoding, for any cut of the bytes."""
 
 import json
 from collections.abc import Iterator
@@ -26,7 +26,7 @@ def byte_by_byte(reads: list[Read]) -> Iterator[Read]:
 
 
 def all_at_once(reads: list[Read]) -> Iterator[Read]:
-    """All that each side sent on a connection, in one read."""
+    """Join everything that each side sent on a connection into one read."""
     for connection in dict.fromkeys(read.conn for read in reads):
         for side in ("device", "host"):
             sent = "".join(read.hex for read in reads if read.conn == connection and read.dir == side)
@@ -35,7 +35,7 @@ def all_at_once(reads: list[Read]) -> Iterator[Read]:
 
 @pytest.mark.parametrize("cut", [as_recorded, byte_by_byte, all_at_once])
 @pytest.mark.parametrize("name", NAMES)
-def test_agrees_with_the_original_host(name: str, cut: Any) -> None:
+def test_inspection_agrees_with_the_original_host(name: str, cut: Any) -> None:
     expected = json.loads((CAPTURES / f"{name}.expected.json").read_text())
     inspection = Inspection(Catalog())
     inspection.add_all(cut(list(load_reads(CAPTURES / f"{name}.jsonl"))))
@@ -53,9 +53,7 @@ def test_agrees_with_the_original_host(name: str, cut: Any) -> None:
         {"level": log["level"], "msg": log["msg"]} for session in sessions for log in session.get("device_logs", [])
     ]
     assert [log for log in reported if log not in report["logs"]] == []
-    assert len(report["logs"]) == len(reported) + {"reconnect": 1}.get(
-        name, 0
-    )  # on the connection that nobody answered
+    assert len(report["logs"]) == len(reported) + {"reconnect": 1}.get(name, 0)  # on the connection without answers
     assert report["services"] == services(sent, sessions)
     assert report["skipped_bytes"] == {"reconnect": 23}.get(name, 0)  # cut after 20 and after 3 bytes of a frame
 

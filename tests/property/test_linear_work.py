@@ -1,4 +1,4 @@
-"""What a peer sends costs time in proportion to its bytes, whatever they are."""
+"""Cost of any bytes from a peer: time in proportion to their number."""
 
 import time
 
@@ -32,7 +32,7 @@ def test_work_is_linear_in_bytes_made_of_headers(unit: bytes, limit_bytes: int, 
     assert is_linear(seconds, 8000)
 
 
-def test_giving_up_headers_in_one_another_is_linear() -> None:
+def test_giving_up_nested_headers_is_linear() -> None:
     def seconds(count: int) -> float:
         stream = FrameStream(limit_bytes=65535)
         assert not any(isinstance(event, Frame) for event in stream.feed(LIAR * count))
@@ -44,7 +44,7 @@ def test_giving_up_headers_in_one_another_is_linear() -> None:
     assert is_linear(seconds, 2000)
 
 
-def test_a_device_with_ten_thousands_of_topics_costs_no_more_than_its_bytes() -> None:
+def test_device_with_ten_thousand_topics_costs_time_in_proportion() -> None:
     def seconds(count: int) -> float:
         line = wire(*(ODOMETRY._replace(topic_id=100 + number) for number in range(count)))
         host = Host()

@@ -1,9 +1,9 @@
-"""Host, relay and device in virtual time under any order of faults: what arrives intact is delivered, and they find
-each other again.
+"""Host, relay and device in virtual time under any order of faults: intact frames are delivered, and both recover.
 
-RECOVERY_S is the bound: so long after the last fault has ended, odometry comes in and commands reach the robot. Its
-parts: the device dials again 0.5 s after an end that it sees; a topic request that the line swallowed is repeated after
-2 s, a line that looks alive is asked after 5 s of silence; a false header on either side can hide one answer.
+RECOVERY_S is the bound: within this time after the last fault, odometry arrives and commands reach the robot. It
+consists of these parts: the device reconnects 0.5 s after an end that it notices; a lost topic request is repeated
+after 2 s; a connection that only seems open gets a request after 5 s of silence; a false header on either side can hide
+one answer.
 """
 
 import asyncio
@@ -25,7 +25,7 @@ from tools.faults import OF_BYTES, Direction, Fault, Habits, Kind, Script, Span
 
 RECOVERY_S = 12.0
 ODOMETRY_ID, VELOCITY_ID = 125, 100
-PAPER_LOOP_S = 1 / 30  # with the retry clause; without it a frame that straddles two such turns is lost by design
+PAPER_LOOP_S = 1 / 30  # without the retry clause, a frame that spans two such turns is lost by design
 FAST_LOOP_S = 1 / 200
 directions = st.sampled_from([None, *Direction])
 habits = st.sampled_from(
@@ -35,20 +35,21 @@ habits = st.sampled_from(
         Habits(merge_s=0.04),
         Habits(delay_s=Span(0.03, 0.07)),
         Habits(rate_bytes_s=3000.0),
-        Habits(delay_s=Span(0.0, 0.1), rate_bytes_s=5000.0),  # a frame stays whole: in pieces the device would lose it
+        # Frames stay whole: the device would lose one that arrives in pieces.
+        Habits(delay_s=Span(0.0, 0.1), rate_bytes_s=5000.0),
     ]
 )
 
 
 def intact_poses(tap: Tap, robot: NumberedRobot) -> Counter[int]:
-    """How often each pose that the robot sent stands unharmed in what the host read on this connection."""
+    """Count how often each pose that the robot sent is intact in the bytes that the host read on this connection."""
     wire = bytes(tap.read_bytes)
     counts = {number: wire.count(encode(ODOMETRY_ID, pose(number))) for _, number in robot.sent}
     return Counter({number: count for number, count in counts.items() if count})
 
 
 class Faults(RuleBasedStateMachine):
-    """Any order of faults; each law holds after each step, and at the end both work again."""
+    """Any order of faults. Each law holds after each step, and at the end both sides work again."""
 
     @initialize(habits=habits, retries=st.booleans(), seed=st.integers(0, 1000))
     def connect(self, habits: Habits, retries: bool, seed: int) -> None:
@@ -62,7 +63,7 @@ class Faults(RuleBasedStateMachine):
         begun: asyncio.Queue[World] = asyncio.Queue()
 
         async def live() -> None:
-            with capture_logs():  # of hundreds of links: it would hide what failed
+            with capture_logs():  # hundreds of links would hide the log of the failing one
                 await go_on(world(Script(seed=seed, habits=habits), self.robot, loop_s=loop_s))
 
         async def go_on(context: AbstractAsyncContextManager[World]) -> None:
@@ -75,7 +76,7 @@ class Faults(RuleBasedStateMachine):
 
     def run_for(self, seconds: float) -> None:
         self.runner.run(asyncio.sleep(seconds))
-        assert not self.life.done()  # a crash of one link ends the hub here
+        assert not self.life.done()  # a crash of one link ends the hub in this test
 
     def inflict(self, kind: Kind, amount: float = 0.0, direction: Direction | None = None) -> None:
         async def now() -> None:
@@ -127,7 +128,7 @@ class Faults(RuleBasedStateMachine):
         unknown = 0
         intact: Counter[int] = Counter()
         for tap in self.world.taps:
-            unknown += tap.session.counts.unknown_ids  # before its topics were told
+            unknown += tap.session.counts.unknown_ids  # before its topics were announced
             intact += intact_poses(tap, self.robot)
         more, less = delivered - intact, intact - delivered
         assert more.total() == invented  # a damaged frame that passes the checksum: measured, not excluded
@@ -135,7 +136,7 @@ class Faults(RuleBasedStateMachine):
             sum(len(device.early) for device in self.world.hub.links._identities.devices.values())
             + self.world.hub.links.undelivered
         )
-        assert less.total() <= unknown + invented + waiting  # and what such a frame reaches into
+        assert less.total() <= unknown + invented + waiting  # and frames that such a damaged frame overlaps
         if not self.is_dirty:
             assert max(delivered.values(), default=1) == 1
             assert self.world.numbers == sorted(self.world.numbers)
@@ -163,7 +164,7 @@ class Faults(RuleBasedStateMachine):
             self.runner.close()
 
     def find_each_other(self) -> None:
-        """What must hold RECOVERY_S after the last fault has ended."""
+        """Check what must hold RECOVERY_S after the last fault."""
         self.world.relay.heal()
         self.run_for(max(0.0, self.is_calm_at_s - self.runner.get_loop().time()) + RECOVERY_S)
         assert self.world.is_working()

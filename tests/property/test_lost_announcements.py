@@ -1,4 +1,4 @@
-"""Announcements that lack topics, in any parts: what is kept, what is dropped, and how often topics are requested."""
+"""Incomplete announcements in any parts: kept topics, dropped topics, and the number of topic requests."""
 
 import contextlib
 import itertools
@@ -31,17 +31,17 @@ announcements = st.lists(
 
 
 @given(st.lists(announcements, max_size=12), st.booleans())
-def test_an_endpoint_goes_when_three_announcements_in_a_row_lack_it_and_never_sooner(
+def test_endpoint_is_removed_after_three_announcements_without_it(
     story: list[list[tuple[TopicInfo, bytes]]], is_lossy: bool
 ) -> None:
     host = Host(*TOPICS, is_lossy=is_lossy)
     lacked: Counter[TopicInfo] = Counter()
     for parts in story:
         announced = {info for info, _ in parts}
-        host.receive(TIME)  # it is not silent: that would be another cause for a request
+        host.receive(TIME)  # not silent, which would cause a request
         host.session.request_topics("claimed_twice")
         host.events = host.session.tick(now_s=host.now_s)
-        while not host.requests():  # then none follows between its parts
+        while not host.requests():  # no request between the parts of an announcement
             host.wait(0.05)
         for info, message in parts:
             host.receive(wire(info) + message)
@@ -52,7 +52,7 @@ def test_an_endpoint_goes_when_three_announcements_in_a_row_lack_it_and_never_so
 
 
 def answers(host: Host, device: list[TopicInfo], chance: random.Random, loss: float) -> int:
-    """What the device says to the requests that arrive, in datagrams of one frame; returns how many arrived."""
+    """Answer the received topic requests in datagrams of one frame. Return the number of answered requests."""
     requests = sum(frame.topic_id == Id.PUBLISHER and chance.random() >= loss for frame in host.sent())
     for _ in range(requests):
         for datagram in [TIME, *(wire(info) for info in device)]:
@@ -62,9 +62,7 @@ def answers(host: Host, device: list[TopicInfo], chance: random.Random, loss: fl
 
 
 @given(st.integers(0, 2**32), st.floats(0.0, 0.4))
-def test_over_a_radio_that_loses_datagrams_requests_for_topics_end_soon_after_the_last_loss(
-    seed: int, loss: float
-) -> None:
+def test_topic_requests_end_soon_after_the_last_lost_datagram(seed: int, loss: float) -> None:
     chance, host = random.Random(seed), Host(is_lossy=True)
     for tenth in range(600):
         loss_now = loss if tenth < 300 else 0.0
@@ -80,9 +78,7 @@ def test_over_a_radio_that_loses_datagrams_requests_for_topics_end_soon_after_th
 
 
 @given(st.integers(0, 2**32), st.booleans())
-def test_a_device_whose_topics_are_others_at_each_request_is_asked_no_more_than_once_a_second(
-    seed: int, is_lossy: bool
-) -> None:
+def test_changing_topics_are_requested_at_most_once_a_second(seed: int, is_lossy: bool) -> None:
     chance, host = random.Random(seed), Host(is_lossy=is_lossy)
     asked_at_s: list[float] = []
     meanings: dict[int, TopicInfo] = {}
@@ -91,12 +87,12 @@ def test_a_device_whose_topics_are_others_at_each_request_is_asked_no_more_than_
             info._replace(topic_id=info.topic_id + chance.randrange(2), name=chance.choice("ab") + info.name)
             for info in chance.sample(TOPICS, chance.randrange(1, len(TOPICS)))
         ]
-        if chance.random() < 0.2:  # without a request
+        if chance.random() < 0.2:  # unrequested
             host.receive(TIME + wire(*device) + chance.choice([b"", TIME, MESSAGE]), after_s=0.0)
             meanings |= {info.topic_id: info for info in device}
         for info in host.session.topics:
             if info.type == LED.type:
-                with contextlib.suppress(UnknownTopic):  # it is just announcing others
+                with contextlib.suppress(UnknownTopic):  # the topic is being replaced
                     host.session.publish(info.name, b"\x01")
         sent_ids = [frame.topic_id for frame in host.sent()]
         assert all(meanings[each].type == LED.type for each in sent_ids if each >= FIRST_TOPIC_ID)

@@ -1,4 +1,4 @@
-"""An outbox over an hour of a busy line."""
+"""Outbox during an hour at full load."""
 
 import pytest
 
@@ -6,7 +6,7 @@ from hostlink.protocol.outbox import RING_BYTES, Outbox
 
 
 @pytest.mark.parametrize("uart_bytes_s", [960, 3840, 11520])
-def test_an_hour_at_full_load_is_as_fast_as_the_uart_and_no_faster(uart_bytes_s: int) -> None:
+def test_outbox_at_full_load_is_exactly_as_fast_as_the_uart(uart_bytes_s: int) -> None:
     outbox = Outbox(uart_bytes_s=uart_bytes_s)
     now_s, sent_bytes = 0.0, 0
     while now_s < 3600:

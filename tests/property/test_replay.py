@@ -1,4 +1,4 @@
-"""A session over recorded devices hears what the original host heard, however the bytes are cut."""
+"""A session over recorded bytes, cut anywhere, reports what the original host reported."""
 
 import json
 from collections import Counter
@@ -44,7 +44,7 @@ def fixed_bytes(info: TopicInfo) -> int | None:
 
 
 def heard(reads: Timed) -> Counter[object]:
-    """How often a topic, a service, a parameter's name and an event was heard on one connection."""
+    """Count the topics, services, parameter names and events of one connection."""
     session, found = Session(check=fixed_bytes), Counter[object]()
     session.open(now_s=0.0)
     for now_s, data in reads:
@@ -60,7 +60,7 @@ def heard(reads: Timed) -> Counter[object]:
 
 
 def reported(session: dict[str, Any]) -> Counter[object]:
-    """The same of the original host."""
+    """Count the same in the report of the original host."""
     found = Counter[object]({events.TimeRequested: session["time_requests"]})
     found[events.DeviceLogged] = len(session.get("device_logs", []))
     found.update(("parameter", each["name"]) for each in session.get("parameter_requests", []))
@@ -71,7 +71,7 @@ def reported(session: dict[str, Any]) -> Counter[object]:
 
 @pytest.mark.parametrize("cut", [as_recorded, at_once, byte_by_byte])
 @pytest.mark.parametrize("name", ["robot", "robot_serial", "services", "reconnect"])
-def test_hears_what_the_original_host_heard(name: str, cut: Any) -> None:
+def test_session_reports_what_the_original_host_reported(name: str, cut: Any) -> None:
     expected = json.loads((CAPTURES / f"{name}.expected.json").read_text())
     for session in expected["sessions"]:
         reads = [read for read in recorded(name) if read.conn == session["conn"]]

@@ -1,4 +1,4 @@
-"""STYLE's invariants of the session: any bytes at any time, and it is still there for a good device."""
+"""Invariants of the session: any bytes raise nothing, and a good device recovers."""
 
 import contextlib
 import dataclasses
@@ -29,7 +29,9 @@ lines = st.lists(st.one_of(noise, frames.map(wire_of), infos, controls, st.just(
 
 
 @given(st.lists(st.tuples(lines, st.floats(0.0, 3.0)), max_size=15), st.data())
-def test_any_bytes_at_any_time(story: list[tuple[bytes, float]], data: st.DataObject) -> None:
+def test_any_bytes_in_any_state_raise_nothing_and_a_request_recovers(
+    story: list[tuple[bytes, float]], data: st.DataObject
+) -> None:
     session = Session(check=lambda info: SIZES.get(info.type), is_lossy=data.draw(st.booleans()))
     now_s = 0.0
     requested_at_s = [now_s for event in session.open(now_s=now_s) if isinstance(event, events.TopicsRequested)]
@@ -52,7 +54,7 @@ def test_any_bytes_at_any_time(story: list[tuple[bytes, float]], data: st.DataOb
 
 
 def heard(reads: Iterable[bytes]) -> tuple[list[events.Event], dict[str, int]]:
-    """All but the requests for topics: whether one is needed may be clear before the end of a longer read."""
+    """Every event except TopicsRequested: a longer read may request the topics earlier."""
     session = Session(check=lambda info: SIZES.get(info.type))
     session.open(now_s=0.0)
     found = [event for read in reads for event in session.receive(read, now_s=0.0)]
@@ -69,7 +71,7 @@ def test_every_split_gives_the_same_events(line: bytes, tellings: list[list[Topi
 
 def sends_only_what_fits_the_device(session: Session, info: TopicInfo, now_s: float) -> None:
     known = {known.topic_id: known for known in session.topics}
-    with contextlib.suppress(HostlinkError):  # refused, or sent: then it must fit
+    with contextlib.suppress(HostlinkError):  # either refused, or sent and within the limits
         session.publish(info.name, bytes(SIZES.get(info.type, 5)))
     while (outgoing := session.pop_frame(now_s=now_s, wall_ns=0)) is not None:
         frame = outgoing.frame
@@ -80,7 +82,7 @@ def sends_only_what_fits_the_device(session: Session, info: TopicInfo, now_s: fl
 
 
 def comes_back(session: Session, now_s: float) -> None:
-    """A device that answers the next request for topics works, whatever was before."""
+    """Check that a device that answers the next topic request works again."""
     requested = False
     for _ in range(2000):
         now_s += 0.01
@@ -91,7 +93,7 @@ def comes_back(session: Session, now_s: float) -> None:
         session.tick(now_s=now_s)
     assert requested, "it never asked again"
     announced = TIME + b"".join(encode(info.kind, encode_topic_info(info)) for info in GOOD) + TIME
-    # Junk that waits for its end may hide one answer; it is given up, and then the next one is heard.
+    # Junk that waits for its end may hide one answer. It is given up, and the next answer is received.
     found = session.receive(announced, now_s=now_s) + session.receive(encode(125, bytes(24)), now_s=now_s)
     if not any(isinstance(event, events.MessageReceived) and event.topic == GOOD[0] for event in found):
         for _ in range(3):

@@ -1,4 +1,4 @@
-"""STYLE's invariants of the stream, for every way in which a line can be cut, merged and damaged."""
+"""Invariants of the stream, for every cut, merge and damage of the bytes."""
 
 from collections.abc import Iterable
 
@@ -13,7 +13,7 @@ LIMIT_BYTES = 1024
 
 
 def joined(reads: Iterable[bytes]) -> tuple[list[Frame | bytes], int]:
-    """Frames and what was skipped between them in one piece each; and what is pending."""
+    """Return frames and joined skipped bytes in order, and the pending bytes."""
     stream = FrameStream(limit_bytes=LIMIT_BYTES)
     return joined_events(stream, reads), stream.pending_bytes
 
@@ -31,7 +31,7 @@ def joined_events(stream: FrameStream, reads: Iterable[bytes]) -> list[Frame | b
     return found
 
 
-# Without a whole frame in the payload, which would be read instead; Hypothesis draws some from literals of the code.
+# No whole frame in the payload, which would be read instead. Hypothesis draws some from literals of the code.
 unambiguous = frames.filter(lambda frame: joined([wire_of(frame)]) == ([frame], 0))
 nested = st.recursive(
     noise | frames.map(wire_of),
@@ -42,7 +42,7 @@ lines = st.lists(nested, max_size=12).map(b"".join)
 
 
 @given(st.lists(unambiguous, max_size=10), st.data())
-def test_what_is_encoded_is_decoded(sent: list[Frame], data: st.DataObject) -> None:
+def test_encoded_frames_are_decoded(sent: list[Frame], data: st.DataObject) -> None:
     wire = b"".join(map(wire_of, sent))
     found, pending = joined(split(wire, data))
     assert found == sent
@@ -55,7 +55,7 @@ sync_frames = st.builds(Frame, topic_ids, sync_payloads).filter(lambda frame: jo
 
 
 @given(st.lists(sync_frames, max_size=10), st.data())
-def test_an_intact_stream_with_syncs_in_its_payloads_counts_no_damage(sent: list[Frame], data: st.DataObject) -> None:
+def test_intact_stream_with_syncs_in_its_payloads_counts_no_damage(sent: list[Frame], data: st.DataObject) -> None:
     stream = FrameStream(limit_bytes=LIMIT_BYTES)
     assert joined_events(stream, split(b"".join(map(wire_of, sent)), data)) == sent
     assert stream.rejected == {}
@@ -70,7 +70,7 @@ def test_every_split_counts_the_same_damage(wire: bytes, data: st.DataObject) ->
 
 
 @given(lines, st.data())
-def test_rejected_syncs_are_no_more_than_the_syncs_that_were_skipped(wire: bytes, data: st.DataObject) -> None:
+def test_rejected_syncs_are_at_most_the_skipped_syncs(wire: bytes, data: st.DataObject) -> None:
     line = damaged(wire, data)
     stream = FrameStream(limit_bytes=LIMIT_BYTES)
     skipped = at = 0
@@ -113,7 +113,7 @@ def test_every_split_gives_the_same_events_with_too_many_candidates(
 
 
 def plainly_read(wire: bytes) -> list[Frame | bytes]:
-    """The rule in its plainest words: what is first complete and right wins, then it is read on behind that."""
+    """Reference implementation: the first complete and correct frame wins; then continue after it."""
     found: list[Frame | bytes] = []
     at = 0
     while True:
@@ -128,7 +128,7 @@ def plainly_read(wire: bytes) -> list[Frame | bytes]:
 
 
 def right_end(wire: bytes, start: int) -> int:
-    """Where the frame at `start` ends; 0 if there is none."""
+    """Return the end of the frame at `start`; 0 if there is none."""
     size = int.from_bytes(wire[start + 2 : start + 4], "little")
     end = start + 8 + size
     if wire[start : start + 2] != b"\xff\xfe" or size > LIMIT_BYTES or end > len(wire):
@@ -138,10 +138,10 @@ def right_end(wire: bytes, start: int) -> int:
 
 
 @given(lines, st.data())
-def test_it_reads_what_the_plain_rule_reads(wire: bytes, data: st.DataObject) -> None:
+def test_stream_agrees_with_the_reference_implementation(wire: bytes, data: st.DataObject) -> None:
     line = damaged(wire, data)
     found, _ = joined(split(line, data))
-    if found and isinstance(found[-1], bytes):  # how much of the end is skipped already depends on what may still come
+    if found and isinstance(found[-1], bytes):  # how much of the end is already skipped depends on what may follow
         found.pop()
     assert found == plainly_read(line)
 
@@ -171,8 +171,8 @@ def test_junk_without_a_sync_never_costs_the_frame_after_it(junk: bytes, frame: 
 
 
 @given(lines, st.lists(unambiguous, min_size=1, max_size=5))
-def test_intact_frames_after_any_mess_are_found_when_enough_of_them_come(wire: bytes, sent: list[Frame]) -> None:
-    """A false header that swallows a frame can do so once: the frames behind what it claims are all there."""
+def test_enough_intact_frames_after_any_junk_are_found(wire: bytes, sent: list[Frame]) -> None:
+    """A false header can hide a frame once. The frames after its claimed length are all found."""
     flood = b"".join(map(wire_of, sent)) * (LIMIT_BYTES // 8)
     found, _ = joined([wire + flood])
     assert all(frame in found for frame in sent)

@@ -1,4 +1,7 @@
-"""UdpTransport over any sequence of datagrams, readings and writings: nothing is lost or sent that should not be."""
+"""UdpTransport with any sequence of datagrams, reads and writes:
+
+no byte is lost, and none is sent without allowance.
+"""
 
 import asyncio
 import contextlib
@@ -23,7 +26,7 @@ STEPS = st.one_of(
 
 
 class World:
-    """The host's connected socket, the device's, and what each has sent."""
+    """Connected sockets of host and device, and what each has sent."""
 
     def __init__(self, ours: socket.socket, theirs: socket.socket, *, is_verified: bool) -> None:
         self.theirs = theirs
@@ -32,9 +35,9 @@ class World:
         self.transport = UdpTransport(
             ours, first, is_verified=is_verified, dropped=self.dropped, on_other=lambda _: None
         )
-        self.expected = bytearray(FIRST)  # to be read, in this order
+        self.expected = bytearray(FIRST)  # expected reads, in this order
         self.read = b""
-        self.came: list[bytes] = []  # to the device
+        self.came: list[bytes] = []  # datagrams that the device received
         self.number = 0
 
     async def step(self, what: str, size: int) -> None:
@@ -87,11 +90,11 @@ async def play(steps: list[tuple[str, int]], *, is_verified: bool) -> World:
 
 @settings(deadline=None, max_examples=100)
 @given(st.lists(STEPS, max_size=40), st.booleans())
-def test_what_came_is_read_in_order_and_no_more_is_sent_than_may_be(
+def test_received_bytes_are_read_in_order_and_sends_stay_within_the_allowance(
     steps: list[tuple[str, int]], is_verified: bool
 ) -> None:
     world = asyncio.run(play(steps, is_verified=is_verified))
-    assert sorted(world.read) == sorted(world.expected)  # the two ways of coming may overtake each other
+    assert sorted(world.read) == sorted(world.expected)  # datagrams over the two sockets may overtake each other
     if all(what != "feed" for what, _ in steps):
         assert world.read == bytes(world.expected)
     assert all(len(each) <= MAX_DATAGRAM_BYTES for each in world.came)

@@ -63,7 +63,7 @@ async def test_an_error_is_one_line_with_the_next_step(tmp_path: Path) -> None:
     folder = message(tmp_path, "uint8 good\nuint8 1bad\n")
     status, _, err = await run("arduino-library", "-o", output, "--messages", str(folder))
     assert (status, len(err.splitlines())) == (2, 1)
-    assert f"{folder}/my_msgs/Gripper.msg:2: '1bad' is no name" in err
+    assert f"{folder}/my_msgs/Gripper.msg:2: '1bad' is not a valid name" in err
     status, _, err = await run("arduino-library", "-o", str(tmp_path / "none" / "x.zip"))
     assert (status, len(err.splitlines())) == (2, 1)
     assert "cannot be written: No such file or directory" in err

@@ -102,7 +102,7 @@ async def test_an_address_in_use_names_the_program_that_has_it() -> None:
     async with serve() as daemon:
         status, out, _ = await run("doctor", "--listen", "{}:{}".format(*daemon.tcp))
     assert status == 1
-    assert "address_in_use: another program listens where devices connect" in out
+    assert "address_in_use: another program listens on the device port" in out
     assert f"hostlink (pid {daemon.child.pid})" in out
 
 
@@ -174,7 +174,7 @@ async def test_devices_that_are_not_admitted_are_a_finding(tmp_path: Path) -> No
         await daemon.read_log("connection.refused")
         status, out, _ = await run("doctor", "--url", daemon.url)
     assert status == 1
-    assert out.startswith("not_let_in: devices reach this computer, and are not let in (")
+    assert out.startswith("not_let_in: devices reach this computer, but their connections are refused (")
 
 
 @pytest.mark.parametrize(

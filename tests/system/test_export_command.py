@@ -38,7 +38,7 @@ async def test_info_says_which_topics_can_be_converted_and_why_others_cannot(tmp
     status, out, _ = await run("info", str(path))
     lines = {line.split()[0]: line for line in out.splitlines() if line.startswith("/")}
     assert (status, lines["/text"].split()[-1]) == (0, "yes")
-    assert "its messages are 'protobuf'" in lines["/camera"]
+    assert "its message encoding is 'protobuf'" in lines["/camera"]
     _, out, _ = await run("info", str(path), "--json")
     found = {topic["topic"]: topic["not_exported"] for topic in json.loads(out)["topics"]}
     assert (found["/text"], "'protobuf'" in found["/camera"]) == ("", True)

@@ -1,4 +1,4 @@
-"""Never more to an address than came from it: by any order of receiving and sending."""
+"""Allowance: no more is sent to an address than came from it, in any order."""
 
 from hypothesis import given
 from hypothesis import strategies as st
@@ -9,7 +9,7 @@ SIZES = st.integers(1, 1452)
 
 
 @given(st.lists(st.tuples(st.booleans(), st.lists(SIZES, min_size=1, max_size=4)), max_size=60))
-def test_what_is_sent_never_exceeds_what_came(steps: list[tuple[bool, list[int]]]) -> None:
+def test_sent_bytes_never_exceed_received_bytes(steps: list[tuple[bool, list[int]]]) -> None:
     allowance = Allowance(is_limited=True)
     came: list[int] = []
     sent: list[int] = []
@@ -26,13 +26,13 @@ def test_what_is_sent_never_exceeds_what_came(steps: list[tuple[bool, list[int]]
         assert sum(sent) + HEADER_BYTES * len(sent) <= sum(came) + HEADER_BYTES * len(came)
 
 
-def test_all_that_came_may_be_sent() -> None:
+def test_as_many_bytes_as_received_may_be_sent() -> None:
     allowance = Allowance(is_limited=True)
     allowance.earn(20)
     assert allowance.allows([bytes(20)])
     assert not allowance.allows([bytes(21)])
-    assert not allowance.allows([bytes(10), bytes(10)])  # two headers for one
+    assert not allowance.allows([bytes(10), bytes(10)])  # two headers against one
 
 
-def test_a_verified_address_is_sent_anything() -> None:
+def test_verified_address_has_no_limit() -> None:
     assert Allowance(is_limited=False).allows([bytes(1452)] * 100)

@@ -1,4 +1,4 @@
-"""A cancellation that meets a child's error."""
+"""Cancellation at the same time as a child's error."""
 
 import ast
 import asyncio
@@ -29,9 +29,9 @@ async def work(*, checks_for_cancellation: bool) -> str:
 
 
 @pytest.mark.parametrize("is_cancelled", [False, True])
-async def test_a_cancellation_beside_an_error_ends_the_task(*, is_cancelled: bool) -> None:
+async def test_cancellation_during_a_child_error_ends_the_task(*, is_cancelled: bool) -> None:
     task = asyncio.get_running_loop().create_task(work(checks_for_cancellation=True))
-    await asyncio.sleep(0)  # the group waits, its child has not begun
+    await asyncio.sleep(0)  # the group waits, and its child has not started
     if is_cancelled:
         task.cancel()
         with pytest.raises(asyncio.CancelledError):
@@ -40,8 +40,8 @@ async def test_a_cancellation_beside_an_error_ends_the_task(*, is_cancelled: boo
         assert await task == "went on"
 
 
-async def test_without_it_the_task_goes_on_before_python_3_13() -> None:
-    """What asyncio does: this test says why the function exists."""
+async def test_task_continues_without_raise_if_cancelled_before_python_3_13() -> None:
+    """Check asyncio's behaviour, which is why the function exists."""
     task = asyncio.get_running_loop().create_task(work(checks_for_cancellation=False))
     await asyncio.sleep(0)
     task.cancel()
@@ -50,7 +50,7 @@ async def test_without_it_the_task_goes_on_before_python_3_13() -> None:
 
 
 def raised_in_except_star(tree: ast.AST) -> list[int]:
-    """The lines on which an `except*` block raises by itself, or calls what does."""
+    """Return the lines on which an `except*` block raises by itself, or calls a function that does."""
     blocks = [block for node in ast.walk(tree) if isinstance(node, ast.TryStar) for block in node.handlers]
     return [
         node.lineno
@@ -60,8 +60,8 @@ def raised_in_except_star(tree: ast.AST) -> list[int]:
     ]
 
 
-def test_nothing_is_raised_in_an_except_star_block() -> None:
-    """Before Python 3.11.4 it would leave the block in an exception group: no cancellation, no OSError."""
+def test_except_star_blocks_raise_nothing() -> None:
+    """Before Python 3.11.4 the exception would leave the block in an exception group."""
     code = [path for folder in ("hostlink", "tests", "tools") for path in (ROOT / folder).rglob("*.py")]
     with_blocks = {path: text for path in code if "except*" in (text := path.read_text())}
     assert ROOT / "hostlink/link/link.py" in with_blocks
@@ -87,7 +87,7 @@ async def test_one_wait_that_lasts_too_long_ends_the_block() -> None:
     assert 0.15 <= loop.time() - began_s < 1.0
 
 
-async def test_short_waits_may_be_many_and_what_lies_between_them_long() -> None:
+async def test_many_short_waits_with_long_pauses_do_not_expire() -> None:
     loop = asyncio.get_running_loop()
     async with patience(0.1) as waits:
         for _ in range(4):
@@ -96,4 +96,4 @@ async def test_short_waits_may_be_many_and_what_lies_between_them_long() -> None
             waits.end()
         await asyncio.sleep(0.25)
         waits.begin(loop.time())
-    await asyncio.sleep(0.15)  # the block is over, its last wait too
+    await asyncio.sleep(0.15)  # block and last wait are over

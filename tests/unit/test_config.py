@@ -1,4 +1,4 @@
-"""hostlink.toml: what it may say, and what it is told when it says something else."""
+"""hostlink.toml: accepted settings, and the errors of others."""
 
 from pathlib import Path
 
@@ -14,7 +14,7 @@ def write(folder: Path, text: str) -> Path:
     return path
 
 
-def test_an_empty_file_is_the_defaults(tmp_path: Path) -> None:
+def test_empty_file_is_the_defaults(tmp_path: Path) -> None:
     assert load(write(tmp_path, "")) == Config()
 
 
@@ -78,24 +78,24 @@ def test_every_part_is_read(tmp_path: Path) -> None:
         ("x = [", "is not TOML: Invalid value (at end of document)"),
     ],
 )
-def test_what_is_wrong_is_named_with_its_place(tmp_path: Path, text: str, problem: str) -> None:
+def test_wrong_setting_is_named_with_its_place(tmp_path: Path, text: str, problem: str) -> None:
     path = write(tmp_path, text)
     with pytest.raises(ConfigError) as caught:
         load(path)
     assert str(caught.value) == f"{path}: {problem}"
 
 
-def test_lists_in_lists_without_end_are_no_settings(tmp_path: Path) -> None:
+def test_endlessly_nested_lists_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="nested too deeply"):
         load(write(tmp_path, "a=" + "[" * 50_000))
 
 
-def test_a_file_without_end_is_no_settings(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_endless_file_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("hostlink.config.MAX_FILE_BYTES", 1000)
     with pytest.raises(ConfigError, match="more than 1000 bytes"):
         load(Path("/dev/zero"))
 
 
-def test_a_file_that_is_not_there(tmp_path: Path) -> None:
+def test_missing_settings_file_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="No such file"):
         load(tmp_path / "none.toml")

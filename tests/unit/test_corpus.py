@@ -1,4 +1,4 @@
-"""Every input that a fuzzer has found worth keeping, tried again."""
+"""Inputs that fuzzers have found, tested again."""
 
 from pathlib import Path
 
@@ -10,7 +10,7 @@ CORPUS = Path(__file__).parent.parent / "corpus"
 
 
 @pytest.mark.parametrize("target", TARGETS)
-def test_the_corpus_breaks_no_law(target: str) -> None:
+def test_inputs_of_the_corpus_keep_the_invariants(target: str) -> None:
     inputs = sorted((CORPUS / target).iterdir())
     assert len(inputs) >= 5
     for found in inputs:

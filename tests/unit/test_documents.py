@@ -1,4 +1,4 @@
-"""What documents and code say of each other is there: documents, sections, functions, tests, constants, log events."""
+"""References between documents and code: documents, sections, functions, tests, constants, log events."""
 
 import ast
 import functools
@@ -22,7 +22,7 @@ FENCED = re.compile(r"^```.*?^```", re.MULTILINE | re.DOTALL)
 
 
 def sources() -> Iterator[Path]:
-    """The documents and the code, without what a build or npm put beside them."""
+    """Return documents and code, without files of builds or npm."""
     yield from ROOT.glob("*.md")
     for folder in FOLDERS:
         for where, folders, names in os.walk(ROOT / folder):
@@ -31,7 +31,7 @@ def sources() -> Iterator[Path]:
 
 
 def sections(text: str) -> frozenset[str]:
-    """The headings of a document, as a link spells them."""
+    """Return the headings of a document, as links spell them."""
     headings = HEADING.findall(FENCED.sub("", text))
     return frozenset(re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings)
 
@@ -42,7 +42,7 @@ def sections_of(document: Path) -> frozenset[str]:
 
 
 def unknown_documents(text: str, *, folder: Path) -> Iterator[str]:
-    """What a text in this folder names and is not there: in the folder, below the root, among the documents."""
+    """Return documents that a text in this folder names and that do not exist."""
     for name, section in NAMED.findall(text):
         places = [place / name for place in (folder, ROOT, ROOT / "docs") if (place / name).is_file()]
         if not any(not section or section in sections_of(place) for place in places):
@@ -50,7 +50,7 @@ def unknown_documents(text: str, *, folder: Path) -> Iterator[str]:
 
 
 def broken_links(text: str, *, folder: Path) -> Iterator[str]:
-    """What a document in this folder links to and is not there, other documents aside."""
+    """Return link targets of a document in this folder that do not exist, except documents."""
     for name, section in LINKED.findall(text):
         if name and not name.endswith(".md") and not (folder / name).exists():
             yield name
@@ -82,7 +82,7 @@ def test_every_document_that_is_named_exists_and_has_the_section() -> None:
         ("https://example.org/gone.md, and info.md5", []),
     ],
 )
-def test_a_document_that_is_not_there_is_found(text: str, found: list[str]) -> None:
+def test_missing_document_is_found(text: str, found: list[str]) -> None:
     assert list(unknown_documents(text, folder=ROOT / "docs")) == found
 
 
@@ -94,7 +94,7 @@ def test_a_document_that_is_not_there_is_found(text: str, found: list[str]) -> N
         ("```\n# Below\n```\n[below](#below)", ["#below"]),
     ],
 )
-def test_a_link_to_what_is_not_there_is_found(text: str, found: list[str]) -> None:
+def test_broken_link_is_found(text: str, found: list[str]) -> None:
     assert list(broken_links(text, folder=ROOT / "docs")) == found
 
 
@@ -103,7 +103,7 @@ OF_AN_INDEX = re.compile(r"""(?<![\w./-])hostlink(?=$|[\s'",)\[=<>~!])""")
 
 
 def installed_from_an_index(text: str) -> list[str]:
-    """The commands that would fetch the package of our name from an index, where it may be anybody's."""
+    """Return commands that would install hostlink from a package index, where the name may belong to a stranger."""
     return [found[0].strip() for found in INSTALLED.finditer(text) if OF_AN_INDEX.search(found[1])]
 
 
@@ -129,7 +129,7 @@ def test_no_command_installs_hostlink_by_its_name_from_an_index() -> None:
         ("pip install /opt/hostlink", 0),
     ],
 )
-def test_a_command_that_installs_the_name_is_found(text: str, count: int) -> None:
+def test_command_that_installs_the_name_is_found(text: str, count: int) -> None:
     assert len(installed_from_an_index(text)) == count
 
 
@@ -137,12 +137,12 @@ WAY = re.compile(r"^\| `(hostlink/[\w/]+\.py)` \| `([\w.]+)` \|", re.MULTILINE)
 
 
 def ways(text: str) -> list[list[tuple[str, str]]]:
-    """The tables of files and functions of "A reader's way"."""
+    """Return the tables of files and functions of "A reader's way"."""
     section = text.partition("## A reader's way")[2].partition("\n## ")[0]
     return [found for table in section.split("\n\n") if (found := WAY.findall(table))]
 
 
-def test_the_reader_s_way_names_functions_that_exist_and_no_file_twice() -> None:
+def test_reader_s_way_names_functions_that_exist_and_no_file_twice() -> None:
     both = ways((ROOT / "CONTRIBUTING.md").read_text())
     assert len(both) == 2
     for way in both:

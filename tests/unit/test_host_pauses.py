@@ -1,4 +1,4 @@
-"""What is known of the times in which the host did not run."""
+"""HostPauses: times when the host did not run."""
 
 from hostlink.host_pauses import MAX_UNSETTLED_S, RECOVERY_S, HostPauses
 from hostlink.hub.stall_watch import BEAT_S, StallWatch
@@ -25,7 +25,7 @@ def test_awake_time_excludes_pauses_and_parts_of_them() -> None:
     assert pauses.awake_s(9.0, 10.0) == 1.0
 
 
-def test_what_is_due_waits_until_what_waited_is_read() -> None:
+def test_due_work_waits_until_waiting_bytes_are_read() -> None:
     pauses = paused((1.0, 9.0))
     assert not pauses.is_settled(9.0)
     assert pauses.is_settled(9.25)
@@ -33,7 +33,7 @@ def test_what_is_due_waits_until_what_waited_is_read() -> None:
     assert pauses.has_recovered(9.0 + RECOVERY_S)
 
 
-def test_what_is_due_does_not_wait_for_the_end_of_endless_pauses() -> None:
+def test_due_work_is_not_postponed_by_endless_pauses() -> None:
     pauses, now_s = paused((1.0, 9.0)), 9.0
     while now_s < 9.0 + MAX_UNSETTLED_S:
         assert not pauses.is_settled(now_s)
@@ -52,7 +52,7 @@ def test_stall_watch_remembers_a_pause_that_another_than_its_beat_sees_first() -
 
 
 def test_stall_watch_notices_that_the_computer_slept() -> None:
-    """The event loop's clock stands still meanwhile."""
+    """The event loop's clock stops meanwhile."""
     slept_s = 5.0
     watch = StallWatch(lambda: slept_s)
     for beat in range(3):

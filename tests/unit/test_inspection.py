@@ -1,4 +1,7 @@
-"""A recording that is broken, and what JSON lacks; against the original host: tests/property/test_inspection.py."""
+"""Damaged recordings, and numbers that JSON lacks.
+
+tests/property/test_inspection.py compares with the original host.
+"""
 
 from pathlib import Path
 
@@ -11,7 +14,7 @@ from hostlink.messages.catalog import Catalog
 from hostlink.protocol.frame import encode
 
 
-def test_an_unknown_type_is_shown_as_bytes() -> None:
+def test_unknown_type_is_shown_as_bytes() -> None:
     strings = b"".join(len(text).to_bytes(4, "little") + text for text in (b"/x", b"my_msgs/New", b"0" * 32))
     info = (125).to_bytes(2, "little") + strings + (512).to_bytes(4, "little")
     inspection = Inspection(Catalog())
@@ -29,15 +32,15 @@ def test_an_unknown_type_is_shown_as_bytes() -> None:
         ('{"dir": "host", "hex": "zz"}', "non-hexadecimal number found in fromhex() arg at position 0"),
     ],
 )
-def test_a_line_that_is_none_is_named(tmp_path: Path, line: str, problem: str) -> None:
+def test_invalid_line_is_named(tmp_path: Path, line: str, problem: str) -> None:
     path = tmp_path / "broken.jsonl"
     path.write_text('{"dir": "host"}\n\n' + line + "\n")
     with pytest.raises(BadRequest) as caught:
         list(load_reads(path))
-    assert str(caught.value) == f"{path}:3: no line of a recording: {problem}"
+    assert str(caught.value) == f"{path}:3: not a line of a recording: {problem}"
 
 
-def test_a_recording_that_is_not_there(tmp_path: Path) -> None:
+def test_missing_recording_is_refused(tmp_path: Path) -> None:
     with pytest.raises(BadRequest, match="No such file"):
         list(load_reads(tmp_path / "none.jsonl"))
 

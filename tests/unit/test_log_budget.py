@@ -1,4 +1,4 @@
-"""How many lines a peer may cause."""
+"""LogBudget: limit of log lines for each peer."""
 
 from hypothesis import given
 from hypothesis import strategies as st
@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from hostlink.log_budget import MAX_PEERS, LogBudget
 
 
-def test_a_burst_then_the_rate() -> None:
+def test_budget_allows_a_burst_then_the_rate() -> None:
     budget = LogBudget(burst_lines=5, rate_hz=2.0)
     assert [budget.allows("a", 0.0) for _ in range(7)] == [True] * 5 + [False] * 2
     assert [budget.allows("a", 0.5), budget.allows("a", 0.5)] == [True, False]
@@ -20,7 +20,7 @@ def test_peers_do_not_share() -> None:
     assert not budget.allows("a", 9.0)
 
 
-def test_what_was_left_out_is_reported_once() -> None:
+def test_refused_lines_are_reported_once() -> None:
     budget = LogBudget(burst_lines=1, rate_hz=0.0)
     for _ in range(4):
         budget.allows("a", 0.0)
@@ -30,7 +30,7 @@ def test_what_was_left_out_is_reported_once() -> None:
     assert budget.left_out == 3
 
 
-def test_a_crowd_of_names_is_bounded_and_loses_no_count() -> None:
+def test_many_peers_are_bounded_and_every_refused_line_is_counted() -> None:
     budget = LogBudget(burst_lines=1, rate_hz=0.0)
     for number in range(MAX_PEERS + 10):
         for _ in range(3):
@@ -42,7 +42,7 @@ def test_a_crowd_of_names_is_bounded_and_loses_no_count() -> None:
 
 
 @given(st.lists(st.tuples(st.sampled_from("abc"), st.floats(0, 5)), max_size=300))
-def test_no_peer_has_more_than_its_burst_and_its_rate(calls: list[tuple[str, float]]) -> None:
+def test_lines_of_a_peer_never_exceed_burst_and_rate(calls: list[tuple[str, float]]) -> None:
     budget = LogBudget(burst_lines=10, rate_hz=3.0)
     now_s, allowed = 0.0, dict.fromkeys("abc", 0)
     for peer, pause_s in calls:

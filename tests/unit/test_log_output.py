@@ -1,4 +1,4 @@
-"""Where the log goes: whatever is wrong there neither ends nor stops the daemon."""
+"""LogOutput: no failure of the output ends or blocks the daemon."""
 
 import io
 import json
@@ -27,7 +27,7 @@ def pipe() -> Iterator[tuple[int, TextIO]]:
         try:
             close()
         except OSError:
-            assert sys.exc_info()[1] is not None  # a test has closed it
+            assert sys.exc_info()[1] is not None  # the stream was closed by a test
 
 
 def test_lines_arrive_whole(pipe: tuple[int, TextIO]) -> None:
@@ -39,11 +39,11 @@ def test_lines_arrive_whole(pipe: tuple[int, TextIO]) -> None:
     assert output.lost_lines == 0
 
 
-def test_a_reader_that_sleeps_costs_lines_and_no_time(pipe: tuple[int, TextIO]) -> None:
+def test_blocked_reader_loses_lines_without_delay(pipe: tuple[int, TextIO]) -> None:
     reading, stream = pipe
     output = LogOutput(stream)
     began_s = time.monotonic()
-    for _ in range(2000):  # three times what the pipe holds
+    for _ in range(2000):  # three times the capacity of the pipe
         output.write(LINE)
     assert time.monotonic() - began_s < 5.0
     assert output.lost_lines > 500
@@ -57,7 +57,7 @@ def test_a_reader_that_sleeps_costs_lines_and_no_time(pipe: tuple[int, TextIO]) 
     assert (output.pop_lost(), output.pop_lost()) == (2000 - kept, 0)
 
 
-def test_a_line_that_was_cut_is_ended_before_the_next(pipe: tuple[int, TextIO]) -> None:
+def test_line_that_was_cut_is_ended_before_the_next(pipe: tuple[int, TextIO]) -> None:
     reading, stream = pipe
     output = LogOutput(stream)
     output.write("y" * (1 << 17) + "\n")
@@ -69,7 +69,7 @@ def test_a_line_that_was_cut_is_ended_before_the_next(pipe: tuple[int, TextIO]) 
     assert os.read(reading, 1 << 17) == b"\n" + LINE.encode()
 
 
-def test_a_reader_that_is_gone(pipe: tuple[int, TextIO]) -> None:
+def test_closed_pipe_loses_lines_without_error(pipe: tuple[int, TextIO]) -> None:
     reading, stream = pipe
     output = LogOutput(stream)
     os.close(reading)
@@ -77,7 +77,7 @@ def test_a_reader_that_is_gone(pipe: tuple[int, TextIO]) -> None:
     assert output.lost_lines == 1
 
 
-def test_a_full_disk() -> None:
+def test_full_disk_loses_lines_without_error() -> None:
     with open("/dev/full", "w") as full:  # noqa: PTH123
         output = LogOutput(full)
         output.write(LINE)
@@ -85,7 +85,7 @@ def test_a_full_disk() -> None:
 
 
 @pytest.mark.parametrize("stream", [None, io.StringIO()])
-def test_no_stream_or_a_closed_one(stream: io.StringIO | None) -> None:
+def test_missing_or_closed_stream_loses_lines_without_error(stream: io.StringIO | None) -> None:
     if stream is not None:
         stream.close()
     output = LogOutput(stream)
@@ -96,7 +96,7 @@ def test_no_stream_or_a_closed_one(stream: io.StringIO | None) -> None:
 
 @pytest.fixture
 def log() -> Iterator[io.StringIO]:
-    """The daemon's own log, in memory."""
+    """Return the daemon's own log, in memory."""
     stream = io.StringIO()
     logs.configure(stream=stream)
     yield stream
@@ -108,7 +108,7 @@ def events(log: io.StringIO) -> list[dict[str, object]]:
     return [json.loads(line) for line in log.getvalue().splitlines()]
 
 
-def test_what_a_peer_causes_has_a_budget_and_what_was_left_out_is_logged(log: io.StringIO) -> None:
+def test_lines_of_a_peer_have_a_budget_and_refused_ones_are_logged(log: io.StringIO) -> None:
     for peer in ("192.0.2.77", "192.0.2.78"):
         with structlog.contextvars.bound_contextvars(**logs.of_peer(peer)):
             for number in range(700 if peer.endswith("77") else 3):
@@ -120,5 +120,5 @@ def test_what_a_peer_causes_has_a_budget_and_what_was_left_out_is_logged(log: io
     assert len(reported) == 1
     lines = reported[0]["lines"]
     assert isinstance(lines, int)
-    assert 150 <= lines <= 200  # of 700 the burst of 500 is written, and what the rate allowed meanwhile
+    assert 150 <= lines <= 200  # of 700 lines: the rest of the burst of 500, and what the rate allowed meanwhile
     assert len([line for line in found if line["event"] == "device.logged"]) == 703 - lines

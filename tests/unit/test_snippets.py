@@ -1,4 +1,4 @@
-"""The snippets of the documents: Python that compiles and names what exists, settings that the daemon accepts."""
+"""Snippets of the documents: Python compiles and uses existing names, and settings are accepted."""
 
 import ast
 import re
@@ -25,7 +25,7 @@ def snippets(language: str) -> Iterator[tuple[str, str]]:
 
 
 def unknown_names(code: str) -> list[str]:
-    """What a snippet uses of hostlink.client, of a host or a robot, and is not there."""
+    """Return names of hostlink.client, of a host or of a robot that a snippet uses and that do not exist."""
     tree = compile(code, "snippet", "exec", ast.PyCF_ONLY_AST | ast.PyCF_ALLOW_TOP_LEVEL_AWAIT)
     classes = BLOCKING if "connect_blocking" in code else CLASSES
     wrong = []
@@ -51,7 +51,7 @@ def test_settings_are_accepted(name: str, text: str, tmp_path: Path) -> None:
     config.load(tmp_path / "hostlink.toml")
 
 
-def test_a_wrong_snippet_is_found() -> None:
+def test_wrong_snippet_is_found() -> None:
     assert unknown_names("async with hostlink.client.conect() as host: await host.robotz()") == [
         "hostlink.client.conect",
         "host.robotz",

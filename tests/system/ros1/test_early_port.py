@@ -139,7 +139,7 @@ async def test_device_port_that_is_in_use_is_one_line_that_names_it(words: tuple
             )  # fmt: skip
     assert status == 2
     assert err.splitlines()[-1].startswith("hostlink: TCP ")
-    assert f":{port}: is in use: another host for rosserial runs" in err
+    assert f":{port}: is in use, probably by another rosserial host" in err
 
 
 async def test_device_port_is_closed_while_the_master_is_waited_for(tmp_path: Path) -> None:

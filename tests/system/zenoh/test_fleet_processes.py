@@ -138,7 +138,7 @@ async def test_wrong_settings_are_one_line(tmp_path: Path) -> None:
         ('[zenoh]\nlisten = ["nonsense"]\n', "zenoh: Zenoh refuses the settings: Endpoints must be"),
         ('[zenoh]\nname = "a/b"\n', "zenoh.name 'a/b' must be made of letters"),
         ("[zenoh]\nconect = []\n", "did you mean connect?"),
-        ('[zenoh]\ncertificate = "a.pem"\n', "zenoh.certificate and zenoh.key belong together"),
+        ('[zenoh]\ncertificate = "a.pem"\n', "set zenoh.certificate and zenoh.key together"),
         ('[zenoh]\nfile = "gone.json5"\n', "zenoh: Zenoh refuses the settings: "),
     ):
         file.write_text(text)

@@ -1,4 +1,4 @@
-"""What a header has for each kind of field and constant, and for names that mean something else to C++."""
+"""Generated headers: each kind of field and constant, and names that C++ reserves."""
 
 from pathlib import Path
 
@@ -24,7 +24,7 @@ def header(tmp_path: Path, text: str) -> str:
     return message_header(made(tmp_path, text))
 
 
-def test_a_fixed_message_has_its_type_md5_and_size() -> None:
+def test_fixed_message_has_its_type_md5_and_size() -> None:
     message = CATALOG.message("geometry_msgs/Twist")
     assert message is not None
     text = message_header(message)
@@ -35,7 +35,7 @@ def test_a_fixed_message_has_its_type_md5_and_size() -> None:
     assert "::ros::Size(48, 48)" in text
 
 
-def test_a_service_has_classes_for_request_and_response_under_both_names() -> None:
+def test_service_has_classes_for_request_and_response_under_both_names() -> None:
     service = CATALOG.service("std_srvs/SetBool")
     assert service is not None
     text = service_header(service)
@@ -98,7 +98,7 @@ def test_fields_have_the_members_of_ros_lib(tmp_path: Path, line: str, members: 
          [r'static constexpr const char* A = "write \042\077\077=\042 \134 #1 \302\265";']),
     ],
 )  # fmt: skip
-def test_constants_have_their_values_as_c_writes_them(tmp_path: Path, constants: str, lines: list[str]) -> None:
+def test_constants_are_written_as_c_literals(tmp_path: Path, constants: str, lines: list[str]) -> None:
     text = header(tmp_path, constants)
     found = text.partition(" public:\n")[2].partition("\n\n")[0]
     assert [each.strip() for each in found.splitlines()] == lines
@@ -115,5 +115,5 @@ def test_constants_that_are_members_are_defined_once_each(tmp_path: Path) -> Non
     ]
 
 
-def test_a_message_that_can_be_longer_than_a_frame_says_so(tmp_path: Path) -> None:
+def test_message_longer_than_a_frame_has_the_largest_size(tmp_path: Path) -> None:
     assert "::ros::Size(4, 65535)" in header(tmp_path, "uint8[] data")

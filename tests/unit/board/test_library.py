@@ -1,4 +1,4 @@
-"""The files of the library, and the ZIP that they become."""
+"""Files of the library, and its ZIP."""
 
 import io
 import json
@@ -14,7 +14,7 @@ from hostlink.messages.catalog import Catalog
 SELECTION = select(Catalog(), ["std_msgs", "std_srvs"])
 
 
-def test_a_library_has_headers_sources_and_what_each_ide_reads() -> None:
+def test_library_has_headers_sources_and_the_files_of_each_ide() -> None:
     files = library(sources(), SELECTION)
     below = {path.removeprefix("hostlink_rosserial/") for path in files}
     assert all(path.startswith("hostlink_rosserial/") for path in files)
@@ -44,7 +44,7 @@ def test_a_library_has_headers_sources_and_what_each_ide_reads() -> None:
 
 
 @pytest.mark.parametrize("name", ["tf/tf", "tf/transform_broadcaster", "ROS/Node", "hostLink/wifi"])
-def test_a_type_cannot_replace_a_header_of_the_library(tmp_path: Path, name: str) -> None:
+def test_type_cannot_replace_a_header_of_the_library(tmp_path: Path, name: str) -> None:
     path = tmp_path / f"{name}.msg"
     path.parent.mkdir()
     path.write_text("")
@@ -53,7 +53,7 @@ def test_a_type_cannot_replace_a_header_of_the_library(tmp_path: Path, name: str
         library(sources(), selection)
 
 
-def test_the_types_that_sources_include_are_found() -> None:
+def test_types_that_sources_include_are_found() -> None:
     texts = {
         "src/ros.h": b'#include "ros/node.h"\n  #  include <tf/tfMessage.h>\n',
         "src/ros/node.h": b'#include "wire.h"\n',
@@ -62,7 +62,7 @@ def test_the_types_that_sources_include_are_found() -> None:
     assert types_needed(texts) == {"tf/tfMessage", "std_msgs/String"}
 
 
-def test_equal_files_make_equal_bytes_whatever_the_time_and_their_order() -> None:
+def test_zip_of_equal_files_has_equal_bytes() -> None:
     packed = pack({"b/two": b"2", "a": b"1"})
     assert packed == pack({"a": b"1", "b/two": b"2"})
     with zipfile.ZipFile(io.BytesIO(packed)) as archive:

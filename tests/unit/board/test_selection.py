@@ -1,4 +1,4 @@
-"""Which types a library gets, and which names cannot stand beside each other."""
+"""Selection of types for a library, and names that clash."""
 
 from pathlib import Path
 
@@ -12,7 +12,7 @@ CATALOG = Catalog()
 
 
 def folder(tmp_path: Path, **texts: str) -> Catalog:
-    """`my_msgs__Name__msg`: the text of my_msgs/Name.msg."""
+    """Write definitions. `my_msgs__Name__msg` is the text of my_msgs/Name.msg."""
     for name, text in texts.items():
         package, base, suffix = name.split("__")
         (tmp_path / package).mkdir(exist_ok=True)
@@ -27,7 +27,7 @@ def test_all_types_are_selected_when_none_is_named() -> None:
     assert sorted(selection.names) == sorted({*CATALOG.message_names(), *CATALOG.service_names()})
 
 
-def test_what_a_type_contains_comes_along() -> None:
+def test_nested_types_are_selected() -> None:
     assert select(CATALOG, ["geometry_msgs/TwistStamped"]).names == [
         "geometry_msgs/Twist", "geometry_msgs/TwistStamped", "geometry_msgs/Vector3", "std_msgs/Header",
     ]  # fmt: skip
@@ -36,7 +36,7 @@ def test_what_a_type_contains_comes_along() -> None:
     assert "geometry_msgs/PoseStamped" in plan.names
 
 
-def test_a_package_is_its_messages_and_services() -> None:
+def test_selected_package_has_its_messages_and_services() -> None:
     selection = select(CATALOG, ["std_srvs"])
     assert selection.packages == ["std_srvs"]
     assert selection.names == ["std_srvs/Empty", "std_srvs/SetBool", "std_srvs/Trigger"]
@@ -48,14 +48,14 @@ def test_a_package_is_its_messages_and_services() -> None:
     [
         (
             {"my_msgs__Go__msg": "", "my_msgs__Go__srv": "---"},
-            "my_msgs/Go: its header needs the name of the message my_msgs/Go",
+            "my_msgs/Go: the service header needs the name of the message my_msgs/Go",
         ),
         ({"my_msgs__GoRequest__msg": "", "my_msgs__Go__srv": "---"}, "the name of the message my_msgs/GoRequest"),
-        ({"my_msgs__Go__msg": "", "my_msgs__GO__msg": ""}, "by capital letters alone"),
-        ({"ros__Go__msg": ""}, "ros/Go: its package has the name of a namespace"),
+        ({"my_msgs__Go__msg": "", "my_msgs__GO__msg": ""}, "only in upper and lower case"),
+        ({"ros__Go__msg": ""}, "ros/Go: the package has the name of a C\\+\\+ namespace"),
     ],
 )
-def test_names_that_one_library_cannot_have_are_refused(tmp_path: Path, texts: dict[str, str], problem: str) -> None:
+def test_clashing_names_are_refused(tmp_path: Path, texts: dict[str, str], problem: str) -> None:
     with pytest.raises(ConfigError, match=problem):
         select(folder(tmp_path, **texts), None)
 
@@ -64,5 +64,5 @@ def test_two_types_with_one_name_in_c_plus_plus_are_refused(tmp_path: Path) -> N
     assert select(folder(tmp_path, my_msgs__PI__msg=""), ["my_msgs"]).names == ["my_msgs/PI"]
     (tmp_path / "my_msgs" / "PI_.msg").write_text("")
     catalog = Catalog([tmp_path])
-    with pytest.raises(ConfigError, match=r"my_msgs/PI_: its C\+\+ name is my_msgs::PI_, as that of my_msgs/PI; ren"):
+    with pytest.raises(ConfigError, match=r"my_msgs/PI_: its C\+\+ name my_msgs::PI_ is also that of my_msgs/PI; ren"):
         select(catalog, None)

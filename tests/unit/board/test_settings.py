@@ -1,4 +1,4 @@
-"""The lines of text for a board's settings; the other side is tested in tests/firmware/test_board_settings.py."""
+"""Text lines of a board's settings. tests/firmware/test_board_settings.py tests the board's side."""
 
 import os
 
@@ -20,20 +20,20 @@ from hostlink.board.settings import (
 from hostlink.errors import BadRequest
 
 
-def test_an_answer_is_found_behind_what_the_sketch_prints() -> None:
+def test_answer_after_text_of_the_sketch_is_found() -> None:
     line = request_line(7, "value host=mule").rstrip(b"\n")
     assert parse_answer(b"speed 0.2 #hl " + line) == Answer(7, "value host=mule")
 
 
 @given(st.integers(0, 60), st.integers(1, 255))
-def test_a_line_with_a_wrong_byte_is_no_answer(at: int, flip: int) -> None:
+def test_line_with_a_wrong_byte_is_ignored(at: int, flip: int) -> None:
     line = bytearray(request_line(7, "value wifi_name=a%20b").rstrip(b"\n"))
     line[at % len(line)] ^= flip
     assert parse_answer(bytes(line)) is None
 
 
 @given(st.lists(st.binary(max_size=400), max_size=10))
-def test_a_reader_of_any_bytes_has_a_bound_and_finds_the_next_answer(pieces: list[bytes]) -> None:
+def test_reader_of_any_bytes_has_a_bound_and_finds_the_next_answer(pieces: list[bytes]) -> None:
     reader = AnswerReader()
     for piece in pieces:
         list(reader.feed(piece))
@@ -43,19 +43,19 @@ def test_a_reader_of_any_bytes_has_a_bound_and_finds_the_next_answer(pieces: lis
 
 
 @given(st.sampled_from(["host", "wifi_name"]), st.text(max_size=60))
-def test_a_value_comes_back_as_it_went(name: str, value: str) -> None:
+def test_quoted_value_is_unquoted(name: str, value: str) -> None:
     words = assignment(name, value).replace("set ", "value ")
     assert words.isascii()
     assert not {"#", " ", "\n"} & set(words.partition("=")[2])
     assert value_of(words) == (name, value)
 
 
-def test_the_longest_request_fits_a_line() -> None:
+def test_longest_request_fits_a_line() -> None:
     for setting in SETTINGS.values():
         assert len(request_line(65535, assignment(setting.name, "\u20ac" * (setting.most // 3)))) <= LINE_BYTES_MAX
 
 
-def test_the_text_of_a_refusal_does_not_have_the_value() -> None:
+def test_error_text_does_not_contain_the_value() -> None:
     with pytest.raises(BadRequest) as refused:
         check_value(SETTINGS["wifi_password"], "s3cr3t\n")
     assert "s3cr3t" not in str(refused.value)
@@ -64,7 +64,7 @@ def test_the_text_of_a_refusal_does_not_have_the_value() -> None:
     assert "s3cr3t" not in str(refused.value)
 
 
-def test_a_value_that_is_not_utf_8_is_refused() -> None:
+def test_value_that_is_not_utf_8_is_refused() -> None:
     with pytest.raises(BadRequest, match="wifi_name: not UTF-8"):
         check_value(SETTINGS["wifi_name"], os.fsdecode(b"caf\xe9"))
 

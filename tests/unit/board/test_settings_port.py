@@ -1,4 +1,4 @@
-"""What is made of a board's answers, whatever they are."""
+"""BoardSettings with any answers of a board."""
 
 import asyncio
 import re
@@ -18,7 +18,7 @@ _REQUEST = re.compile(rb"#hl (\d+) (.*) [0-9A-F]{8}\n")
 
 
 class Board:
-    """Answers each request with the lines that `answer` gives for its words."""
+    """Board that answers each request with the lines that `answer` returns for its text."""
 
     def __init__(self, answer: Callable[[str], list[str]], *, delay_s: float = 0.0) -> None:
         self.requests: list[str] = []
@@ -26,7 +26,7 @@ class Board:
         self._delay_s = delay_s
 
     async def serve(self, transport: MemoryTransport) -> None:
-        """Until it is cancelled."""
+        """Serve until cancelled."""
         while True:
             for number, words in _REQUEST.findall(await transport.receive()):
                 self.requests.append(words.decode())
@@ -36,7 +36,7 @@ class Board:
 
 
 def use(board: Board, action: Callable[[BoardSettings], Awaitable[T]], *, baud: int = 115200) -> T:
-    """What the action returns or raises."""
+    """Return the result or the error of the action."""
 
     async def talk() -> T | HostlinkError:
         host, device = memory_pair(address="/dev/ttyUSB0")
@@ -51,27 +51,27 @@ def use(board: Board, action: Callable[[BoardSettings], Awaitable[T]], *, baud: 
                 serving.cancel()
 
     result = run_virtual(talk())
-    if isinstance(result, HostlinkError):  # a task group would raise it as a group
+    if isinstance(result, HostlinkError):  # a task group would raise it in an exception group
         raise result
     return result
 
 
-def test_a_board_that_always_restarts_before_it_stores_is_an_error() -> None:
+def test_board_that_always_restarts_before_storing_raises() -> None:
     board = Board(lambda words: ["error lost"] if words.startswith("save") else ["ok"])
-    with pytest.raises(HostlinkError, match=r"^/dev/ttyUSB0: it restarts before it stores anything; is its supply"):
+    with pytest.raises(HostlinkError, match=r"^/dev/ttyUSB0: the board restarts before it stores the settings; check"):
         use(board, lambda settings: settings.write({"host": "a", "port": "1"}))
     assert board.requests[:4] == ["forget", "set host=a", "set port=1", "save 2"]
     assert board.requests.count("save 2") == STORE_TRIES
 
 
-def test_what_was_set_is_forgotten_where_something_is_refused() -> None:
+def test_refused_setting_drops_the_earlier_ones() -> None:
     board = Board(lambda words: ["error unknown"] if words.startswith("set port") else ["ok"])
-    with pytest.raises(HostlinkError, match="port: its sketch does not know this setting"):
+    with pytest.raises(HostlinkError, match="port: the sketch does not know this setting"):
         use(board, lambda settings: settings.write({"host": "a", "port": "1"}))
     assert board.requests[-2:] == ["set port=1", "forget"]
 
 
-def test_settings_that_another_library_has_are_shown_and_none_is_missed() -> None:
+def test_unknown_settings_of_a_board_are_returned() -> None:
     board = Board(
         lambda _: [
             "value hue=blue%20%1b",
@@ -85,7 +85,7 @@ def test_settings_that_another_library_has_are_shown_and_none_is_missed() -> Non
     assert use(board, lambda settings: settings.read()) == {"hue": "blue \x1b", "key": "set", "wifi_password": "set"}
 
 
-def test_a_slow_line_is_given_the_time_that_it_takes() -> None:
+def test_slow_line_gets_a_longer_timeout() -> None:
     board = Board(lambda _: ["value host=a", "ok"], delay_s=10.0)
     assert use(board, lambda settings: settings.read(), baud=300) == {"host": "a"}
     assert board.requests == ["info"]

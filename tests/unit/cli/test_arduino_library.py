@@ -89,12 +89,18 @@ def test_a_folder_that_adds_nothing_is_refused_with_where_its_packages_are(tmp_p
     package(tmp_path / "tree" / "repository")
     package(tmp_path / "work" / "src" / "repository")
     for folder, problem in (
-        ("empty", "empty: no package with .msg or .srv files is in it"),
-        ("tree", "tree: its packages are deeper; give the folder of each, as .*/tree/repository$"),
-        ("work", "work: its packages are deeper; give the folder of each, as .*/work/src/repository$"),
-        ("tree/repository/my_msgs", "this is a package; give the folder that it stands in"),
-        ("tree/repository/my_msgs/msg", "this is a package; give the folder that it stands in"),
-        ("gone", "gone: no such folder"),
+        ("empty", "empty: contains no package with .msg or .srv files"),
+        (
+            "tree",
+            "tree: the packages are in subfolders; give each folder that has some, such as .*/tree/repository$",
+        ),
+        (
+            "work",
+            "work: the packages are in subfolders; give each folder that has some, such as .*/work/src/repository$",
+        ),
+        ("tree/repository/my_msgs", "this is a package; give the folder that contains it"),
+        ("tree/repository/my_msgs/msg", "this is a package; give the folder that contains it"),
+        ("gone", "gone: the folder does not exist"),
     ):
         with pytest.raises(ConfigError, match=problem):
             command(output=tmp_path / "x.zip", messages=[tmp_path / folder])

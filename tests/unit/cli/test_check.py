@@ -123,7 +123,7 @@ def test_what_cannot_be_served_is_refused(config: Config, problem: str) -> None:
         ),
         (
             Config(serial=(SerialConfig(path="/dev/[nz][ue][lr][lo]"),)),
-            "serial /dev/[nz][ue][lr][lo]: fits 2 ports: /dev/null, /dev/zero; say which",
+            "serial /dev/[nz][ue][lr][lo]: matches 2 ports: /dev/null, /dev/zero; name one of them",
         ),
         (Config(tcp=TcpConfig(keyless=("10.0.0.1",))), "tcp.keyless means nothing without tcp.key_file: nobody needs"),
         (Config(parameters={"a": 2**40}), "parameters.a cannot be sent: "),

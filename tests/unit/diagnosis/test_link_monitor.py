@@ -1,4 +1,4 @@
-"""What a monitor makes of a session's events: requests for the time, revivals, what is recent, what does not fit."""
+"""LinkMonitor: time request intervals, revivals, recent counts and oversized messages."""
 
 import errno
 import struct
@@ -21,7 +21,7 @@ def session() -> Session:
     return Session(check=lambda _: 48)
 
 
-def test_intervals_are_between_requests_that_nobody_provoked() -> None:
+def test_time_intervals_exclude_provoked_requests() -> None:
     monitor = LinkMonitor(session(), now_s=0.0)
     for now_s in (0.1, 2.6, 5.1):
         monitor.observe(TopicsRequested("connected") if now_s == 0.1 else TimeRequested(), now_s)
@@ -30,11 +30,11 @@ def test_intervals_are_between_requests_that_nobody_provoked() -> None:
     monitor.observe(TimeRequested(), 8.1)
     monitor.observe(TimeRequested(), 10.6)
     evidence = monitor.evidence(11.0, silent_s=0.0)
-    assert evidence.time_intervals_s == (2.5,)  # 2.6 answered the request for topics, as 8.1 did
+    assert evidence.time_intervals_s == (2.5,)  # the one at 2.6 s answered the topic request, as the one at 8.1 s did
     assert evidence.time_requested_s == pytest.approx(0.4)
 
 
-def test_a_board_that_falls_silent_and_comes_back_has_revived() -> None:
+def test_board_that_answers_after_silence_has_revived() -> None:
     monitor = LinkMonitor(session(), now_s=0.0)
     monitor.observe(TimeRequested(), 2.5)
     for start_s in (10.0, 20.0):
@@ -45,7 +45,7 @@ def test_a_board_that_falls_silent_and_comes_back_has_revived() -> None:
     assert monitor.evidence(81.0, silent_s=0.0).revivals == 1
 
 
-def test_what_is_recent_is_of_the_last_half_minute() -> None:
+def test_recent_counts_cover_thirty_seconds() -> None:
     negotiated = session()
     monitor = LinkMonitor(negotiated, now_s=0.0)
     negotiated.open(now_s=0.0)
@@ -60,7 +60,7 @@ def test_what_is_recent_is_of_the_last_half_minute() -> None:
 
 
 def test_syncs_inside_intact_messages_are_not_damage() -> None:
-    """An int16 of -257 is `ff fe`: a message full of them came as it was sent."""
+    """An int16 of -257 is `ff fe`. A message full of them was received intact."""
     negotiated = session()
     monitor = LinkMonitor(negotiated, now_s=0.0)
     negotiated.open(now_s=0.0)
@@ -70,7 +70,7 @@ def test_syncs_inside_intact_messages_are_not_damage() -> None:
     assert "damaged" not in {found.code for found in diagnose(evidence)}
 
 
-def test_what_does_not_fit_is_known_from_what_was_announced_refused_and_logged() -> None:
+def test_too_small_buffers_are_found_by_announcement_refusal_and_log() -> None:
     negotiated = session()
     monitor = LinkMonitor(negotiated, now_s=0.0)
     negotiated.open(now_s=0.0)
@@ -100,7 +100,7 @@ STALLED = "left wheel stalled: no edge at PWM 4095; off until a zero"
         (3, "left wheel stalled: " + "x" * 200, False),
     ],
 )
-def test_an_error_line_of_a_wheel_is_kept_as_it_is(level: int, text: str, is_kept: bool) -> None:
+def test_error_line_of_a_wheel_is_kept_unchanged(level: int, text: str, is_kept: bool) -> None:
     monitor = LinkMonitor(session(), now_s=0.0)
     monitor.observe(DeviceLogged(level, text), 5.0)
     evidence = monitor.evidence(12.0, silent_s=0.0)
@@ -108,7 +108,7 @@ def test_an_error_line_of_a_wheel_is_kept_as_it_is(level: int, text: str, is_kep
     assert evidence.wheel_runaway is None
 
 
-def test_the_last_line_of_a_wheel_counts() -> None:
+def test_last_error_line_of_a_wheel_is_kept() -> None:
     monitor = LinkMonitor(session(), now_s=0.0)
     for at_s, side in ((1.0, "left"), (2.0, "right")):
         monitor.observe(DeviceLogged(3, f"{side} wheel runs away: 250 of 100 ticks/s"), at_s)
@@ -116,7 +116,7 @@ def test_the_last_line_of_a_wheel_counts() -> None:
     assert negotiated == Complaint("right wheel runs away: 250 of 100 ticks/s", 1.0)
 
 
-def test_a_low_battery_a_restart_and_the_signal_are_read_from_the_log() -> None:
+def test_battery_restart_and_signal_are_read_from_the_log() -> None:
     monitor = LinkMonitor(session(), now_s=0.0)
     monitor.observe(DeviceLogged(3, "battery low: 10.2 V, below 10.5 V"), 1.0)
     monitor.observe(DeviceLogged(3, "started by its watchdog: the loop had not turned for 500 ms"), 1.0)
@@ -159,7 +159,7 @@ def test_refused_topics_have_their_reason() -> None:
     )
 
 
-def test_the_computers_own_clock() -> None:
+def test_host_clock_reports_unset_and_stepped_clocks() -> None:
     clock = HostClock()
     second_ns = 1_000_000_000
     assert clock.check(0.0, MIN_WALL_NS - 1) == "its clock is not set"
@@ -177,12 +177,12 @@ def test_the_computers_own_clock() -> None:
         (errno.ENOTTY, "serial_unusable"),
     ],
 )
-def test_a_port_that_cannot_be_opened_is_a_finding(number: int, code: str) -> None:
+def test_port_that_cannot_be_opened_is_a_finding(number: int, code: str) -> None:
     found = port_finding(OSError(number, "/dev/ttyACM0: why"))
     assert (found.code, found.detail) == (code, "/dev/ttyACM0: why")
 
 
-def test_another_baud_is_judged_by_what_comes_after_it() -> None:
+def test_changed_baud_rate_drops_earlier_counts() -> None:
     negotiated = session()
     negotiated.open(now_s=0.0)
     monitor = LinkMonitor(negotiated, now_s=0.0)
@@ -194,7 +194,7 @@ def test_another_baud_is_judged_by_what_comes_after_it() -> None:
     assert (evidence.baud, evidence.total.skipped_bytes, evidence.recent.skipped_bytes) == (115200, 54, 4)
 
 
-def test_it_knows_whether_topics_were_negotiated() -> None:
+def test_was_negotiated_after_the_first_negotiation() -> None:
     negotiated = session()
     monitor = LinkMonitor(negotiated, now_s=0.0)
     assert not monitor.was_negotiated
@@ -208,18 +208,18 @@ def requested(monitor: LinkMonitor, *times_s: float, has_waited: bool = False) -
     return monitor.evidence(times_s[-1], silent_s=0.0).time_intervals_s
 
 
-def test_time_requests_that_come_together_are_no_intervals() -> None:
-    """They waited on their way: in the device's WiFi module, or in the kernel while the host was away."""
+def test_time_requests_that_arrive_together_give_no_interval() -> None:
+    """The requests waited in the device's WiFi module, or in the kernel while the host was paused."""
     monitor = LinkMonitor(session(), now_s=0.0)
     monitor.observe(TopicsRequested("connected"), 0.0)
     assert requested(monitor, 0.01, 0.01, 0.02, 0.02, 0.9) == ()
-    assert requested(monitor, 2.5) == ()  # the one before had waited, too: nobody knows when it was sent
+    assert requested(monitor, 2.5) == ()  # the one before had waited too, so its sending time is unknown
     assert requested(monitor, 5.0, 7.5) == (2.5, 2.5)
     assert requested(monitor, 15.1, 15.1, 15.1, 17.0) == pytest.approx((2.5, 2.5, 7.6))
     assert requested(monitor, 19.5) == pytest.approx((2.5, 2.5, 7.6, 2.5))
 
 
-def test_time_requests_that_waited_for_the_host_are_no_intervals() -> None:
+def test_time_requests_after_a_host_pause_give_no_interval() -> None:
     monitor = LinkMonitor(session(), now_s=0.0)
     assert requested(monitor, 2.5, 5.0) == (2.5,)
     assert requested(monitor, 8.7, has_waited=True) == (2.5,)
@@ -227,7 +227,7 @@ def test_time_requests_that_waited_for_the_host_are_no_intervals() -> None:
     assert requested(monitor, 12.5) == (2.5, 2.5)
 
 
-def test_what_was_lost_while_the_host_was_away_is_not_damage() -> None:
+def test_losses_during_a_host_pause_are_not_damage() -> None:
     negotiated = session()
     negotiated.open(now_s=0.0)
     monitor = LinkMonitor(negotiated, now_s=0.0)
@@ -244,8 +244,8 @@ def test_what_was_lost_while_the_host_was_away_is_not_damage() -> None:
     assert evidence.total.bytes_from_device == 610
 
 
-def test_a_device_that_was_running_when_the_host_came_has_no_boot_message() -> None:
-    """Its first bytes are the end of a long frame, and holes in what waited: no board started."""
+def test_running_device_has_no_boot_message_after_a_host_start() -> None:
+    """The first bytes are the end of a long frame, and gaps in the waiting bytes. No board restarted."""
     running = session()
     running.open(now_s=0.0)
     monitor = LinkMonitor(running, now_s=0.0)
@@ -267,7 +267,7 @@ def test_stamps_of_messages_that_waited_are_not_a_wrong_clock() -> None:
     codes = []
     for tenth in range(300):
         now_s = tenth / 10
-        behind_s = 9.0 if now_s < 0.5 else 0.0  # half a second long what waited for 9 s is read
+        behind_s = 9.0 if now_s < 0.5 else 0.0  # for half a second, bytes are read that waited for 9 s
         stamp_ns, at_ns = round((100 + now_s - behind_s) * second_ns), round((100 + now_s) * second_ns)
         negotiated.device_clock.update(stamp_ns, at_ns=at_ns, now_s=now_s)
         if tenth % 10 == 0:
@@ -286,7 +286,7 @@ def test_stamps_that_stay_wrong_are_a_wrong_clock() -> None:
     assert found.detail == "its stamps are 9.0 s behind"
 
 
-def test_a_device_that_gave_up_while_the_host_was_away_did_not_reboot() -> None:
+def test_device_without_answers_during_a_host_pause_did_not_reboot() -> None:
     monitor = LinkMonitor(session(), now_s=0.0)
     monitor.observe(TimeRequested(), 2.5)
     for start_s in (10.0, 30.0, 50.0):

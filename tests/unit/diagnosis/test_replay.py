@@ -1,4 +1,4 @@
-"""The diagnosis of recordings: of healthy devices nothing, of a part of one nothing that the rest would refute."""
+"""Diagnosis of recordings: no finding for healthy devices, none for a part that the rest would refute."""
 
 from pathlib import Path
 
@@ -27,16 +27,16 @@ def robot() -> list[Read]:
 
 
 @pytest.mark.parametrize("name", ["robot", "robot_serial", "services", "reconnect"])
-def test_real_devices_that_are_healthy(name: str) -> None:
+def test_healthy_real_devices_give_no_finding(name: str) -> None:
     assert findings(list(load_reads(CAPTURES / f"{name}.jsonl"))) == []
 
 
-def test_a_recording_that_lost_its_beginning_is_not_blamed_for_it() -> None:
+def test_recording_with_a_lost_beginning_gives_no_finding() -> None:
     assert findings(robot()[400:]) == []
 
 
 def late(reads: list[Read], begin_s: float) -> list[Read]:
-    """As `hostlink capture` saves a link that has lost what its device sent before; what was sent to it is older."""
+    """Return a recording as `hostlink capture` saves it after its first device bytes were lost."""
     stream = FrameStream()
     before = (bytes.fromhex(read.hex) for read in reads if read.dir == "device" and read.t < begin_s)
     frames = (item for data in before for item in stream.feed(data) if isinstance(item, Frame))
@@ -47,7 +47,7 @@ def late(reads: list[Read], begin_s: float) -> list[Read]:
 
 
 @pytest.mark.parametrize("begin_s", [8.0, 20.0, 40.0])
-def test_a_recording_that_begins_late_and_says_so_is_no_silence(begin_s: float) -> None:
+def test_marked_late_beginning_is_not_silence(begin_s: float) -> None:
     assert findings(late(robot(), begin_s)) == []
 
 
@@ -58,19 +58,19 @@ def test_silence_after_a_late_beginning_is_found() -> None:
     ]
 
 
-def test_text_between_the_frames() -> None:
+def test_text_between_frames_is_found() -> None:
     text = [Read("device", b"speed 1\r\n".hex(), read.t) for read in robot() if read.dir == "device" and read.hex]
     mixed = sorted([*robot(), *text], key=lambda read: read.t)
     assert [each.code for each in findings(mixed)] == ["text_on_line"]
 
 
-def test_a_device_that_does_not_answer() -> None:
+def test_device_that_does_not_answer_is_found() -> None:
     requests = [Read("host", "fffe0000ff0000ff", float(t)) for t in (0, 2, 4)]
     quiet = [Read("device", t=0.0, event="open"), *requests, Read("device", t=11.0, event="close")]
     assert [each.code for each in findings(quiet)] == ["no_bytes"]
 
 
-def test_only_time_requests_are_no_topics() -> None:
+def test_device_that_sends_only_time_requests_has_no_topics() -> None:
     requests = [Read("host", "fffe0000ff0000ff", t) for t in (0.0, 2.0, 4.0)]
     answers = [Read("device", "fffe0800f70a000000000000000000f5", t + 0.1) for t in (0.0, 2.0, 4.0)]
     reads = sorted([*requests, *answers, Read("device", t=6.0, event="close")], key=lambda read: read.t)

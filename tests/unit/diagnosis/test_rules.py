@@ -1,4 +1,4 @@
-"""Each rule by the evidence that is just enough for it, and by what is just not enough."""
+"""Each rule with evidence that is just sufficient, and with evidence that is just not."""
 
 from dataclasses import replace
 
@@ -40,7 +40,7 @@ def lives(count: int, *, seconds: float = 3.0, was_negotiated: bool = True) -> t
 
 CASES = [
     ("no_bytes", replace(NEW, age_s=5.0), "5 s"),
-    ("no_topics", replace(NEW, total=GOOD, recent=GOOD), "asked 3 times, 100 frames"),
+    ("no_topics", replace(NEW, total=GOOD, recent=GOOD), "3 topic requests, 100 frames"),
     ("protocol_1", replace(non_rosserial(b"\xff\xff" * 40), is_protocol_1=True), ""),
     ("text_on_line", non_rosserial(b"speed 0.25 m/s\r\n" * 10), '"speed 0.25 m/s"'),
     (
@@ -56,7 +56,7 @@ CASES = [
     ("buffer_too_small", replace(HEALTHY, too_small=("/cmd: too long",)), "/cmd: too long"),
     ("unknown_ids", replace(HEALTHY, recent=replace(GOOD, unknown_ids=10)), "10 frames"),
     ("reboots", replace(HEALTHY, earlier=lives(3)), "3 links in the last minute; ends: peer_closed"),
-    ("reboots", replace(HEALTHY, revivals=3), "3 times in the last minute"),
+    ("reboots", replace(HEALTHY, revivals=3), "3 restarts in the last minute"),
     ("went_silent", replace(HEALTHY, silent_s=6.0), "for 6 s"),
     ("time_stopped", replace(HEALTHY, time_requested_s=8.0), "for 8 s"),
     ("time_stopped", replace(HEALTHY, time_requested_s=None, negotiated_s=9.0), "for 9 s"),
@@ -73,7 +73,7 @@ CASES = [
         "by its watchdog",
     ),
     ("weak_signal", replace(HEALTHY, signal_dbm=-81), "-81 dBm"),
-    ("clock_trouble", replace(HEALTHY, time_intervals_s=(2.0, 2.0, 2.6)), "every 2.00 s, not every 2.5 s"),
+    ("clock_trouble", replace(HEALTHY, time_intervals_s=(2.0, 2.0, 2.6)), "every 2.00 s instead of 2.5 s"),
     ("clock_trouble", replace(HEALTHY, stamps_behind_s=-3600.0), "its stamps are 3600.0 s ahead"),
     ("clock_trouble", replace(HEALTHY, host_clock="its clock is not set"), "this computer: its clock is not set"),
     ("damaged", replace(HEALTHY, recent=replace(GOOD, bad_checksums=3)), "3 bad checksums and 100 good frames"),
@@ -85,7 +85,7 @@ CASES = [
 
 
 @pytest.mark.parametrize(("code", "evidence", "detail"), CASES)
-def test_what_is_enough(code: str, evidence: Evidence, detail: str) -> None:
+def test_sufficient_evidence_gives_the_finding(code: str, evidence: Evidence, detail: str) -> None:
     found = diagnose(evidence)
     assert [each.code for each in found] == [code]
     assert detail in found[0].detail
@@ -118,24 +118,24 @@ def test_what_is_enough(code: str, evidence: Evidence, detail: str) -> None:
         replace(HEALTHY, end="peer_closed"),
     ],
 )
-def test_what_is_not(evidence: Evidence) -> None:
+def test_insufficient_evidence_gives_no_finding(evidence: Evidence) -> None:
     assert diagnose(evidence) == []
 
 
-def test_a_burst_before_the_topics_is_a_boot_message_as_long_as_it_is_new() -> None:
+def test_burst_before_the_topics_is_boot_noise_while_it_is_recent() -> None:
     tally = replace(GOOD, skipped_bytes=len(BOOT))
     evidence = replace(HEALTHY, total=tally, recent=tally, non_rosserial=BOOT, early_non_rosserial=BOOT)
     assert [each.code for each in diagnose(evidence)] == ["boot_noise"]
     assert diagnose(replace(evidence, recent=GOOD, non_rosserial=b"")) == []
 
 
-def test_several_findings_are_in_the_order_of_the_words() -> None:
+def test_findings_are_in_the_order_of_their_texts() -> None:
     found = diagnose(replace(HEALTHY, refused=("a",), silent_s=7.0, too_small=("b",)))
     assert [each.code for each in found] == ["wrong_md5", "buffer_too_small", "went_silent"]
 
 
 @pytest.mark.parametrize("code", words())
-def test_every_finding_has_all_its_words_in_one_line_each(code: str) -> None:
+def test_every_text_of_a_finding_is_one_line(code: str) -> None:
     assert set(words()[code]) == {"symptom", "cause", "next_step"}
     assert all(text and "\n" not in text and "|" not in text for text in words()[code].values())
     assert finding(code, "x") == Finding(code, words()[code]["cause"], words()[code]["next_step"], "x")

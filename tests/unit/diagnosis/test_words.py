@@ -1,4 +1,4 @@
-"""The documents say what the findings say."""
+"""The documents use the texts of the findings."""
 
 from pathlib import Path
 
@@ -11,12 +11,12 @@ DOCUMENT = (Path(__file__).parents[3] / "docs" / "troubleshooting.md").read_text
 
 
 @pytest.mark.parametrize("code", words())
-def test_the_row_of_a_finding_is_as_its_words(code: str) -> None:
+def test_document_row_has_the_texts_of_the_finding(code: str) -> None:
     texts = words()[code]
     assert f"\n| {texts['symptom']} | `{code}` | {texts['cause']} | {texts['next_step']} |\n" in DOCUMENT
 
 
-def test_the_rows_stand_in_order_and_there_are_no_others() -> None:
+def test_document_rows_are_exactly_the_findings_in_order() -> None:
     rows = [line.split(" | `")[1].split("`")[0] for line in DOCUMENT.splitlines() if " | `" in line]
     assert rows == list(words())
 

@@ -1,4 +1,4 @@
-"""The guardian's duplicate of a connected UDP socket: no error and no empty datagram is its end."""
+"""The guardian's duplicate of a UDP socket: neither an error nor an empty datagram ends it."""
 
 import select
 import socket
@@ -15,7 +15,7 @@ END_S = ZEROS * INTERVAL_S
 
 @pytest.fixture
 def pair() -> Iterator[tuple[socket.socket, socket.socket]]:
-    """The daemon's socket and the device's."""
+    """Return the daemon's socket and the device's."""
     with (
         socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as ours,
         socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as device,
@@ -47,7 +47,7 @@ def guarded(ours: socket.socket, claim_bytes: int = 100) -> Connection:
     return Connection(ours.dup().detach(), (100,), claim_bytes)
 
 
-def test_every_zero_and_the_request_for_silence_are_datagrams_of_whole_frames(
+def test_zeros_and_stop_request_are_datagrams_of_whole_frames(
     pair: tuple[socket.socket, socket.socket],
 ) -> None:
     ours, device = pair
@@ -57,7 +57,7 @@ def test_every_zero_and_the_request_for_silence_are_datagrams_of_whole_frames(
     assert not connection.is_open
 
 
-def test_a_device_that_was_sent_frames_of_several_datagrams_is_sent_zeros_over_their_length(
+def test_zeros_cover_the_length_of_frames_in_several_datagrams(
     pair: tuple[socket.socket, socket.socket],
 ) -> None:
     ours, device = pair
@@ -69,8 +69,8 @@ def test_a_device_that_was_sent_frames_of_several_datagrams_is_sent_zeros_over_t
     assert b"".join(came).endswith(zero_frame(100) + STOP_REQUEST)
 
 
-def test_an_icmp_error_is_no_end(pair: tuple[socket.socket, socket.socket]) -> None:
-    """The device's system answers the first datagram that nobody has the port; then the device is back."""
+def test_icmp_error_does_not_end_the_connection(pair: tuple[socket.socket, socket.socket]) -> None:
+    """The device's system answers the first datagram with port unreachable; then the device is back."""
     ours, device = pair
     address = device.getsockname()
     device.close()
@@ -87,7 +87,7 @@ def test_an_icmp_error_is_no_end(pair: tuple[socket.socket, socket.socket]) -> N
         assert received(back) == [zero_frame(100)] * (ZEROS - 1) + [STOP_REQUEST]
 
 
-def test_nobody_at_the_other_end_ends_it_in_time(pair: tuple[socket.socket, socket.socket]) -> None:
+def test_unreachable_device_ends_the_connection_in_time(pair: tuple[socket.socket, socket.socket]) -> None:
     ours, device = pair
     device.close()
     connection = guarded(ours)
@@ -95,7 +95,7 @@ def test_nobody_at_the_other_end_ends_it_in_time(pair: tuple[socket.socket, sock
     assert not connection.is_open
 
 
-def test_what_the_device_sends_is_discarded_also_when_it_is_empty(pair: tuple[socket.socket, socket.socket]) -> None:
+def test_received_datagrams_are_discarded_even_when_empty(pair: tuple[socket.socket, socket.socket]) -> None:
     ours, device = pair
     connection = guarded(ours)
     for data in (b"", struct.pack("<3d", 1, 2, 3)):

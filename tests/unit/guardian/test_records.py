@@ -1,4 +1,4 @@
-"""Daemon and guardian understand each other."""
+"""Records between daemon and guardian, encoded and decoded."""
 
 from hypothesis import given
 from hypothesis import strategies as st
@@ -9,7 +9,7 @@ NUMBERS = st.integers(0, 2**64 - 1)
 
 
 @given(NUMBERS, st.lists(st.integers(1, 2**16 - 1), max_size=records.MAX_TOPICS), st.integers(0, 2**32 - 1))
-def test_a_record_is_read_as_it_was_meant(number: int, ids: list[int], claim_bytes: int) -> None:
+def test_encoded_record_is_decoded(number: int, ids: list[int], claim_bytes: int) -> None:
     topic_ids = tuple(ids)
     record = records.encode_watch(number, topic_ids, claim_bytes)
     assert records.decode(record) == (records.WATCH, number, topic_ids, claim_bytes)
@@ -28,13 +28,13 @@ def test_every_record_has_one_size() -> None:
 
 
 @given(st.sets(NUMBERS))
-def test_a_beat_names_the_links_that_may_move(driven: set[int]) -> None:
+def test_beat_names_the_links_that_may_move(driven: set[int]) -> None:
     record = records.encode_beat(driven)
     assert record[:1] == records.BEAT
     assert set(records.decode_beat(record) or ()) == driven
 
 
-def test_a_beat_with_too_many_links_means_all_and_fits_the_record() -> None:
+def test_beat_with_too_many_links_means_all_and_fits_the_record() -> None:
     most = set(range(records.MAX_DRIVEN))
     assert set(records.decode_beat(records.encode_beat(most)) or ()) == most
     for surplus in (1, 100):
@@ -44,5 +44,5 @@ def test_a_beat_with_too_many_links_means_all_and_fits_the_record() -> None:
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(0, 2**32 - 1))
-def test_an_answer_counts_the_connections_and_the_stopped_robots(connections: int, stopped: int) -> None:
+def test_answer_counts_the_connections_and_the_stopped_robots(connections: int, stopped: int) -> None:
     assert records.decode_answer(records.encode_answer(connections, stopped)) == (connections, stopped)

@@ -1,4 +1,4 @@
-"""What the guardian is told: all that it must know, in as few words as can be."""
+"""Roster: the guardian gets every needed record, and no more."""
 
 from hypothesis import given
 from hypothesis import strategies as st
@@ -10,7 +10,7 @@ STEPS = st.lists(st.tuples(st.sampled_from(["watch", "release", "close", "tell",
 
 
 class Guardian:
-    """What a guardian would hold of what it is told."""
+    """Model of a guardian's connections after each record."""
 
     def __init__(self, roster: Roster) -> None:
         self.roster = roster
@@ -42,7 +42,7 @@ def watched(topic_id: int = 100, descriptor: int | None = 7) -> Watched:
     return Watched(lambda: descriptor, (topic_id,), 512)
 
 
-def test_a_link_is_sent_with_its_descriptor_then_released() -> None:
+def test_link_is_sent_with_its_descriptor_then_released() -> None:
     roster = Roster()
     roster.watch(3, watched())
     assert roster.next() == (records.encode_watch(3, (100,), 512), 7)
@@ -54,14 +54,14 @@ def test_a_link_is_sent_with_its_descriptor_then_released() -> None:
     assert (roster.next(), roster.connections) == (None, 0)
 
 
-def test_a_link_that_came_and_went_before_it_was_sent_is_not_sent() -> None:
+def test_link_released_before_it_was_sent_is_not_sent() -> None:
     roster = Roster()
     roster.watch(3, watched())
     roster.release(3)
     assert roster.next() is None
 
 
-def test_a_connection_that_closed_meanwhile_is_not_passed() -> None:
+def test_connection_closed_before_it_was_sent_is_not_sent() -> None:
     roster = Roster()
     roster.watch(3, watched(descriptor=None))
     assert roster.next() is None
@@ -69,7 +69,7 @@ def test_a_connection_that_closed_meanwhile_is_not_passed() -> None:
     assert roster.next() is None
 
 
-def test_a_new_velocity_topic_replaces_the_old_one() -> None:
+def test_new_velocity_topic_replaces_the_old_one() -> None:
     roster = Roster()
     guardian = Guardian(roster)
     for topic_id in (100, 104):
@@ -91,7 +91,7 @@ def test_everything_is_sent_to_a_new_guardian() -> None:
     assert set(second.connections) == {1, 3}
 
 
-def test_nothing_piles_up_for_a_guardian_that_does_not_listen() -> None:
+def test_records_for_a_stuck_guardian_are_bounded() -> None:
     roster = Roster()
     for number in range(10_000):
         roster.watch(number, watched())
@@ -103,7 +103,7 @@ def test_nothing_piles_up_for_a_guardian_that_does_not_listen() -> None:
 
 
 @given(STEPS)
-def test_in_the_end_the_guardian_guards_what_is_open_and_wanted(steps: list[tuple[str, int]]) -> None:
+def test_guardian_finally_has_exactly_the_open_watched_links(steps: list[tuple[str, int]]) -> None:
     roster = Roster()
     guardian = Guardian(roster)
     wanted: dict[int, int] = {}

@@ -1,4 +1,4 @@
-"""The buffer of a link: the last 64 KiB with their times, in bounded memory, whatever the pieces."""
+"""CaptureBuffer: the last 64 KiB with their times, in bounded memory."""
 
 from hypothesis import given
 from hypothesis import strategies as st
@@ -11,7 +11,7 @@ def contents(buffer: CaptureBuffer, since: int = 0) -> bytes:
     return b"".join(piece.data for piece in buffer.pieces(since))
 
 
-def test_it_gives_back_what_passed_with_the_times() -> None:
+def test_capture_returns_the_bytes_with_their_times() -> None:
     buffer = CaptureBuffer()
     buffer.add(b"abc", 1.0)
     buffer.add(b"", 1.5)
@@ -23,7 +23,7 @@ def test_it_gives_back_what_passed_with_the_times() -> None:
 
 
 @given(st.lists(st.integers(0, 3 * CAPTURE_BYTES), max_size=6), st.integers(0, 9 * CAPTURE_BYTES))
-def test_what_it_keeps_is_the_end_of_what_passed(sizes: list[int], since: int) -> None:
+def test_buffer_keeps_the_newest_bytes(sizes: list[int], since: int) -> None:
     buffer, passed = CaptureBuffer(), b""
     for number, size in enumerate(sizes):
         data = bytes([number]) * size
@@ -38,7 +38,7 @@ def test_what_it_keeps_is_the_end_of_what_passed(sizes: list[int], since: int) -
     assert buffer.lost_bytes(since) == max(0, len(passed) - len(kept) - since)
 
 
-def test_single_bytes_are_all_kept_and_their_times_stay_in_order_and_few() -> None:
+def test_single_bytes_are_kept_with_few_ordered_times() -> None:
     buffer = CaptureBuffer()
     for number in range(3 * CAPTURE_BYTES):
         buffer.add(bytes([number & 0xFF]), number / 1000)
@@ -49,7 +49,7 @@ def test_single_bytes_are_all_kept_and_their_times_stay_in_order_and_few() -> No
     assert times == sorted(times)
     for piece in pieces:
         first = piece.end - len(piece.data)
-        assert 0 <= first / 1000 - piece.time_s <= 0.1  # the earlier time of neighbours, never a later one
+        assert 0 <= first / 1000 - piece.time_s <= 0.1  # neighbours share the earlier time, never a later one
 
 
 def both(data: bytes, size: int) -> tuple[CaptureBuffer, CaptureBuffer]:
@@ -60,7 +60,7 @@ def both(data: bytes, size: int) -> tuple[CaptureBuffer, CaptureBuffer]:
 
 
 @given(st.integers(1, 2000), st.integers(0, 900))
-def test_a_capture_that_lost_its_beginning_begins_with_a_whole_frame(size: int, payload_bytes: int) -> None:
+def test_capture_with_lost_bytes_starts_with_a_whole_frame(size: int, payload_bytes: int) -> None:
     frame = encode(125, bytes(payload_bytes))
     found = captured(*both(frame * (3 * CAPTURE_BYTES // len(frame)), size), since=(0, 0))
     kept = b"".join(piece.data for piece in found.pieces)
@@ -69,12 +69,12 @@ def test_a_capture_that_lost_its_beginning_begins_with_a_whole_frame(size: int, 
     assert len(kept) >= CAPTURE_BYTES - len(frame)
 
 
-def test_what_is_no_frame_is_kept_all_the_same() -> None:
+def test_bytes_without_frames_are_kept() -> None:
     found = captured(*both(b"speed 1\r\n" * CAPTURE_BYTES, 512), since=(0, 0))
     assert sum(len(piece.data) for piece in found.pieces) >= CAPTURE_BYTES
 
 
-def test_a_capture_with_its_beginning_has_every_byte() -> None:
+def test_capture_with_its_beginning_has_every_byte() -> None:
     found = captured(*both(b"boot\n" + encode(125, b"1"), 3), since=(0, 0))
     assert b"".join(piece.data for piece in found.pieces) == b"boot\n" + encode(125, b"1")
     assert found.lost_bytes == 0

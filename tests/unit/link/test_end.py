@@ -1,4 +1,4 @@
-"""What is left of a link that has ended, in virtual time."""
+"""End of a link, in virtual time."""
 
 import asyncio
 
@@ -10,9 +10,9 @@ from tests.support.session_host import check
 from tests.support.virtual_loop import run_virtual
 
 
-def test_a_cancellation_while_the_last_frame_waits_closes_the_connection_all_the_same() -> None:
+def test_cancelled_link_closes_the_connection_while_its_last_frame_waits() -> None:
     async def run() -> None:
-        transport, device = memory_pair(room_bytes=0)  # it reads nothing
+        transport, device = memory_pair(room_bytes=0)  # the device reads nothing
         link = Link(transport, Session(check=check), LinkConfig(), number=1, on_event=lambda _link, _event: None)
         link.last_frame = bytes(56)
         async with asyncio.TaskGroup() as tasks:

@@ -1,4 +1,4 @@
-"""Reading in turns: what one link computes another waits for, but no longer than a turn."""
+"""FairShare: links wait for each other's computing time, but no longer than a turn."""
 
 import asyncio
 
@@ -11,7 +11,7 @@ from hostlink.protocol.session import Session
 from tests.support.memory_transport import memory_pair
 from tests.support.virtual_loop import VirtualLoop, run_virtual
 
-FRAME = encode(999, b"")  # of no topic, so each is an event
+FRAME = encode(999, b"")  # unknown topic, so each frame is an event
 FRAME_COST_S = 0.0001
 
 
@@ -26,7 +26,7 @@ def burn(_link: Link, _event: Event) -> None:
 
 
 async def longest_pause_s(until: asyncio.Event) -> float:
-    """The longest that somebody waits who wants one turn of the loop after the other."""
+    """Longest wait of a task that requests one turn of the loop after the other."""
     longest_s, before_s = 0.0, loop().time()
     while not until.is_set():
         await asyncio.sleep(0)
@@ -36,7 +36,7 @@ async def longest_pause_s(until: asyncio.Event) -> float:
 
 
 def flooded(links: int, frames: int) -> tuple[float, list[int]]:
-    """(longest pause of somebody else, frames that each link has read)"""
+    """Return the longest pause of an unrelated task, and the number of frames that each link has read."""
 
     async def run() -> tuple[float, list[int]]:
         share, done = FairShare(), asyncio.Event()
@@ -49,7 +49,7 @@ def flooded(links: int, frames: int) -> tuple[float, list[int]]:
             await device.send(FRAME * frames)
             ends.append(device)
         watching = loop().create_task(longest_pause_s(done))
-        while min(link.session.counts.frames_from_device for link in made) < frames:  # noqa: ASYNC110 - time stands
+        while min(link.session.counts.frames_from_device for link in made) < frames:  # noqa: ASYNC110 - virtual time does not advance
             await asyncio.sleep(0)
         done.set()
         pause_s = await watching
@@ -62,7 +62,7 @@ def flooded(links: int, frames: int) -> tuple[float, list[int]]:
     return run_virtual(run())
 
 
-def test_floods_of_any_number_of_links_leave_the_loop_to_others_every_few_milliseconds() -> None:
+def test_floods_of_any_number_of_links_yield_the_loop_every_few_milliseconds() -> None:
     piece_s = 512 // len(FRAME) * FRAME_COST_S
     for links in (1, 2, 16):
         pause_s, read = flooded(links, 2000)
@@ -86,12 +86,12 @@ def test_links_that_wait_alternate() -> None:
         return served
 
     served = run_virtual(run())
-    for end in range(len(served) - 20):  # in the end they leave one by one
+    for end in range(len(served) - 20):  # the links end one by one
         counts = [served[:end].count(number) for number in range(5)]
         assert max(counts) - min(counts) <= 2
 
 
-def test_one_of_which_little_waits_goes_before_those_that_flood() -> None:
+def test_calm_reader_is_served_before_flooding_readers() -> None:
     async def run() -> tuple[list[str], int]:
         share, served = FairShare(), []
 
@@ -111,11 +111,11 @@ def test_one_of_which_little_waits_goes_before_those_that_flood() -> None:
 
     served, first = run_virtual(run())
     assert first <= 2
-    assert served[:110].count("robot") >= 40  # of what the others have had by then ten times as many wait
-    assert len(served) == 11 * 50  # and nobody is left out
+    assert served[:110].count("robot") >= 40  # the others have ten times as many frames waiting by then
+    assert len(served) == 11 * 50  # every frame was served
 
 
-def test_nobody_who_floods_waits_without_end() -> None:
+def test_flooding_readers_are_not_starved() -> None:
     async def run() -> int:
         share, reads = FairShare(), 0
 
@@ -154,7 +154,7 @@ def test_small_work_of_many_fits_into_one_turn() -> None:
     assert run_virtual(run()) == 0
 
 
-def test_one_that_leaves_while_it_waits_keeps_nobody_waiting() -> None:
+def test_cancelled_reader_does_not_block_the_others() -> None:
     async def run() -> list[str]:
         share, served = FairShare(), []
 
@@ -173,12 +173,12 @@ def test_one_that_leaves_while_it_waits_keeps_nobody_waiting() -> None:
     assert run_virtual(run()) == ["first", "third"]
 
 
-def test_one_that_costs_more_than_was_expected_makes_the_others_wait() -> None:
+def test_unexpectedly_expensive_work_delays_the_others() -> None:
     async def run() -> list[int]:
         share, turns, turn = FairShare(), [], 0
 
         async def work() -> None:
-            await share.wait(0.0)  # so nothing speaks against all of them at once
+            await share.wait(0.0)  # all of them may be admitted at once
             turns.append(turn)
             share.spend(TURN_S)
 
@@ -193,7 +193,7 @@ def test_one_that_costs_more_than_was_expected_makes_the_others_wait() -> None:
     assert len(turns) == len(set(turns)) == MAX_DEFERRALS + 1
 
 
-def test_many_calm_ones_do_not_wait_for_a_piece_of_a_flood_each() -> None:
+def test_calm_readers_do_not_each_wait_for_a_flood() -> None:
     piece_s, calm_s, many, floods = 0.003, 0.0004, 17, 16
 
     async def run() -> float:
@@ -222,10 +222,11 @@ def test_many_calm_ones_do_not_wait_for_a_piece_of_a_flood_each() -> None:
                 task.cancel()
         return longest_s
 
-    assert run_virtual(run()) <= many * calm_s * 4 / 3 + 2 * piece_s  # with a piece after each it was 58 ms
+    # A piece of the flood after each of them took 58 ms.
+    assert run_virtual(run()) <= many * calm_s * 4 / 3 + 2 * piece_s
 
 
-def test_who_floods_has_a_part_of_the_time_beside_calm_ones() -> None:
+def test_flooding_reader_has_a_quarter_of_the_time_while_calm_ones_wait() -> None:
     async def run() -> dict[str, float]:
         share, spent_s = FairShare(), {"flood": 0.0, "calm": 0.0}
 
@@ -239,7 +240,7 @@ def test_who_floods_has_a_part_of_the_time_beside_calm_ones() -> None:
         async with asyncio.TaskGroup() as tasks:
             running = [tasks.create_task(work("flood", 0.003)) for _ in range(4)]
             running += [tasks.create_task(work("calm", 0.0004)) for _ in range(8)]
-            while loop().time() < 1.0:  # noqa: ASYNC110 - time stands
+            while loop().time() < 1.0:  # noqa: ASYNC110 - virtual time does not advance
                 await asyncio.sleep(0)
             for task in running:
                 task.cancel()

@@ -1,4 +1,4 @@
-"""What makes a datagram a device's: a whole frame in it."""
+"""Recognition of a device's datagram by a whole frame in it."""
 
 import pytest
 from hypothesis import given
@@ -12,12 +12,12 @@ TIME = encode(Id.TIME, bytes(8))
 
 
 @given(st.integers(0, 0xFFFF), st.binary(max_size=300), st.binary(max_size=20), st.binary(max_size=20))
-def test_a_whole_frame_is_found_wherever_it_begins(topic_id: int, payload: bytes, before: bytes, after: bytes) -> None:
+def test_whole_frame_is_found_at_any_offset(topic_id: int, payload: bytes, before: bytes, after: bytes) -> None:
     assert has_frame(before + encode(topic_id, payload) + after)
 
 
 @pytest.mark.parametrize("frame", [TIME, INVITATION, encode(125, bytes(range(24)))])
-def test_neither_a_part_of_a_frame_nor_a_damaged_one_is_one(frame: bytes) -> None:
+def test_partial_or_damaged_frame_is_not_found(frame: bytes) -> None:
     for end in range(len(frame)):
         assert not has_frame(frame[:end])
     for at in range(len(frame)):
@@ -25,16 +25,16 @@ def test_neither_a_part_of_a_frame_nor_a_damaged_one_is_one(frame: bytes) -> Non
 
 
 @given(st.binary(max_size=200))
-def test_other_bytes_are_judged_as_the_stream_judges_them(data: bytes) -> None:
+def test_has_frame_agrees_with_the_stream(data: bytes) -> None:
     is_frame = any(isinstance(item, Frame) for item in FrameStream().feed(data))
     assert has_frame(data) == is_frame
 
 
-def test_the_work_is_bounded() -> None:
+def test_has_frame_examines_a_bounded_number_of_starts() -> None:
     heads = b"\xff\xfe" * MAX_HEADS
     assert has_frame(heads[2:] + TIME)
     assert not has_frame(heads + TIME)
 
 
-def test_nothing_is_no_frame() -> None:
+def test_empty_data_has_no_frame() -> None:
     assert not has_frame(b"")

@@ -1,4 +1,4 @@
-"""How much is read at once: little of what is expensive, so that others have their turn."""
+"""PieceSize: small pieces of expensive frames, so that others have their turn."""
 
 import asyncio
 
@@ -47,8 +47,8 @@ def test_many_short_frames_after_long_ones_are_read_in_parts() -> None:
     assert not piece.is_crowded(encode(125, b"\xff" * 4000))
 
 
-def test_short_expensive_frames_behind_long_cheap_ones_cost_others_no_more_than_a_first_piece() -> None:
-    """A device makes its pieces large by what is cheap, and then sends what is expensive."""
+def test_expensive_frames_after_cheap_ones_delay_others_by_one_first_piece() -> None:
+    """A device enlarges its pieces with cheap frames, then sends expensive ones."""
     cost_s, cheap_s = 0.0001, 0.00001
 
     async def run() -> list[float]:
@@ -78,8 +78,8 @@ def test_short_expensive_frames_behind_long_cheap_ones_cost_others_no_more_than_
     assert max(run_virtual(run())) <= (MOST_FRAMES + 4) * cost_s
 
 
-def test_a_flood_of_expensive_frames_leaves_the_loop_after_each_millisecond() -> None:
-    cost_s = 0.0001  # of a request that is refused
+def test_flood_of_expensive_frames_yields_the_loop_each_millisecond() -> None:
+    cost_s = 0.0001  # of a refused request
 
     async def run() -> list[float]:
         loop = asyncio.get_running_loop()
@@ -105,5 +105,5 @@ def test_a_flood_of_expensive_frames_leaves_the_loop_after_each_millisecond() ->
         return turns_s
 
     turns_s = run_virtual(run())
-    assert max(turns_s) > 0.005  # the first piece: nobody knows yet what it costs
+    assert max(turns_s) > 0.005  # the cost of the first piece is unknown
     assert sorted(turns_s)[-20] <= LEAST_BYTES / len(FRAME) * cost_s + 2 * cost_s

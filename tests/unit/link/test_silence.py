@@ -1,4 +1,4 @@
-"""How long a link outlives its device, in virtual time."""
+"""Silence detection of a link, in virtual time."""
 
 import asyncio
 
@@ -17,7 +17,7 @@ ANNOUNCEMENT = TIME + wire(ODOMETRY, LED) + TIME
 
 
 async def silence_until_the_end(config: LinkConfig, *, time_requests: int) -> tuple[LinkEnd, float]:
-    """A device announces its topics, asks for the time so often, and vanishes without a word."""
+    """Announce topics, request the time at that period, then fall silent. Return how long the link lasts."""
     transport, device = memory_pair()
     link = Link(transport, Session(check=check), config, number=1, on_event=lambda _link, _event: None)
     async with asyncio.TaskGroup() as tasks:
@@ -43,23 +43,23 @@ async def silence_until_the_end(config: LinkConfig, *, time_requests: int) -> tu
         (LinkConfig(idle_timeout_s=None), 3, 5.0),
     ],
 )
-def test_a_dead_device_is_found_in_time(config: LinkConfig, time_requests: int, silence_s: float) -> None:
+def test_dead_device_is_found_in_time(config: LinkConfig, time_requests: int, silence_s: float) -> None:
     end, lasted_s = run_virtual(silence_until_the_end(config, time_requests=time_requests))
     assert end is LinkEnd.IDLE
     assert lasted_s == pytest.approx(silence_s, abs=0.01)
 
 
 async def serve_a_device_that_restarts(transport: MemoryTransport, device: MemoryTransport) -> int:
-    """The board restarts behind a radio that keeps the connection, and is silent until it is asked for its topics."""
+    """Restart behind a radio that keeps the connection, and stay silent until the topics are requested."""
     session = Session(check=check)
     link = Link(transport, session, LinkConfig(), number=1, on_event=lambda _link, _event: None)
     async with asyncio.TaskGroup() as tasks:
         running = tasks.create_task(link.run())
         for _ in range(3):
-            await device.receive()  # the request for topics, alone: each start is one
+            await device.receive()  # the topic request alone: each start sends one
             await device.send(ANNOUNCEMENT)
             for _ in range(4):
-                await device.receive()  # the time
+                await device.receive()  # the time request
                 await asyncio.sleep(2.5)
                 await device.send(TIME)
             await device.receive()
@@ -68,12 +68,12 @@ async def serve_a_device_that_restarts(transport: MemoryTransport, device: Memor
     return session.counts.negotiations
 
 
-def test_a_board_that_restarts_behind_its_radio_keeps_its_link() -> None:
+def test_board_that_restarts_behind_its_radio_keeps_its_link() -> None:
     assert run_virtual(serve_a_device_that_restarts(*memory_pair())) == 3
 
 
 async def pause_while(config: LinkConfig, *, sent: bytes, lasts_s: float, rest: bytes = b"") -> tuple[LinkEnd, Session]:
-    """The host stands still; the device sends meanwhile, and `rest` a second later. The end is the device's."""
+    """Stop the host while the device sends, and send `rest` a second later. The device ends the link."""
     loop = asyncio.get_running_loop()
     assert isinstance(loop, VirtualLoop)
     watch = StallWatch(lambda: 0.0)
@@ -89,7 +89,7 @@ async def pause_while(config: LinkConfig, *, sent: bytes, lasts_s: float, rest: 
         await asyncio.sleep(0.5)
         watch.beat(loop.time())
         loop.burn(lasts_s)
-        loop.call_soon(lambda: loop.call_soon(device.write, sent))  # timers are due before the sockets are looked at
+        loop.call_soon(lambda: loop.call_soon(device.write, sent))  # timers run before sockets are polled
         await asyncio.sleep(1.0)
         await device.send(rest)
         await asyncio.sleep(0.5)
@@ -102,7 +102,7 @@ async def pause_while(config: LinkConfig, *, sent: bytes, lasts_s: float, rest: 
 def test_silence_of_a_device_while_the_host_was_paused_does_not_end_its_link(lasts_s: float) -> None:
     end, session = run_virtual(pause_while(LinkConfig(), sent=TIME, lasts_s=lasts_s))
     assert end is LinkEnd.PEER_CLOSED
-    assert session.counts.topic_requests == 1  # what waited was read before its silence was judged
+    assert session.counts.topic_requests == 1  # waiting bytes were read before the silence was judged
 
 
 def test_half_a_frame_is_not_given_up_while_the_host_is_paused() -> None:
@@ -112,7 +112,7 @@ def test_half_a_frame_is_not_given_up_while_the_host_is_paused() -> None:
 
 
 def test_silence_of_a_dead_device_ends_its_link_after_the_pause() -> None:
-    """The time that the host has run counts: half a second before the pause."""
+    """The time before the pause counts: half a second."""
 
     async def run() -> tuple[LinkEnd, float]:
         loop = asyncio.get_running_loop()
@@ -147,11 +147,11 @@ async def _beat(watch: StallWatch) -> None:
 
 
 def _ignore(_link: Link, _event: Event) -> None:
-    """Nobody needs it."""
+    """Ignore an event."""
 
 
 class SlowTransport(MemoryTransport):
-    """Its peer takes what was written only after a while."""
+    """Transport whose peer accepts written data only after a delay."""
 
     drained_after_s = 3.0
 
@@ -160,7 +160,7 @@ class SlowTransport(MemoryTransport):
         await super().drain()
 
 
-def test_a_device_that_is_behind_is_not_given_up_for_a_pause_of_the_host() -> None:
+def test_device_that_is_behind_is_not_given_up_for_a_pause_of_the_host() -> None:
     async def run() -> LinkEnd:
         loop = asyncio.get_running_loop()
         assert isinstance(loop, VirtualLoop)
@@ -170,7 +170,7 @@ def test_a_device_that_is_behind_is_not_given_up_for_a_pause_of_the_host() -> No
         link = Link(transport, Session(check=check), LinkConfig(), number=1, on_event=_ignore, pauses=watch.pauses)
         async with asyncio.TaskGroup() as tasks:
             running = tasks.create_task(link.run())
-            await asyncio.sleep(0.5)  # the request for topics waits for the device
+            await asyncio.sleep(0.5)  # the topic request waits for the device
             watch.beat(loop.time())
             loop.burn(20.0)
             await device.receive()

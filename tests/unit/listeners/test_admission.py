@@ -1,4 +1,4 @@
-"""Who may connect, and who gives way."""
+"""Admission: accepted, refused and evicted connections."""
 
 import pytest
 from hypothesis import given
@@ -29,27 +29,27 @@ def connections(*entries: tuple[str, bool]) -> list[OpenConnection]:
         (("::/0",), ROBOT, "not_allowed"),
     ],
 )
-def test_only_the_networks_that_are_named_may_connect(
+def test_connection_from_outside_the_allowed_networks_is_refused(
     allow: tuple[str, ...], address: str, refusal: str | None
 ) -> None:
     assert Admission(TcpConfig(allow=allow)).judge(address, []) == Verdict(refusal=refusal)
 
 
-def test_one_address_may_have_so_many_connections() -> None:
+def test_connections_of_one_address_are_limited() -> None:
     admission = Admission(TcpConfig(max_connections_per_address=2))
     there = connections((ROBOT, True), (ROBOT, False))
     assert admission.judge(ROBOT, there) == Verdict(refusal="too_many_of_address")
     assert admission.judge(OTHER, there) == Verdict()
 
 
-def test_the_oldest_unidentified_connection_of_the_fullest_address_is_evicted() -> None:
+def test_oldest_unidentified_connection_of_the_fullest_address_is_evicted() -> None:
     admission = Admission(TcpConfig(max_connections=6))
     there = connections((CROWD, True), (OTHER, False), (CROWD, False), (CROWD, False), (ROBOT, True), (CROWD, False))
     assert admission.judge(ROBOT, there) == Verdict(evicts=2)
 
 
-def test_a_crowd_does_not_push_itself_out() -> None:
-    """Each that was let in costs more than one that is refused."""
+def test_crowd_of_one_address_does_not_evict_itself() -> None:
+    """Accepting a connection costs more than refusing one."""
     admission = Admission(TcpConfig(max_connections=4))
     there = connections((CROWD, False), (OTHER, False), (CROWD, False), (OTHER, False))
     assert admission.judge(CROWD, there) == Verdict(refusal="too_many")
@@ -67,7 +67,7 @@ def test_no_identified_connection_is_evicted() -> None:
 
 
 @given(st.lists(st.tuples(st.sampled_from([ROBOT, OTHER, CROWD]), st.booleans()), max_size=60))
-def test_whoever_comes_the_bounds_are_kept_and_robots_stay(arrivals: list[tuple[str, bool]]) -> None:
+def test_bounds_hold_and_robots_stay_for_any_connections(arrivals: list[tuple[str, bool]]) -> None:
     config = TcpConfig(max_connections=5, max_connections_per_address=3)
     admission = Admission(config)
     there: list[OpenConnection] = []
@@ -84,6 +84,6 @@ def test_whoever_comes_the_bounds_are_kept_and_robots_stay(arrivals: list[tuple[
 
 
 @pytest.mark.parametrize("network", ["192.168.4.2/24", "robots"])
-def test_a_network_that_is_none_is_refused(network: str) -> None:
+def test_invalid_network_is_refused(network: str) -> None:
     with pytest.raises(ValueError, match=network):
         TcpConfig(allow=(network,))

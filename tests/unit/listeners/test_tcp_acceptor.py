@@ -1,4 +1,4 @@
-"""The acceptor in virtual time: a device for which there is no room may try again, but not at once."""
+"""TcpAcceptor in virtual time: a refused device may reconnect, but not at once."""
 
 import asyncio
 
@@ -24,13 +24,13 @@ def announcement(name: str) -> bytes:
 
 
 async def come(acceptor: TcpAcceptor, address: str, name: str) -> MemoryTransport:
-    """A device connects, and tells that it is the robot of that name."""
+    """Connect a device that announces the robot of that name."""
     host, device = memory_pair(address=address)
     acceptor.accept(host)
     try:
         await device.send(announcement(name))
     except ConnectionResetError:
-        assert acceptor._hub.counts.refused  # it was not let in
+        assert acceptor._hub.counts.refused  # the device was refused
     await asyncio.sleep(0.1)
     return device
 
@@ -61,7 +61,7 @@ async def one_too_many() -> Hub:
     return hub
 
 
-def test_a_robot_for_which_there_is_no_room_waits_before_it_may_try_again() -> None:
+def test_refused_robot_is_paused_before_it_may_reconnect() -> None:
     with capture_logs() as lines:
         hub = run_virtual(one_too_many())
     assert hub.counts.refused == {"too_many_robots": 9}

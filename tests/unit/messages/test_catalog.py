@@ -1,4 +1,4 @@
-"""Types by name: md5 sums, full definitions, folders of the user's and what is wrong with them."""
+"""Catalog: md5 sums, full definitions, the user's folders and their errors."""
 
 import re
 from pathlib import Path
@@ -40,7 +40,7 @@ def service(catalog: Catalog, name: str) -> ServiceType:
 
 
 def write(folder: Path, **files: str) -> Path:
-    """Definitions of a package "robot" below the folder; "msg_Type" and "srv_Type" name kind and type."""
+    """Write definitions of a package "robot" into the folder; "msg_Type" and "srv_Type" name kind and type."""
     for name, text in files.items():
         kind, _, stem = name.partition("_")
         path = folder / "robot" / kind / f"{stem}.{kind}"
@@ -55,10 +55,12 @@ def test_every_stored_type_has_the_md5_and_the_text_of_the_store(catalog: Catalo
         ours = message(catalog, name)
         text, md5 = STORE.generate_msgdef(name.replace("/", "/msg/"))
         assert ours.md5 == md5
-        assert ours.full_definition == AN_EMPTY_ONE.sub(r"\1\n", text)  # rospy cannot read one without its line
+        assert ours.full_definition == AN_EMPTY_ONE.sub(
+            r"\1\n", text
+        )  # rospy cannot read an empty definition without its line
 
 
-def test_an_empty_type_within_another_has_a_line_of_its_own(catalog: Catalog) -> None:
+def test_nested_empty_type_becomes_an_empty_line(catalog: Catalog) -> None:
     ours = message(catalog, "nav_msgs/GetMapAction")
     assert "MSG: nav_msgs/GetMapGoal\n\n====" in ours.full_definition
     assert read_full_definition(ours.name, ours.full_definition).md5 == ours.md5
@@ -93,7 +95,7 @@ def test_every_stored_type_compiles_and_its_defaults_come_back(catalog: Catalog)
         ("std_msgs/String", "992ce8a1687cec8c8bd883ec73ca41d1"),
     ],
 )
-def test_md5_sums_that_devices_announce(catalog: Catalog, name: str, md5: str) -> None:
+def test_md5_sums_equal_those_of_real_devices(catalog: Catalog, name: str, md5: str) -> None:
     assert message(catalog, name).md5 == md5
 
 
@@ -154,7 +156,7 @@ def test_md5_sums_of_services(catalog: Catalog, name: str, md5: str, request_md5
     assert (found.md5, found.request.md5, found.response.md5) == (md5, request_md5, response_md5)
 
 
-def test_names_in_both_forms_are_one_type(catalog: Catalog) -> None:
+def test_short_and_long_names_give_one_type(catalog: Catalog) -> None:
     assert message(catalog, "geometry_msgs/msg/Twist") is message(catalog, "geometry_msgs/Twist")
     assert service(catalog, "std_srvs/srv/Trigger") is service(catalog, "std_srvs/Trigger")
 
@@ -162,12 +164,12 @@ def test_names_in_both_forms_are_one_type(catalog: Catalog) -> None:
 @pytest.mark.parametrize(
     "name", ["", "/", "Twist", "geometry_msgs/Twis", "builtin_interfaces/Time", "../errors", "a/b/c/d", "time"]
 )
-def test_unknown_names(catalog: Catalog, name: str) -> None:
+def test_unknown_names_give_none(catalog: Catalog, name: str) -> None:
     assert catalog.message(name) is None
     assert catalog.service(name) is None
 
 
-def test_a_type_has_its_fields_constants_and_size(catalog: Catalog) -> None:
+def test_type_has_its_fields_constants_and_size(catalog: Catalog) -> None:
     info = message(catalog, "rosserial_msgs/Log")
     assert [(field.name, field.type, field.array_length) for field in info.fields] == [
         ("level", "uint8", -1),
@@ -181,7 +183,7 @@ def test_a_type_has_its_fields_constants_and_size(catalog: Catalog) -> None:
     assert message(catalog, "geometry_msgs/TwistStamped").fixed_bytes is None
 
 
-def test_an_announced_md5_is_checked(catalog: Catalog) -> None:
+def test_announced_md5_is_checked(catalog: Catalog) -> None:
     twist = message(catalog, "geometry_msgs/Twist")
     assert catalog.check_message("/cmd_vel", "geometry_msgs/Twist", twist.md5) is twist
     assert catalog.check_message("/cmd_vel", "robot/Unknown", "0" * 32) is None
@@ -190,7 +192,7 @@ def test_an_announced_md5_is_checked(catalog: Catalog) -> None:
     assert str(error.value) == f"/cmd_vel: wanted geometry_msgs/Twist md5 {twist.md5}, got md5 abc"
 
 
-def test_a_service_is_announced_as_two_md5_sums(catalog: Catalog) -> None:
+def test_service_is_announced_as_two_md5_sums(catalog: Catalog) -> None:
     set_bool = service(catalog, "std_srvs/SetBool")
     assert catalog.check_request("/led", "std_srvs/SetBool", SET_BOOL_REQUEST) is set_bool.request
     assert catalog.check_response("/led", "std_srvs/SetBool", SET_BOOL_RESPONSE) is set_bool.response
@@ -203,7 +205,7 @@ def test_a_service_is_announced_as_two_md5_sums(catalog: Catalog) -> None:
     )
 
 
-def test_types_of_the_users(tmp_path: Path) -> None:
+def test_types_from_user_folders_are_known(tmp_path: Path) -> None:
     folder = write(
         tmp_path,
         msg_Wheel="string SIDE=left # or right\nfloat32 speed_m_s  # a comment\n",
@@ -220,7 +222,7 @@ def test_types_of_the_users(tmp_path: Path) -> None:
     assert message(catalog, "robot/Flat").fixed_bytes == 1
 
 
-def test_the_first_folder_that_has_a_name_wins_also_over_built_in_types(tmp_path: Path) -> None:
+def test_first_folder_with_a_name_wins_over_built_in_types(tmp_path: Path) -> None:
     for number in (1, 2):
         path = tmp_path / str(number) / "std_msgs" / "Bool.msg"
         path.parent.mkdir(parents=True)
@@ -229,7 +231,7 @@ def test_the_first_folder_that_has_a_name_wins_also_over_built_in_types(tmp_path
     assert message(catalog, "std_msgs/Bool").fields[0].name == "from_1"
 
 
-def test_each_dependency_stands_once_in_the_full_definition(tmp_path: Path) -> None:
+def test_full_definition_contains_each_dependency_once(tmp_path: Path) -> None:
     catalog = Catalog([write(tmp_path, msg_A="B one\nC two\n", msg_B="C c\n", msg_C="int8 x\n")])
     line = "=" * 80
     assert message(catalog, "robot/A").full_definition == (
@@ -237,7 +239,7 @@ def test_each_dependency_stands_once_in_the_full_definition(tmp_path: Path) -> N
     )
 
 
-def test_shared_dependencies_are_not_walked_twice(tmp_path: Path) -> None:
+def test_shared_dependencies_are_visited_once(tmp_path: Path) -> None:
     levels = {f"msg_T{depth}": f"T{depth + 1}[] a\nT{depth + 1}[] b\n" for depth in range(30)}
     catalog = Catalog([write(tmp_path, **levels, msg_T30="int8 x\n")])
     assert message(catalog, "robot/T0").full_definition.count("MSG:") == 30
@@ -246,14 +248,14 @@ def test_shared_dependencies_are_not_walked_twice(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("files", "where", "problem"),
     [
-        ({"msg_A": "\nB b\n"}, "msg/A.msg:2", "field b: no type is named robot/B"),
+        ({"msg_A": "\nB b\n"}, "msg/A.msg:2", "field b: unknown type robot/B"),
         ({"msg_A": "int8 x\nA[] a\n"}, "msg/A.msg:2", "field a: robot/A contains itself"),
         ({"msg_A": "B b\n", "msg_B": "A a\n"}, "msg/B.msg:1", "field a: robot/A contains itself"),
-        ({"srv_A": "int8 a\n---\n\nB b\n"}, "srv/A.srv:4", "field b: no type is named robot/B"),
+        ({"srv_A": "int8 a\n---\n\nB b\n"}, "srv/A.srv:4", "field b: unknown type robot/B"),
         (
             {"msg_A": "int8 x y\n"},
             "msg/A.msg:1",
-            "wanted TYPE NAME, got 'int8 x y'; default values are of ROS 2: leave it out",
+            "wanted TYPE NAME, got 'int8 x y'; default values exist only in ROS 2; remove it",
         ),
         (
             {"msg_A": "B[300] b\n", "msg_B": "uint8[300] x\n"},
@@ -268,35 +270,35 @@ def test_shared_dependencies_are_not_walked_twice(tmp_path: Path) -> None:
         (
             {f"msg_T{depth:02}": f"T{depth + 1:02} x\n" for depth in range(40)},
             "msg/T32.msg:1",
-            "field x: messages in messages, more than 32 deep",
+            "field x: messages nested more than 32 deep",
         ),
     ],
 )
-def test_a_broken_definition_stops_the_start(tmp_path: Path, files: dict[str, str], where: str, problem: str) -> None:
+def test_broken_definition_stops_the_start(tmp_path: Path, files: dict[str, str], where: str, problem: str) -> None:
     with pytest.raises(ConfigError) as error:
         Catalog([write(tmp_path, **files)])
     assert str(error.value) == f"{tmp_path}/robot/{where}: {problem}"
 
 
-def test_the_deepest_type_that_is_allowed_has_a_codec(tmp_path: Path) -> None:
+def test_deepest_type_that_is_allowed_has_a_codec(tmp_path: Path) -> None:
     levels = {f"msg_T{depth}": f"T{depth + 1} x\n" for depth in range(32)}
     deepest = message(Catalog([write(tmp_path, **levels, msg_T32="int8 x\n")]), "robot/T0")
     assert deepest.encode(deepest.decode(b"\x07")) == b"\x07"
 
 
-def test_a_folder_that_is_none(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r"nowhere: no such folder$"):
+def test_missing_folder_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"nowhere: the folder does not exist$"):
         Catalog([tmp_path / "nowhere"])
 
 
 @pytest.mark.parametrize("folder", ["robot", "robot/msg"])
-def test_a_package_instead_of_the_folder_around_it(tmp_path: Path, folder: str) -> None:
+def test_package_instead_of_its_parent_folder_is_refused(tmp_path: Path, folder: str) -> None:
     write(tmp_path, msg_A="int8 a\n")
-    with pytest.raises(ConfigError, match=r"this is a package; give the folder that it stands in$"):
+    with pytest.raises(ConfigError, match=r"this is a package; give the folder that contains it$"):
         Catalog([tmp_path / folder])
 
 
-def test_a_file_that_is_not_text(tmp_path: Path) -> None:
+def test_binary_definition_file_is_refused(tmp_path: Path) -> None:
     path = write(tmp_path, msg_A="") / "robot" / "msg" / "A.msg"
     path.write_bytes(b"int8 a\n# \xff\n")
     with pytest.raises(ConfigError) as error:
@@ -304,26 +306,28 @@ def test_a_file_that_is_not_text(tmp_path: Path) -> None:
     assert str(error.value) == f"{path}:2: not UTF-8"
 
 
-def test_a_byte_order_mark_is_no_part_of_a_definition(tmp_path: Path) -> None:
+def test_byte_order_mark_is_ignored(tmp_path: Path) -> None:
     path = tmp_path / "my_msgs" / "msg" / "Count.msg"
     path.parent.mkdir(parents=True)
     path.write_bytes(b"\xef\xbb\xbfint32 number\n")
     assert [field.name for field in message(Catalog([tmp_path]), "my_msgs/Count").fields] == ["number"]
 
 
-def test_a_file_that_cannot_be_read(tmp_path: Path) -> None:
+def test_unreadable_definition_file_is_refused(tmp_path: Path) -> None:
     (tmp_path / "robot" / "A.msg").mkdir(parents=True)
     with pytest.raises(ConfigError, match=r"A\.msg: Is a directory$"):
         Catalog([tmp_path])
 
 
-def test_a_file_with_a_name_that_no_type_has(tmp_path: Path) -> None:
+def test_definition_file_with_an_invalid_name_is_refused(tmp_path: Path) -> None:
     write(tmp_path, **{"msg_A-1": "int8 a\n"})
-    with pytest.raises(ConfigError, match=r"A-1\.msg: no name for a type: letters, digits and _, a letter first$"):
+    with pytest.raises(
+        ConfigError, match=r"A-1\.msg: invalid type name; use letters, digits and _, and begin with a letter$"
+    ):
         Catalog([tmp_path])
 
 
-def test_the_names_of_all_types_are_sorted(tmp_path: Path) -> None:
+def test_names_of_all_types_are_sorted(tmp_path: Path) -> None:
     known = Catalog([write(tmp_path, msg_Arm="float32 angle\n", srv_Grip="---\n")])
     assert known.message_names() == sorted({*STORE_NAMES, "robot/Arm", *Catalog().message_names()})
     assert set(known.service_names()) - set(Catalog().service_names()) == {"robot/Grip"}
@@ -334,5 +338,5 @@ def test_the_names_of_all_types_are_sorted(tmp_path: Path) -> None:
     ("name", "has_time"),
     [("std_msgs/Header", True), ("nav_msgs/Odometry", True), ("nav_msgs/Path", True), ("geometry_msgs/Pose2D", False)],
 )
-def test_a_type_has_a_time_in_itself_or_in_what_it_is_made_of(catalog: Catalog, name: str, has_time: bool) -> None:
+def test_has_time_includes_nested_types(catalog: Catalog, name: str, has_time: bool) -> None:
     assert message(catalog, name).has_time == has_time

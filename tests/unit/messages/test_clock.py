@@ -1,4 +1,4 @@
-"""Messages of /clock: what is a time, and what is not."""
+"""Messages of /clock: valid and invalid payloads."""
 
 import pytest
 
@@ -10,5 +10,5 @@ def test_clock_message_is_its_time_in_nanoseconds() -> None:
 
 
 @pytest.mark.parametrize("payload", [b"", bytes(7), bytes(9)])
-def test_payload_of_another_length_is_no_time(payload: bytes) -> None:
+def test_payload_of_another_length_decodes_to_none(payload: bytes) -> None:
     assert decode_clock(payload) is None

@@ -1,4 +1,4 @@
-"""The compiled codec, without the validating one behind it: every type of the catalogue, and what it leaves to that."""
+"""Compiled codec alone: every type of the catalogue, and what it leaves to the validating codec."""
 
 import struct
 
@@ -31,7 +31,7 @@ def every_type() -> list[MessageType]:
 
 
 def plain(layout: Layout, *, elements: int) -> dict[str, object]:
-    """A complete message whose arrays of variable length have so many elements, no two numbers side by side equal."""
+    """Return a complete message whose variable arrays have that many elements, with no two adjacent numbers equal."""
     return {
         field.name: _field(layout, field, number, elements=elements) for number, field in enumerate(layout.fields, 1)
     }
@@ -68,7 +68,7 @@ def test_plain_messages_of_every_type_use_the_compiled_codec(elements: int) -> N
         assert payload == validating_codec.encode(type_.layout, message), type_.name
 
 
-def test_what_is_left_to_the_validating_codec_is_counted() -> None:
+def test_fallbacks_to_the_validating_codec_are_counted() -> None:
     type_ = Catalog().message("std_msgs/Header")
     assert type_ is not None
     assert type_.encode({"stamp": {"sec": 1, "nanosec": 2}}) == struct.pack("<4I", 0, 1, 2, 0)
@@ -86,8 +86,8 @@ def test_missing_fields_are_zero_without_the_validating_codec() -> None:
             type_.encode(wrong)
 
 
-def test_a_compiler_that_fails_is_no_uncommon_message() -> None:
-    """Else the validating codec would do its work, slowly, and nobody would know."""
+def test_compiler_failure_is_not_hidden_by_the_fallback() -> None:
+    """Otherwise the validating codec would do the work slowly and without a trace."""
     type_ = Catalog().message("geometry_msgs/Pose2D")
     assert type_ is not None
     type_.layout = Layout("t/Broken", (Field("x", "no such type"),), {})
@@ -127,21 +127,21 @@ LEFT_TO_ENCODE = [
 
 
 @pytest.mark.parametrize(("layout", "payload"), LEFT_TO_DECODE)
-def test_what_the_compiled_decoder_leaves(layout: Layout, payload: bytes) -> None:
+def test_compiled_decoder_raises_for_uncommon_payloads(layout: Layout, payload: bytes) -> None:
     decode = compile_decoder(layout)
     with pytest.raises(UNCOMMON_LAYOUT):
         decode(payload)
 
 
 @pytest.mark.parametrize(("layout", "message"), LEFT_TO_ENCODE)
-def test_what_the_compiled_encoder_leaves(layout: Layout, message: dict[str, object]) -> None:
+def test_compiled_encoder_raises_for_uncommon_values(layout: Layout, message: dict[str, object]) -> None:
     encode = compile_encoder(layout)
     with pytest.raises(UNCOMMON_LAYOUT):
         encode(message)
 
 
-def test_the_most_that_the_compiled_codec_does_itself() -> None:
-    """One more of each is left to the validating codec."""
+def test_compiled_codec_accepts_the_largest_messages() -> None:
+    """The validating codec gets one more of each."""
     many = layout(Field("a", "t/Empty", VARIABLE))
     message = {"a": [{}] * EMPTY_ELEMENTS_MAX}
     payload = struct.pack("<I", EMPTY_ELEMENTS_MAX)
@@ -161,19 +161,19 @@ def test_the_most_that_the_compiled_codec_does_itself() -> None:
     ],
 )
 def test_only_a_list_of_empty_messages_has_a_limit(field: Field, element: dict[str, object]) -> None:
-    """Every other length has its bytes in the payload, or is the definition's own."""
+    """Every other length is bounded by the payload or fixed by the definition."""
     them = layout(field)
     message = {"a": [element] * (EMPTY_ELEMENTS_MAX + 1)}
     assert compile_decoder(them)(compile_encoder(them)(message)) == message
 
 
 def calls_a_reader(layout: Layout) -> bool:
-    """Whether elements of a list are read one by one, by a function, instead of by one struct."""
+    """Whether the elements of a list are read one by one, by a function, instead of by one struct."""
     code = compile_decoder(layout).__code__
     return any(name.startswith("read_") for name in code.co_names)
 
 
-def test_a_list_of_flat_messages_is_read_by_one_struct() -> None:
+def test_list_of_flat_messages_is_read_by_one_struct() -> None:
     deep = Layout("t/Deep", (Field("pair", "t/Pair"), Field("c", "uint8", 3)), NESTED)
     twice = Layout("t/Twice", (Field("pairs", "t/Pair", 2), Field("c", "uint8")), NESTED)
     nested = {**NESTED, "t/Deep": deep, "t/Twice": twice}

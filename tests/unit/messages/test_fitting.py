@@ -1,4 +1,4 @@
-"""Messages cut to the size of somebody's buffer."""
+"""Messages shortened to the receiver's buffer."""
 
 import pytest
 from hypothesis import given
@@ -19,30 +19,30 @@ def trigger() -> MessageType:
 
 @pytest.fixture(scope="module")
 def parameter() -> MessageType:
-    """Three lists, no text."""
+    """Return a message with three lists and no text."""
     service = Catalog().service("rosserial_msgs/RequestParam")
     assert service is not None
     return service.response
 
 
-def test_what_fits_is_as_it_was(trigger: MessageType) -> None:
+def test_message_within_the_limit_is_unchanged(trigger: MessageType) -> None:
     message = {"success": True, "message": "on"}
     assert encode_within(trigger, message, 7) == trigger.encode(message)
 
 
-def test_a_text_is_cut_to_the_byte_and_everything_else_stays(trigger: MessageType) -> None:
+def test_text_is_cut_to_the_byte_and_everything_else_stays(trigger: MessageType) -> None:
     payload = encode_within(trigger, {"success": True, "message": "x" * 100}, 25)
     assert payload is not None
     assert (len(payload), trigger.decode(payload)) == (25, {"success": True, "message": "x" * 20})
 
 
-def test_no_character_is_cut_in_two(trigger: MessageType) -> None:
+def test_shortened_text_ends_at_a_character(trigger: MessageType) -> None:
     payload = encode_within(trigger, {"message": "é" * 100}, 10)
     assert payload is not None
     assert trigger.decode(payload)["message"] == "é" * 2
 
 
-def test_the_longest_text_is_cut_first() -> None:
+def test_longest_text_is_cut_first() -> None:
     header = Catalog().message("rosgraph_msgs/Log")
     assert header is not None
     payload = encode_within(header, {"name": "n" * 10, "msg": "m" * 50, "function": "f" * 20}, 72)
@@ -57,17 +57,17 @@ def test_lists_are_not_cut(parameter: MessageType) -> None:
     assert encode_within(parameter, {"ints": [1, 2]}, 20) == parameter.encode({"ints": [1, 2]})
 
 
-def test_a_layout_that_does_not_fit_without_any_text_is_none(trigger: MessageType) -> None:
+def test_message_above_the_limit_without_text_gives_none(trigger: MessageType) -> None:
     assert encode_within(trigger, {"message": "x"}, 4) is None
 
 
-def test_what_is_not_of_the_type_is_refused(trigger: MessageType) -> None:
+def test_message_of_another_type_is_refused(trigger: MessageType) -> None:
     with pytest.raises(BadRequest, match="no field 'sucess'"):
         encode_within(trigger, {"sucess": True}, 100)
 
 
 @given(st.text(max_size=60), st.integers(0, 80))
-def test_it_never_is_longer_and_as_long_as_may_be(text: str, limit_bytes: int) -> None:
+def test_shortened_message_uses_the_limit_and_never_exceeds_it(text: str, limit_bytes: int) -> None:
     service = Catalog().service("std_srvs/Trigger")
     assert service is not None
     payload = encode_within(service.response, {"message": text}, limit_bytes)

@@ -1,4 +1,4 @@
-"""A type from a text that has all of it."""
+"""Types built from a full definition."""
 
 import pytest
 from rosbags.typesys import Stores, get_typestore
@@ -23,7 +23,7 @@ def test_every_type_is_read_from_its_own_text_with_the_same_md5() -> None:
         assert (found.name, found.md5) == (known.name, known.md5), name
 
 
-def test_a_message_is_decoded_as_by_the_catalogs_type() -> None:
+def test_message_is_decoded_as_by_the_catalogs_type() -> None:
     known = CATALOG.message("nav_msgs/Odometry")
     assert known is not None
     payload = known.encode({"child_frame_id": "base", "pose": {"covariance": list(range(36))}})
@@ -33,11 +33,11 @@ def test_a_message_is_decoded_as_by_the_catalogs_type() -> None:
 @pytest.mark.parametrize(
     ("text", "problem"),
     [
-        ("Header header\n", "std_msgs/Header is not in it"),
+        ("Header header\n", "std_msgs/Header is missing"),
         (f"b/B x\n{'=' * 80}\nMSG: b/B\na/A y\n", "contains itself"),
         ("no definition at all ???\n", "a/A"),
     ],
 )
-def test_a_text_that_is_none_names_what_is_wrong(text: str, problem: str) -> None:
+def test_invalid_full_definition_names_the_error(text: str, problem: str) -> None:
     with pytest.raises(ConfigError, match=problem):
         read_full_definition("a/A", text)

@@ -1,4 +1,4 @@
-"""Encoding and decoding: what is accepted, what is refused and in which words, and what a hostile payload costs."""
+"""Encoding and decoding: accepted values, error texts, and the cost of a hostile payload."""
 
 import math
 import struct
@@ -86,7 +86,7 @@ CORNERS = {"corners": [{"x": 1.0, "y": 2.0, "z": 3.0}, {"x": 4.0, "y": 5.0, "z":
         ("t/Grids", {"grids": [CORNERS, CORNERS]}),
     ],
 )
-def test_a_value_comes_back(catalog: Catalog, name: str, value: dict[str, object]) -> None:
+def test_encoded_value_is_decoded(catalog: Catalog, name: str, value: dict[str, object]) -> None:
     ours = message(catalog, name)
     payload = ours.encode(value)
     decoded = ours.decode(payload)
@@ -96,13 +96,13 @@ def test_a_value_comes_back(catalog: Catalog, name: str, value: dict[str, object
     assert list(decoded) == [field.name for field in ours.fields]
 
 
-def test_the_bytes_of_every_kind(catalog: Catalog) -> None:
+def test_encoded_bytes_of_every_kind_of_field(catalog: Catalog) -> None:
     assert message(catalog, "t/Kinds").encode({**KINDS, "text": "ab"}) == struct.pack(
         "<?bQfdI2sIIii", True, -1, 2**64 - 1, 0.5, -0.25, 2, b"ab", 1, 2, -1, 5
     )
 
 
-def test_a_view_decodes_like_bytes(catalog: Catalog) -> None:
+def test_view_decodes_like_bytes(catalog: Catalog) -> None:
     ours = message(catalog, "std_msgs/UInt8MultiArray")
     payload = ours.encode({"data": b"abc"})
     assert ours.decode(memoryview(payload)) == ours.decode(payload)
@@ -124,14 +124,14 @@ def test_a_view_decodes_like_bytes(catalog: Catalog) -> None:
         ("geometry_msgs/Point", {"x": np.float64(1), "y": np.int32(2)}, {"x": 1, "y": 2}),
     ],
 )
-def test_other_ways_to_write_a_value(
+def test_alternative_forms_of_a_value_are_accepted(
     catalog: Catalog, name: str, given: dict[str, object], meant: dict[str, object]
 ) -> None:
     ours = message(catalog, name)
     assert ours.encode(given) == ours.encode({**ours.decode(ours.encode({})), **meant})
 
 
-def test_null_is_not_a_number(catalog: Catalog) -> None:
+def test_null_float_is_encoded_as_nan(catalog: Catalog) -> None:
     values = message(catalog, "t/Arrays").decode(message(catalog, "t/Arrays").encode({"axes": [1.0, None, 2.0]}))
     axes = values["axes"]
     assert isinstance(axes, list)
@@ -185,7 +185,7 @@ def test_null_is_not_a_number(catalog: Catalog) -> None:
         ),
     ],
 )
-def test_a_bad_value_is_named_by_its_path(catalog: Catalog, name: str, value: dict[str, object], problem: str) -> None:
+def test_bad_value_is_named_by_its_path(catalog: Catalog, name: str, value: dict[str, object], problem: str) -> None:
     with pytest.raises(BadRequest) as error:
         message(catalog, name).encode(value)
     assert str(error.value) == problem
@@ -227,17 +227,17 @@ def test_a_bad_value_is_named_by_its_path(catalog: Catalog, name: str, value: di
         (
             "t/OnlyEmptys",
             struct.pack("<II", 17, 0),
-            "t/OnlyEmptys: some: 17 elements without fields, at most 16 are taken",
+            "t/OnlyEmptys: some: 17 elements without fields, at most 16 are accepted",
         ),
         (
             "t/OnlyEmptys",
             struct.pack("<II", 0, 2**32 - 1),
-            "t/OnlyEmptys: more: 4294967295 elements without fields, at most 16 are taken",
+            "t/OnlyEmptys: more: 4294967295 elements without fields, at most 16 are accepted",
         ),
         ("t/Arrays", struct.pack("<I", 9) + b"ab", "t/Arrays: blob: 9 bytes announced, 2 left"),
     ],
 )
-def test_a_bad_payload_is_refused_with_its_numbers(catalog: Catalog, name: str, payload: bytes, problem: str) -> None:
+def test_bad_payload_is_refused_with_its_numbers(catalog: Catalog, name: str, payload: bytes, problem: str) -> None:
     with pytest.raises(BadPayload) as error:
         message(catalog, name).decode(payload)
     assert str(error.value) == problem
@@ -269,7 +269,7 @@ def test_every_cut_and_every_extra_byte_is_a_bad_payload(catalog: Catalog, name:
         "t/Arrays",
     ],
 )
-def test_a_length_on_the_wire_costs_no_memory(catalog: Catalog, name: str) -> None:
+def test_length_field_alone_allocates_no_memory(catalog: Catalog, name: str) -> None:
     ours = message(catalog, name)
     with pytest.raises(BadPayload):
         ours.decode(b"\xff" * 100)
@@ -291,7 +291,7 @@ def test_text_that_is_not_utf_8_can_still_become_json(catalog: Catalog) -> None:
     assert message(catalog, "t/Arrays").decode(names)["names"] == ["\ufffd"]
 
 
-def test_a_message_that_is_larger_than_any_receiver_must_accept_is_refused(catalog: Catalog) -> None:
+def test_message_that_is_larger_than_any_receiver_must_accept_is_refused(catalog: Catalog) -> None:
     type_, value = message(catalog, "t/Arrays"), {"names": [""] * (ENCODED_BYTES_MAX // 4 + 1)}
     with pytest.raises(BadRequest, match=f"t/Arrays: more than {ENCODED_BYTES_MAX} bytes"):
         type_.encode(value)

@@ -1,4 +1,4 @@
-"""DeviceClock: devices with jitter, drift, steps, a wrap after 49.7 days, and stamps that are damaged."""
+"""DeviceClock with jitter, drift, steps, the wrap after 49.7 days, and damaged stamps."""
 
 import random
 from collections.abc import Callable
@@ -18,7 +18,7 @@ def host_ns(now_s: float) -> int:
 
 
 class Run:
-    """A device that stamps ten messages a second, and the host's clock for them."""
+    """Simulated device that stamps ten messages a second, and the host's clock."""
 
     def __init__(self, device_ns: Callable[[float], int], latency_s: Callable[[], float] = lambda: 0.002) -> None:
         self.clock = DeviceClock()
@@ -41,7 +41,7 @@ class Run:
         return self.clock.offset_ns / S
 
 
-def test_nothing_is_known_at_first() -> None:
+def test_new_clock_has_no_reading() -> None:
     clock = DeviceClock()
     assert clock.reading(None) is None
     assert clock.to_host_ns(5, 7) == 7
@@ -49,7 +49,7 @@ def test_nothing_is_known_at_first() -> None:
     assert clock.reading(None) is None
 
 
-def test_the_offset_is_that_of_the_fastest_way() -> None:
+def test_offset_is_that_of_the_fastest_message() -> None:
     chance = random.Random(1)
     run = Run(lambda s: host_ns(s) + S // 4, lambda: 0.002 + chance.expovariate(50)).until(60)
     assert run.offset_s == pytest.approx(-0.25 + 0.002, abs=0.002)
@@ -63,18 +63,18 @@ def test_jitter_is_removed_from_the_stamps() -> None:
 
 
 @pytest.mark.parametrize("ppm", [-200.0, -30.0, 0.0, 30.0, 200.0])
-def test_the_drift_of_a_clock_that_nobody_sets(ppm: float) -> None:
+def test_drift_of_an_unset_clock_is_measured(ppm: float) -> None:
     chance = random.Random(3)
     run = Run(lambda s: round(s * S * (1 + ppm / 1e6)), lambda: 0.002 + chance.expovariate(100)).until(600)
     assert run.clock.drift_ppm == pytest.approx(ppm, abs=5)
 
 
-def test_over_a_short_time_there_is_no_drift() -> None:
+def test_drift_over_a_short_time_is_none() -> None:
     assert Run(host_ns).until(30).clock.drift_ppm is None
 
 
 def rosserial_ns(boot_ms: int, round_trip_s: float) -> Callable[[float], int]:
-    """nh.now(): the host's time of the last answer and the whole round trip, on a millisecond counter of 32 bits."""
+    """nh.now(): the last time answer plus the whole round trip, on a 32-bit millisecond counter."""
     offset_ns, synced_at_s = 0, float("-inf")
 
     def now_ns(now_s: float) -> int:
@@ -87,35 +87,35 @@ def rosserial_ns(boot_ms: int, round_trip_s: float) -> Callable[[float], int]:
     return now_ns
 
 
-def test_the_wrap_after_49_days_is_no_jump() -> None:
-    wrap_in_ms = 61_000  # in the middle between two time requests
+def test_wrap_after_49_days_causes_no_jump() -> None:
+    wrap_in_ms = 61_000  # halfway between two time requests
     run = Run(rosserial_ns(2**32 - wrap_in_ms, 0.02)).until(120)
     assert run.stamps == sorted(run.stamps)
     assert all(abs(stamp - host_ns(0.1 * (number + 1))) < S // 20 for number, stamp in enumerate(run.stamps))
     assert run.offset_s == pytest.approx(-0.02 + 0.002, abs=0.005)
 
 
-def test_a_device_that_is_never_set_wraps_without_a_jump_too() -> None:
+def test_unset_device_clock_wraps_without_a_jump() -> None:
     run = Run(lambda s: (round((s + 50) * S) - 60 * S) % WRAP_NS).until(60)
     assert run.stamps == sorted(run.stamps)
     assert run.stamps[-1] == pytest.approx(host_ns(60.0), abs=S // 100)
 
 
 @pytest.mark.parametrize("step_s", [-3600, -2, 2, 3600])
-def test_a_clock_that_was_set_is_followed_after_a_while(step_s: int) -> None:
+def test_changed_offset_is_accepted_after_five_seconds(step_s: int) -> None:
     run = Run(lambda s: host_ns(s) + (step_s * S if s > 30 else 0)).until(30 + STEP_AFTER_S + 1)
     assert run.offset_s == pytest.approx(0.002 - step_s, abs=0.001)
 
 
 @pytest.mark.parametrize("damage_ns", [-(10**18), -10 * S, 10 * S, 10**18])
-def test_one_damaged_stamp_changes_nothing_and_its_message_has_the_time_of_its_arrival(damage_ns: int) -> None:
+def test_damaged_stamp_is_replaced_by_the_arrival_time(damage_ns: int) -> None:
     run = Run(lambda s: host_ns(s) + (damage_ns if 29.95 < s < 30.05 else 0)).until(60)
     assert run.offset_s == pytest.approx(0.002, abs=1e-6)
     assert run.stamps == sorted(run.stamps)
     assert run.stamps[299] == pytest.approx(host_ns(30.0), abs=S // 100)
 
 
-def test_what_a_stalled_network_delivers_at_once_keeps_its_times() -> None:
+def test_messages_of_a_stalled_network_keep_their_times() -> None:
     clock = DeviceClock()
     for tenth in range(100):
         clock.update(host_ns(tenth / 10), at_ns=host_ns(tenth / 10 + 0.002), now_s=tenth / 10)
@@ -123,7 +123,7 @@ def test_what_a_stalled_network_delivers_at_once_keeps_its_times() -> None:
     assert stamps == pytest.approx([host_ns(10 + tenth / 10 + 0.002) for tenth in range(20)], abs=1000)
 
 
-def test_the_answer_of_a_device_is_timed_once_a_request() -> None:
+def test_answer_of_a_device_is_timed_once_a_request() -> None:
     clock = DeviceClock()
     clock.topics_answered(1.0)
     assert clock.answer_s is None
@@ -139,10 +139,10 @@ def test_the_answer_of_a_device_is_timed_once_a_request() -> None:
     st.floats(-500, 500),
     st.lists(st.tuples(st.floats(0.01, 3.0), st.floats(0, 0.9)), min_size=1, max_size=60),
 )
-def test_a_steady_device_is_never_stamped_backwards_nor_into_the_future(
+def test_steady_device_is_never_stamped_backwards_nor_into_the_future(
     offset_s: int, ppm: float, messages: list[tuple[float, float]]
 ) -> None:
-    """TCP keeps the order: a message arrives no earlier than the one before it."""
+    """TCP keeps the order: each message arrives after the one before it."""
     clock, now_s, arrival_s, shown_ns = DeviceClock(), 0.0, 0.0, 0
     for pause_s, latency_s in messages:
         now_s += pause_s
@@ -151,12 +151,12 @@ def test_a_steady_device_is_never_stamped_backwards_nor_into_the_future(
         clock.update(stamp_ns, at_ns=host_ns(arrival_s), now_s=arrival_s)
         given_ns = clock.to_host_ns(stamp_ns, host_ns(arrival_s))
         assert given_ns <= host_ns(arrival_s)
-        shown_ns = max(shown_ns, given_ns)  # as the odometry holds it
+        shown_ns = max(shown_ns, given_ns)  # as in the odometry, whose time never decreases
         assert shown_ns <= host_ns(arrival_s)
 
 
 @given(st.lists(st.tuples(st.integers(0, 2**63), st.floats(0, 100)), max_size=60))
-def test_any_stamps_are_survived(messages: list[tuple[int, float]]) -> None:
+def test_any_stamps_raise_nothing(messages: list[tuple[int, float]]) -> None:
     clock, now_s = DeviceClock(), 0.0
     for stamp_ns, pause_s in messages:
         now_s += pause_s

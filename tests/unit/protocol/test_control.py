@@ -1,4 +1,4 @@
-"""Control payloads: what devices send, and what damage makes of it."""
+"""Control payloads: encoding, decoding and damage."""
 
 import struct
 
@@ -24,7 +24,7 @@ from hostlink.protocol.control import (
 from hostlink.protocol.frame import Id
 from tests.support.strategies import topic_infos
 
-RECORDED = bytes.fromhex(  # of the robot in tests/captures: its first TopicInfo
+RECORDED = bytes.fromhex(  # first TopicInfo of the robot in tests/captures
     "7d00110000002f726f626f745f302f6f646f6d657472791400000067656f6d657472795f6d7367732f506f73653244"
     "20000000393338666136353730393538346164386537376432333835323962653133623800020000"
 )
@@ -33,13 +33,13 @@ INFO = TopicInfo(
 )
 
 
-def test_a_recorded_topic_info() -> None:
+def test_recorded_topic_info_is_decoded() -> None:
     assert decode_topic_info(Id.PUBLISHER, RECORDED) == INFO
     assert encode_topic_info(INFO) == RECORDED
 
 
 @pytest.mark.parametrize("size", range(len(RECORDED)))
-def test_a_topic_info_that_ends_early_is_none(size: int) -> None:
+def test_cut_topic_info_decodes_to_none(size: int) -> None:
     assert decode_topic_info(Id.PUBLISHER, RECORDED[:size]) is None
 
 
@@ -56,14 +56,14 @@ def test_a_topic_info_that_ends_early_is_none(size: int) -> None:
     ],
     ids=["bytes after it", "4 GB", "no name", "space", "escape", "no ASCII", "long"],
 )
-def test_names_that_no_device_means_are_none(payload: bytes) -> None:
+def test_malformed_names_decode_to_none(payload: bytes) -> None:
     assert decode_topic_info(Id.PUBLISHER, payload) is None
 
 
 @pytest.mark.parametrize(
     ("kind", "is_to_device"), [(0, False), (1, True), (2, False), (3, True), (4, False), (5, True)]
 )
-def test_directions(kind: int, is_to_device: bool) -> None:
+def test_kind_has_its_direction(kind: int, is_to_device: bool) -> None:
     assert INFO._replace(kind=Id(kind)).is_to_device is is_to_device
 
 
@@ -94,7 +94,7 @@ def test_logs_round_trip(level: int, text: str) -> None:
     assert decode_log(encode_log(Log(level, text))) == Log(level, text)
 
 
-def test_a_log_level_that_is_none_is_fatal_and_bad_text_is_readable() -> None:
+def test_unknown_log_level_is_fatal_and_bad_text_is_replaced() -> None:
     assert decode_log(b"\xc8\x02\x00\x00\x00\xff!") == Log(4, "\ufffd!")
 
 
@@ -115,5 +115,5 @@ def test_any_bytes_give_a_value_or_none(payload: bytes) -> None:
     assert found is None or encode_topic_info(found) == payload
 
 
-def test_a_count_over_the_payload_is_refused_before_anything_is_allocated() -> None:
+def test_count_over_the_payload_is_refused_before_anything_is_allocated() -> None:
     assert decode_parameter(b"\xff\xff\xff\x7f" + bytes(8)) is None

@@ -1,4 +1,4 @@
-"""The bytes of a frame, as the protocol's own examples give them."""
+"""Encoding of frames, with the examples of the protocol's documentation."""
 
 import pytest
 
@@ -15,17 +15,17 @@ from hostlink.protocol.frame import STOP_REQUEST, TOPICS_REQUEST, Id, byte_sum, 
         (0x0180, b"\xff" * 300, "ff fe 2c 01 d2 80 01 " + "ff " * 300 + "aa"),
     ],
 )
-def test_known_frames(topic_id: int, payload: bytes, wire: str) -> None:
+def test_known_frames_are_encoded(topic_id: int, payload: bytes, wire: str) -> None:
     assert encode(topic_id, payload) == bytes.fromhex(wire)
 
 
-def test_the_two_requests_of_a_host() -> None:
+def test_two_requests_of_a_host() -> None:
     assert bytes.fromhex("fffe0000ff0000ff") == TOPICS_REQUEST
     assert bytes.fromhex("fffe0000ff0b00f4") == STOP_REQUEST
 
 
-def test_a_payload_longer_than_a_length_field_can_carry() -> None:
-    with pytest.raises(ValueError, match="payload of 65536 bytes, a frame takes 65535"):
+def test_payload_longer_than_the_length_field_is_refused() -> None:
+    with pytest.raises(ValueError, match="payload of 65536 bytes, a frame holds at most 65535"):
         encode(125, bytes(65536))
 
 
@@ -51,5 +51,5 @@ def protocol_1(topic_id: int, payload: bytes) -> bytes:
         (b"", False),
     ],
 )
-def test_protocol_version_1(data: bytes, is_there: bool) -> None:
+def test_protocol_version_1_is_recognised(data: bytes, is_there: bool) -> None:
     assert contains_protocol_1(data) is is_there

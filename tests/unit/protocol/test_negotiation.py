@@ -1,4 +1,4 @@
-"""A device that falls silent is asked for its topics: soon, if it has shown that it asks for the time regularly."""
+"""Topic requests to a silent device. They come earlier if the device requested the time regularly."""
 
 import itertools
 
@@ -35,15 +35,18 @@ def test_time_requests_at_their_period_are_regular(period_s: float) -> None:
 
 
 @pytest.mark.parametrize("period_s", [0.01, 0.9, 4.1, 60.0])
-def test_time_requests_at_any_other_period_are_not(period_s: float) -> None:
+def test_time_requests_at_another_period_are_not_regular(period_s: float) -> None:
     host = Host(ODOMETRY)
     for _ in range(5):
         host.receive(TIME, after_s=period_s)
     assert not host.session.is_requesting_time
 
 
-def test_a_silent_regular_device_receives_a_request_before_its_link_ends() -> None:
-    """It may have restarted behind a radio that keeps the connection: then it waits for exactly this."""
+def test_silent_regular_device_receives_a_request_before_its_link_ends() -> None:
+    """The device may have restarted behind a radio that keeps the connection open.
+
+    Then it waits for a topic request.
+    """
     host = regular_device()
     host.wait(3.4)
     assert host.requests() == []
@@ -54,7 +57,7 @@ def test_a_silent_regular_device_receives_a_request_before_its_link_ends() -> No
     assert host.requests() == []
 
 
-def test_a_device_that_goes_on_talking_has_five_seconds_for_its_next_time_request() -> None:
+def test_talking_device_has_five_seconds_for_its_next_time_request() -> None:
     host = regular_device()
     for _ in range(49):
         host.wait(0.09)
@@ -64,7 +67,7 @@ def test_a_device_that_goes_on_talking_has_five_seconds_for_its_next_time_reques
     assert host.requests() == ["no_time_requests"]
 
 
-def test_a_device_that_never_requests_the_time_receives_a_request_after_five_seconds() -> None:
+def test_device_that_never_requests_the_time_receives_a_request_after_five_seconds() -> None:
     host = Host(ODOMETRY)
     host.wait(4.9)
     assert host.requests() == []
@@ -82,8 +85,8 @@ def advance(scheduler: NegotiationScheduler, step: Step, now_s: float) -> None:
         scheduler.finish(None)
 
 
-def test_the_transition_table_is_what_happens() -> None:
-    """Every path of four steps that the table allows, from the start."""
+def test_session_follows_the_transition_table() -> None:
+    """Check every path of four steps from the start."""
     paths = 0
     for steps in itertools.product(Step, repeat=4):
         scheduler, state = NegotiationScheduler(), SessionState.REQUESTING
@@ -98,7 +101,7 @@ def test_the_transition_table_is_what_happens() -> None:
     assert paths == 16  # two steps are possible in each state
 
 
-def test_no_request_leaves_while_the_device_answers_and_the_answer_grants_it() -> None:
+def test_request_during_a_negotiation_is_satisfied_by_it() -> None:
     host = Host(ODOMETRY)
     host.wait(2.0)
     host.receive(wire(ODOMETRY))
@@ -108,9 +111,9 @@ def test_no_request_leaves_while_the_device_answers_and_the_answer_grants_it() -
     assert host.requests() == []
 
 
-def test_an_unknown_id_is_no_reason_once_the_topics_came() -> None:
+def test_unknown_id_causes_no_request_after_the_negotiation() -> None:
     host = Host(ODOMETRY)
-    host.receive(encode(140, b"?"))  # the last request is too young
+    host.receive(encode(140, b"?"))  # the last request is less than one second old
     host.receive(wire(ODOMETRY) + TIME)
     host.wait(1.5)
     assert host.requests() == []
@@ -124,7 +127,7 @@ def test_topics_that_are_missing_are_requested_again() -> None:
 
 
 def requests_while_it_publishes(host: Host, seconds: float) -> list[str]:
-    """Of a device that requests the time, too, so that its silence is no cause."""
+    """Return the requests to a device that also requests the time, so that its silence is not a cause."""
     found = []
     for tenth in range(round(seconds * 10)):
         host.receive(TIME if tenth % 25 == 24 else encode(125, bytes(24)), after_s=0.0)
@@ -134,8 +137,8 @@ def requests_while_it_publishes(host: Host, seconds: float) -> list[str]:
     return found
 
 
-def test_topics_that_came_where_frames_are_lost_whole_are_requested_once_more() -> None:
-    """The last of a row leaves no gap."""
+def test_topics_over_a_lossy_transport_are_requested_once_more() -> None:
+    """A lost last TopicInfo leaves no gap."""
     host = Host(ODOMETRY, is_lossy=True)
     assert requests_while_it_publishes(host, CONFIRM_S - 0.2) == []
     assert requests_while_it_publishes(host, 0.4) == ["unconfirmed"]
@@ -146,14 +149,14 @@ def test_topics_that_came_where_frames_are_lost_whole_are_requested_once_more() 
     assert requests_while_it_publishes(host, 10.0) == []
 
 
-def test_what_is_lost_of_an_answer_that_confirms_is_requested_as_ever() -> None:
+def test_loss_in_a_confirming_answer_causes_a_request() -> None:
     host = Host(ODOMETRY, LED, is_lossy=True)
     host.receive(wire(LED) + TIME)
     assert requests_while_it_publishes(host, 1.5) == ["missing"]
     assert host.session.topics == (LED, ODOMETRY)
 
 
-def test_a_request_for_another_cause_confirms_the_topics() -> None:
+def test_request_for_another_cause_confirms_the_topics() -> None:
     host = Host(ODOMETRY, LED, is_lossy=True)
     host.session.request_topics("claimed_twice")
     assert requests_while_it_publishes(host, 1.5) == ["claimed_twice"]
@@ -161,9 +164,9 @@ def test_a_request_for_another_cause_confirms_the_topics() -> None:
     assert requests_while_it_publishes(host, 10.0) == []
 
 
-def test_what_goes_on_with_an_announcement_does_not_confirm_it() -> None:
+def test_continued_announcement_does_not_confirm_itself() -> None:
     host = Host(ODOMETRY, is_lossy=True)
-    host.receive(wire(LED._replace(md5="wrong")) + TIME)  # nothing that can be used, so the topics are the same
+    host.receive(wire(LED._replace(md5="wrong")) + TIME)  # an unusable topic, so the usable topics do not change
     assert requests_while_it_publishes(host, CONFIRM_S + 0.2) == ["unconfirmed"]
 
 
@@ -171,8 +174,8 @@ ASK = TopicInfo(Id.SERVICE_CLIENT_PUBLISHER, 126, "/ask", "my_srvs/Mine", "m", 5
 ANSWER = TopicInfo(Id.SERVICE_CLIENT_SUBSCRIBER, 101, "/ask", "my_srvs/Mine", "m", 512)
 
 
-def test_nothing_is_confirmed_while_a_device_waits_for_a_service() -> None:
-    """A request would end ros_lib's call; the response would then be written where its variable was."""
+def test_no_confirmation_is_requested_while_a_device_waits_for_a_service() -> None:
+    """A request would end ros_lib's call. The response would then be written to freed stack memory."""
     host = Host(ODOMETRY, ASK, LED, ANSWER, is_lossy=True)
     host.receive(encode(ASK.topic_id, b""), after_s=CONFIRM_S - 0.2)
     assert requests_while_it_publishes(host, 1.0) == []
@@ -182,15 +185,15 @@ def test_nothing_is_confirmed_while_a_device_waits_for_a_service() -> None:
     assert requests_while_it_publishes(host, 0.2) == ["unconfirmed"]
 
 
-def test_a_call_that_is_never_answered_delays_the_confirmation_no_longer_than_an_answer_may_take() -> None:
+def test_unanswered_call_delays_the_confirmation_by_its_deadline() -> None:
     host = Host(ODOMETRY, ASK, LED, ANSWER, is_lossy=True)
     host.receive(encode(ASK.topic_id, b""), after_s=1.0)
     assert requests_while_it_publishes(host, LONGEST_CALL_S - 0.1) == []
     assert requests_while_it_publishes(host, 0.2) == ["unconfirmed"]
 
 
-def test_what_is_missing_is_requested_also_where_a_gap_never_closes() -> None:
-    """A device that numbers its topics otherwise has one for ever."""
+def test_missing_topic_is_requested_despite_a_permanent_gap() -> None:
+    """A device that does not number its topics from 100 has a permanent gap."""
     far = TEXT._replace(topic_id=105)
     host = Host(ODOMETRY, LED, far)
     for _ in range(5):
@@ -206,5 +209,5 @@ def test_what_is_missing_is_requested_also_where_a_gap_never_closes() -> None:
     assert LED not in host.session.topics
 
 
-def test_topics_on_a_line_need_no_confirmation() -> None:
+def test_topics_on_a_serial_line_need_no_confirmation() -> None:
     assert requests_while_it_publishes(Host(ODOMETRY, LED), 10.0) == []

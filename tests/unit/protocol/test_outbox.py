@@ -1,4 +1,4 @@
-"""The order in which frames leave, and when."""
+"""Order and timing of sent frames."""
 
 import pytest
 from hypothesis import given
@@ -19,7 +19,7 @@ def drain(outbox: Outbox) -> list[bytes]:
     return popped
 
 
-def test_the_order_of_everything() -> None:
+def test_queued_frames_leave_in_order_of_priority() -> None:
     outbox = Outbox()
     outbox.put_command(100, b"command")
     outbox.put_reply("p", b"reply 1")
@@ -31,7 +31,7 @@ def test_the_order_of_everything() -> None:
     assert outbox.wait_s(0.0) is None
 
 
-def test_the_newest_command_of_a_topic_replaces_the_one_that_waits() -> None:
+def test_queued_command_is_replaced_by_a_newer_one_of_its_topic() -> None:
     outbox = Outbox()
     for text in (b"old", b"new"):
         outbox.put_urgent(101, text + b" velocity")
@@ -40,7 +40,7 @@ def test_the_newest_command_of_a_topic_replaces_the_one_that_waits() -> None:
     assert outbox.replaced == 2
 
 
-def test_the_zero_of_a_new_session_leaves_also_when_newer_velocities_come_before() -> None:
+def test_first_zero_of_a_session_is_not_replaced_by_newer_velocities() -> None:
     outbox = Outbox()
     outbox.put_urgent(101, b"zero", is_kept=True)
     for number in range(3):
@@ -55,7 +55,7 @@ def test_the_zero_of_a_new_session_leaves_also_when_newer_velocities_come_before
     assert drain(outbox) == [b"b"]
 
 
-def test_a_topic_with_depth_keeps_its_newest_in_order_and_topics_alternate() -> None:
+def test_topic_with_depth_keeps_its_newest_in_order_and_topics_alternate() -> None:
     outbox = Outbox()
     for number in range(4):
         outbox.put_command(100, b"a%d" % number, depth=2)
@@ -64,7 +64,7 @@ def test_a_topic_with_depth_keeps_its_newest_in_order_and_topics_alternate() -> 
     assert outbox.replaced == 2
 
 
-def test_too_many_replies_are_refused_and_those_that_wait_stay() -> None:
+def test_replies_above_the_bound_are_refused_and_queued_ones_kept() -> None:
     outbox = Outbox()
     for number in range(MAX_REPLIES):
         outbox.put_reply("p", b"%d" % number)
@@ -73,7 +73,7 @@ def test_too_many_replies_are_refused_and_those_that_wait_stay() -> None:
     assert len(drain(outbox)) == MAX_REPLIES
 
 
-def test_a_stop_lets_the_last_velocity_leave_and_nothing_else() -> None:
+def test_stop_sends_the_queued_velocity_and_nothing_else() -> None:
     outbox = Outbox()
     outbox.put_time()
     outbox.put_command(100, b"command")
@@ -83,8 +83,8 @@ def test_a_stop_lets_the_last_velocity_leave_and_nothing_else() -> None:
     assert drain(outbox) == [b"zero", STOP_REQUEST]
 
 
-def test_a_velocity_after_the_stop_is_too_late() -> None:
-    """It must not take the place of the zero that waits."""
+def test_velocity_after_the_stop_is_ignored() -> None:
+    """A velocity after the stop must not replace the queued zero."""
     outbox = Outbox()
     outbox.put_urgent(101, b"zero")
     outbox.put_stop()
@@ -92,7 +92,7 @@ def test_a_velocity_after_the_stop_is_too_late() -> None:
     assert drain(outbox) == [b"zero", STOP_REQUEST]
 
 
-def test_the_stop_is_the_last_frame_whatever_is_put_after_it() -> None:
+def test_stop_is_the_last_frame_when_others_are_queued_after_it() -> None:
     outbox = Outbox()
     outbox.put_stop()
     assert drain(outbox) == [STOP_REQUEST]
@@ -105,7 +105,7 @@ def test_the_stop_is_the_last_frame_whatever_is_put_after_it() -> None:
     assert outbox.wait_s(0.0) is None
 
 
-def test_messages_can_be_forgotten_but_not_the_answers_about_parameters() -> None:
+def test_drop_messages_keeps_parameter_answers() -> None:
     outbox = Outbox()
     outbox.put_urgent(101, encode(101, b"velocity"))
     outbox.put_command(100, encode(100, b"command"))
@@ -119,20 +119,22 @@ def test_messages_can_be_forgotten_but_not_the_answers_about_parameters() -> Non
     st.lists(st.tuples(st.floats(0.0, 0.2), st.integers(8, 200)), min_size=1, max_size=60),
     st.integers(960, 11520),
 )
-def test_never_faster_than_the_uart_but_for_one_ring(puts: list[tuple[float, int]], uart_bytes_s: int) -> None:
+def test_paced_frames_exceed_the_uart_speed_by_one_ring_at_most(
+    puts: list[tuple[float, int]], uart_bytes_s: int
+) -> None:
     outbox = Outbox(uart_bytes_s=uart_bytes_s)
     now_s, sent_bytes = 0.0, 0
     for pause_s, size in puts:
         now_s += pause_s
         if (wait_s := outbox.wait_s(now_s)) is not None:
-            assert wait_s <= 201 / uart_bytes_s  # a frame may leave a byte too early
+            assert wait_s <= 201 / uart_bytes_s  # a frame may be sent one byte early
         outbox.put_command(100, bytes(size))
         popped = outbox.pop_frame(now_s=now_s, wall_ns=0)
         sent_bytes += 0 if popped is None else len(popped.frame)
         assert sent_bytes <= RING_BYTES + now_s * uart_bytes_s + 200
 
 
-def test_a_paced_frame_leaves_when_its_wait_is_over() -> None:
+def test_paced_frame_leaves_when_its_wait_is_over() -> None:
     outbox = Outbox(uart_bytes_s=3840)
     for number in range(4):
         outbox.put_command(100 + number, bytes(40))
@@ -142,7 +144,7 @@ def test_a_paced_frame_leaves_when_its_wait_is_over() -> None:
     assert outbox.pop_frame(now_s=wait_s + 1e-9, wall_ns=0) is not None
 
 
-def test_a_paced_frame_leaves_less_than_a_byte_too_early() -> None:
+def test_paced_frame_leaves_less_than_a_byte_too_early() -> None:
     outbox = Outbox(uart_bytes_s=11520)
     for number in range(3):
         outbox.put_command(100 + number, bytes(40))
@@ -153,10 +155,8 @@ def test_a_paced_frame_leaves_less_than_a_byte_too_early() -> None:
 
 
 @given(st.floats(0.0, 1e6), st.integers(100, 1_000_000), st.lists(st.integers(8, 520), min_size=1, max_size=40))
-def test_a_clock_that_waits_exactly_as_long_as_wait_s_returns_gets_a_frame(
-    now_s: float, uart_bytes_s: int, sizes: list[int]
-) -> None:
-    """Virtual time has no spare microsecond: a wait too short to move the clock would be waited for without end."""
+def test_waiting_exactly_wait_s_yields_a_frame(now_s: float, uart_bytes_s: int, sizes: list[int]) -> None:
+    """Virtual time is exact: a wait too short to move the clock would repeat for ever."""
     outbox = Outbox(uart_bytes_s=uart_bytes_s)
     for number, size in enumerate(sizes):
         outbox.put_command(100 + number, bytes(size))
@@ -171,24 +171,24 @@ def test_a_clock_that_waits_exactly_as_long_as_wait_s_returns_gets_a_frame(
     assert popped == len(sizes)
 
 
-# -- a stop is never kept waiting -------------------------------------------------------------------------------------
+# -- a stop is not delayed -------------------------------------------------------------------------------------------
 
 STOP = b"S" * VELOCITY_BYTES
 DRIVE = b"D" * VELOCITY_BYTES
 
 
 class Line:
-    """An outbox and the UART behind it: which byte leaves when. A model of its own."""
+    """Outbox and a model of its UART, which records when each byte is sent."""
 
     def __init__(self, uart_bytes_s: int) -> None:
         self.outbox = Outbox(uart_bytes_s=uart_bytes_s)
         self.byte_s = 1 / uart_bytes_s
         self.now_s = 0.0
         self.free_at_s = 0.0
-        self.begun_at_s: dict[bytes, float] = {}  # the newest frame with these bytes
+        self.begun_at_s: dict[bytes, float] = {}  # start time of the newest frame with these bytes
 
     def drain(self, until_s: float) -> None:
-        """Whatever leaves by then, as the link does it."""
+        """Send every frame that is due by then, as the link does."""
         self.outbox.begin_waiting(self.now_s)
         while True:
             wait_s = self.outbox.wait_s(self.now_s)
@@ -217,11 +217,11 @@ puts = st.lists(
 
 
 @given(st.sampled_from([960, 2400, 3840, 5760, 11520, 92160]), puts)
-def test_a_stop_is_on_the_wire_within_one_turn_whatever_waits(
+def test_stop_is_on_the_wire_within_one_turn_behind_any_queue(
     uart_bytes_s: int, history: list[tuple[str, int, float]]
 ) -> None:
     line = Line(uart_bytes_s)
-    stopped_at_s: float | None = None  # when a stop of a robot that moves was put, until it is looked at
+    stopped_at_s: float | None = None  # when a stop of a moving robot was queued; None once it was checked
     for number, (what, size, pause_s) in enumerate(history):
         is_moving = line.outbox.robot_moves and DRIVE in line.begun_at_s
         if what == "drive":
@@ -249,7 +249,7 @@ def test_a_stop_is_on_the_wire_within_one_turn_whatever_waits(
             stopped_at_s = None
 
 
-def test_a_thousand_messages_do_not_delay_a_stop() -> None:
+def test_thousand_messages_do_not_delay_a_stop() -> None:
     line = Line(3840)
     line.outbox.put_urgent(100, DRIVE)
     line.outbox.robot_moves = True
@@ -259,10 +259,10 @@ def test_a_thousand_messages_do_not_delay_a_stop() -> None:
     line.outbox.put_urgent(100, STOP)
     line.drain(2.0)
     assert line.begun_at_s[STOP] - 1.0 <= LOOP_S
-    assert len(line.begun_at_s) > 100  # the others went on leaving
+    assert len(line.begun_at_s) > 100  # the other messages were still sent
 
 
-def test_a_large_message_waits_while_the_robot_moves() -> None:
+def test_large_message_waits_while_the_robot_moves() -> None:
     line = Line(3840)
     large, small = b"L" * 500, b"s" * 20
     line.outbox.put_command(101, large)
@@ -283,7 +283,7 @@ def test_a_large_message_waits_while_the_robot_moves() -> None:
     assert line.outbox.slowest_wait_s > 5.0
 
 
-def test_an_answer_to_a_device_that_spins_for_it_does_not_wait() -> None:
+def test_answer_to_a_blocked_device_does_not_wait() -> None:
     line = Line(3840)
     line.outbox.robot_moves = True
     line.outbox.put_reply("parameter", b"P" * 300)
@@ -291,7 +291,7 @@ def test_an_answer_to_a_device_that_spins_for_it_does_not_wait() -> None:
     assert b"P" * 300 in line.begun_at_s
 
 
-def test_a_line_of_unknown_speed_accepts_all_at_once() -> None:
+def test_uart_of_unknown_speed_is_never_busy() -> None:
     outbox = Outbox()
     outbox.robot_moves = True
     outbox.put_command(100, bytes(10_000))
@@ -299,14 +299,14 @@ def test_a_line_of_unknown_speed_accepts_all_at_once() -> None:
     assert len(drain(outbox)) == 2
 
 
-def test_the_age_of_the_oldest_frame_is_that_of_what_really_waits() -> None:
+def test_oldest_age_ignores_replaced_frames() -> None:
     outbox = Outbox(uart_bytes_s=960)
     assert outbox.oldest_s(0.0) == 0.0
     outbox.put_command(100, bytes(100))
     outbox.put_command(101, bytes(100))
     outbox.begin_waiting(1.0)
     assert outbox.pop_frame(now_s=1.0, wall_ns=0) is not None
-    outbox.put_command(101, bytes(90))  # in the place of the one that waits
+    outbox.put_command(101, bytes(90))  # replaces the queued one
     outbox.begin_waiting(1.05)
     assert outbox.oldest_s(1.1) == pytest.approx(0.05)
     assert outbox.slowest_wait_s == 0.0
@@ -318,5 +318,5 @@ def test_the_age_of_the_oldest_frame_is_that_of_what_really_waits() -> None:
 def test_while_the_robot_moves_a_frame_leaves_only_if_a_stop_behind_it_is_on_the_wire_in_one_turn(
     uart_bytes_s: int | None, longest: float
 ) -> None:
-    """A turn's bytes but for a stop, never more than the ring, never less than a velocity."""
+    """The limit is one turn's bytes minus a stop, at most the receive ring and at least one velocity."""
     assert Outbox(uart_bytes_s=uart_bytes_s).prompt_bytes == pytest.approx(longest)

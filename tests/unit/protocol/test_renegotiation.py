@@ -1,4 +1,4 @@
-"""A device that tells its topics again: what waits for the old ids, what was refused, what was lost."""
+"""A second negotiation: queued frames for old ids, refused topics, lost TopicInfos."""
 
 import traceback
 
@@ -21,22 +21,22 @@ BIG = TopicInfo(Id.PUBLISHER, 126, "/image", "sensor_msgs/Image", "m", 5000)
 
 
 @pytest.mark.parametrize("is_urgent", [False, True])
-def test_a_command_never_meets_the_new_meaning_of_its_id(is_urgent: bool) -> None:
-    """Not even before the negotiation is over: one frame of a wrong size crashes a device."""
+def test_queued_command_is_dropped_when_its_id_changes_meaning(is_urgent: bool) -> None:
+    """One frame of a wrong size crashes a device, so the frame is dropped even before the negotiation ends."""
     host = Host(ODOMETRY, LED)
     host.session.publish("/led", b"\x01", is_urgent=is_urgent)
     host.receive(wire(ODOMETRY, MOTOR))
     assert host.sent() == []
 
 
-def test_a_call_never_meets_the_new_meaning_of_its_id() -> None:
+def test_queued_call_is_dropped_when_its_id_changes_meaning() -> None:
     host = Host(ODOMETRY, LED, SERVICE)
     host.session.call("/set", b"\x01")
     host.receive(wire(ODOMETRY, LED, TEXT) + TIME)
     assert [frame.topic_id for frame in host.sent()] == [Id.TIME]
 
 
-def test_a_call_for_a_service_that_is_gone_is_forgotten() -> None:
+def test_queued_call_is_dropped_when_its_service_is_removed() -> None:
     host = Host(ODOMETRY, LED, SERVICE)
     host.session.call("/set", b"\x01")
     for _ in range(MAX_MISSED):
@@ -45,7 +45,7 @@ def test_a_call_for_a_service_that_is_gone_is_forgotten() -> None:
 
 
 @pytest.mark.parametrize("lost", [ODOMETRY, LED, SERVICE, CLIENT, ANSWER])
-def test_what_a_negotiation_lacks_stays_until_three_in_a_row_lack_it_and_is_requested(lost: TopicInfo) -> None:
+def test_missing_topic_is_requested_and_kept_until_three_negotiations_lack_it(lost: TopicInfo) -> None:
     topics = [ODOMETRY, CLIENT, LED, SERVICE, ANSWER]
     rest = [info for info in topics if info is not lost]
     host = Host(*topics)
@@ -62,8 +62,8 @@ def test_what_a_negotiation_lacks_stays_until_three_in_a_row_lack_it_and_is_requ
     assert sorted(host.session.topics) == sorted(rest)
 
 
-def test_what_is_new_says_nothing_about_what_is_lacking() -> None:
-    """Over a radio that loses datagrams the first announcement lacks one topic, and the second another."""
+def test_new_topic_does_not_confirm_the_loss_of_another() -> None:
+    """With lost datagrams the first announcement may lack one topic, and the second another."""
     host = Host(ODOMETRY, LED)
     host.receive(TIME + wire(LED, TEXT) + TIME)
     assert host.session.topics == (LED, TEXT, ODOMETRY)
@@ -72,15 +72,15 @@ def test_what_is_new_says_nothing_about_what_is_lacking() -> None:
 
 
 @pytest.mark.parametrize("other", [LED._replace(topic_id=101), ODOMETRY._replace(name="/text"), MOTOR])
-def test_what_an_announcement_lacks_that_contradicts_the_one_before_is_gone(other: TopicInfo) -> None:
-    """An id with another meaning, or a name with another id: the device runs another program."""
+def test_missing_topic_is_removed_when_the_announcement_contradicts_the_last(other: TopicInfo) -> None:
+    """An id with another meaning, or a name with another id, shows that the device runs another program."""
     host = Host(ODOMETRY, LED, SERVICE._replace(topic_id=102))
     host.receive(TIME + wire(other) + TIME, after_s=1.0)
     assert host.session.topics == (other,)
 
 
-def test_an_announcement_that_comes_in_parts_is_one() -> None:
-    """Each part ends with a request for the time, so that three of them were three that lacked the last topic."""
+def test_announcement_in_parts_counts_as_one_negotiation() -> None:
+    """Each part ends with a time request. Three parts must not count as three negotiations without the last topic."""
     topics = [ODOMETRY, TEXT._replace(topic_id=101), SERVICE._replace(topic_id=102), LED]
     host = Host(*topics)
     host.session.request_topics("claimed_twice")
@@ -90,15 +90,15 @@ def test_an_announcement_that_comes_in_parts_is_one() -> None:
         assert LED in host.session.topics
 
 
-def test_an_endpoint_is_had_as_long_as_its_id_means_the_same() -> None:
+def test_has_endpoint_until_its_id_changes_meaning() -> None:
     host = Host(ODOMETRY, LED)
     assert host.session.has(LED)
     host.receive(wire(ODOMETRY, MOTOR))
     assert [host.session.has(info) for info in (ODOMETRY, LED, MOTOR, SERVICE)] == [True, False, True, False]
 
 
-def test_the_answer_to_a_parameter_request_outlives_a_negotiation() -> None:
-    """Its id means the same to every device, and a device spins until it hears it."""
+def test_parameter_answer_is_kept_through_a_negotiation() -> None:
+    """The id of a parameter answer is fixed, and a device blocks until it arrives."""
     host = Host()
     host.sent()
     host.session.answer_parameter("/gain", Parameter())
@@ -106,21 +106,21 @@ def test_the_answer_to_a_parameter_request_outlives_a_negotiation() -> None:
     assert [frame.topic_id for frame in host.sent()] == [Id.TIME, Id.PARAMETER]
 
 
-def test_the_same_topics_again_cost_no_command() -> None:
+def test_repeated_topics_drop_no_command() -> None:
     host = Host(ODOMETRY, LED)
     host.session.publish("/led", b"\x01")
     host.receive(wire(ODOMETRY, LED) + TIME)
     assert host.sent()[-1] == Frame(100, b"\x01")
 
 
-def test_an_id_that_is_announced_for_the_first_time_drops_no_command() -> None:
+def test_new_id_drops_no_command() -> None:
     host = Host(ODOMETRY, LED)
     host.session.publish("/led", b"\x01")
     host.receive(wire(ODOMETRY, TEXT))
     assert host.sent() == [Frame(100, b"\x01")]
 
 
-def test_a_refused_topic_stays_refused_until_it_is_announced_anew() -> None:
+def test_refused_topic_stays_refused_until_it_is_announced_anew() -> None:
     host = Host(ODOMETRY, WRONG_LED)
     host.receive(wire(ODOMETRY))
     with pytest.raises(WrongType, match="/led: wanted md5 right, got md5 wrong"):
@@ -130,22 +130,22 @@ def test_a_refused_topic_stays_refused_until_it_is_announced_anew() -> None:
     assert host.sent() == [Frame(100, b"\x01")]
 
 
-def test_a_refused_topic_that_is_announced_no_more_is_unknown() -> None:
+def test_refused_topic_that_is_no_longer_announced_is_unknown() -> None:
     host = Host(ODOMETRY, WRONG_LED)
     host.receive(wire(ODOMETRY) + TIME)
     with pytest.raises(UnknownTopic, match="no topic named /led"):
         host.session.publish("/led", b"\x01")
 
 
-def test_a_topic_of_a_right_id_that_was_refused_before_is_usable() -> None:
+def test_topic_of_a_right_id_that_was_refused_before_is_usable() -> None:
     host = Host(WRONG_LED)
     host.receive(TIME)
     host.receive(wire(TEXT._replace(topic_id=100)) + TIME)
     assert [topic.name for topic in host.session.topics] == ["/text"]
 
 
-def test_a_refusal_keeps_no_callers_alive() -> None:
-    """A client may publish to it for days."""
+def test_refusal_keeps_no_callers_alive() -> None:
+    """A client may publish to the refused topic for days."""
     host = Host(WRONG_LED)
     lengths = []
     for _ in range(3):
@@ -155,15 +155,15 @@ def test_a_refusal_keeps_no_callers_alive() -> None:
     assert len(set(lengths)) == 1
 
 
-def test_a_last_topic_info_that_was_cut_off_is_requested() -> None:
-    """Nothing but the bytes that wait tells that there was one: a lost last id leaves no gap."""
+def test_incomplete_last_topic_info_causes_a_request() -> None:
+    """Only the incomplete bytes show the loss: a lost last id leaves no gap."""
     host = Host()
     host.receive(TIME + wire(ODOMETRY, LED, TEXT)[:-20])
     host.wait(1.1)
     assert host.requests() == ["damaged"]
 
 
-def test_a_buffer_lets_larger_frames_in_from_the_next_frame_on_and_no_longer_than_it_is_announced() -> None:
+def test_announced_buffer_sets_the_frame_limit_from_the_next_frame() -> None:
     host = Host()
     picture = encode(126, bytes(4000))
     assert events.MessageReceived(BIG, bytes(4000)) in host.receive(wire(ODOMETRY, BIG) + picture)
@@ -173,7 +173,7 @@ def test_a_buffer_lets_larger_frames_in_from_the_next_frame_on_and_no_longer_tha
     assert host.session.rejected == {"too_long": 1}
 
 
-def test_a_size_is_valid_from_the_next_frame_on() -> None:
+def test_size_is_valid_from_the_next_frame_on() -> None:
     host = Host()
     right, wrong = encode(125, bytes(24)), encode(125, bytes(23))
     found = host.receive(wire(ODOMETRY) + wrong + right)
@@ -183,7 +183,7 @@ def test_a_size_is_valid_from_the_next_frame_on() -> None:
 
 
 @pytest.mark.parametrize("buffer_bytes", [65543, 65544, 2**31 - 1])
-def test_a_buffer_that_no_frame_can_fill(buffer_bytes: int) -> None:
+def test_buffer_above_the_largest_frame_is_limited(buffer_bytes: int) -> None:
     host = Host(TEXT._replace(topic_id=100, buffer_bytes=buffer_bytes))
     host.session.publish("/text", bytes(65535))
     with pytest.raises(FrameTooLarge, match="/text: frame of 65544 bytes, the device takes 65543"):
@@ -191,7 +191,7 @@ def test_a_buffer_that_no_frame_can_fill(buffer_bytes: int) -> None:
 
 
 @pytest.mark.parametrize("buffer_bytes", [0, -1, -(2**31)])
-def test_a_buffer_that_is_none_is_the_usual_one(buffer_bytes: int) -> None:
+def test_invalid_buffer_size_is_replaced_by_the_default(buffer_bytes: int) -> None:
     host = Host(TEXT._replace(topic_id=100, buffer_bytes=buffer_bytes))
     host.session.publish("/text", bytes(504))
     with pytest.raises(FrameTooLarge, match="/text: frame of 513 bytes, the device takes 512"):
@@ -206,7 +206,7 @@ def test_a_buffer_that_is_none_is_the_usual_one(buffer_bytes: int) -> None:
         (Parameter(floats=(1e300,)), WrongType, "parameter /p: wanted int32 or float32, got float too large"),
     ],
 )
-def test_a_parameter_that_cannot_be_sent(parameter: Parameter, error: type[Exception], text: str) -> None:
+def test_unsendable_parameter_is_refused(parameter: Parameter, error: type[Exception], text: str) -> None:
     host = Host(LED)
     with pytest.raises(error) as caught:
         host.session.answer_parameter("/p", parameter)
@@ -214,7 +214,7 @@ def test_a_parameter_that_cannot_be_sent(parameter: Parameter, error: type[Excep
     assert host.sent() == []
 
 
-def test_a_service_that_is_called_too_often_is_busy() -> None:
+def test_service_that_is_called_too_often_is_busy() -> None:
     host = Host(ODOMETRY, LED, SERVICE)
     for _ in range(MAX_REPLIES):
         host.session.call("/set", b"\x01")
@@ -222,7 +222,7 @@ def test_a_service_that_is_called_too_often_is_busy() -> None:
         host.session.call("/set", b"\x01")
 
 
-def test_after_a_stop_nothing_leaves_any_more() -> None:
+def test_session_sends_nothing_after_a_stop() -> None:
     host = Host(ODOMETRY, LED)
     host.session.stop()
     host.receive(TIME)
@@ -233,7 +233,7 @@ def test_after_a_stop_nothing_leaves_any_more() -> None:
     assert host.session.wait_s(host.now_s) is None
 
 
-def test_a_tick_that_comes_early_does_nothing() -> None:
+def test_early_tick_does_nothing() -> None:
     host = Host(ODOMETRY)
     deadline_s = host.session.deadline_s()
     assert host.session.tick(now_s=host.now_s) == []
@@ -241,7 +241,7 @@ def test_a_tick_that_comes_early_does_nothing() -> None:
 
 
 @pytest.mark.parametrize("size", [1, 3, 600])
-def test_protocol_1_is_recognised_however_it_is_cut(size: int) -> None:
+def test_protocol_1_is_recognised_for_every_cut(size: int) -> None:
     body = b"\x7d\x00\xff\x00" + bytes(255)
     line = b"\xff\xff" + body + bytes([255 - sum(body) % 256]) + b"x" * 400
     host = Host()

@@ -1,4 +1,4 @@
-"""Where the response to a device's request goes, and what may be in it."""
+"""Endpoint and payload of the response to a device's service request."""
 
 import pytest
 
@@ -24,7 +24,7 @@ def test_several_clients_of_one_service_are_distinguished_by_their_order() -> No
     assert host.session.response_endpoint(second(REQUESTS)) == second(RESPONSES)
 
 
-def test_a_device_that_did_not_announce_where_responses_go_cannot_be_answered() -> None:
+def test_request_without_response_endpoint_raises_unknown_topic() -> None:
     host = Host(REQUESTS, second(REQUESTS), RESPONSES)
     for request in (second(REQUESTS), REQUESTS._replace(topic_id=130), REQUESTS._replace(name="/other")):
         with pytest.raises(UnknownTopic, match=f"no endpoint for responses named {request.name}"):
@@ -32,8 +32,8 @@ def test_a_device_that_did_not_announce_where_responses_go_cannot_be_answered() 
 
 
 @pytest.mark.parametrize(("buffer_bytes", "room_bytes"), [(64, 56), (0, 504), (-1, 504), (70000, 504), (8, 0)])
-def test_where_nobody_knows_the_layout_zeros_fill_the_devices_buffer(buffer_bytes: int, room_bytes: int) -> None:
-    """A frame of 512 bytes at the most: on a slow line a stop would wait behind a longer one."""
+def test_response_with_unknown_layout_fills_the_buffer_with_zeros(buffer_bytes: int, room_bytes: int) -> None:
+    """The frame has at most 512 bytes: on a slow line a stop would wait behind a longer one."""
     response = RESPONSES._replace(buffer_bytes=buffer_bytes)
     host = Host(REQUESTS, response)
     host.session.respond(response, None)
@@ -41,7 +41,7 @@ def test_where_nobody_knows_the_layout_zeros_fill_the_devices_buffer(buffer_byte
     assert response_bytes(response) >= room_bytes
 
 
-def test_zeros_have_the_size_of_a_type_that_has_one() -> None:
+def test_response_with_fixed_size_has_that_many_zeros() -> None:
     response = RESPONSES._replace(type="std_msgs/Bool")
     host = Host(REQUESTS, response)
     host.session.respond(response, None)
@@ -66,8 +66,8 @@ def test_responses_are_bounded() -> None:
         host.session.respond(RESPONSES, b"")
 
 
-def test_a_request_counts_whatever_its_type_and_its_size_are_known_as() -> None:
-    """The device waits for its answer: one that was refused, or not understood, must not be passed over."""
+def test_refused_or_undecodable_request_is_still_reported() -> None:
+    """The device blocks until its request is answered, so a refused or undecodable request must be reported too."""
     refused = REQUESTS._replace(md5="wrong")
     sized = second(REQUESTS)._replace(type="std_msgs/Bool")
     host = Host(LED, refused, sized)

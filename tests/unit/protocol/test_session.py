@@ -1,4 +1,4 @@
-"""The host's side of one device: what it asks, answers, refuses and forgets. Times are virtual."""
+"""Session: requests, answers, refusals, negotiation. Times are virtual."""
 
 import dataclasses
 import gc
@@ -16,13 +16,13 @@ from hostlink.protocol.session import DEFAULT_BUFFER_BYTES, Session
 from tests.support.session_host import LED, ODOMETRY, TEXT, TIME, Host, check, wire
 
 
-def test_it_requests_topics_at_once() -> None:
+def test_open_requests_topics() -> None:
     host = Host()
     assert host.requests() == ["connected"]
     assert host.session.pop_frame(now_s=host.now_s, wall_ns=0) == OutgoingFrame(TOPICS_REQUEST)
 
 
-def test_without_an_answer_it_requests_again_every_two_seconds() -> None:
+def test_request_without_answer_is_repeated_every_two_seconds() -> None:
     host = Host()
     host.wait(10.0)
     assert host.requests() == ["no_answer"] * 5
@@ -37,26 +37,26 @@ def test_topics_are_known_after_a_frame_of_another_kind_or_half_a_second() -> No
     assert host.receive(wire(ODOMETRY) + TIME)[0] == events.TopicsNegotiated((ODOMETRY,), is_changed=True, gap_at=None)
 
 
-def test_a_message_of_a_known_topic() -> None:
+def test_message_of_a_known_topic_is_received() -> None:
     host = Host(ODOMETRY)
     assert host.receive(encode(125, bytes(24))) == [events.MessageReceived(ODOMETRY, bytes(24))]
 
 
-def test_a_message_of_the_wrong_size_is_damage() -> None:
+def test_message_of_the_wrong_size_is_damage() -> None:
     host = Host(ODOMETRY)
     assert host.receive(encode(125, bytes(23))) == []
     assert host.session.rejected == {"wrong_size": 1}
     assert host.session.counts.skipped_bytes == 31
 
 
-def test_the_time_is_answered_first_with_the_clock_of_the_moment_of_sending() -> None:
+def test_time_is_answered_first_with_the_clock_of_the_moment_of_sending() -> None:
     host = Host(ODOMETRY, LED)
     host.session.publish("/led", b"\x01")
     assert host.receive(TIME) == [events.TimeRequested()]
     assert host.sent() == [Frame(Id.TIME, bytes.fromhex("00000000 05000000")), Frame(100, b"\x01")]
 
 
-def test_an_unknown_id_causes_at_most_one_request_a_second_and_three_in_all() -> None:
+def test_unknown_id_causes_at_most_one_request_a_second_and_three_in_all() -> None:
     host = Host(ODOMETRY)
     requested_at_s = []
     for _ in range(1000):
@@ -86,7 +86,7 @@ def test_frames_before_the_answer_cause_no_second_request() -> None:
         ([ODOMETRY, ODOMETRY._replace(topic_id=127, name="/b")], 126),
     ],
 )
-def test_a_gap_in_the_ids_causes_three_requests(infos: list[TopicInfo], gap_at: int) -> None:
+def test_gap_in_the_ids_causes_three_requests(infos: list[TopicInfo], gap_at: int) -> None:
     host = Host(*infos)
     assert [event.gap_at for event in host.events if isinstance(event, events.TopicsNegotiated)] == [gap_at]
     topic_requests = 0
@@ -111,7 +111,7 @@ def test_other_topics_are_a_new_cause_for_requests() -> None:
     assert host.requests() == ["gap"]
 
 
-def test_a_new_session_has_counted_nothing_and_its_first_negotiation_is_one() -> None:
+def test_new_session_has_zero_counts_and_counts_its_first_negotiation() -> None:
     session = Session(check=check)
     assert set(dataclasses.asdict(session.counts).values()) == {0}
     assert Host(ODOMETRY).session.counts.negotiations == 1
@@ -137,8 +137,8 @@ def test_five_seconds_without_a_time_request_cause_a_request() -> None:
     assert host.requests() == ["no_time_requests"]
 
 
-def test_a_line_of_the_log_between_topics_ends_no_negotiation() -> None:
-    """A passthrough that reports its signal puts the line behind any frame of the device."""
+def test_line_of_the_log_between_topics_ends_no_negotiation() -> None:
+    """A passthrough that reports its signal strength inserts a log line after any frame of the device."""
     host = Host()
     host.receive(TIME + wire(ODOMETRY) + encode(Id.LOG, encode_log(Log(1, "WiFi signal -85 dBm"))))
     assert host.receive(wire(LED) + TIME)[0] == events.TopicsNegotiated((LED, ODOMETRY), is_changed=True, gap_at=None)
@@ -147,15 +147,15 @@ def test_a_line_of_the_log_between_topics_ends_no_negotiation() -> None:
 
 
 def test_messages_between_topics_let_the_same_negotiation_go_on() -> None:
-    """Of a device whose tasks write side by side; no request for topics is between the two parts."""
+    """A device with several tasks interleaves messages and TopicInfos. No topic request is between the two parts."""
     host = Host()
     host.receive(TIME + wire(LED, ODOMETRY) + encode(125, bytes(24)) + wire(TEXT) + encode(125, bytes(24)) + TIME)
     assert [info.name for info in host.session.topics] == ["/led", "/text", "/odometry"]
     assert host.session.counts.unknown_ids == 0
 
 
-def test_a_device_that_puts_a_frame_behind_each_topic_negotiates_some_times_and_then_after_a_pause() -> None:
-    """Each time costs the hub as much as all topics so far: with 256 velocities 6 ms, for 90 bytes."""
+def test_frame_after_each_topic_ends_eight_negotiations_then_waits_for_a_pause() -> None:
+    """Each finished negotiation costs the hub 6 ms with 256 velocity topics, for 90 bytes from the device."""
     host, topics = Host(), [ODOMETRY._replace(topic_id=125 + number, name=f"/t{number}") for number in range(40)]
     for topic in topics:
         host.receive(wire(topic) + TIME)
@@ -167,7 +167,7 @@ def test_a_device_that_puts_a_frame_behind_each_topic_negotiates_some_times_and_
 
 
 def test_messages_between_topics_that_are_announced_again_change_nothing() -> None:
-    """A configured device goes on publishing, and the daemon must not take its robot for gone meanwhile."""
+    """A configured device continues to publish. Its robot must not disappear meanwhile."""
     scan = ODOMETRY._replace(topic_id=126, name="/scan")
     host = Host(ODOMETRY, scan, LED)
     messages = encode(125, bytes(24)) + encode(126, bytes(24))
@@ -179,7 +179,7 @@ def test_messages_between_topics_that_are_announced_again_change_nothing() -> No
     assert host.session.counts.unknown_ids == 0
 
 
-def test_a_part_of_the_topics_is_all_after_half_a_second_whatever_is_published() -> None:
+def test_partial_announcement_ends_after_half_a_second_despite_messages() -> None:
     host = Host(ODOMETRY, LED)
     for is_gone in (False, False, True):
         host.receive(wire(LED), after_s=1.0)
@@ -189,13 +189,13 @@ def test_a_part_of_the_topics_is_all_after_half_a_second_whatever_is_published()
 
 
 @pytest.mark.parametrize("after_s", [0.01, 0.6])
-def test_a_device_that_restarts_at_once_begins_a_negotiation(after_s: float) -> None:
+def test_device_that_restarts_at_once_begins_a_negotiation(after_s: float) -> None:
     host = Host(ODOMETRY, LED)
     host.receive(wire(ODOMETRY._replace(name="/pose")) + TIME, after_s=after_s)
     assert [info.name for info in host.session.topics] == ["/pose"]
 
 
-def test_a_second_negotiation_replaces_the_first() -> None:
+def test_second_negotiation_replaces_the_first() -> None:
     host = Host(ODOMETRY, LED)
     other = ODOMETRY._replace(name="/battery", type="std_msgs/Float32")
     found = host.receive(TIME + wire(other) + TIME)
@@ -205,15 +205,15 @@ def test_a_second_negotiation_replaces_the_first() -> None:
         host.session.publish("/led", b"\x01")
 
 
-def test_a_negotiation_that_changes_ids_forgets_what_waits_for_the_old_ones() -> None:
+def test_negotiation_that_changes_ids_drops_frames_for_the_old_ones() -> None:
     host = Host(ODOMETRY, LED)
     host.session.publish("/led", b"\x01")
     host.receive(wire(ODOMETRY, TEXT._replace(topic_id=100)) + TIME)
     assert [frame.topic_id for frame in host.sent()] == [Id.TIME]
 
 
-def test_what_was_dropped_for_an_id_with_two_meanings_is_noticed_though_the_topics_are_the_same() -> None:
-    """Whoever hears of changed topics sends a zero: one that waited is gone."""
+def test_dropped_frames_are_reported_as_change_though_the_topics_are_the_same() -> None:
+    """The receiver of TopicsNegotiated sends a zero velocity if a queued one was dropped."""
     host = Host(ODOMETRY, TEXT._replace(topic_id=100), LED)
     host.session.publish("/led", b"\x00", is_urgent=True)
     found = host.receive(TIME + wire(ODOMETRY, TEXT._replace(topic_id=100), LED) + TIME)
@@ -221,7 +221,7 @@ def test_what_was_dropped_for_an_id_with_two_meanings_is_noticed_though_the_topi
     assert [event.is_changed for event in found if isinstance(event, events.TopicsNegotiated)] == [True]
 
 
-def test_the_same_topics_again_change_nothing() -> None:
+def test_repeated_topics_change_nothing() -> None:
     host = Host(ODOMETRY, LED)
     found = host.receive(TIME + wire(ODOMETRY, LED) + TIME)
     assert [event.is_changed for event in found if isinstance(event, events.TopicsNegotiated)] == [False]
@@ -236,7 +236,7 @@ def test_the_same_topics_again_change_nothing() -> None:
         ("/text", bytes(57), FrameTooLarge, "/text: frame of 65 bytes, the device takes 64"),
     ],
 )
-def test_what_a_device_cannot_receive_is_refused_before_it_is_queued(
+def test_message_that_a_device_cannot_receive_is_refused_before_it_is_queued(
     topic: str, payload: bytes, error: type[Exception], text: str
 ) -> None:
     host = Host(ODOMETRY, LED, TEXT)
@@ -246,15 +246,15 @@ def test_what_a_device_cannot_receive_is_refused_before_it_is_queued(
     assert host.sent() == []
 
 
-def test_a_device_that_announces_no_buffer_has_the_usual_one() -> None:
+def test_device_without_announced_buffer_has_the_default() -> None:
     host = Host(TEXT._replace(topic_id=100, buffer_bytes=0))
     host.session.publish("/text", bytes(DEFAULT_BUFFER_BYTES - 8))
     with pytest.raises(FrameTooLarge):
         host.session.publish("/text", bytes(DEFAULT_BUFFER_BYTES - 7))
 
 
-def test_a_refused_topic_leaves_no_cycle_for_the_garbage_collector() -> None:
-    """A device that announces them without end made full collections of 20 ms, in which no stop leaves."""
+def test_refused_topic_leaves_no_cycle_for_the_garbage_collector() -> None:
+    """A device that repeated its announcement without end caused full collections of 20 ms, which delay a stop."""
     wrong = wire(LED._replace(md5="wrong")) + TIME
     host = Host(ODOMETRY)
     host.receive(wrong)
@@ -268,7 +268,7 @@ def test_a_refused_topic_leaves_no_cycle_for_the_garbage_collector() -> None:
         gc.enable()
 
 
-def test_a_refused_topic_is_an_event_and_its_messages_are_not_delivered() -> None:
+def test_refused_topic_is_an_event_and_its_messages_are_not_delivered() -> None:
     host = Host()
     wrong = LED._replace(md5="wrong")
     found = host.receive(wire(ODOMETRY, wrong, TEXT) + TIME)
@@ -282,7 +282,7 @@ def test_a_refused_topic_is_an_event_and_its_messages_are_not_delivered() -> Non
     assert host.session.counts.refused_frames == 1
 
 
-def test_services_in_both_directions() -> None:
+def test_services_work_in_both_directions() -> None:
     server = [
         TopicInfo(Id.SERVICE_SERVER_PUBLISHER, 125, "/set", "std_srvs/SetBool", "m", 512),
         TopicInfo(Id.SERVICE_SERVER_SUBSCRIBER, 100, "/set", "std_srvs/SetBool", "m", 512),
@@ -303,7 +303,7 @@ def test_services_in_both_directions() -> None:
         host.session.call("/ask", b"")
 
 
-def test_parameters_and_logs() -> None:
+def test_parameters_and_logs_are_events() -> None:
     host = Host(LED)
     assert host.receive(
         encode(Id.PARAMETER, encode_parameter_request("/gain")) + encode(Id.LOG, encode_log(Log(2, "hot")))
@@ -320,13 +320,13 @@ def test_parameters_and_logs() -> None:
 @pytest.mark.parametrize(
     "frame", [encode(Id.LOG, b""), encode(Id.PARAMETER, b"\x01"), encode(42, b""), encode(0, b"x")]
 )
-def test_control_frames_that_make_no_sense_are_counted(frame: bytes) -> None:
+def test_undecodable_control_frames_are_counted(frame: bytes) -> None:
     host = Host(LED)
     assert host.receive(frame) == []
     assert host.session.counts.malformed == 1
 
 
-def test_a_frame_of_a_device_with_an_id_that_only_the_host_may_use() -> None:
+def test_frame_with_an_id_of_the_host_is_refused() -> None:
     host = Host(LED)
     assert host.receive(encode(100, b"\x01")) == []
     assert host.session.counts.refused_frames == 1
@@ -340,7 +340,7 @@ def test_protocol_1_is_recognised_once() -> None:
     assert found == [events.Protocol1Recognised()]
 
 
-def test_a_frame_that_stalls_is_given_up() -> None:
+def test_frame_that_stalls_is_given_up() -> None:
     host = Host(ODOMETRY)
     host.receive(b"\xff\xfe\x18\x00\xe7\x7d\x00half")
     host.wait(2.5)
@@ -348,7 +348,7 @@ def test_a_frame_that_stalls_is_given_up() -> None:
     assert host.receive(encode(125, bytes(24))) == [events.MessageReceived(ODOMETRY, bytes(24))]
 
 
-def test_a_frame_may_pause_for_two_seconds() -> None:
+def test_frame_may_pause_for_two_seconds() -> None:
     host = Host(ODOMETRY)
     frame = encode(125, bytes(24))
     host.receive(frame[:20])
@@ -357,13 +357,13 @@ def test_a_frame_may_pause_for_two_seconds() -> None:
     assert host.session.counts.skipped_bytes == 0
 
 
-def test_a_larger_announced_buffer_lets_larger_frames_in() -> None:
+def test_larger_announced_buffer_raises_the_frame_limit() -> None:
     big = TopicInfo(Id.PUBLISHER, 125, "/image", "sensor_msgs/Image", "m", 5000)
     host = Host(big)
     assert host.receive(encode(125, bytes(4000))) == [events.MessageReceived(big, bytes(4000))]
 
 
-def test_a_paced_device_is_waited_for() -> None:
+def test_pop_frame_waits_for_a_paced_device() -> None:
     session = Session(check=check, uart_bytes_s=960)
     session.open(now_s=0.0)
     assert session.wait_s(0.0) == 0.0
@@ -379,7 +379,7 @@ def test_stop_is_the_last_frame() -> None:
     assert host.session.replaced == 0
 
 
-def test_what_a_stop_would_have_to_wait_behind_is_refused_while_the_robot_moves() -> None:
+def test_long_message_is_refused_while_the_robot_moves() -> None:
     text = TopicInfo(Id.SUBSCRIBER, 101, "/text", "std_msgs/String", "m", 512)
     service = TopicInfo(Id.SERVICE_SERVER_SUBSCRIBER, 102, "/service", "x/Y", "m", 512)
     session = Session(check=check, uart_bytes_s=3840)
@@ -397,8 +397,8 @@ def test_what_a_stop_would_have_to_wait_behind_is_refused_while_the_robot_moves(
         session.publish("/text", bytes(505))
 
 
-def test_new_topics_forget_that_the_robot_moves() -> None:
-    """What moved it may be no robot any more; if it is one, its first velocity says so again."""
+def test_changed_topics_reset_robot_moves() -> None:
+    """The device may not be a robot any longer. If it is, its first velocity sets the flag again."""
     session = Session(check=check, uart_bytes_s=3840)
     session.open(now_s=0.0)
     session.receive(TIME + wire(ODOMETRY, LED) + TIME, now_s=0.1)
@@ -408,20 +408,20 @@ def test_new_topics_forget_that_the_robot_moves() -> None:
     session.publish("/text", bytes(500))
 
 
-def test_the_longest_frame_to_the_device_is_its_largest_buffer() -> None:
+def test_longest_frame_to_the_device_is_its_largest_buffer() -> None:
     assert Host().session.longest_to_device_bytes == DEFAULT_BUFFER_BYTES
     host = Host(ODOMETRY, LED)
     assert host.session.longest_to_device_bytes == LED.buffer_bytes
 
 
-def test_it_knows_that_it_was_stopped() -> None:
+def test_is_stopped_after_stop() -> None:
     host = Host(LED)
     assert not host.session.is_stopped
     host.session.stop()
     assert host.session.is_stopped
 
 
-def test_a_last_frame_goes_to_an_id_that_is_nobody_elses() -> None:
+def test_last_frame_is_dropped_when_its_id_has_a_new_meaning() -> None:
     host = Host(LED)
     host.session.send_last(encode(LED.topic_id, b"\x01"))
     assert host.sent() == []
@@ -438,7 +438,7 @@ def test_each_frame_to_the_device_is_counted_with_its_bytes() -> None:
     assert (counts.frames_to_device - frames, counts.bytes_to_device - size) == (1, 9)
 
 
-def test_the_time_to_an_answer_begins_with_the_request_for_topics() -> None:
+def test_answer_time_starts_with_the_topic_request() -> None:
     host = Host()
     host.sent()
     host.receive(TIME + wire(LED) + TIME, after_s=0.2)
@@ -449,14 +449,14 @@ def test_the_time_to_an_answer_begins_with_the_request_for_topics() -> None:
     assert host.session.device_clock.answer_s == pytest.approx(0.2)
 
 
-def test_a_topic_to_the_device_has_its_id() -> None:
+def test_topic_to_the_device_has_its_id() -> None:
     host = Host(LED)
     assert host.session.topic_id("/led") == LED.topic_id
     with pytest.raises(UnknownTopic):
         host.session.topic_id("/nope")
 
 
-def test_how_long_frames_wait_is_known_before_and_after_they_leave() -> None:
+def test_waiting_time_is_reported_before_and_after_sending() -> None:
     host = Host(LED)
     assert not host.session.has_waiting
     host.session.publish("/led", b"\x01")
@@ -470,7 +470,7 @@ def test_how_long_frames_wait_is_known_before_and_after_they_leave() -> None:
     assert host.session.slowest_wait_s == pytest.approx(0.25)
 
 
-def test_the_frame_of_a_message_is_the_one_that_publishing_it_sends() -> None:
+def test_frame_to_returns_the_frame_that_publish_queues() -> None:
     host = Host(LED)
     frame = host.session.frame_to("/led", b"\x01")
     assert host.sent() == []

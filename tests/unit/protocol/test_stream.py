@@ -1,4 +1,4 @@
-"""Bytes to frames: a table of what a line may carry."""
+"""FrameStream: a table of the bytes that a line may carry."""
 
 import pytest
 
@@ -28,7 +28,7 @@ def frames(stream: FrameStream, *reads: bytes) -> list[Frame]:
     ],
     ids=["merged", "apart", "bytes", "in a header"],
 )
-def test_frames_however_they_are_cut(reads: list[bytes]) -> None:
+def test_frames_are_read_for_every_cut(reads: list[bytes]) -> None:
     stream = FrameStream()
     assert events(stream, *reads) == [A, B]
     assert stream.pending_bytes == 0
@@ -48,18 +48,18 @@ def test_frames_however_they_are_cut(reads: list[bytes]) -> None:
     ],
     ids=["text", "FF", "two FF", "sync", "two syncs", "half a header", "cut frame", "claims 256 bytes"],
 )
-def test_a_good_frame_is_not_lost_to_what_stands_before_it(junk: bytes) -> None:
+def test_good_frame_after_junk_is_found(junk: bytes) -> None:
     stream = FrameStream()
     assert events(stream, junk + WIRE_A) == [Skipped(junk), A]
 
 
 @pytest.mark.parametrize("payload", [b"ab\xff\xfecd", b"\xff\xfe\x01\x00\xfe\x7d\x00x?", b"\xff\xfe\x00\x10\xef"])
-def test_a_payload_may_contain_the_start_of_a_frame(payload: bytes) -> None:
+def test_payload_may_contain_the_start_of_a_frame(payload: bytes) -> None:
     assert events(FrameStream(), encode(125, payload) + WIRE_B) == [Frame(125, payload), B]
 
 
 def test_rejected_syncs_inside_a_right_frame_are_not_counted() -> None:
-    """Bad length checksum, bad checksum, claim over the limit, wrong size, and a header too many: nothing was lost."""
+    """Bad length checksum, bad checksum, length over the limit, wrong size, and too many headers: nothing was lost."""
     wrong = bytes([*b"\xff\xfe\x01\x00\xfe\x7d\x00x", 0])
     payload = b"".join([b"\xff\xfe" * 9, wrong, b"\xff\xfe\x00\x10\xef", encode(125, b"four")])
     stream = FrameStream(fixed_bytes={125: 24})
@@ -82,7 +82,7 @@ def test_rejected_syncs_inside_a_damaged_frame_are_counted() -> None:
     assert stream.rejected == {Rejection.CHECKSUM: 1, Rejection.LENGTH_CHECKSUM: 1}
 
 
-def test_a_damaged_payload_costs_its_frame_and_no_other() -> None:
+def test_damaged_payload_costs_its_frame_and_no_other() -> None:
     stream = FrameStream()
     broken = bytearray(WIRE_A)
     broken[9] ^= 1
@@ -92,41 +92,41 @@ def test_a_damaged_payload_costs_its_frame_and_no_other() -> None:
     assert stream.rejected == {Rejection.CHECKSUM: 1}
 
 
-def test_a_frame_inside_a_false_one_is_there_at_once() -> None:
-    """A damaged length claims more than ever comes: the next frame does not wait for it."""
+def test_frame_inside_a_false_frame_is_found_at_once() -> None:
+    """A damaged length field claims more bytes than will arrive. The next frame does not wait for them."""
     stream = FrameStream()
     false_header = b"\xff\xfe\xe8\x03\x14\x7d\x00"
     assert frames(stream, false_header + WIRE_A) == [A]
 
 
-def test_how_a_frame_inside_a_frame_is_cut_changes_nothing() -> None:
+def test_nested_frame_is_read_the_same_for_every_cut() -> None:
     outer = encode(130, b"xx" + WIRE_A + b"yy")
     whole = frames(FrameStream(), outer)
     assert whole == frames(FrameStream(), *[bytes([byte]) for byte in outer]) == [A]
 
 
-def test_false_headers_in_one_another() -> None:
+def test_nested_false_headers_are_skipped() -> None:
     stream = FrameStream()
     liar = b"\xff\xfe\x20\x00\xdf"
     assert frames(stream, liar * 5 + WIRE_A + liar + WIRE_B) == [A, B]
 
 
-def test_the_largest_claim_before_topics_are_known() -> None:
+def test_default_limit_applies_before_topics_are_known() -> None:
     largest = Frame(125, bytes(1024))
     stream = FrameStream()
     assert frames(stream, encode(*largest), encode(125, bytes(1025)), WIRE_A) == [largest, A]
     assert stream.rejected[Rejection.TOO_LONG] == 1
 
 
-def test_nothing_is_lost_where_nobody_reads_on() -> None:
-    """Whoever waits for one frame leaves the rest of a read to the next call."""
+def test_unread_frames_are_kept_when_the_caller_stops_iterating() -> None:
+    """A caller that wants one frame leaves the rest of a read to the next call."""
     stream = FrameStream()
     assert next(stream.feed(WIRE_A + WIRE_B + WIRE_A)) == A
     assert stream.pending_bytes == len(WIRE_B + WIRE_A)
     assert frames(stream, WIRE_B) == [B, A, B]
 
 
-def test_a_claim_over_the_limit_is_no_header() -> None:
+def test_length_above_the_limit_is_rejected() -> None:
     stream = FrameStream(limit_bytes=100)
     big = encode(125, bytes(101))
     assert frames(stream, big + WIRE_A) == [A]
@@ -135,7 +135,7 @@ def test_a_claim_over_the_limit_is_no_header() -> None:
     assert frames(stream, big) == [Frame(125, bytes(101))]
 
 
-def test_a_size_that_the_type_cannot_have_is_damage() -> None:
+def test_size_that_the_type_cannot_have_is_damage() -> None:
     fixed = {125: 24}
     stream = FrameStream(fixed_bytes=fixed)
     assert frames(stream, WIRE_A + WIRE_B) == [B]
@@ -144,7 +144,7 @@ def test_a_size_that_the_type_cannot_have_is_damage() -> None:
     assert frames(stream, WIRE_A) == [A]
 
 
-def test_what_a_frame_changes_applies_to_the_next_one_of_the_same_read() -> None:
+def test_changed_limit_applies_to_the_next_frame_of_the_same_read() -> None:
     fixed: dict[int, int] = {}
     stream = FrameStream(fixed_bytes=fixed)
     found = []
@@ -155,7 +155,7 @@ def test_what_a_frame_changes_applies_to_the_next_one_of_the_same_read() -> None
     assert A not in found
 
 
-def test_a_frame_that_stays_incomplete_is_given_up_and_read_again() -> None:
+def test_incomplete_frame_is_given_up_and_its_bytes_are_read_again() -> None:
     stream = FrameStream()
     assert events(stream, b"\xff\xfe\x10\x00\xef\x7d\x00" + WIRE_A[:6]) == []
     assert list(stream.give_up()) == [Skipped(b"\xff\xfe\x10\x00\xef\x7d\x00")]
@@ -163,7 +163,7 @@ def test_a_frame_that_stays_incomplete_is_given_up_and_read_again() -> None:
     assert stream.rejected == {Rejection.INCOMPLETE: 1}
 
 
-def test_there_may_be_nothing_to_give_up() -> None:
+def test_give_up_with_an_empty_buffer_does_nothing() -> None:
     stream = FrameStream()
     assert list(stream.give_up()) == []
     assert stream.rejected == {}
@@ -175,7 +175,7 @@ def test_half_a_sync_is_given_up_too() -> None:
     assert list(stream.give_up()) == [Skipped(b"\xff")]
 
 
-def test_giving_up_the_outer_one_leaves_the_inner_one_waiting() -> None:
+def test_give_up_of_the_outer_frame_keeps_the_inner_one() -> None:
     stream = FrameStream()
     liar = b"\xff\xfe\x20\x00\xdf"
     assert events(stream, liar + b"\xff\xfe\x21\x00\xde" + WIRE_A[:6]) == []
@@ -185,12 +185,12 @@ def test_giving_up_the_outer_one_leaves_the_inner_one_waiting() -> None:
 
 
 def candidates_with_one_end(count: int, size_bytes: int) -> bytes:
-    """Headers that all claim to end at the last byte, and none has the right checksum there."""
+    """Headers that all claim to end at the last byte, none with the right checksum there."""
     wire = bytearray(size_bytes)
     for at in range(0, 6 * count, 6):
         claim_bytes = size_bytes - at - 8
         low, high = claim_bytes & 0xFF, claim_bytes >> 8
-        wire[at : at + 6] = bytes([0xFF, 0xFE, low, high, ~(low + high) & 0xFF, 4])  # they add up to 0 modulo 256
+        wire[at : at + 6] = bytes([0xFF, 0xFE, low, high, ~(low + high) & 0xFF, 4])  # the six bytes sum to 0 modulo 256
     return bytes(wire)
 
 
@@ -201,7 +201,7 @@ def test_one_byte_completes_few_candidates(count: int, size_bytes: int, read_byt
     wire = candidates_with_one_end(count, size_bytes)
     before = wire[:-1]
     assert events(stream, *[before[at : at + read_bytes] for at in range(0, len(before), read_bytes)]) == []
-    assert stream.rejected == {}  # a frame around them all may still turn out right
+    assert stream.rejected == {}  # a frame around all of them may still be correct
     assert frames(stream, wire[-1:]) == []
     assert stream.rejected.keys() == {Rejection.TOO_MANY, Rejection.CHECKSUM}
     claims_bytes = [size_bytes - at for at in range(0, 6 * count, 6)]

@@ -1,4 +1,4 @@
-"""The topics of one device: by id, by name, and no more than are allowed."""
+"""TopicTable: lookup by id and name, and the bound on topics."""
 
 from hostlink.protocol import events
 from hostlink.protocol.control import TopicInfo
@@ -20,7 +20,7 @@ def table(*infos: TopicInfo) -> TopicTable:
     return made
 
 
-def test_a_name_is_found_while_it_is_announced_and_afterwards() -> None:
+def test_name_is_found_during_and_after_a_negotiation() -> None:
     made = table(info(125, "/a"), info(100, "/a", Id.SUBSCRIBER))
     for _ in range(2):
         assert made.find("/a", Id.PUBLISHER) == info(125, "/a")
@@ -29,14 +29,14 @@ def test_a_name_is_found_while_it_is_announced_and_afterwards() -> None:
         made.finish()
 
 
-def test_the_first_of_two_with_one_name_has_it() -> None:
+def test_duplicate_name_belongs_to_the_first_endpoint() -> None:
     made = table(info(125, "/a"), info(126, "/a"))
     for _ in range(2):
         assert made.find("/a", Id.PUBLISHER) == info(125, "/a")
         made.finish()
 
 
-def test_a_name_that_has_another_id_now_is_found_by_the_new_one() -> None:
+def test_name_with_a_changed_id_is_found_under_the_new_id() -> None:
     made = table(info(125, "/a"))
     made.finish()
     made.begin()
@@ -46,7 +46,7 @@ def test_a_name_that_has_another_id_now_is_found_by_the_new_one() -> None:
     assert made.find("/a", Id.PUBLISHER) == info(126, "/a")
 
 
-def test_an_id_that_means_another_name_now_is_not_found_by_the_old_one() -> None:
+def test_id_with_a_changed_name_is_not_found_under_the_old_name() -> None:
     made = table(info(125, "/a"))
     made.add(info(125, "/b"), None)
     assert made.find("/a", Id.PUBLISHER) is None
@@ -64,18 +64,18 @@ def test_topics_over_the_bound_are_counted_and_are_one_event() -> None:
     assert host.session.counts.excess_topics == 50
     refused = [event for event in found if isinstance(event, events.TopicRefused)]
     assert [str(event.reason) for event in refused] == [
-        f"/t{MAX_TOPICS}: one topic more than the {MAX_TOPICS} that [link] max_topics allows"
+        f"/t{MAX_TOPICS}: the device has more than {MAX_TOPICS} topics ([link] max_topics)"
     ]
 
 
-def test_a_topic_that_is_announced_again_is_not_over_the_bound() -> None:
+def test_topic_that_is_announced_again_is_not_over_the_bound() -> None:
     host = Host()
     host.receive(TIME + many(MAX_TOPICS) + many(MAX_TOPICS) + TIME)
     host.receive(many(MAX_TOPICS) + TIME)
     assert host.session.counts.excess_topics == 0
 
 
-def test_what_is_kept_makes_a_device_no_larger_than_the_bound() -> None:
+def test_kept_topics_do_not_exceed_the_bound() -> None:
     host = Host()
     for number in range(5):
         first = 125 + number * MAX_TOPICS
@@ -84,14 +84,14 @@ def test_what_is_kept_makes_a_device_no_larger_than_the_bound() -> None:
         assert [each.topic_id for each in host.session.topics] == list(range(first, first + MAX_TOPICS))
 
 
-def test_the_bound_is_a_setting() -> None:
+def test_bound_is_a_setting() -> None:
     session = Session(check=check, max_topics=1)
     session.open(now_s=0.0)
     session.receive(TIME + wire(LED, ODOMETRY) + TIME, now_s=0.1)
     assert session.topics == (LED,)
 
 
-def test_the_host_requests_topics_to_learn_whether_a_device_lives() -> None:
+def test_request_topics_repeats_the_negotiation_of_a_ready_device() -> None:
     host = Host(LED)
     host.wait(2.0)
     host.session.request_topics("claimed_twice")

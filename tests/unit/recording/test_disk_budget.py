@@ -1,4 +1,4 @@
-"""Which recordings go when there is no room."""
+"""Disk budget: recordings that are removed when there is no room."""
 
 from hypothesis import given
 from hypothesis import strategies as st
@@ -17,20 +17,20 @@ FILES = st.lists(
 )
 
 
-def test_the_oldest_goes_first() -> None:
+def test_oldest_recording_is_removed_first() -> None:
     files = [StoredFile("new", 40, 3.0), StoredFile("old", 40, 1.0), StoredFile("middle", 40, 2.0)]
     assert over_budget(files, 100) == ["old"]
     assert over_budget(files, 50) == ["old", "middle"]
     assert over_budget(files, 120) == []
 
 
-def test_one_that_is_being_written_stays() -> None:
+def test_open_recording_is_kept() -> None:
     files = [StoredFile("open", 90, 1.0, is_open=True), StoredFile("new", 40, 3.0)]
     assert over_budget(files, 100) == ["new"]
 
 
 @given(FILES, st.integers(0, 5000))
-def test_what_stays_fits_or_is_open_and_no_more_goes_than_must(files: list[StoredFile], budget_bytes: int) -> None:
+def test_kept_files_fit_or_are_open_and_no_other_is_removed(files: list[StoredFile], budget_bytes: int) -> None:
     gone = over_budget(files, budget_bytes)
     kept = [file for file in files if file.name not in gone]
     sizes = {file.name: file.size_bytes for file in files}

@@ -1,4 +1,4 @@
-"""Who drove when: what begins a drive, what ends it, and what is bounded."""
+"""Drives: their start, their end, and their bounds."""
 
 from itertools import count
 
@@ -12,11 +12,11 @@ S = 1_000_000_000
 
 
 class Story:
-    """Events in their order, by the second."""
+    """Events in order, by the second."""
 
     def __init__(self) -> None:
         self.drives = Drives()
-        self.clock_ahead_s = 0.0  # of the clock on the wall, that somebody sets
+        self.clock_ahead_s = 0.0  # of the wall clock, which may be set
 
     def command(self, at_s: float, owner: str = "ann", *, robot: str = "rover", m_s: float = 0.2) -> None:
         velocity = PlanarVelocity(x_m_s=m_s)
@@ -36,7 +36,7 @@ class Story:
         self.drives.observe(RobotEvent(kind, robot, at_s, int((at_s + self.clock_ahead_s) * S), facts))
 
 
-def test_a_drive_lasts_from_its_first_command_to_its_stop() -> None:
+def test_drive_lasts_from_its_first_command_to_its_stop() -> None:
     story = Story()
     for tenth in range(20):
         story.command(10 + tenth / 10, m_s=0.1 + tenth / 100)
@@ -52,7 +52,7 @@ def test_a_drive_lasts_from_its_first_command_to_its_stop() -> None:
 
 
 @pytest.mark.parametrize("step_s", [8_640_000.0, -8_640_000.0])
-def test_a_drive_in_which_the_clock_is_set_lasts_as_long_as_it_took(step_s: float) -> None:
+def test_drive_in_which_the_clock_is_set_lasts_as_long_as_it_took(step_s: float) -> None:
     story = Story()
     story.command(10.0)
     story.clock_ahead_s = step_s
@@ -62,7 +62,7 @@ def test_a_drive_in_which_the_clock_is_set_lasts_as_long_as_it_took(step_s: floa
     assert drive.seconds == 12.5
 
 
-def test_a_pause_is_no_end() -> None:
+def test_short_pause_does_not_end_a_drive() -> None:
     story = Story()
     for at_s in (0.0, 2.0, 4.0):
         story.command(at_s)
@@ -72,7 +72,7 @@ def test_a_pause_is_no_end() -> None:
     assert (drive.began_ns, drive.ended_ns, drive.commands) == (0, int(4.5 * S), 3)
 
 
-def test_a_zero_begins_no_drive() -> None:
+def test_zero_starts_no_drive() -> None:
     story = Story()
     story.command(1.0, m_s=0.0)
     assert len(story.drives) == 0
@@ -82,10 +82,10 @@ def test_a_zero_begins_no_drive() -> None:
     ("kind", "facts", "end"),
     [
         (EventKind.LOCKED, {"reason": "smoke"}, "locked: smoke"),
-        (EventKind.GONE, {"was_moving": True}, "its device was gone"),
+        (EventKind.GONE, {"was_moving": True}, "its device disconnected"),
     ],
 )
-def test_what_else_ends_a_drive(kind: EventKind, facts: dict[str, object], end: str) -> None:
+def test_lock_disconnect_and_takeover_end_a_drive(kind: EventKind, facts: dict[str, object], end: str) -> None:
     story = Story()
     story.command(1.0)
     story.command(1.0, robot="other")
@@ -93,14 +93,14 @@ def test_what_else_ends_a_drive(kind: EventKind, facts: dict[str, object], end: 
     assert [(each.robot, each.end) for each in story.finished(9.0)] == [("rover", end)]
 
 
-def test_a_driver_who_comes_back_takes_the_robot_over_again() -> None:
+def test_returning_driver_takes_the_robot_over_again() -> None:
     story = Story()
     for at_s, owner in ((1.0, "ann"), (1.1, "bob"), (1.2, "bob"), (1.3, "ann"), (1.4, "ann")):
         story.command(at_s, owner)
     assert {each.owner: each.end for each in story.drives.under_way()} == {"ann": "", "bob": "taken over by ann"}
 
 
-def test_a_robot_that_is_taken_over_has_two_drives() -> None:
+def test_robot_that_is_taken_over_has_two_drives() -> None:
     story = Story()
     story.command(1.0, "ann")
     story.command(1.1, "bob")
@@ -111,7 +111,7 @@ def test_a_robot_that_is_taken_over_has_two_drives() -> None:
     ]
 
 
-def test_the_stop_of_somebody_who_did_not_drive_ends_nothing() -> None:
+def test_stop_of_another_owner_ends_no_drive() -> None:
     story = Story()
     story.command(1.0)
     story.stop(1.1, "bob")
@@ -126,14 +126,14 @@ def test_drives_that_never_end_are_bounded() -> None:
     assert len(story.drives) == MAX_OPEN
 
 
-def test_a_clock_that_is_set_back_keeps_nothing_open() -> None:
+def test_clock_set_back_does_not_keep_drives_open() -> None:
     story = Story()
     story.command(1000.0)
     story.stop(1001.0)
     assert len(story.finished(0.0)) == 1
 
 
-def test_what_lasts_is_shown_before_it_ends() -> None:
+def test_current_drive_is_listed() -> None:
     story = Story()
     numbers = count(1)
     for at_s in range(5):
@@ -142,7 +142,7 @@ def test_what_lasts_is_shown_before_it_ends() -> None:
         assert (drive.commands, drive.end) == (next(numbers), "")
 
 
-def test_a_zero_of_the_driver_is_part_of_its_drive() -> None:
+def test_zero_of_the_driver_is_part_of_its_drive() -> None:
     story = Story()
     story.command(1.0)
     story.other(EventKind.COMMANDED, 1.1, owner="ann", address="", priority=50, velocity=ZERO, limited=ZERO)

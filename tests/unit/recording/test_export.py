@@ -1,4 +1,4 @@
-"""A recording in other formats, read by those who made the formats."""
+"""Exports, read by the programs that own the formats."""
 
 import csv
 import io
@@ -39,7 +39,7 @@ ODOMETRY = {
 
 @pytest.fixture
 def catalog(tmp_path: Path) -> Catalog:
-    """With a type that only this user has."""
+    """Return a catalog with a type that only this user has."""
     folder = tmp_path / "messages" / "my_msgs" / "msg"
     folder.mkdir(parents=True)
     (folder / "Wheel.msg").write_text("string name\nfloat32[] speeds\ngeometry_msgs/Pose2D pose\n")
@@ -81,7 +81,7 @@ def test_csv_has_a_table_a_topic_with_its_fields_as_columns(recording: Path, tmp
     assert (odom["pose.pose.position.x"], odom["pose.covariance[35]"]) == ("1.5", "0.25")
 
 
-def test_a_ros_1_bag_has_the_same_bytes(recording: Path, tmp_path: Path) -> None:
+def test_ros_1_bag_has_the_same_bytes(recording: Path, tmp_path: Path) -> None:
     done = export_ros(Reader(recording), tmp_path / "run.bag", RosFormat.ROS1, skips_unknown=True)
     before = {(message.channel.topic, message.payload) for message in Reader(recording).messages()}
     with Ros1Reader(tmp_path / "run.bag") as bag:
@@ -95,9 +95,7 @@ def test_a_ros_1_bag_has_the_same_bytes(recording: Path, tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize("format_", [RosFormat.ROS2_MCAP, RosFormat.ROS2_SQLITE])
-def test_a_ros_2_bag_is_read_by_rosbags_with_the_same_values(
-    recording: Path, tmp_path: Path, format_: RosFormat
-) -> None:
+def test_ros_2_bag_is_read_by_rosbags_with_the_same_values(recording: Path, tmp_path: Path, format_: RosFormat) -> None:
     done = export_ros(Reader(recording), tmp_path / "bag", format_, skips_unknown=True)
     store = get_typestore(Stores.ROS2_KILTED)
     with Ros2Reader(tmp_path / "bag") as bag:
@@ -111,8 +109,8 @@ def test_a_ros_2_bag_is_read_by_rosbags_with_the_same_values(
     assert {each.topic for each, _, _ in messages} >= {"/wheel", EVENTS.topic}
 
 
-def test_a_ros_2_export_is_decoded_by_mcaps_ros_2_support(recording: Path, tmp_path: Path) -> None:
-    """By its own CDR reader, from the definitions in the file alone."""
+def test_ros_2_export_is_decoded_by_mcaps_ros_2_support(recording: Path, tmp_path: Path) -> None:
+    """mcap-ros2-support uses its own CDR reader, with the definitions in the file only."""
     export_ros(Reader(recording), tmp_path / "bag", RosFormat.ROS2_MCAP, skips_unknown=True)
     (path,) = (tmp_path / "bag").glob("*.mcap")
     with path.open("rb") as file:
@@ -129,7 +127,7 @@ def test_a_ros_2_export_is_decoded_by_mcaps_ros_2_support(recording: Path, tmp_p
     assert (wheel.name, list(wheel.speeds), wheel.pose.x) == ("left", [1.0, 2.0], 3.0)
 
 
-def test_the_file_itself_is_decoded_by_mcaps_ros_1_support(recording: Path) -> None:
+def test_file_itself_is_decoded_by_mcaps_ros_1_support(recording: Path) -> None:
     with recording.open("rb") as file:
         reader = make_reader(file, decoder_factories=[DecoderFactory()])
         topics = ["/robot_0/odometry", "/robot_0/odom", "/wheel"]
@@ -152,13 +150,13 @@ def test_payloads_that_are_not_messages_are_left_out_and_counted_with_the_reason
 
 
 @pytest.mark.parametrize("format_", [*RosFormat, None])
-def test_an_export_without_a_message_fails_and_leaves_nothing(
+def test_export_without_a_message_fails_and_leaves_nothing(
     tmp_path: Path, catalog: Catalog, format_: RosFormat | None
 ) -> None:
     text, target = catalog.message("std_msgs/String"), tmp_path / "out"
     for name, messages in (("bad", [("/text", text, b"\xff\xff\xff\xffx")]), ("empty", [])):
         if name == "bad" and format_ is RosFormat.ROS1:
-            continue  # the bytes stay as they are
+            continue  # the bytes are unchanged
         path = write(tmp_path / f"{name}.mcap", messages)
         with pytest.raises(RecordingFailed, match="has no message to export"):
             export_csv(Reader(path), target) if format_ is None else export_ros(Reader(path), target, format_)
@@ -183,9 +181,9 @@ def test_pictures_are_drawn_and_a_wrong_field_names_those_that_are_there(recordi
     draw_map(paths, tmp_path / "map.png")
     assert "<svg" in (tmp_path / "fields.svg").read_text()
     assert (tmp_path / "map.png").read_bytes().startswith(b"\x89PNG")
-    with pytest.raises(RecordingFailed, match="it has: x, y, theta"):
+    with pytest.raises(RecordingFailed, match="available: x, y, theta"):
         read_lines(Reader(recording), ["/robot_0/odometry.z"])
-    with pytest.raises(RecordingFailed, match=r"there are: .*/robot_0/odometry"):
+    with pytest.raises(RecordingFailed, match=r"available: .*/robot_0/odometry"):
         read_lines(Reader(recording), ["/robot_1/odometry.x"])
 
 
@@ -229,7 +227,7 @@ def many(tmp_path: Path) -> Any:
     return Catalog([tmp_path / "types"]).message("my_msgs/Many")
 
 
-def test_csv_has_a_column_for_whatever_any_message_has(tmp_path: Path, many: Any) -> None:
+def test_csv_has_a_column_for_every_field_of_any_message(tmp_path: Path, many: Any) -> None:
     path = write(tmp_path / "a.mcap", [("/many", many, many.encode(each)) for each in (FIRST, SECOND)])
     export_csv(Reader(path), tmp_path / "csv")
     first, second = rows(tmp_path / "csv" / "many.csv")
@@ -251,7 +249,7 @@ def test_events_have_a_column_for_every_fact(tmp_path: Path) -> None:
     assert [row["facts.reason"] for row in rows(tmp_path / "csv" / "hostlink.events.csv")] == ["", "a cat"]
 
 
-def test_every_topic_and_type_has_a_file_whatever_their_names_are(tmp_path: Path, catalog: Catalog) -> None:
+def test_every_topic_and_type_has_its_own_file(tmp_path: Path, catalog: Catalog) -> None:
     text, number = (catalog.message(f"std_msgs/{name}") for name in ("String", "UInt8"))
     assert text is not None
     assert number is not None
@@ -266,7 +264,7 @@ def test_every_topic_and_type_has_a_file_whatever_their_names_are(tmp_path: Path
     assert rows(tmp_path / "csv" / "a.b.csv")[0]["data"] == "a"
 
 
-def test_a_recording_may_have_more_topics_than_a_process_may_have_files(tmp_path: Path, catalog: Catalog) -> None:
+def test_recording_may_have_more_topics_than_a_process_may_have_files(tmp_path: Path, catalog: Catalog) -> None:
     number = catalog.message("std_msgs/UInt8")
     assert number is not None
     names = [f"/robot_{each}/number" for each in range(300)]
@@ -284,8 +282,8 @@ def test_a_recording_may_have_more_topics_than_a_process_may_have_files(tmp_path
 
 
 @pytest.mark.parametrize("format_", ["rosbag2", "ros1"])
-def test_a_disk_that_is_full_is_one_line(recording: Path, tmp_path: Path, format_: str) -> None:
-    """A file cannot be larger than a kilobyte here: what the system says then comes in another way, and as late."""
+def test_full_disk_is_reported_in_one_line(recording: Path, tmp_path: Path, format_: str) -> None:
+    """Files are limited to a kilobyte here. The error differs from that of a full disk, but occurs as late."""
     target = str(tmp_path / "bag")
     words = [sys.executable, "-m", "hostlink", "export", str(recording), "--skip-unknown"]
     words += ["--to", format_, "-o", target]
@@ -296,7 +294,7 @@ def test_a_disk_that_is_full_is_one_line(recording: Path, tmp_path: Path, format
     assert not Path(target).exists()
 
 
-def test_a_line_of_many_points_keeps_its_peaks_in_a_bounded_number() -> None:
+def test_line_of_many_points_keeps_its_peaks_in_a_bounded_number() -> None:
     line = Line(100)
     for number in range(100_000):
         line.add(number, 7.0 if number == 54_321 else -3.0 if number == 77_777 else number % 10 / 10)
@@ -307,7 +305,7 @@ def test_a_line_of_many_points_keeps_its_peaks_in_a_bounded_number() -> None:
     assert times_s.tolist() == sorted(times_s.tolist())
 
 
-def test_a_ros_1_bag_of_many_messages_costs_as_much_memory_as_one_of_few(tmp_path: Path, catalog: Catalog) -> None:
+def test_ros_1_bag_of_many_messages_costs_as_much_memory_as_one_of_few(tmp_path: Path, catalog: Catalog) -> None:
     number = catalog.message("std_msgs/UInt8")
     assert number is not None
     peaks = []

@@ -1,4 +1,4 @@
-"""Writing off the loop: what waits is bounded, what is over that is counted, and nothing else is lost."""
+"""FileThread: queued messages are bounded, dropped ones are counted, and nothing else is lost."""
 
 import asyncio
 import threading
@@ -21,7 +21,7 @@ def count(folder: Path) -> int:
 
 
 async def test_ten_seconds_of_a_flood_at_once_lose_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The end waits as long as the disk takes something."""
+    """The end waits as long as the disk accepts data."""
     monkeypatch.setattr(file_thread, "CLOSE_TIMEOUT_S", 0.25)
     thread = FileThread(lambda number: tmp_path / f"{number}.mcap", WHOLE, loop=asyncio.get_running_loop(), metadata={})
     for number in range(50_000):
@@ -32,7 +32,7 @@ async def test_ten_seconds_of_a_flood_at_once_lose_nothing(tmp_path: Path, monke
 
 
 class StandingDisk:
-    """The second file cannot be made before `may_go_on`."""
+    """Disk on which the second file cannot be created before `may_go_on`."""
 
     def __init__(self) -> None:
         self.is_standing, self.may_go_on = threading.Event(), threading.Event()
@@ -45,7 +45,7 @@ class StandingDisk:
             self.may_go_on.wait(30.0)
 
     async def recorder(self, folder: Path) -> FileThread:
-        """It waits for the disk."""
+        """Create the writer, which waits for the disk."""
         thread = FileThread(
             lambda number: folder / f"{number}.mcap",
             Splitting(max_file_bytes=1, max_file_s=1e9),
@@ -58,8 +58,8 @@ class StandingDisk:
         return thread
 
 
-def test_a_disk_that_stands_still_at_the_end_is_left_to_itself(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """It may go on when there is no loop any more."""
+def test_blocked_disk_at_the_end_is_not_awaited(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The disk may recover after the loop has ended."""
     monkeypatch.setattr(file_thread, "CLOSE_TIMEOUT_S", 0.1)
     disk = StandingDisk()
 
@@ -70,15 +70,15 @@ def test_a_disk_that_stands_still_at_the_end_is_left_to_itself(tmp_path: Path, m
         return thread
 
     thread = asyncio.run(record())
-    assert thread.failure == "the disk has taken nothing of the rest for 0.1 s"
+    assert thread.failure == "the disk accepted no data for 0.1 s"
     disk.may_go_on.set()
     for each in threading.enumerate():
         if each.name == "recording":
-            each.join()  # an error in it fails the test
+            each.join()  # an error in the thread fails the test
     assert count(tmp_path) == 2
 
 
-async def test_a_disk_that_stands_still_costs_what_is_over_the_bound_and_no_time(tmp_path: Path) -> None:
+async def test_blocked_disk_drops_messages_above_the_bound_without_delay(tmp_path: Path) -> None:
     disk = StandingDisk()
     thread = await disk.recorder(tmp_path)
     payload, begin_s = bytes(64 * 1024 - MESSAGE_BYTES), asyncio.get_running_loop().time()
@@ -94,7 +94,7 @@ async def test_a_disk_that_stands_still_costs_what_is_over_the_bound_and_no_time
 
 
 async def test_more_channels_than_a_file_can_have_do_not_end_the_recording(tmp_path: Path) -> None:
-    """A program may advertise one topic after another; a channel's number in the format has 16 bits."""
+    """A program may advertise any number of topics, but a channel number in the format has 16 bits."""
     thread = FileThread(lambda number: tmp_path / f"{number}.mcap", WHOLE, loop=asyncio.get_running_loop(), metadata={})
     thread.put(EVENTS, 1, b"{}")
     for number in range(MAX_CHANNELS + 100):
@@ -113,7 +113,7 @@ async def test_more_channels_than_a_file_can_have_do_not_end_the_recording(tmp_p
     ]
 
 
-async def test_a_file_without_room_for_a_channel_is_followed_by_another_that_has_the_newest(
+async def test_file_without_free_channel_numbers_is_followed_by_one_with_the_newest_channels(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A program that makes a topic a minute has made 8192 in a week."""

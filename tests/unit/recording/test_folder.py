@@ -1,4 +1,4 @@
-"""The folder of the recordings, which others change too."""
+"""Folder of the recordings, changed by other programs too."""
 
 import sys
 import threading
@@ -7,7 +7,7 @@ from pathlib import Path
 from hostlink.recording.folder import Folder
 
 
-def test_a_file_that_is_removed_while_the_folder_is_read_is_not_there(tmp_path: Path) -> None:
+def test_file_removed_while_the_folder_is_read_is_not_listed(tmp_path: Path) -> None:
     folder = Folder(tmp_path, max_disk_mb=1, min_free_disk_mb=0)
     (tmp_path / "stays.mcap").touch()
     is_over = threading.Event()

@@ -1,4 +1,4 @@
-"""A robot's last minutes, from what the black box kept."""
+"""RobotHistory: a robot's last minutes from the black box."""
 
 import math
 import struct
@@ -34,7 +34,7 @@ def channel(topic: str = TOPIC, type_name: str = POSE_TYPE) -> Channel:
 
 
 def entries(*poses: tuple[float, float, float], of: Channel | None = None) -> list[Entry]:
-    """One each tenth of a second."""
+    """Return one entry for each tenth of a second."""
     at = channel() if of is None else of
     return [Entry(at, 0, struct.pack("<3d", *pose), number * STEP_S) for number, pose in enumerate(poses, 1)]
 
@@ -47,7 +47,7 @@ def history(kept: list[Entry], odometry: tuple[str, str] | None = (TOPIC, POSE_T
 
 
 def no_rest() -> None:
-    """Nothing else runs."""
+    """Do nothing."""
 
 
 def shown(kept: list[Entry], present: Pose | None = None) -> list[Pose]:
@@ -61,20 +61,20 @@ def test_poses_are_those_of_the_topic_in_their_order() -> None:
     assert shown(others) == []
 
 
-def test_they_end_where_the_robot_is_shown_now() -> None:
-    """A device that restarted, or was reset, is shown in another frame than that of its poses."""
+def test_poses_end_where_the_robot_is_shown_now() -> None:
+    """A restarted or reset device is shown in another frame than that of its poses."""
     found = shown(entries((0.0, 0.0, 0.0), (0.05, 0.0, 0.0)), Pose(2.0, 1.0, math.pi / 2))
     assert found[-1] == pytest.approx(Pose(2.0, 1.0, math.pi / 2))
     assert found[0] == pytest.approx(Pose(2.0, 0.95, math.pi / 2))
 
 
-def test_a_restart_of_the_device_does_not_jump() -> None:
+def test_restart_of_the_device_does_not_jump() -> None:
     moving = [(0.05 * number, 0.0, 0.0) for number in range(11)]
     found = shown(entries(*moving, (0.0, 0.0, 0.0), (0.05, 0.0, 0.0)))
     assert found[-1].x_m == pytest.approx(0.55)
 
 
-def test_damage_is_left_out() -> None:
+def test_damaged_entries_are_omitted() -> None:
     kept = [*entries((0.0, 0.0, 0.0)), Entry(channel(), 0, b"short", 2 * STEP_S)]
     assert shown(kept) == [Pose()]
 
@@ -107,16 +107,16 @@ def test_more_entries_than_are_shown_are_not_decoded() -> None:
     assert (commands[0][0], commands[-1]) == (pytest.approx(0, abs=50), (100_002.0, {"number": 100_002}))
 
 
-def test_an_estimator_begins_anew_with_its_settings() -> None:
+def test_estimator_restarts_with_its_settings() -> None:
     used = OdometryEstimator(continues=False)
     used.update(Pose(1.0, 2.0, 0.0), now_s=0.0, wall_ns=0)
     moving = [(0.05 * number, 0.0, 0.0) for number in range(11)]
     again = history(entries(*moving, (0.0, 0.0, 0.0))).poses(used.anew(), None, no_rest)
     assert again[0].pose == Pose()
-    assert again[-1].pose == Pose()  # it begins again with the device
+    assert again[-1].pose == Pose()  # starts again with the device
 
 
-def test_the_odometry_of_a_file_is_the_devices_topic_of_that_name() -> None:
+def test_odometry_of_a_file_is_the_devices_topic_of_that_name() -> None:
     aim, odometry, programs = (
         entries((x, 0.0, 0.0), of=ros_channel(topic, POSE_TYPE, POSE, is_latched=False, origin=origin))
         for x, topic, origin in ((1.0, "/robot_0/aim", DEVICE), (2.0, TOPIC, DEVICE), (3.0, "/a/odometry", "a program"))

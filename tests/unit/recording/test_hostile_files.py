@@ -1,4 +1,4 @@
-"""Files that somebody made to harm whoever opens them: lengths that lie, and bytes that grow."""
+"""Malicious files: wrong lengths, and data that expands without limit."""
 
 import struct
 import tracemalloc
@@ -58,7 +58,7 @@ def file(folder: Path, *records: bytes) -> Path:
 
 
 def one(folder: Path, definition: str, payload: bytes, *, encoding: str = "ros1", stamp_ns: int = 10**18) -> Path:
-    """A file with one message."""
+    """Write a file with one message."""
     parts = (schema(1, "a/A", definition), channel(1, "/x", encoding), message(1, payload, stamp_ns))
     return file(folder, *parts)
 
@@ -79,9 +79,7 @@ def growing(compression: str) -> bytes:
 
 @pytest.mark.parametrize("compression", ["zstd", "lz4"])
 @pytest.mark.parametrize("claimed_bytes", [1000, MAX_CHUNK_BYTES + 1])
-def test_a_chunk_that_grows_beyond_what_it_claims_is_left_out(
-    tmp_path: Path, compression: str, claimed_bytes: int
-) -> None:
+def test_chunk_larger_than_its_stated_size_is_skipped(tmp_path: Path, compression: str, claimed_bytes: int) -> None:
     good = schema(1, TEXT, "string data") + channel(1, "/x") + message(1, text("a"))
     path = file(tmp_path, chunk(growing(compression), compression, claimed_bytes), good)
     reader = Reader(path)
@@ -100,7 +98,7 @@ def test_every_compression_of_the_format_is_read(tmp_path: Path, compression: st
 
 
 @pytest.mark.parametrize(("compression", "crc"), [("zstd", 1), ("gzip", 0)])
-def test_a_chunk_that_is_not_what_it_claims_is_damage(tmp_path: Path, compression: str, crc: int) -> None:
+def test_chunk_with_wrong_size_or_checksum_is_damage(tmp_path: Path, compression: str, crc: int) -> None:
     data = schema(1, TEXT, "string data") + channel(1, "/x") + message(1, text("a"))
     reader = Reader(file(tmp_path, chunk(zstandard.compress(data), compression, len(data), crc)))
     assert list(reader.messages()) == []
@@ -113,19 +111,19 @@ def test_of_many_damaged_chunks_a_few_are_named_and_the_others_counted(tmp_path:
     reader = Reader(path)
     assert [each.payload for each in reader.messages()] == [text("a")]
     assert len(reader.damage) == MAX_NAMED + 1
-    assert reader.damage[0].startswith("a chunk of it is damaged: ")
-    assert reader.damage[-1] == f"{20_000 - MAX_NAMED} other chunks of it are damaged"
+    assert reader.damage[0].startswith("a chunk is damaged: ")
+    assert reader.damage[-1] == f"{20_000 - MAX_NAMED} other chunks are damaged"
     assert len(contents_of(path).damage) == MAX_NAMED + 1
 
 
-def test_a_chunk_of_nothing_but_messages_is_read_one_by_one(tmp_path: Path) -> None:
+def test_chunk_of_many_messages_is_read_one_by_one(tmp_path: Path) -> None:
     data = schema(1, TEXT, "string data") + channel(1, "/x") + 40_000 * message(1, b"")
     path = file(tmp_path, chunk(zstandard.compress(data), "zstd", len(data)))
     assert peak_bytes(lambda: sum(1 for _ in Reader(path).messages())) < LITTLE // 4
 
 
-def test_definitions_that_a_few_bytes_become_are_bounded(tmp_path: Path) -> None:
-    """Each text is another one, and every channel has it."""
+def test_expanded_definitions_are_bounded(tmp_path: Path) -> None:
+    """Each text is different, and every channel has it."""
     chunks = []
     for number in range(1, 9):
         data = schema(number, "a/A", str(number) * LITTLE) + channel(number, "/x") + message(number, b"{}")
@@ -150,7 +148,7 @@ def test_channels_of_one_schema_share_its_text(tmp_path: Path) -> None:
     "payload",
     [b"[" * 100_000 + b"]" * 100_000, b'{"a":' * 5000 + b"1" + b"}" * 5000, b'{"a":' + b"[" * 900 + b"]" * 900 + b"}"],
 )
-def test_json_in_json_without_end_is_a_message_that_nobody_can_decode(tmp_path: Path, payload: bytes) -> None:
+def test_endlessly_nested_json_is_undecodable(tmp_path: Path, payload: bytes) -> None:
     path = one(tmp_path, "{}", payload, encoding="json")
     assert read(path).undecoded == {"/x": 1}
     with pytest.raises(RecordingFailed, match="has no message to export"):
@@ -158,7 +156,7 @@ def test_json_in_json_without_end_is_a_message_that_nobody_can_decode(tmp_path: 
 
 
 @pytest.mark.parametrize("number", [b'"x"', b"[]", b"null", b"9" * 400])
-def test_json_that_looks_like_a_time_and_is_none_has_its_fields(tmp_path: Path, number: bytes) -> None:
+def test_json_resembling_a_time_keeps_its_fields(tmp_path: Path, number: bytes) -> None:
     path = one(tmp_path, "{}", b'{"at":{"secs":' + number + b',"nsecs":1}}', encoding="json")
     assert list(read(path)["/x"]) == ["at.secs", "at.nsecs"]
     assert export_csv(Reader(path), tmp_path / "csv")[1] == {"x.csv": 1}
@@ -173,8 +171,8 @@ def test_json_with_other_fields_in_each_message_is_a_table_of_bounded_width(tmp_
     assert (len(table), len(table.stamp_ns)) == (MAX_COLUMNS, 1500)
 
 
-def test_json_with_few_of_many_fields_in_each_message_costs_what_it_has(tmp_path: Path) -> None:
-    """A table of 20,000 rows and 2000 columns has room for forty million values."""
+def test_sparse_json_fields_need_memory_for_their_values_only(tmp_path: Path) -> None:
+    """A full table of 20,000 rows and 2000 columns would have forty million values."""
     messages = [message(1, f'{{"{number % 2000}":{number},"all":1}}'.encode()) for number in range(20_000)]
     path = file(tmp_path, schema(1, "a/A", "{}"), channel(1, "/x", "json"), *messages)
     assert peak_bytes(lambda: read(path)) < 3 * LITTLE
@@ -183,8 +181,8 @@ def test_json_with_few_of_many_fields_in_each_message_costs_what_it_has(tmp_path
     assert [(row, value) for row, value in enumerate(table["7"]) if value is not None][:2] == [(7, 7), (2007, 2007)]
 
 
-def test_of_a_thousand_tables_of_text_none_keeps_its_buffer(tmp_path: Path) -> None:
-    """Their topics have one name among files: there is no letter in them."""
+def test_thousand_csv_files_keep_no_buffer(tmp_path: Path) -> None:
+    """The topics have the same file name, because they contain no letters."""
     channels = [channel(number, "/" + "$" * number, "json") + message(number, b"{}") for number in range(1, 1001)]
     path = file(tmp_path, *channels)
     assert peak_bytes(lambda: export_csv(Reader(path), tmp_path / "csv")) < 2 * LITTLE
@@ -211,7 +209,7 @@ def test_half_a_surrogate_pair_is_written_as_one_character(tmp_path: Path) -> No
     ],
 )
 @pytest.mark.parametrize("format_", [RosFormat.ROS2_MCAP, RosFormat.ROS2_SQLITE])
-def test_a_type_that_grows_without_end_is_left_out(
+def test_type_that_grows_without_end_is_left_out(
     tmp_path: Path, definition: str, payload: bytes, format_: RosFormat
 ) -> None:
     with pytest.raises(RecordingFailed, match="/x"):
@@ -219,14 +217,14 @@ def test_a_type_that_grows_without_end_is_left_out(
     assert not (tmp_path / "bag").exists()
 
 
-def test_a_time_beyond_all_clocks_is_read_and_shown(tmp_path: Path) -> None:
+def test_time_beyond_any_clock_is_read(tmp_path: Path) -> None:
     path = one(tmp_path, "string data", text("a"), stamp_ns=2**64 - 1)
     assert contents_of(path).messages == 1
     assert read(path)["/x"].stamp_ns.tolist() == [2**63 - 1]
 
 
 @pytest.mark.parametrize(("format_", "beyond_ns"), [(RosFormat.ROS1, 2**32 * 10**9), (RosFormat.ROS2_SQLITE, 2**63)])
-def test_a_message_of_a_time_that_a_bag_cannot_have_is_left_out(
+def test_message_of_a_time_that_a_bag_cannot_have_is_left_out(
     tmp_path: Path, format_: RosFormat, beyond_ns: int
 ) -> None:
     parts = schema(1, TEXT, "string data"), channel(1, "/x"), message(1, text("a"), beyond_ns - 1)

@@ -1,4 +1,4 @@
-"""Which events are incidents."""
+"""IncidentRules: events that are incidents."""
 
 from typing import Any
 
@@ -28,13 +28,13 @@ def causes(*events: RobotEvent) -> list[str]:
     return [found.cause for found in map(rules.observe, events) if found is not None]
 
 
-def test_a_lease_that_runs_out_is_one_while_the_robot_is_driven() -> None:
+def test_expired_lease_of_a_driven_robot_is_an_incident() -> None:
     assert causes(commanded(FAST), stopped("no command came")) == ["lease"]
     assert causes(commanded(FAST), commanded(ZERO), stopped("no command came")) == []
     assert causes(stopped("no command came")) == []
 
 
-def test_a_driver_who_leaves_is_none() -> None:
+def test_leaving_driver_is_not_an_incident() -> None:
     assert causes(commanded(FAST), stopped("owner left"), stopped("no command came")) == []
 
 
@@ -52,15 +52,15 @@ def test_a_driver_who_leaves_is_none() -> None:
         (event(EventKind.APPEARED, link=1, peer="here"), []),
     ],
 )
-def test_what_is_one(happened: RobotEvent, cause: list[str]) -> None:
+def test_event_is_an_incident(happened: RobotEvent, cause: list[str]) -> None:
     assert causes(happened) == cause
 
 
-def test_what_happens_to_a_device_that_is_no_robot_is_none() -> None:
+def test_event_without_a_robot_is_not_an_incident() -> None:
     assert causes(event(EventKind.DIAGNOSED, robot="", link=1, code="noise", cause="noise.", detail="")) == []
 
 
-def test_the_same_cause_at_the_same_robot_is_one_incident_for_a_while() -> None:
+def test_repeated_cause_of_a_robot_is_one_incident() -> None:
     def locked(at_s: float, robot: str = "robot_0") -> RobotEvent:
         return event(EventKind.LOCKED, at_s, robot, reason="a hand")
 
@@ -78,7 +78,7 @@ def test_one_silence_of_a_device_is_one_incident(code: str) -> None:
     assert causes(gone, silent._replace(at_s=11.0 + AGAIN_S)) == ["gone", "diagnosed"]
 
 
-def test_a_pause_of_the_host_is_one_incident_that_names_the_host() -> None:
+def test_pause_of_the_host_is_one_incident_that_names_the_host() -> None:
     rules = IncidentRules()
     rules.observe(commanded(FAST))
     found = rules.observe(stopped("hostlink did not run"))
@@ -87,7 +87,7 @@ def test_a_pause_of_the_host_is_one_incident_that_names_the_host() -> None:
     assert rules.observe(event(EventKind.LOGGED, 0.1, link=1, level=2, text="no command for 500 ms: stopped")) is None
 
 
-def test_a_robot_that_is_forgotten_leaves_nothing() -> None:
+def test_removed_robot_leaves_no_data() -> None:
     rules = IncidentRules()
     rules.observe(commanded(FAST))
     rules.observe(event(EventKind.LOCKED, reason="a hand"))
@@ -95,7 +95,7 @@ def test_a_robot_that_is_forgotten_leaves_nothing() -> None:
     assert rules.observe(event(EventKind.LOCKED, 1.0, reason="a hand")) is not None
 
 
-def test_what_is_known_of_names_that_come_and_go_is_bounded() -> None:
+def test_data_of_short_lived_names_is_bounded() -> None:
     rules = IncidentRules()
     for number in range(MAX_NAMES + 10):
         rules.observe(event(EventKind.COMMANDED, robot=f"/topic_{number}", limited=FAST))

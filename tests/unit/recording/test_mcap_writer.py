@@ -1,4 +1,4 @@
-"""One file: what others read of it, and what is left of it when it was never finished."""
+"""McapWriter: its files as other programs read them, finished and unfinished."""
 
 import contextlib
 import random
@@ -28,7 +28,7 @@ CHANNELS = [
 
 
 def drawn(count: int, seed: int = 1) -> list[StoredMessage]:
-    """Messages of all channels; the clock is set back in their midst."""
+    """Return messages of all channels; the clock is set back halfway."""
     random_ = random.Random(seed)
     stamps = [10**18 + 10**9 * (number if number < count // 2 else number - 5) for number in range(count)]
     return [
@@ -40,7 +40,7 @@ def drawn(count: int, seed: int = 1) -> list[StoredMessage]:
 
 
 def write(path: Path, messages: list[StoredMessage], *, chunk_of: int = 50, is_finished: bool = True) -> list[int]:
-    """Write them; returns how many are in the file at which of its sizes, one for each chunk."""
+    """Write them. Return the number of messages at each file size, one for each chunk."""
     writer = McapWriter(path, metadata={"owner": "test"})
     sizes = []
     for number, message in enumerate(messages, 1):
@@ -55,7 +55,7 @@ def write(path: Path, messages: list[StoredMessage], *, chunk_of: int = 50, is_f
     return sizes
 
 
-def test_what_was_written_is_read_in_order(tmp_path: Path) -> None:
+def test_written_messages_are_read_in_order(tmp_path: Path) -> None:
     messages = drawn(500)
     write(tmp_path / "a.mcap", messages)
     reader = Reader(tmp_path / "a.mcap")
@@ -63,7 +63,7 @@ def test_what_was_written_is_read_in_order(tmp_path: Path) -> None:
     assert (reader.damage, reader.profile, reader.metadata) == ([], "ros1", {"owner": "test"})
 
 
-def test_the_librarys_seeking_reader_reads_it_by_its_index(tmp_path: Path) -> None:
+def test_librarys_seeking_reader_reads_it_by_its_index(tmp_path: Path) -> None:
     messages = drawn(500)
     write(tmp_path / "a.mcap", messages)
     with (tmp_path / "a.mcap").open("rb") as file:
@@ -77,7 +77,7 @@ def test_the_librarys_seeking_reader_reads_it_by_its_index(tmp_path: Path) -> No
     assert found == [(message.channel.topic, message.payload) for message in messages]
 
 
-def test_a_schema_has_all_that_its_type_contains(tmp_path: Path) -> None:
+def test_schema_has_all_that_its_type_contains(tmp_path: Path) -> None:
     odometry = CATALOG.message("nav_msgs/Odometry")
     channel = ros_channel("/odom", "nav_msgs/Odometry", odometry, is_latched=False)
     write(tmp_path / "a.mcap", [StoredMessage(channel, 1, b"", 1)])
@@ -92,12 +92,12 @@ def test_each_ended_chunk_of_a_file_that_is_never_finished_can_be_read(tmp_path:
     write(tmp_path / "a.mcap", messages, is_finished=False)
     reader = Reader(tmp_path / "a.mcap")
     assert list(reader.messages()) == messages[:100]
-    assert reader.damage == ["it was never finished"]
+    assert reader.damage == ["the file was not finished"]
 
 
 @settings(max_examples=60, deadline=None)
 @given(st.data())
-def test_a_file_that_is_cut_anywhere_gives_every_chunk_before_the_cut(
+def test_file_that_is_cut_anywhere_gives_every_chunk_before_the_cut(
     tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
 ) -> None:
     path, messages = tmp_path_factory.mktemp("cut") / "a.mcap", drawn(300)
@@ -120,7 +120,7 @@ def test_a_file_that_is_cut_anywhere_gives_every_chunk_before_the_cut(
 
 @settings(max_examples=60, deadline=None)
 @given(st.data())
-def test_a_damaged_file_gives_messages_that_were_written_and_no_traceback(
+def test_damaged_file_gives_messages_that_were_written_and_no_traceback(
     tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
 ) -> None:
     path, messages = tmp_path_factory.mktemp("damaged") / "a.mcap", drawn(300)
@@ -130,12 +130,12 @@ def test_a_damaged_file_gives_messages_that_were_written_and_no_traceback(
         damaged[data.draw(st.integers(8, len(damaged) - 1))] = data.draw(st.integers(0, 255))
     path.write_bytes(damaged)
     payloads = {message.payload for message in messages}
-    with contextlib.suppress(RecordingFailed):  # in its first record: then it is none
+    with contextlib.suppress(RecordingFailed):  # cut in the first record: not a recording
         for found in Reader(path).messages():
             assert found.payload in payloads
 
 
-def test_a_damaged_chunk_costs_its_own_messages_and_none_of_the_channels_that_it_defines(tmp_path: Path) -> None:
+def test_damaged_chunk_loses_its_messages_but_no_channel(tmp_path: Path) -> None:
     path, messages = tmp_path / "a.mcap", drawn(300)
     sizes = write(path, messages)
     damaged = bytearray(path.read_bytes())
@@ -155,7 +155,7 @@ def test_repairing_a_whole_file_leaves_its_bytes(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("content", [b"", b"\x89MCAP", b"no recording at all" * 100])
-def test_what_is_no_recording_is_a_line_and_stays(tmp_path: Path, content: bytes) -> None:
+def test_file_that_is_not_a_recording_is_refused_and_unchanged(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "a.mcap"
     path.write_bytes(content)
     with pytest.raises(RecordingFailed, match="is not an MCAP file"):
@@ -164,7 +164,7 @@ def test_what_is_no_recording_is_a_line_and_stays(tmp_path: Path, content: bytes
     assert [each.name for each in tmp_path.iterdir()] == ["a.mcap"]
 
 
-def test_a_file_that_is_being_written_is_not_repaired(tmp_path: Path) -> None:
+def test_file_that_is_being_written_is_not_repaired(tmp_path: Path) -> None:
     path, messages = tmp_path / "a.mcap", drawn(100)
     writer = McapWriter(path, metadata={})
     for message in messages[:50]:
@@ -179,18 +179,18 @@ def test_a_file_that_is_being_written_is_not_repaired(tmp_path: Path) -> None:
     assert list(Reader(path).messages()) == messages
 
 
-def test_a_file_that_is_not_there_is_a_line(tmp_path: Path) -> None:
+def test_missing_file_is_reported_in_one_line(tmp_path: Path) -> None:
     with pytest.raises(RecordingFailed, match="No such file"):
         list(Reader(tmp_path / "a.mcap").messages())
 
 
-def test_an_existing_file_is_not_written_over(tmp_path: Path) -> None:
+def test_existing_file_is_not_overwritten(tmp_path: Path) -> None:
     write(tmp_path / "a.mcap", [])
     with pytest.raises(FileExistsError):
         McapWriter(tmp_path / "a.mcap", metadata={})
 
 
-def test_a_file_that_was_removed_or_replaced_is_noticed(tmp_path: Path) -> None:
+def test_file_that_was_removed_or_replaced_is_noticed(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     writer = McapWriter(path, metadata={})
     assert writer.is_there
@@ -208,7 +208,7 @@ def test_channels_are_values() -> None:
     assert isinstance(again, Channel)
 
 
-def test_a_channel_without_a_message_is_in_the_file_and_in_a_repaired_one(tmp_path: Path) -> None:
+def test_channel_without_a_message_is_in_the_file_and_in_a_repaired_one(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     writer = McapWriter(path, metadata={})
     writer.announce(CHANNELS[0])
@@ -223,8 +223,8 @@ def test_a_channel_without_a_message_is_in_the_file_and_in_a_repaired_one(tmp_pa
 
 
 @pytest.mark.parametrize(("profile", "encoding"), [("ros2", "cdr"), ("", "protobuf"), ("ros1", "cbor")])
-def test_a_damaged_file_of_another_program_stays_as_it_is(tmp_path: Path, profile: str, encoding: str) -> None:
-    """Its schemas may be in any language: written anew they would be lost."""
+def test_damaged_file_of_another_program_is_unchanged(tmp_path: Path, profile: str, encoding: str) -> None:
+    """Schemas of another program may be in any language and would be lost when rewritten."""
     path = tmp_path / "theirs.mcap"
     with path.open("wb") as file:
         writer = Writer(file)

@@ -1,4 +1,4 @@
-"""Recordings that other programs wrote, and other programs that read hostlink's."""
+"""Recordings of other programs, and other programs that read hostlink's recordings."""
 
 import csv
 import io
@@ -115,7 +115,7 @@ def test_json_of_another_program_is_kept_as_a_text(tmp_path: Path) -> None:
     assert export_csv(open_source(path), tmp_path / "csv")[1] == {"facts.csv": 1}
 
 
-def test_cdr_that_claims_more_than_it_has_is_left_out_and_counted(tmp_path: Path) -> None:
+def test_cut_cdr_is_omitted_and_counted(tmp_path: Path) -> None:
     definition = b"string data\nuint8[] more\n"
     good = ROS2.serialize_cdr(ROS2.types["std_msgs/msg/String"](data="abc"), "std_msgs/msg/String")
     payloads = [bytes(good) + b"\0\0\0\0", b"\0\1\0\0\xff\xff\xff\xff", b"", bytes(good) + b"\xff\xff\xff\xff"]
@@ -144,8 +144,8 @@ def test_cdr_of_a_type_that_grows_without_end_is_refused(tmp_path: Path, definit
         export_ros(open_source(mcap_file(tmp_path / "a.mcap", own)), tmp_path / "bag", RosFormat.ROS1)
 
 
-def test_types_of_ros_2_that_ros_1_has_otherwise_keep_their_fields(tmp_path: Path) -> None:
-    """As bounded lists, and a name that ROS 1 uses for something else."""
+def test_ros_2_types_that_differ_in_ros_1_keep_their_fields(tmp_path: Path) -> None:
+    """Such as bounded lists, and a name that ROS 1 uses for another type."""
     definition = b"std_msgs/Header header\nfloat32[<=3] few\nstring<=5 short\nbuiltin_interfaces/Duration span\n"
     body = b"\0\1\0\0" + (7).to_bytes(4, "little") + bytes(4) + b"\2\0\0\0a\0\0\0" + b"\1\0\0\0" + bytes(4)
     body += b"\3\0\0\0ab\0\0" + (2).to_bytes(4, "little") + bytes(4)
@@ -160,7 +160,7 @@ def test_types_of_ros_2_that_ros_1_has_otherwise_keep_their_fields(tmp_path: Pat
     )
 
 
-def test_a_definition_in_idl_is_read(tmp_path: Path) -> None:
+def test_definition_in_idl_is_read(tmp_path: Path) -> None:
     idl = "module my_msgs { module msg { struct Own { double x; sequence<uint8> data; }; }; };\n"
     schema = f"{SEPARATOR}IDL: my_msgs/msg/Own\n{idl}".encode()
     payload = b"\0\1\0\0" + np.float64(1.5).tobytes() + b"\2\0\0\0ab"
@@ -170,11 +170,11 @@ def test_a_definition_in_idl_is_read(tmp_path: Path) -> None:
     assert export_ros(open_source(path), tmp_path / "bag", RosFormat.ROS2_MCAP).messages == 1
 
 
-# -- the other way ----------------------------------------------------------------------------------------------------
+# -- hostlink's recordings, read by others ---------------------------------------------------------------------------
 
 
 def ours(path: Path) -> Path:
-    """With every kind of channel that hostlink writes."""
+    """Write a recording with every kind of channel that hostlink writes."""
     pose = CATALOG.message("geometry_msgs/Pose2D")
     assert pose is not None
     writer = McapWriter(path, metadata={"owner": "test"})
@@ -188,7 +188,7 @@ def ours(path: Path) -> Path:
     return path
 
 
-def test_a_reader_that_knows_ros_1_alone_reads_every_message(tmp_path: Path) -> None:
+def test_ros_1_reader_reads_every_message(tmp_path: Path) -> None:
     with ours(tmp_path / "run.mcap").open("rb") as file:
         reader = make_reader(file, decoder_factories=[DecoderFactory()])
         found = {channel.topic: message for _, channel, _, message in reader.iter_decoded_messages()}
@@ -198,7 +198,7 @@ def test_a_reader_that_knows_ros_1_alone_reads_every_message(tmp_path: Path) -> 
     assert len(found) == 5
 
 
-def test_the_snippet_of_the_document_reads_a_recording(
+def test_snippet_of_the_document_reads_a_recording(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     document = (Path(__file__).parents[3] / "docs" / "recording.md").read_text()
@@ -217,7 +217,7 @@ def test_texts_of_hostlink_are_the_catalogs_type() -> None:
     assert (EVENTS.type_name, EVENTS.schema, TEXT_MD5) == (text.name, text.full_definition, text.md5)
 
 
-def test_events_and_logs_are_tables_also_of_older_recordings(tmp_path: Path) -> None:
+def test_events_and_logs_of_older_recordings_are_tables(tmp_path: Path) -> None:
     older = McapWriter(tmp_path / "old.mcap", metadata={}, has_steady_times=False)
     older.write(Channel("/hostlink/events", JSON, "hostlink.Event", "{}"), BEGIN_NS, b'{"kind": "locked"}')
     older.close()
@@ -225,7 +225,7 @@ def test_events_and_logs_are_tables_also_of_older_recordings(tmp_path: Path) -> 
         assert read(path)["/hostlink/events"]["kind"].tolist() == ["locked"]
 
 
-def test_an_export_for_ros_2_is_decoded_by_mcaps_ros_2_support(tmp_path: Path) -> None:
+def test_export_for_ros_2_is_decoded_by_mcaps_ros_2_support(tmp_path: Path) -> None:
     export_ros(open_source(ours(tmp_path / "run.mcap")), tmp_path / "bag", RosFormat.ROS2_MCAP, skips_unknown=True)
     (path,) = (tmp_path / "bag").glob("*.mcap")
     with path.open("rb") as file:
@@ -234,9 +234,9 @@ def test_an_export_for_ros_2_is_decoded_by_mcaps_ros_2_support(tmp_path: Path) -
     assert json.loads(found["/hostlink/events"].data)["kind"] == "locked"
 
 
-def test_a_failed_export_leaves_nothing_of_what_it_wrote(tmp_path: Path) -> None:
+def test_failed_export_leaves_no_files(tmp_path: Path) -> None:
     class Failing:
-        """A recording whose disk fails in the middle."""
+        """Recording whose disk fails halfway."""
 
         def __init__(self, path: Path) -> None:
             self._source = open_source(path)

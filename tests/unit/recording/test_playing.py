@@ -1,4 +1,4 @@
-"""When each message is due, and which robots a recording has."""
+"""Playback: when each message is due, and the robots of a recording."""
 
 import pytest
 from hypothesis import given
@@ -32,7 +32,7 @@ def test_intervals_are_kept_from_the_first_message_on() -> None:
     assert due() == []
 
 
-def test_a_clock_that_was_set_back_costs_no_interval_and_no_message() -> None:
+def test_clock_set_back_loses_no_interval_and_no_message() -> None:
     assert due(100, 101, 50, 51, 52) == [0, 1, 1, 2, 3]
 
 
@@ -43,18 +43,18 @@ def test_every_message_is_due_in_order(seconds: list[int], rate: float) -> None:
     assert found == sorted(found)
 
 
-def test_a_robot_has_what_its_device_published_and_its_velocities() -> None:
+def test_robot_has_what_its_device_published_and_its_velocities() -> None:
     odometry, velocity = channel("a", "/a/odometry", DEVICE), channel("a", "/a/velocity", VELOCITY)
     others = [channel("a", "/a/odom", HOSTLINK), channel("", "/chat", ""), channel("b", "/b/cmd_vel", VELOCITY), EVENTS]
     assert robots_of([odometry, *others, velocity]) == {"a": [odometry, velocity]}
 
 
-def test_a_topic_that_was_recorded_twice_is_one() -> None:
+def test_topic_recorded_twice_is_one_channel() -> None:
     latched = ros_channel("/a/odometry", "std_msgs/String", None, is_latched=True, robot="a", origin=DEVICE)
     assert robots_of([channel("a", "/a/odometry", DEVICE), latched]) == {"a": [latched]}
 
 
-def test_a_robot_is_driven_as_the_chosen_one_of_two_that_had_the_same_topic() -> None:
+def test_robot_is_driven_as_the_chosen_one_of_two_that_had_the_same_topic() -> None:
     forward, back = PlanarVelocity(0.2, 0.1, 0.3), PlanarVelocity(x_m_s=-0.2)
     mine, others = (
         ros_channel("/cmd_vel", TWIST_TYPE, None, is_latched=False, robot=name, origin=VELOCITY) for name in ("a", "b")

@@ -1,4 +1,4 @@
-"""What a recorder subscribes to as the graph changes, and what that costs."""
+"""Recorder: its subscriptions as the graph changes, and their cost."""
 
 import asyncio
 from dataclasses import dataclass, field
@@ -21,7 +21,7 @@ VELOCITY, TWIST = PlanarVelocity(0.1, 0.2, 0.3), Twist(0.1, 0.2, 0.3, 0.4, 0.5, 
 
 
 class Kept:
-    """A sink that keeps what it is given."""
+    """Sink that keeps its messages."""
 
     def __init__(self) -> None:
         self.channels: list[str] = []
@@ -36,7 +36,7 @@ class Kept:
 
 @dataclass(frozen=True)
 class Counted(Selection):
-    """Counts the topics that it is asked about."""
+    """View that counts the requested topics."""
 
     asked: list[str] = field(default_factory=list)
 
@@ -45,7 +45,7 @@ class Counted(Selection):
         return super().has(topic, robot)
 
 
-def test_a_robot_that_comes_or_leaves_costs_a_recorder_what_it_has() -> None:
+def test_connecting_robot_costs_a_recorder_only_its_own_topics() -> None:
     async def run() -> tuple[list[str], list[str], list[str]]:
         hub, kept, selection = Hub(Config(), CATALOG, reraises=True), Kept(), Counted()
         for number in range(300):
@@ -83,12 +83,13 @@ def test_velocities_of_an_event_have_the_names_of_their_fields() -> None:
         return kept.payloads[-1]
 
     limited = {"linear_x_m_s": 0.1, "linear_y_m_s": 0.2, "angular_z_rad_s": 0.3}
-    facts = {"owner": "client 1", "velocity": TWIST._asdict(), "limited": limited}  # no address: files go to others
+    # No address: the file may be given to others.
+    facts = {"owner": "client 1", "velocity": TWIST._asdict(), "limited": limited}
     event = msgspec.json.decode(json_of(EVENTS, run_virtual(run())))
     assert event == {"kind": "commanded", "robot": "robot_0", "facts": facts}
 
 
-def test_the_topics_of_a_robots_name_are_recorded_once_it_is_that_robots() -> None:
+def test_topics_of_a_robots_name_are_recorded_once_it_is_that_robots() -> None:
     async def run() -> tuple[list[str], list[str]]:
         hub = Hub(Config(), CATALOG, reraises=True)
         hub.join("program").advertise("/robot_7/plan", TYPE)

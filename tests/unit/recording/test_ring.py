@@ -1,4 +1,4 @@
-"""What is kept of robots: the newest, within the time and the room; and what is left when the process is gone."""
+"""Rings: the newest messages of each robot, within time and memory, and after the end of the process."""
 
 import itertools
 import random
@@ -36,7 +36,7 @@ def kept_of(rings: Rings, robot: str) -> list[Entry]:
 
 
 def left_of(rings: Rings, memory: bytes | None = None) -> dict[str, list[Entry]]:
-    """What another process reads out of the memory."""
+    """Return the entries that another process reads from the memory."""
     schemas = rings._memory.schemas()
     blocks = read_blocks(rings._memory.bytes[:] if memory is None else memory)
     return {robot: list(read_entries(found, schemas)) for robot, found in blocks.items()}
@@ -50,7 +50,7 @@ def test_ring_drops_what_is_older_than_the_time() -> None:
     assert rings.dropped == 0
 
 
-def test_ring_of_a_robot_has_what_is_nobodys_too_and_nothing_of_another() -> None:
+def test_ring_copies_include_messages_without_a_robot_and_exclude_other_robots() -> None:
     rings = rings_of(16)
     for robot in ("robot_0", "robot_1", ""):
         rings.add(robot, *entry(1.0, len(robot)))
@@ -60,7 +60,7 @@ def test_ring_of_a_robot_has_what_is_nobodys_too_and_nothing_of_another() -> Non
     assert [len(each.payload) for each in kept_of(rings, "robot_0")] == [0]
 
 
-def test_ring_of_a_robot_that_floods_leaves_the_others_their_part() -> None:
+def test_flooding_robot_leaves_the_other_rings_their_share() -> None:
     rings = rings_of(16)
     for number in range(1000):
         rings.add("quiet", *entry(number / 1000, 100))
@@ -81,7 +81,7 @@ additions = st.lists(st.tuples(robots, st.floats(0, 9), st.integers(0, 40_000), 
 def test_rings_keep_the_newest_of_each_robot_in_order_within_the_room(
     drawn: list[tuple[str, float, int, Channel]], blocks: int
 ) -> None:
-    """And whoever reads the memory afterwards finds the same."""
+    """A later reader of the memory finds the same."""
     rings, added = rings_of(blocks), dict[str, list[Entry]]()
     for robot, at_s, size_bytes, channel in sorted(drawn, key=lambda each: each[1]):
         newest = Entry(channel, int(at_s * SECOND_NS), random.Random(size_bytes).randbytes(size_bytes), at_s)
@@ -103,7 +103,7 @@ def test_rings_keep_the_newest_of_each_robot_in_order_within_the_room(
 
 
 @pytest.mark.parametrize("jump_s", [-1000, 1000])
-def test_ring_with_a_clock_that_is_set_loses_nothing_new_and_keeps_nothing_old(jump_s: int) -> None:
+def test_ring_ignores_steps_of_the_wall_clock(jump_s: int) -> None:
     rings = rings_of(16)
     stamps_s = [2000 + second + (second >= 15) * jump_s for second in range(20)]
     for second, stamp_s in enumerate(stamps_s):
@@ -135,14 +135,14 @@ def test_rings_of_more_robots_than_blocks_keep_the_newest() -> None:
     assert [len(kept_of(rings, f"robot_{number}")) for number in range(40)] == [0] * 36 + [1] * 4
 
 
-def test_ring_has_no_more_messages_than_fit_into_memory_as_objects() -> None:
+def test_messages_of_a_ring_are_bounded() -> None:
     rings = Rings(RingMemory(2 * MAX_MESSAGES * HEADER_BYTES), keep_s=KEEP_S)
     for number in range(MAX_MESSAGES + 5000):
         rings.add("robot_0", *entry(number / 1e6))
     assert MAX_MESSAGES - 1000 < len(kept_of(rings, "robot_0")) <= MAX_MESSAGES + 1000
 
 
-def test_ring_copy_for_another_thread_is_not_changed_by_what_comes() -> None:
+def test_ring_copy_is_not_changed_by_later_messages() -> None:
     rings = rings_of(4)
     rings.add("robot_0", *entry(1.0))
     (copy,) = rings.copies("robot_0")
@@ -150,8 +150,8 @@ def test_ring_copy_for_another_thread_is_not_changed_by_what_comes() -> None:
     assert list(copy) == [entry(1.0)]
 
 
-def test_rings_of_names_that_nobody_uses_any_more_leave_the_room_to_the_others() -> None:
-    """A name may be that of a topic, or of a robot that was forgotten a moment before its last line."""
+def test_unused_rings_leave_their_room_to_the_others() -> None:
+    """A name may be that of a topic, or of a robot that was removed just before its last line."""
     rings = rings_of(10)
     for number in range(100):
         rings.add(f"name {number}", *entry(number / 100, 100))
@@ -161,7 +161,7 @@ def test_rings_of_names_that_nobody_uses_any_more_leave_the_room_to_the_others()
 
 
 def test_ring_uses_blocks_again_before_it_needs_more() -> None:
-    """Memory that was never needed is never taken from the system."""
+    """Memory that was never needed is not allocated."""
     rings = rings_of(1000)
     for number in range(100_000):
         rings.add("robot_0", *entry(number / 100, 100))
@@ -169,9 +169,7 @@ def test_ring_uses_blocks_again_before_it_needs_more() -> None:
 
 
 @given(st.integers(0, 3 * BLOCK_BYTES), st.binary(min_size=1, max_size=64))
-def test_ring_with_torn_or_damaged_bytes_loses_what_is_behind_them_in_that_block_alone(
-    place: int, damage: bytes
-) -> None:
+def test_damaged_bytes_lose_only_the_rest_of_their_block(place: int, damage: bytes) -> None:
     rings = rings_of(4)
     added = [Entry(EVENTS, number, number.to_bytes(4, "little") * 50, number / 1000) for number in range(200)]
     for each in added:
@@ -185,8 +183,8 @@ def test_ring_with_torn_or_damaged_bytes_loses_what_is_behind_them_in_that_block
     assert len(lost) <= len(blocks_hit) * BLOCK_BYTES // (200 + HEADER_BYTES)
 
 
-def test_ring_memory_that_was_cut_at_any_write_of_a_message_has_all_the_others() -> None:
-    """As by a kill: the bytes of a message are written from its first to its last."""
+def test_ring_memory_cut_within_a_message_has_all_the_others() -> None:
+    """A killed process leaves a message in part, because its bytes are written in order."""
     rings = rings_of(4)
     for number in range(3):
         rings.add("robot_0", *entry(number, 20))

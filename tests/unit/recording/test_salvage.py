@@ -1,4 +1,4 @@
-"""What is made of the memory of a process that is gone."""
+"""Salvage of the memory of an ended process."""
 
 import fcntl
 import os
@@ -23,7 +23,7 @@ FORWARD = PlanarVelocity(0.2)
 
 
 class Process:
-    """One that keeps its black box in memory that survives, until `gone`."""
+    """Process with a black box in memory that survives, until `gone`."""
 
     def __init__(self, folder: Path) -> None:
         self.memory = RingMemory(8 * BLOCK_BYTES, purpose="test")
@@ -84,14 +84,16 @@ def test_process_that_died_while_driving_is_an_incident_with_its_last_messages(
 
 
 @pytest.mark.parametrize(("kind", "facts"), [("stopped", {"reason": "x"}), ("locked", {}), ("gone", {})])
-def test_process_that_died_after_the_stop_is_no_incident(process: Process, kind: str, facts: dict[str, object]) -> None:
+def test_process_that_died_after_the_stop_causes_no_incident(
+    process: Process, kind: str, facts: dict[str, object]
+) -> None:
     process.command(1)
     process.event(2, kind, **facts)
     assert salvage(process.gone()) is not None
     assert not process.folder.exists()
 
 
-def test_process_that_died_after_a_zero_is_no_incident(process: Process, tmp_path: Path) -> None:
+def test_process_that_died_after_a_zero_causes_no_incident(process: Process, tmp_path: Path) -> None:
     process.command(1)
     process.command(2, ZERO)
     salvage(process.gone())
@@ -102,7 +104,7 @@ def test_process_that_ended_in_order_leaves_what_was_pending(process: Process, t
     process.command(1)
     for number in range(3):
         process.begin(number)
-    process.memory.drop_fact(pending_name(1))  # it was saved
+    process.memory.drop_fact(pending_name(1))  # already saved
     process.memory.put_fact(CLOSED, "in order")
     salvage(process.gone())
     assert details(tmp_path) == ["requested number 0", "requested number 2"]
@@ -139,7 +141,7 @@ def test_salvage_with_a_disk_that_refuses_is_tried_again(process: Process, tmp_p
     with pytest.raises(OSError, match="exists"):
         salvage(process.gone())
     (tmp_path / "incidents").unlink()
-    main(os.getpid())  # as the guardian does
+    main(os.getpid())  # the guardian calls it this way
     assert details(tmp_path) == ["requested number 0"]
     assert remains.of_process(os.getpid()) == []
 
@@ -166,7 +168,7 @@ def test_drive_that_the_daemon_did_not_end_ends_with_its_last_command(process: P
     assert [drives[owner].ended_ns // S for owner in ("ann", "bob")] == [1, 5]
 
 
-def test_memory_with_pending_incidents_alone_is_worth_a_process(process: Process, tmp_path: Path) -> None:
+def test_only_memory_with_pending_incidents_starts_a_process(process: Process, tmp_path: Path) -> None:
     other = Process(tmp_path)
     process.begin(0)
     other.pose(1)
@@ -175,17 +177,17 @@ def test_memory_with_pending_incidents_alone_is_worth_a_process(process: Process
     process.memory.remove()
 
 
-def test_memory_that_nobody_could_save_for_long_is_removed(process: Process) -> None:
+def test_memory_unsaved_for_a_week_is_removed(process: Process) -> None:
     os.utime(process.folder, (0, 0))
     clear_old()
-    assert process.folder.exists()  # its process lives
+    assert process.folder.exists()  # the process is alive
     folder = process.gone()
     os.utime(folder, (0, 0))
     clear_old()
     assert not folder.exists()
 
 
-def test_folder_of_another_user_or_name_is_none_of_ours(process: Process, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_folder_of_another_user_or_name_is_ignored(process: Process, monkeypatch: pytest.MonkeyPatch) -> None:
     assert str(process.folder) in remains.of_purpose("test")
     assert str(process.folder) not in remains.of_purpose("tes")
     assert str(process.folder) in remains.of_process(os.getpid())
@@ -196,8 +198,8 @@ def test_folder_of_another_user_or_name_is_none_of_ours(process: Process, monkey
     process.memory.remove()
 
 
-def test_memory_without_room_has_no_more_blocks(process: Process, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A tmpfs that is full: what is there is used again, and no page is written that the system cannot give."""
+def test_memory_on_a_full_tmpfs_reuses_its_blocks(process: Process, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A full tmpfs: existing blocks are reused, and no page is written that cannot be allocated."""
 
     def refuse(*_: int) -> None:
         raise OSError

@@ -1,4 +1,4 @@
-"""A clock that is set while a robot is recorded: order, pauses and ages go by another, which nobody sets."""
+"""Steady times: order, pauses and ages are correct although the wall clock is set during the recording."""
 
 import asyncio
 import json
@@ -24,7 +24,7 @@ from hostlink.recording.salvage import repair
 from hostlink.recording.tables import read
 
 DAY_S = 86_400
-COUNT = 480  # messages, ten a second
+COUNT = 480  # ten messages a second
 BEGIN_NS = 1_700_000_000 * NS_PER_S
 POSE = Catalog().message("geometry_msgs/Pose2D")
 assert POSE is not None
@@ -38,7 +38,7 @@ JUMPS = [
 
 
 def wall_ns(second: float, jump_s: float) -> int:
-    """The clock is set after 12 s."""
+    """Return the wall time of a clock that is set after 12 s."""
     return BEGIN_NS + round((second + jump_s * (second >= 12)) * NS_PER_S)
 
 
@@ -48,7 +48,7 @@ def pose(second: float) -> bytes:
 
 
 def recording(path: Path, jump_s: float, *, is_old: bool = False, chunk_of: int = 7, is_finished: bool = True) -> Path:
-    """With wall times alone, as older releases wrote it, or with steady ones."""
+    """Write a recording with steady times, or with wall times only, as older releases did."""
     writer = McapWriter(path, metadata={}, has_steady_times=not is_old)
     for number, second in enumerate(SECONDS, 1):
         stamp_ns = wall_ns(second, jump_s)
@@ -89,9 +89,7 @@ def test_recording_with_steady_times_is_read_as_if_the_clock_had_not_been_set(
 
 @pytest.mark.parametrize("chunk_of", [7, 120, 10_000])
 @pytest.mark.parametrize("jump_s", [100 * DAY_S, -100 * DAY_S])
-def test_older_recording_has_a_step_of_its_clock_as_no_time_at_all(
-    tmp_path: Path, jump_s: float, chunk_of: int
-) -> None:
+def test_clock_step_of_an_older_recording_takes_no_time(tmp_path: Path, jump_s: float, chunk_of: int) -> None:
     path = recording(tmp_path / "a.mcap", jump_s, is_old=True, chunk_of=chunk_of)
     expected = [round(second - 0.1 * (second >= 12), 6) for second in SECONDS]
     assert times(path) == expected
@@ -100,17 +98,15 @@ def test_older_recording_has_a_step_of_its_clock_as_no_time_at_all(
 
 
 @pytest.mark.parametrize("jump_s", [100 * DAY_S, -100 * DAY_S])
-def test_topic_with_few_messages_keeps_its_times_in_an_older_recording_whose_clock_was_set(
-    tmp_path: Path, jump_s: float
-) -> None:
-    """Chunks that are not read tell how the clock was set."""
+def test_sparse_topic_of_an_older_recording_keeps_its_times_after_a_clock_step(tmp_path: Path, jump_s: float) -> None:
+    """The index shows the clock steps of unread chunks."""
     path = recording(tmp_path / "a.mcap", jump_s, is_old=True)
     events = [message.steady_ns for message in Reader(path).messages(lambda channel: channel == EVENTS)]
     everything = [message.steady_ns for message in Reader(path).messages() if message.channel == EVENTS]
     assert events == everything
 
 
-def test_repair_keeps_steady_times_and_makes_none_up(tmp_path: Path) -> None:
+def test_repair_keeps_steady_times_and_invents_none(tmp_path: Path) -> None:
     for is_old in (False, True):
         path = recording(tmp_path / f"{is_old}.mcap", 100 * DAY_S, is_old=is_old, is_finished=False)
         before = list(Reader(path).messages())
@@ -120,7 +116,7 @@ def test_repair_keeps_steady_times_and_makes_none_up(tmp_path: Path) -> None:
 
 
 def test_start_of_a_play_reads_few_chunks(tmp_path: Path) -> None:
-    """Found by halving, though the chunks' own times go back in their midst."""
+    """Found by bisection, although the chunks' wall times step back halfway."""
     path = recording(tmp_path / "a.mcap", -100 * DAY_S)
     assert len(list(Reader(path).messages(after_s=45.0))) < COUNT // 8
     assert times(path, start_s=45.0)[0] == 0.0
@@ -139,7 +135,7 @@ def test_play_cuts_a_long_pause_and_says_how_much() -> None:
 async def test_recording_that_is_written_has_steady_times_in_all_its_files(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Its own clock goes on; the one on the wall is set by another program in between."""
+    """Another program sets the wall clock meanwhile."""
     jump_ns = [0]
     of_system: Callable[[], int] = file_thread.time.time_ns
     monkeypatch.setattr(file_thread.time, "time_ns", lambda: of_system() + jump_ns[0])
@@ -162,7 +158,7 @@ async def test_recording_that_is_written_has_steady_times_in_all_its_files(
 
 
 def incident_file(folder: Path, jump_s: float, *, is_old: bool) -> Path:
-    """Of an incident at the 40th second."""
+    """Write the file of an incident at the 40th second."""
     incident = Incident("robot_0", "gone", "", wall_ns(40.0, jump_s), 1040.0)
     entries = [Entry(ODOMETRY, wall_ns(second, jump_s), pose(second), 1000 + second) for second in SECONDS]
     if not is_old:

@@ -1,4 +1,4 @@
-"""A recording as arrays."""
+"""Recordings as numpy arrays."""
 
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,7 @@ BEGIN_NS = 1_700_000_000_000_000_000
 
 
 def write(path: Path, *messages: tuple[str, str, dict[str, Any]], is_finished: bool = True) -> None:
-    """(topic, type, fields) at intervals of a tenth of a second."""
+    """Write (topic, type, fields) at intervals of a tenth of a second."""
     writer = McapWriter(path, metadata={"owner": "test"})
     for number, (topic, type_name, fields) in enumerate(messages):
         type_ = CATALOG.message(type_name)
@@ -28,7 +28,7 @@ def write(path: Path, *messages: tuple[str, str, dict[str, Any]], is_finished: b
     writer.close() if is_finished else writer.abandon()
 
 
-def test_a_field_is_a_column_and_time_counts_from_the_beginning(tmp_path: Path) -> None:
+def test_field_is_a_column_and_time_counts_from_the_beginning(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     write(path, *(("/odometry", "geometry_msgs/Pose2D", {"x": 0.5 * number}) for number in range(4)))
     table = hostlink.recording.read(path)["/odometry"]
@@ -60,7 +60,7 @@ def test_arrays_of_several_lengths_are_lists(tmp_path: Path) -> None:
     assert hostlink.recording.read(path)["/scan"]["ranges"].tolist() == [[1.0], [1.0, 2.0], []]
 
 
-def test_events_whose_fields_differ_have_none_where_there_is_nothing(tmp_path: Path) -> None:
+def test_missing_fields_of_events_are_none(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     writer = McapWriter(path, metadata={})
     for payload in (b'{"kind": "locked", "facts": {"reason": "a"}}', b'{"kind": "gone"}', b"[]", b"\xff"):
@@ -71,7 +71,7 @@ def test_events_whose_fields_differ_have_none_where_there_is_nothing(tmp_path: P
     assert tables.undecoded == {EVENTS.topic: 2}
 
 
-def test_what_nobody_can_decode_is_counted(tmp_path: Path) -> None:
+def test_undecodable_messages_are_counted(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     writer = McapWriter(path, metadata={})
     writer.write(ros_channel("/mystery", "my_msgs/Unknown", None, is_latched=False), BEGIN_NS, b"\0")
@@ -82,19 +82,19 @@ def test_what_nobody_can_decode_is_counted(tmp_path: Path) -> None:
     assert (len(tables), tables.undecoded) == (0, {"/mystery": 1, "/short": 1})
 
 
-def test_a_file_that_was_never_finished_is_read_and_says_so(tmp_path: Path) -> None:
+def test_unfinished_file_is_read_and_reported(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     write(path, ("/a", "geometry_msgs/Pose2D", {}), ("/b", "geometry_msgs/Pose2D", {}), is_finished=False)
     tables = hostlink.recording.read(path, topics=("/b",))
-    assert (list(tables), tables.damage) == (["/b"], ["it was never finished"])
+    assert (list(tables), tables.damage) == (["/b"], ["the file was not finished"])
     assert tables["/b"].time_s.tolist() == [0.1]
     assert tables.metadata == {"owner": "test"}
 
 
-def test_a_topic_that_is_not_there_names_those_that_are(tmp_path: Path) -> None:
+def test_missing_topic_names_the_existing_ones(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     write(path, ("/a", "geometry_msgs/Pose2D", {}))
-    with pytest.raises(KeyError, match="there are: /a"):
+    with pytest.raises(KeyError, match="available: /a"):
         hostlink.recording.read(path)["/b"]
     with pytest.raises(RecordingFailed, match="No such file"):
         hostlink.recording.read(tmp_path / "none.mcap")

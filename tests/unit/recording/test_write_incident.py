@@ -1,4 +1,4 @@
-"""The file of an incident: what is in it, and how it leaves the interpreter to the loop."""
+"""Incident files: their content, and the pauses that the writer leaves to the loop."""
 
 from pathlib import Path
 
@@ -14,7 +14,7 @@ SECOND_NS = 1_000_000_000
 COUNT = 10 * BURST
 
 
-def test_an_incident_is_written_in_the_order_of_arrival_with_a_rest_after_each_burst(tmp_path: Path) -> None:
+def test_incident_is_written_in_the_order_of_arrival_with_a_rest_after_each_burst(tmp_path: Path) -> None:
     robot = [Entry(EVENTS, (100 + number) * SECOND_NS, b"{}", 100 + number) for number in range(COUNT // 2)]
     nobody = [Entry(LOG, (100 + number) * SECOND_NS + 1, b"{}", 100 + number) for number in range(COUNT // 2)]
     old = Entry(LOG, 1 * SECOND_NS, b"{}", 1)
@@ -34,7 +34,7 @@ def test_an_incident_is_written_in_the_order_of_arrival_with_a_rest_after_each_b
 
 
 @pytest.mark.parametrize("jump_s", [-100_000, 100_000])
-def test_a_clock_that_is_set_changes_nothing_of_what_is_in_an_incident(tmp_path: Path, jump_s: int) -> None:
+def test_clock_step_does_not_change_an_incident(tmp_path: Path, jump_s: int) -> None:
     stamps_ns = [(1_000_000 + second + (second >= 40) * jump_s) * SECOND_NS for second in range(50)]
     entries = [Entry(EVENTS, stamp_ns, b"{}", second) for second, stamp_ns in enumerate(stamps_ns)]
     path = write_incident(

@@ -35,7 +35,7 @@ def test_paths_are_beside_the_file(tmp_path: Path) -> None:
         ('name = "a/b"', "must be made of letters"),
         ('name = "*"', "must be made of letters"),
         ('fleet_name = ""', "must not be empty"),
-        ('key = "a.key"', "belong together"),
+        ('key = "a.key"', "zenoh.key together"),
         ('certificate = "a.pem"\nkey = "a.key"', "zenoh.certificate needs zenoh.ca"),
         ('mode = "broker"', "broker"),
     ],
