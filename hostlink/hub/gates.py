@@ -204,7 +204,7 @@ class Gates:
         self.hosts: RemoteHosts | None = None  # the way to the other daemons of the fleet
         self._isolation, self._guardian = isolation, guard
         self._driven = set[int]()  # links, as the guard knows them
-        self._remote: weakref.WeakSet[Admission] = weakref.WeakSet()  # of robots elsewhere that were commanded here
+        self._known: weakref.WeakSet[Admission] = weakref.WeakSet()  # also of robots elsewhere, and of those at rest
         self._active: dict[Drivable, None] = {}  # whose gate may have something to send
         self._wake = asyncio.Event()
         self._stalls = StallWatch()
@@ -214,6 +214,7 @@ class Gates:
     def attach(self, drivable: Drivable, connection: Connection) -> None:
         """Its device is ready: no earlier command is valid any more, and its first velocity is zero."""
         drivable.connection, drivable.last_frame = connection, b""
+        self._known.add(drivable.gate.admission)
         if drivable.gate.admission.connect(_now_s()):
             drivable.resumed_link = connection.link.number
         drivable.gate.restart()
@@ -274,7 +275,7 @@ class Gates:
 
     def note_remote(self, admission: Admission) -> None:
         """Commands are sent from here to a robot of another daemon: a pause and an owner that leaves concern it."""
-        self._remote.add(admission)
+        self._known.add(admission)
 
     def _command(self, drivable: Drivable, command: Command[V]) -> V:
         gate: VelocityGate[V] = drivable.gate
@@ -301,7 +302,7 @@ class Gates:
         """Interrupt every robot, here or of another daemon, if this process has just gone on after a pause."""
         since_s = self._stalls.pop_pause(now_s)
         if since_s is not None:
-            for admission in self._admissions(self._active) | set(self._remote):
+            for admission in tuple(self._known):  # of a robot at rest, too: its sources may be disarmed
                 admission.interrupt(now_s, since_s=since_s)
 
     def _overrule(self, beside: list[Drivable], drivable: Drivable, owner: Hashable, priority: int) -> None:
@@ -318,14 +319,12 @@ class Gates:
         """A source of commands is gone: what it drives stops."""
         if self.hosts is not None:
             self.hosts.release(owner)
-        for admission in self._remote:
+        for admission in self._known:
             admission.withdraw(owner)
         now_s = _now_s()
         for drivable in list(self._active):
             gate = drivable.gate
-            is_driving = gate.owner == owner
-            gate.admission.withdraw(owner)  # also what it holds without driving now
-            if is_driving:
+            if gate.owner == owner:
                 gate.stop(now_s=now_s)
                 self._note_stop(drivable, OWNER_LEFT, str(owner))
                 self._send_news(drivable)

@@ -133,7 +133,23 @@ async def pause(_: Robot) -> None:
     await asyncio.sleep(0)
 
 
-INTERRUPTIONS = [stop, stop_all, lock_and_unlock, reconnect, come_back_after_a_while, announce_other_topics, pause]
+async def stop_and_pause(robot: Robot) -> None:
+    """The robot is at rest when the daemon pauses."""
+    await stop(robot)
+    await asyncio.sleep(2 * LEASE_S)
+    await pause(robot)
+
+
+INTERRUPTIONS = [
+    stop,
+    stop_all,
+    lock_and_unlock,
+    reconnect,
+    come_back_after_a_while,
+    announce_other_topics,
+    pause,
+    stop_and_pause,
+]
 
 
 # -- rows -------------------------------------------------------------------------------------------------------------

@@ -613,6 +613,7 @@ class Demo(EntryPoint):
                     "come_back_after_a_while",
                     "announce_other_topics",
                     "pause",
+                    "stop_and_pause",
                 )
             ),
             "a command without device is refused",
