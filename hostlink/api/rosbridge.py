@@ -140,7 +140,11 @@ class RosbridgeClient:
         message = request.table("msg")
         priority = request.whole("priority", PROGRAM_PRIORITY, MAX_PRIORITY)
         self._topics.publish(request)
-        type_ = self.participant.message_type(topic, type_name)
+        try:
+            type_ = self.participant.message_type(topic, type_name)
+        except HostlinkError:
+            self.participant.note_publishing(topic)
+            raise
         payload = _raw_payload(request, type_) or type_.encode(fill_stamps(type_, message, time.time_ns()))
         self.participant.publish(topic, payload, priority=priority, at_s=request.came_s)
 

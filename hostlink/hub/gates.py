@@ -64,7 +64,7 @@ class Driven(ABC):
 
     def join(self, topic: Topic) -> None:
         """Note that it subscribes to a topic which others may be publishing already."""
-        self.admission.join(topic.publishers, _now_s())
+        self.admission.join((*topic.publishers, *topic.earlier), _now_s())
 
     @abstractmethod
     def command(self, command: Command[Any]) -> Any:

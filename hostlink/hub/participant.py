@@ -154,6 +154,8 @@ class Participant(Node):
         if self._parts.gates.is_closed:
             raise DeviceGone(topic, ENDING)
         known = self._parts.topics.find_or_none(topic)
+        if known is None or self not in known.publishers:
+            self.note_publishing(topic)
         if known is not None:
             before = known.latched.get(self)
             is_kept = self not in known.latched or self._parts.topics.budget.can_latch(self, before, payload)
@@ -165,6 +167,10 @@ class Participant(Node):
                     f"{known.name}: delivered, but not kept for later subscribers: a participant may latch "
                     f"{OWN_LATCHED_BYTES} bytes, all together {SHARES['latched']}"
                 )
+
+    def note_publishing(self, topic: str) -> None:
+        """Note that it publishes what nobody can receive yet: it does not drive a device that subscribes later."""
+        self._parts.topics.earlier.note(resolve(topic), self, asyncio.get_running_loop().time())
 
     def subscribe(
         self,

@@ -17,7 +17,7 @@ from hostlink.hub.robot import LocalRobot, RemoteRobot, Robot
 from hostlink.hub.robot_events import EventKind
 from hostlink.hub.robot_settings import correction_of, limits_of, of_namesake
 from hostlink.link.link import Link
-from hostlink.robot.admission import EPOCH_BITS, LEASE_S, Admission
+from hostlink.robot.admission import EPOCH_BITS, Admission, EarlierCommands
 from hostlink.robot.away import Away
 from hostlink.robot.directory import RobotTopicNames
 from hostlink.robot.odometry_estimator import OdometryEstimator
@@ -28,7 +28,6 @@ log = structlog.get_logger()
 
 
 MAX_ROBOTS = 4096  # connected or locked, which are never forgotten: over it no new one is accepted
-MAX_EARLY = 1024  # commands to robots that do not exist, of the last lease
 
 
 class Robots:
@@ -71,7 +70,7 @@ class Robots:
             limits_of(config)
         self._on_forgotten, self._on_change = on_forgotten, on_change
         self._robots: dict[str, LocalRobot] = {}
-        self._early: dict[tuple[str, Hashable], float] = {}  # when a source commanded a robot that did not exist
+        self._earlier = EarlierCommands()
         self._away = Away(forget_after_s)  # who may be forgotten
         self._wake = asyncio.Event()
 
@@ -118,21 +117,13 @@ class Robots:
         return robot
 
     def _note_early(self, name: str, driver: Hashable) -> None:
-        if driver is None:
-            return
-        now_s = _now_s()
-        self._early.pop((name, driver), None)
-        self._early[name, driver] = now_s  # as the newest
-        while len(self._early) > MAX_EARLY or now_s >= next(iter(self._early.values())) + LEASE_S:
-            self._early.pop(next(iter(self._early)))
+        if driver is not None:
+            self._earlier.note(name, driver, _now_s())
 
     def _join_early(self, robot: Robot) -> None:
         """Note who commanded a robot of this name when there was none: it is in the middle of a motion."""
         now_s = _now_s()
-        drivers = [
-            driver for (name, driver), at_s in self._early.items() if name == robot.name and now_s < at_s + LEASE_S
-        ]
-        robot.admission.join(drivers, now_s)
+        robot.admission.join(self._earlier.sources(robot.name, now_s), now_s)
 
     def has(self, name: str) -> bool:
         """Whether there is one of that name, here or elsewhere."""

@@ -54,7 +54,7 @@ class Topic:
 
     __slots__ = (
         "__weakref__", "_budget", "_deliveries", "_expected", "_is_gated", "_numbers", "_snapshot", "_subscribers",
-        "devices", "latched", "messages", "name", "publishers", "rank", "type", "type_name",
+        "devices", "earlier", "latched", "messages", "name", "publishers", "rank", "type", "type_name",
     )  # fmt: skip
 
     def __init__(self, name: str, deliveries: Deliveries | None = None, budget: ByteBudget | None = None) -> None:
@@ -65,6 +65,7 @@ class Topic:
         self.rank = PROGRAM_RANK  # of who named the type
         self.messages = 0
         self.publishers: set[Hashable] = set()
+        self.earlier: tuple[Hashable, ...] = ()  # who published without it when the newest device subscribed
         self.devices: dict[Hashable, DeviceSubscription] = {}
         self.latched: dict[
             Hashable, bytes | None

@@ -1,5 +1,6 @@
 """TopicGraph: every topic by name; a topic lives as long as somebody uses it."""
 
+import asyncio
 from collections.abc import Callable, Hashable, Iterable
 
 from hostlink.errors import UnknownTopic, WrongType
@@ -8,6 +9,7 @@ from hostlink.hub.deliveries import Deliveries
 from hostlink.hub.graph_changes import GraphChanges, Kind
 from hostlink.hub.topic import DEVICE_RANK, PROGRAM_RANK, DeviceSubscription, Subscriber, Topic, rank_of
 from hostlink.messages.catalog import Catalog
+from hostlink.robot.admission import EarlierCommands
 
 Unsubscribe = Callable[[], None]
 
@@ -22,6 +24,7 @@ class TopicGraph:
 
     def __init__(self, catalog: Catalog, changes: GraphChanges | None = None, budget: ByteBudget | None = None) -> None:
         """`changes` are told of every topic, publisher and subscriber that comes or goes."""
+        self.earlier = EarlierCommands()  # who publishes to topics that do not exist, or without being a publisher
         self.deliveries = Deliveries()
         self.budget = ByteBudget() if budget is None else budget
         self._changes = GraphChanges() if changes is None else changes
@@ -91,6 +94,8 @@ class TopicGraph:
             WrongType: it is in use with another type.
         """
         topic = self._open(name, type_name, rank_of(key))
+        if not self.earlier.is_empty:
+            topic.earlier = self.earlier.sources(topic.name, asyncio.get_running_loop().time())
         topic.add_device(key, subscription)
         self._note(key, topic)
         topic.send_latched(key)

@@ -106,6 +106,35 @@ class EarlierMotion:
         return epoch
 
 
+MAX_EARLIER = 1024  # commands to what does not exist, of the last lease
+
+
+@dataclass(slots=True)
+class EarlierCommands:
+    """Who commanded a robot or a topic that did not exist.
+
+    A source that goes on when it exists is in the middle of a motion. The newest MAX_EARLIER of one lease are known.
+    """
+
+    _at_s: dict[tuple[str, Hashable], float] = field(default_factory=dict)  # the newest is the last one
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether nothing was noted."""
+        return not self._at_s
+
+    def note(self, name: str, source: Hashable, now_s: float) -> None:
+        """Note a command of a source to a name that means nothing."""
+        self._at_s.pop((name, source), None)
+        self._at_s[name, source] = now_s
+        while len(self._at_s) > MAX_EARLIER or now_s >= next(iter(self._at_s.values())) + LEASE_S:
+            self._at_s.pop(next(iter(self._at_s)))
+
+    def sources(self, name: str, now_s: float) -> tuple[Hashable, ...]:
+        """Return the sources that have commanded this name within a lease."""
+        return tuple(source for (known, source), at_s in self._at_s.items() if known == name and now_s < at_s + LEASE_S)
+
+
 class Decision(NamedTuple):
     """`kind` is None for an admitted command. `reason` says why a command was refused, and what to do next."""
 

@@ -146,7 +146,7 @@ class RosbridgePublish(_Rosbridge):
     async def give(self, speed_m_s: float, *, left_m_s: float = 0.0, epoch: int | None = None) -> None:
         assert epoch is None
         message = {"linear": {"x": _number(speed_m_s), "y": left_m_s}}
-        self.send(op="publish", topic=CMD_VEL, type=TWIST_TYPE, msg=message)
+        self.send(op="publish", topic=CMD_VEL, msg=message)
 
 
 class RosbridgeRaw(RosbridgePublish):

@@ -3,7 +3,17 @@
 import pytest
 
 from hostlink.errors import RefusalKind
-from hostlink.robot.admission import EARLIER_EPOCH, LEASE_S, MAX_SOURCES, Admission, Command, Decision, EarlierMotion
+from hostlink.robot.admission import (
+    EARLIER_EPOCH,
+    LEASE_S,
+    MAX_EARLIER,
+    MAX_SOURCES,
+    Admission,
+    Command,
+    Decision,
+    EarlierCommands,
+    EarlierMotion,
+)
 from hostlink.robot.velocity import ZERO, Kinematics, PlanarVelocity, Twist
 
 FORWARD = PlanarVelocity(0.3)
@@ -616,3 +626,38 @@ def test_reconnection_within_the_time_to_resume_is_no_interruption(away_s: float
     robot.admission.disconnect(robot.now_s)
     robot.wait(away_s)
     assert robot.admission.connect(robot.now_s) is is_interruption
+
+
+# -- commands to what does not exist ----------------------------------------------------------------------------------
+
+
+def test_commands_to_an_unknown_name_are_known_for_a_lease() -> None:
+    earlier = EarlierCommands()
+    assert earlier.is_empty
+    earlier.note("rover", "script", 10.0)
+    earlier.note("other", "page", 10.1)
+    earlier.note("rover", "phone", 10.2)
+    assert not earlier.is_empty
+    assert earlier.sources("rover", 10.3) == ("script", "phone")
+    assert earlier.sources("rover", 10.0 + LEASE_S) == ("phone",)
+    assert earlier.sources("rover", 10.2 + LEASE_S) == ()
+
+
+def test_commands_to_unknown_names_are_forgotten_after_a_lease_and_over_their_bound() -> None:
+    earlier = EarlierCommands()
+    for number in range(MAX_EARLIER + 1):
+        earlier.note("rover", number, 10.0)
+    earlier.note("rover", 1, 10.1)
+    assert earlier.sources("rover", 10.1) == (*range(2, MAX_EARLIER + 1), 1)
+    earlier.note("rover", "script", 10.1 + LEASE_S)
+    assert earlier.sources("rover", 10.1) == ("script",)
+
+
+def test_source_that_commanded_a_name_before_its_robot_existed_is_disarmed() -> None:
+    earlier, admission = EarlierCommands(), Admission("rover")
+    earlier.note("rover", "script", 10.0)
+    admission.join(earlier.sources("rover", 10.2), 10.2)
+    admission.connect(10.2)
+    decision = admission.decide(Command(PlanarVelocity(0.1), "script", 50, 10.3), 10.3)
+    assert decision.kind is RefusalKind.DISARMED
+    assert admission.decide(Command(PlanarVelocity(0.1), "other", 50, 10.3), 10.3).kind is None
