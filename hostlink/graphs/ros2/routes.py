@@ -11,7 +11,6 @@ from hostlink.client import Host
 from hostlink.errors import BadPayload, HostlinkError
 from hostlink.graphs.ros2.conversion import stamped
 from hostlink.graphs.ros2.echoes import Echoes
-from hostlink.graphs.ros2.inbox import Inbox
 from hostlink.graphs.ros2.names import ros1_type, ros2_type
 from hostlink.graphs.ros2.node import Ros2Node, load_type
 from hostlink.graphs.ros2.plan import (
@@ -28,6 +27,7 @@ from hostlink.graphs.ros2.qos import COMMAND, publisher_qos
 from hostlink.graphs.ros2.types import Types
 from hostlink.graphs.ros2.values import fill, to_json
 from hostlink.graphs.ros2.velocity import VelocityDriver
+from hostlink.mirror.inbox import Inbox
 from hostlink.robot.velocity import Twist
 
 INBOX_DEPTH = 64  # messages of a topic from ROS 2 that wait to be sent
@@ -109,11 +109,11 @@ class Routes:
 
     async def _receive(self, route: Reception) -> None:
         cls = await self._types.message(self._host, route.type_name, route.ros2_type)
-        inbox: Inbox[bytes] = Inbox(INBOX_DEPTH)
+        inbox: Inbox[bytes] = Inbox(max_waiting=INBOX_DEPTH)
         echoes = self._echoes[route.topic]
         async with (
             self._host.advertise(route.topic, route.type_name, is_latched=route.qos.is_latched),
-            self._node.subscription(route.topic, cls, route.qos, inbox.put, is_raw=True),
+            self._node.subscription(route.topic, cls, route.qos, functools.partial(inbox.put, ""), is_raw=True),
         ):
             async for data in inbox:
                 if not echoes.is_echo(data):
@@ -129,10 +129,10 @@ class Routes:
 
     async def _drive(self, route: VelocityInput) -> None:
         cls, is_stamped = load_type(route.ros2_type), route.ros2_type == TWIST_STAMPED
-        inbox: Inbox[tuple[Any, Mapping[str, Any]]] = Inbox(COMMAND_INBOX_DEPTH)
+        inbox: Inbox[tuple[Any, Mapping[str, Any]]] = Inbox(max_waiting=COMMAND_INBOX_DEPTH)
 
         def receive(message: Any, info: Mapping[str, Any]) -> None:
-            inbox.put((message, info))
+            inbox.put("", (message, info))
 
         with self._velocity.driving(route):
             async with self._node.subscription(route.topic, cls, COMMAND, receive, is_raw=False):

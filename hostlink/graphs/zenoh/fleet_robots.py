@@ -13,12 +13,12 @@ from hostlink.graphs.zenoh.fleet_messages import MAX_STATE_BYTES
 from hostlink.graphs.zenoh.fleet_post import Post
 from hostlink.graphs.zenoh.fleet_requests import FleetRequests
 from hostlink.graphs.zenoh.fleet_topics import FleetTopics
-from hostlink.graphs.zenoh.inbox import SLICE_S
 from hostlink.graphs.zenoh.roster import Place, Roster
 from hostlink.graphs.zenoh.session import Declaration, Sample
 from hostlink.hub.hub import Hub
 from hostlink.hub.robot import LocalRobot, RemoteRobot
 from hostlink.logs import of_peer, printable
+from hostlink.mirror.inbox import SLICE_S
 
 log = structlog.get_logger()
 

@@ -14,10 +14,10 @@ from hostlink.config import ZenohConfig
 from hostlink.errors import ConfigError
 from hostlink.graphs.zenoh.background import Background
 from hostlink.graphs.zenoh.history import declare_history_subscriber, declare_keeping_publisher
-from hostlink.graphs.zenoh.inbox import MAX_WAITING, Inbox
 from hostlink.graphs.zenoh.settings import library, reach_of, reason_of, settings_of
 from hostlink.hub.isolation import Isolation
 from hostlink.logs import printable
+from hostlink.mirror.inbox import MAX_WAITING, Inbox
 
 log = structlog.get_logger()
 
@@ -283,7 +283,12 @@ class Session:
 
     def inbox(self, deliver: Callable[[Any], None], *, max_waiting: int = MAX_WAITING) -> Inbox[Any]:
         """A queue from Zenoh's threads to the loop."""
-        return Inbox(deliver, self._isolation, self.counts, max_waiting=max_waiting)
+        return Inbox(
+            deliver,
+            guarded=lambda: self._isolation.around("graph", graph="zenoh"),
+            counts=self.counts,
+            max_waiting=max_waiting,
+        )
 
     def _fits(self, key: str, payload_bytes: int, max_bytes: int) -> bool:
         if payload_bytes <= max_bytes and len(key) <= MAX_KEY_CHARS:
