@@ -19,7 +19,7 @@ They differ in these points, which are arguments of `Reconciler` and `Mirror`:
 | a new specification needs no closing | `replaces`                  | registrations                          |
 | another specification is the same    | `is_same`                   | ROS 1: a type that was learned         |
 | a bound for each peer                | `group_of`, `group_limit`   | ROS 1: of a topic; Zenoh: of a session |
-| one change of a large graph          | `put` instead of `follow`   | recorder; publishers of ROS 1, Zenoh   |
+| one change of a large graph          | `put` instead of `want`   | recorder; publishers of ROS 1, Zenoh   |
 | opening costs loop time              | `slice_s`                   | Zenoh                                  |
 | one peer takes all requests in order | `Reconciler` without Mirror | registrations                          |
 | the peer forgets what was opened     | `forget`                    | registrations                          |

@@ -36,7 +36,7 @@ class Mirror(Generic[Key, Spec, Made]):
         slice_s: float = math.inf,
         **bounds: Any,
     ) -> None:
-        """Mirror what `follow` and `put` want.
+        """Mirror what `want` and `put` want.
 
         Args:
             open_: opens an endpoint, or raises why it cannot be.
@@ -80,9 +80,9 @@ class Mirror(Generic[Key, Spec, Made]):
         """How often something was wanted and there was no room."""
         return self._reconciler.crowded
 
-    def follow(self, wanted: Mapping[Key, Spec]) -> None:
+    def want(self, wanted: Mapping[Key, Spec]) -> None:
         """Want these, and nothing else."""
-        self._reconciler.follow(wanted)
+        self._reconciler.want(wanted)
         self._work()
 
     def put(self, key: Key, spec: Spec | None) -> None:
@@ -108,7 +108,7 @@ class Mirror(Generic[Key, Spec, Made]):
     def close(self) -> None:
         """Close everything, and open nothing any more."""
         self._is_closed, self._slice_s = True, math.inf
-        self._reconciler.follow({})
+        self._reconciler.want({})
         self._work(is_due=True)
 
     def _work(self, *, is_due: bool = False) -> None:

@@ -51,7 +51,8 @@ class Reconciler(Generic[Key, Spec]):
     | crowded        | wanted, but over a bound | open (another endpoint was closed)                              |
 
     A key that is not wanted any more and not open is forgotten. Everything to close comes before anything to open; what
-    is to be opened comes in the order in which it was wanted.
+    is to be opened comes in the order in which it was wanted. What is tried again keeps its place within the bounds, so
+    these are bounds of attempts, too.
     """
 
     def __init__(
@@ -68,8 +69,8 @@ class Reconciler(Generic[Key, Spec]):
         """Bound what is open, and say what is tried again.
 
         Args:
-            limit: endpoints that are open at once.
-            group_of: the group of a key, of which at most `group_limit` are open.
+            limit: endpoints that are open at once, or tried again.
+            group_of: the group of a key, of which at most `group_limit` are open or tried again.
             group_limit: see there.
             retry_s: from the first failure to the next attempt; it doubles with each failure up to `longest_s`.
                 Without it a key is tried again by `retry`, or with another specification.
@@ -78,7 +79,7 @@ class Reconciler(Generic[Key, Spec]):
             is_same: whether an endpoint of the first specification may stay where the second is wanted.
         """
         self.open: dict[Key, Spec] = {}
-        self.crowded = 0  # how often a key was wanted and there was no room
+        self.crowded = 0  # keys that were wanted and had no room
         self._limit, self._group_of, self._group_limit = limit, group_of, group_limit
         self._retry_s, self._longest_s = retry_s, max(retry_s, longest_s)
         self._replaces, self._is_same = replaces, is_same
@@ -89,16 +90,16 @@ class Reconciler(Generic[Key, Spec]):
         self._due: list[tuple[float, int, Key]] = []  # a heap of when failures are over; some are over already
         self._numbers = 0  # so that keys in the heap are never compared
         self._crowded: dict[Hashable, dict[Key, None]] = {}  # by group
-        self._sizes: dict[Hashable, int] = {}  # what is open, by group
+        self._places: set[Key] = set()  # what is open, or is tried again
+        self._sizes: dict[Hashable, int] = {}  # its number by group
 
     # -- what is wanted -----------------------------------------------------------------------------------------------
 
-    def follow(self, wanted: Mapping[Key, Spec]) -> None:
+    def want(self, wanted: Mapping[Key, Spec]) -> None:
         """Want these, and nothing else."""
         before, self._wanted = self._wanted, dict(wanted)
         for key in [key for key in before if key not in wanted]:
             self._judge(key)
-        self._to_open.clear()  # what is left is put there in the new order
         for key in wanted:
             self._judge(key)
 
@@ -133,7 +134,7 @@ class Reconciler(Generic[Key, Spec]):
         while self._to_open:
             key = next(iter(self._to_open))
             group = self._group_of(key)
-            if key in self.open or self._has_room(group):
+            if key in self._places or self._has_room(group):
                 return Open(key, self._wanted[key])
             del self._to_open[key]
             self._crowded.setdefault(group, {})[key] = None
@@ -153,11 +154,8 @@ class Reconciler(Generic[Key, Spec]):
         """The action was performed. `is_settled`: what was opened works, so its next failure is the first."""
         key = action.key
         if isinstance(action, Close):
-            self._remove(key)
+            del self.open[key]
         else:
-            if key not in self.open:
-                group = self._group_of(key)
-                self._sizes[group] = self._sizes.get(group, 0) + 1
             self.open[key] = action.spec
             if is_settled:
                 self._failures.pop(key, None)
@@ -170,20 +168,19 @@ class Reconciler(Generic[Key, Spec]):
 
     def ended(self, key: Key, now_s: float, *, has_failed: bool) -> None:
         """An open endpoint ended by itself. It is opened again as after a failure; an end is as the first of them."""
-        spec = self._remove(key)
-        if spec is None:
+        if key not in self.open:
             return
         if not has_failed:
             self._failures.pop(key, None)
-        self._note_failure(key, spec, now_s)
+        self._note_failure(key, self.open.pop(key), now_s)
         self._judge(key)
 
     def forget(self, keys: Iterable[Key]) -> None:
         """The other side has no such endpoints any more: they are not open, and are opened again at once."""
-        for key in keys:
-            if self._remove(key) is not None:
-                self._failures.pop(key, None)
-                self._judge(key)
+        for key in [key for key in keys if key in self.open]:
+            del self.open[key]
+            self._failures.pop(key, None)
+            self._judge(key)
 
     # -- its parts ----------------------------------------------------------------------------------------------------
 
@@ -191,7 +188,9 @@ class Reconciler(Generic[Key, Spec]):
         """Give a key its state, after anything about it has changed."""
         self._to_close.pop(key, None)
         self._to_open.pop(key, None)
-        if self._is_missing(key):
+        is_missing = self._is_missing(key)
+        self._update_place(key)
+        if is_missing:
             if key not in self._crowded.get(self._group_of(key), ()):
                 self._to_open[key] = None
             return
@@ -225,15 +224,20 @@ class Reconciler(Generic[Key, Spec]):
         self._numbers += 1
         heapq.heappush(self._due, (now_s + delay_s, self._numbers, key))
 
-    def _remove(self, key: Key) -> Spec | None:
-        """Note that a key is not open; returns what it was opened with."""
-        spec = self.open.pop(key, None)
-        if spec is not None:
-            group = self._group_of(key)
+    def _update_place(self, key: Key) -> None:
+        """Count what is open, and what is tried again."""
+        is_placed = key in self.open or (key in self._failures and self._retry_s < math.inf)
+        if is_placed == (key in self._places):
+            return
+        group = self._group_of(key)
+        if is_placed:
+            self._places.add(key)
+            self._sizes[group] = self._sizes.get(group, 0) + 1
+        else:
+            self._places.remove(key)
             self._sizes[group] -= 1
             if not self._sizes[group]:
                 del self._sizes[group]
-        return spec
 
     def _leave_crowd(self, key: Key) -> None:
         group = self._group_of(key)
@@ -243,4 +247,4 @@ class Reconciler(Generic[Key, Spec]):
             self._crowded.pop(group, None)
 
     def _has_room(self, group: Hashable) -> bool:
-        return len(self.open) < self._limit and self._sizes.get(group, 0) < self._group_limit
+        return len(self._places) < self._limit and self._sizes.get(group, 0) < self._group_limit

@@ -14,8 +14,7 @@ from typing import Any, cast
 from hostlink.config import Config, ZenohConfig
 from hostlink.errors import CommandRefused, HostlinkError, RefusalKind
 from hostlink.graphs.refusal_log import RefusalLog
-from hostlink.graphs.ros1.counts import Counts
-from hostlink.graphs.ros1.parts import Parts, Spawned
+from hostlink.graphs.ros1.parts import Counts, Parts, Spawned
 from hostlink.graphs.ros1.publisher import _Connection
 from hostlink.graphs.ros1.rpc import Master, Rpc
 from hostlink.graphs.ros1.tcpros import encode_header, encode_message

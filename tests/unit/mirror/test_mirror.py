@@ -72,15 +72,15 @@ def test_any_history_ends_in_what_is_wanted_last(
         mirror = mirror_to(peer, slice_s=slice_s, retry_s=1.0)
         for keys, refused, is_waiting in history:
             peer.refused = {*refused, *(f"close {key}" for key in refused)}
-            mirror.follow(wanted("".join(keys)))
+            mirror.want(wanted("".join(keys)))
             await asyncio.sleep(1.0 if is_waiting else 0.0)
         peer.refused.clear()
-        mirror.follow(wanted("".join(last)))
+        mirror.want(wanted("".join(last)))
         await asyncio.sleep(2.0)
         assert sorted(peer.present) == sorted(mirror.endpoints) == sorted(last)
         mirror.close()
         assert peer.present == []
-        mirror.follow(wanted("a"))
+        mirror.want(wanted("a"))
         await asyncio.sleep(2.0)
         assert peer.present == []
 
@@ -91,7 +91,7 @@ def test_without_slices_everything_is_done_at_once() -> None:
     async def test() -> None:
         peer = Peer()
         mirror = mirror_to(peer)
-        mirror.follow(wanted("abc"))
+        mirror.want(wanted("abc"))
         assert peer.present == ["a", "b", "c"]
         mirror.put("b", None)
         mirror.put("d", "x")
@@ -106,10 +106,10 @@ def test_a_slice_ends_in_time_and_the_next_leaves_as_much_to_others() -> None:
         peer, loop = Peer(), asyncio.get_running_loop()
         mirror = mirror_to(peer, slice_s=0.003)
         began_s = loop.time()
-        mirror.follow(wanted("abcdefgh"))
+        mirror.want(wanted("abcdefgh"))
         assert loop.time() - began_s <= 0.003 + COST_S
         assert peer.present == ["a", "b", "c"]
-        mirror.follow(wanted("abcdefgh"))
+        mirror.want(wanted("abcdefgh"))
         assert peer.present == ["a", "b", "c"]
         await asyncio.sleep(0.002)
         assert peer.present == ["a", "b", "c"]
@@ -124,9 +124,9 @@ def test_what_was_wanted_during_a_pause_only_is_never_opened() -> None:
     async def test() -> None:
         peer = Peer()
         mirror = mirror_to(peer, slice_s=COST_S / 2)
-        mirror.follow(wanted("ab"))
-        mirror.follow(wanted("abc"))
-        mirror.follow(wanted("a"))
+        mirror.want(wanted("ab"))
+        mirror.want(wanted("abc"))
+        mirror.want(wanted("a"))
         await asyncio.sleep(1.0)
         assert peer.present == ["a"]
         mirror.close()
@@ -138,9 +138,9 @@ def test_a_failure_affects_no_other_endpoint_and_is_tried_again_in_time() -> Non
     async def test() -> None:
         peer = Peer(refused={"b", "close a"})
         mirror = mirror_to(peer, retry_s=1.0)
-        mirror.follow(wanted("abc"))
+        mirror.want(wanted("abc"))
         assert peer.present == ["a", "c"]
-        mirror.follow(wanted("bcd"))
+        mirror.want(wanted("bcd"))
         assert peer.present == ["c", "d"]
         assert peer.failures == ["b", "a"]
         peer.refused.clear()
@@ -157,7 +157,7 @@ def test_a_failure_is_tried_again_on_request() -> None:
     async def test() -> None:
         peer = Peer(refused={"a"})
         mirror = mirror_to(peer)
-        mirror.follow(wanted("a"))
+        mirror.want(wanted("a"))
         peer.refused.clear()
         mirror.retry()
         assert peer.present == ["a"]
@@ -175,7 +175,7 @@ def test_a_report_that_raises_stops_the_rest_for_a_turn_of_the_loop_only() -> No
 
         mirror: Mirror[str, str, Endpoint] = Mirror(peer.open, fail)
         with pytest.raises(AssertionError):
-            mirror.follow(wanted("abcd"))
+            mirror.want(wanted("abcd"))
         errors: list[object] = []
         asyncio.get_running_loop().set_exception_handler(lambda _, context: errors.append(context))
         await asyncio.sleep(0.1)
@@ -212,7 +212,7 @@ def test_an_endpoint_that_ended_by_itself_is_opened_again_in_time() -> None:
     async def test() -> None:
         peer = Peer()
         mirror = mirror_to(peer, retry_s=1.0)
-        mirror.follow(wanted("a"))
+        mirror.want(wanted("a"))
         peer.present.clear()
         mirror.ended("a")
         mirror.ended("a")
@@ -259,7 +259,7 @@ def test_tasks_run_until_they_are_closed_and_begin_again_after_a_failure_or_an_e
             served = Tasks(tasks)
             served.errors["a"] = HostlinkError("a")
             served.ends.add("b")
-            served.mirror.follow(wanted("abc"))
+            served.mirror.want(wanted("abc"))
             await asyncio.sleep(0.6)
             assert served.running == ["c"]
             assert served.failures == ["a"]
@@ -284,7 +284,7 @@ def test_a_task_that_was_closed_before_it_began_never_begins() -> None:
     async def test() -> None:
         async with asyncio.TaskGroup() as tasks:
             served = Tasks(tasks)
-            served.mirror.follow(wanted("a"))
+            served.mirror.want(wanted("a"))
             served.mirror.close()
         assert served.began == []
 
@@ -325,7 +325,7 @@ def test_what_has_no_room_is_counted() -> None:
     async def test() -> None:
         peer = Peer()
         mirror: Mirror[str, str, Endpoint] = Mirror(peer.open, peer.fail, limit=2)
-        mirror.follow(wanted("abcde"))
+        mirror.want(wanted("abcde"))
         assert mirror.crowded == 3
         mirror.close()
 

@@ -63,9 +63,9 @@ class Histories(RuleBasedStateMachine):
         self.peer, self.wanted, self.now_s = Peer(replaces=replaces), dict[int, str](), 0.0
 
     @rule(wanted=st.dictionaries(KEYS, SPECS))
-    def follow(self, wanted: dict[int, str]) -> None:
+    def want(self, wanted: dict[int, str]) -> None:
         self.wanted = dict(wanted)
-        self.reconciler.follow(wanted)
+        self.reconciler.want(wanted)
 
     @rule(key=KEYS, spec=st.none() | SPECS)
     def put(self, key: int, spec: str | None) -> None:
@@ -127,6 +127,10 @@ class Histories(RuleBasedStateMachine):
         assert self.reconciler.open == self.peer.open
         assert len(self.peer.open) <= self.limit
         assert all(count <= self.group_limit for count in Counter(map(group_of, self.peer.open)).values())
+        tried = set(self.reconciler._failures) if self.retry_s < math.inf else set()
+        assert self.reconciler._places == self.peer.open.keys() | tried
+        assert self.reconciler._sizes == Counter(map(group_of, self.reconciler._places))
+        assert len(self.reconciler._places) <= self.limit
         assert len(self.reconciler._due) <= 64 + 2 * 12 + 1
         known = {*self.wanted, *self.peer.open}
         assert self.reconciler._failures.keys() <= known
@@ -175,14 +179,14 @@ def wanted(keys: str) -> dict[str, str]:
 
 def test_endpoints_are_opened_in_the_order_in_which_they_are_wanted() -> None:
     reconciler: Reconciler[str, str] = Reconciler()
-    reconciler.follow(wanted("cab"))
-    reconciler.follow(wanted("bca"))
+    reconciler.want(wanted("cab"))
+    reconciler.want(wanted("bca"))
     assert opened(reconciler) == ["b", "c", "a"]
 
 
 def test_a_failure_is_tried_again_later_each_time() -> None:
     reconciler: Reconciler[str, str] = Reconciler(retry_s=1.0, longest_s=4.0)
-    reconciler.follow(wanted("a"))
+    reconciler.want(wanted("a"))
     attempts = [at_s / 10 for at_s in range(200) if opened(reconciler, at_s / 10, refused="a")]
     assert attempts == [0.0, 1.0, 3.0, 7.0, 11.0, 15.0, 19.0]
     assert reconciler.due_s == 23.0
@@ -190,9 +194,9 @@ def test_a_failure_is_tried_again_later_each_time() -> None:
 
 def test_a_failure_without_a_time_is_tried_again_with_another_specification_or_on_request() -> None:
     reconciler: Reconciler[str, str] = Reconciler()
-    reconciler.follow(wanted("ab"))
+    reconciler.want(wanted("ab"))
     assert opened(reconciler, refused="a") == ["a", "b"]
-    reconciler.follow(wanted("ab"))
+    reconciler.want(wanted("ab"))
     assert opened(reconciler, 1e9) == []
     assert reconciler.due_s == math.inf
     reconciler.retry()
@@ -203,18 +207,28 @@ def test_a_failure_without_a_time_is_tried_again_with_another_specification_or_o
 
 def test_a_success_makes_the_next_failure_the_first() -> None:
     reconciler: Reconciler[str, str] = Reconciler(retry_s=1.0, longest_s=8.0)
-    reconciler.follow(wanted("a"))
+    reconciler.want(wanted("a"))
     assert opened(reconciler, 0.0, refused="a") == ["a"]
     assert opened(reconciler, 1.0) == ["a"]
-    reconciler.forget("a")
-    assert opened(reconciler, 2.0, refused="a") == ["a"]
+    reconciler.ended("a", 2.0, has_failed=True)
     assert reconciler.due_s == 3.0
+
+
+def test_what_the_peer_has_forgotten_is_opened_at_once_and_its_next_failure_is_the_first() -> None:
+    reconciler: Reconciler[str, str] = Reconciler(retry_s=1.0, longest_s=8.0)
+    reconciler.want(wanted("a"))
+    assert opened(reconciler, 0.0, refused="a") == ["a"]
+    reconciler.done(Open("a", "x"), is_settled=False)
+    reconciler.forget("ab")
+    assert opened(reconciler, 0.5, refused="a") == ["a"]
+    assert opened(reconciler, 1.4) == []
+    assert opened(reconciler, 1.5) == ["a"]
 
 
 @pytest.mark.parametrize(("has_failed", "expected_s"), [(True, 5.0), (False, 4.0)])
 def test_an_end_begins_anew_and_a_failure_goes_on(*, has_failed: bool, expected_s: float) -> None:
     reconciler: Reconciler[str, str] = Reconciler(retry_s=1.0, longest_s=8.0)
-    reconciler.follow(wanted("a"))
+    reconciler.want(wanted("a"))
     assert opened(reconciler, 0.0, refused="a") == ["a"]
     action = reconciler.next(1.0)
     assert action == Open("a", "x")
@@ -227,35 +241,63 @@ def test_an_end_begins_anew_and_a_failure_goes_on(*, has_failed: bool, expected_
 def test_what_has_no_room_comes_when_something_leaves_and_is_counted_once() -> None:
     reconciler: Reconciler[str, str] = Reconciler(limit=2)
     for _ in range(3):
-        reconciler.follow(wanted("abcd"))
+        reconciler.want(wanted("abcd"))
         opened(reconciler)
     assert list(reconciler.open) == ["a", "b"]
     assert reconciler.crowded == 2
-    reconciler.follow(wanted("bcd"))
+    reconciler.want(wanted("bcd"))
     assert opened(reconciler) == ["c"]
     assert reconciler.crowded == 2
 
 
 def test_an_endpoint_with_another_specification_keeps_its_place() -> None:
     reconciler: Reconciler[str, str] = Reconciler(limit=1)
-    reconciler.follow(wanted("ab"))
+    reconciler.want(wanted("ab"))
     assert opened(reconciler) == ["a"]
-    reconciler.follow({"a": "y", "b": "x"})
+    reconciler.want({"a": "y", "b": "x"})
     assert opened(reconciler) == ["a"]
 
 
-def test_a_failure_leaves_its_room_to_others() -> None:
-    reconciler: Reconciler[str, str] = Reconciler(limit=1, retry_s=1.0)
-    reconciler.follow(wanted("ab"))
+def test_a_failure_that_is_not_tried_again_leaves_its_place_to_others() -> None:
+    reconciler: Reconciler[str, str] = Reconciler(limit=1)
+    reconciler.want(wanted("ab"))
     assert opened(reconciler, refused="a") == ["a", "b"]
-    assert opened(reconciler, 1.0) == []
-    reconciler.put("b", None)
-    assert opened(reconciler, 1.0) == ["a"]
+    assert reconciler.crowded == 0
+
+
+def test_a_failure_that_is_tried_again_keeps_its_place() -> None:
+    reconciler: Reconciler[str, str] = Reconciler(limit=1, retry_s=1.0)
+    reconciler.want(wanted("ab"))
+    for at_s in (0.0, 1.0, 2.0):
+        assert opened(reconciler, at_s, refused="a") == ["a"]
+    assert reconciler.crowded == 1
+    reconciler.put("a", None)
+    assert opened(reconciler, 2.0) == ["b"]
+
+
+def test_a_failure_of_an_earlier_time_does_not_shorten_the_next_pause() -> None:
+    reconciler: Reconciler[str, str] = Reconciler(retry_s=1.0)
+    reconciler.want(wanted("a"))
+    assert opened(reconciler, 0.0, refused="a") == ["a"]
+    reconciler.want({})
+    reconciler.want(wanted("a"))
+    assert opened(reconciler, 0.5, refused="a") == ["a"]
+    assert opened(reconciler, 1.4) == []
+    assert opened(reconciler, 1.5) == ["a"]
+
+
+def test_what_is_not_replaced_stays() -> None:
+    reconciler: Reconciler[str, str] = Reconciler(replaces=True)
+    reconciler.want({"a": "x"})
+    assert opened(reconciler) == ["a"]
+    reconciler.want({"a": "y"})
+    assert opened(reconciler, refused="a") == ["a"]
+    assert reconciler.open == {"a": "x"}
 
 
 def test_a_group_over_its_bound_keeps_no_other_out() -> None:
     reconciler: Reconciler[int, str] = Reconciler(group_of=group_of, group_limit=1)
-    reconciler.follow(dict.fromkeys([0, 3, 6, 1], "x"))
+    reconciler.want(dict.fromkeys([0, 3, 6, 1], "x"))
     while (action := reconciler.next(0.0)) is not None:
         reconciler.done(action)
     assert list(reconciler.open) == [0, 1]
@@ -267,18 +309,18 @@ def test_a_group_over_its_bound_keeps_no_other_out() -> None:
 
 def test_a_specification_that_is_the_same_by_the_adapters_word_stays_open() -> None:
     reconciler: Reconciler[str, str] = Reconciler(is_same=lambda before, now: before in ("", now))
-    reconciler.follow({"a": "", "b": "x"})
+    reconciler.want({"a": "", "b": "x"})
     opened(reconciler)
-    reconciler.follow({"a": "learned", "b": ""})
+    reconciler.want({"a": "learned", "b": ""})
     assert opened(reconciler) == ["b"]
     assert reconciler.open == {"a": "", "b": ""}
 
 
 def test_a_specification_is_replaced_without_a_close_where_the_peer_replaces_it() -> None:
     reconciler: Reconciler[str, str] = Reconciler(replaces=True, limit=1)
-    reconciler.follow({"a": "x"})
+    reconciler.want({"a": "x"})
     opened(reconciler)
-    reconciler.follow({"a": "y"})
+    reconciler.want({"a": "y"})
     assert reconciler.next(0.0) == Open("a", "y")
     assert opened(reconciler) == ["a"]
     assert reconciler.open == {"a": "y"}
@@ -287,7 +329,7 @@ def test_a_specification_is_replaced_without_a_close_where_the_peer_replaces_it(
 def test_peers_that_come_and_go_with_failures_leave_nothing_behind() -> None:
     reconciler: Reconciler[str, str] = Reconciler(retry_s=1e6)
     for number in range(1000):
-        reconciler.follow({str(number): "x"})
+        reconciler.want({str(number): "x"})
         action = reconciler.next(float(number))
         assert isinstance(action, Open)
         reconciler.failed(action, float(number))
