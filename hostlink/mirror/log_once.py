@@ -1,5 +1,6 @@
 """LogOnce: log lines that peers cause again and again, each written once, and so many in all."""
 
+from collections import Counter
 from collections.abc import Collection
 
 import structlog
@@ -15,16 +16,18 @@ log = structlog.get_logger()
 class LogOnce:
     """What is tried again and again fails in the same way. Over MAX_LINES lines are counted, and not written."""
 
-    def __init__(self, *, at_info: Collection[str] = ()) -> None:
-        """`at_info`: events of which nobody needs to be warned."""
-        self.unlogged = 0
-        self._at_info = at_info
+    def __init__(
+        self, counts: Counter[str] | None = None, *, at_info: Collection[str] = (), by: Collection[str] | None = None
+    ) -> None:
+        """`counts`: `unlogged`; `at_info`: events that are no warning; `by`: facts that make another line, else all."""
+        self.counts: Counter[str] = Counter() if counts is None else counts
+        self._at_info, self._by = at_info, by
         self._logged: set[tuple[str, ...]] = set()
 
     def __call__(self, event: str, **facts: str) -> None:
-        """Write a line, unless this one was written."""
+        """Write a line, unless it was written."""
         shown = {name: printable(text, MAX_CHARS) for name, text in facts.items()}
-        if self.is_new(event, *shown.values()):
+        if self.is_new(event, *(text for name, text in shown.items() if self._by is None or name in self._by)):
             write = log.info if event in self._at_info else log.warning
             write(event, **shown)
 
@@ -33,7 +36,7 @@ class LogOnce:
         if key in self._logged:
             return False
         if len(self._logged) >= MAX_LINES:
-            self.unlogged += 1
+            self.counts["unlogged"] += 1
             return False
         self._logged.add(key)
         return True

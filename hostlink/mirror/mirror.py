@@ -75,11 +75,6 @@ class Mirror(Generic[Key, Spec, Made]):
         mirror._is_settled = False
         return mirror
 
-    @property
-    def crowded(self) -> int:
-        """How often something was wanted and there was no room."""
-        return self._reconciler.crowded
-
     def want(self, wanted: Mapping[Key, Spec]) -> None:
         """Want these, and nothing else."""
         self._reconciler.want(wanted)

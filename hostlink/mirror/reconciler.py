@@ -65,6 +65,7 @@ class Reconciler(Generic[Key, Spec]):
         longest_s: float = 0.0,
         replaces: bool = False,
         is_same: Callable[[Spec, Spec], bool] = operator.eq,
+        on_crowded: Callable[[Key], None] = lambda _: None,
     ) -> None:
         """Bound what is open, and say what is tried again.
 
@@ -77,12 +78,12 @@ class Reconciler(Generic[Key, Spec]):
             longest_s: see there; it is at least `retry_s`.
             replaces: an endpoint with another specification is opened over the one before, which is not closed.
             is_same: whether an endpoint of the first specification may stay where the second is wanted.
+            on_crowded: called once for a key that is wanted and has no room.
         """
         self.open: dict[Key, Spec] = {}
-        self.crowded = 0  # keys that were wanted and had no room
         self._limit, self._group_of, self._group_limit = limit, group_of, group_limit
         self._retry_s, self._longest_s = retry_s, max(retry_s, longest_s)
-        self._replaces, self._is_same = replaces, is_same
+        self._replaces, self._is_same, self._on_crowded = replaces, is_same, on_crowded
         self._wanted: dict[Key, Spec] = {}
         self._to_close: dict[Key, None] = {}
         self._to_open: dict[Key, None] = {}
@@ -138,7 +139,7 @@ class Reconciler(Generic[Key, Spec]):
                 return Open(key, self._wanted[key])
             del self._to_open[key]
             self._crowded.setdefault(group, {})[key] = None
-            self.crowded += 1
+            self._on_crowded(key)
         for group, keys in self._crowded.items():
             if self._has_room(group):
                 key = next(iter(keys))

@@ -78,6 +78,7 @@ class GraphSync:
             group_limit=MAX_PUBLISHERS,
             retry_s=FIRST_RETRY_S,
             longest_s=LONGEST_RETRY_S,
+            on_crowded=self._count_crowded,
         )
         self._services: Mirror[tuple[str, str], str, Served[tuple[str, str]]] = Mirror.of_tasks(
             self._provide,
@@ -85,6 +86,7 @@ class GraphSync:
             self._fail_service,
             limit=MAX_SERVICES,
             retry_s=SERVICE_RETRY_S,
+            on_crowded=self._count_crowded,
         )
 
     @property
@@ -96,11 +98,6 @@ class GraphSync:
     def offers(self) -> dict[str, ServiceOffer]:
         """By their names in ROS."""
         return self._offers.endpoints
-
-    @property
-    def crowded(self) -> int:
-        """Publishers and services of other nodes over a bound."""
-        return self._connections.crowded + self._services.crowded
 
     def update(self, graph: Graph, names: NameMap) -> None:
         """The hub has changed: add what has come, close what has gone or is another now."""
@@ -246,7 +243,10 @@ class GraphSync:
         finally:
             provided.close()
 
-    # -- failures -----------------------------------------------------------------------------------------------------
+    # -- bounds and failures ------------------------------------------------------------------------------------------
+
+    def _count_crowded(self, _: object) -> None:
+        self._parts.counts.crowded_out += 1
 
     def _fail(self, key: str, error: Exception) -> None:
         """A publication or an offer only waits for connections: what it raises is a fault of hostlink."""

@@ -52,7 +52,7 @@ class Member:
         watcher = hub.join(GROUP, group=GROUP, on_end=lambda: self.shut_down(CRASHED))
         watcher.watch_graph(lambda: self._update(watcher.graph()))
         hub.links.parameter_source = self._parameters
-        hub.counts.graphs[GROUP] = self._counts
+        hub.counts.graphs[GROUP] = self._parts.counts.as_dict
         try:
             yield
         finally:
@@ -83,10 +83,6 @@ class Member:
         wire = Wire(self._parts.hub, receive)
         asyncio.get_running_loop().call_later(HEADER_TIMEOUT_S, cut_silent)
         return wire
-
-    def _counts(self) -> dict[str, int]:
-        counts = self._parts.counts
-        return counts.as_dict() | {"crowded_out": counts.crowded_out + self._sync.crowded}
 
     def _update(self, graph: Graph) -> None:
         """The hub has changed."""

@@ -23,7 +23,16 @@ def test_lines_over_the_bound_are_counted_and_not_written() -> None:
         for number in range(MAX_LINES + 5):
             logged("x", name=str(number))
     assert len(lines) == MAX_LINES
-    assert logged.unlogged == 5
+    assert logged.counts["unlogged"] == 5
+
+
+def test_a_fact_that_makes_no_other_line_is_shown_once() -> None:
+    logged = LogOnce(by=("name",))
+    with capture_logs() as lines:
+        for reason in ("first", "second"):
+            logged("x", name="a", reason=reason)
+        logged("x", name="b", reason="third")
+    assert [line["reason"] for line in lines] == ["first", "third"]
 
 
 def test_levels_and_texts_of_peers() -> None:

@@ -323,10 +323,10 @@ def test_a_task_that_fails_while_it_is_closed_leaves_the_next_one_of_its_key_alo
 
 def test_what_has_no_room_is_counted() -> None:
     async def test() -> None:
-        peer = Peer()
-        mirror: Mirror[str, str, Endpoint] = Mirror(peer.open, peer.fail, limit=2)
+        peer, crowded = Peer(), list[str]()
+        mirror: Mirror[str, str, Endpoint] = Mirror(peer.open, peer.fail, limit=2, on_crowded=crowded.append)
         mirror.want(wanted("abcde"))
-        assert mirror.crowded == 3
+        assert crowded == ["c", "d", "e"]
         mirror.close()
 
     run_virtual(test())
