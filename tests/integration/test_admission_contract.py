@@ -391,7 +391,7 @@ SITES: dict[str, tuple[type[EntryPoint], ...]] = {
     "graphs/ros1/publisher.py: self.participant.publish": (entry_points.Ros1Publisher,),
     "graphs/zenoh/rmw_publishers.py: self.participant.publish": (entry_points.RmwPublisher,),
     "graphs/zenoh/rmw_publishers.py: publisher.publish": (entry_points.RmwPublisher,),
-    "graphs/zenoh/rmw_subscription.py: self._publishers.publish": (entry_points.RmwPublisher,),
+    "graphs/zenoh/rmw_publishers.py: self._publishers.publish": (entry_points.RmwPublisher,),
     "graphs/zenoh/fleet_drivers.py: participant.drive": (entry_points.Fleet,),
     "graphs/zenoh/fleet_drivers.py: self._participant(neighbour, _PUBLISHER, 'programs').publish": (
         entry_points.FleetPublisher,
@@ -421,9 +421,6 @@ OTHERS = {
     "graphs/ros2/routes.py: publisher.publish": "to ROS 2",
     "graphs/zenoh/fleet.py: self._robots.follow": "poses",
     "graphs/zenoh/fleet_imports.py: shown.participant.publish": "what a device elsewhere sends; a velocity is no such",
-    "graphs/zenoh/rmw_bridge.py: self._offered.follow": "services",
-    "graphs/zenoh/rmw_bridge.py: self._publications.follow": "topics to ROS 2",
-    "graphs/zenoh/rmw_bridge.py: self._subscriptions.follow": "the graph",
     "hub/device.py: self.link.session.publish": "to the device",
     "hub/diagnostics_topic.py: self._participant.publish": "diagnostics",
     "hub/gates.py: link.session.publish": "to the device",
