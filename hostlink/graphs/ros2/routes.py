@@ -4,7 +4,7 @@ import asyncio
 import contextlib
 import functools
 from collections import defaultdict
-from collections.abc import AsyncIterator, Callable, Mapping
+from collections.abc import AsyncIterator, Mapping
 from typing import Any, assert_never
 
 from hostlink.client import Host
@@ -38,9 +38,8 @@ CALL_TIMEOUT_S = 60.0  # of a service of ROS 2; as the daemon's for a program's
 class Routes:
     """Runs one route at a time for whoever calls `run`; all share the node, the connection and the types."""
 
-    def __init__(self, node: Ros2Node, host: Host, velocity: VelocityDriver, *, stamp: Callable[[], bytes]) -> None:
-        """`stamp`: the time of ROS 2 where it is not this computer's; empty: it is."""
-        self._node, self._host, self._velocity, self._stamp = node, host, velocity, stamp
+    def __init__(self, node: Ros2Node, host: Host, velocity: VelocityDriver) -> None:
+        self._node, self._host, self._velocity = node, host, velocity
         self._types = Types()
         self._echoes: defaultdict[str, Echoes] = defaultdict(Echoes)
         self._publishers: dict[Publication, asyncio.Future[Any]] = {}
@@ -102,7 +101,7 @@ class Routes:
                 except BadPayload:
                     self.malformed += 1
                     continue
-                if has_header and (stamp := self._stamp()):
+                if has_header and (stamp := self._node.stamp()):
                     data = stamped(data, stamp)
                 echoes.publish(data)
                 publisher.publish(data)
