@@ -75,6 +75,11 @@ class Mirror(Generic[Key, Spec, Made]):
         mirror._is_settled = False
         return mirror
 
+    @property
+    def wanted(self) -> Mapping[Key, Spec]:
+        """What is wanted, also where it has failed or has no room."""
+        return self._reconciler.wanted
+
     def want(self, wanted: Mapping[Key, Spec]) -> None:
         """Want these, and nothing else."""
         self._reconciler.want(wanted)

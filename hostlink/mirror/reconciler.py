@@ -84,7 +84,7 @@ class Reconciler(Generic[Key, Spec]):
         self._limit, self._group_of, self._group_limit = limit, group_of, group_limit
         self._retry_s, self._longest_s = retry_s, max(retry_s, longest_s)
         self._replaces, self._is_same, self._on_crowded = replaces, is_same, on_crowded
-        self._wanted: dict[Key, Spec] = {}
+        self.wanted: dict[Key, Spec] = {}
         self._to_close: dict[Key, None] = {}
         self._to_open: dict[Key, None] = {}
         self._failures: dict[Key, _Failure[Spec]] = {}
@@ -98,7 +98,7 @@ class Reconciler(Generic[Key, Spec]):
 
     def want(self, wanted: Mapping[Key, Spec]) -> None:
         """Want these, and nothing else."""
-        before, self._wanted = self._wanted, dict(wanted)
+        before, self.wanted = self.wanted, dict(wanted)
         for key in [key for key in before if key not in wanted]:
             self._judge(key)
         for key in wanted:
@@ -107,9 +107,9 @@ class Reconciler(Generic[Key, Spec]):
     def put(self, key: Key, spec: Spec | None) -> None:
         """Want a key with this specification; None: not any more."""
         if spec is None:
-            self._wanted.pop(key, None)
+            self.wanted.pop(key, None)
         else:
-            self._wanted[key] = spec
+            self.wanted[key] = spec
         self._judge(key)
 
     def retry(self) -> None:
@@ -136,14 +136,14 @@ class Reconciler(Generic[Key, Spec]):
             key = next(iter(self._to_open))
             group = self._group_of(key)
             if key in self._places or self._has_room(group):
-                return Open(key, self._wanted[key])
+                return Open(key, self.wanted[key])
             del self._to_open[key]
             self._crowded.setdefault(group, {})[key] = None
             self._on_crowded(key)
         for group, keys in self._crowded.items():
             if self._has_room(group):
                 key = next(iter(keys))
-                return Open(key, self._wanted[key])
+                return Open(key, self.wanted[key])
         return None
 
     @property
@@ -201,17 +201,17 @@ class Reconciler(Generic[Key, Spec]):
 
     def _may_stay(self, key: Key) -> bool:
         """Whether what is open need not be closed."""
-        return key in self._wanted and (self._replaces or self._is_same(self.open[key], self._wanted[key]))
+        return key in self.wanted and (self._replaces or self._is_same(self.open[key], self.wanted[key]))
 
     def _is_missing(self, key: Key) -> bool:
         """Whether it is to be opened; a failure of another specification, or of what is not wanted, is forgotten."""
         failure = self._failures.get(key)
-        if failure is not None and (key not in self._wanted or not self._is_same(failure.spec, self._wanted[key])):
+        if failure is not None and (key not in self.wanted or not self._is_same(failure.spec, self.wanted[key])):
             del self._failures[key]
             failure = None
-        if key not in self._wanted or (failure is not None and failure.is_waiting):
+        if key not in self.wanted or (failure is not None and failure.is_waiting):
             return False
-        return key not in self.open or (self._replaces and not self._is_same(self.open[key], self._wanted[key]))
+        return key not in self.open or (self._replaces and not self._is_same(self.open[key], self.wanted[key]))
 
     def _note_failure(self, key: Key, spec: Spec, now_s: float) -> None:
         before = self._failures.get(key)
