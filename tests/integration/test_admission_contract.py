@@ -396,7 +396,7 @@ SITES: dict[str, tuple[type[EntryPoint], ...]] = {
     "graphs/zenoh/fleet_drivers.py: self._participant(neighbour, _PUBLISHER, 'programs').publish": (
         entry_points.FleetPublisher,
     ),
-    "graphs/zenoh/fleet_exports.py: self._drivers.publish": (entry_points.FleetPublisher,),
+    "graphs/zenoh/fleet_topics.py: self._drivers.publish": (entry_points.FleetPublisher,),
     "hub/device.py: topic.publish": (entry_points.DevicePublisher,),
     "hub/gates.py: self.follow": (entry_points.RosbridgePublish, entry_points.TwistStamped),
     "hub/gates.py: self.gates.command": (entry_points.RosbridgeDrive, entry_points.RosbridgePublish),
@@ -420,7 +420,8 @@ OTHERS = {
     "graphs/ros2/routes.py: echoes.publish": "to ROS 2",
     "graphs/ros2/routes.py: publisher.publish": "to ROS 2",
     "graphs/zenoh/fleet.py: self._robots.follow": "poses",
-    "graphs/zenoh/fleet_imports.py: shown.participant.publish": "what a device elsewhere sends; a velocity is no such",
+    "graphs/zenoh/fleet_topics.py: self._participant.publish": "what a device elsewhere sends; a velocity is no such",
+    "graphs/zenoh/fleet_robots.py: robot.follow": "poses",
     "hub/device.py: self.link.session.publish": "to the device",
     "hub/diagnostics_topic.py: self._participant.publish": "diagnostics",
     "hub/gates.py: link.session.publish": "to the device",
