@@ -268,6 +268,28 @@ def test_publishers_of_one_process_are_bounded(monkeypatch: pytest.MonkeyPatch) 
     play(test)
 
 
+def test_publisher_that_waited_for_room_drives_after_a_zero(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It may have streamed for long."""
+    monkeypatch.setattr(rmw_publishers, "MAX_PUBLISHERS_OF_SESSION", 1)
+
+    async def test(scene: Scene) -> None:
+        remote = Remote(scene.hub)
+        await asyncio.sleep(rmw_publishers.MATCH_S)
+        first, driver = remote.come("aa", topic="/topic"), remote.come("aa")
+        remote.sent = 100
+        await asyncio.sleep(rmw_publishers.NEW_S + 0.1)
+        remote.drive(gid_of(driver), 0.3)
+        assert remote.counts["unidentified"] == 1
+        remote.go(first)
+        remote.drive(gid_of(driver), 0.3)
+        assert remote.owner() is None
+        remote.drive(gid_of(driver), 0.0)
+        remote.drive(gid_of(driver), 0.3)
+        assert remote.owner() == "ros2 /driver_aa"
+
+    play(test)
+
+
 def test_what_every_node_publishes_for_its_tools_is_left_out() -> None:
     async def test(scene: Scene) -> None:
         remote = Remote(scene.hub)
