@@ -15,8 +15,8 @@ from structlog.testing import capture_logs
 
 from hostlink.config import Config, Ros1Config
 from hostlink.graphs.ros1 import graph_sync, member, publication, services
-from hostlink.graphs.ros1.outgoing import MAX_MESSAGES
 from hostlink.graphs.ros1.rpc import Rpc
+from hostlink.graphs.ros1.wire import MAX_MESSAGES
 from hostlink.graphs.ros1.xml_rpc import Refused, Unreachable, decode_answer, encode_answer, encode_call
 from hostlink.protocol.frame import Id, encode
 from hostlink.robot.velocity import TWIST_TYPE

@@ -7,8 +7,8 @@ from collections.abc import AsyncIterator
 from typing import Any
 
 from hostlink.graphs.ros1.graph_sync import GraphSync
-from hostlink.graphs.ros1.master_parameters import MasterParameters
 from hostlink.graphs.ros1.names import NameMap, Names
+from hostlink.graphs.ros1.parameters import MasterParameters
 from hostlink.graphs.ros1.parts import GROUP, Parts
 from hostlink.graphs.ros1.registrar import Registrar
 from hostlink.graphs.ros1.tcpros import ANY

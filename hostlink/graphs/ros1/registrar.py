@@ -8,7 +8,7 @@ from typing import Any
 import structlog
 
 from hostlink.graphs.ros1.graph_sync import GraphSync
-from hostlink.graphs.ros1.master_parameters import MasterParameters
+from hostlink.graphs.ros1.parameters import MasterParameters
 from hostlink.graphs.ros1.parts import Kind, Parts
 from hostlink.graphs.ros1.xml_rpc import Refused, Unreachable
 from hostlink.logs import printable
