@@ -157,7 +157,7 @@ class Histories(RuleBasedStateMachine):
 
 
 TestHistories = Histories.TestCase
-TestHistories.settings = settings(max_examples=60, stateful_step_count=40, deadline=None)
+TestHistories.settings = settings(max_examples=max(60, settings().max_examples), stateful_step_count=40)
 
 
 def opened(reconciler: Reconciler[str, str], now_s: float = 0.0, refused: str = "") -> list[str]:
