@@ -101,8 +101,10 @@ class Reconciler(Generic[Key, Spec]):
         before, self.wanted = self.wanted, dict(wanted)
         for key in [key for key in before if key not in wanted]:
             self._judge(key)
-        for key in wanted:
-            self._judge(key)
+        for key, spec in wanted.items():
+            is_noted = key in self._to_close or key in self._to_open or key in self._failures
+            if is_noted or key not in self.open or not self._is_same(self.open[key], spec):
+                self._judge(key)
 
     def put(self, key: Key, spec: Spec | None) -> None:
         """Want a key with this specification; None: not any more."""
