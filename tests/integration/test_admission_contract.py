@@ -421,7 +421,6 @@ OTHERS = {
     "graphs/ros2/routes.py: publisher.publish": "to ROS 2",
     "graphs/zenoh/fleet.py: self._robots.follow": "poses",
     "graphs/zenoh/fleet_topics.py: self._participant.publish": "what a device elsewhere sends; a velocity is no such",
-    "graphs/zenoh/fleet_robots.py: robot.follow": "poses",
     "hub/device.py: self.link.session.publish": "to the device",
     "hub/diagnostics_topic.py: self._participant.publish": "diagnostics",
     "hub/gates.py: link.session.publish": "to the device",

@@ -2,7 +2,7 @@
 
 import asyncio
 from collections import Counter
-from typing import Any, cast
+from typing import cast
 
 from hostlink.config import Config
 from hostlink.graphs.zenoh.fleet_messages import Keys, Sender, TopicState
@@ -11,14 +11,12 @@ from hostlink.graphs.zenoh.fleet_topics import FIRST_RETRY_S, FleetImports
 from hostlink.graphs.zenoh.roster import Neighbour
 from hostlink.graphs.zenoh.session import Session
 from hostlink.hub.hub import Hub
-from hostlink.hub.remote_robot import RemoteRobot
-from hostlink.robot.directory import RobotTopicNames
 from tests.support.fake_device import CATALOG
 from tests.support.memory_zenoh import MemoryNetwork, MemorySession
+from tests.support.remote_robots import remote_robot
 from tests.support.virtual_loop import run_virtual
 
 ROBOT, PLAN, SCAN = "robot_7", "/robot_7/plan", "/robot_7/scan"
-NOBODY: Any = None  # drives it
 
 
 class World:
@@ -28,8 +26,7 @@ class World:
         self.hub, self.counts, self.network = Hub(Config(), CATALOG, reraises=True), Counter[str](), MemoryNetwork()
         session = cast("Session", MemorySession(self.network, "1a"))
         self.imports = FleetImports(self.hub, Post(session, Keys("fleet"), Sender("lab", "1a"), self.counts))
-        shown = RobotTopicNames(ROBOT, f"/{ROBOT}/velocity", f"/{ROBOT}/odometry", "std_msgs/Bool", None)
-        self.robot = RemoteRobot(name=ROBOT, host="b", place="2b", shown=shown, elsewhere=NOBODY)
+        self.robot = remote_robot(self.hub, ROBOT)
         self.neighbour = Neighbour(Sender("desk", "2b"), 0.0)
 
     def show(self, *names: str, type_name: str = "std_msgs/Bool") -> None:
