@@ -120,7 +120,7 @@ class FleetExports:
         self._exports.close()
 
     def _fail(self, name: str, error: Exception) -> None:
-        _note_failure(self._hub, self._post, "failed_topics", name, error)
+        note_failure(self._hub, self._post, "failed_topics", name, error)
 
     def _find(self, topics: tuple[GraphTopic, ...]) -> dict[str, tuple[TopicState, str]]:
         robots = {robot.name: robot for robot in self._hub.robots.here() if is_shareable(robot)}
@@ -249,12 +249,12 @@ class _RemoteTopics:
             self._post.counts["refused"] += 1
 
     def _refuse(self, topic: str, error: Exception) -> None:
-        _note_failure(self._hub, self._post, "refused_topics", topic, error)
+        note_failure(self._hub, self._post, "refused_topics", topic, error)
         if isinstance(error, HostlinkError):
             self._log_once("fleet.topic_refused", topic=topic, reason=str(error))
 
     def _fail(self, topic: str, error: Exception) -> None:
-        _note_failure(self._hub, self._post, "failed_topics", topic, error)
+        note_failure(self._hub, self._post, "failed_topics", topic, error)
 
 
 class FleetImports:
@@ -295,10 +295,10 @@ class FleetImports:
             shown.demand(subscribed)
 
     def _fail(self, robot: str, error: Exception) -> None:
-        _note_failure(self._hub, self._post, "failed_topics", robot, error)
+        note_failure(self._hub, self._post, "failed_topics", robot, error)
 
 
-def _note_failure(hub: Hub, post: Post, cause: str, name: str, error: Exception) -> None:
+def note_failure(hub: Hub, post: Post, cause: str, name: str, error: Exception) -> None:
     """Count what is refused; what is no refusal is a fault of hostlink."""
     if isinstance(error, HostlinkError):
         post.counts[cause] += 1
