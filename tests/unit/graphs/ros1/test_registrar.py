@@ -44,7 +44,7 @@ class FakeMaster:
             return [[[name, [NODE]] for kind, name in self.known if kind is each] for each in KINDS]
         self.calls.append(method)
         is_there, kind = method.startswith("register"), Kind(method.removeprefix("un").removeprefix("register"))
-        if arguments[0] in self.refused:
+        if is_there and arguments[0] in self.refused:
             raise Refused("no")
         if is_there:
             self.known[kind, arguments[0]] = arguments[1]
