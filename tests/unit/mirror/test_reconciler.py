@@ -287,6 +287,28 @@ def test_a_failure_of_an_earlier_time_does_not_shorten_the_next_pause() -> None:
     assert opened(reconciler, 1.5) == ["a"]
 
 
+def test_specification_that_is_wanted_again_before_anything_was_done_is_left_alone() -> None:
+    for replaces in (False, True):
+        reconciler: Reconciler[str, str] = Reconciler(replaces=replaces)
+        reconciler.want({"a": "x"})
+        opened(reconciler)
+        for other in ({}, {"a": "y"}):
+            reconciler.want(other)
+            reconciler.want({"a": "x"})
+            assert reconciler.next(0.0) is None
+
+
+def test_failure_of_a_specification_that_was_not_wanted_meanwhile_is_forgotten() -> None:
+    reconciler: Reconciler[str, str] = Reconciler(replaces=True)
+    reconciler.want({"a": "x"})
+    opened(reconciler)
+    for _ in range(2):
+        reconciler.want({"a": "y"})
+        assert opened(reconciler, refused="a") == ["a"]
+        reconciler.want({"a": "x"})
+        assert opened(reconciler) == []
+
+
 def test_what_is_not_replaced_stays() -> None:
     reconciler: Reconciler[str, str] = Reconciler(replaces=True)
     reconciler.want({"a": "x"})
