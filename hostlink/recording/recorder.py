@@ -5,18 +5,20 @@ import fnmatch
 import functools
 from collections import defaultdict
 from collections.abc import Hashable, Iterable, Mapping
+from operator import attrgetter
 from typing import Any
 
 import msgspec
 
 from hostlink import logs
-from hostlink.errors import WrongType
+from hostlink.errors import HostlinkError
 from hostlink.hub.graph import OBSERVERS, GraphTopic
 from hostlink.hub.hub import Hub
 from hostlink.hub.message import Message
 from hostlink.hub.node import Node
 from hostlink.hub.robot_events import EventKind, RobotEvent
 from hostlink.hub.subscription import Subscription
+from hostlink.mirror.mirror import Mirror
 from hostlink.recording.channel import (
     DEVICE,
     EVENTS,
@@ -33,6 +35,7 @@ from hostlink.robot.velocity import PlanarVelocity, Twist
 
 _ENCODER = msgspec.json.Encoder(enc_hook=str)
 _KINDS = {kind: kind.value for kind in EventKind}
+RETRY_S = 1.0  # of a topic whose type has changed while it was subscribed to
 GROUP = OBSERVERS  # a subscription of a recorder alone does not make a topic worth recording
 
 
@@ -61,7 +64,9 @@ class Recorder:
     def __init__(self, hub: Hub, sink: Sink, selection: Selection) -> None:
         self._hub, self._sink, self._selection = hub, sink, selection
         self._participant = hub.join_daemon(group=GROUP)
-        self._subscriptions: dict[str, tuple[GraphTopic, Subscription]] = {}
+        self._subscriptions = Mirror[str, GraphTopic, Subscription](
+            self._subscribe, self._fail, retry_s=RETRY_S, is_same=_is_same
+        )
         self._names = _NamesByRobot()
         self._version = -1  # of the graph
         self._parameters: dict[str, Any] | None = None
@@ -69,7 +74,7 @@ class Recorder:
     @property
     def topics(self) -> list[str]:
         """Topics that are recorded now."""
-        return sorted(self._subscriptions)
+        return sorted(self._subscriptions.endpoints)
 
     def start(self) -> None:
         """Start recording."""
@@ -81,6 +86,7 @@ class Recorder:
     def stop(self) -> None:
         """Stop recording. Nothing more is put into the sink."""
         logs.listeners.pop(self, None)
+        self._subscriptions.close()
         self._participant.leave()
 
     def note_parameters(self, stamp_ns: int) -> None:
@@ -95,21 +101,13 @@ class Recorder:
         self._version = news.version
         changed = dict(news.topics)
         if news.is_whole:
-            changed |= dict.fromkeys(self._subscriptions.keys() - changed.keys())
+            changed |= dict.fromkeys(self._subscriptions.wanted.keys() - changed.keys())
         for name, topic in changed.items():
             self._names.put(name, is_there=topic is not None)
         for name in self._names.of(news.robots) - changed.keys():  # the robot of these topics may have changed
             changed[name] = self._participant.view.topic(name)
         for name, topic in changed.items():
-            self._follow(name, topic)
-
-    def _follow(self, name: str, topic: GraphTopic | None) -> None:
-        wanted = None if topic is None or not self._is_wanted(topic) else _fixed(topic)
-        present = self._subscriptions.get(name)
-        if present is not None and present[0] != wanted:
-            self._subscriptions.pop(name)[1].close()
-        if wanted is not None and topic is not None and (present is None or present[0] != wanted):
-            self._subscribe(wanted, topic)
+            self._subscriptions.put(name, topic if topic is not None and self._is_wanted(topic) else None)
 
     def _is_wanted(self, topic: GraphTopic) -> bool:
         if not topic.type_name or (topic.is_derived and not self._selection.has_derived):
@@ -118,7 +116,7 @@ class Recorder:
             return False
         return self._selection.has(topic.name, self._robot_of(topic.name))
 
-    def _subscribe(self, key: GraphTopic, topic: GraphTopic) -> None:
+    def _subscribe(self, _: str, topic: GraphTopic) -> Subscription:
         robot = self._robot_of(topic.name)
         channel = ros_channel(
             topic.name,
@@ -130,11 +128,12 @@ class Recorder:
         )
         self._sink.announce(channel)
         receive = functools.partial(self._receive, channel, robot)
-        try:
-            subscription = self._participant.subscribe(topic.name, receive, type_name=topic.type_name)
-        except WrongType:  # the type has changed meanwhile; another change follows
-            return
-        self._subscriptions[topic.name] = key, subscription
+        return self._participant.subscribe(topic.name, receive, type_name=topic.type_name)
+
+    def _fail(self, topic: str, error: Exception) -> None:
+        """Ignore a WrongType: the type has changed meanwhile, and another change follows."""
+        if not isinstance(error, HostlinkError):
+            self._hub.isolation.crashed("participant", error, participant=GROUP, topic=topic)
 
     def _robot_of(self, topic: str) -> str:
         """Return the robot of a topic, by its name or by the device that publishes it; empty if none."""
@@ -208,9 +207,12 @@ def _first_part(name: str) -> str:
     return name.lstrip("/").partition("/")[0]
 
 
-def _fixed(topic: GraphTopic) -> GraphTopic:
-    """Reduce a topic to the parts that determine its channel. Other subscribers do not change it."""
-    return dataclasses.replace(topic, type=None, is_published=True, is_subscribed=True, is_derived=False)
+_facts_of_channel = attrgetter("name", "type_name", "is_latched", "is_velocity")
+
+
+def _is_same(before: GraphTopic, now: GraphTopic) -> bool:
+    """Whether two topics have the same channel. Other subscribers do not change it."""
+    return bool(_facts_of_channel(before) == _facts_of_channel(now))
 
 
 def _shown(velocity: PlanarVelocity) -> dict[str, float]:

@@ -11,15 +11,13 @@ from structlog.testing import capture_logs
 
 from hostlink.graphs.ros2_types import Ros2Types
 from hostlink.graphs.zenoh import rmw_publishers
-from hostlink.graphs.zenoh.rmw_attachment import Attachment
+from hostlink.graphs.zenoh.rmw_endpoints import RmwNode
 from hostlink.graphs.zenoh.rmw_graph import RemoteGraph
-from hostlink.graphs.zenoh.rmw_node import RmwNode
-from hostlink.graphs.zenoh.rmw_once import MAX_LINES, Once
+from hostlink.graphs.zenoh.rmw_protocol import TELEMETRY, Attachment, EndpointToken, Kind, NodeToken, gid_of
 from hostlink.graphs.zenoh.rmw_publishers import Publishers
-from hostlink.graphs.zenoh.rmw_qos import TELEMETRY
-from hostlink.graphs.zenoh.rmw_token import EndpointToken, Kind, NodeToken, gid_of
 from hostlink.graphs.zenoh.session import Session
 from hostlink.hub.hub import Hub
+from hostlink.mirror.log_once import LogOnce
 from hostlink.robot.velocity import PlanarVelocity
 from tests.support.fake_device import CATALOG
 from tests.support.participants import ROBOT, Scene, play
@@ -39,7 +37,7 @@ class Remote:
     def __post_init__(self) -> None:
         node = RmwNode(self.hub, NO_SESSION, Ros2Types(CATALOG), NodeToken(0, "ff", 0, "/", "hostlink"), self.counts)
         self.graph = RemoteGraph(0, self.counts)
-        self.publishers = Publishers(node, self.graph, Once(self.counts))
+        self.publishers = Publishers(node, self.graph, LogOnce(self.counts))
 
     def come(self, session: str, *, topic: str = CMD_VEL, type_name: str = TWIST) -> str:
         key = EndpointToken(
@@ -270,6 +268,28 @@ def test_publishers_of_one_process_are_bounded(monkeypatch: pytest.MonkeyPatch) 
     play(test)
 
 
+def test_publisher_that_waited_for_room_drives_after_a_zero(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It may have streamed for long."""
+    monkeypatch.setattr(rmw_publishers, "MAX_PUBLISHERS_OF_SESSION", 1)
+
+    async def test(scene: Scene) -> None:
+        remote = Remote(scene.hub)
+        await asyncio.sleep(rmw_publishers.MATCH_S)
+        first, driver = remote.come("aa", topic="/topic"), remote.come("aa")
+        remote.sent = 100
+        await asyncio.sleep(rmw_publishers.NEW_S + 0.1)
+        remote.drive(gid_of(driver), 0.3)
+        assert remote.counts["unidentified"] == 1
+        remote.go(first)
+        remote.drive(gid_of(driver), 0.3)
+        assert remote.owner() is None
+        remote.drive(gid_of(driver), 0.0)
+        remote.drive(gid_of(driver), 0.3)
+        assert remote.owner() == "ros2 /driver_aa"
+
+    play(test)
+
+
 def test_what_every_node_publishes_for_its_tools_is_left_out() -> None:
     async def test(scene: Scene) -> None:
         remote = Remote(scene.hub)
@@ -281,17 +301,3 @@ def test_what_every_node_publishes_for_its_tools_is_left_out() -> None:
         assert scene.hub.topics.find_or_none("/parameter_events") is None
 
     play(test)
-
-
-def test_names_of_others_cause_a_bounded_number_of_lines() -> None:
-    counts: Counter[str] = Counter()
-    once = Once(counts)
-    with capture_logs() as logs:
-        for number in range(2 * MAX_LINES):
-            once.log("ros2.topic_refused", f"/topic\x1b_{number // 2}", reason="x" * 1000)
-    assert len(logs) == MAX_LINES
-    assert counts["unlogged"] == 0
-    assert "\x1b" not in str(logs)
-    assert max(len(str(log)) for log in logs) < 400
-    once.log("ros2.topic_refused", "/one_more")
-    assert counts["unlogged"] == 1

@@ -19,7 +19,7 @@ from hostlink.config import Config, ZenohConfig
 from hostlink.errors import ServiceFailed
 from hostlink.graphs.ros2_types import Ros2Types
 from hostlink.graphs.zenoh import rmw_publishers
-from hostlink.graphs.zenoh.rmw_token import parse_token
+from hostlink.graphs.zenoh.rmw_protocol import parse_token
 from hostlink.graphs.zenoh.session import MAX_PAYLOAD_BYTES, Token
 from hostlink.hub.message import Message
 from hostlink.protocol.frame import Id

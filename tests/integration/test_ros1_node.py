@@ -10,6 +10,7 @@ import pytest
 from structlog.testing import capture_logs
 
 from hostlink.errors import HostlinkError
+from hostlink.graphs.ros1 import graph_sync, publisher
 from hostlink.graphs.ros1.tcpros import encode_answer, encode_failure, encode_message
 from hostlink.protocol.frame import Id
 from hostlink.robot.admission import LEASE_S
@@ -137,6 +138,29 @@ async def test_stream_through_a_lost_connection_drives_after_a_zero(made: Scene)
         (await publisher.connected()).close()
         await publisher.connected(2)
         await made.velocities(0.1)
+        await drives_after_a_zero(made, speeds_m_s)
+        stream.cancel()
+
+
+async def test_publisher_that_waited_for_room_is_connected_and_drives_after_a_zero(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """It was new when the master named it, and has streamed since then."""
+    monkeypatch.setattr(graph_sync, "MAX_PUBLISHERS", 1)
+    speeds_m_s = [0.2]
+    async with (
+        plain_scene() as made,
+        fake_publisher(TWIST_TYPE) as first,
+        fake_publisher(TWIST_TYPE) as second,
+        asyncio.TaskGroup() as tasks,
+    ):
+        stream = tasks.create_task(streaming(second, speeds_m_s))
+        await made.update(VELOCITY, first.uri, second.uri)
+        await first.connected()
+        assert made.counts["crowded_out"] == 1
+        await asyncio.sleep(publisher.NEW_S)
+        await made.update(VELOCITY, second.uri)
+        await second.connected()
         await drives_after_a_zero(made, speeds_m_s)
         stream.cancel()
 

@@ -14,9 +14,9 @@ import pytest
 from structlog.testing import capture_logs
 
 from hostlink.config import Config, Ros1Config
-from hostlink.graphs.ros1 import member, publication, service_offer, subscription
-from hostlink.graphs.ros1.outgoing import MAX_MESSAGES
+from hostlink.graphs.ros1 import graph_sync, member, publication, services
 from hostlink.graphs.ros1.rpc import Rpc
+from hostlink.graphs.ros1.wire import MAX_MESSAGES
 from hostlink.graphs.ros1.xml_rpc import Refused, Unreachable, decode_answer, encode_answer, encode_call
 from hostlink.protocol.frame import Id, encode
 from hostlink.robot.velocity import TWIST_TYPE
@@ -114,7 +114,7 @@ async def test_connections_without_a_call_keep_no_master_out() -> None:
 
 
 async def test_idle_callers_of_a_service_keep_nobody_out(made: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(service_offer, "MAX_CALLERS", 2)
+    monkeypatch.setattr(services, "MAX_CALLERS", 2)
     await made.master.knows("Service", "/robot_0/lock")
     header = {"callerid": "/caller", "service": "/robot_0/lock", "md5sum": "*"}
     address = await made.tcpros()
@@ -143,10 +143,9 @@ async def test_subscribers_of_one_topic_have_a_bound(made: Scene, monkeypatch: p
         assert sorted("error" in header for header in headers) == [False, True]
 
 
-async def test_publishers_of_one_topic_have_a_bound(made: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(subscription, "MAX_PUBLISHERS", 3)
+async def test_publishers_of_one_topic_have_a_bound(made: Scene) -> None:
     await made.update("/text", *(f"http://127.0.0.1:{port}/" for port in range(1, 900)))
-    assert made.counts["crowded_out"] == 896
+    assert made.counts["crowded_out"] == 899 - graph_sync.MAX_PUBLISHERS
 
 
 # -- who is slow ------------------------------------------------------------------------------------------------------
@@ -255,7 +254,7 @@ async def test_an_answer_that_would_become_larger_is_none() -> None:
 
 async def test_a_list_of_a_thousand_publishers_fits(made: Scene) -> None:
     await made.update("/text", *(f"http://a-robot-of-some-length.local:{port}/" for port in range(50_000, 51_000)))
-    assert made.counts["crowded_out"] == 1000 - subscription.MAX_PUBLISHERS
+    assert made.counts["crowded_out"] == 1000 - graph_sync.MAX_PUBLISHERS
 
 
 async def test_updates_of_parameters_cost_a_bounded_memory(made: Scene) -> None:

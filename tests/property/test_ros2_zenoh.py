@@ -9,10 +9,8 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, ru
 
 from hostlink.errors import BadPayload
 from hostlink.graphs.ros2_types import Ros2Types
-from hostlink.graphs.zenoh.rmw_attachment import Attachment
 from hostlink.graphs.zenoh.rmw_graph import RemoteGraph
-from hostlink.graphs.zenoh.rmw_qos import TELEMETRY
-from hostlink.graphs.zenoh.rmw_token import EndpointToken, Kind, NodeToken, gid_of
+from hostlink.graphs.zenoh.rmw_protocol import TELEMETRY, Attachment, EndpointToken, Kind, NodeToken, gid_of
 from tests.support.fake_device import CATALOG
 
 TYPES = Ros2Types(CATALOG)

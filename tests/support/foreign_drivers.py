@@ -14,8 +14,7 @@ from typing import Any, cast
 from hostlink.config import Config, ZenohConfig
 from hostlink.errors import CommandRefused, HostlinkError, RefusalKind
 from hostlink.graphs.refusal_log import RefusalLog
-from hostlink.graphs.ros1.counts import Counts
-from hostlink.graphs.ros1.parts import Parts, Spawned
+from hostlink.graphs.ros1.parts import Counts, Parts, Spawned
 from hostlink.graphs.ros1.publisher import _Connection
 from hostlink.graphs.ros1.rpc import Master, Rpc
 from hostlink.graphs.ros1.tcpros import encode_header, encode_message
@@ -24,19 +23,17 @@ from hostlink.graphs.zenoh.fleet import fleet_running
 from hostlink.graphs.zenoh.fleet_drivers import FleetDrivers
 from hostlink.graphs.zenoh.fleet_messages import Answer, Drive, Keys, Sender, State, decode, encode
 from hostlink.graphs.zenoh.fleet_post import Post
-from hostlink.graphs.zenoh.rmw_attachment import Attachment
+from hostlink.graphs.zenoh.rmw_endpoints import RmwNode
 from hostlink.graphs.zenoh.rmw_graph import RemoteGraph
-from hostlink.graphs.zenoh.rmw_node import RmwNode
-from hostlink.graphs.zenoh.rmw_once import Once
+from hostlink.graphs.zenoh.rmw_protocol import TELEMETRY, Attachment, EndpointToken, Kind, NodeToken, gid_of
 from hostlink.graphs.zenoh.rmw_publishers import Publishers
-from hostlink.graphs.zenoh.rmw_qos import TELEMETRY
-from hostlink.graphs.zenoh.rmw_token import EndpointToken, Kind, NodeToken, gid_of
 from hostlink.graphs.zenoh.roster import Roster
 from hostlink.graphs.zenoh.session import Sample, Session
 from hostlink.hub.hub import Hub
 from hostlink.hub.node import Role
 from hostlink.hub.participant import Participant
 from hostlink.hub.robot import Robot
+from hostlink.mirror.log_once import LogOnce
 from hostlink.robot.velocity import TWIST_TYPE, PlanarVelocity
 from tests.support.fake_device import CATALOG
 from tests.support.memory_zenoh import MemoryNetwork, MemorySession
@@ -219,7 +216,7 @@ class RmwDriver:
         own = NodeToken(0, "ff", 0, "/", "hostlink")
         node = RmwNode(scene.hub, cast("Session", None), Ros2Types(CATALOG), own, counts)  # publishers send nothing
         graph = RemoteGraph(0, counts)
-        self._publishers = Publishers(node, graph, Once(counts))
+        self._publishers = Publishers(node, graph, LogOnce(counts))
         self._topic = f"/{ROBOT}/cmd_vel"
         remote = NodeToken(0, "aa", 0, "/", "driver")
         endpoint = EndpointToken(Kind.PUBLISHER, remote, 1, self._topic, ROS2_TWIST, "RIHS01_0", TELEMETRY)

@@ -15,10 +15,9 @@ from hostlink.acceptor import why
 from hostlink.cancellation import raise_if_cancelled
 from hostlink.config import Ros1Config
 from hostlink.errors import ConfigError
-from hostlink.graphs.ros1.counts import Counts
 from hostlink.graphs.ros1.member import CRASHED, Member
 from hostlink.graphs.ros1.names import Names, joined
-from hostlink.graphs.ros1.parts import Parts, Spawn
+from hostlink.graphs.ros1.parts import Counts, Parts, Spawn
 from hostlink.graphs.ros1.port import Port
 from hostlink.graphs.ros1.rpc import Master, Rpc
 from hostlink.graphs.ros1.slave import serving_slave_api
@@ -139,6 +138,7 @@ class _Spawned:
         task = self._group.create_task(self._isolated(work, name), name=name)
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
+        task.add_done_callback(lambda _: work.close())  # it may be cancelled before it begins
         return task
 
     def cancel(self) -> None:

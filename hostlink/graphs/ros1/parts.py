@@ -1,21 +1,50 @@
-"""Parts: what the publications, subscriptions and services of this node have in common."""
+"""Parts: what the publications, publishers and services of this node have in common, and their counts."""
 
 from collections.abc import Callable, Coroutine
 from dataclasses import dataclass, field
+from enum import StrEnum
 from typing import Any, Protocol
 
-import structlog
-
-from hostlink.graphs.ros1.counts import Counts
 from hostlink.graphs.ros1.rpc import Master, Rpc
 from hostlink.hub.hub import Hub
 from hostlink.hub.participant import Participant
-
-log = structlog.get_logger()
+from hostlink.mirror.log_once import LogOnce
 
 GROUP = "ros1"
 TIMEOUT_S = 5.0  # to connect to another node, and for its header
-MAX_LOGGED = 512  # lines that are written once, each for a name
+
+
+class Kind(StrEnum):
+    """What can be registered; the value is the master's word for it."""
+
+    PUBLISHER = "Publisher"
+    SUBSCRIBER = "Subscriber"
+    SERVICE = "Service"
+
+    __hash__ = str.__hash__  # an Enum's own is in Python: a tenth of a second for a thousand robots
+
+
+@dataclass(slots=True)
+class Counts:
+    """Since the start. What a limit or a policy has cost has a name here."""
+
+    messages_from_ros: int = 0
+    messages_to_ros: int = 0
+    dropped_to_slow_subscribers: int = 0
+    superseded_velocities: int = 0  # a newer one was in the same piece of the stream
+    refused_messages: int = 0  # by a robot, a gate or a lock
+    malformed_messages: int = 0  # bytes that are not of the type that was agreed upon
+    too_large_messages: int = 0
+    refused_connections: int = 0  # too many, or from where nobody may connect
+    refused_headers: int = 0  # no header, or one for what is not here
+    refused_calls: int = 0  # of the slave API: no XML-RPC, or unknown
+    failed_services: int = 0
+    re_registrations: int = 0  # the master had forgotten this node
+    crowded_out: int = 0  # publishers and services of the graph over a bound
+
+    def as_dict(self) -> dict[str, int]:
+        """By name."""
+        return {name: getattr(self, name) for name in Counts.__slots__}
 
 
 class Spawned(Protocol):
@@ -43,16 +72,8 @@ class Parts:
     spawn: Spawn
     max_message_bytes: int
     max_publishers: int  # connections to other nodes, of all topics
-    publishers: set[object] = field(default_factory=set)
-    _logged: set[tuple[str, ...]] = field(default_factory=set)
+    log_once: LogOnce = field(default_factory=LogOnce)
 
     def join(self, who: str, on_end: Callable[[], None] = lambda: None) -> Participant:
         """Another node takes part in the hub, until it leaves."""
         return self.hub.join(f"{GROUP} {who}"[:64], group=GROUP, on_end=on_end)
-
-    def log_once(self, event: str, **facts: str) -> None:
-        """A line that is not repeated: what is tried again and again fails in the same way."""
-        key = (event, *facts.values())
-        if key not in self._logged and len(self._logged) < MAX_LOGGED:
-            self._logged.add(key)
-            log.warning(event, **facts)

@@ -15,7 +15,7 @@ from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
 from hostlink.acceptor import Acceptor, bind
-from hostlink.graphs.ros1.counts import Counts
+from hostlink.graphs.ros1.parts import Counts
 from hostlink.hub.spawn import Spawn
 from hostlink.listening import close_all
 

@@ -1,9 +1,8 @@
 """Publication: one topic that somebody here publishes, to the nodes of ROS that subscribe to it."""
 
 from hostlink.errors import HostlinkError
-from hostlink.graphs.ros1.handshake import refusal
 from hostlink.graphs.ros1.parts import Parts
-from hostlink.graphs.ros1.tcpros import Header, encode_message
+from hostlink.graphs.ros1.tcpros import Header, encode_message, refusal
 from hostlink.graphs.ros1.wire import Wire
 from hostlink.hub.message import Message
 from hostlink.hub.participant import Participant

@@ -1,4 +1,4 @@
-"""Publisher: a node of ROS that publishes a topic for us; each is a participant of its own, as long as it is connected.
+"""Publisher: a node of ROS that publishes a topic for us; each is a participant of its own while it is connected.
 
 So the robot that it drives stops when its connection ends, or the master names it no more.
 """
@@ -14,7 +14,6 @@ from hostlink.graphs.refusal_log import RefusalLog
 from hostlink.graphs.ros1.parts import TIMEOUT_S, Parts
 from hostlink.graphs.ros1.tcpros import ANY, BadHeader, Header, decode_header
 from hostlink.graphs.ros1.wire import Wire
-from hostlink.graphs.ros1.xml_rpc import Refused, Unreachable
 from hostlink.hub.graph import GraphTopic
 from hostlink.hub.participant import Participant
 from hostlink.logs import printable
@@ -23,20 +22,19 @@ from hostlink.robot.admission import EarlierMotion
 
 log = structlog.get_logger()
 
-FIRST_RETRY_S, LONGEST_RETRY_S = 0.1, 8.0
+NEW_S = 1.0  # after the master has named it, a new publisher is connected; later it may be in the middle of a motion
 MAX_REASON = 200  # characters in the log
 MAX_PORT = 0xFFFF
-_FAILURES = (Unreachable, Refused, BadHeader, HostlinkError, OSError)  # a TimeoutError is an OSError
 
 
 class Publisher:
-    """Connected again and again, until `run` is cancelled and it is closed."""
+    """`receive` connects once; whoever calls it again connects again. `close` comes before its end."""
 
     def __init__(self, parts: Parts, topic: GraphTopic, name: str, uri: str, *, is_new: bool) -> None:
         """`name`: of the topic in ROS; `is_new`: it came after the subscription, so what it publishes first is new."""
         self.uri = uri
         self._parts, self._topic, self._name = parts, topic, name
-        self._is_new = is_new
+        self._new_until_s = asyncio.get_running_loop().time() + NEW_S if is_new else 0.0
         self._refusals = RefusalLog()
         self._connection: _Connection | None = None
 
@@ -45,31 +43,23 @@ class Publisher:
         """Whether its messages come."""
         return self._connection is not None and self._connection.is_accepted
 
-    async def run(self) -> None:
-        """Receive; after a failure try again, later each time."""
-        retry_s = FIRST_RETRY_S
-        while True:
-            try:
-                await self._receive()
-                retry_s = FIRST_RETRY_S
-            except _FAILURES as error:
-                reason = printable(str(error) or type(error).__name__, MAX_REASON)
-                self._parts.log_once("ros1.publisher_failed", topic=self._name, uri=printable(self.uri), reason=reason)
-            await asyncio.sleep(retry_s)
-            retry_s = min(retry_s * 2, LONGEST_RETRY_S)
-
     def close(self) -> None:
         """What it drives stops."""
         if self._connection is not None:
             self._connection.wire.close()
 
-    async def _receive(self) -> None:
-        """One connection, from the request for it to its end."""
+    async def receive(self) -> None:
+        """Hold one connection, from the request for it to its end.
+
+        Raises:
+            Unreachable, Refused, BadHeader, HostlinkError, OSError: there is none; a TimeoutError is an OSError.
+        """
+        is_new = asyncio.get_running_loop().time() < self._new_until_s
+        self._new_until_s = 0.0  # tried again, it may be in the middle of what it did before
         async with asyncio.timeout(TIMEOUT_S):
             found = await self._parts.rpc.call(self.uri, "requestTopic", self._parts.node, self._name, [["TCPROS"]])
             host, port = _address(found)
-        connection = _Connection(self._parts, self._topic, self._refusals, is_new=self._is_new)
-        self._connection, self._is_new = connection, False  # connected again, it may go on with what it did before
+        connection = self._connection = _Connection(self._parts, self._topic, self._refusals, is_new=is_new)
         try:
             async with asyncio.timeout(TIMEOUT_S):
                 await asyncio.get_running_loop().create_connection(lambda: connection.wire, host, port)

@@ -7,12 +7,12 @@ from typing import Any
 
 import structlog
 
-from hostlink.graphs.ros1.border import Border
-from hostlink.graphs.ros1.master_parameters import MasterParameters
-from hostlink.graphs.ros1.parts import Parts
-from hostlink.graphs.ros1.registrations import Kind, Registration, Registrations
+from hostlink.graphs.ros1.graph_sync import GraphSync
+from hostlink.graphs.ros1.parameters import MasterParameters
+from hostlink.graphs.ros1.parts import Kind, Parts
 from hostlink.graphs.ros1.xml_rpc import Refused, Unreachable
 from hostlink.logs import printable
+from hostlink.mirror.reconciler import Close, Reconciler
 
 log = structlog.get_logger()
 
@@ -27,7 +27,7 @@ class Registrar:
     def __init__(
         self,
         parts: Parts,
-        border: Border,
+        sync: GraphSync,
         parameters: MasterParameters,
         service_uri: str,
         *,
@@ -35,9 +35,9 @@ class Registrar:
         on_collision: Callable[[str], None],
     ) -> None:
         """`on_services`: the node of each service in the graph; `on_collision`: another node has this name."""
-        self._parts, self._border, self._parameters, self._service_uri = parts, border, parameters, service_uri
+        self._parts, self._sync, self._parameters, self._service_uri = parts, sync, parameters, service_uri
         self._on_services, self._on_collision = on_services, on_collision
-        self._registrations = Registrations()
+        self._registrations: Reconciler[tuple[Kind, str], str] = Reconciler(replaces=True, retry_s=STATE_INTERVAL_S)
         self._changed = asyncio.Event()
         self._is_reachable: bool | None = None  # None: it was not called yet
         self._state_at_s = float("-inf")
@@ -65,49 +65,50 @@ class Registrar:
         """Unregister all, as far as there is time."""
         with contextlib.suppress(TimeoutError, Unreachable):
             async with asyncio.timeout(END_TIMEOUT_S):
-                for registration in list(self._registrations.known):
-                    await self._unregister(registration)
+                for key in self._registrations.open:
+                    await self._unregister(*key)
                 await self._parameters.end()
 
     async def _check_node(self) -> None:
         """The master knows nothing of this node when it began anew, another address when another has its name."""
         found = await self._parts.master.find_node(self._parts.node)
-        known = self._registrations.known
+        known = self._registrations.open
         if found is None:
             if known:
                 self._parts.counts.re_registrations += 1
                 log.warning("ros1.registered_again", master=self._parts.master.uri, count=len(known))
-            self._registrations.forget_all()
+            self._registrations.forget(list(known))
             await self._parameters.renew()
         elif found != self._parts.uri and known:
             self._on_collision(f"another node named {self._parts.node} answers at {printable(found)}")
 
     async def _register(self) -> None:
-        registrations = self._registrations
-        registrations.wanted = self._border.wanted()
-        for registration in registrations.surplus():
-            await self._unregister(registration)
-        for registration in registrations.missing():
+        """One call after another: when the master does not answer, the same call is the next one."""
+        registrations, now_s = self._registrations, asyncio.get_running_loop().time
+        registrations.want(self._sync.wanted())
+        while (action := registrations.next(now_s())) is not None:
+            kind, name = action.key
             try:
-                await self._register_one(registration)
-            except Refused as error:  # it is tried again when the state of the graph is read
-                reason = printable(str(error), 200)
-                self._parts.log_once("ros1.name_refused", name=printable(registration.name), reason=reason)
-            registrations.note(registration)
+                if isinstance(action, Close):
+                    await self._unregister(kind, name)
+                else:
+                    await self._register_one(kind, name, action.spec)
+                registrations.done(action)
+            except Refused as error:
+                assert not isinstance(action, Close)  # noqa: S101 - a refusal to unregister is kept there
+                registrations.failed(action, now_s())
+                self._parts.log_once("ros1.name_refused", name=name, reason=str(error))
 
-    async def _register_one(self, registration: Registration) -> None:
-        kind, name, type_name = registration
+    async def _register_one(self, kind: Kind, name: str, type_name: str) -> None:
         third = self._service_uri if kind is Kind.SERVICE else type_name
         answer = await self._parts.master.call(f"register{kind.value}", name, third, self._parts.uri)
         if kind is Kind.SUBSCRIBER and isinstance(answer, list):
-            self._border.set_publishers(name, [str(uri) for uri in answer], is_answer=True)
+            self._sync.set_publishers(name, [str(uri) for uri in answer], is_answer=True)
 
-    async def _unregister(self, registration: Registration) -> None:
-        kind, name, _ = registration
+    async def _unregister(self, kind: Kind, name: str) -> None:
         uri = self._service_uri if kind is Kind.SERVICE else self._parts.uri
-        with contextlib.suppress(Refused):  # the master knows it no more
+        with contextlib.suppress(Refused):  # the master does not know it any more
             await self._parts.master.call(f"unregister{kind.value}", name, uri)
-        self._registrations.forget(registration)
 
     async def _read_state(self) -> None:
         """Which services there are, and what of this node is still registered."""
@@ -117,7 +118,9 @@ class Registrar:
         self._state_at_s = now_s
         state = _nodes_by_name(await self._parts.master.call("getSystemState"))
         own = {kind: {name for name, nodes in state[kind].items() if self._parts.node in nodes} for kind in Kind}
-        if self._registrations.keep(own):
+        forgotten = [(kind, name) for kind, name in self._registrations.open if name not in own[kind]]
+        if forgotten:
+            self._registrations.forget(forgotten)
             self._parts.counts.re_registrations += 1
             self.note_change()
         self._on_services({name: nodes[-1] for name, nodes in state[Kind.SERVICE].items() if nodes})

@@ -6,10 +6,14 @@ A header is a length and fields of a length and `key=value` each; a message is a
 from collections.abc import Iterator, Mapping
 from struct import Struct
 
+from hostlink.logs import printable
+from hostlink.messages.message_type import MessageType, ServiceType
+
 MAX_HEADER_BYTES = 256 * 1024  # the definition of a message with all that it contains stands in it
 MAX_FIELDS = 64
 LENGTH_BYTES = 4
 ANY = "*"  # the type and the md5 sum of whoever wants to learn them
+REQUIRED = ("callerid", "md5sum")  # fields of the header of whoever connects
 
 _LENGTH = Struct("<I")
 
@@ -46,6 +50,16 @@ def decode_header(body: bytes) -> dict[str, str]:
             raise BadHeader("a field is no key=value")
         fields[key.decode(errors="replace")] = value.decode(errors="replace")
     return fields
+
+
+def refusal(header: Header, name: str, type_: MessageType | ServiceType) -> str | None:
+    """The error that it is answered; None: the header is right for the topic or service `name`."""
+    for field in REQUIRED:
+        if field not in header:
+            return f"missing field {field}"
+    if header["md5sum"] not in (ANY, type_.md5):
+        return f"{name} is a {type_.name} with md5 {type_.md5}, not {printable(header['md5sum'])}"
+    return None
 
 
 def encode_message(payload: bytes) -> bytes:

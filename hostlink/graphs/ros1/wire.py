@@ -1,20 +1,53 @@
 """Wire: one TCPROS connection. What comes is read in its turns; what leaves waits in a bounded queue."""
 
 import asyncio
+from collections import deque
 from collections.abc import Callable
 
-from hostlink.graphs.ros1.outgoing import Outgoing
 from hostlink.graphs.ros1.tcpros import MAX_HEADER_BYTES, Header, MessageStream, encode_header
 from hostlink.hub.hub import Hub
 from hostlink.transport.connection import Connection
 from hostlink.transport.socket_options import set_options
 
+MAX_MESSAGES = 256
+MAX_BYTES = 8 * 1024 * 1024
+BATCH_BYTES = 64 * 1024  # that one write passes to the system
 PIECE_BYTES = 512  # of small messages, between two of which others may have their turn
 SYSTEM_BYTES = 64 * 1024  # in the kernel, each way: what waits there cannot be replaced
 CLOSE_TIMEOUT_S = 1.0
 USER_TIMEOUT_MS = 30_000  # a subscriber in a debugger may come back
 
 Receive = Callable[[list[bytes]], None]
+
+
+class Outgoing:
+    """What waits for one subscriber, in order; of too much the oldest is dropped and counted. The newest stays."""
+
+    def __init__(self) -> None:
+        self.dropped = 0
+        self._waiting: deque[bytes] = deque()
+        self._bytes = 0
+
+    def __bool__(self) -> bool:
+        return bool(self._waiting)
+
+    def put(self, data: bytes) -> None:
+        """One more message."""
+        self._waiting.append(data)
+        self._bytes += len(data)
+        while len(self._waiting) > MAX_MESSAGES or (self._bytes > MAX_BYTES and len(self._waiting) > 1):
+            self._bytes -= len(self._waiting.popleft())
+            self.dropped += 1
+
+    def pop_batch(self) -> bytes:
+        """The oldest messages, BATCH_BYTES or a little more of them."""
+        batch: list[bytes] = []
+        size = 0
+        while self._waiting and size < BATCH_BYTES:
+            batch.append(self._waiting.popleft())
+            size += len(batch[-1])
+        self._bytes -= size
+        return batch[0] if len(batch) == 1 else b"".join(batch)
 
 
 class Wire(Connection):

@@ -1,4 +1,4 @@
-"""The bridge: compares both graphs, and runs a route for whatever one has and the other is to have."""
+"""The bridge: runs a route for whatever one graph has and the other is to have."""
 
 import asyncio
 import contextlib
@@ -10,16 +10,19 @@ from typing import Any
 from hostlink.client import Host, connect
 from hostlink.client.connection import waits
 from hostlink.errors import HostlinkError
-from hostlink.graphs.ros2.log_lines import relay_log_lines
 from hostlink.graphs.ros2.node import Ros2Node, ros2_node
 from hostlink.graphs.ros2.parameters import ParameterMirror
-from hostlink.graphs.ros2.plan import Feed, Plan, Route, planned, publisher_keys, watched_topics
+from hostlink.graphs.ros2.plan import Feed, Route, planned, publisher_keys, watched_topics
 from hostlink.graphs.ros2.routes import Routes
-from hostlink.graphs.ros2.sim_time import SimTime
 from hostlink.graphs.ros2.velocity import Report, VelocityDriver
+from hostlink.mirror.log_once import LogOnce
+from hostlink.mirror.mirror import Mirror, Served
 
 GROUP = "ros2"
 TICK_S = 0.2  # ROS 2's own discovery takes half a second and more
+FIRST_RETRY_S, LONGEST_RETRY_S = 1.0, 60.0  # of a route that failed; its type may be installed in the meantime
+ROSOUT = "/rosout"
+_INFO, _WARN, _ERROR, _FATAL = 2, 4, 8, 16  # of rosgraph_msgs/Log
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -80,60 +83,82 @@ class Bridge:
 
     def __init__(self, host: Host, node: Ros2Node, velocity: VelocityDriver, report: Report) -> None:
         self._host, self._node, self._velocity, self._report = host, node, velocity, report
-        self._sim_time = SimTime(node)
-        self._routes = Routes(node, host, velocity, stamp=self._sim_time.stamp)
-        self._running: dict[Route, asyncio.Task[None]] = {}
-        self._reported: set[str] = set()
+        self._routes = Routes(node, host, velocity)
+        self._log_once = LogOnce()
 
     async def run(self) -> None:
         """Until cancelled."""
         async with self._velocity.running(), self._routes.running(), asyncio.TaskGroup() as tasks:
-            tasks.create_task(self._follow_connection())
+            mirror: Mirror[Route, Route, Served[Route]] = Mirror.of_tasks(
+                lambda _, route: self._routes.run(route),
+                tasks.create_task,
+                self._fail,
+                retry_s=FIRST_RETRY_S,
+                longest_s=LONGEST_RETRY_S,
+            )
+            tasks.create_task(self._follow_connection(mirror))
             tasks.create_task(relay_log_lines(self._host, self._node))
             tasks.create_task(ParameterMirror(self._node, self._host).run())
             graphs = await self._host.watch_graph()
             graph = await anext(graphs)
             while True:
                 graph = (graphs.pop_all() or [graph])[-1]
-                await self._update(graph, tasks)
+                mirror.want(await self._routes_of(graph))
                 await asyncio.sleep(TICK_S)
 
-    async def _update(self, graph: Mapping[str, Any], tasks: asyncio.TaskGroup) -> None:
+    async def _routes_of(self, graph: Mapping[str, Any]) -> dict[Route, Route]:
+        """The routes that both graphs need; a feed comes after its publication."""
         ros2 = await self._node.graph(watched_topics(graph))
-        self._sim_time.update()
         self._velocity.update((robot["name"] for robot in graph["robots"]), publisher_keys(ros2))
-        self._apply(planned(graph, ros2), tasks)
-
-    def _apply(self, plan: Plan, tasks: asyncio.TaskGroup) -> None:
+        plan = planned(graph, ros2)
         for problem in plan.problems:
             self._report_once(problem)
-        for route in self._running.keys() - plan.routes:
-            self._running.pop(route).cancel()
-        for route in sorted(plan.routes - self._running.keys(), key=lambda route: isinstance(route, Feed)):
-            self._running[route] = tasks.create_task(self._run(route))
+        return {route: route for route in sorted(plan.routes, key=lambda route: isinstance(route, Feed))}
 
-    async def _run(self, route: Route) -> None:
-        """A route that cannot be is reported, and touches no other; one that lost its connection is made again."""
-        try:
-            await self._routes.run(route)
-        except HostlinkError as error:
-            if self._host.is_connected:
-                self._report_once(str(error))
-            else:
-                self._running.pop(route, None)
-        except Exception as error:  # noqa: BLE001 - rclpy's errors have no common class
+    def _fail(self, route: Route, error: Exception) -> None:
+        if not isinstance(error, HostlinkError):  # rclpy's errors have no common class
             self._report_once(f"{route}: {type(error).__name__}: {error}")
+        elif self._host.is_connected:
+            self._report_once(str(error))
 
-    async def _follow_connection(self) -> None:
+    async def _follow_connection(self, mirror: Mirror[Route, Route, Served[Route]]) -> None:
+        """What has failed without a connection is tried again with the next one."""
         async for change in self._host.connection():
             self._report(change.reason or f"connected to hostlink at {self._host.url} again")
+            if not change.reason:
+                mirror.retry()
 
     def _report_once(self, text: str) -> None:
-        if text not in self._reported:
-            self._reported.add(text)
+        if self._log_once.is_new(text):
             self._report(text)
 
 
 def _fail(crash: "asyncio.Future[None]", error: BaseException) -> None:
     if not crash.done():
         crash.set_exception(HostlinkError(f"rclpy has failed: {type(error).__name__}: {error}"))
+
+
+async def relay_log_lines(host: Host, node: Ros2Node) -> None:
+    """Show log lines of devices in ROS 2's log, on /rosout and on the terminal, until cancelled.
+
+    Raises:
+        HostlinkError: there is no connection.
+    """
+    async with host.subscribe(ROSOUT, type_name="rosgraph_msgs/Log") as lines:
+        async for line in lines:
+            write_line(node.node.get_logger(), line)
+
+
+def write_line(logger: Any, line: Mapping[str, Any]) -> None:
+    """One line, at its level; rclpy allows a place in the code one level only."""
+    level, text = line["level"], f"{line['name']}: {line['msg']}"
+    if level >= _FATAL:
+        logger.fatal(text)
+    elif level >= _ERROR:
+        logger.error(text)
+    elif level >= _WARN:
+        logger.warning(text)
+    elif level >= _INFO:
+        logger.info(text)
+    else:
+        logger.debug(text)

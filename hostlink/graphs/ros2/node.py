@@ -3,6 +3,7 @@
 import asyncio
 import contextlib
 import importlib
+import struct
 import threading
 from collections.abc import AsyncIterator, Callable, Iterable, Iterator
 from typing import Any, TypeVar
@@ -21,6 +22,7 @@ from hostlink.graphs.ros2.qos import Qos
 
 NODE_NAME = "hostlink"
 END_TIMEOUT_S = 2.0  # of the executor's thread
+_STAMP = struct.Struct("<iI")
 Result = TypeVar("Result")
 
 
@@ -33,6 +35,7 @@ class Ros2Node:
         self._executor = executor
         self._loop = asyncio.get_running_loop()
         self._published: dict[str, Any] = {}  # rclpy's publishers by the daemon's topic
+        self._is_sim_time = False
 
     async def run(self, function: Callable[[], Result]) -> Result:
         """Call a function in rclpy's thread; what it raises is raised here."""
@@ -57,6 +60,13 @@ class Ros2Node:
     def warn(self, text: str) -> None:
         """A warning in ROS 2's log: on the terminal and on /rosout."""
         self.node.get_logger().warning(text)
+
+    def stamp(self) -> bytes:
+        """The time of /clock, as CDR has it; empty without `use_sim_time`: then the daemon's time is the node's."""
+        if not self._is_sim_time:
+            return b""
+        now = self.node.get_clock().now().to_msg()
+        return _STAMP.pack(now.sec, now.nanosec)
 
     # -- the node's ends ----------------------------------------------------------------------------------------------
 
@@ -124,6 +134,7 @@ class Ros2Node:
         return await self.run(lambda: self._graph(wanted))
 
     def _graph(self, topics: Iterable[str]) -> Ros2Graph:
+        self._is_sim_time = bool(self.node.get_parameter("use_sim_time").value)
         readers = {topic for topic, made in self._published.items() if made.get_subscription_count()}
         return Ros2Graph(
             publishers={topic: tuple(self._publishers(topic)) for topic in topics},

@@ -4,14 +4,13 @@ import asyncio
 import contextlib
 import functools
 from collections import defaultdict
-from collections.abc import AsyncIterator, Callable, Mapping
+from collections.abc import AsyncIterator, Mapping
 from typing import Any, assert_never
 
 from hostlink.client import Host
 from hostlink.errors import BadPayload, HostlinkError
 from hostlink.graphs.ros2.conversion import stamped
 from hostlink.graphs.ros2.echoes import Echoes
-from hostlink.graphs.ros2.inbox import Inbox
 from hostlink.graphs.ros2.names import ros1_type, ros2_type
 from hostlink.graphs.ros2.node import Ros2Node, load_type
 from hostlink.graphs.ros2.plan import (
@@ -28,6 +27,7 @@ from hostlink.graphs.ros2.qos import COMMAND, publisher_qos
 from hostlink.graphs.ros2.types import Types
 from hostlink.graphs.ros2.values import fill, to_json
 from hostlink.graphs.ros2.velocity import VelocityDriver
+from hostlink.mirror.inbox import Inbox
 from hostlink.robot.velocity import Twist
 
 INBOX_DEPTH = 64  # messages of a topic from ROS 2 that wait to be sent
@@ -38,9 +38,8 @@ CALL_TIMEOUT_S = 60.0  # of a service of ROS 2; as the daemon's for a program's
 class Routes:
     """Runs one route at a time for whoever calls `run`; all share the node, the connection and the types."""
 
-    def __init__(self, node: Ros2Node, host: Host, velocity: VelocityDriver, *, stamp: Callable[[], bytes]) -> None:
-        """`stamp`: the time of ROS 2 where it is not this computer's; empty: it is."""
-        self._node, self._host, self._velocity, self._stamp = node, host, velocity, stamp
+    def __init__(self, node: Ros2Node, host: Host, velocity: VelocityDriver) -> None:
+        self._node, self._host, self._velocity = node, host, velocity
         self._types = Types()
         self._echoes: defaultdict[str, Echoes] = defaultdict(Echoes)
         self._publishers: dict[Publication, asyncio.Future[Any]] = {}
@@ -102,18 +101,18 @@ class Routes:
                 except BadPayload:
                     self.malformed += 1
                     continue
-                if has_header and (stamp := self._stamp()):
+                if has_header and (stamp := self._node.stamp()):
                     data = stamped(data, stamp)
                 echoes.publish(data)
                 publisher.publish(data)
 
     async def _receive(self, route: Reception) -> None:
         cls = await self._types.message(self._host, route.type_name, route.ros2_type)
-        inbox: Inbox[bytes] = Inbox(INBOX_DEPTH)
+        inbox: Inbox[bytes] = Inbox(max_waiting=INBOX_DEPTH)
         echoes = self._echoes[route.topic]
         async with (
             self._host.advertise(route.topic, route.type_name, is_latched=route.qos.is_latched),
-            self._node.subscription(route.topic, cls, route.qos, inbox.put, is_raw=True),
+            self._node.subscription(route.topic, cls, route.qos, functools.partial(inbox.put, ""), is_raw=True),
         ):
             async for data in inbox:
                 if not echoes.is_echo(data):
@@ -129,10 +128,10 @@ class Routes:
 
     async def _drive(self, route: VelocityInput) -> None:
         cls, is_stamped = load_type(route.ros2_type), route.ros2_type == TWIST_STAMPED
-        inbox: Inbox[tuple[Any, Mapping[str, Any]]] = Inbox(COMMAND_INBOX_DEPTH)
+        inbox: Inbox[tuple[Any, Mapping[str, Any]]] = Inbox(max_waiting=COMMAND_INBOX_DEPTH)
 
         def receive(message: Any, info: Mapping[str, Any]) -> None:
-            inbox.put((message, info))
+            inbox.put("", (message, info))
 
         with self._velocity.driving(route):
             async with self._node.subscription(route.topic, cls, COMMAND, receive, is_raw=False):

@@ -12,7 +12,6 @@ from structlog.contextvars import bound_contextvars
 from hostlink.config import ZenohConfig
 from hostlink.errors import BadPayload
 from hostlink.graphs.zenoh.fleet_drivers import FleetDrivers
-from hostlink.graphs.zenoh.fleet_imports import MAX_MESSAGE_BYTES
 from hostlink.graphs.zenoh.fleet_messages import (
     MAX_REQUEST_BYTES,
     MAX_STATE_BYTES,
@@ -26,8 +25,7 @@ from hostlink.graphs.zenoh.fleet_post import Post
 from hostlink.graphs.zenoh.fleet_requests import FleetRequests
 from hostlink.graphs.zenoh.fleet_robots import FleetRobots
 from hostlink.graphs.zenoh.fleet_states import FleetStates
-from hostlink.graphs.zenoh.fleet_tokens import FleetTokens
-from hostlink.graphs.zenoh.fleet_topics import FleetTopics
+from hostlink.graphs.zenoh.fleet_topics import MAX_MESSAGE_BYTES, FleetTopics
 from hostlink.graphs.zenoh.roster import Neighbour, Roster
 from hostlink.graphs.zenoh.session import Declaration, Sample, Session, Token
 from hostlink.hub.hub import Hub
@@ -36,6 +34,7 @@ from hostlink.logs import of_peer, printable
 log = structlog.get_logger()
 
 TICK_S = 0.1
+FIND_INTERVAL_S = 5.0  # between two searches for daemons whose tokens may have been dropped
 
 
 class Fleet:
@@ -194,6 +193,32 @@ class Fleet:
             if state.name in neighbour.robots:
                 neighbour.robots[state.name] = state
                 self._robots.apply((state.name,))
+
+
+class FleetTokens:
+    """Which other daemons have a liveliness token; found anew after something was dropped."""
+
+    def __init__(self, post: Post, receive: Callable[[Token], None]) -> None:
+        self._post, self._receive = post, receive
+        self._subscription: Declaration | None = None
+        self._dropped = 0
+        self._found_at_s = 0.0
+
+    def find(self, now_s: float) -> None:
+        """Learn of all daemons that live, and follow who comes and goes."""
+        self.close()
+        self._dropped, self._found_at_s = self._post.session.counts["dropped"], now_s
+        self._subscription = self._post.session.subscribe_tokens(f"{self._post.keys.fleet}/alive/*/*", self._receive)
+
+    def tick(self, now_s: float) -> None:
+        """Find them again if something was dropped: it may have been a token."""
+        if self._dropped != self._post.session.counts["dropped"] and now_s >= self._found_at_s + FIND_INTERVAL_S:
+            self.find(now_s)
+
+    def close(self) -> None:
+        """Follow nobody any more."""
+        if self._subscription is not None:
+            self._subscription.close()
 
 
 @contextlib.asynccontextmanager

@@ -9,16 +9,17 @@ import msgspec
 import structlog
 
 from hostlink.errors import HostlinkError
-from hostlink.graphs.zenoh.fleet_messages import MAX_STATE_BYTES
+from hostlink.graphs.zenoh.fleet_messages import MAX_STATE_BYTES, Sender
 from hostlink.graphs.zenoh.fleet_post import Post
 from hostlink.graphs.zenoh.fleet_requests import FleetRequests
-from hostlink.graphs.zenoh.fleet_topics import FleetTopics
-from hostlink.graphs.zenoh.inbox import SLICE_S
+from hostlink.graphs.zenoh.fleet_topics import FleetTopics, note_failure
 from hostlink.graphs.zenoh.roster import Place, Roster
 from hostlink.graphs.zenoh.session import Declaration, Sample
 from hostlink.hub.hub import Hub
 from hostlink.hub.robot import LocalRobot, RemoteRobot
 from hostlink.logs import of_peer, printable
+from hostlink.mirror.inbox import SLICE_S
+from hostlink.mirror.mirror import Mirror
 
 log = structlog.get_logger()
 
@@ -42,7 +43,9 @@ class FleetRobots:
         """`receive`: how the robots of one daemon move, while somebody reads it."""
         self._hub, self._post, self._roster = hub, post, roster
         self._requests, self._topics, self._receive = requests, topics, receive
-        self._live: dict[str, Declaration] = {}
+        self._live = Mirror[str, Sender, Declaration](
+            self._subscribe, lambda zid, error: note_failure(hub, post, "failed_topics", zid, error)
+        )
         self._due: OrderedDict[str, None] = OrderedDict()  # names
         self._is_due = False
         self._known_links: dict[str, int] = {}  # of robots here that have a namesake elsewhere
@@ -143,29 +146,21 @@ class FleetRobots:
             for robot in self._hub.robots.remote.values()
             if robot.followers or now_s < robot.odometry.read_at_s + READ_S
         }
-        for zid in self._live.keys() - wanted:
-            self._live.pop(zid).close()
-        for neighbour in self._roster.all():
-            zid = neighbour.sender.zid
-            if zid in wanted and zid not in self._live:
-                self._live[zid] = self._post.session.subscribe(
-                    self._post.keys.key("live", neighbour.sender),
-                    self._receive,
-                    max_bytes=MAX_STATE_BYTES,
-                    max_waiting=MAX_WAITING,
-                )
+        senders = [neighbour.sender for neighbour in self._roster.all()]
+        self._live.want({sender.zid: sender for sender in senders if sender.zid in wanted})
 
     def lose(self, zid: str) -> None:
         """A daemon is gone."""
-        live = self._live.pop(zid, None)
-        if live is not None:
-            live.close()
+        self._live.put(zid, None)
+
+    def _subscribe(self, _: str, sender: Sender) -> Declaration:
+        key = self._post.keys.key("live", sender)
+        return self._post.session.subscribe(key, self._receive, max_bytes=MAX_STATE_BYTES, max_waiting=MAX_WAITING)
 
     def end(self) -> None:
         """Show none any more."""
         self._due.clear()
-        for zid in list(self._live):
-            self.lose(zid)
+        self._live.close()
         for name in list(self._hub.robots.remote):
             self._hub.robots.pop_remote(name)
         for robot in self._hub.robots.here():

@@ -1,17 +1,309 @@
-"""FleetTopics: the topics of robots, both ways: those here for other daemons, and theirs in the graph here."""
+"""Topics of robots, both ways: those here for other daemons, and theirs in the graph here.
 
-from hostlink.errors import BadPayload
+A message travels while somebody subscribes to it at the other end. Robots' topics are shared below their names: a topic
+of a robot that is elsewhere in the graph gets a place there.
+"""
+
+import asyncio
+from collections.abc import Iterable
+
+from hostlink.errors import BadPayload, HostlinkError
 from hostlink.graphs.zenoh.fleet_drivers import FleetDrivers
-from hostlink.graphs.zenoh.fleet_exports import FleetExports
-from hostlink.graphs.zenoh.fleet_imports import FleetImports
-from hostlink.graphs.zenoh.fleet_messages import Topics, TopicState, decode
+from hostlink.graphs.zenoh.fleet_messages import MAX_TOPICS, Topics, TopicState, decode, encode
 from hostlink.graphs.zenoh.fleet_post import GROUP, Post
+from hostlink.graphs.zenoh.fleet_states import fleet_name, is_shareable
 from hostlink.graphs.zenoh.roster import Neighbour, Roster
+from hostlink.graphs.zenoh.session import Declaration, Query, Sample
+from hostlink.hub.graph import GraphTopic
 from hostlink.hub.hub import Hub
+from hostlink.hub.message import Message
 from hostlink.hub.node import Role
+from hostlink.hub.participant import MAX_ADVERTISED, Participant
 from hostlink.hub.robot import RemoteRobot
+from hostlink.hub.subscription import Subscription
+from hostlink.mirror.log_once import LogOnce
+from hostlink.mirror.mirror import Mirror
 
 TOPICS_TIMEOUT_S = 2.0
+SLICE_S = 0.003  # of declarations: a hundred robots that come at once cost a second of Zenoh's
+FIRST_RETRY_S, LONGEST_RETRY_S = 2.0, 60.0  # of a topic that has another type here
+MAX_WAITING = 64  # messages of one topic; the oldest goes
+MAX_MESSAGE_BYTES = 64 * 1024  # what a device sends is much smaller
+
+
+class _Export:
+    """A topic here that others may subscribe to."""
+
+    def __init__(self, hub: Hub, post: Post, name: str, exported: tuple[str, str]) -> None:
+        """`name`: as others know it; `exported`: the robot, and the topic's name here.
+
+        Raises:
+            ConfigError: the session is closed.
+        """
+        self._hub, self._post = hub, post
+        self._robot, self._topic = exported
+        self._participant: Participant | None = None
+        key = post.keys.key("out", post.me, *name.strip("/").split("/"))
+        self._publisher = post.session.declare_publisher(key)
+        self._publisher.watch(self._demand)
+
+    def close(self) -> None:
+        """Share it no more."""
+        self._demand(False)
+        self._publisher.close()
+
+    def _demand(self, is_wanted: bool) -> None:
+        """Somebody elsewhere subscribes now, or nobody any more."""
+        if self._participant is not None and not is_wanted:
+            self._participant.leave()
+            self._participant = None
+        elif self._participant is None and is_wanted:
+            self._participant = self._hub.join(f"fleet {self._robot}", group=GROUP)
+            try:
+                self._participant.subscribe(self._topic, lambda message: self._publisher.put(message.payload))
+            except HostlinkError:
+                self._post.counts["refused"] += 1
+
+
+class FleetExports:
+    """The topics of the robots here."""
+
+    def __init__(self, hub: Hub, post: Post, drivers: FleetDrivers, roster: Roster) -> None:
+        self.number = 0  # of the list, another one after each change
+        self._hub, self._post, self._drivers, self._roster = hub, post, drivers, roster
+        self._exports = Mirror[str, tuple[str, str], _Export](
+            lambda name, exported: _Export(hub, post, name, exported), self._fail, slice_s=SLICE_S
+        )
+        self._list: bytes | None = None  # as it is answered; None: nobody has requested it since the last change
+        self._topics: dict[str, tuple[TopicState, str]] = {}  # with their names here, by the name that others know
+
+    def update(self, topics: tuple[GraphTopic, ...]) -> None:
+        """The graph has changed."""
+        found = self._find(topics)
+        if len(found) > MAX_TOPICS:
+            self._post.counts["unshared_topics"] += len(found) - MAX_TOPICS
+            found = dict(list(found.items())[:MAX_TOPICS])
+        if found == self._topics:
+            return
+        self._topics, self._list, self.number = found, None, self.number + 1
+        self._exports.want(
+            {
+                name: (state.robot, topic)
+                for name, (state, topic) in found.items()
+                if state.is_published or state.is_velocity
+            }
+        )
+
+    def answer(self, query: Query) -> None:
+        """Somebody wants the list."""
+        if self._list is None:
+            states = tuple(state for state, _ in self._topics.values())
+            self._list = encode(Topics(number=self.number, topics=states))
+        query.reply(self._list)
+        query.close()
+
+    def receive(self, sample: Sample) -> None:
+        """A program of another daemon publishes to a device here."""
+        sender = self._post.keys.sender(sample.key, is_addressed=True)
+        neighbour = None if sender is None else self._roster.find(sender)
+        known = self._topics.get(self._post.keys.topic(sample.key, is_addressed=True))
+        if neighbour is None or known is None or not known[0].is_subscribed or known[0].is_velocity:
+            self._post.counts["unannounced"] += 1
+            return
+        try:
+            self._drivers.publish(neighbour, known[1], sample.payload)
+        except HostlinkError:
+            self._post.counts["refused"] += 1
+
+    def close(self) -> None:
+        """Share nothing any more."""
+        self._exports.close()
+
+    def _fail(self, name: str, error: Exception) -> None:
+        note_failure(self._hub, self._post, "failed_topics", name, error)
+
+    def _find(self, topics: tuple[GraphTopic, ...]) -> dict[str, tuple[TopicState, str]]:
+        robots = {robot.name: robot for robot in self._hub.robots.here() if is_shareable(robot)}
+        own = {
+            name: robot
+            for robot in robots.values()
+            for name in (robot.shown.velocity, robot.shown.odometry, robot.shown.reset)
+            if name is not None
+        }
+        found = {}
+        for topic in topics:
+            robot = robots.get(topic.name.split("/")[1]) if topic.name.count("/") > 1 else None
+            robot = robot or own.get(topic.name)
+            is_there = robot is not None and (robot.link is not None or topic.is_velocity)
+            if robot is not None and is_there and topic.type_name:
+                name = fleet_name(robot, topic.name)
+                state = TopicState(
+                    robot=robot.name,
+                    name=name,
+                    type=topic.type_name,
+                    is_published=topic.is_published,
+                    is_subscribed=bool(self._hub.topics.find(topic.name).devices),
+                    is_velocity=topic.is_velocity,
+                )
+                found[name] = (state, topic.name)
+        return found
+
+
+class _Import:
+    """A topic of a robot of another daemon, in the graph here."""
+
+    def __init__(self, post: Post, neighbour: Neighbour, participant: Participant, topic: TopicState) -> None:
+        """Show it.
+
+        Raises:
+            WrongType, BadRequest: the topic has another type here, or nobody knows it.
+        """
+        self._post, self._neighbour, self._participant, self._name = post, neighbour, participant, topic.name
+        self._to_device: Subscription | None = None  # what programs here publish
+        if topic.is_published:
+            participant.advertise(topic.name, topic.type)
+        if topic.is_subscribed:
+            try:
+                self._to_device = participant.subscribe(topic.name, self._publish, type_name=topic.type)
+            except HostlinkError:
+                self.close()
+                raise
+
+    def close(self) -> None:
+        """Show it no more."""
+        self._participant.unadvertise(self._name)
+        if self._to_device is not None:
+            self._to_device.close()
+
+    def _publish(self, message: Message) -> None:
+        """A program here publishes what a device over there subscribes."""
+        parts, post = message.topic.strip("/").split("/"), self._post
+        post.session.put(post.keys.key("publish", post.me, *parts, to=self._neighbour.sender.zid), message.payload)
+
+
+class _RemoteTopics:
+    """The topics of one robot of another daemon."""
+
+    def __init__(self, hub: Hub, post: Post, log_once: LogOnce, robot: str, neighbour: Neighbour) -> None:
+        self.listed: list[TopicState] = []
+        self._hub, self._post, self._log_once, self._neighbour = hub, post, log_once, neighbour
+        self._participant = hub.join(f"{robot} at {neighbour.sender.name}", group=GROUP)
+        self._shown: dict[str, TopicState] = {}
+        self._imports = Mirror[str, TopicState, _Import](
+            lambda _, topic: _Import(post, neighbour, self._participant, topic),
+            self._refuse,
+            retry_s=FIRST_RETRY_S,
+            longest_s=LONGEST_RETRY_S,
+        )
+        self._subscriptions = Mirror[str, TopicState, Declaration](self._subscribe, self._fail)
+
+    def show(self, topics: dict[str, TopicState]) -> None:
+        """These, and no others; a subscription at the other daemon ends with its topic."""
+        self._shown = topics
+        self._imports.want({name: topic for name, topic in topics.items() if not topic.is_velocity})
+        self._subscriptions.want(
+            {name: topic for name, topic in self._subscriptions.wanted.items() if topics.get(name) == topic}
+        )
+
+    def demand(self, subscribed: set[str]) -> None:
+        """Subscribe at the other daemon to what is subscribed here. `subscribed`: without velocities."""
+        self._subscriptions.want(
+            {
+                name: topic
+                for name, topic in self._shown.items()
+                if (self._is_read(name) if topic.is_velocity else topic.is_published and name in subscribed)
+            }
+        )
+
+    def close(self) -> None:
+        """Show none any more."""
+        self._subscriptions.close()
+        self._imports.close()
+        self._participant.leave()
+
+    def _subscribe(self, name: str, topic: TopicState) -> Declaration:
+        key = self._post.keys.key("out", self._neighbour.sender, *name.strip("/").split("/"))
+        deliver = self._deliver_velocity if topic.is_velocity else self._deliver
+        return self._post.session.subscribe(
+            key,
+            lambda sample: deliver(name, sample.payload),
+            max_bytes=MAX_MESSAGE_BYTES,
+            max_waiting=MAX_WAITING,
+        )
+
+    def _is_read(self, topic: str) -> bool:
+        """Whether anybody here subscribes to a velocity topic of a robot elsewhere, apart from the robot itself."""
+        known = self._hub.topics.find_or_none(topic)
+        return known is not None and bool(known.subscribers)
+
+    def _deliver_velocity(self, topic: str, payload: bytes) -> None:
+        """Deliver what the other daemon's gate sent to the device to the subscribers here."""
+        known = self._hub.topics.find_or_none(topic)
+        if known is not None:
+            known.deliver(payload, source=self, at_s=asyncio.get_running_loop().time())
+
+    def _deliver(self, topic: str, payload: bytes) -> None:
+        try:
+            self._participant.publish(topic, payload)
+        except HostlinkError:
+            self._post.counts["refused"] += 1
+
+    def _refuse(self, topic: str, error: Exception) -> None:
+        note_failure(self._hub, self._post, "refused_topics", topic, error)
+        if isinstance(error, HostlinkError):
+            self._log_once("fleet.topic_refused", topic=topic, reason=str(error))
+
+    def _fail(self, topic: str, error: Exception) -> None:
+        note_failure(self._hub, self._post, "failed_topics", topic, error)
+
+
+class FleetImports:
+    """The topics of robots of other daemons, below their names whatever these send; no other name is used."""
+
+    def __init__(self, hub: Hub, post: Post) -> None:
+        self._hub, self._post = hub, post
+        log_once = LogOnce(by=("topic",))
+        self._robots = Mirror[str, Neighbour, _RemoteTopics](
+            lambda robot, neighbour: _RemoteTopics(hub, post, log_once, robot, neighbour), self._fail
+        )
+
+    def show(self, robot: RemoteRobot, neighbour: Neighbour, topics: list[TopicState]) -> None:
+        """A robot's topics as its daemon lists them now."""
+        self._robots.put(robot.name, neighbour)
+        shown = self._robots.endpoints.get(robot.name)
+        if shown is None or shown.listed is topics:
+            return
+        shown.listed = topics
+        own = {topic.name: topic for topic in topics if topic.name.startswith(f"/{robot.name}/")}
+        self._post.counts["foreign_topics"] += len(topics) - len(own)
+        wanted = dict(list(own.items())[:MAX_ADVERTISED])
+        robot.offer((each.name, each.type) for each in wanted.values() if each.is_velocity)
+        shown.show(wanted)
+
+    def hide(self, robot: str) -> None:
+        """It is gone, or known from another daemon."""
+        self._robots.put(robot, None)
+
+    def hide_all(self) -> None:
+        """The fleet ends here."""
+        self._robots.close()
+
+    def update(self, topics: Iterable[GraphTopic]) -> None:
+        """The graph has changed: subscribe elsewhere what is subscribed here."""
+        subscribed = {topic.name for topic in topics if topic.is_subscribed and not topic.is_velocity}
+        for shown in self._robots.endpoints.values():
+            shown.demand(subscribed)
+
+    def _fail(self, robot: str, error: Exception) -> None:
+        note_failure(self._hub, self._post, "failed_topics", robot, error)
+
+
+def note_failure(hub: Hub, post: Post, cause: str, name: str, error: Exception) -> None:
+    """Count what is refused; what is no refusal is a fault of hostlink."""
+    if isinstance(error, HostlinkError):
+        post.counts[cause] += 1
+    else:
+        hub.isolation.crashed("graph", error, graph="fleet", name=name)
 
 
 class FleetTopics:

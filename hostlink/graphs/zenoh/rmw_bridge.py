@@ -13,33 +13,47 @@ import structlog
 from hostlink.config import ZenohConfig
 from hostlink.errors import HostlinkError
 from hostlink.graphs.ros2_types import Ros2Message, Ros2Types, ros1_type
-from hostlink.graphs.zenoh.rmw_declared import Declared
+from hostlink.graphs.zenoh.rmw_endpoints import (
+    GROUP,
+    CalledService,
+    Offered,
+    OfferedService,
+    Publication,
+    Published,
+    RmwNode,
+)
 from hostlink.graphs.zenoh.rmw_graph import RemoteGraph
-from hostlink.graphs.zenoh.rmw_names import is_hidden, is_name
-from hostlink.graphs.zenoh.rmw_node import GROUP, RmwNode
-from hostlink.graphs.zenoh.rmw_once import Once
-from hostlink.graphs.zenoh.rmw_publication import Publication, Published
-from hostlink.graphs.zenoh.rmw_publishers import Publishers
-from hostlink.graphs.zenoh.rmw_service import CalledService, Offered, OfferedService
-from hostlink.graphs.zenoh.rmw_subscription import Subscription, Wanted
-from hostlink.graphs.zenoh.rmw_token import OWN_ENCLAVE, SPACE, EndpointToken, Kind, NodeToken
+from hostlink.graphs.zenoh.rmw_protocol import OWN_ENCLAVE, SPACE, EndpointToken, Kind, NodeToken, is_hidden, is_name
+from hostlink.graphs.zenoh.rmw_publishers import Publishers, Subscription, Wanted
 from hostlink.graphs.zenoh.session import Session, Token
 from hostlink.hub.graph import GraphService, GraphTopic
 from hostlink.hub.hub import Hub
+from hostlink.mirror.log_once import LogOnce
+from hostlink.mirror.mirror import Mirror
 from hostlink.robot.velocity import TWIST_STAMPED_TYPE, TWIST_TYPE
 
 MAX_CALLED_SERVICES: Final = 256
 TROUBLE_INTERVAL_S: Final = 10.0
-STEP_S: Final = 0.003  # of declarations, and then for others
+SLICE_S: Final = 0.003  # of declarations: a hundred robots that come at once cost a second of Zenoh's
 TROUBLE: Final = frozenset(  # counts of what was lost, by cause
     {
-        "crowded_calls", "crowded_publishers", "crowded_services", "crowded_tokens", "failed_calls", "late",
+        "crowded_calls", "crowded_publishers", "crowded_services", "crowded_tokens", "failed_calls",
+        "failed_endpoints", "late",
         "malformed_from_ros2", "malformed_to_ros2", "malformed_tokens", "other_type", "unidentified", "unsigned",
     }
 )  # fmt: skip
+UNKNOWN: Final = "ros2.type_unknown"  # of most types of a large graph: they are no robot's here
+REFUSED_NAME: Final = "ROS 2 allows letters, digits and _ in names"
 OWN_PACKAGES: Final = ("rcl_interfaces/", "type_description_interfaces/")  # services that every node of ROS 2 has
 
 log = structlog.get_logger()
+
+_Declared = Wanted | Published | Offered
+_Endpoint = Subscription | Publication | OfferedService
+
+
+class UnusableType(Exception):
+    """A service's type is unknown here or has another definition, which was logged."""
 
 
 class RmwBridge:
@@ -53,15 +67,18 @@ class RmwBridge:
         """
         self._node = RmwNode(hub, session, types, token)
         self.counts = self._node.counts
-        self._once = Once(self.counts)
+        self._log_once = LogOnce(self.counts, at_info=(UNKNOWN,), by=("name", "type"))
         self._remote = RemoteGraph(token.domain, self.counts)
-        self._publishers = Publishers(self._node, self._remote, self._once)
-        node, publishers = self._node, self._publishers
-        self._subscriptions = Declared[Wanted, Subscription](lambda each: Subscription(node, each, publishers))
-        self._publications = Declared[Published, Publication](lambda each: Publication(node, each))
-        self._offered = Declared[Offered, OfferedService](lambda each: OfferedService(node, each))
-        self._next: asyncio.TimerHandle | None = None  # the next step of what is declared
-        self._called: dict[EndpointToken, CalledService] = {}
+        self._publishers = Publishers(self._node, self._remote, self._log_once)
+        self._endpoints: Mirror[_Declared, _Declared, _Endpoint] = Mirror(
+            lambda _, each: self._declare(each), self._fail, slice_s=SLICE_S
+        )
+        self._called = Mirror[EndpointToken, EndpointToken, CalledService](
+            lambda _, each: self._call(each),
+            self._fail_call,
+            limit=MAX_CALLED_SERVICES,
+            on_crowded=lambda _: self.counts.update(("crowded_services",)),
+        )
         self._participant = hub.join("ros2", group=GROUP)
         self._declared = [
             session.declare_token(token.encode()),
@@ -73,13 +90,8 @@ class RmwBridge:
         """Leave both graphs: what ROS 2 drives stops."""
         self._publishers.clear()
         self._participant.leave()
-        if self._next is not None:
-            self._next.cancel()
-        self._subscriptions.close()
-        self._publications.close()
-        self._offered.close()
-        while self._called:
-            self._called.popitem()[1].close()
+        self._endpoints.close()
+        self._called.close()
         for each in self._declared:
             each.close()
         self._remote.clear()
@@ -96,8 +108,8 @@ class RmwBridge:
         if added.kind is Kind.PUBLISHER:
             self._publishers.add(added, token.key)
             self._check_hash(added)
-        elif added.kind is Kind.SERVER:
-            self._call(added)
+        elif added.kind is Kind.SERVER and not is_hidden(added.name) and not added.type_name.startswith(OWN_PACKAGES):
+            self._called.put(added, added)
 
     def _remove(self, key: str) -> None:
         removed = self._remote.remove(key)
@@ -105,36 +117,40 @@ class RmwBridge:
             return
         self._publishers.remove(removed)
         if isinstance(removed.token, EndpointToken):
-            called = self._called.pop(removed.token, None)
-            if called is not None:
-                called.close()
+            self._called.put(removed.token, None)
 
     def _check_hash(self, token: EndpointToken) -> None:
         """Log a type whose definition there is another: none of its messages arrives."""
         known = self._node.types.message(ros1_type(token.type_name))
         if known is not None and known.type_hash != token.type_hash:
-            self._once.log(
-                "ros2.type_differs", token.type_name, topic=token.name, here=known.type_hash, there=token.type_hash
-            )
+            self._log_difference(token, known.type_hash, topic=token.name)
 
-    def _call(self, token: EndpointToken) -> None:
-        if is_hidden(token.name) or token.type_name.startswith(OWN_PACKAGES):
-            return
+    def _log_difference(self, token: EndpointToken, here: str, **facts: str) -> None:
+        self._log_once("ros2.type_differs", name=token.type_name, **facts, here=here, there=token.type_hash)
+
+    def _call(self, token: EndpointToken) -> CalledService:
         name = ros1_type(token.type_name)
         known, type_ = self._node.hub.catalog.service(name), self._node.types.service(name)
         if known is None or type_ is None:
-            self._once.log("ros2.type_unknown", token.type_name, service=token.name)
-        elif type_.type_hash != token.type_hash:
-            self._once.log(
-                "ros2.type_differs", token.type_name, service=token.name, here=type_.type_hash, there=token.type_hash
-            )
-        elif len(self._called) >= MAX_CALLED_SERVICES:
-            self.counts["crowded_services"] += 1
+            self._log_once(UNKNOWN, name=token.type_name, service=token.name)
+            raise UnusableType(token.type_name)
+        if type_.type_hash != token.type_hash:
+            self._log_difference(token, type_.type_hash, service=token.name)
+            raise UnusableType(token.type_name)
+        return CalledService(self._node, token, known, type_)
+
+    def _fail_call(self, token: EndpointToken, error: Exception) -> None:
+        if isinstance(error, HostlinkError):
+            self._log_once("ros2.service_refused", name=token.name, type=token.type_name, reason=str(error))
+        elif not isinstance(error, UnusableType):
+            self._fail(token, error)
+
+    def _fail(self, _: object, error: Exception) -> None:
+        """A ConfigError of the session: it is closed."""
+        if isinstance(error, HostlinkError):
+            self.counts["failed_endpoints"] += 1
         else:
-            try:
-                self._called[token] = CalledService(self._node, token, known, type_)
-            except HostlinkError as error:
-                self._once.log("ros2.service_refused", token.name, token.type_name, reason=str(error))
+            self._node.hub.isolation.crashed("graph", error, graph="ros2")
 
     # -- from the hub -------------------------------------------------------------------------------------------------
 
@@ -143,26 +159,26 @@ class RmwBridge:
         graph = self._participant.graph()
         topics = [(topic, type_) for topic in graph.topics if (type_ := self._type(topic)) is not None]
         stamped = {each.name for each in graph.topics if each.is_velocity and each.type_name == TWIST_STAMPED_TYPE}
-        self._subscriptions.follow(
+        wanted: list[_Declared] = [
             each for topic, type_ in topics if topic.is_subscribed for each in self._wanted(topic, type_, stamped)
-        )
-        self._publications.follow(
+        ]
+        wanted += [
             Published(topic.name, topic.type_name, type_, topic.is_latched)
             for topic, type_ in topics
             if topic.is_published and not topic.is_velocity
-        )
-        self._offered.follow(each for service in graph.services if (each := self._service(service)) is not None)
-        if self._next is None:
-            self._step()
+        ]
+        wanted += [each for service in graph.services if (each := self._service(service)) is not None]
+        self._endpoints.want({each: each for each in wanted})
         self._publishers.advertise_all()
 
-    def _step(self) -> None:
-        """Declare for some milliseconds, and go on after as many."""
-        loop = asyncio.get_running_loop()
-        until_s = loop.time() + STEP_S
-        parts = (self._subscriptions, self._publications, self._offered)
-        is_unfinished = any(part.step(until_s) for part in parts)
-        self._next = loop.call_later(STEP_S, self._step) if is_unfinished else None
+    def _declare(self, each: _Declared) -> _Endpoint:
+        match each:
+            case Wanted():
+                return Subscription(self._node, each, self._publishers)
+            case Published():
+                return Publication(self._node, each)
+            case Offered():
+                return OfferedService(self._node, each)
 
     def _wanted(self, topic: GraphTopic, type_: Ros2Message, stamped_topics: Container[str]) -> list[Wanted]:
         """A robot's velocity is received as a Twist and as a TwistStamped, by the same name.
@@ -188,11 +204,11 @@ class RmwBridge:
         if not topic.type_name or is_hidden(topic.name) or self._is_elsewhere(topic.name):
             return None
         if not is_name(topic.name):
-            self._once.log("ros2.topic_refused", topic.name, reason="ROS 2 allows letters, digits and _ in names")
+            self._log_once("ros2.topic_refused", name=topic.name, reason=REFUSED_NAME)
             return None
         found = self._node.types.message(topic.type_name)
         if found is None:
-            self._once.log("ros2.type_unknown", topic.type_name, topic=topic.name)
+            self._log_once(UNKNOWN, name=topic.type_name, topic=topic.name)
         return found
 
     def _is_elsewhere(self, name: str) -> bool:
@@ -205,11 +221,11 @@ class RmwBridge:
         if is_hidden(service.name) or self._is_elsewhere(service.name):
             return None
         if not is_name(service.name):
-            self._once.log("ros2.service_refused", service.name, reason="ROS 2 allows letters, digits and _ in names")
+            self._log_once("ros2.service_refused", name=service.name, reason=REFUSED_NAME)
             return None
         known, found = self._node.hub.catalog.service(service.type_name), self._node.types.service(service.type_name)
         if known is None or found is None:
-            self._once.log("ros2.type_unknown", service.type_name, service=service.name)
+            self._log_once(UNKNOWN, name=service.type_name, service=service.name)
             return None
         return Offered(service.name, known, found)
 

@@ -8,8 +8,10 @@ from collections import Counter
 from dataclasses import dataclass, field
 from typing import Final
 
-from hostlink.graphs.zenoh.rmw_token import EndpointToken, Kind, NodeToken, gid_of, parse_token
+from hostlink.graphs.zenoh.rmw_protocol import EndpointToken, Kind, NodeToken, gid_of, parse_token
+from hostlink.robot.freshness import Freshness
 
+_NS_PER_S: Final = 1_000_000_000
 MAX_TOKENS: Final = 8192
 MAX_TOKENS_OF_SESSION: Final = 2048  # of one process; a node of ROS 2 has ten or more
 
@@ -152,3 +154,22 @@ class RemoteGraph:
         del of_subject[publisher.key]
         if not of_subject:
             del self._of_subject[publisher.subject]
+
+
+class SourceClock:
+    """How late the messages of one publisher are, by the wall clock of who sent them.
+
+    A wall clock that is set back is no delay: a message that waits never has an earlier time.
+    """
+
+    def __init__(self) -> None:
+        self._freshness = Freshness()
+        self._newest = (0, 0)  # number and time of the newest message
+
+    def late_s(self, sequence_number: int, source_ns: int, now_s: float) -> float:
+        """Seconds that a message waited longer on its way than the quickest before it."""
+        number, time_ns = self._newest
+        if sequence_number > number and source_ns < time_ns:
+            self._freshness = Freshness()
+        self._newest = max(self._newest, (sequence_number, source_ns))
+        return self._freshness.late_s(source_ns / _NS_PER_S, now_s)

@@ -5,6 +5,8 @@ import contextlib
 import functools
 from collections import Counter
 from collections.abc import AsyncIterator, Callable
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -12,12 +14,10 @@ import structlog
 
 from hostlink.config import ZenohConfig
 from hostlink.errors import ConfigError
-from hostlink.graphs.zenoh.background import Background
-from hostlink.graphs.zenoh.history import declare_history_subscriber, declare_keeping_publisher
-from hostlink.graphs.zenoh.inbox import MAX_WAITING, Inbox
 from hostlink.graphs.zenoh.settings import library, reach_of, reason_of, settings_of
 from hostlink.hub.isolation import Isolation
 from hostlink.logs import printable
+from hostlink.mirror.inbox import MAX_WAITING, Inbox
 
 log = structlog.get_logger()
 
@@ -25,6 +25,7 @@ CLOSE_TIMEOUT_S = 1.0
 MAX_PAYLOAD_BYTES = 1024 * 1024
 MAX_KEY_CHARS = 512
 MAX_ANSWERS = 1024  # to one query
+HEARTBEAT_S = 0.5  # while something is kept for later subscribers: a subscriber notices that it has missed it
 
 
 class Sample(NamedTuple):
@@ -100,6 +101,41 @@ class Publisher:
             self._publisher.undeclare()
 
 
+class Background:
+    """A thread for answers, which wait for a neighbour who calls more than he reads, until he is cut off.
+
+    Work is done in the order of the calls, and not after `close`.
+    """
+
+    def __init__(self, guarded: Callable[[str], AbstractContextManager[None]]) -> None:
+        """`guarded`: keeps what Zenoh raises from the thread."""
+        self._guarded = guarded
+        self._thread = ThreadPoolExecutor(1, "zenoh")
+
+    def replies(self, query: Any) -> tuple[Callable[..., None], Callable[[], None]]:
+        """How a query is answered, and how it is ended."""
+
+        def reply(payload: bytes, *, key: str = "", attachment: bytes | None = None) -> None:
+            self._run(lambda: query.reply(key or str(query.key_expr), payload, attachment=attachment))
+
+        def close() -> None:
+            self._run(query.drop)
+
+        return reply, close
+
+    def close(self) -> None:
+        """Do nothing more; it waits for nobody."""
+        self._thread.shutdown(wait=False, cancel_futures=True)
+
+    def _run(self, work: Callable[[], None]) -> None:
+        def run() -> None:
+            with self._guarded("reply"):
+                work()
+
+        with contextlib.suppress(RuntimeError):  # it is closed
+            self._thread.submit(run)
+
+
 class Session:
     """One Zenoh session. Its methods are called in the loop, wait for nothing, and do not raise what Zenoh raises.
 
@@ -129,7 +165,7 @@ class Session:
             ConfigError: the session is closed, or the key is none.
         """
         declare = (
-            functools.partial(declare_keeping_publisher, self._session, kept)
+            functools.partial(_declare_keeping_publisher, self._session, kept)
             if kept
             else self._session.declare_publisher
         )
@@ -176,7 +212,7 @@ class Session:
 
         declare = self._session.declare_subscriber
         if has_history:
-            declare = functools.partial(declare_history_subscriber, self._session)
+            declare = functools.partial(_declare_history_subscriber, self._session)
         subscriber = self._declare(declare, key_expr, self.callback(put), allowed_origin=self._zenoh.Locality.REMOTE)
         return Declaration(inbox.close, lambda: self._undeclare(subscriber))
 
@@ -283,7 +319,12 @@ class Session:
 
     def inbox(self, deliver: Callable[[Any], None], *, max_waiting: int = MAX_WAITING) -> Inbox[Any]:
         """A queue from Zenoh's threads to the loop."""
-        return Inbox(deliver, self._isolation, self.counts, max_waiting=max_waiting)
+        return Inbox(
+            deliver,
+            guarded=lambda: self._isolation.around("graph", graph="zenoh"),
+            counts=self.counts,
+            max_waiting=max_waiting,
+        )
 
     def _fits(self, key: str, payload_bytes: int, max_bytes: int) -> bool:
         if payload_bytes <= max_bytes and len(key) <= MAX_KEY_CHARS:
@@ -314,6 +355,38 @@ class Session:
             "express": is_urgent,
             "allowed_destination": self._zenoh.Locality.REMOTE,  # nothing in this session receives from it
         }
+
+
+# -- messages that publishers keep for later subscribers, as rmw_zenoh does for transient local durability -----------
+
+
+def _declare_keeping_publisher(session: Any, kept: int, key: str, **quality: Any) -> Any:
+    """Declare a publisher that sends the newest messages, as many as are `kept`, to each who comes."""
+    from zenoh import ext  # noqa: PLC0415 - an optional dependency
+
+    return ext.declare_advanced_publisher(
+        session,
+        key,
+        cache=ext.CacheConfig(kept),
+        sample_miss_detection=ext.MissDetectionConfig(heartbeat=None, sporadic_heartbeat=HEARTBEAT_S),
+        publisher_detection=True,
+        **quality,
+    )
+
+
+def _declare_history_subscriber(session: Any, key: str, callback: Any, *, allowed_origin: Any) -> Any:
+    """Declare a subscriber that requests the newest message that each publisher keeps."""
+    from zenoh import ext  # noqa: PLC0415 - an optional dependency
+
+    return ext.declare_advanced_subscriber(
+        session,
+        key,
+        callback,
+        allowed_origin=allowed_origin,
+        history=ext.HistoryConfig(detect_late_publishers=True, max_samples=1),
+        recovery=ext.RecoveryConfig(periodic_queries=None, heartbeat=True),
+        subscriber_detection=True,
+    )
 
 
 @contextlib.asynccontextmanager

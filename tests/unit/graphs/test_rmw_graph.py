@@ -5,11 +5,16 @@ from collections import Counter
 import pytest
 
 from hostlink.graphs.zenoh import rmw_graph
-from hostlink.graphs.zenoh.rmw_attachment import Attachment
-from hostlink.graphs.zenoh.rmw_freshness import SourceClock
-from hostlink.graphs.zenoh.rmw_graph import RemoteGraph
-from hostlink.graphs.zenoh.rmw_qos import TELEMETRY
-from hostlink.graphs.zenoh.rmw_token import OWN_ENCLAVE, EndpointToken, Kind, NodeToken, gid_of
+from hostlink.graphs.zenoh.rmw_graph import RemoteGraph, SourceClock
+from hostlink.graphs.zenoh.rmw_protocol import (
+    OWN_ENCLAVE,
+    TELEMETRY,
+    Attachment,
+    EndpointToken,
+    Kind,
+    NodeToken,
+    gid_of,
+)
 
 SUBJECT = ("/cmd_vel", "geometry_msgs/msg/Twist")
 DRAWN, OTHER = b"\1" * 16, b"\2" * 16

@@ -4,9 +4,25 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hostlink.graphs.zenoh.rmw_names import data_key, demangle, from_dds_type, is_hidden, is_name, mangle, to_dds_type
-from hostlink.graphs.zenoh.rmw_qos import COMMANDS, LATCHED, TELEMETRY, Qos
-from hostlink.graphs.zenoh.rmw_token import OWN_ENCLAVE, EndpointToken, Kind, NodeToken, gid_of, parse_token
+from hostlink.graphs.zenoh.rmw_protocol import (
+    COMMANDS,
+    LATCHED,
+    OWN_ENCLAVE,
+    TELEMETRY,
+    EndpointToken,
+    Kind,
+    NodeToken,
+    Qos,
+    data_key,
+    demangle,
+    from_dds_type,
+    gid_of,
+    is_hidden,
+    is_name,
+    mangle,
+    parse_token,
+    to_dds_type,
+)
 
 STRING_HASH = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"
 LISTENER = "@ros2_lv/0/aac3178e146ba6f1fc6e6a4085e77f21/0/0/NN/%/%/listener"

@@ -3,8 +3,7 @@
 import pytest
 
 from hostlink.errors import ConfigError
-from hostlink.graphs.ros1.name_map import NameMap
-from hostlink.graphs.ros1.names import Names, is_legal, joined, parse_arguments
+from hostlink.graphs.ros1.names import NameMap, Names, is_legal, joined, parse_arguments
 
 LAB = Names("/lab/serial_node")
 

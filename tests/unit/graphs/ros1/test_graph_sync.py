@@ -3,7 +3,7 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hostlink.graphs.ros1.border import MAX_NAMED, merge_publishers
+from hostlink.graphs.ros1.graph_sync import MAX_NAMED, merge_publishers
 
 
 def test_a_master_that_began_anew_takes_none_away() -> None:

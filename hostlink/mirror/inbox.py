@@ -1,13 +1,12 @@
-"""Inbox: what Zenoh's threads deliver, until the event loop has time for it."""
+"""Inbox: what other threads deliver, until the event loop has time for it."""
 
 import asyncio
 import contextlib
 import threading
 from collections import Counter, OrderedDict, deque
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from typing import Generic, TypeVar
-
-from hostlink.hub.isolation import Isolation
 
 Item = TypeVar("Item")
 
@@ -18,28 +17,30 @@ SLICE_S = 0.0005  # of one turn of the loop; a stop that comes by another way wa
 
 
 class Inbox(Generic[Item]):
-    """A bounded queue for each source, emptied in turns: who floods loses his own items only.
+    """A bounded queue for each source, emptied in turns: a source that floods loses its own items only.
 
-    `put` may be called in any thread, and raises nothing. The loop delivers, a slice in each of its turns.
+    `put` may be called in any thread, and raises nothing. The loop calls `deliver`, for a slice in each of its turns;
+    without `deliver` the items are read with `async for`.
     """
 
     def __init__(
         self,
-        deliver: Callable[[Item], None],
-        isolation: Isolation,
-        counts: Counter[str],
+        deliver: Callable[[Item], None] | None = None,
         *,
+        guarded: Callable[[], AbstractContextManager[None]] = contextlib.nullcontext,
+        counts: Counter[str] | None = None,
         max_waiting: int = MAX_WAITING,
     ) -> None:
-        """`counts`: `dropped` counts what did not fit. A failure of `deliver` is logged and counted by `isolation`."""
-        self._deliver, self._isolation, self._counts = deliver, isolation, counts
-        self._max_waiting = max_waiting
+        """`guarded`: a block around each delivery, which keeps what it raises; `counts`: `dropped` did not fit."""
+        self.counts: Counter[str] = Counter() if counts is None else counts
+        self._deliver, self._guarded, self._max_waiting = deliver, guarded, max_waiting
         self._loop = asyncio.get_running_loop()
-        self._lock = threading.Lock()  # Zenoh has threads of its own
+        self._lock = threading.Lock()  # other threads put
         self._waiting: OrderedDict[str, deque[Item]] = OrderedDict()
         self._bytes = 0
-        self._is_due = False
+        self._is_due = False  # the loop's own queue has no bound, so it holds one call of each inbox
         self._is_closed = False
+        self._news = asyncio.Event()
 
     def put(self, source: str, item: Item) -> None:
         """Queue an item of this source."""
@@ -52,7 +53,7 @@ class Inbox(Generic[Item]):
                 return
             self._is_due = True
         with contextlib.suppress(RuntimeError):  # the loop has ended
-            self._loop.call_soon_threadsafe(self._drain)
+            self._loop.call_soon_threadsafe(self._news.set if self._deliver is None else self._drain)
 
     def close(self) -> None:
         """Deliver nothing more."""
@@ -68,16 +69,28 @@ class Inbox(Generic[Item]):
         replaced_bytes = _size_bytes(queue[0]) if queue is not None and is_full else 0
         has_room = not is_excess and self._bytes - replaced_bytes + size_bytes <= MAX_WAITING_BYTES
         if not has_room or is_full:
-            self._counts["dropped"] += 1
+            self.counts["dropped"] += 1
         if queue is not None and is_full and has_room:
             queue.popleft()
             self._bytes -= replaced_bytes
         return has_room
 
+    def __aiter__(self) -> "Inbox[Item]":
+        return self
+
+    async def __anext__(self) -> Item:
+        while True:
+            item = self._pop()
+            if item is not None:
+                return item[0]
+            self._news.clear()
+            await self._news.wait()
+
     def _drain(self) -> None:
+        assert self._deliver is not None  # noqa: S101 - otherwise it is not called
         ends_s = self._loop.time() + SLICE_S
         while (item := self._pop()) is not None:
-            with self._isolation.around("graph", graph="zenoh"):
+            with self._guarded():
                 self._deliver(item[0])
             if self._loop.time() >= ends_s:
                 self._loop.call_soon(self._drain)

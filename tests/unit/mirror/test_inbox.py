@@ -1,4 +1,4 @@
-"""From Zenoh's threads to the loop: bounded for each source, in turns, and a failure is nobody else's."""
+"""From other threads to the loop: bounded for each source, in turns, and a failure affects no other item."""
 
 import asyncio
 import threading
@@ -6,9 +6,9 @@ from collections import Counter
 
 import pytest
 
-from hostlink.graphs.zenoh.inbox import MAX_SOURCES, MAX_WAITING_BYTES, Inbox
 from hostlink.graphs.zenoh.session import Sample
 from hostlink.hub.isolation import Isolation
+from hostlink.mirror.inbox import MAX_SOURCES, MAX_WAITING_BYTES, Inbox
 
 
 async def settled() -> None:
@@ -18,7 +18,7 @@ async def settled() -> None:
 
 async def test_items_arrive_in_the_loop_in_order() -> None:
     received: list[int] = []
-    inbox = Inbox(received.append, Isolation(), Counter())
+    inbox = Inbox(received.append)
     thread = threading.Thread(target=lambda: [inbox.put("a", number) for number in range(100)])
     thread.start()
     thread.join()
@@ -30,7 +30,7 @@ async def test_items_arrive_in_the_loop_in_order() -> None:
 async def test_who_floods_loses_his_own_oldest_items_only() -> None:
     received: list[tuple[str, int]] = []
     counts: Counter[str] = Counter()
-    inbox = Inbox(received.append, Isolation(), counts, max_waiting=10)
+    inbox = Inbox(received.append, counts=counts, max_waiting=10)
     inbox.put("calm", ("calm", 0))
     for number in range(1000):
         inbox.put("flood", ("flood", number))
@@ -42,7 +42,7 @@ async def test_who_floods_loses_his_own_oldest_items_only() -> None:
 
 async def test_sources_take_turns() -> None:
     received: list[str] = []
-    inbox = Inbox(received.append, Isolation(), Counter())
+    inbox = Inbox(received.append)
     for source in "aaab":
         inbox.put(source, source)
     await settled()
@@ -52,7 +52,7 @@ async def test_sources_take_turns() -> None:
 async def test_the_number_of_sources_is_bounded() -> None:
     received: list[int] = []
     counts: Counter[str] = Counter()
-    inbox = Inbox(received.append, Isolation(), counts)
+    inbox = Inbox(received.append, counts=counts)
     for number in range(MAX_SOURCES + 5):
         inbox.put(str(number), number)
     await settled()
@@ -63,7 +63,7 @@ async def test_the_number_of_sources_is_bounded() -> None:
 async def test_the_bytes_that_wait_are_bounded() -> None:
     received: list[Sample] = []
     counts: Counter[str] = Counter()
-    inbox = Inbox(received.append, Isolation(), counts)
+    inbox = Inbox(received.append, counts=counts)
     large = Sample("key", bytes(MAX_WAITING_BYTES // 4))
     for number in range(6):
         inbox.put(str(number), large)
@@ -84,7 +84,7 @@ async def test_a_callback_that_fails_is_counted_and_the_next_item_comes() -> Non
         received.append(number)
 
     isolation = Isolation()
-    inbox = Inbox(deliver, isolation, Counter())
+    inbox = Inbox(deliver, guarded=lambda: isolation.around("graph"))
     for number in range(3):
         inbox.put("a", number)
     await settled()
@@ -94,7 +94,7 @@ async def test_a_callback_that_fails_is_counted_and_the_next_item_comes() -> Non
 
 async def test_nothing_arrives_once_it_is_closed() -> None:
     received: list[int] = []
-    inbox = Inbox(received.append, Isolation(), Counter())
+    inbox = Inbox(received.append)
     inbox.put("a", 1)
     inbox.close()
     inbox.put("a", 2)
@@ -106,7 +106,7 @@ def test_an_item_for_a_loop_that_has_ended_is_dropped() -> None:
     received: list[int] = []
 
     async def make() -> Inbox[int]:
-        return Inbox(received.append, Isolation(), Counter())
+        return Inbox(received.append)
 
     inbox = asyncio.run(make())
     inbox.put("a", 1)
@@ -121,7 +121,7 @@ async def test_a_long_queue_leaves_the_loop_to_others(count: int) -> None:
         received.append(number)
         sum(range(2000))
 
-    inbox = Inbox(deliver, Isolation(), Counter(), max_waiting=count)
+    inbox = Inbox(deliver, max_waiting=count)
     for number in range(count):
         inbox.put("a", number)
     turns = 0
@@ -134,7 +134,7 @@ async def test_a_long_queue_leaves_the_loop_to_others(count: int) -> None:
 async def test_an_item_that_would_be_too_much_leaves_the_one_that_it_would_replace() -> None:
     received: list[Sample] = []
     counts: Counter[str] = Counter()
-    inbox = Inbox(received.append, Isolation(), counts, max_waiting=1)
+    inbox = Inbox(received.append, counts=counts, max_waiting=1)
     inbox.put("small", Sample("small", b"x"))
     inbox.put("large", Sample("large", bytes(MAX_WAITING_BYTES - 1)))
     inbox.put("small", Sample("too much", b"xx"))
@@ -144,3 +144,30 @@ async def test_an_item_that_would_be_too_much_leaves_the_one_that_it_would_repla
     inbox.put("small", Sample("later", b"z"))
     await settled()
     assert received[-1].key == "later"
+
+
+async def test_what_a_thread_puts_in_is_read_in_order() -> None:
+    inbox: Inbox[int] = Inbox(max_waiting=1000)
+    thread = threading.Thread(target=lambda: [inbox.put("", number) for number in range(1000)])
+    thread.start()
+    assert [await anext(inbox) for _ in range(1000)] == list(range(1000))
+    thread.join()
+    assert inbox.counts["dropped"] == 0
+
+
+async def test_a_reader_that_waits_is_woken() -> None:
+    inbox: Inbox[int] = Inbox()
+    for number in range(3):
+        asyncio.get_running_loop().call_later(0.001, inbox.put, "", number)
+        async with asyncio.timeout(1):
+            assert await anext(inbox) == number
+
+
+async def test_a_flood_wakes_the_loop_once() -> None:
+    inbox: Inbox[int] = Inbox(max_waiting=8)
+    for number in range(10_000):
+        inbox.put("", number)
+    loop = asyncio.get_running_loop()
+    assert len(loop._ready) < 10  # type: ignore[attr-defined]
+    assert await anext(inbox) == 9992
+    assert inbox.counts["dropped"] == 9992

@@ -1,0 +1,253 @@
+"""The protocol of rmw_zenoh: names, keys, qualities of service, signatures and tokens. Pure.
+
+The formats are those of docs/ros2-zenoh.md#on-the-wire. What somebody else declares is untrusted text: what cannot be
+read is None, never an exception.
+"""
+
+import re
+import struct
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Final, NamedTuple
+
+import xxhash
+
+NAME_CHARS_MAX: Final = 255
+DOMAIN_MAX: Final = 232
+
+_NAME: Final = re.compile(r"(?:/[A-Za-z_][A-Za-z0-9_]*)+")
+_TYPE: Final = re.compile(r"([a-z][a-z0-9_]*)/(msg|srv|action)/([A-Za-z][A-Za-z0-9_]*)")
+_DDS_TYPE: Final = re.compile(r"([a-z][a-z0-9_]*)::(msg|srv|action)::dds_::([A-Za-z][A-Za-z0-9_]*)_")
+
+DEFAULT_DEPTH: Final = 42
+DEPTH_MAX: Final = 1_000_000
+_BEST_EFFORT, _TRANSIENT_LOCAL, _KEEP_ALL = "2", "1", "2"  # the numbers of rmw/types.h
+_PARTS: Final = 6
+_INFINITE: Final = ":,:,:,,"  # deadline, lifespan, liveliness: automatic
+
+GID_BYTES: Final = 16
+_LAYOUT: Final = struct.Struct("<qqB16s")
+
+SPACE: Final = "@ros2_lv"
+TOKEN_CHARS_MAX: Final = 2048  # names of 255 characters, a type and a hash
+OWN_ENCLAVE: Final = "/hostlink"  # of every hostlink's nodes: hosts know each other's robots by the fleet, not by ROS 2
+
+_NODE_PARTS: Final = 9
+_ENDPOINT_PARTS: Final = 13  # one more where a type has buffers; it is passed over
+
+
+# -- names ------------------------------------------------------------------------------------------------------------
+
+
+def is_name(name: str) -> bool:
+    """Whether ROS 2 allows it as the full name of a topic or service."""
+    return len(name) <= NAME_CHARS_MAX and _NAME.fullmatch(name) is not None
+
+
+def is_hidden(name: str) -> bool:
+    """Whether a part of it begins with an underscore, as those of actions do; the tools of ROS 2 do not list it."""
+    return "/_" in name
+
+
+def to_dds_type(type_name: str) -> str:
+    """ "std_msgs/msg/String" -> "std_msgs::msg::dds_::String_".
+
+    Raises:
+        ValueError: it is no type name of ROS 2.
+    """
+    match = _TYPE.fullmatch(type_name)
+    if match is None:
+        raise ValueError(f"{type_name!r} is no type of ROS 2, as std_msgs/msg/String is")
+    package, kind, name = match.groups()
+    return f"{package}::{kind}::dds_::{name}_"
+
+
+def from_dds_type(dds_type: str) -> str | None:
+    """ "std_msgs::msg::dds_::String_" -> "std_msgs/msg/String"; None: it is none."""
+    match = _DDS_TYPE.fullmatch(dds_type)
+    return None if match is None else "/".join(match.groups())
+
+
+def mangle(name: str) -> str:
+    """One part of a key for a name with slashes; Zenoh splits keys at them. Nothing and "/" become "%"."""
+    return name.replace("/", "%") or "%"
+
+
+def demangle(part: str) -> str:
+    """The name that `mangle` changed."""
+    return part.replace("%", "/")
+
+
+def data_key(domain: int, name: str, type_name: str, type_hash: str) -> str:
+    """The key on which the messages of a topic, or the requests of a service, are sent.
+
+    Raises:
+        ValueError: `type_name` is no type name of ROS 2.
+    """
+    return f"{domain}/{name.strip('/')}/{to_dds_type(type_name)}/{type_hash}"
+
+
+# -- quality of service -----------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Qos:
+    """`depth`: messages that are kept; None: all."""
+
+    is_reliable: bool = True
+    is_transient_local: bool = False
+    depth: int | None = DEFAULT_DEPTH
+
+    def encode(self) -> str:
+        """The text in a token."""
+        reliability = "" if self.is_reliable else _BEST_EFFORT
+        durability = _TRANSIENT_LOCAL if self.is_transient_local else ""
+        kind = _KEEP_ALL if self.depth is None else ""
+        depth = "" if self.depth in (None, DEFAULT_DEPTH) else self.depth
+        return f"{reliability}:{durability}:{kind},{depth}{_INFINITE}"
+
+    @classmethod
+    def decode(cls, text: str) -> "Qos | None":
+        """From the text in a token; None: it is none."""
+        parts = text.split(":")
+        if len(parts) < _PARTS:
+            return None
+        kind, _, depth_text = parts[2].partition(",")
+        if not all(part.isascii() and (part.isdigit() or not part) for part in (parts[0], parts[1], kind, depth_text)):
+            return None
+        depth = min(int(depth_text[:9]), DEPTH_MAX) if depth_text else DEFAULT_DEPTH
+        return cls(
+            is_reliable=parts[0] != _BEST_EFFORT,
+            is_transient_local=parts[1] == _TRANSIENT_LOCAL,
+            depth=None if kind == _KEEP_ALL else depth or DEFAULT_DEPTH,
+        )
+
+
+TELEMETRY: Final = Qos(depth=10)
+LATCHED: Final = Qos(is_transient_local=True, depth=1)
+COMMANDS: Final = Qos(is_reliable=False, depth=1)  # matches every publisher, in the eyes of a tool too
+SERVICE: Final = Qos(depth=10)
+
+
+# -- signatures -------------------------------------------------------------------------------------------------------
+
+
+class Attachment(NamedTuple):
+    """`gid` names the endpoint that sent it; an answer repeats number and gid of its request."""
+
+    sequence_number: int
+    source_ns: int  # wall time of the sender
+    gid: bytes
+
+    def encode(self) -> bytes:
+        """33 bytes."""
+        return _LAYOUT.pack(self.sequence_number, self.source_ns, GID_BYTES, self.gid)
+
+    @classmethod
+    def decode(cls, data: bytes) -> "Attachment | None":
+        """None: it is none, as that of a release of rmw_zenoh before April 2025."""
+        if len(data) != _LAYOUT.size:
+            return None
+        sequence_number, source_ns, gid_bytes, gid = _LAYOUT.unpack(data)
+        return cls(sequence_number, source_ns, gid) if gid_bytes == GID_BYTES else None
+
+
+# -- tokens -----------------------------------------------------------------------------------------------------------
+
+
+class Kind(StrEnum):
+    """What a token stands for."""
+
+    NODE = "NN"
+    PUBLISHER = "MP"
+    SUBSCRIPTION = "MS"
+    SERVER = "SS"
+    CLIENT = "SC"
+
+
+@dataclass(frozen=True, slots=True)
+class NodeToken:
+    """A node: `session` is Zenoh's id of the process, `number` the node's in it."""
+
+    domain: int
+    session: str
+    number: int
+    namespace: str
+    name: str
+    enclave: str = ""
+
+    @property
+    def full_name(self) -> str:
+        """With its namespace: "/robot_0/driver"."""
+        return f"{self.namespace.rstrip('/')}/{self.name}"
+
+    @property
+    def is_hostlink(self) -> bool:
+        """Whether it is a node of hostlink's, of this host or another."""
+        return self.enclave == OWN_ENCLAVE
+
+    def encode(self) -> str:
+        """The key."""
+        return self.key(Kind.NODE, self.number)
+
+    def key(self, kind: Kind, number: int) -> str:
+        """The parts that a node's token and those of its endpoints share."""
+        parts = (SPACE, self.domain, self.session, self.number, number, kind.value)
+        return "/".join([*map(str, parts), *map(mangle, (self.enclave, self.namespace, self.name))])
+
+
+@dataclass(frozen=True, slots=True)
+class EndpointToken:
+    """A publisher, a subscription, or one end of a service; `number` is its own in its process."""
+
+    kind: Kind
+    node: NodeToken
+    number: int
+    name: str  # of the topic or service
+    type_name: str  # "std_msgs/msg/String"
+    type_hash: str
+    qos: Qos
+
+    def encode(self) -> str:
+        """The key.
+
+        Raises:
+            ValueError: the type name is none of ROS 2.
+        """
+        parts = (mangle(self.name), to_dds_type(self.type_name), self.type_hash, self.qos.encode())
+        return "/".join((self.node.key(self.kind, self.number), *parts))
+
+
+def parse_token(text: str) -> NodeToken | EndpointToken | None:
+    """What a key stands for; None: it is no token, or one that ROS 2 would not declare."""
+    parts = text.split("/") if len(text) <= TOKEN_CHARS_MAX else []
+    if len(parts) < _NODE_PARTS or parts[0] != SPACE or not all(parts):
+        return None
+    numbers = [_number(part) for part in (parts[1], parts[3], parts[4])]
+    kind = next((kind for kind in Kind if kind.value == parts[5]), None)
+    domain, node_number, number = numbers
+    if domain is None or node_number is None or number is None or kind is None:
+        return None
+    enclave, namespace, name = (demangle(part) for part in parts[6:9])
+    node = NodeToken(domain, parts[2], node_number, namespace, name, "" if enclave == "/" else enclave)
+    if not is_name(node.full_name):
+        return None
+    return node if kind is Kind.NODE else _parse_endpoint(kind, node, number, parts)
+
+
+def gid_of(token: str) -> bytes:
+    """The 16 bytes by which an endpoint signs what it sends: rmw_zenoh makes them of its token."""
+    return xxhash.xxh3_128_intdigest(token.encode()).to_bytes(16, "little")
+
+
+def _parse_endpoint(kind: Kind, node: NodeToken, number: int, parts: list[str]) -> EndpointToken | None:
+    if len(parts) < _ENDPOINT_PARTS:
+        return None
+    name, type_name, qos = demangle(parts[9]), from_dds_type(parts[10]), Qos.decode(parts[12])
+    if not is_name(name) or type_name is None or qos is None:
+        return None
+    return EndpointToken(kind, node, number, name, type_name, parts[11], qos)
+
+
+def _number(text: str) -> int | None:
+    return int(text) if text.isascii() and text.isdigit() and len(text) <= 20 else None  # noqa: PLR2004 - a uint64's digits

@@ -1,0 +1,172 @@
+"""A master that refuses, forgets, dies and begins anew knows what is wanted in the end, and services first."""
+
+import asyncio
+from dataclasses import dataclass, field
+from typing import Any, cast
+
+from hypothesis import given
+from hypothesis import strategies as st
+from structlog.testing import capture_logs
+
+from hostlink.graphs.ros1.graph_sync import GraphSync
+from hostlink.graphs.ros1.parameters import MasterParameters
+from hostlink.graphs.ros1.parts import Counts, Kind, Parts
+from hostlink.graphs.ros1.registrar import CHECK_INTERVAL_S, STATE_INTERVAL_S, Registrar
+from hostlink.graphs.ros1.rpc import Master
+from hostlink.graphs.ros1.xml_rpc import Refused, Unreachable
+from tests.support.virtual_loop import run_virtual
+
+NODE, URI, SERVICE_URI = "/hostlink", "http://here:1/", "rosrpc://here:2"
+KINDS = (Kind.PUBLISHER, Kind.SUBSCRIBER, Kind.SERVICE)  # in the order of getSystemState
+SETTLED_S = 2 * (CHECK_INTERVAL_S + STATE_INTERVAL_S)
+Wanted = dict[tuple[Kind, str], str]
+
+
+@dataclass
+class FakeMaster:
+    """What it knows of this node: the third argument of each registration."""
+
+    uri: str = "http://master/"
+    known: Wanted = field(default_factory=dict)
+    refused: set[str] = field(default_factory=set)
+    calls: list[str] = field(default_factory=list)
+    is_reachable: bool = True
+    dies_after: int = 1000  # calls
+
+    async def find_node(self, _: str) -> str | None:
+        self._check()
+        return URI if self.known else None
+
+    async def call(self, method: str, *arguments: Any) -> object:
+        self._check()
+        await asyncio.sleep(0.001)
+        if method == "getSystemState":
+            return [[[name, [NODE]] for kind, name in self.known if kind is each] for each in KINDS]
+        self.calls.append(method)
+        is_there, kind = method.startswith("register"), Kind(method.removeprefix("un").removeprefix("register"))
+        if is_there and arguments[0] in self.refused:
+            raise Refused("no")
+        if is_there:
+            self.known[kind, arguments[0]] = arguments[1]
+        else:
+            self.known.pop((kind, arguments[0]), None)
+        return []
+
+    def _check(self) -> None:
+        self.dies_after -= 1
+        if not self.is_reachable or self.dies_after < 0:
+            raise Unreachable("dead")
+
+
+@dataclass
+class Sync:
+    """What is wanted."""
+
+    topics: Wanted = field(default_factory=dict)
+
+    def wanted(self) -> Wanted:
+        return dict(self.topics)
+
+    def set_publishers(self, topic: str, uris: list[str], *, is_answer: bool) -> None:
+        assert topic
+        assert (uris, is_answer) == ([], True)
+
+
+class Parameters:
+    async def renew(self) -> None: ...
+
+    async def end(self) -> None: ...
+
+
+class World:
+    def __init__(self) -> None:
+        self.master, self.sync, self.counts = FakeMaster(), Sync(), Counts()
+        nothing: Any = None
+        parts = Parts(nothing, nothing, cast("Master", self.master), NODE, URI, self.counts, nothing, 1, 1)
+        self.registrar = Registrar(
+            parts,
+            cast("GraphSync", self.sync),
+            cast("MasterParameters", Parameters()),
+            SERVICE_URI,
+            on_services=lambda _: None,
+            on_collision=lambda _: None,
+        )
+
+    def want(self, topics: Wanted) -> None:
+        self.sync.topics = topics
+        self.registrar.note_change()
+
+    def expected(self) -> Wanted:
+        return {key: SERVICE_URI if key[0] is Kind.SERVICE else type_ for key, type_ in self.sync.topics.items()}
+
+
+NAMES = st.sampled_from(["/a", "/b", "/c"])
+GRAPHS = st.dictionaries(st.tuples(st.sampled_from(KINDS), NAMES), st.sampled_from(["x/X", "x/Y"]))
+STEPS = st.one_of(
+    st.tuples(st.just("want"), GRAPHS),
+    st.tuples(st.just("forget"), st.sets(NAMES)),
+    st.tuples(st.just("refuse"), st.sets(NAMES)),
+    st.tuples(st.just("die"), st.integers(0, 6)),
+    st.tuples(st.just("wait"), st.sampled_from([0.0, 0.002, 1.0, 4.0])),
+)
+
+
+@given(st.lists(STEPS), GRAPHS)
+def test_any_history_of_master_and_hub_ends_with_what_is_wanted(steps: list[tuple[str, Any]], last: Wanted) -> None:
+    async def test() -> None:
+        world = World()
+        running = asyncio.get_running_loop().create_task(world.registrar.run())
+        for what, value in steps:
+            match what:
+                case "want":
+                    world.want(value)
+                case "forget":
+                    for name in value:
+                        for kind in KINDS:
+                            world.master.known.pop((kind, name), None)
+                case "refuse":
+                    world.master.refused = value
+                case "die":
+                    world.master.dies_after = value
+                case _:
+                    await asyncio.sleep(value)
+        world.master.refused, world.master.dies_after = set(), 1000
+        world.want(last)
+        await asyncio.sleep(SETTLED_S)
+        assert world.master.known == world.expected()
+        running.cancel()
+
+    run_virtual(test())
+
+
+def test_services_are_registered_before_topics_and_another_type_over_the_one_before() -> None:
+    async def test() -> None:
+        world = World()
+        world.want({(Kind.SERVICE, "/stop"): "x/X", (Kind.PUBLISHER, "/odom"): "x/X"})
+        running = asyncio.get_running_loop().create_task(world.registrar.run())
+        await asyncio.sleep(1.0)
+        world.want({(Kind.SERVICE, "/stop"): "x/X", (Kind.PUBLISHER, "/odom"): "x/Y"})
+        await asyncio.sleep(1.0)
+        assert world.master.calls == ["registerService", "registerPublisher", "registerPublisher"]
+        await world.registrar.end()
+        assert world.master.known == {}
+        running.cancel()
+
+    run_virtual(test())
+
+
+def test_name_that_the_master_refuses_is_logged_once_and_tried_again_and_affects_no_other() -> None:
+    async def test() -> None:
+        world = World()
+        world.master.refused = {"/a"}
+        world.want({(Kind.PUBLISHER, "/a"): "x/X", (Kind.PUBLISHER, "/b"): "x/X"})
+        running = asyncio.get_running_loop().create_task(world.registrar.run())
+        with capture_logs() as logs:
+            await asyncio.sleep(10 * STATE_INTERVAL_S)
+        assert list(world.master.known) == [(Kind.PUBLISHER, "/b")]
+        assert 8 <= len(world.master.calls) <= 12
+        assert [log["name"] for log in logs if log["event"] == "ros1.name_refused"] == ["/a"]
+        assert world.counts.re_registrations == 0
+        running.cancel()
+
+    run_virtual(test())

@@ -1,0 +1,96 @@
+"""Topics of robots of other daemons in the graph here, without a network."""
+
+import asyncio
+from collections import Counter
+from typing import cast
+
+from hostlink.config import Config
+from hostlink.graphs.zenoh.fleet_messages import Keys, Sender, TopicState
+from hostlink.graphs.zenoh.fleet_post import Post
+from hostlink.graphs.zenoh.fleet_topics import FIRST_RETRY_S, FleetImports
+from hostlink.graphs.zenoh.roster import Neighbour
+from hostlink.graphs.zenoh.session import Session
+from hostlink.hub.hub import Hub
+from tests.support.fake_device import CATALOG
+from tests.support.memory_zenoh import MemoryNetwork, MemorySession
+from tests.support.remote_robots import remote_robot
+from tests.support.virtual_loop import run_virtual
+
+ROBOT, PLAN, SCAN = "robot_7", "/robot_7/plan", "/robot_7/scan"
+
+
+class World:
+    """A daemon that knows a robot of another one."""
+
+    def __init__(self) -> None:
+        self.hub, self.counts, self.network = Hub(Config(), CATALOG, reraises=True), Counter[str](), MemoryNetwork()
+        session = cast("Session", MemorySession(self.network, "1a"))
+        self.imports = FleetImports(self.hub, Post(session, Keys("fleet"), Sender("lab", "1a"), self.counts))
+        self.robot = remote_robot(self.hub, ROBOT)
+        self.neighbour = Neighbour(Sender("desk", "2b"), 0.0)
+
+    def show(self, *names: str, type_name: str = "std_msgs/Bool") -> None:
+        topics = [TopicState(robot=ROBOT, name=name, type=type_name, is_published=True) for name in names]
+        self.imports.show(self.robot, self.neighbour, topics)
+
+    def update(self) -> None:
+        self.imports.update(self.hub.join("watcher").graph().topics)
+
+    def published(self) -> set[str]:
+        return {topic.name for topic in self.hub.topics.all() if topic.publishers and ROBOT in topic.name}
+
+
+def test_topic_with_another_type_here_is_refused_alone_and_shown_once_it_fits() -> None:
+    async def test() -> None:
+        world = World()
+        program = world.hub.join("program")
+        program.advertise(PLAN, "std_msgs/String")
+        world.show(PLAN, SCAN)
+        assert world.counts["refused_topics"] == 1
+        assert world.published() == {PLAN, SCAN}
+        program.leave()
+        assert world.published() == {SCAN}
+        await asyncio.sleep(FIRST_RETRY_S + 0.1)
+        assert world.published() == {PLAN, SCAN}
+        world.imports.hide_all()
+
+    run_virtual(test())
+
+
+def test_topic_is_subscribed_elsewhere_while_it_is_subscribed_here() -> None:
+    async def test() -> None:
+        world = World()
+        world.show(PLAN, SCAN)
+        world.update()
+        assert world.network.subscribers == []
+        program = world.hub.join("program")
+        program.subscribe(PLAN, lambda _: None)
+        world.update()
+        assert len(world.network.subscribers) == 1
+        world.show(SCAN)
+        assert world.network.subscribers == []
+        world.show(PLAN, SCAN)
+        world.update()
+        assert len(world.network.subscribers) == 1
+        program.leave()
+        world.update()
+        assert world.network.subscribers == []
+        world.imports.hide_all()
+
+    run_virtual(test())
+
+
+def test_robot_at_another_daemon_has_its_topics_anew() -> None:
+    async def test() -> None:
+        world = World()
+        world.show(PLAN)
+        world.hub.join("program").subscribe(PLAN, lambda _: None)
+        world.update()
+        world.neighbour = Neighbour(Sender("attic", "3c"), 0.0)
+        world.show(PLAN)
+        assert world.network.subscribers == []
+        assert world.published() == {PLAN}
+        world.imports.hide(ROBOT)
+        assert world.published() == set()
+
+    run_virtual(test())
