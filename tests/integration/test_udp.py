@@ -399,7 +399,7 @@ class TestKey:
 
 async def test_a_port_in_use_is_named_and_no_second_host_shares_it() -> None:
     async with host_of() as host:
-        with pytest.raises(ConfigError, match=r"^UDP 127.0.0.1:\d+: is in use: .*--udp HOST:PORT"):
+        with pytest.raises(ConfigError, match=r"^UDP 127.0.0.1:\d+: is in use, .*--udp HOST:PORT"):
             async with serve_udp(
                 UdpConfig(host="127.0.0.1", port=host.udp[1]), host.hub.counts.datagrams_dropped, lambda _port, _: False
             ):

@@ -5,6 +5,8 @@ from collections.abc import Awaitable, Callable
 from typing import Any
 
 from hostlink import client
+from hostlink.client import Refused
+from hostlink.robot.admission import LEASE_S
 
 TIMEOUT_S = 15.0
 
@@ -27,7 +29,7 @@ async def received(
 async def publish_until(
     host: client.Host, topic: str, message: dict[str, Any], type_name: str, done: Awaitable[object]
 ) -> None:
-    """Publish ten times a second until the awaitable is done.
+    """Publish ten times a second until the awaitable is done; after a refusal, let go for as long as a lease.
 
     Raises:
         TimeoutError: it was not, for 15 s.
@@ -35,7 +37,10 @@ async def publish_until(
 
     async def repeat() -> None:
         while True:
-            await host.publish(topic, message, type_name=type_name)
+            try:
+                await host.publish(topic, message, type_name=type_name)
+            except Refused:  # the device has just subscribed, and this stream was there before
+                await asyncio.sleep(LEASE_S)
             await asyncio.sleep(0.1)
 
     async with asyncio.timeout(TIMEOUT_S), asyncio.TaskGroup() as tasks:

@@ -20,6 +20,7 @@ from tests.support.waiting import expect, expect_never
 pytestmark = pytest.mark.timeout(300)
 
 SCAN = topic(Id.PUBLISHER, 126, "/robot_0/scan", "sensor_msgs/LaserScan")
+TEXT = topic(Id.PUBLISHER, 127, "/robot_0/text", "std_msgs/String")
 SERVO = topic(Id.SUBSCRIBER, 110, "/robot_0/servo", "std_msgs/Float64")
 
 
@@ -68,8 +69,9 @@ async def test_the_topics_of_a_robot_are_read_by_rclpy_and_come_and_go_with_it(e
         await other.do("subscribe", topic="/robot_0/odometry", type="geometry_msgs/msg/Pose2D")
         await other.do("subscribe", topic="/robot_0/odom", type="nav_msgs/msg/Odometry", best_effort=True)
         await other.do("subscribe", topic="/robot_0/scan", type="sensor_msgs/msg/LaserScan")
-        async with fake_device(server.tcp, [*robot_topics(), SCAN]) as device:
+        async with fake_device(server.tcp, [*robot_topics(), SCAN, TEXT]) as device:
             types = {
+                "/robot_0/text": "std_msgs/msg/String",
                 "/robot_0/odom": "nav_msgs/msg/Odometry",
                 "/robot_0/cmd_vel": "geometry_msgs/msg/Twist",
                 "/robot_0/cmd_vel_stamped": "geometry_msgs/msg/TwistStamped",
@@ -91,7 +93,8 @@ async def test_the_topics_of_a_robot_are_read_by_rclpy_and_come_and_go_with_it(e
             assert len(odom["pose"]["covariance"]) == 36
             read = other.messages("/robot_0/scan")[-1]
             assert (read["header"]["frame_id"], read["ranges"], read["angle_max"]) == ("laser", [0.5, math.inf], 1.0)
-        await other.until_graph(lambda graph: "/robot_0/cmd_vel" not in graph["topics"])
+        await other.until_graph(lambda graph: "/robot_0/text" not in graph["topics"])
+        await other.until_graph(lambda graph: "/robot_0/cmd_vel" in graph["topics"])  # its robot is still known
 
 
 async def test_a_type_that_is_not_installed_is_reported_once_by_name_and_the_others_work(
