@@ -35,6 +35,7 @@ class VelocityAnswer(TypedDict):
     is_limited: bool
     limited_by: str | None
     lease_s: float
+    epoch: int  # a command with it is meant since the newest interruption
 
 
 class PoseView(TypedDict):
@@ -298,6 +299,7 @@ def velocity_answer(robot: Robot, requested: PlanarVelocity, limited: PlanarVelo
         "is_limited": limited != requested,
         "limited_by": robot.limited_by(requested),
         "lease_s": robot.admission.lease_s,
+        "epoch": robot.admission.epoch,
     }
 
 

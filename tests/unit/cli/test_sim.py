@@ -41,7 +41,10 @@ STARTS: dict[str, Callable[[], None]] = {
 @pytest.mark.parametrize(
     ("machine", "advice"),
     [
-        ("aarch64", "needs wasmtime: run  pip install '.[sim]'  in a clone, or use the wheel's file instead of the dot"),
+        (
+            "aarch64",
+            "needs wasmtime: run  pip install '.[sim]'  in a clone, or use the wheel's file instead of the dot",
+        ),
         ("armv7l", "needs wasmtime, which has no library for armv7l: run it on x86_64 or arm64"),
     ],
 )
