@@ -12,7 +12,7 @@ while :; do
   kill -0 "$daemon" 2>/dev/null || break # else a signal came, and was passed on
 done
 [ "$status" -gt 128 ] && sleep 1
-for _ in 1 2 3 4 5 6 7 8; do
+for _ in $(seq 40); do
   set -- /dev/shm/hostlink-*-"$daemon"-*
   [ -e "$1" ] || break
   sleep 0.5
