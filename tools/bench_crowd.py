@@ -129,6 +129,9 @@ async def read_away(daemon: Process) -> None:
         pass
 
 
+SETTLED_S = 0.6  # a program that advertised before its robot connected lets go for a lease
+
+
 class Robot:
     """The robot and the program that drives it."""
 
@@ -169,6 +172,7 @@ class Robot:
         Of two that come in one turn of the daemon's loop the newer one is sent on, and the daemon counts the other.
         """
         await self._is_known.wait()
+        await asyncio.sleep(SETTLED_S)
         loop = asyncio.get_running_loop()
         self.sent = sent = SentCommands()
         replaced = await self._replaced()

@@ -63,7 +63,8 @@ async def observed() -> tuple[Observed, Observed]:
         while not all(CODES[name] in of_api[name] for name in FAULTS):
             view = await host.get("/api/links")
             note(of_api, [*view["links"], *view["ended"]], names)
-            for name in DRIVEN:  # refused until the robot is there
+            known = {robot["name"] for robot in (await host.get("/api/robots"))["robots"]}
+            for name in known.intersection(DRIVEN):  # what commands it before is disarmed
                 await host.rest("PUT", f"/api/robots/{name}/velocity", b'{"linear": 0.3, "angular": 0.0}')
             await asyncio.sleep(POLL_S)
         while not all(CODES[name] in of_doctor[name] for name in FAULTS):
