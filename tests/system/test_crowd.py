@@ -15,7 +15,7 @@ MOST_MIB = 200.0
 )
 async def test_a_crowd_does_not_displace_the_driver(crowd: str, count: int) -> None:
     observed = await measure(Load(crowd, crowd, count, 2.0))
-    assert observed["commands"] >= 90
+    assert observed["commands"] >= 60  # of 100; of those that wait, the newest alone is sent on
     assert observed["median_ms"] < LONGEST_MEDIAN_MS
     assert observed["memory_mib"] < MOST_MIB
     if crowd == "devices":
