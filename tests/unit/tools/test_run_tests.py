@@ -55,8 +55,8 @@ def test_what_fails_again_is_a_failure() -> None:
 
 @pytest.mark.parametrize(
     ("code", "failed"),
-    [(0, []), (1, ["a", "b", "c", "d"]), (2, ["a"]), (5, []), (1, [])],
-    ids=["passed", "four at once", "cannot be read", "no tests", "killed before it kept anything"],
+    [(0, []), (1, list("abcdefg")), (2, ["a"]), (5, []), (1, [])],
+    ids=["passed", "seven at once", "cannot be read", "no tests", "killed before it kept anything"],
 )
 def test_everything_else_is_reported_at_once(code: int, failed: list[str]) -> None:
     runs = Runs((code, failed))
