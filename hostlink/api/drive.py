@@ -111,7 +111,7 @@ class Drive:
         if not 0 <= wanted.priority <= MAX_PRIORITY:
             raise BadRequest(f"drive: priority must be a number from 0 to {MAX_PRIORITY}")
         velocity = PlanarVelocity(wanted.linear, wanted.linear_y, wanted.angular)
-        robot = self._robots.find(wanted.robot, driver=None if velocity.is_zero else self._participant)
+        robot = self._robots.find(wanted.robot, driver=None if velocity.is_zero else lambda: self._participant)
         epoch = wanted.stops if wanted.epoch is None else wanted.epoch
         if wanted.link is not None and robot.link is not None:
             is_same = robot.resumed_link <= wanted.link <= robot.link.number

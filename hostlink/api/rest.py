@@ -220,7 +220,7 @@ class Rest:
 
     def _find_to_drive(self, request: web.Request) -> Robot:
         """The robot that the path names, for whoever commands it to move; as `_find`."""
-        return self._hub.robots.find(request.match_info["name"], driver=self._owner(request))
+        return self._hub.robots.find(request.match_info["name"], driver=lambda: self._owner(request))
 
     async def _robots(self, _: web.Request) -> web.Response:
         return reply({"robots": [robot_view(robot) for robot in self._hub.robots.all()]})

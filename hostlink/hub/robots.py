@@ -104,11 +104,11 @@ class Robots:
         found = (self._find(name) for name in sorted(self._robots.keys() | self.remote.keys()))
         return [robot for robot in found if robot is not None]
 
-    def find(self, name: str, *, driver: Hashable = None) -> Robot:
-        """The robot of that name, connected or not. `driver`: the source that commands it to move.
+    def find(self, name: str, *, driver: Callable[[], Hashable] | None = None) -> Robot:
+        """The robot of that name, connected or not.
 
         Raises:
-            UnknownTopic: there is none. What `driver` streams does not move a robot that appears later.
+            UnknownTopic: there is none. A stream of the source that `driver` returns moves no later robot.
         """
         robot = self._find(name.strip("/"))
         if robot is None:
@@ -116,9 +116,9 @@ class Robots:
             raise UnknownTopic("robot", name, self._robots.keys() | self.remote.keys())
         return robot
 
-    def _note_early(self, name: str, driver: Hashable) -> None:
+    def _note_early(self, name: str, driver: Callable[[], Hashable] | None) -> None:
         if driver is not None:
-            self._earlier.note(name, driver, _now_s())
+            self._earlier.note(name, driver(), _now_s())
 
     def _join_early(self, robot: Robot) -> None:
         """Note who commanded a robot of this name when there was none: it is in the middle of a motion."""
@@ -135,7 +135,7 @@ class Robots:
         is_elsewhere = robot is not None and robot.link is None and remote is not None and remote.link is not None
         return remote if robot is None or is_elsewhere else robot
 
-    def find_here(self, name: str, *, driver: Hashable = None) -> LocalRobot:
+    def find_here(self, name: str, *, driver: Callable[[], Hashable] | None = None) -> LocalRobot:
         """The robot of this daemon that has this name, connected or not; as `find`.
 
         Raises:

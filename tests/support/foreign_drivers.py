@@ -191,7 +191,7 @@ class FleetSender:
 
     async def drive(self, velocity: PlanarVelocity, *, late_s: float = 0.0, epoch: int | None = None) -> None:
         participant = self.participant
-        robot = self.hub.robots.find(ROBOT, driver=participant)
+        robot = self.hub.robots.find(ROBOT, driver=lambda: participant)
         participant.drive(robot, velocity, priority=PRIORITY, received_s=_now_s() - late_s, epoch=epoch)
         await participant.driven(robot, velocity)
 

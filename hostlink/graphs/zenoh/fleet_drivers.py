@@ -2,6 +2,7 @@
 
 import asyncio
 import fnmatch
+import functools
 from dataclasses import dataclass, field
 from typing import assert_never
 
@@ -129,9 +130,8 @@ class FleetDrivers:
         try:
             match request:
                 case Drive():
-                    is_zero = request.wanted.is_zero
-                    source = None if is_zero else self._participant(neighbour, request.owner, request.owner_name)
-                    robot = self._hub.robots.find_here(request.robot, driver=source)
+                    source = functools.partial(self._participant, neighbour, request.owner, request.owner_name)
+                    robot = self._hub.robots.find_here(request.robot, driver=None if request.wanted.is_zero else source)
                     return self._drive(neighbour, robot, request)
                 case Release():
                     driver = self._drivers.get(neighbour.sender.zid, _Drivers()).of.pop(request.owner, None)
