@@ -1,7 +1,7 @@
-"""Changes one place of a module at a time and runs its tests: a change that no test notices survives.
+"""Changes one place of the code at a time and runs its package's unit tests: a change that no test notices survives.
 
-cosmic-ray knows the changes; a seed draws some places of each module, and one change at each. Prints the score and
-what survived. With paths: only these modules.
+cosmic-ray knows the changes; a seed draws some places of each package, and one change at each. Prints the score and
+what survived. With paths of packages or modules: only these.
 """
 
 import argparse
@@ -28,42 +28,36 @@ from cosmic_ray.plugins import get_operator, operator_names
 ROOT = Path(__file__).resolve().parent.parent
 COPIED = ("hostlink", "tests", "tools", "docs", "firmware", "pyproject.toml")
 TIMEOUT_S = 300.0  # an endless loop is noticed
-PROTOCOL = ("tests/unit/protocol", "tests/property/test_replay.py")
-TESTS = {  # one run each until one fails, so those that notice most come first
-    "hostlink/messages/codec.py": (
-        "tests/unit/messages/test_codec.py",
-        "tests/unit/messages",
-        "tests/property/test_codec.py",
-    ),
-    "hostlink/protocol/stream.py": (
-        "tests/unit/protocol/test_stream.py",
-        *PROTOCOL,
+MORE_TESTS = {  # beside a package's unit tests
+    "hostlink/messages": ("tests/property/test_codec.py",),
+    "hostlink/protocol": (
+        "tests/property/test_replay.py",
         "tests/property/test_stream.py",
-    ),
-    "hostlink/protocol/session.py": (
-        "tests/unit/protocol/test_session.py",
-        *PROTOCOL,
-        "tests/property/test_session.py",
-    ),
-    "hostlink/protocol/negotiation.py": (
-        "tests/unit/protocol/test_negotiation.py",
-        *PROTOCOL,
-        "tests/property/test_session.py",
-    ),
-    "hostlink/protocol/outbox.py": (
-        "tests/unit/protocol/test_outbox.py",
-        *PROTOCOL,
         "tests/property/test_session.py",
         "tests/property/test_outbox.py",
     ),
-    "hostlink/robot/velocity_gate.py": (
-        "tests/unit/robot/test_velocity_gate.py",
-        "tests/unit/robot",
+    "hostlink/robot": (
         "tests/property/test_velocity_gate.py",
+        "tests/property/test_kinematics.py",
+        "tests/property/test_admission.py",
     ),
-    "hostlink/robot/kinematics.py": ("tests/property/test_kinematics.py", "tests/unit/robot"),
-    "hostlink/hub/topic_graph.py": ("tests/unit/hub", "tests/unit/api", "tests/integration/test_rosbridge.py"),
+    "hostlink/mirror": (),
+    "hostlink/hub": (),
+    "hostlink/api": (),
+    "hostlink/graphs": (),
+    "hostlink/recording": (),
 }
+
+
+def tests_of(module: str) -> tuple[str, ...]:
+    """The tests that judge a change of the module: the unit tests of its package, and what MORE_TESTS adds.
+
+    The test file of the module's name comes first, because it notices most.
+    """
+    package = "/".join(module.split("/")[:2])
+    unit = package.replace("hostlink", "tests/unit", 1)
+    named = sorted(str(path.relative_to(ROOT)) for path in (ROOT / unit).rglob(f"test_{Path(module).stem}.py"))
+    return (*named, unit, *MORE_TESTS.get(package, ()))
 
 
 @dataclass(frozen=True)
@@ -94,12 +88,15 @@ def _operator(name: str) -> Operator:
     return made
 
 
-def drawn(module: str, count: int, seed: int) -> list[Mutant]:
-    """So many places of the module, and one change at each; the same for the same seed."""
-    dice = random.Random(f"{seed} {module}")  # noqa: S311 - to be repeated
+def drawn(where: str, count: int, seed: int) -> list[Mutant]:
+    """So many places of the package or module, and one change at each; the same for the same seed."""
+    dice = random.Random(f"{seed} {where}")  # noqa: S311 - to be repeated
+    path = ROOT / where
+    modules = [path] if path.is_file() else sorted(path.rglob("*.py"))
     places = defaultdict(list)
-    for place, mutant in _mutants(module):
-        places[place].append(mutant)
+    for module in (str(each.relative_to(ROOT)) for each in modules):
+        for place, mutant in _mutants(module):
+            places[module, place].append(mutant)
     chosen = dice.sample(sorted(places), min(count, len(places)))
     return [dice.choice(places[place]) for place in sorted(chosen)]
 
@@ -143,7 +140,7 @@ def passes(module: str, folder: Path) -> bool:
     """Whether the module's tests pass in the copy; tests that do not end in time do not pass."""
     command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider"]
     environment = {**os.environ, "HYPOTHESIS_PROFILE": "ci", "PYTHONDONTWRITEBYTECODE": "1"}
-    for tests in TESTS[module]:
+    for tests in tests_of(module):
         try:
             subprocess.run(
                 [*command, tests], cwd=folder, env=environment, capture_output=True, timeout=TIMEOUT_S, check=True
@@ -156,8 +153,8 @@ def passes(module: str, folder: Path) -> bool:
 def main() -> None:
     """Draw, test and report."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("modules", nargs="*", default=list(TESTS))
-    parser.add_argument("--count", type=int, default=8, help="places in each module")
+    parser.add_argument("places", metavar="PATH", nargs="*", default=list(MORE_TESTS))
+    parser.add_argument("--count", type=int, default=8, help="places in each package or module")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
     wanted = parser.parse_args()
@@ -174,12 +171,12 @@ def main() -> None:
                 folders.put(folder)
 
         print(f"seed {wanted.seed}")
-        for module in wanted.modules:
-            if not passes(module, Path(root) / "0"):
-                sys.exit(f"{module}: its tests fail without a change; nothing can be learned from the changes")
-            mutants = drawn(module, wanted.count, wanted.seed)
+        for where in wanted.places:
+            mutants = drawn(where, wanted.count, wanted.seed)
+            if not passes(mutants[0].module, Path(root) / "0"):
+                sys.exit(f"{where}: its tests fail without a change; nothing can be learned from the changes")
             survivors = [mutant for mutant, lives in zip(mutants, pool.map(test, mutants), strict=True) if lives]
-            print(f"{module}: {len(mutants) - len(survivors)} of {len(mutants)} noticed", flush=True)
+            print(f"{where}: {len(mutants) - len(survivors)} of {len(mutants)} noticed", flush=True)
             for mutant in survivors:
                 print(mutant.describe(), flush=True)
 
