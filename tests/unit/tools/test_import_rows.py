@@ -1,9 +1,5 @@
 """The rows of imports: the longest name counts, rows point up, nothing is in no row."""
 
-import re
-import tomllib
-from pathlib import Path
-
 import pytest
 
 from tools.import_rows import forbidden, parse, points_down, row_of
@@ -46,10 +42,3 @@ def test_a_row_allows_only_what_stands_above_it() -> None:
         "the row of errors allows hub, which has no row above"
     ]
     assert points_down(TABLE) == ["the row of hub allows link.base, which has no row above"]
-
-
-def test_the_table_for_people_is_the_one_that_is_enforced() -> None:
-    contracts = tomllib.loads(Path("pyproject.toml").read_text())["tool"]["importlinter"]["contracts"]
-    section = Path("CONTRIBUTING.md").read_text().partition("## The one idea")[2].partition("\n## ")[0]
-    rows = re.findall(r"^\| (`\w[^|]*`) \|[^|]*\| ([^|]*) \|$", section, re.M)
-    assert [f"{packages.replace('`', '')}: {allowed}" for packages, allowed in rows] == contracts[0]["rows"]
