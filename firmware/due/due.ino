@@ -1,8 +1,8 @@
-// The paper's robot on an Arduino Due: wiring only. What it does is in src/, the board itself in src/board/.
+// The paper's robot on an Arduino Due: wiring only. src/ has the logic, src/board/ the board.
 //
 // Arduino IDE: open this file, board "Arduino Due (Programming Port)", upload. Pins and wiring: ../README.md.
 
-#include <ros.h>  // the library: firmware/rosserial
+#include <ros.h>  // include path of the library: firmware/rosserial
 
 #include "src/board/due_board.h"
 #include "src/robot.h"
@@ -18,5 +18,5 @@ void setup() {
 void loop() {
   board.run();
   const uint32_t wait_ms = robot.loop();
-  if (wait_ms > 0) delay(wait_ms);  // only with the paper's retry clause: robot(board, "/robot_0/", ros::Retry::kPaper)
+  if (wait_ms > 0) delay(wait_ms);  // with the paper's retry clause: robot(board, "/robot_0/", ros::Retry::kPaper)
 }

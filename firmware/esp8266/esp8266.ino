@@ -1,4 +1,4 @@
-// ESP8266 passthrough: UART to the device, TCP to the host. Wiring only; what it does is decided in src/.
+// ESP8266 passthrough: UART to the device, TCP to the host. Wiring only; src/ decides.
 #include <ros.h>  // the library: firmware/rosserial
 
 #include "src/board/board.h"
@@ -30,7 +30,7 @@ void loop() {
     const bool is_connected = network.connect();
     passthrough.connection_tried(is_connected, millis());
   }
-  // Never while a host drives: an update occupies the processor for seconds and then restarts it.
+  // Not while a host drives: an update occupies the processor for seconds and then restarts it.
   if (passthrough.state() != hostlink::LinkState::kConnected) updates.step();
   board::set_led(hostlink::is_led_lit(passthrough.state(), millis()));
   yield();

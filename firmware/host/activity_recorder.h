@@ -1,4 +1,4 @@
-// ActivityRecorder: when the board last got a message and when its wheels last rolled, by the board's own clock.
+// ActivityRecorder: when the board last received a message and when its wheels last rolled, by the board's clock.
 #pragma once
 
 #include <stdint.h>
@@ -9,7 +9,7 @@ namespace hostlink {
 
 class ActivityRecorder {
  public:
-  // On each pass of the loop; `delivered` counts the messages that the firmware got.
+  // On each pass of the loop; `delivered` counts the messages that the firmware received.
   void update(const World& world, uint32_t delivered, uint32_t now_ms) {
     if (delivered != delivered_) got_at_ms_ = now_ms;
     delivered_ = delivered;

@@ -8,9 +8,9 @@ namespace {
 
 const double kTurnRad = 6.283185307179586;
 const double kHalfTurnRad = 3.141592653589793;
-const double kTrailsRad = 0.1;     // nearer to its course it trails
-const double kSwingsRad = 0.5;     // farther from it a new swing has begun
-const double kLeastOffRad = 0.05;  // no caster stands exactly against its course
+const double kTrailsRad = 0.1;     // below this angle to its course it trails
+const double kSwingsRad = 0.5;     // above this angle a new swing has begun
+const double kLeastOffRad = 0.05;  // no caster points exactly against its course
 
 double half_turn(double angle_rad) { return angle_rad - kTurnRad * floor((angle_rad + kHalfTurnRad) / kTurnRad); }
 
@@ -42,7 +42,7 @@ double Caster::resistance(double forward_m, double turned_rad) const {
   return (1.0 - cos(atan2(side_m, forward_m) - heading_rad_)) / 2.0;
 }
 
-// Draws the strength of a swing that begins, or that passes the right angle; and the side, where that is open.
+// Draws the strength of a swing that begins or passes the right angle, and the side if it is undecided.
 double Caster::begin(double off_rad) {
   const double size_rad = fabs(off_rad);
   const bool is_ahead = cos(heading_rad_) >= 0.0;

@@ -1,8 +1,8 @@
-// Caster: the swivel wheel behind the axle. It swings round until it trails, and twists the robot on the way.
+// Caster: the swivel wheel behind the axle. It swings until it trails, and twists the robot meanwhile.
 //
-// Its wheel rolls freely along its heading b and scrubs across it, so its pivot pulls the tail sideways by cos(b) while
-// it swings: over a swing that sums up to the change of sin(b). Wheels that turn the robot on the spot hold it against
-// that; wheels that roll straight do not (the paper's "overturning"): cos2 of the pivot's course is the share.
+// The wheel rolls freely along its heading b and scrubs across it, so its pivot pulls the tail sideways by cos(b)
+// during the swing; over a whole swing this sums up to the change of sin(b). Wheels that turn the robot on the spot
+// resist it; wheels that roll straight do not (the paper's "overturning"): cos2 of the pivot's course is the share.
 #pragma once
 
 #include "random_numbers.h"
@@ -21,9 +21,9 @@ class Caster {
   static const uint64_t kStream = 3;
 
   void be(const CasterParameters& parameters, uint64_t seed);
-  // The robot moved this far; returns by how much the caster twists it.
+  // The robot moved this far; returns the angle by which the caster twists it.
   double step(double forward_m, double turned_rad);
-  // How much it stands in the way of such a motion: 0 it trails, 1 it points the other way.
+  // Resistance of the caster to such a motion: 0 it trails, 1 it points the other way.
   double resistance(double forward_m, double turned_rad) const;
   double heading_rad() const { return heading_rad_; }
 
@@ -32,10 +32,10 @@ class Caster {
 
   CasterParameters caster_ = {0.0, 0.0, 0.0, 0.0};
   RandomNumbers random_{1, kStream};
-  double heading_rad_ = 0.0;  // where it rolls to, in the robot's frame
+  double heading_rad_ = 0.0;  // its rolling direction, in the robot's frame
   double factor_ = 1.0;       // of this swing's twist
   bool is_swinging_ = false;
-  bool is_ahead_ = true;  // its heading has a part forwards
+  bool is_ahead_ = true;  // its heading has a forward component
 };
 
 }  // namespace hostlink

@@ -42,7 +42,7 @@ double DriveTrain::roll(double pwm, double brake_share, double load_pwm, double 
   const double target_rad_s = aimed_rad_s(pwm, load_pwm);
   if (target_rad_s != 0.0) {
     const bool is_too_fast =
-        speed_rad_s_ * target_rad_s > target_rad_s * target_rad_s;  // a PWM pushes, it does not brake
+        speed_rad_s_ * target_rad_s > target_rad_s * target_rad_s;  // a PWM pushes and does not brake
     return approach(target_rad_s, is_too_fast ? wheel_.coast_constant_s : wheel_.rise_constant_s, dt_s);
   }
   const double constant_s =
@@ -58,7 +58,7 @@ double DriveTrain::aimed_rad_s(double pwm, double load_pwm) const {
   return (pwm > 0.0 ? 1.0 : -1.0) * share * wheel_.full_speed_rad_s;
 }
 
-// The exact solution of the first-order lag over the step, so that the result does not depend on its length.
+// Exact solution of the first-order lag over the step, so that the result does not depend on the length of the step.
 double DriveTrain::approach(double target_rad_s, double constant_s, double dt_s) {
   const double decay = exp(-dt_s / constant_s);
   const double ahead_rad_s = speed_rad_s_ - target_rad_s;
@@ -66,7 +66,7 @@ double DriveTrain::approach(double target_rad_s, double constant_s, double dt_s)
   return target_rad_s * dt_s + ahead_rad_s * constant_s * (1.0 - decay);
 }
 
-// As if friction drove it backwards, until it stands.
+// Like friction in the other direction, until the wheel stops.
 double DriveTrain::slow_down(double constant_s, double friction_rad_s, double dt_s) {
   if (friction_rad_s == 0.0) return approach(0.0, constant_s, dt_s);
   const double backwards_rad_s = speed_rad_s_ < 0.0 ? friction_rad_s : -friction_rad_s;
@@ -82,12 +82,12 @@ void DriveTrain::count(double rolled_rad) {
   part_ticks_ += rolled_rad * wheel_.ticks_per_turn / kTurnRad;
   const double passed = floor(part_ticks_ * kEdgesPerTick);
   part_ticks_ -= passed / kEdgesPerTick;
-  // Rounded onto the edge that it has just come back over, it would pass that again with each step.
+  // Without this, rounding onto the edge that the wheel has just passed would count that edge again in each step.
   if (part_ticks_ > kBeforeAnEdgeTicks) part_ticks_ = kBeforeAnEdgeTicks;
   if (!is_deaf_) edges_ += static_cast<uint32_t>(fabs(passed));
 }
 
-// How far the robot moved for what the wheel rolled: less while it speeds up, more while it slows down.
+// Distance of the robot for a distance of the wheel: less while it speeds up, more while it slows down.
 double DriveTrain::over_floor(double rolled_m, double before_m_s) {
   const double gained = (speed_m_s() * speed_m_s() - before_m_s * before_m_s) / 2.0;
   const double share_s2_m = gained > 0.0 ? wheel_.slip_accelerating_s2_m : wheel_.slip_braking_s2_m;

@@ -13,14 +13,14 @@ class DriveTrain {
   explicit DriveTrain(uint64_t stream) : random_(1, stream), stream_(stream) {}
   void be(const WheelParameters& parameters, uint64_t seed);
 
-  // Somebody turns the wheel by hand, at this speed, or blocks it (0), whatever the motor does.
+  // Turn the wheel by hand at this speed, or block it (0), independent of the motor.
   void grip(double ticks_s);
   void release() { is_gripped_ = false; }
-  void deafen(bool is_so) { is_deaf_ = is_so; }  // its encoder is dead
-  void break_driver() { is_broken_ = true; }     // once driven, it runs on at full speed, whatever it is given then
+  void deafen(bool is_so) { is_deaf_ = is_so; }  // dead encoder
+  void break_driver() { is_broken_ = true; }     // the next drive makes it run at full speed for good
 
-  // Lets time pass with a signed PWM (forwards positive, at the rated voltage; below 0 backwards), shorted for this
-  // share of the time, against a load. Returns how far it moved the robot over the floor, in metres.
+  // Let time pass with a signed PWM (forwards positive, at the rated voltage; below 0 backwards), shorted for this
+  // share of the time, against a load. Returns the distance by which it moved the robot over the floor, in metres.
   double step(double pwm, double brake_share, double load_pwm, double dt_s);
 
   uint32_t edges() const { return edges_; }  // rising and falling: two a tick; wraps
@@ -28,7 +28,7 @@ class DriveTrain {
   double speed_m_s() const { return speed_rad_s_ * wheel_.radius_m; }
   double speed_ticks_s() const { return speed_rad_s_ * wheel_.ticks_per_turn / kTurnRad; }
   double rolled_ticks() const { return rolled_rad_ * wheel_.ticks_per_turn / kTurnRad; }
-  double rolled_rad() const { return rolled_rad_; }  // signed: the truth of the encoder
+  double rolled_rad() const { return rolled_rad_; }  // signed: the true value of the encoder
 
  private:
   double aimed_rad_s(double pwm, double load_pwm) const;
@@ -47,8 +47,8 @@ class DriveTrain {
   bool is_stuck_ = false;
   double speed_rad_s_ = 0.0;
   double rolled_rad_ = 0.0;
-  double part_ticks_ = 0.0;    // behind the last edge, seen forwards: the edges lie half a tick apart
-  double part_noise_m_ = 0.0;  // rolled since the last noise
+  double part_ticks_ = 0.0;    // distance behind the last edge in the forward direction: edges are half a tick apart
+  double part_noise_m_ = 0.0;  // distance since the last noise
   uint32_t edges_ = 0;
 };
 

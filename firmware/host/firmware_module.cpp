@@ -1,6 +1,6 @@
 // The firmware in its world as one WebAssembly module (tools/build_world.py): hostlink/sim/firmware_module.py and
-// docs/try.html run it. An instance of the module is one robot. It has neither a heap nor imports: what goes in and out
-// lies in static memory, whose addresses the first functions return.
+// docs/try.html run it. One instance of the module is one robot. It has no heap and no imports: its input and output
+// are in static memory, whose addresses the first functions return.
 #include <string.h>
 
 #include "robot_in_world.h"
@@ -14,7 +14,7 @@ using hostlink::WorldParameters;
 
 #define EXPORT extern "C" __attribute__((visibility("default")))
 
-extern "C" void __cxa_pure_virtual() { __builtin_trap(); }  // without C++'s library
+extern "C" void __cxa_pure_virtual() { __builtin_trap(); }  // without the C++ library
 
 namespace {
 
@@ -23,8 +23,8 @@ const size_t kLineBytes = 1 << 16;
 const size_t kMostRows = 1 << 13;
 const size_t kMostParameters = 64;
 
-// What run() and turn_motors() are told, and what they answer. A call without arguments costs Python a fifth of one
-// with them.
+// Arguments and results of run() and turn_motors(). A call without arguments costs Python a fifth of a call with
+// arguments.
 struct Control {
   double step_s;            // in: of turn_motors()
   int32_t left_pwm;         // in: of turn_motors(), as right_pwm and steps
@@ -32,12 +32,12 @@ struct Control {
   uint32_t steps;           //
   uint32_t ms;              // in: how many milliseconds to let pass
   uint32_t every_ms;        // in: a row at each multiple of it; 0: none
-  uint32_t from_host_size;  // in: bytes in from_host; out: how many of them have found no room on the line yet
+  uint32_t from_host_size;  // in: number of bytes in from_host; out: how many of them did not fit on the line yet
   uint32_t to_host_size;    // out: bytes in to_host
   uint32_t rows;            // out
-  uint32_t is_configured;   // out: the firmware has a host
-  uint32_t lost_bytes;      // out: for which its UART had no room
-  uint32_t quiet_ms;        // out: for so long nothing will come for the host, unless the host sends something
+  uint32_t is_configured;   // out: whether the firmware has a host
+  uint32_t lost_bytes;      // out: bytes for which its UART had no room
+  uint32_t quiet_ms;        // out: time for which the robot sends nothing, unless the host sends something
 };
 
 Control control_block;
@@ -66,7 +66,7 @@ WorldParameters parameters() {
   return made;
 }
 
-// At a new speed within 0.3 s, as small robots are today.
+// At a new speed within 0.3 s, like small robots of today.
 ControlProfile nimble_profile() {
   const hostlink::Gains gains = hostlink::make_gains(12.0f, 120.0f, 0.0f, hostlink::kFeedback);
   ControlProfile profile = {gains, gains, 0.002f, 0.0001f, 0.6f};
@@ -98,7 +98,7 @@ void add_row(void*, const double* row) {
   ++control_block.rows;
 }
 
-// Puts as many of the host's bytes on the line as it has room for; returns how many of them it has had so far.
+// Put as many bytes of the host on the line as fit; returns how many it has accepted so far.
 uint32_t feed_line(uint32_t at) {
   hostlink::UartRing& line = robot->board().from_host();
   while (at < control_block.from_host_size && line.line_room() > 0) {
@@ -120,16 +120,16 @@ void drain_line() {
 
 }  // namespace
 
-// -- where what goes in and out lies ----------------------------------------------------------------------------------
+// -- addresses of input and output ------------------------------------------------------------------------------------
 
 EXPORT Control* control() { return &control_block; }
-EXPORT char* text() { return text_buffer; }                      // of kTextBytes, with a zero behind it
+EXPORT char* text() { return text_buffer; }                      // of kTextBytes, with a terminating zero
 EXPORT double* parameter_numbers() { return parameter_values; }  // of a world, in the order of WorldParameters
 EXPORT uint8_t* from_host() { return from_host_bytes; }
 EXPORT uint8_t* to_host() { return to_host_bytes; }
-EXPORT double* row() { return now_row; }  // what is now, a number for each column
+EXPORT double* row() { return now_row; }  // the present state, one number for each column
 EXPORT double* rows() { return row_buffer; }
-// Of the left wheel's control, then of the right one's: Kp, Ki, Kd, and the speed that was commanded last, in ticks/s.
+// Of the left wheel's control, then of the right one's: Kp, Ki, Kd, and the last commanded speed in ticks/s.
 EXPORT double* wheel_controls() { return control_values; }
 
 // -- the names and the ranges of its numbers --------------------------------------------------------------------------
@@ -141,8 +141,8 @@ EXPORT const char* parameter_name(uint32_t index) { return hostlink::world_param
 EXPORT double parameter_least(uint32_t index) { return hostlink::world_parameter_least(index); }
 EXPORT double parameter_most(uint32_t index) { return hostlink::world_parameter_most(index); }
 
-// Reads lines name=value from text() into parameter_numbers(); what they do not name has its default. Returns 0, or the
-// number of the line that is wrong.
+// Read lines name=value from text() into parameter_numbers(); parameters without a line keep their default. Returns 0,
+// or the number of the first wrong line.
 EXPORT uint32_t read_parameters() {
   WorldParameters made;
   const uint32_t wrong = hostlink::read_world(text_buffer, made);
@@ -182,14 +182,14 @@ EXPORT void run() {
   report();
 }
 
-// Power off and on: the firmware begins anew, in the same world.
+// Power off and on: the firmware starts again in the same world.
 EXPORT void reboot() {
   control_block.from_host_size = 0;
   robot->reboot();
   report();
 }
 
-// The line is dead: what was on it is gone.
+// The line is cut: bytes on it are lost.
 EXPORT void cut() {
   control_block.from_host_size = 0;
   robot->board().cut();
@@ -197,8 +197,8 @@ EXPORT void cut() {
 
 EXPORT void set_clock(uint32_t per_mille) { robot->board().set_clock(per_mille); }
 
-// Runs the script in text() (world_script.h) with the robot, which must be new. Returns 0, or the number of the line
-// that is wrong. The rows are in rows(), as far as there is room.
+// Run the script in text() (world_script.h) with the robot, which must be new. Returns 0, or the number of the first
+// wrong line. The rows are in rows(), as far as they fit.
 EXPORT uint32_t run_script() {
   control_block.rows = 0;
   const uint32_t wrong = hostlink::run_script(*robot, text_buffer, add_row, nullptr);

@@ -3,11 +3,11 @@
 //
 //   due_native HOST PORT [BAUD [WORLD]]
 //
-// It connects (and connects again) and runs until it is killed. BAUD 0: as fast as TCP. WORLD: a file of lines
+// The process connects, reconnects, and runs until it is killed. BAUD 0: as fast as TCP. WORLD: a file of lines
 // name=value (world_parameters.h).
 //
-// Twice a second it writes a line: loops, wheel speeds (ticks/s), bytes lost in the UART, messages got, sent and
-// dropped, where the robot truly is, and when it last got a message and last rolled.
+// Twice a second it writes a line: loops, wheel speeds (ticks/s), bytes lost in the UART, messages received, sent and
+// dropped, the true pose of the robot, and when it last received a message and last rolled.
 #include <arpa/inet.h>
 #include <errno.h>
 #include <fcntl.h>
@@ -50,7 +50,7 @@ class PosixHal : public hostlink::WorldHal {
     return accepted;
   }
 
-  // What the hardware does by itself between two turns of the loop.
+  // Work of the hardware between two turns of the loop.
   void run() {
     if (socket_ < 0) connect_again();
     uint8_t bytes[512];
@@ -82,7 +82,7 @@ class PosixHal : public hostlink::WorldHal {
     return static_cast<uint64_t>(now.tv_sec) * 1000000u + static_cast<uint64_t>(now.tv_nsec) / 1000u;
   }
 
-  // What has passed the line goes on to the host; what a full socket does not accept blocks the line.
+  // Bytes that have passed the line go to the host; bytes that a full socket does not accept block the line.
   void send() {
     size_t size = 0;
     while (socket_ >= 0 && (size = out_.ready(micros())) > 0) {
@@ -113,7 +113,7 @@ class PosixHal : public hostlink::WorldHal {
   void hang_up() {
     ::close(socket_);
     socket_ = -1;
-    out_ = hostlink::UartOut(baud_);  // what was on its way to that host is for no other
+    out_ = hostlink::UartOut(baud_);  // bytes for that host are not for another one
   }
 
   uint32_t baud_;
@@ -127,7 +127,7 @@ class PosixHal : public hostlink::WorldHal {
 const char* const kUsage = "usage: due_native HOST PORT [BAUD [WORLD]]";
 const size_t kMostWorldBytes = 65536;
 
-// Returns whether it could; else it has written why not.
+// Returns whether it succeeded; otherwise it has written the reason.
 bool read_world_file(const char* path, hostlink::WorldParameters& parameters) {
   static char text[kMostWorldBytes];
   FILE* file = fopen(path, "r");

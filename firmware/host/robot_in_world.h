@@ -22,14 +22,14 @@ class VirtualBoard : public WorldHal {
   int read() override { return ring_.read(); }
   size_t write(const uint8_t* data, size_t size) override { return out_.put(data, size, line_us()); }
 
-  void step_us(uint32_t us);  // what the hardware does between two passes of the loop
+  void step_us(uint32_t us);  // work of the hardware between two passes of the loop
   void set_clock(uint32_t per_mille) { clock_per_mille_ = per_mille; }  // 1250: a quarter too fast
   void cut();                                                           // drop what is on the line, both ways
   void restart();                                                       // power off and on
   bool is_line_idle() const { return ring_.is_idle() && out_.is_idle(); }
   uint32_t clock_per_mille() const { return clock_per_mille_; }
   uint64_t now_us() const { return now_us_; }                          // the world's time
-  uint32_t line_us() const { return static_cast<uint32_t>(now_us_); }  // the same, as the line counts it
+  uint32_t line_us() const { return static_cast<uint32_t>(now_us_); }  // the same time, as the line counts it
   World& world() { return world_; }
   const World& world() const { return world_; }
   UartRing& from_host() { return ring_; }
@@ -49,14 +49,14 @@ class RobotInWorld {
   static const uint32_t kPassUs = 1000;
   static const size_t kColumns = 24;
 
-  // `baud` 0: bytes are through at once. `name` stays the caller's.
+  // `baud` 0: bytes pass at once. `name` must outlive the object.
   RobotInWorld(const WorldParameters& parameters, uint32_t baud, const char* name, ros::Retry retry,
                Feedback feedback = Feedback::kWashedOut, const ControlProfile& profile = paper_profile());
 
   void pass();    // a millisecond of the world, then a pass of the firmware's loop
-  void reboot();  // power off and on: the firmware begins anew, the world goes on
+  void reboot();  // power off and on: the firmware starts again, the world continues
   void report(double* row) const;
-  // How long nothing will leave the UART, unless something comes from the host; 0: bytes are on the line.
+  // Time for which nothing leaves the UART, unless a byte arrives from the host; 0: bytes are on the line.
   uint32_t quiet_ms();
   static const char* column(size_t index);
 
@@ -65,7 +65,7 @@ class RobotInWorld {
   Robot& robot() { return robot_; }
 
  private:
-  // A Robot that is made anew at its own place; the Cortex-M3 has no header <new>.
+  // A Robot that is constructed again in place; the Cortex-M3 has no header <new>.
   struct Firmware : Robot {
     using Robot::Robot;
     static void* operator new(size_t, void* at) { return at; }

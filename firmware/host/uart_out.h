@@ -10,10 +10,10 @@ class UartOut {
  public:
   static const size_t kRingBytes = 128;
 
-  explicit UartOut(uint32_t baud) : baud_(baud) {}  // 0: bytes are through at once
+  explicit UartOut(uint32_t baud) : baud_(baud) {}  // 0: bytes pass at once
 
   size_t put(const uint8_t* data, size_t size, uint32_t now_us);  // adds what fits
-  // What is through and was not dropped yet: so many bytes in one piece, at data().
+  // The bytes that have passed and were not dropped yet: this many in one piece, at data().
   size_t ready(uint32_t now_us);
   const uint8_t* data() const { return ring_ + head_; }
   void drop(size_t count);

@@ -1,5 +1,5 @@
-// UartRing: what the Due's UART keeps of what comes over a line of its baud rate: 127 bytes; what finds no room is
-// lost. The bytes wait in a larger line buffer until their time has come; when that is full the sender must wait.
+// UartRing: the Due's UART buffer for bytes from a line of its baud rate: 127 bytes. Bytes that do not fit are lost.
+// Bytes wait in a larger line buffer until their time; when that is full the sender must wait.
 #pragma once
 
 #include <stddef.h>
@@ -31,7 +31,7 @@ class UartRing {
   uint8_t ring_[kRingBytes] = {};
   size_t ring_head_ = 0;
   size_t ring_size_ = 0;
-  uint32_t arrived_at_us_ = 0;  // when the last byte was through
+  uint32_t arrived_at_us_ = 0;  // when the last byte has passed
   uint32_t lost_ = 0;
 };
 

@@ -7,18 +7,18 @@ namespace hostlink {
 namespace {
 
 const int kBits = 12;             // of the firmware's duties
-const double kSmallRad = 1e-8;    // below it an arc is as long as its chord
-const double kStandingM = 0.001;  // the motion that a standing wheel's PWM stands for
+const double kSmallRad = 1e-8;    // below it an arc and its chord have the same length
+const double kStandingM = 0.001;  // the motion that stands for the PWM of a stopped wheel
 const uint32_t kStepUs = 1000;
-const uint32_t kMostUs = 1000000;  // a board that was stopped does not roll on for what it missed
+const uint32_t kMostUs = 1000000;  // a board that was paused does not roll on for the time it missed
 
-// Where a wheel goes: as it rolls; one that stands, as it is driven.
+// Direction of a wheel: its rolling direction; for a stopped wheel the direction in which it is driven.
 double course_m(const DriveTrain& wheel, double pwm) {
   if (wheel.speed_rad_s() != 0.0) return wheel.speed_m_s();
   return pwm == 0.0 ? 0.0 : (pwm > 0.0 ? kStandingM : -kStandingM);
 }
 
-// What the pin gives of a duty: the core drops the low bits.
+// Output of the pin for a duty: the core drops the low bits.
 double on_pin(int16_t duty, double bits) {
   const int whole = static_cast<int>(bits);
   const double step = ldexp(1.0, kBits - whole);

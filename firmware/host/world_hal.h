@@ -1,5 +1,5 @@
-// WorldHal: the part of a board's Hal that is the world: motors, encoders, battery. Clock and UART are each board's
-// own.
+// WorldHal: the part of a board's Hal that is the world: motors, encoders, battery. Each board has its own clock and
+// UART.
 #pragma once
 
 #include <stdint.h>

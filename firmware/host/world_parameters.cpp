@@ -76,7 +76,7 @@ bool read_line(const char* line, size_t size, WorldParameters& parameters) {
 
 }  // namespace
 
-// strtod without its heap: digits, a point, an exponent. Exact where a double is; else right to its last digits.
+// strtod without its heap: digits, a point, an exponent. Exact where a double is; otherwise right to its last digits.
 const char* read_number(const char* at, double& value) {
   const bool is_negative = *at == '-';
   if (*at == '-' || *at == '+') ++at;

@@ -31,7 +31,7 @@ class Runner {
   }
 
  private:
-  // With the first line that is no parameter: the world is as it was read, and the host connects.
+  // At the first line that is not a parameter: the world is as it was read, and the host connects.
   void begin() {
     if (has_begun_) return;
     has_begun_ = true;
@@ -53,7 +53,7 @@ class Runner {
     for (uint32_t left_ms = static_cast<uint32_t>(values[2]); left_ms > 0;) {
       const uint8_t time[8] = {};
       send(kVelocity, twist, sizeof twist);
-      send(kTime, time, sizeof time);  // a host that answers: the device falls silent after 11 s without one
+      send(kTime, time, sizeof time);  // a host that answers: without answers the device falls silent after 11 s
       const uint32_t now_ms = left_ms < kCommandMs ? left_ms : kCommandMs;
       pass(now_ms);
       left_ms -= now_ms;

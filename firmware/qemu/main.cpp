@@ -1,6 +1,6 @@
-// The Due's firmware on an emulated Cortex-M3. UART0 is the line to the host, UART1 a line of text for people; the
-// motors and the floor are host/world.h's, with the numbers that mps2::loaded_text() has. QEMU has no baud rate, so
-// host/uart_ring.h makes one, with the Due's 127 bytes behind it.
+// The Due's firmware on an emulated Cortex-M3. UART0 is the line to the host, UART1 a line of text for people. Motors
+// and floor are host/world.h's, with the numbers in mps2::loaded_text(). QEMU has no baud rate, so
+// host/uart_ring.h makes one, with the Due's 127 bytes as its buffer.
 #include "../due/src/robot.h"
 #include "../host/activity_recorder.h"
 #include "../host/uart_ring.h"
@@ -47,7 +47,7 @@ class QemuHal : public hostlink::WorldHal {
     mps2::sys_tick().control = 1 | 2 | 4;  // on, interrupt, processor clock
   }
 
-  // Until something comes, a millisecond at the most: the PC has other work to do.
+  // Sleep until an event, at most a millisecond, so that the PC can do other work.
   void sleep() { __asm__ volatile("wfi" ::: "memory"); }
 
   uint32_t milliseconds() override { return static_cast<uint32_t>(now_us() / 1000); }
@@ -55,7 +55,7 @@ class QemuHal : public hostlink::WorldHal {
   int read() override { return ring_.read(); }
 
   size_t write(const uint8_t* data, size_t size) override {
-    // The line to the host has the same speed: what has not been earned waits.
+    // The line to the host has the same speed: bytes wait until their time.
     size_t accepted = 0;
     while (accepted < size && credit_bytes() > 0 && (mps2::uart0().state & mps2::kTransmitFull) == 0) {
       mps2::uart0().data = data[accepted++];
@@ -64,10 +64,10 @@ class QemuHal : public hostlink::WorldHal {
     return accepted;
   }
 
-  // What the hardware does by itself between two turns of the loop.
+  // Work of the hardware between two turns of the loop.
   void run() {
     __asm__ volatile("cpsid i" ::: "memory");
-    receive_bytes();  // what waited while the inbox was full: no interrupt comes for it again
+    receive_bytes();  // bytes that waited while the inbox was full: they cause no new interrupt
     __asm__ volatile("cpsie i" ::: "memory");
     while (inbox_read != inbox_written && ring_.line_room() > 0) {
       ring_.put_on_line(inbox[inbox_read % kInboxBytes], micros());
@@ -82,9 +82,9 @@ class QemuHal : public hostlink::WorldHal {
 
  private:
   static const uint32_t kByteUs = 260;
-  static const uint32_t kBurstBytes = 8;  // what the line may have earned between two passes of the loop
+  static const uint32_t kBurstBytes = 8;  // what the line may send between two passes of the loop
 
-  // Microseconds since the start, from the counter that runs down; called far more often than it wraps (171 s).
+  // Microseconds since the start, from the counter that counts down; called far more often than it wraps (171 s).
   uint64_t now_us() {
     const uint32_t count = 0xFFFFFFFFu - mps2::timer0().value;
     cycles_ += count - last_count_;

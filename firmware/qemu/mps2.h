@@ -25,8 +25,9 @@ inline Uart& uart1() { return *reinterpret_cast<Uart*>(0x40005000); }
 inline Timer& timer0() { return *reinterpret_cast<Timer*>(0x40000000); }
 inline volatile uint32_t& interrupt_enable() { return *reinterpret_cast<volatile uint32_t*>(0xE000E100); }
 
-// Text that QEMU puts there before the start, ended by a zero (`-device loader,force-raw=on,addr=0x21000000,file=...`):
-// the board's external RAM, which the Due has not and the firmware does not use. Without it, there is none.
+// Text that QEMU loads there before the start, ended by a zero (`-device
+// loader,force-raw=on,addr=0x21000000,file=...`): the board's external RAM, which the Due does not have and the
+// firmware does not use. Without it the text is empty.
 inline const char* loaded_text() { return reinterpret_cast<const char*>(0x21000000); }
 
 const uint32_t kClockHz = 25000000;

@@ -1,6 +1,6 @@
-// The firmware on an emulated Cortex-M3 in virtual time: a script (host/world_script.h) that QEMU has loaded into the
-// memory at kScriptAt runs, its rows go to the file rows.bin in QEMU's folder, and the emulation ends: 0, or 1 with a
-// wrong line. Semihosting: Arm's "Semihosting for AArch32", 3.0.
+// The firmware on an emulated Cortex-M3 in virtual time: runs a script (host/world_script.h) that QEMU has loaded into
+// the memory at kScriptAt, writes its rows to the file rows.bin in QEMU's folder, and ends the emulation: 0, or 1 after
+// a wrong line. Semihosting: Arm's "Semihosting for AArch32", 3.0.
 #include <stdint.h>
 
 #include "../host/world_script.h"

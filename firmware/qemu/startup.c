@@ -25,7 +25,7 @@ void leave(int status) {
 }
 
 static void fault(void) { leave(1); }
-static void wake(void) {}  // the tick only ends a sleep: a counter has the time
+static void wake(void) {}  // the tick only ends a sleep: a counter keeps the time
 
 void reset(void) {
   uint32_t* from = &_data_load;

@@ -1,4 +1,4 @@
-// What the unit tests need on the bare board: output by semihosting, no interrupt.
+// Environment of the unit tests on the bare board: output by semihosting, no interrupt.
 #include <stdint.h>
 #include <sys/stat.h>
 

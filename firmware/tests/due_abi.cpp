@@ -1,4 +1,4 @@
-// The Due's firmware for Python's ctypes: its classes by pointer, and a Hal whose every input the test sets.
+// The Due's firmware for Python's ctypes: its classes by pointer, and a Hal whose inputs are all set by the test.
 #include <stdint.h>
 #include <string.h>
 
@@ -20,7 +20,7 @@ struct TestHal : public Hal {
   uint64_t now_us = 0;
   std::deque<uint8_t> from_host;
   std::string to_host;
-  size_t room = SIZE_MAX;  // what write() accepts in all until it is set again
+  size_t room = SIZE_MAX;  // what write() accepts in total until it is set again
   int16_t left_pwm = 0;
   int16_t right_pwm = 0;
   uint32_t left_edges = 0;
@@ -61,7 +61,7 @@ struct TestNode {
   ros::RawSubscriber velocity{"/velocity", FlashText(kTwistType), FlashText("m"), ros::Size::exactly(kTwistBytes), hear,
                               this};
   ros::RawSubscriber led{"/led", FlashText("std_msgs/Bool"), FlashText("m"), ros::Size::exactly(1), hear, this};
-  std::string heard;  // what the callback got, one payload after the other, each behind its size in two bytes
+  std::string heard;  // payloads that the callback received, each after its size in two bytes
   std::vector<float> parameter;
   explicit TestNode(int retry) : node(hal, static_cast<ros::Retry>(retry)) {
     node.advertise(odometry);

@@ -50,7 +50,7 @@ extern "C" int LLVMFuzzerTestOneInput(const uint8_t* data, size_t size) {
     data += piece;
     size -= piece;
   }
-  for (int turn = 0; turn < 12; ++turn) {  // silence: nothing moves any more, and no half frame waits
+  for (int turn = 0; turn < 12; ++turn) {  // silence: the wheels stop, and no half frame waits
     hal.now_us += 300000;
     robot.loop();
   }

@@ -1,7 +1,7 @@
-// The Due's whole program, its board included, in a world that a test draws: the pins go to a shield and two motors,
-// the encoders come back as interrupts. For Python's ctypes.
+// The Due's whole program, with its board, in a world that a test draws: the pins go to a shield and two motors, and
+// the encoders return as interrupts. For Python's ctypes.
 //
-// The board's pins are one set: one at a time. The firmware without its board: ../host/firmware_module.cpp.
+// The board's pins exist once: run one instance at a time. The firmware without its board: ../host/firmware_module.cpp.
 #include <Arduino.h>
 #include <stdint.h>
 #include <string.h>
@@ -27,8 +27,8 @@ struct BoardInWorld {
   Robot robot;
   World world;
   uint32_t edges[2] = {0, 0};
-  bool is_deaf[2] = {false, false};   // its encoder is dead
-  bool is_stuck[2] = {false, false};  // its driver is through: the motor runs at full speed, whatever the pins command
+  bool is_deaf[2] = {false, false};   // dead encoder
+  bool is_stuck[2] = {false, false};  // broken driver: the motor runs at full speed, whatever the pins command
   BoardInWorld() : robot(board) {}
 
   DriveTrain& wheel(int side) { return side == 0 ? world.left() : world.right(); }
@@ -41,7 +41,7 @@ struct BoardInWorld {
     return found;
   }
 
-  // A millisecond: what the hardware does, then a pass of the loop.
+  // One millisecond: work of the hardware, then a pass of the loop.
   void pass() {
     due_pins::pins().now_us += kPassUs;
     world.set(levels(0), levels(1));
@@ -59,7 +59,7 @@ struct BoardInWorld {
     robot.loop();
   }
 
-  // What the motor is driven with, forwards positive; 0 while it brakes or runs free.
+  // Drive of the motor, forwards positive; 0 while it brakes or runs free.
   double drive(int side) const {
     const MotorLevels now = levels(side);
     if (now.brake) return 0.0;
@@ -103,10 +103,10 @@ BoardInWorld* world_new(const double* parameters, uint32_t setup_ms, uint32_t re
   made->world.be(drawn);
   made->board.begin();
   made->robot.setup();
-  world_hang(made, setup_ms);  // what else a user does in setup()
+  world_hang(made, setup_ms);  // other work of a user in setup()
   return made;
 }
-// The program does something else for so long: a delay() in its loop.
+// The program blocks for this time, for example by a delay() in its loop.
 void world_hang(BoardInWorld*, uint32_t ms) { due_pins::pins().now_us += ms * uint64_t{1000}; }
 uint32_t world_restarts(BoardInWorld*) { return due_pins::pins().restarts; }
 void world_delete(BoardInWorld* world) { delete world; }
@@ -117,7 +117,7 @@ void world_stick(BoardInWorld* world, int side, int on) { world->is_stuck[side] 
 void world_feed(BoardInWorld*, const uint8_t* bytes, size_t size) {
   due_pins::pins().from_host.insert(due_pins::pins().from_host.end(), bytes, bytes + size);
 }
-// Lets so many milliseconds pass; a row each ten of them.
+// Let this many milliseconds pass; one row every ten.
 size_t world_run(BoardInWorld* world, uint32_t ms, double* rows, size_t capacity) {
   size_t count = 0;
   for (uint32_t i = 1; i <= ms; ++i) {

@@ -60,7 +60,7 @@ class MemoryNetwork : public hostlink::Network {
   std::vector<Bytes> writes;
   size_t room = 2920;
   size_t write_limit = SIZE_MAX;
-  int signal = 31;  // dBm; as the core has it where there is none
+  int signal = 31;  // dBm; the core's value for no signal
   bool joined = true;
   bool connected = false;
   int rejoins = 0;

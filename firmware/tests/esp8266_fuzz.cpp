@@ -1,5 +1,5 @@
-// libFuzzer: any bytes at any times through the assembler. Order kept, nothing lost or added, memory bounded, nothing
-// held.
+// libFuzzer: any bytes at any times through the assembler. The order is kept, no byte is lost, added or held back, and
+// memory is bounded.
 #include <cstdlib>
 
 #include "esp8266_board.h"

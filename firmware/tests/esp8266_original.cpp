@@ -1,4 +1,4 @@
-// The pattern of the paper's passthrough, kept to show that the stand-in catches what was wrong with it: an unbounded
+// The pattern of the paper's passthrough, kept to show that the stand-in finds its defects: an unbounded
 // read into 128 bytes, and waiting for the WiFi without a yield.
 #include "ESP8266WiFi.h"
 #include "native_settings.h"

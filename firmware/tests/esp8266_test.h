@@ -1,4 +1,4 @@
-// What the tests of the passthrough have in common.
+// Shared declarations of the tests of the passthrough.
 #pragma once
 
 #include <hostlink/backoff.h>

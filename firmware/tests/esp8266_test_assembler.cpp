@@ -1,4 +1,4 @@
-// Frames out of bytes, and when they leave.
+// Frames in a byte stream, and when they may be sent.
 #include "esp8266_test.h"
 
 namespace {

@@ -214,7 +214,7 @@ void with_a_key_nothing_passes_before_the_host_has_proven_it() {
   rig.uart.from_device = kPose;
   rig.turns(3);
   CHECK(rig.network.writes.size() == 1 && rig.network.writes[0].size() == hostlink::KeyProof::kAnswerBytes);
-  CHECK(rig.uart.to_device.empty());  // the command stood where the proof had to
+  CHECK(rig.uart.to_device.empty());  // a command in place of the proof
   CHECK(rig.ends(LinkEnd::kKeyRefused) == 1 && !rig.network.connected);
 }
 

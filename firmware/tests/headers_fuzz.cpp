@@ -1,6 +1,6 @@
 // libFuzzer: any bytes into the generated headers of all types in all_types.h, which tests/support/headers_fuzzer.py
-// writes. What a header accepts it writes again in as many bytes or fewer, and that again as it is; a buffer has the
-// size that it is announced to have, so that the sanitizer notices what is read or written beside it.
+// writes. A message that a header accepts is written in as many bytes or fewer, and a second time unchanged. A buffer
+// has its announced size, so that the sanitizer notices reads and writes outside it.
 //
 // Input: uint16 type, uint16 bytes of storage, payload.
 #include <stdlib.h>
@@ -22,7 +22,7 @@ struct Copy {
   size_t size;
 };
 
-// The bytes that the message has when it is written again; -1: it is refused.
+// The size of the message when it is written again; -1: refused.
 template <class M>
 long write_again(const uint8_t* payload, size_t size, size_t storage_bytes, uint8_t* out_bytes) {
   Copy in_bytes(payload, size);

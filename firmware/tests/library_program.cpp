@@ -1,4 +1,4 @@
-// A program with the library out of its ZIP, and with a message of the user's: tests/firmware/test_board_library.py
+// A program with the library from its ZIP, and with a user's message: tests/firmware/test_board_library.py
 // builds it with CMake, and for an Uno, and reads what it sends.
 #include <my_msgs/Gripper.h>
 #include <ros.h>

@@ -1,5 +1,5 @@
 // The links of Arduino cores on networks that are broken or hostile: TCP whose host vanishes in every way and whose
-// WiFi flaps, UDP beside a flood of others. Client and datagrams are scripted; time is virtual.
+// WiFi flaps, UDP next to a flood of other datagrams. Client and datagrams are scripted; time is virtual.
 #include <hostlink/client_hardware.h>
 #include <hostlink/command_watchdog.h>
 #include <hostlink/keyed.h>
@@ -15,15 +15,15 @@ namespace {
 
 unsigned long now_ms = 0xFFFFF000ul;  // wraps within four seconds
 unsigned long micros_of_board = 0;
-unsigned long connect_ms = 0;  // how long a connect() lasts
-unsigned long yield_ms = 0;    // what passes with each look at the clock
+unsigned long connect_ms = 0;  // duration of a connect()
+unsigned long yield_ms = 0;    // time that passes with each look at the clock
 bool is_up = true;
 bool is_listening = true;
 
 const uint8_t kTopicsRequest[] = {0xFF, 0xFE, 0, 0, 0xFF, 0, 0, 0xFF};
 const uint8_t kDrive[] = {0xFF, 0xFE, 4, 0, 0xFB, 100, 0, 5, 0, 0, 0, 0x96};
 
-// A TCP client: what the host has sent, and how it behaves.
+// A TCP client: what the host has sent, and how the connection behaves.
 struct TestClient {
   uint8_t bytes[4096];
   size_t at = 0;
@@ -109,7 +109,7 @@ void reset() {
   connect_ms = 0;
 }
 
-// Whoever vanishes, and however: zero, at once where the network says so, else half a second after the last command.
+// A host that vanishes in any way: zero velocity, at once if the network reports it, otherwise half a second after the
 void test_motors_stop_in_every_way_in_which_a_host_vanishes() {
   reset();
   TcpRobot robot;
@@ -125,12 +125,12 @@ void test_motors_stop_in_every_way_in_which_a_host_vanishes() {
   CHECK(robot.speed == 0);
   reset();
   robot.drive();
-  is_up = false;  // the WiFi is gone, and TCP does not know
+  is_up = false;  // the WiFi is lost, and TCP does not notice
   const unsigned long fed_at_ms = now_ms;
   robot.turn(600);
   CHECK(robot.speed == 0 && robot.stopped_at_ms - fed_at_ms <= 502);
   CHECK(robot.client().is_open);
-  robot.turn(15000);  // nothing comes for so long: half open
+  robot.turn(15000);  // silence: half open
   CHECK(!robot.node.connected() && !robot.client().is_open);
   reset();
   robot.drive();
@@ -145,7 +145,7 @@ void test_motors_stop_while_a_call_waits_for_a_host_that_is_gone() {
   reset();
   TcpRobot robot;
   for (bool is_closed : {false, true}) {
-    robot.turn(6000);  // what may still come of the last call
+    robot.turn(6000);  // what may still arrive of the last call
     robot.drive();
     const unsigned long began_ms = now_ms;
     if (is_closed) robot.client().is_open = false;
@@ -183,7 +183,7 @@ void test_wifi_that_flaps() {
   robot.drive();
 }
 
-// One firmware on many boards: they do not come back at the same moments.
+// One firmware on many boards: they reconnect at different moments.
 void test_boards_of_a_fleet_do_not_come_back_in_step() {
   reset();
   is_listening = false;
@@ -202,10 +202,10 @@ void test_boards_of_a_fleet_do_not_come_back_in_step() {
   micros_of_board = 0;
 }
 
-// Datagrams of the host and of others, in their order.
+// Datagrams of the host and of others, in order.
 struct TestUdp {
-  static bool is_like_esp32;  // whose parsePacket() finds nothing before all is read
-  static uint32_t foreign;    // how many of others come before the host's next one
+  static bool is_like_esp32;  // whose parsePacket() finds nothing until everything is read
+  static uint32_t foreign;    // how many datagrams of others arrive before the host's next one
   static IPAddress host;
   static uint16_t port;
   static uint8_t bytes[64];
@@ -307,7 +307,7 @@ void test_another_port_of_the_host_is_nobody() {
   }
 }
 
-// What it did and heard last was of the old one; the address that it has already is none.
+// Its last messages were for the old host; setting the same address again changes nothing.
 void test_a_board_that_is_given_another_host_stops_and_begins_anew() {
   const IPAddress other(10, 0, 0, 2);
   for (bool is_like_esp32 : {false, true}) {
@@ -335,7 +335,7 @@ void test_a_board_that_is_given_another_host_stops_and_begins_anew() {
   }
 }
 
-// The key of nobody: any bytes, in any pieces, before the proof.
+// A client without the key: any bytes, in any pieces, before the proof.
 void test_a_host_without_the_key_gets_no_byte_and_drives_nothing() {
   reset();
   TestRobot<hostlink::Keyed<Tcp>> robot;

@@ -1,6 +1,6 @@
 // The codec of generated headers behind a pipe, for tests/property/test_board_headers.py. all_types.h is made by the
-// test: it includes headers and defines ALL_TYPES(X), with X(name) for each class. Every buffer has the size that it is
-// announced to have, so that a sanitizer notices what is read or written beside it.
+// test: it includes headers and defines ALL_TYPES(X), with X(name) for each class. Every buffer has its announced
+// size, so that a sanitizer notices reads and writes outside it.
 //
 // Request: uint16 type, uint32 bytes of storage, uint32 room for the answer, uint32 bytes of payload, payload.
 // Answer: uint8 outcome, uint32 bytes, the message as it was written again.
@@ -33,7 +33,7 @@ Outcome write_again(const Request& request, size_t& answer_bytes) {
   return kWritten;
 }
 
-// A double whose float is read, as on a board whose double has 4 bytes.
+// A double that is read as a float, like on a board whose double has 4 bytes.
 Outcome narrow(const Request& request, size_t& answer_bytes) {
   ros::Reader in(request.payload, request.size, request.storage, request.storage_bytes);
   uint64_t bits = 0;

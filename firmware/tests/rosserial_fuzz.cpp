@@ -1,5 +1,5 @@
 // libFuzzer: any bytes, in pieces, at any times, into the library's node with topics, services and parameters;
-// afterwards a good frame is found, and the watchdog has stopped what rolled.
+// afterwards a good frame is found, and the watchdog has stopped the motors.
 #include <hostlink/command_watchdog.h>
 #include <ros/node_handle.h>
 #include <ros/parameter.h>
@@ -51,7 +51,7 @@ void feed(FuzzLink& link, ros::NodeApi& node, const uint8_t* bytes, size_t size)
   while (link.left > 0 || link.is_restarted) node.spinOnce();
 }
 
-// A payload in a frame whose checksums are right: without, none comes as far as the messages.
+// A payload in a frame with valid checksums: without them no payload reaches the messages.
 void feed_frame(FuzzLink& link, ros::NodeApi& node, const uint8_t* payload, size_t size) {
   static const uint8_t kIds[] = {0, 6, 10, 11, 100, 101, 102, 103, 6, 10, 100, 102};
   uint8_t frame[72] = {0xFF, 0xFE, static_cast<uint8_t>(size - 1), 0, static_cast<uint8_t>(~(size - 1))};
@@ -110,7 +110,7 @@ extern "C" int LLVMFuzzerTestOneInput(const uint8_t* data, size_t size) {
     }
     data += piece;
     size -= piece;
-    if (wanted % 16 == 1 || wanted % 16 == 3) {  // both wait, and the rest of the bytes comes meanwhile
+    if (wanted % 16 == 1 || wanted % 16 == 3) {  // both wait, and the rest of the bytes arrives meanwhile
       link.at = data;
       link.left = size;
       test_msgs::Words response;

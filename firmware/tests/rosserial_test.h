@@ -1,5 +1,5 @@
-// What the tests of the library's node have in common: a host that is scripted, and a small node. What the hosts do is
-// in docs/protocol.md.
+// Shared parts of the tests of the library's node: a scripted host and a small node. docs/protocol.md describes the
+// behaviour of the hosts.
 #pragma once
 
 #include <ros/node_handle.h>
@@ -74,7 +74,7 @@ struct TestLink : public ros::Link {
   }
   void request_topics() { put_frame(0, nullptr, 0); }
 
-  // The payload of the frame of this number that was sent, and its id; -1: there are fewer.
+  // Payload and id of the frame of this number that was sent; -1: there are fewer.
   int sent(size_t number, const uint8_t*& payload, size_t& size) const {
     for (size_t at = 0; at + 8 <= to_host_size; at += size + 8) {
       size = static_cast<size_t>(to_host[at + 2] | to_host[at + 3] << 8);
@@ -96,7 +96,7 @@ struct TestLink : public ros::Link {
   void clear() { to_host_size = 0; }
 };
 
-// Its write() accepts all, and says otherwise.
+// Its write() accepts all bytes, and returns something else.
 struct LyingLink : public TestLink {
   size_t answer = SIZE_MAX;  // the -1 of an error
   size_t write(const uint8_t* bytes, size_t size) override {

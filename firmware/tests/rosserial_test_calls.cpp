@@ -49,10 +49,10 @@ void test_service_client() {
   link.now_ms += 250;
   node.spinOnce();
   CHECK(failed == 1);
-  CHECK(!client.begin(request, on_answer, 200));  // its answer may still come
+  CHECK(!client.begin(request, on_answer, 200));  // its answer may still arrive
   link.put_number(100, 6);
   node.spinOnce();
-  CHECK(answer == 5);  // too late: nobody's
+  CHECK(answer == 5);  // too late: dropped
   CHECK(client.begin(request, on_answer, 200));
   link.put_frame(11, nullptr, 0);  // the host stops
   node.spinOnce();
@@ -72,13 +72,13 @@ void test_a_call_that_waits() {
   ros::Writer out(payload, sizeof payload);
   words.serialize(out);
   link.put_frame(100, payload, out.size());
-  link.request_topics();  // behind it: must not overwrite it
+  link.request_topics();  // after it: must not overwrite it
   Number request;
   Words response;
   CHECK(client.call(request, response, 100));
   CHECK(strcmp(response.text, "kept") == 0);
   node.spinOnce();
-  CHECK(link.sent_id(1) == 10);  // what stood behind it was not lost
+  CHECK(link.sent_id(1) == 10);  // the frame after it was not lost
   const uint32_t began_ms = link.now_ms;
   CHECK(!client.call(request, response, 100));
   CHECK(link.now_ms - began_ms >= 100 && link.now_ms - began_ms < 150);
@@ -108,7 +108,7 @@ void test_parameters() {
   const uint32_t began_ms = link.now_ms;
   CHECK(!node.getParam("~silent", &missing, 1, 200));
   CHECK(link.now_ms - began_ms < 250);
-  link.now_ms += 1000;  // its answer does not come any more
+  link.now_ms += 1000;  // its answer no longer arrives
   const uint8_t text[] = {0, 0, 0, 0, 0, 0, 0, 0, 1, 0, 0, 0, 5, 0, 0, 0, 'h', 'e', 'l', 'l', 'o'};
   char chars[6] = "";
   link.put_frame(6, text, sizeof text);
@@ -158,7 +158,7 @@ void test_parameters_with_defaults() {
   CHECK(count == 5 && count.is_from_host() && parameters.is_done());
 }
 
-// The host is lost and comes back while the sketch waits: the answer is now for whoever asked since.
+// The host is lost and reconnects while the sketch waits: the answer now belongs to the newest request.
 void test_a_parameter_that_is_given_up_takes_no_answer_from_another() {
   TestLink link;
   link.step_ms = 1;
@@ -191,7 +191,7 @@ int first_sent(const TestLink& link, int id) {
   return -1;
 }
 
-// On a UART nothing tells that it is another one but its request for topics.
+// On a UART only the request for topics shows that it is another host.
 void test_a_host_that_was_killed_and_started_again_is_asked_for_the_parameters() {
   TestLink link;
   TestNode node(link);
@@ -210,9 +210,9 @@ void test_a_host_that_was_killed_and_started_again_is_asked_for_the_parameters()
     for (int turn = 0; turn < 40; ++turn) {  // of a slow line: the topics do not fit into one turn
       link.room = 20;
       node.spinOnce();
-      CHECK(host == 0 || (node.connected() && parameters.is_done()));  // what applied goes on
+      CHECK(host == 0 || (node.connected() && parameters.is_done()));  // the present value stays
     }
-    CHECK(first_sent(link, 6) == 3);  // behind the time and both topics
+    CHECK(first_sent(link, 6) == 3);  // after the time and both topics
     answer_number(link, host);
     node.spinOnce();
     CHECK(count == host && parameters.is_done());
@@ -233,7 +233,7 @@ void test_a_host_that_is_killed_while_a_parameter_is_awaited() {
   link.clear();
   link.request_topics();
   node.spinOnce();
-  CHECK(first_sent(link, 10) == 0 && first_sent(link, 6) < 0);  // the answer of before may still come
+  CHECK(first_sent(link, 10) == 0 && first_sent(link, 6) < 0);  // the earlier answer may still arrive
   link.now_ms += 1001;
   node.spinOnce();
   CHECK(first_sent(link, 6) > 0 && !parameters.is_done());
@@ -245,7 +245,7 @@ void test_a_host_that_is_killed_while_a_parameter_is_awaited() {
   CHECK(second == 8 && parameters.is_done());
   connect(link, node);
   connect(link, node);
-  answer_number(link, 9);  // the same host's, whose request came between: nobody's
+  answer_number(link, 9);  // of the same host, whose request arrived between: dropped
   node.spinOnce();
   CHECK(first == 7 && first_sent(link, 6) == 0);
 }

@@ -1,4 +1,4 @@
-// A host that is broken, late or gone, a loop that stands still, and sketches that do what they should not.
+// Hosts that are broken, late or lost, a blocked loop, and sketches that misuse the library.
 #include <hostlink/command_watchdog.h>
 #include <ros/parameter.h>
 #include <string.h>
@@ -7,7 +7,7 @@
 
 namespace {
 
-// What every robot of a sketch is: a command, and what stops it.
+// Parts of every robot sketch: a command, and what stops it.
 struct TestRobot {
   TestLink link;
   TestNode node{link};
@@ -28,7 +28,7 @@ struct TestRobot {
   }
 };
 
-// A UART keeps the oldest bytes: what came while the loop stood still may be followed by a stop that is lost.
+// A UART keeps the oldest bytes: bytes from before the pause of the loop may be followed by a stop that is lost.
 void test_a_command_that_waited_for_a_loop_that_stood_still_drives_nothing() {
   TestRobot robot;
   robot.drive(5);
@@ -38,11 +38,11 @@ void test_a_command_that_waited_for_a_loop_that_stood_still_drives_nothing() {
   CHECK(robot.speed == 0 && !robot.watchdog.is_running());
   const uint8_t* payload = nullptr;
   size_t size = 0;
-  CHECK(robot.link.sent(0, payload, size) == 7);  // and the host's log has why
+  CHECK(robot.link.sent(0, payload, size) == 7);  // and the host's log has the reason
   robot.link.now_ms += 10;
   robot.drive(7);  // a new one does
   CHECK(robot.speed == 7);
-  robot.link.now_ms += 400;  // slow, but shorter than the time-out
+  robot.link.now_ms += 400;  // slow, but shorter than the timeout
   robot.drive(8);
   CHECK(robot.speed == 8);
 }
@@ -63,7 +63,7 @@ void test_what_has_waited_stays_old_in_the_next_turns() {
   CHECK(robot.speed == 9);
 }
 
-// The watchdog has a turn between two hosts, also where the next one is there at once.
+// The watchdog has a turn between two hosts, also if the next one connects at once.
 void test_a_host_that_leaves_and_another_that_comes_in_one_turn() {
   TestRobot robot;
   robot.drive(5);
@@ -83,7 +83,7 @@ void test_a_host_that_leaves_and_another_that_comes_in_one_turn() {
   CHECK(robot.node.connected());
 }
 
-// Both behind a false start, so that they are read a second time, at once.
+// Both after a false start, so that they are read a second time, at once.
 void test_a_host_that_leaves_behind_a_damaged_frame() {
   TestRobot robot;
   robot.drive(5);
@@ -110,7 +110,7 @@ void test_a_link_that_says_it_wrote_more_than_it_was_given() {
   }
 }
 
-// A frame of which the rest came while the loop stood still.
+// A frame whose rest arrived while the loop was blocked.
 void test_a_loop_that_stood_still_loses_no_frame() {
   TestRobot robot;
   int32_t got = 0;
@@ -127,7 +127,7 @@ void test_a_loop_that_stood_still_loses_no_frame() {
   CHECK(got == 7);
 }
 
-// Its lines are quicker than the line.
+// Its lines are faster than the line.
 void test_a_sketch_that_logs_in_each_turn_is_found_by_its_host() {
   TestLink link;
   TestNode node(link);
@@ -183,7 +183,7 @@ void test_half_a_service_is_not_announced() {
   CHECK(link.sent_frames() == 1);  // the request for the time
 }
 
-// Both wait for an answer, and one in a callback cannot: it requests nothing either.
+// Both wait for an answer. A request in a callback cannot wait: it sends nothing either.
 void test_nothing_is_requested_in_a_callback() {
   TestLink link;
   link.step_ms = 1;

@@ -1,4 +1,4 @@
-// What rosserial_python and rosserial_server do otherwise than hostlink: docs/protocol.md.
+// Behaviour of rosserial_python and rosserial_server that differs from hostlink: docs/protocol.md.
 #include <string.h>
 
 #include "rosserial_test.h"
@@ -99,7 +99,7 @@ void test_a_host_that_begins_late() {
   CHECK(publisher.publish(&number) == 4);
 }
 
-// rosserial_server answers a call that has failed with nothing at all.
+// rosserial_server does not answer a call that has failed.
 void test_an_empty_answer_is_no_answer() {
   UartHost host;
   UnoNode node(host);
@@ -117,7 +117,7 @@ void test_an_empty_answer_is_no_answer() {
   CHECK(answers == 0 && failures == 1);
 }
 
-// Both send a message that is larger than the board's buffer; what stands behind it is not lost.
+// Both send a message that is larger than the board's buffer; the frame after it is not lost.
 void test_messages_larger_than_the_buffer() {
   UartHost host;
   UnoNode node(host);

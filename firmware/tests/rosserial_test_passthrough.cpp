@@ -104,7 +104,7 @@ void test_motors_stop_when_the_passthrough_loses_the_host() {
   CHECK(!rolls && !node.connected());
 }
 
-// What the device has of a command must not swallow the stop, also where nothing is read twice, as in ros_lib.
+// The part of a command that the device has must not swallow the stop, also without rescanning, like in ros_lib.
 void test_a_stop_is_read_wherever_the_command_before_it_was_cut() {
   const ros::Retry retries[] = {ros::Retry::kNone, ros::Retry::kKeepState};
   for (const ros::Retry retry : retries) {

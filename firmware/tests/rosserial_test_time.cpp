@@ -38,7 +38,7 @@ void test_time() {
   const double error_s = last.toSec() - static_cast<double>(host_ms + 10000u) * 0.001;
   CHECK(error_s < 0.01 && error_s > -0.01);
   node.clock().request(link.now_ms);
-  link.put_time(500, 0);  // somebody has set the host's clock
+  link.put_time(500, 0);  // the host's clock was set
   node.spinOnce();
   CHECK(node.now().sec == 500);
 }
@@ -127,7 +127,7 @@ void test_watchdog() {
   CHECK(speed == 0);
 }
 
-// As the updates over the air of an ESP8266.
+// Like the updates over the air of an ESP8266.
 class Ota {
  public:
   void setHostname(const char* name) { hostname = name; }
@@ -160,7 +160,7 @@ void test_updates_wait_for_a_robot_and_stop_it() {
   hostlink::Updates<Ota> none(ota, watchdog);
   none.begin("robot_3", "");
   none.spin();
-  CHECK(ota.begins == 0 && ota.handles == 0);  // whoever has no password is updated by nobody
+  CHECK(ota.begins == 0 && ota.handles == 0);  // without a password updates are off
   hostlink::Updates<Ota> updates(ota, watchdog);
   updates.begin("", "secret");
   updates.begin("", "secret");
@@ -198,7 +198,7 @@ void test_logs() {
   CHECK(link.sent(0, payload, size) == 7 && size == 128 && payload[0] == 2 && payload[1] == 123);  // cut
 }
 
-// A hardware as ros_lib wants it.
+// A hardware with ros_lib's interface.
 struct OldHardware {
   static uint32_t sent;
   void init() {}

@@ -90,7 +90,7 @@ void test_numbers_of_topics_are_bounded() {
   CHECK(!other.subscribe(long_name));
 }
 
-// The announcements of a node whose queue has room for one of them alone follow as the line takes them.
+// The announcements of a node whose queue has room for only one of them follow as the line takes them.
 void test_announcements_wait_for_room() {
   TestLink link;
   TestNode node(link);
@@ -149,7 +149,7 @@ void test_lost_sync_and_the_old_protocol() {
   CHECK(received == 22);
   uint8_t large[65] = {};
   link.put_frame(100, large, sizeof large);  // larger than the buffer
-  link.put_frame(999, large, 4);             // an id that nobody has
+  link.put_frame(999, large, 4);             // an unknown id
   link.put_number(100, 23);
   node.spinOnce();
   CHECK(received == 23);
@@ -188,11 +188,11 @@ void test_a_message_that_lies_is_refused() {
   link.put_frame(100, payload, three.size() - 1);  // cut
   payload[0] = 200;                                // a text that is longer than the message
   link.put_frame(100, payload, three.size());
-  message.values_length = 4;  // more than there is room for
+  message.values_length = 4;  // more than fits
   ros::Writer four(payload, sizeof payload);
   message.serialize(four);
   link.put_frame(100, payload, four.size());
-  ros::Writer more(payload, sizeof payload);  // bytes behind the message
+  ros::Writer more(payload, sizeof payload);  // bytes after the message
   message.values_length = 1;
   message.serialize(more);
   link.put_frame(100, payload, more.size() + 1);

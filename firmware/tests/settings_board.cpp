@@ -1,5 +1,5 @@
 // A board with settings on a serial port, for tests/firmware/test_board_settings.py: a pty is its UART, a file its
-// flash. Arguments: the file, and what is different: "noisy" prints between the answers, "deaf" receives a wrong byte
+// flash. Arguments: the file, and the behaviour: "noisy" prints between the answers, "deaf" receives a wrong byte
 // now and then, "worn" cannot write its flash, "preferences" is an ESP32, "shared" has a sketch with an EEPROM of its
 // own, "forgetful" restarts once between the settings and their storing, "brownout" each time; "pipe": standard input
 // and output are its UART, and it ends with them. On standard output the path of the pty, then a line with all settings
@@ -46,7 +46,7 @@ class File {
   const char* path_;
 };
 
-// As the EEPROM of an ESP8266: a copy in RAM, which begin() reads and commit() writes where a byte of it has changed.
+// Like the EEPROM of an ESP8266: a copy in RAM, which begin() reads and commit() writes if a byte of it has changed.
 class Eeprom {
  public:
   Eeprom(const char* path, bool is_worn) : file_(path), is_worn_(is_worn) {}
@@ -73,7 +73,7 @@ class Eeprom {
   std::vector<uint8_t> bytes_;
 };
 
-// As the Preferences of an ESP32.
+// Like the Preferences of an ESP32.
 class Preferences {
  public:
   explicit Preferences(const char* path) : file_(path) {}
@@ -88,7 +88,7 @@ class Preferences {
   File file_;
 };
 
-// As an Arduino Stream.
+// Like an Arduino Stream.
 class Uart {
  public:
   Uart(int descriptor, int out, const char* kind)
@@ -149,7 +149,7 @@ void report(const hostlink::BoardSettings& settings) {
   fflush(stdout);
 }
 
-// The board's end of a new pty; the other one stays open here, so that it may be opened and closed as often as wanted.
+// The board's end of a new pty; the other end stays open here, so that it may be opened and closed as often as needed.
 int open_uart() {
   const int ours = posix_openpt(O_RDWR | O_NOCTTY);
   if (ours < 0 || grantpt(ours) != 0 || unlockpt(ours) != 0) exit(2);

@@ -48,7 +48,7 @@ FACT = re.compile(r"(\w+) (-?[\d.]+)")
 
 
 class Board:
-    """A running firmware; `facts` is its last report: what it has got and sent, and what its wheels truly do."""
+    """A running firmware. `facts` is its last report: messages received and sent, and the true motion of its wheels."""
 
     def __init__(self, process: asyncio.subprocess.Process) -> None:
         self.process = process
@@ -62,7 +62,7 @@ class Board:
         assert self.process.stdout is not None
         while line := await self.process.stdout.readline():
             found = {name: float(value) for name, value in FACT.findall(line.decode(errors="replace"))}
-            if "rolled_mm" in found:  # a whole line
+            if "rolled_mm" in found:  # one whole line
                 self.facts = found
 
     async def expect_speed(self, least: float, most: float, within_s: float) -> None:
@@ -74,10 +74,10 @@ class Board:
 
 
 def command(kind: str, port: int, world: Path | None = None) -> list[str | Path]:
-    """`world`: a file of lines name=value; the emulated board finds it in a memory that is zero behind it."""
+    """`world`: a file of lines name=value; the emulated board reads it from a memory that is zero after it."""
     if kind == "native":
         return [build_native() / "due_native", "127.0.0.1", str(port), *(["38400", world] if world else [])]
-    line = f"socket,id=line,host=127.0.0.1,port={port},nodelay=on,reconnect=1"  # to a passthrough that was restarted
+    line = f"socket,id=line,host=127.0.0.1,port={port},nodelay=on,reconnect=1"  # to a restarted passthrough
     machine = ["qemu-system-arm", "-M", "mps2-an385", "-display", "none", "-monitor", "none"]
     serials = ["-chardev", line, "-serial", "chardev:line", "-serial", "stdio"]
     loader = ["-device", f"loader,force-raw=on,addr={TEXT_AT:#x},file={world}"] if world else []
@@ -102,7 +102,7 @@ async def board(kind: str, port: int, world: Path | None = None) -> AsyncIterato
 
 
 async def drive(daemon: Process, made: Board, linear: float, *, until_ticks_s: float) -> None:
-    """Command ten times a second until both wheels are so fast."""
+    """Command ten times a second until both wheels have reached this speed."""
     url = f"{daemon.url}/api/robots/robot_0"
     async with aiohttp.ClientSession() as session, asyncio.timeout(DRIVE_S):
         while min(made.speeds_ticks_s) < until_ticks_s:
@@ -118,7 +118,7 @@ async def drive(daemon: Process, made: Board, linear: float, *, until_ticks_s: f
 async def chain(
     kind: str, *arguments: str, with_esp: bool, world: Path | None = None
 ) -> AsyncIterator[tuple[Process, Board]]:
-    command(kind, 0)  # built before the clock of the daemon runs
+    command(kind, 0)  # built before the daemon's timers start
     async with serve(*arguments) as daemon:
         if with_esp:
             with esp8266.running("esp8266_native", daemon.tcp[1]) as sketch:

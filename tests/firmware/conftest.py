@@ -1,4 +1,4 @@
-"""What is compiled once for all tests."""
+"""Fixtures that compile once for all tests."""
 
 import pytest
 
@@ -7,5 +7,5 @@ from tests.firmware import esp8266
 
 @pytest.fixture(scope="session")
 def esp8266_built() -> None:
-    """Compiled before the clock of the first test runs."""
+    """Compiled before the time limit of the first test starts."""
     esp8266.build()

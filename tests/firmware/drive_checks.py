@@ -1,4 +1,4 @@
-"""What every drive must keep in any world: odometry as the wheels rolled, never too fast, standing after a zero."""
+"""Conditions of every drive in any world: true odometry, no overspeed, stopped after a zero."""
 
 import numpy as np
 
@@ -6,20 +6,20 @@ from hostlink.sim.world_parameters import WorldParameters
 from tests.firmware.worlds import FULL_PWM, LEFT, RIGHT, Trace
 
 STANDING_TICKS_S = 5.0  # 6 mm/s
-CREEP_TICKS_S = 15.0  # 18 mm/s: what the least PWM gives to a wheel without friction before the encoder has two edges
+CREEP_TICKS_S = 15.0  # 18 mm/s: speed of a frictionless wheel at the lowest PWM before the encoder has two edges
 ROW_S = 0.01
 STOP_S = 0.6
 QUICK_BRAKE_S = 0.14  # time constant of a motor that the brake stops within STOP_S from any speed
 OVER_S = 0.3
-LATE_TICKS = 12.0  # odometry is a turn of the loop late: 9.3 ticks at full speed; and a wheel has parts of a tick
-REVERSAL_TICKS = 1.0  # what rolls on unseen, under 5 ticks/s, while the sign changes
+LATE_TICKS = 12.0  # odometry is one turn of the loop late: 9.3 ticks at full speed, and parts of a tick
+REVERSAL_TICKS = 1.0  # unseen rolling, under 5 ticks/s, while the sign changes
 AGAINST_TICKS_S = 15.0
 
 Wheel = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
 
 def wheels(trace: Trace, commanded: np.ndarray) -> list[Wheel]:
-    """Of each wheel: its true speed, its set-point, what it was commanded, what its motor is given."""
+    """For each wheel: true speed, set-point, commanded speed, drive of its motor."""
     return [
         (trace.left, trace.left_set, commanded[:, LEFT], trace.left_drive),
         (trace.right, trace.right_set, commanded[:, RIGHT], trace.right_drive),
@@ -27,7 +27,7 @@ def wheels(trace: Trace, commanded: np.ndarray) -> list[Wheel]:
 
 
 def check_odometry(trace: Trace, reversals: int) -> None:
-    """It counts what each wheel did: on the way but for what it is late, at the end but for the reversals."""
+    """Odometry counts the motion of each wheel: delayed during the drive, except for reversals at the end."""
     true = (trace.left_rolled, trace.right_rolled)
     for rolled, counted in zip(true, trace.rolled(), strict=True):
         off = np.abs((rolled - rolled[0]) - (counted - counted[0]))
@@ -36,7 +36,7 @@ def check_odometry(trace: Trace, reversals: int) -> None:
 
 
 def check_speed(trace: Trace, commanded: np.ndarray) -> None:
-    """No wheel is faster than 1.1 times what was commanded longer than 0.3 s, none is driven against its motion."""
+    """No wheel is faster than 1.1 times the command for longer than 0.3 s, and none is driven against its motion."""
     for wheel in wheels(trace, commanded):
         speed, _, _, drive = wheel
         assert too_fast_s(wheel) <= OVER_S
@@ -45,7 +45,7 @@ def check_speed(trace: Trace, commanded: np.ndarray) -> None:
 
 
 def check_standstill(trace: Trace, drawn: WorldParameters) -> None:
-    """Rows from a zero on: it stands as soon as the brake allows, within 0.6 s for a constant of 0.14 s or less."""
+    """Rows from a zero on: the robot stops as soon as the brake allows, within 0.6 s for a constant up to 0.14 s."""
     for side, speed in (("left", trace.left), ("right", trace.right)):
         after = np.abs(speed)
         stood_s = float(np.max(np.flatnonzero(after > STANDING_TICKS_S), initial=-1) + 1) * ROW_S
@@ -54,20 +54,20 @@ def check_standstill(trace: Trace, drawn: WorldParameters) -> None:
 
 
 def longest_s(is_so: np.ndarray) -> float:
-    """How long something was so without a break."""
+    """Longest time for which a condition held without interruption."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], is_so.astype(int), [0]])))
     return float(np.max(edges[1::2] - edges[::2], initial=0)) * ROW_S
 
 
 def recent_most(values: np.ndarray) -> np.ndarray:
-    """The most in the last 0.3 s: a wheel that is to go slower has to brake first."""
+    """Maximum of the last 0.3 s: a wheel with a lower command has to brake first."""
     rows = round(OVER_S / ROW_S)
     padded = np.concatenate([np.full(rows - 1, values[0]), values])
     return np.max(np.lib.stride_tricks.sliding_window_view(padded, rows), axis=1)
 
 
 def too_fast_s(wheel: Wheel) -> float:
-    """How long it was faster than 1.1 times what was commanded and a tick in 0.2 s, while it was driven."""
+    """Time during which a driven wheel was faster than 1.1 times the command plus a tick in 0.2 s."""
     speed, set_point, commanded, _ = wheel
     most = recent_most(np.maximum(np.abs(commanded), np.abs(set_point)))
     allowed = np.maximum(1.1 * most + STANDING_TICKS_S, CREEP_TICKS_S)
@@ -75,7 +75,7 @@ def too_fast_s(wheel: Wheel) -> float:
 
 
 def brake_s(drawn: WorldParameters, side: str, speed_ticks_s: float) -> float:
-    """How long the shorted motor needs by itself."""
+    """Time that the shorted motor needs by itself."""
     friction_rad_s = drawn[f"{side}.friction_rad_s"] + drawn["floor_pwm"] / FULL_PWM * drawn[f"{side}.full_speed_rad_s"]
     friction_ticks_s = friction_rad_s * drawn[f"{side}.ticks_per_turn"] / (2 * np.pi)
     ratio = (speed_ticks_s + friction_ticks_s) / (STANDING_TICKS_S + friction_ticks_s)

@@ -1,4 +1,4 @@
-"""Builds the Due's firmware for the PC and loads it, with a board whose every input a test sets."""
+"""Builds the Due's firmware for the PC and loads it, with a board whose inputs are all set by a test."""
 
 import ctypes
 from collections.abc import Callable, Iterator
@@ -16,7 +16,7 @@ ROOT = Path(__file__).resolve().parents[2]
 SOURCES = ROOT / "firmware" / "due" / "src"
 ROSSERIAL = ROOT / "firmware" / "rosserial" / "src"
 LIBRARY = ROOT / "build" / "due_abi" / "libdue_abi.so"
-FLAGS = [*CORE, "-ffp-contract=off"]  # the digits of a Cortex-M3 without an FPU, everywhere
+FLAGS = [*CORE, "-ffp-contract=off"]  # the digits of a Cortex-M3 without an FPU, on every machine
 OUT_BYTES = 65536
 
 _U8P, _F, _P, _SIZE = ctypes.c_char_p, ctypes.c_float, ctypes.c_void_p, ctypes.c_size_t
@@ -123,7 +123,7 @@ class Node:
         library().node_room(self._handle, size)
 
     def spin(self, now_s: float) -> float | None:
-        """As OriginalDevice.spin: None when the turn is done, else the seconds to wait."""
+        """Like OriginalDevice.spin: None when the turn is done, otherwise the seconds to wait."""
         wait_ms = library().node_spin(self._handle, round(now_s * 1e6))
         return wait_ms / 1000 if wait_ms else None
 
@@ -144,7 +144,7 @@ class Node:
         return bool(library().node_configured(self._handle))
 
     def publish(self, payload: bytes) -> bool:
-        """On /odometry."""
+        """Publish a message on /odometry."""
         return bool(library().node_publish(self._handle, payload, len(payload)))
 
     def log(self, level: int, text: str) -> None:
@@ -184,7 +184,7 @@ class Robot:
         library().robot_loop(self._handle, round(now_s * 1e6), left_edges % 2**32, right_edges % 2**32)
 
     def set_battery(self, volts: float) -> None:
-        """What the board measures; NaN: nothing."""
+        """Voltage that the board measures; NaN: not measured."""
         library().robot_battery(self._handle, volts)
 
     def sent(self) -> list[Frame]:
@@ -204,7 +204,7 @@ class Robot:
 
 @contextmanager
 def made(kind: str, *arguments: float) -> Iterator[int]:
-    """A C++ object by its handle, for the length of the block."""
+    """A C++ object with its handle, for the length of the block."""
     handle = getattr(library(), f"{kind}_new")(*arguments)
     try:
         yield handle

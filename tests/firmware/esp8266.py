@@ -20,7 +20,7 @@ TARGETS = ("esp8266_native", "esp8266_original", "esp8266_abi")
 
 @cache
 def build() -> Path:
-    """Compile what has changed; the folder of the results."""
+    """Compile the changed files; returns the folder of the results."""
     once_a_run("esp8266", _compile)
     return BUILD
 
@@ -74,7 +74,7 @@ def library() -> ctypes.CDLL:
 
 
 class Assembler:
-    """FrameAssembler."""
+    """Python's view of FrameAssembler."""
 
     QUIET_MS, LONGEST_MS = 20, 500
 
@@ -106,12 +106,12 @@ class Assembler:
 
 
 class Bridge:
-    """Passthrough between ports in memory."""
+    """A Passthrough between ports in memory."""
 
     def __init__(self, key: bytes = b"") -> None:
         self._lib = library()
         self._self = self._lib.bridge_new()
-        self._key = ctypes.create_string_buffer(key)  # the bridge keeps where it is
+        self._key = ctypes.create_string_buffer(key)  # the bridge keeps the address
         self._lib.bridge_set_key(self._self, self._key)
         self._buffer = ctypes.create_string_buffer(1 << 16)
         self.now_ms = 0xFFFFF000
@@ -123,7 +123,7 @@ class Bridge:
         self._lib.bridge_delete(self._self)
 
     def turn(self, after_ms: int, *, device_room: int = 128, host_room: int = 2920) -> bool:
-        """One turn of loop(); True with a link."""
+        """One turn of loop(); returns True with a link."""
         self.now_ms = (self.now_ms + after_ms) % 2**32
         self._lib.bridge_set_room(self._self, device_room, host_room)
         is_linked = bool(self._lib.bridge_turn(self._self, self.now_ms))
@@ -137,7 +137,7 @@ class Bridge:
         self._lib.bridge_from_host(self._self, data, len(data))
 
     def set_signal(self, dbm: int) -> None:
-        """How strong the WiFi is; 0 or more: it is not known."""
+        """Strength of the WiFi in dBm; 0 or more: unknown."""
         self._lib.bridge_set_signal(self._self, dbm)
 
     def lose(self) -> None:
@@ -171,7 +171,7 @@ class Sketch:
         return json.loads(line)
 
     def command(self, text: str) -> dict[str, int]:
-        """Obey, then tell the counters of the emulated hardware."""
+        """Send a command, then return the counters of the emulated hardware."""
         assert self._process.stdin is not None
         self._process.stdin.write(text + "\n")
         self._process.stdin.flush()
@@ -181,12 +181,12 @@ class Sketch:
         self._process.send_signal(number)
 
     def crash(self) -> tuple[int, str]:
-        """Wait for its end: exit status and what it said."""
+        """Wait for its end; returns exit status and output."""
         _, errors = self._process.communicate(timeout=20)
         return self._process.returncode, errors
 
     def stop(self) -> None:
-        """Sanitizers and the watchdog end it with another status."""
+        """Stop the process. Sanitizers and the watchdog end it with another status."""
         self._process.terminate()
         assert self._process.wait(10) == 0
 

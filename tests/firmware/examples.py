@@ -1,4 +1,4 @@
-"""The examples of firmware/rosserial, and what a compiler of a board needs for them."""
+"""The examples of firmware/rosserial, and the headers that a board's compiler needs for them."""
 
 from functools import cache
 from pathlib import Path
@@ -16,13 +16,13 @@ LIBRARY = ("ros", "hostlink")
 
 
 def sources() -> list[Path]:
-    """Of the library."""
+    """An example of the library."""
     return [path for folder in LIBRARY for path in sorted((ROSSERIAL / folder).glob("*.cpp"))]
 
 
 @cache
 def messages() -> Path:
-    """The folder with the header of each type."""
+    """Folder with the header of each type."""
     once_a_run("example_messages", _write_messages)
     return MESSAGES
 
@@ -35,6 +35,6 @@ def _write_messages() -> None:
 
 
 def compile_sketch(sketch: Path, output: Path, compiler: list[str]) -> None:
-    """As an IDE does: Arduino.h in front. A warning is an error."""
+    """Compile like an IDE: Arduino.h is included first. A warning is an error."""
     options = [*SKETCH, "-DARDUINO=10819", f"-I{ROSSERIAL}", f"-I{messages()}", "-include", "Arduino.h"]
     run([*compiler, *options, "-x", "c++", "-c", sketch, "-o", output])

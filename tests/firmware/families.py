@@ -1,8 +1,8 @@
-"""The families of boards: their compilers, what stands in for what Debian has not, and how large a sketch is on each.
+"""Families of boards: their compilers, stand-ins for what Debian lacks, and the size of a sketch on each.
 
-Genuine are the compilers, the C libraries and, of the AVRs, Arduino's core. The cores of the others are stand-ins in
-firmware/host: what is linked for them has every function of sketch and library, for ARM also of the C library, and none
-of the core.
+The compilers, the C libraries and, for the AVRs, Arduino's core are genuine. The cores of the others are stand-ins in
+firmware/host: a program that is linked for them has every function of sketch and library, for ARM also of the C
+library, but no function of the core.
 """
 
 import os
@@ -20,16 +20,16 @@ SMALL = ("-Os", "-ffunction-sections", "-fdata-sections", "-fno-exceptions", "-f
 FREESTANDING = (*SMALL, "-ffreestanding", "-nostdinc++", "-fno-rtti", "-fno-use-cxa-atexit")
 SKETCH_ALONE = "-Wl,--gc-sections,-e,_Z5setupv,-u,_Z4loopv,--unresolved-symbols=ignore-all"
 NEED_WIFI = frozenset({"wifi", "udp", "board_settings", "passthrough"})
-NEED_LIBRARIES = frozenset({"servo", "ethernet"})  # of Arduino, which Debian has not
+NEED_LIBRARIES = frozenset({"servo", "ethernet"})  # versions of Arduino's packages, which Debian does not have
 
 
 class Family(NamedTuple):
-    """A kind of board."""
+    """One family of boards."""
 
     name: str
     compiler: tuple[str, ...]
     includes: tuple[Path, ...]
-    link: tuple[str, ...] = ()  # the linker and its options; none: it is only compiled
+    link: tuple[str, ...] = ()  # linker and its options; none: compile only
     libraries: tuple[str, ...] = ("-lm",)
     size: str = "size"
     ram_bytes: int = 0  # of the chip; 0: more than enough
@@ -41,11 +41,11 @@ class Family(NamedTuple):
         return BUILD / self.name.lower().replace(" ", "_")
 
     def fits(self, example: str) -> bool:
-        """Whether an example is for a board of this kind."""
+        """Whether an example is for a board of this family."""
         return self.has_wifi or example not in NEED_WIFI
 
     def is_linked(self, example: str) -> bool:
-        """Whether all that an example needs is there."""
+        """Whether everything that an example needs is installed."""
         return bool(self.link) and example not in NEED_LIBRARIES
 
 
@@ -80,7 +80,7 @@ def _esp(name: str) -> Family:
         compiler=("xtensa-lx106-elf-g++", "-mlongcalls", f"-D{name}", *FREESTANDING),
         includes=(HOST / "esp", HOST / "any_board"),
         link=("xtensa-lx106-elf-gcc", "-nostdlib", SKETCH_ALONE),
-        libraries=(),  # soft floats are in the chip's ROM, and the core brings a C library of its own
+        libraries=(),  # soft floats are in the chip's ROM, and the core brings its own C library
         size="xtensa-lx106-elf-size",
         has_wifi=True,
     )
@@ -96,7 +96,7 @@ COMPILERS = (
 
 
 def compiled(family: Family, sketch: Path) -> Path:
-    """The object of a sketch.
+    """Object file of a sketch.
 
     Raises:
         AssertionError: the compiler fails or warns.
@@ -109,7 +109,7 @@ def compiled(family: Family, sketch: Path) -> Path:
 
 
 def image(family: Family, sketch: Path) -> Path:
-    """What is flashed.
+    """Image that is flashed.
 
     Raises:
         AssertionError: compiler or linker fail or warn.
@@ -132,7 +132,7 @@ def image_bytes(family: Family, sketch: Path) -> tuple[int, int]:
 
 
 def built(family: Family) -> list[Path]:
-    """The objects of the library, and the core.
+    """Objects of the library, and of the core.
 
     Raises:
         AssertionError: the compiler fails or warns.

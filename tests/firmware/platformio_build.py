@@ -1,4 +1,4 @@
-"""What PlatformIO makes of the sketch in the present folder: the last line that it prints is JSON.
+"""PlatformIO's result for the sketch in the present folder: the last printed line is JSON.
 
     python -m tests.firmware.platformio_build ENV
 

@@ -14,7 +14,7 @@ from tests.firmware.worlds import Trace, wheel_speeds
 
 ROW_MS = 10
 CONNECT_MS = 500
-STANDS_MS = 1200  # at the end of each story
+STANDS_MS = 1200  # at the end of each script
 QEMU_S = 120.0
 # The columns of worlds.Trace.
 _SIDES = [f"{side}_{name}" for name in ("ticks_s", "set_ticks_s") for side in ("left", "right")]
@@ -25,7 +25,7 @@ _TRACE = ["t_s", *_SIDES, *_POSES, *_MOTORS]
 
 @dataclass(frozen=True)
 class Script:
-    """A world and a story in it: pieces of m/s, rad/s and milliseconds."""
+    """A world and a drive in it: pieces of m/s, rad/s and milliseconds."""
 
     world: WorldParameters
     pieces: tuple[tuple[float, float, int], ...]
@@ -37,24 +37,24 @@ class Script:
 
     @property
     def rows(self) -> int:
-        """How many it gives."""
+        """Number of rows that it gives."""
         return (CONNECT_MS + sum(ms for _, _, ms in self.pieces)) // ROW_MS
 
     @property
     def reversals(self) -> int:
-        """How often a wheel is commanded the other way, of the one that is so more often."""
+        """Number of changes of direction that a wheel is commanded, for the wheel with more of them."""
         signs = np.sign(self.commanded)
         return max(int(np.count_nonzero(np.diff(wheel[wheel != 0.0]))) for wheel in signs.T)
 
     @property
     def commanded(self) -> np.ndarray:
-        """A row to each of the trace: what the wheels were commanded, left and right, in ticks/s."""
+        """One row for each row of the trace: commanded speeds of the wheels, left and right, in ticks/s."""
         silent = np.zeros((CONNECT_MS // ROW_MS, 2))
         return np.concatenate([silent, *(np.tile(wheel_speeds(v, w), (ms // ROW_MS, 1)) for v, w, ms in self.pieces)])
 
 
 def run_module(text: str, rows: int) -> np.ndarray:
-    """The rows of the module, which simulated robots run."""
+    """Rows of the module that simulated robots run."""
     firmware = Firmware()
     wrong = firmware.run_script(text)
     assert wrong == 0, f"line {wrong}: {text.splitlines()[wrong - 1]}"
@@ -72,7 +72,7 @@ def start_m3(text: str, folder: Path) -> "subprocess.Popen[bytes]":
 
 
 def run_m3(text: str, folder: Path) -> np.ndarray:
-    """The rows of the firmware on the emulated Cortex-M3."""
+    """Rows of the firmware on the emulated Cortex-M3."""
     with start_m3(text, folder) as process:
         try:
             status = process.wait(QEMU_S)
@@ -87,12 +87,12 @@ def column(rows: np.ndarray, name: str) -> np.ndarray:
 
 
 def trace(rows: np.ndarray) -> Trace:
-    """The rows as the checks of a drive read them."""
+    """The rows in the form that the checks of a drive read."""
     return Trace(*(column(rows, name) for name in _TRACE))
 
 
 def draw(seed: int) -> Script:
-    """A world that nobody has tuned the firmware for, and a story of drives and pauses that ends in a zero."""
+    """A drawn world for which the firmware was not tuned, and drives and pauses that end in a zero."""
     random = np.random.default_rng(seed)
     full_speed_rad_s = WorldParameters()["left.full_speed_rad_s"]
     dead_zone_pwm, time_constant_s = random.uniform(0.0, 800.0), random.uniform(0.02, 0.2)
@@ -134,12 +134,12 @@ def draw(seed: int) -> Script:
 
 
 def draw_joystick(seed: int) -> Script:
-    """The same world, driven with a joystick: a new command every 20 to 200 ms, and sometimes a zero."""
+    """World of `draw`, driven with a joystick: a new command every 20 to 200 ms, and sometimes a zero."""
     return Script(draw(seed).world, tuple(_strokes(np.random.default_rng((seed, 1)))))
 
 
 def draw_reversals(seed: int) -> Script:
-    """The same world, driven with a stick that is pulled through zero and back, in steps and with an unsteady hand."""
+    """World of `draw`, driven with a stick that is pulled through zero and back, in steps and with an unsteady hand."""
     return Script(draw(seed).world, tuple(_reversals(np.random.default_rng((seed, 2)))))
 
 

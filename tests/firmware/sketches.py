@@ -22,13 +22,13 @@ MOVED = ROOT / "firmware" / "tests" / "ros_lib_sketches"
 KEY = "0123456789abcdefghijklmnopqrstuv"
 WITH_KEY = "wifi with a key"
 NO_KEY = 'kKey[] = ""'
-_OF_TCP = "#define ROSSERIAL_ARDUINO_TCP"  # decides what ros.h is: a program of its own
+_OF_TCP = "#define ROSSERIAL_ARDUINO_TCP"  # decides the content of ros.h: a separate program
 _INCLUDE = re.compile(r"^#include .*(?<!WProgram\.h>)$", re.MULTILINE)
 _COMPILER = ["g++", *SANITIZERS, f"-I{BOARD}", "-O0"]
 
 
 def _sketches() -> dict[str, Path]:
-    """By their names: "pubsub", "ros_lib/pubsub"."""
+    """Sketches by name: "pubsub", "ros_lib/pubsub"."""
     examples = {path.name: path / f"{path.name}.ino" for path in sorted(EXAMPLES.iterdir())}
     return examples | {f"ros_lib/{path.stem}": path for path in sorted(MOVED.glob("*.ino"))}
 
@@ -67,7 +67,7 @@ def _link(program: str, texts: dict[str, str]) -> None:
 
 
 def _source(texts: dict[str, str]) -> str:
-    """Every header first, outside of the namespaces: none is read a second time."""
+    """Include every header first, outside of the namespaces, so that none is read a second time."""
     includes = sorted({line for text in texts.values() for line in _INCLUDE.findall(text)})
     define = [_OF_TCP] if any(_OF_TCP in text for text in texts.values()) else []
     numbered = list(enumerate(texts.items()))
@@ -84,23 +84,23 @@ def _source(texts: dict[str, str]) -> str:
 
 
 class Board:
-    """A running sketch: what it has set its outputs to, in order."""
+    """A running sketch: values of its outputs, in order."""
 
     def __init__(self, process: asyncio.subprocess.Process) -> None:
         self.outputs: list[str] = []
         self._process = process
 
     def set(self, line: str) -> None:
-        """An input: "digital 7 0", "analog 100 512", "pulse 8 5831", "register 59 64"."""
+        """Set an input: "digital 7 0", "analog 100 512", "pulse 8 5831", "register 59 64"."""
         assert self._process.stdin is not None
         self._process.stdin.write(f"{line}\n".encode())
 
     def last(self, pin: str) -> str:
-        """Of an output such as "analog 5"; empty: it was never set."""
+        """Values of an output such as "analog 5"; empty: it was never set."""
         return next((line for line in reversed(self.outputs) if line.startswith(f"{pin} ")), "")
 
     async def expect(self, line: str) -> None:
-        """Until an output is so."""
+        """Wait until an output has this value."""
         pin = line.rpartition(" ")[0]
         await expect(lambda: self.last(pin) == line, timeout_s=10.0)
 
@@ -112,7 +112,7 @@ class Board:
 
 @contextlib.asynccontextmanager
 async def running(name: str, address: tuple[str, int], serial_port: int | None = None) -> AsyncIterator[Board]:
-    """The sketch, connected to a host, until the end of the block; a sanitizer that found something fails it.
+    """A sketch that is connected to a host until the end of the block. A finding of a sanitizer fails the block.
 
     `serial_port`: where its Serial goes, of another board; None: to the host as well.
     """
@@ -123,7 +123,7 @@ async def running(name: str, address: tuple[str, int], serial_port: int | None =
 
 @contextlib.asynccontextmanager
 async def started(*command: object) -> AsyncIterator[Board]:
-    """A board as a process; its end before that of the block is an error."""
+    """A board as a process. Its end before that of the block is an error."""
     pipe = asyncio.subprocess.PIPE
     words = [*GOES_FIRST, *(str(word) for word in command)]
     process = await asyncio.create_subprocess_exec(*words, stdin=pipe, stdout=pipe, stderr=pipe)

@@ -45,7 +45,7 @@ COMPILERS = {
 
 @pytest.fixture(scope="module")
 def headers(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Those of all types."""
+    """Headers of all types."""
     folder = tmp_path_factory.mktemp("headers")
     write_headers(select(Catalog(), None), folder)
     return folder
@@ -70,7 +70,7 @@ LIST = "CMakeLists.txt"
 
 @pytest.fixture(scope="module")
 def unpacked(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The folder of the library, out of the ZIP."""
+    """Folder of the library from the ZIP."""
     folder = tmp_path_factory.mktemp("library")
     (folder / "mine" / "my_msgs").mkdir(parents=True)
     (folder / "mine" / "my_msgs" / "Gripper.msg").write_text(DEFINITION)
@@ -81,9 +81,9 @@ def unpacked(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.parametrize("file", ["library.json", "library.properties"])
-def test_platformio_reads_what_the_library_says_of_itself(unpacked: Path, file: str) -> None:
+def test_platformio_reads_the_description_of_the_library(unpacked: Path, file: str) -> None:
     facts = ManifestParserFactory.new_from_file(str(unpacked / file)).as_dict()
-    facts.pop("license", None)  # its list of licences comes from the network
+    facts.pop("license", None)  # its list of licences is on the network
     manifest = ManifestSchema().load_manifest(facts)
     assert (manifest["name"], manifest["version"]) == ("hostlink_rosserial", version("hostlink"))
 
@@ -122,7 +122,7 @@ def test_a_program_that_is_built_with_cmake_sends_my_message_as_the_host_reads_i
 
 
 def test_a_program_with_the_library_fits_an_uno(unpacked: Path, tmp_path: Path) -> None:
-    """All of its sources are compiled, as the Arduino IDE does; what the program does not use is left out."""
+    """All sources are compiled, like in the Arduino IDE; the linker drops what the program does not use."""
     flags = "-mmcu=atmega328p -Os -fno-exceptions -fno-threadsafe-statics -ffunction-sections -fdata-sections"
     sources = [FIRMWARE / "tests" / "library_program.cpp", *sorted((unpacked / "src").rglob("*.cpp"))]
     command = ["avr-g++", *flags.split(), "-Wl,--gc-sections", *SKETCH, f"-I{unpacked}/src"]

@@ -72,7 +72,7 @@ DEFINITIONS = {
 
 @pytest.fixture(scope="module")
 def included(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The folder of the headers; all.h includes them."""
+    """Folder of the headers; all.h includes them."""
     folder = tmp_path_factory.mktemp("odd")
     for name, text in DEFINITIONS.items():
         path = folder / "mine" / name
@@ -103,7 +103,7 @@ def test_unusual_definitions_compile_with_every_warning(included: Path, tmp_path
 
 @pytest.mark.parametrize("standard", ["c++11", "c++17"])
 def test_constants_can_be_referred_to_without_optimization(included: Path, tmp_path: Path, standard: str) -> None:
-    """As std::max and a conditional do; in two files of one program."""
+    """Like std::max and a conditional expression; in two files of one program."""
     program = tmp_path / "x.cpp"
     program.write_text(
         "#include <odd_msgs/OnlyConstants.h>\ntypedef odd_msgs::OnlyConstants C;\n"
@@ -120,5 +120,5 @@ def test_constants_can_be_referred_to_without_optimization(included: Path, tmp_p
 
 @pytest.mark.parametrize("chip", ["atmega328p", "atmega2560", "atmega32u4"])
 def test_every_macro_of_a_core_is_avoided(chip: str) -> None:
-    """Python tools/board_macros.py --write adds those of a newer core."""
+    """`tools/board_macros.py --write` adds the macros of a newer core."""
     assert {name for name in of_chip(chip) if identifier(name) == name} == set()

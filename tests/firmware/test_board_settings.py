@@ -1,4 +1,4 @@
-"""`hostlink board` against the library's own side of it, compiled with sanitizers, over a pty."""
+"""`hostlink board` against the library's side of the dialogue, compiled with sanitizers, over a pty."""
 
 import asyncio
 import contextlib
@@ -36,7 +36,7 @@ from tests.support.screen import screen
 
 FIRMWARE = Path(__file__).parents[2] / "firmware"
 PROGRAM = BUILD / "settings_board"
-PASSWORD = "p %#ss=wört"  # what a line must not be cut at
+PASSWORD = "p %#ss=wört"  # bytes at which a line must not be cut
 KEY = "0123456789abcdef" * 2
 CRC32 = 0xFFFFFFFF
 EMPTY = Path(__file__).parents[1] / "__init__.py"
@@ -56,14 +56,14 @@ def _compile() -> None:
 
 
 class Board:
-    """The program: the path of its port, and the settings that it last reported."""
+    """The program: path of its port, and the settings that it last reported."""
 
     def __init__(self, process: "subprocess.Popen[str]") -> None:
         self._process = process
         self.port = self._line()
 
     def stored(self) -> list[str]:
-        """Host, port, name, WiFi's name and password, key, password for updates: at its start, or stored now."""
+        """Host, port, name, WiFi name and password, key, password for updates: at the start, or stored now."""
         return self._line().split("\t")
 
     def _line(self) -> str:
@@ -81,7 +81,7 @@ def board(flash: Path, kind: str = "plain") -> Iterator[Board]:
 
 
 def run(*arguments: object) -> str:
-    """The output of `hostlink board`; what it raises is raised."""
+    """Output of `hostlink board`; its exceptions are raised."""
     result = CliRunner().invoke(app, [str(argument) for argument in arguments], catch_exceptions=False)
     assert result.exit_code == 0
     return result.output
@@ -117,7 +117,7 @@ def test_settings_are_stored_shown_and_there_after_a_restart(flash: Path, passwo
         assert restarted.stored() == stored
 
 
-def test_what_is_not_named_stays_and_an_empty_value_clears(flash: Path, tmp_path: Path) -> None:
+def test_setup_keeps_unnamed_settings_and_an_empty_value_clears(flash: Path, tmp_path: Path) -> None:
     key = tmp_path / "key"
     key.write_text(KEY)
     with board(flash) as robot:
@@ -131,12 +131,12 @@ def test_what_is_not_named_stays_and_an_empty_value_clears(flash: Path, tmp_path
 
 
 def test_a_board_that_restarts_before_it_stores_has_the_new_key_in_the_end(flash: Path, tmp_path: Path) -> None:
-    """Of a key `info` shows only that there is one: an older one is no proof."""
+    """`info` shows only whether a key is set, so an older key would not be noticed."""
     key = tmp_path / "key"
     key.write_text("an-older-key-of-it")
     with board(flash) as robot:
         run("setup", robot.port, "--key-file", key)
-    key.write_text(f"\ufeff{KEY}\r\n")  # as an editor of Windows writes it
+    key.write_text(f"\ufeff{KEY}\r\n")  # like an editor of Windows
     with board(flash, "forgetful") as robot:
         robot.stored()
         run("setup", robot.port, "--key-file", key, "--name", "mule")
@@ -146,7 +146,7 @@ def test_a_board_that_restarts_before_it_stores_has_the_new_key_in_the_end(flash
 async def test_a_person_answers_questions_and_no_password_is_on_the_screen(flash: Path) -> None:
     with board(flash) as robot:
         robot.stored()
-        await asyncio.to_thread(run, "setup", robot.port, "--wifi-name", "red\x9b31m")  # steers an old terminal
+        await asyncio.to_thread(run, "setup", robot.port, "--wifi-name", "red\x9b31m")  # an old control sequence
         robot.stored()
         async with screen() as terminal:
             await terminal.keys(f"{HOSTLINK} board setup {robot.port}; echo status $?", "Enter")
@@ -191,7 +191,7 @@ async def test_a_sketch_with_these_settings_is_at_the_host_under_its_name(
     key.write_text(KEY)
     config = tmp_path / "hostlink.toml"
     config.write_text('[tcp]\nkey_file = "key"\n')
-    with board(flash, "preferences") as robot:  # flash as the example's: the record alone
+    with board(flash, "preferences") as robot:  # flash like the example's: only the record
         options = ("--host", "127.0.0.1", "--name", "robot_3", "--key-file", str(key))
         await asyncio.to_thread(run, "setup", robot.port, *options)
     monkeypatch.setenv("ANY_BOARD_FLASH", str(flash))
@@ -206,7 +206,7 @@ async def test_a_sketch_with_these_settings_is_at_the_host_under_its_name(
 
 
 @pytest.mark.parametrize("at", [0, 30, -1])
-def test_damaged_flash_is_as_if_nothing_were_stored(flash: Path, at: int) -> None:
+def test_damaged_flash_counts_as_empty(flash: Path, at: int) -> None:
     with board(flash, "preferences") as robot:
         run("setup", robot.port, "--host", "mule.local")
     damaged = bytearray(flash.read_bytes())
@@ -233,7 +233,7 @@ def test_flash_with_a_text_that_never_ends_is_not_read(flash: Path) -> None:
     with board(flash, "preferences") as robot:
         run("setup", robot.port, "--host", "mule.local")
     record = bytearray(flash.read_bytes())
-    record[4:68] = b"x" * 64  # the whole room of the host, without its zero
+    record[4:68] = b"x" * 64  # the whole field of the host, without its terminating zero
     record[-4:] = zlib.crc32(record[:-4]).to_bytes(4, "little")
     flash.write_bytes(record)
     with board(flash, "preferences") as robot:
@@ -249,7 +249,7 @@ def test_a_port_that_is_gone_is_named_once() -> None:
         closing.join()
 
 
-def test_a_flash_that_takes_nothing_is_an_error_and_changes_nothing(flash: Path) -> None:
+def test_flash_that_cannot_be_written_is_an_error_and_changes_nothing(flash: Path) -> None:
     with board(flash, "worn") as robot:
         with pytest.raises(HostlinkError, match="the value could not be stored"):
             run("setup", robot.port, "--host", "mule.local")
@@ -344,7 +344,7 @@ lines = st.one_of(
 
 @settings(deadline=None, max_examples=max(20, settings().max_examples // 3))
 @given(st.lists(lines, max_size=40))
-def test_whatever_a_port_brings_the_board_answers_the_next_request(sent: list[bytes]) -> None:
+def test_board_after_any_bytes_answers_the_next_request(sent: list[bytes]) -> None:
     wire = b"".join(sent) + b"\n" + request_line(9, "info")
     done = subprocess.run([PROGRAM, "/dev/null", "pipe"], input=wire, capture_output=True, check=False, timeout=20)
     assert done.returncode == 0, done.stderr.decode()
@@ -359,7 +359,7 @@ def test_whatever_a_port_brings_the_board_answers_the_next_request(sent: list[by
 def test_the_board_accepts_the_values_that_the_command_does(values: list[tuple[str, str]]) -> None:
     lines = [request_line(number, assignment(*value)) for number, value in enumerate(values)]
     values = [value for value, line in zip(values, lines, strict=True) if len(line) <= LINE_BYTES_MAX]
-    wire = b"".join(lines)  # what is longer is no request: the command refuses it before
+    wire = b"".join(lines)  # a longer line is not a request: the command refuses it before
     done = subprocess.run([PROGRAM, "/dev/null", "pipe"], input=wire, capture_output=True, check=False, timeout=20)
     answers = [parse_answer(line) for line in done.stdout.splitlines()]
     accepted = [answer.words == "ok" for answer in answers if answer]

@@ -1,4 +1,4 @@
-"""The Due's pins and what is behind them: shield, mirrored motor, brake."""
+"""The Due's pins and the parts on them: shield, mirrored motor, brake."""
 
 import pytest
 from hypothesis import given
@@ -17,7 +17,7 @@ def levels(made: World, side: int) -> tuple[int, int, int]:
 
 @pytest.mark.parametrize(("linear", "left", "right"), [(0.2, HIGH, LOW), (-0.2, LOW, HIGH)])
 def test_the_paper_s_right_motor_is_mirrored(linear: float, left: int, right: int) -> None:
-    """Forwards is DIR HIGH on the left and DIR LOW on the right, and the robot moves in a line."""
+    """Forwards is DIR HIGH on the left and DIR LOW on the right, and the robot moves in a straight line."""
     with world() as made:
         made.drive(linear, 0.0, 2.0)
         assert [levels(made, side)[:2] for side in SIDES] == [(left, LOW), (right, LOW)]
@@ -26,22 +26,22 @@ def test_the_paper_s_right_motor_is_mirrored(linear: float, left: int, right: in
         assert made.resolution_bits == 12
 
 
-def test_every_way_to_stand_brakes_with_the_enable_on() -> None:
+def test_every_stop_brakes_with_the_enable_on() -> None:
     """On the shield's L298 the PWM is the enable: BRAKE HIGH with a PWM of 0 would let the motors run free."""
     with world() as made:
         assert [levels(made, side)[1:] for side in SIDES] == [(HIGH, FULL)] * 2  # never driven
         made.drive(0.2, 0.0, 2.0)
         assert all(levels(made, side)[1] == LOW for side in SIDES)
         made.drive(0.0, 0.0, 0.01)
-        assert [levels(made, side)[1:] for side in SIDES] == [(HIGH, FULL)] * 2  # a zero, at once
+        assert [levels(made, side)[1:] for side in SIDES] == [(HIGH, FULL)] * 2  # at once after a zero
         made.drive(0.2, 0.0, 2.0)
         made.run(0.6)
-        assert [levels(made, side)[1:] for side in SIDES] == [(HIGH, FULL)] * 2  # silence
+        assert [levels(made, side)[1:] for side in SIDES] == [(HIGH, FULL)] * 2  # after silence
 
 
 @given(story=st.lists(st.tuples(st.sampled_from([0.0, 0.1, 0.3, -0.1, -0.3]), st.floats(0.05, 1.0)), max_size=5))
-def test_no_write_on_the_way_drives_a_motor_harder_than_before_or_after(story: list[tuple[float, float]]) -> None:
-    """The full duty of a brake never stands beside an open one."""
+def test_order_of_pin_writes_never_drives_a_motor_harder_than_before_or_after(story: list[tuple[float, float]]) -> None:
+    """The full duty of a brake never coincides with an open brake."""
     with world() as made:
         made.writes()
         pins = {pin: made.pin(pin) for side in SIDES for pin in (DIRECTION[side], BRAKE[side], PWM[side])}

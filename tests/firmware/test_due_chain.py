@@ -42,7 +42,7 @@ async def test_the_chain_negotiates_drives_reads_back_and_stops(kind: str, with_
         assert observed["odometry"]["pose"]["x_m"] > 0.05
         assert abs(observed["odometry"]["pose"]["y_m"]) < 0.05
         assert observed["odometry"]["rate_hz"] == pytest.approx(10.0, abs=2.5)
-        await made.expect_speed(-2.0, 2.0, within_s=3.0)  # the lease is over: 0.5 s, the wheel, the report
+        await made.expect_speed(-2.0, 2.0, within_s=3.0)  # the lease ended: 0.5 s, the wheel, the report
         assert await daemon.end(signal.SIGTERM) == 0
     closed = [line for line in daemon.log if line["event"] == "link.trouble"]
     assert closed == []
@@ -50,7 +50,7 @@ async def test_the_chain_negotiates_drives_reads_back_and_stops(kind: str, with_
 
 @pytest.mark.parametrize("kind", ["native", "cortex-m3"])
 async def test_the_board_runs_in_the_world_that_it_is_given(kind: str, tmp_path: Path) -> None:
-    """A left wheel a tenth larger: straight by the odometry is a curve to the right."""
+    """With a left wheel that is a tenth larger, straight by the odometry is a curve to the right."""
     world = WorldParameters({"battery_v": 11.5, "left.radius_m": 0.0495})
     file = tmp_path / "world.txt"
     file.write_text(world.text())
@@ -60,13 +60,13 @@ async def test_the_board_runs_in_the_world_that_it_is_given(kind: str, tmp_path:
         async with aiohttp.ClientSession() as session, session.get(f"{daemon.url}/api/robots/robot_0") as response:
             believed = (await response.json())["odometry"]["pose"]
         assert made.facts["battery_mv"] == 11500
-        assert made.facts["theta_mrad"] < -0.3 * made.facts["rolled_mm"]  # 0.1 / 0.21 m, less what began slowly
+        assert made.facts["theta_mrad"] < -0.3 * made.facts["rolled_mm"]  # 0.1 / 0.21 m, less the slow start
         assert abs(believed["theta_rad"]) < 0.05
 
 
 @pytest.mark.parametrize("kind", ["native", "cortex-m3"])
 async def test_a_killed_host_leaves_the_robot_standing(kind: str, tmp_path: Path) -> None:
-    """Without a guardian, by its own watchdog."""
+    """Without a guardian: the robot's own watchdog."""
     config = tmp_path / "hostlink.toml"
     config.write_text("guardian = false\n")
     async with chain(kind, "--config", str(config), with_esp=True) as (daemon, made):
@@ -83,11 +83,11 @@ async def test_a_killed_hosts_guardian_stops_the_robot_before_its_watchdog(kind:
         await drive(daemon, made, 0.3, until_ticks_s=80.0)
         daemon.child.kill()
         await made.expect_speed(-2.0, 2.0, within_s=2.2)
-        assert made.facts["rolled_ms"] - made.facts["got_ms"] < 500  # the last that it got is the guardian's zero
+        assert made.facts["rolled_ms"] - made.facts["got_ms"] < 500  # the last message is the guardian's zero
 
 
 @pytest.mark.parametrize(("kind", "number"), [("native", signal.SIGTERM), ("cortex-m3", signal.SIGKILL)])
-async def test_a_host_that_comes_back_drives_again_within_three_seconds(kind: str, number: signal.Signals) -> None:
+async def test_host_that_reconnects_drives_again_within_three_seconds(kind: str, number: signal.Signals) -> None:
     async with chain(kind, with_esp=True) as (daemon, made):
         await daemon.read_log("robot.appeared")
         await drive(daemon, made, 0.3, until_ticks_s=50.0)
@@ -101,7 +101,7 @@ async def test_a_host_that_comes_back_drives_again_within_three_seconds(kind: st
 
 
 @pytest.mark.parametrize("kind", ["native", "cortex-m3"])
-async def test_a_passthrough_that_is_killed_stops_the_robot_and_comes_back(kind: str) -> None:
+async def test_killed_passthrough_stops_the_robot_and_reconnects(kind: str) -> None:
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         uart_port = free.getsockname()[1]
@@ -121,7 +121,7 @@ async def test_a_passthrough_that_is_killed_stops_the_robot_and_comes_back(kind:
 
 
 async def test_a_device_that_restarts_is_driven_again_within_ten_seconds() -> None:
-    """A battery that drops, or a watchdog: neither the passthrough nor the host is told."""
+    """A battery that fails, or a watchdog: neither the passthrough nor the host is informed."""
     async with serve() as daemon:
         with esp8266.running("esp8266_native", daemon.tcp[1]) as sketch:
             async with board("native", sketch.uart_port) as made:

@@ -31,7 +31,7 @@ def test_the_pwm_map(wanted: float, pwm: int) -> None:
     assert library().pwm_of(wanted) == pwm
 
 
-def test_minimum_jerk_is_at_its_ends_when_it_should_be() -> None:
+def test_minimum_jerk_reaches_its_target_on_time() -> None:
     with made("jerk") as jerk:
         library().jerk_aim(jerk, 100.0)  # 0.018 s a tick/s: 1.8 s
         values = [library().jerk_step(jerk, 0.1) for _ in range(20)]
@@ -41,14 +41,14 @@ def test_minimum_jerk_is_at_its_ends_when_it_should_be() -> None:
     assert values[18:] == [100.0, 100.0]
 
 
-def test_minimum_jerk_without_a_way_to_go_is_there() -> None:
+def test_minimum_jerk_with_distance_zero_is_at_its_target() -> None:
     with made("jerk") as jerk:
         library().jerk_aim(jerk, 0.0)
         assert library().jerk_step(jerk, 0.1) == 0.0
 
 
 def test_the_integral_does_not_wind_up_against_the_limit() -> None:
-    """Ten seconds against a wheel that is held, then the set-point turns: the output follows in a tenth of a second."""
+    """Ten seconds against a blocked wheel, then another sign: the output follows in a tenth of a second."""
     with made("pid", 23.0, 36.0, 0.0, 0.0) as pid:
         for _ in range(300):
             assert library().pid_step(pid, 250.0, 0.0, LOOP_S) == 4095.0
@@ -79,7 +79,7 @@ def test_the_filter_adds_a_tenth_of_what_is_new() -> None:
 
 
 def steady_ticks_s(feedback: Feedback, requested_ticks_s: float) -> float:
-    """The mean speed of a wheel over two seconds, five after its set-point is there."""
+    """Mean speed of a wheel over two seconds, five seconds after its set-point is reached."""
     world, speeds, edges = Firmware().world, [], 0
     with made("wheel", feedback) as wheel:
         library().wheel_aim(wheel, requested_ticks_s)
@@ -103,7 +103,7 @@ def test_the_paper_s_feedback_keeps_every_speed_5_percent_low(requested_ticks_s:
 
 
 class Wheels(NamedTuple):
-    """Radii and ticks of the left wheel and the right one, and how far they are apart."""
+    """Radii and ticks of the left and the right wheel, and their distance."""
 
     radii_m: tuple[float, float] = (0.045, 0.045)
     ticks: tuple[float, float] = (230.4, 230.4)
@@ -123,7 +123,7 @@ some_wheels = st.just(PAPER) | st.builds(
 
 @contextmanager
 def drive(wheels: Wheels) -> Iterator[int]:
-    """The firmware's kinematics with these wheels, by its handle."""
+    """The firmware's kinematics with these wheels, with its handle."""
     with made("drive", *wheels.radii_m, *wheels.ticks, wheels.separation_m) as handle:
         yield handle
 
@@ -176,7 +176,7 @@ def test_odometry_of_a_line_a_spin_and_a_circle() -> None:
         assert values[0] == pytest.approx(0.0, abs=1e-6)
         assert math.cos(values[2]) == pytest.approx(1.0, abs=1e-6)
         values = (ctypes.c_double * 3)()
-        for _ in range(100):  # a circle with a radius of the separation: wheels as 1 to 3
+        for _ in range(100):  # a circle with the track as its radius: wheel speeds 1 to 3
             library().drive_integrate(handle, values, turn_ticks / 100, 3 * turn_ticks / 100)
         assert [values[0], values[1]] == pytest.approx([0.0, 0.0], abs=1e-4)
 

@@ -1,4 +1,4 @@
-"""A wheel that is blocked, blind or driven by a broken driver: both motors off, logged once, until a zero."""
+"""A wheel that is blocked, without encoder or driven by a broken driver: both motors off, logged once, until a zero."""
 
 import numpy as np
 import pytest
@@ -14,12 +14,12 @@ TURN_S = 0.034
 
 
 def drives_at(made: World) -> np.ndarray:
-    """Each ten milliseconds: whether a motor was driven."""
+    """For every ten milliseconds: whether a motor was driven."""
     return (made.trace.left_drive != 0) | (made.trace.right_drive != 0)
 
 
 def strained_s(made: World, side: int) -> float:
-    """How long the motor of a wheel had a high PWM, in all."""
+    """Total time for which the motor of a wheel had a high PWM."""
     drive = made.trace.left_drive if side == LEFT else made.trace.right_drive
     return float(np.sum(np.abs(drive) >= HIGH_PWM)) * 0.01
 
@@ -49,7 +49,7 @@ def test_a_dead_encoder_is_a_stalled_wheel(side: int, name: str) -> None:
 
 @given(speed=st.floats(0.002, 0.34), side=st.sampled_from([LEFT, RIGHT]), drawn=worlds())
 def test_a_dead_encoder_ends_a_drive_at_any_speed(speed: float, side: int, drawn: WorldParameters) -> None:
-    """Also at one so low that the PWM never gets high: after five seconds without an edge."""
+    """Also at a speed so low that the PWM never gets high: after five seconds without an edge."""
     with world(drawn) as made:
         made.deafen(side)
         made.drive(speed, 0.0, 7.0)

@@ -1,4 +1,4 @@
-"""The firmware and the original library obey the guardian's zero, wherever the daemon was cut off in a frame."""
+"""Firmware and original library obey the guardian's zero, wherever in a frame the daemon was cut off."""
 
 import pytest
 

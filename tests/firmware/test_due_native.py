@@ -1,4 +1,4 @@
-"""The native board's line to the host is as slow as the real one: nothing hides behind a fast socket."""
+"""The native board's line to the host is as slow as the real one."""
 
 import contextlib
 import socket
@@ -14,13 +14,13 @@ from hostlink.protocol.stream import FrameStream
 from tests.firmware.boards import build_native
 
 BYTES_S = 38400 / 10
-RING_BYTES = 128  # of the Due's UART: so many may be under way already
+RING_BYTES = 128  # of the Due's UART: this many bytes may already be on their way
 TOPICS = 8
 
 
 @contextlib.contextmanager
 def board(*words: str) -> Iterator[socket.socket]:
-    """The board's connection to a host that says nothing by itself."""
+    """Connection of the board to a host that sends nothing by itself."""
     program = build_native() / "due_native"
     with socket.create_server(("127.0.0.1", 0)) as server:
         command = [program, "127.0.0.1", str(server.getsockname()[1]), *words]
@@ -36,7 +36,7 @@ def board(*words: str) -> Iterator[socket.socket]:
 
 
 def answer(connection: socket.socket) -> tuple[int, float]:
-    """Ask for the topics: the bytes until the last TopicInfo, and how long they took."""
+    """Request the topics; returns the bytes up to the last TopicInfo, and their duration."""
     stream, infos, size = FrameStream(), 0, 0
     began_s = time.monotonic()
     connection.sendall(TOPICS_REQUEST)
@@ -60,11 +60,11 @@ def test_the_topics_last_as_long_as_their_bytes_on_the_line(words: tuple[str, ..
 
 def test_a_line_without_a_speed_is_as_fast_as_tcp() -> None:
     with board("0") as connection:
-        assert min(answer(connection)[1] for _ in range(5)) < 0.1  # on the line it would be 0.17 s
+        assert min(answer(connection)[1] for _ in range(5)) < 0.1  # on the line it would take 0.17 s
 
 
 @pytest.mark.parametrize(("text", "line"), [("track_m=0.2\ntrack=0.2\n", 2), ("track_m=wide\n", 1)])
-def test_a_world_that_is_none_is_refused_with_its_line(tmp_path: Path, text: str, line: int) -> None:
+def test_invalid_world_is_refused_with_its_line(tmp_path: Path, text: str, line: int) -> None:
     world = tmp_path / "world.txt"
     world.write_text(text)
     command = [build_native() / "due_native", "127.0.0.1", "1", "38400", world]

@@ -1,4 +1,4 @@
-"""The node: against the simulated device byte for byte, under any bytes, and its own better policy."""
+"""The node compared with the simulated device byte for byte, under any bytes, and with its own better policy."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -19,7 +19,7 @@ VELOCITY, LED = encode(100, b"\x22" * 48), encode(101, b"\x01")
 TIME = encode(Id.TIME, bytes(8))
 LOOP_S = 1 / 30
 POLICIES = list(Retry)
-# What a host may send without crashing the original: ids that were announced, sizes that fit.
+# Bytes that a host may send without crashing the original: announced ids, sizes that fit.
 good = st.sampled_from([TOPICS_REQUEST, VELOCITY, LED, TIME, STOP_REQUEST])
 short_noise = noise.filter(lambda junk: b"\xff\xfe" not in junk)
 lines = st.lists(st.one_of(good, short_noise), max_size=8).map(b"".join)
@@ -40,7 +40,7 @@ def spin(device: Node | OriginalDevice, now_s: float) -> float:
 def test_the_same_bytes_at_the_same_times_give_the_same_frames(
     retries: bool, story: list[tuple[bytes, float]], data: st.DataObject
 ) -> None:
-    """The simulated device and the compiled one, with the retry clause of the paper and without any."""
+    """The simulated device and the compiled one, with the retry clause of the paper and without."""
     heard: list[bytes] = []
     twin = OriginalDevice(baud=None, retries=retries)
     twin.advertise("/odometry", "geometry_msgs/Pose2D", "m")
@@ -191,7 +191,7 @@ def numbers(received: list[Frame]) -> list[int]:
 
 @contextmanager
 def blocked() -> Iterator[Node]:
-    """A device with its topics told, on a line that takes nothing more."""
+    """A device with announced topics, on a line that takes no more bytes."""
     with node() as device:
         device.feed(TOPICS_REQUEST)
         spin(device, 1.0)
@@ -228,8 +228,8 @@ def test_a_frame_that_is_on_the_wire_already_is_sent_to_its_end(begun_bytes: int
         assert len(received) == 32 * len(kept), "no byte of another frame is between them"
 
 
-def test_what_is_no_message_is_not_dropped_for_one_and_finds_room() -> None:
-    """An error of the device, its topics and its questions are said once; a pose comes again in a tenth of a second."""
+def test_queue_keeps_what_is_sent_once_and_drops_messages_for_it() -> None:
+    """Errors, topics and requests of the device are sent once; a pose is repeated in a tenth of a second."""
     with blocked() as device:
         device.log(2, "first")
         for number in range(100):
@@ -264,7 +264,7 @@ def test_a_queue_without_messages_refuses_and_counts() -> None:
         st.tuples(st.sampled_from(["pose", "pose", "plot", "log", "spin"]), st.integers(0, 300)), max_size=150
     )
 )
-def test_whatever_the_line_accepts_the_host_gets_whole_frames_in_order(story: list[tuple[str, int]]) -> None:
+def test_host_on_a_line_of_any_rate_gets_whole_frames_in_order(story: list[tuple[str, int]]) -> None:
     with blocked() as device:
         data, published, accepted = b"", 0, 0
         now_s = 1.0
@@ -288,14 +288,14 @@ def test_whatever_the_line_accepts_the_host_gets_whole_frames_in_order(story: li
         assert kept == sorted(kept)
         lost_logs = sum(kind == "log" for kind, _ in story) - sum(frame.topic_id == Id.LOG for frame in received)
         assert device.dropped_to_host == published - len(kept) + lost_logs
-        if sum(kind == "log" for kind, _ in story) <= 10:  # with 113 bytes each at most there is always room
+        if sum(kind == "log" for kind, _ in story) <= 10:  # with at most 113 bytes each there is always room
             assert accepted == published
             assert kept[-1:] == ([published] if published else [])
 
 
 def test_a_frame_found_among_bytes_that_are_read_again_has_its_own_quarter_of_a_second() -> None:
     with node() as device:
-        device.feed(b"\xff\xfe\x02\x00\xfd\x06\x00")  # a header, of a frame that never comes
+        device.feed(b"\xff\xfe\x02\x00\xfd\x06\x00")  # the header of a frame that never arrives
         device.spin(1.0)
         device.feed(LED[:8])
         device.spin(1.24)
@@ -306,7 +306,7 @@ def test_a_frame_found_among_bytes_that_are_read_again_has_its_own_quarter_of_a_
 
 @pytest.mark.parametrize("topic_id", [1, 7, 99, 100, 102, 65535])
 def test_a_false_header_does_not_make_the_default_deaf(topic_id: int) -> None:
-    """It claims 510 bytes, which may be a second of commands; its id, or the size for its id, gives it away."""
+    """It claims 510 bytes, perhaps a second of commands. Its id, or the size for its id, shows that it is false."""
     with node() as device:
         device.feed(encode(topic_id, bytes(510))[:7] + LED)
         spin(device, 1.0)
@@ -316,11 +316,11 @@ def test_a_false_header_does_not_make_the_default_deaf(topic_id: int) -> None:
 @pytest.mark.parametrize("retries", [True, False])
 @given(story=st.lists(st.tuples(lines, st.floats(0.0, 0.08)), max_size=12))
 def test_the_same_frames_also_at_the_pace_of_the_line(retries: bool, story: list[tuple[bytes, float]]) -> None:
-    """At 38400 baud frames straddle the turns of a 30 Hz loop: what the clause bridges, it bridges in both."""
+    """At 38400 baud frames straddle the turns of a 30 Hz loop. The clause bridges the same gaps in both."""
     heard: list[bytes] = []
     line = Uart(baud=38400, ring_bytes=1 << 20)
     twin = OriginalDevice(retries=retries)
-    twin.from_host = Uart(baud=38400, ring_bytes=1 << 20)  # no ring is too small: which bytes it loses is the ring's
+    twin.from_host = Uart(baud=38400, ring_bytes=1 << 20)  # large: losses would depend on the ring
     twin.advertise("/odometry", "geometry_msgs/Pose2D", "m")
     twin.subscribe("/velocity", "geometry_msgs/Twist", "m", heard.append)
     twin.subscribe("/led", "std_msgs/Bool", "m", heard.append)
@@ -339,7 +339,7 @@ def test_the_same_frames_also_at_the_pace_of_the_line(retries: bool, story: list
 
 
 def turn(device: Node, twin: OriginalDevice, line: Uart, now_s: float) -> float:
-    """A turn of both, with the waits that they ask for; returns when the next one begins."""
+    """One turn of both, with the waits that they ask for; returns when the next turn begins."""
     began_s = now_s
     while True:
         device.feed(line.pop(now_s))

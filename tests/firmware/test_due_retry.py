@@ -1,4 +1,4 @@
-"""What the policies of NodeHandle lose under gaps, as firmware/README.md says; the best of them is the default."""
+"""Losses of the policies of NodeHandle under gaps, as in firmware/README.md. The best of them is the default."""
 
 import pytest
 
@@ -32,7 +32,7 @@ def test_only_a_loop_that_drains_the_ring_on_each_pass_survives_a_burst() -> Non
     assert lost_of_bursts(KEEP_EACH_PASS, 10, FRAMES, SEED) == (0, 0)
 
 
-def test_the_best_is_the_default() -> None:
+def test_default_policy_is_the_best_one() -> None:
     with node() as default:
         default.feed(b"\xff\xfe\x01\x00\xfe")
         assert default.spin(1.0) is None

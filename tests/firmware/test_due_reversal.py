@@ -1,4 +1,4 @@
-"""How the Due's firmware obeys a command of the other sign and a slower one, by the true motion of its wheels.
+"""Reaction of the Due's firmware to a command of the other sign and to a slower one, by the true motion of its wheels.
 
 docs/robot.md#slower-and-the-other-way has these figures.
 """
@@ -24,7 +24,7 @@ SIDES = ("left", "right")
 def change(
     world: WorldParameters, first: tuple[float, float], second: tuple[float, float], seconds: float = 1.5
 ) -> Trace:
-    """The rows since the second velocity of a robot that drove with the first one for long."""
+    """Rows since the second velocity of a robot that has driven with the first one for long."""
     robot = FirmwareWorld(world)
     robot.connect()
     robot.drive(*first, 6.0)
@@ -33,7 +33,7 @@ def change(
 
 
 def old_way(trace: Trace, side: str) -> tuple[float, float]:
-    """For how many seconds and metres a wheel still rolls forwards."""
+    """Seconds and metres for which a wheel still rolls forwards."""
     speed_m_s = trace[f"{side}_ticks_s"] * METRES_PER_TICK
     rolled_m = trace[f"{side}_rolled_ticks"] * METRES_PER_TICK
     last = int(np.flatnonzero(speed_m_s > STANDS_M_S)[-1])
@@ -41,7 +41,7 @@ def old_way(trace: Trace, side: str) -> tuple[float, float]:
 
 
 def reached_s(trace: Trace, side: str, wanted_m_s: float) -> float:
-    """When a wheel is first within 5 % and two ticks a second of a lower speed."""
+    """Time after which a wheel is within 5 % and two ticks a second of a lower speed."""
     speed_m_s = trace[f"{side}_ticks_s"] * METRES_PER_TICK
     reached = np.flatnonzero(speed_m_s <= 1.05 * wanted_m_s + STANDS_M_S)
     return float(reached[0]) * SAMPLE_S if len(reached) else np.inf
@@ -49,7 +49,7 @@ def reached_s(trace: Trace, side: str, wanted_m_s: float) -> float:
 
 @cache
 def after_zero(seed: int | None) -> dict[str, tuple[float, float]]:
-    """What a zero at 0.3 m/s gives in the default world, or in a drawn one."""
+    """Result of a zero at 0.3 m/s in the default world, or in a drawn one."""
     world = WorldParameters() if seed is None else draw(seed).world
     trace = change(world, (0.3, 0.0), (0.0, 0.0))
     return {side: old_way(trace, side) for side in SIDES}
@@ -83,7 +83,7 @@ def test_turn_that_reverses_one_wheel_stops_that_one_at_once_and_not_the_other()
 
 @pytest.mark.parametrize("slower_m_s", [0.05, 0.08, 0.1, 0.15, 0.2])
 def test_slower_command_in_the_default_world_is_reached_in_a_fifth_of_the_paper_s_time(slower_m_s: float) -> None:
-    """The wheel itself, command and loop included: the set-point alone is there in a twentieth."""
+    """Time of the wheel itself, including command and loop: the set-point alone needs a twentieth."""
     paper_s = (0.3 - slower_m_s) / METRES_PER_TICK * S_PER_TICK_S
     assert reached_s(change(WorldParameters(), (0.3, 0.0), (slower_m_s, 0.0)), "left", slower_m_s) <= paper_s / 5.0
 
@@ -92,7 +92,7 @@ def test_slower_command_in_the_default_world_is_reached_in_a_fifth_of_the_paper_
 def test_slower_command_in_nine_of_ten_drawn_worlds_is_reached_in_a_third_of_the_paper_s_time(
     first_m_s: float, slower_m_s: float
 ) -> None:
-    """Half of them in a fifth; the others have motors that coast for long, and are slow to brake."""
+    """Half of them need a fifth; the others have motors that coast for long and brake slowly."""
     paper_s = (first_m_s - slower_m_s) / METRES_PER_TICK * S_PER_TICK_S
     found = [
         reached_s(trace, side, slower_m_s)
@@ -114,7 +114,7 @@ def test_slower_command_in_drawn_worlds_makes_no_wheel_swing(slower_m_s: float) 
 
 
 def test_stick_pulled_through_zero_in_drawn_worlds_never_drives_a_wheel_the_old_way() -> None:
-    """From the row after each command on: a command is obeyed in the first pass after it."""
+    """From the row after each command on: the first pass after a command obeys it."""
     for seed in range(300):
         script = draw_reversals(seed)
         rows = run_module(script.text, script.rows)[CONNECT_MS // ROW_MS :]
@@ -127,7 +127,7 @@ def test_stick_pulled_through_zero_in_drawn_worlds_never_drives_a_wheel_the_old_
 
 
 def test_command_that_trembles_around_zero_neither_drives_the_robot_away_nor_is_a_fault() -> None:
-    """A stick that does not rest in its middle, for ten seconds; the least PWM alone gives more than 2 mm/s."""
+    """A stick that does not rest in its middle, for ten seconds; the lowest PWM alone gives more than 2 mm/s."""
     for seed in SEEDS:
         robot = FirmwareWorld(draw(seed).world)
         robot.connect()

@@ -1,4 +1,4 @@
-"""The whole firmware on a board without hardware, with motors of a world: driven, stopped, read back."""
+"""The whole firmware on a board without hardware, with the motors of a world: driven, stopped, read back."""
 
 import math
 import struct
@@ -12,7 +12,7 @@ from hostlink.sim.firmware_world import Firmware
 from tests.firmware.due import Retry, Robot, robot
 
 METRES_PER_TICK = 2 * math.pi * 0.045 / 230.4
-PASS_S = 0.002  # the loop is called this often
+PASS_S = 0.002  # the period of the loop
 
 
 def velocity(linear: float, angular: float) -> bytes:
@@ -30,7 +30,7 @@ class Track:
     def __init__(self, firmware: Robot, *, starts_at_s: float = 1.0) -> None:
         self.firmware = firmware
         self.now_s = starts_at_s
-        self.world = Firmware().world  # without its own firmware
+        self.world = Firmware().world  # without its firmware
         self.motors = (self.world.left, self.world.right)
         self.frames: list[Frame] = []
         self.parameters: dict[str, Parameter] = {}
@@ -38,7 +38,7 @@ class Track:
         self.run(0.2)
 
     def run(self, seconds: float, command: bytes | None = None) -> None:
-        """Let the loop turn; a command goes out ten times a second, time and parameters are answered at once."""
+        """Let the loop turn. A command is sent ten times a second; time and parameters are answered at once."""
         until_s, command_at_s = self.now_s + seconds, self.now_s
         while self.now_s < until_s:
             self.now_s += PASS_S
@@ -67,7 +67,7 @@ class Track:
         return sum(motor.speed_ticks_s for motor in self.motors) / 2 * METRES_PER_TICK
 
 
-def test_its_topics_and_its_parameters() -> None:
+def test_robot_announces_its_topics_and_requests_its_parameters() -> None:
     with robot() as firmware:
         track = Track(firmware)
         names = [frame.payload for frame in track.frames if frame.topic_id in (0, 1)]
@@ -98,7 +98,7 @@ def test_its_topics_and_its_parameters() -> None:
         assert any(b"robot is ready" in frame.payload for frame in track.frames if frame.topic_id == Id.LOG)
 
 
-def test_it_drives_and_its_odometry_is_the_truth_of_its_wheels() -> None:
+def test_robot_drives_and_its_odometry_is_the_motion_of_its_wheels() -> None:
     with robot() as firmware:
         track = Track(firmware)
         track.run(10.0, velocity(0.2, 0.0))
@@ -108,7 +108,7 @@ def test_it_drives_and_its_odometry_is_the_truth_of_its_wheels() -> None:
 
 
 @pytest.mark.parametrize(("linear", "angular"), [(0.15, 0.5), (-0.15, -0.5), (0.0, 1.0), (-0.2, 0.0)])
-def test_the_signs(linear: float, angular: float) -> None:
+def test_signs_of_commands_wheels_and_odometry_agree(linear: float, angular: float) -> None:
     with robot() as firmware:
         track = Track(firmware)
         track.run(3.0, velocity(linear, angular))
@@ -127,7 +127,7 @@ def test_reverse_is_limited_like_forward() -> None:
         assert max(abs(motor.speed_ticks_s) for motor in track.motors) <= 281
 
 
-def test_it_publishes_ten_times_a_second() -> None:
+def test_robot_publishes_ten_times_a_second() -> None:
     with robot() as firmware:
         track = Track(firmware)
         track.frames.clear()
@@ -144,7 +144,7 @@ def test_it_publishes_ten_times_a_second() -> None:
 @pytest.mark.parametrize(
     "starts_at_s", [1.0, 2**32 / 1e6 - 3.0, 2**32 / 1e3 - 3.0], ids=["", "micros wrap", "millis wrap"]
 )
-def test_everything_that_ends_the_driving_ends_it_within_0_6_s(last: bytes, starts_at_s: float) -> None:
+def test_robot_stops_within_0_6_s_of_every_end_of_a_drive(last: bytes, starts_at_s: float) -> None:
     with robot() as firmware:
         track = Track(firmware, starts_at_s=starts_at_s)
         track.run(5.0, velocity(0.3, 0.0))
@@ -169,7 +169,7 @@ def test_a_host_that_leaves_stops_it_at_once_also_when_another_is_there_in_the_s
         assert min(firmware.pwm) > 0
 
 
-def test_commands_that_come_again_drive_again() -> None:
+def test_new_commands_after_a_stop_drive_again() -> None:
     with robot() as firmware:
         track = Track(firmware)
         track.run(3.0, velocity(0.2, 0.0))
@@ -178,7 +178,7 @@ def test_commands_that_come_again_drive_again() -> None:
         assert track.speed_m_s > 0.1
 
 
-def test_nothing_moves_before_a_host_is_there() -> None:
+def test_robot_without_a_host_does_not_move() -> None:
     with robot() as firmware:
         for turn in range(500):
             if turn % 20 == 0:
@@ -218,7 +218,7 @@ def test_parameters_of_the_host_replace_the_constants_and_nonsense_does_not() ->
 
 
 def configured(track: Track, parameters: dict[str, Parameter]) -> list[str]:
-    """Let it negotiate again with these parameters; returns what it logged."""
+    """Renegotiate with these parameters; returns the logged lines."""
     track.parameters = {f"/robot_0/{name}": value for name, value in parameters.items()}
     track.firmware.feed(STOP_REQUEST)
     track.run(0.1)
@@ -262,7 +262,7 @@ def test_each_wheel_has_a_radius_and_ticks_of_its_own() -> None:
         ("wheel_separation", (0.0,), "wheel_separation refused: 1 number from 0.020 to 5.0"),
     ],
 )
-def test_numbers_that_no_wheel_has_are_refused(name: str, values: tuple[float, ...], text: str) -> None:
+def test_impossible_wheel_parameters_are_refused(name: str, values: tuple[float, ...], text: str) -> None:
     with robot() as firmware:
         track = Track(firmware)
         assert configured(track, {name: Parameter(floats=values)}) == [text]
@@ -278,7 +278,7 @@ def test_whole_numbers_of_the_host_are_numbers() -> None:
         assert texts == ["wheel radius 45.000 and 45.000 mm, 210.00 mm apart", "ticks a turn 230.000 and 460.000"]
 
 
-def test_a_host_that_answers_no_parameter_is_not_waited_for() -> None:
+def test_robot_does_not_wait_for_missing_parameters() -> None:
     with robot() as firmware:
         firmware.feed(TOPICS_REQUEST)
         world = Firmware().world
@@ -294,7 +294,7 @@ def test_a_host_that_answers_no_parameter_is_not_waited_for() -> None:
 
 
 @pytest.mark.parametrize("pass_s", [0.001, 0.011, 0.017, 0.025, 0.032, 0.05, 0.15])
-def test_speed_is_measured_over_the_time_that_passed_however_the_loop_comes_round(pass_s: float) -> None:
+def test_speed_with_an_irregular_loop_is_measured_over_the_time_that_passed(pass_s: float) -> None:
     with robot() as firmware:
         now_s, observed = 1.0, []
         firmware.feed(TOPICS_REQUEST)
@@ -307,7 +307,7 @@ def test_speed_is_measured_over_the_time_that_passed_however_the_loop_comes_roun
 
 
 @pytest.mark.parametrize("gains", [(math.nan, 0.0, 0.0), (1.0, math.inf, 0.0), (1.0, 1.0, -0.1)])
-def test_gains_that_are_none(gains: tuple[float, float, float]) -> None:
+def test_invalid_gains_are_refused(gains: tuple[float, float, float]) -> None:
     with robot() as firmware:
         firmware.feed(TOPICS_REQUEST + encode(102, struct.pack("<3d", *gains)))
         now_s = 1.0
@@ -316,10 +316,10 @@ def test_gains_that_are_none(gains: tuple[float, float, float]) -> None:
             if step % 20 == 0:
                 firmware.feed(encode(100, struct.pack("<6d", 0.3, 0, 0, 0, 0, 0)))
             firmware.loop(now_s, 0, 0)
-        assert min(firmware.pwm) > 3800  # the wheels are held
+        assert min(firmware.pwm) > 3800  # the wheels are blocked
 
 
-def test_an_answer_that_comes_too_late_is_not_used_for_another_parameter() -> None:
+def test_late_answer_is_not_used_for_another_parameter() -> None:
     with robot() as firmware:
         firmware.feed(TOPICS_REQUEST)
         now_s = 1.0
@@ -334,14 +334,14 @@ def test_an_answer_that_comes_too_late_is_not_used_for_another_parameter() -> No
         assert firmware.pose[2] == pytest.approx(turned_rad, rel=0.2)
 
 
-def test_it_logs_why_it_stopped_what_it_refused_and_what_the_link_cost() -> None:
+def test_robot_logs_stops_refusals_and_errors_of_the_link() -> None:
     with robot() as firmware:
         track = Track(firmware)
         track.run(2.0, velocity(0.3, 0.0))
         track.run(1.0)
         track.run(0.2, velocity(0.0, 0.0))
         track.run(1.0)
-        assert logged(track.frames).count("no command for 500 ms: stopped") == 1  # standing needs no commands
+        assert logged(track.frames).count("no command for 500 ms: stopped") == 1  # a stopped robot needs no commands
         firmware.feed(velocity(math.nan, 0.0))
         firmware.feed(encode(103, struct.pack("<3d", -1.0, 0.0, 0.0)))
         firmware.feed(encode(102, struct.pack("<3d", 20.0, 30.5, 0.125)))
@@ -358,7 +358,7 @@ def test_it_logs_why_it_stopped_what_it_refused_and_what_the_link_cost() -> None
 
 
 def test_a_line_that_dribbles_does_not_keep_the_paper_s_clause_from_stopping() -> None:
-    """A byte each 8 ms: each ends one wait and begins the next, so that the turn does not end for seconds."""
+    """One byte every 8 ms: each ends one wait and begins the next, so that the turn does not end for seconds."""
     with robot(Retry.PAPER) as firmware:
         track = Track(firmware)
         track.run(2.0, velocity(0.3, 0.0))

@@ -1,4 +1,4 @@
-"""What the firmware says of itself in numbers: its battery's voltage, and what is wrong."""
+"""The firmware's report about itself in numbers: its battery's voltage, and its errors."""
 
 import ctypes
 import math
@@ -19,11 +19,11 @@ from tests.firmware.worlds import world
 
 CATALOG = Catalog()
 BATTERY, ERRORS = 127, 128
-LOW_AFTER_S = 7.0  # smoothed over a second, low for five
+LOW_AFTER_S = 7.0  # smoothed over a second, low after five
 
 
 def decoded(track: Track, topic_id: int, type_name: str) -> list[dict[str, Any]]:
-    """The messages of a topic since the frames were cleared."""
+    """Messages of a topic since the frames were cleared."""
     type_ = CATALOG.message(type_name)
     assert type_ is not None
     return [type_.decode(frame.payload) for frame in track.frames if frame.topic_id == topic_id]
@@ -37,7 +37,7 @@ def errors(track: Track) -> list[list[int]]:
     return [list(message["data"]) for message in decoded(track, ERRORS, "std_msgs/UInt16MultiArray")]
 
 
-def test_its_topics_have_the_types_of_ros() -> None:
+def test_topics_of_the_report_have_the_types_of_ros() -> None:
     with robot() as firmware:
         infos = [
             decode_topic_info(Id.PUBLISHER, frame.payload) for frame in Track(firmware).frames if frame.topic_id == 0
@@ -73,7 +73,7 @@ def test_a_low_battery_is_logged_once_and_stays_an_error_until_it_has_recovered(
         track = Track(firmware)
         firmware.set_battery(10.2)
         track.run(LOW_AFTER_S)
-        firmware.set_battery(10.6)  # not yet 0.3 V above
+        firmware.set_battery(10.6)  # less than 0.3 V above
         track.run(20.0)
         assert [text for text in logged(track.frames) if "battery" in text] == ["battery low: 10.2 V, below 10.5 V"]
         assert errors(track)[-1] == [51]
@@ -114,7 +114,7 @@ def test_the_divider_gives_volts(counts: int, divider: float) -> None:
     assert math.isnan(library().battery_input_v(counts, 0.0))
 
 
-def test_the_errors_come_once_a_second_and_at_once_when_they_change() -> None:
+def test_errors_are_published_once_a_second_and_when_they_change() -> None:
     with robot() as firmware:
         track = Track(firmware)
         track.run(2.0)
@@ -123,7 +123,7 @@ def test_the_errors_come_once_a_second_and_at_once_when_they_change() -> None:
         assert errors(track) == [[]] * 5
         track.run(1.0, velocity(0.2, 0.0))
         track.frames.clear()
-        track.run(0.75)  # nobody drives any more: the watchdog of the commands stops it after 0.5 s
+        track.run(0.75)  # no driver: the watchdog of the commands stops it after 0.5 s
         assert [31] in errors(track)
         track.frames.clear()
         track.run(12.0)
@@ -132,7 +132,7 @@ def test_the_errors_come_once_a_second_and_at_once_when_they_change() -> None:
 
 
 def in_use(firmware: Robot, *, left: bool, right: bool) -> list[int]:
-    """The numbers while a wheel is held and the robot is driven."""
+    """Numbers of the errors while a wheel is blocked and the robot is driven."""
     track = Track(firmware)
     for motor, is_held in zip(track.motors, (left, right), strict=True):
         if is_held:
@@ -157,7 +157,7 @@ def test_a_runaway_has_a_number() -> None:
         assert 22 in errors(track)[-1]
 
 
-def test_what_is_refused_and_what_the_line_loses_has_a_number() -> None:
+def test_refused_and_lost_messages_have_an_error_number() -> None:
     with robot() as firmware:
         track = Track(firmware)
         firmware.feed(velocity(math.nan, 0.0))
@@ -169,7 +169,7 @@ def test_what_is_refused_and_what_the_line_loses_has_a_number() -> None:
 
 @given(st.lists(st.tuples(st.sampled_from([11, 12, 21, 22, 31, 32, 33, 34, 41, 42, 43, 51]), st.integers(0, 8000))))
 def test_the_list_has_each_error_of_the_last_ten_seconds_once(story: list[tuple[int, int]]) -> None:
-    """Against a dictionary, over the wrap of the clock."""
+    """Compared with a dictionary, over the wrap of the clock."""
     handle = library().errors_new()
     now_ms, raised = 2**32 - 20_000, {}
     try:
@@ -185,7 +185,7 @@ def test_the_list_has_each_error_of_the_last_ten_seconds_once(story: list[tuple[
 
 
 @pytest.mark.parametrize(("reset_type", "lines"), [(0, 0), (2, 1), (5, 0)])
-def test_a_board_that_its_watchdog_started_says_so_once(reset_type: int, lines: int) -> None:
+def test_board_restarted_by_its_watchdog_reports_it_once(reset_type: int, lines: int) -> None:
     with world(reset_type=reset_type) as made:
         made.drive(0.0, 0.0, 1.0)
         made.feed(STOP_REQUEST)

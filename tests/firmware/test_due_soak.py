@@ -17,14 +17,14 @@ from tests.support.process import Process
 pytestmark = pytest.mark.usefixtures("esp8266_built")
 
 SOAK_S = float(os.environ.get("HOSTLINK_SOAK_S", "60"))
-# Of each corner: for so long, m/s, rad/s. It stops, turns on the spot, goes back without a stop, and turns in a curve.
+# Pieces of each corner: seconds, m/s, rad/s. A stop, a turn on the spot, reversing without a stop, and a curve.
 CORNER = (
     (5.0, 0.25, 0.0), (0.4, 0.0, 0.0), (2.6, 0.0, 0.8), (0.4, 0.0, 0.0),
     (3.0, 0.25, 0.0), (2.0, -0.2, 0.0), (2.0, 0.1, 0.6),
 )  # fmt: skip
 CORNER_S = sum(seconds for seconds, *_ in CORNER)
 COMMAND_INTERVAL_S = 0.1
-ROUNDING_M = 0.0015  # the board reports the truth in whole millimetres
+ROUNDING_M = 0.0015  # the board reports the true pose in whole millimetres
 ODOMETRY, PLOT, VELOCITY = "/robot_0/odometry", "/robot_0/plot_data", "/robot_0/velocity_commands"
 BATTERY, ERRORS = "/robot_0/battery", "/robot_0/errors"
 FROM_DEVICE = (ODOMETRY, PLOT, BATTERY, ERRORS)
@@ -36,7 +36,7 @@ async def messages(session: aiohttp.ClientSession, daemon: Process) -> dict[str,
 
 
 def velocity(driven_s: float) -> dict[str, float]:
-    """The command at this time of the drive."""
+    """Command at this time of the drive."""
     left_s = driven_s % CORNER_S
     for seconds, linear, angular in CORNER:
         if left_s < seconds:
@@ -46,7 +46,7 @@ def velocity(driven_s: float) -> dict[str, float]:
 
 
 async def drive_squares(session: aiohttp.ClientSession, daemon: Process) -> None:
-    """A command each tenth of a second."""
+    """Send a command every tenth of a second."""
     url = f"{daemon.url}/api/robots/robot_0/velocity"
     loop = asyncio.get_running_loop()
     began_s = loop.time()
@@ -57,7 +57,7 @@ async def drive_squares(session: aiohttp.ClientSession, daemon: Process) -> None
 
 
 async def settled(made: Board) -> dict[str, float]:
-    """The board's report once it stands and has said so twice."""
+    """Report of the board after it has stopped and reported that twice."""
     await asyncio.sleep(2.0)
     await made.expect_speed(-0.5, 0.5, within_s=5.0)
     await asyncio.sleep(1.2)
@@ -73,7 +73,7 @@ async def test_squares_without_a_lost_message_and_with_true_odometry() -> None:
         await asyncio.sleep(1.5)
         before, observed_before = made.facts, await messages(session, daemon)
         async with session.get(f"{daemon.url}/api/links") as response:
-            requests = (await response.json())["links"][0]["topic_requests"]  # two if the emulator begins slowly
+            requests = (await response.json())["links"][0]["topic_requests"]  # two if the emulator starts slowly
         await drive_squares(session, daemon)
         after = await settled(made)
         observed = await messages(session, daemon)
@@ -82,11 +82,11 @@ async def test_squares_without_a_lost_message_and_with_true_odometry() -> None:
         async with session.get(f"{daemon.url}/api/robots/robot_0/odometry") as response:
             pose = (await response.json())["pose"]
 
-    # To the device: every velocity reached its callback, but for those that a newer one replaced before they left.
+    # To the device: every velocity reached its callback, except those that a newer one replaced before they were sent.
     sent = observed[VELOCITY] - link["replaced"]
     assert (after["got"], after["lost"], after["dropped"]) == (sent, 0, 0)
     assert sent >= 0.8 * SOAK_S / COMMAND_INTERVAL_S
-    # From the device: every message that it queued is there; the report and the count are half a second apart.
+    # From the device: every queued message arrived; report and count are half a second apart.
     assert abs(sum(observed[topic] for topic in FROM_DEVICE) - after["sent"]) <= 2 * 12
     assert all(observed[topic] - observed_before[topic] >= 9.0 * SOAK_S for topic in (ODOMETRY, PLOT))
     assert all(observed[topic] - observed_before[topic] >= 0.9 * SOAK_S for topic in (BATTERY, ERRORS))

@@ -1,4 +1,4 @@
-"""Drives in drawn worlds, by their seeds: none wrong. The module and the emulated Cortex-M3 drive the same way.
+"""Drives in drawn worlds, by their seeds: none is wrong. The module and the emulated Cortex-M3 drive the same way.
 
 A share here; `make soak` sets HOSTLINK_DRIVES to 5000 and HOSTLINK_DRIVES_M3 to 100.
 """
@@ -51,12 +51,12 @@ MINUTE = Script(
 
 @pytest.fixture(scope="module", autouse=True)
 def built() -> None:
-    """Compiled before the clock of the first test runs."""
+    """Compiled before the time limit of the first test starts."""
     build_m3()
 
 
 def check(script: Script, rows: np.ndarray) -> None:
-    """One drive; the first half second has no command yet."""
+    """One drive; the first half second has no command."""
     made, start = trace(rows), CONNECT_MS // ROW_MS
     check_odometry(made.since(start), script.reversals)
     check_speed(made.since(start), script.commanded[start:])

@@ -1,4 +1,4 @@
-"""The Due's program in worlds that nobody has tuned it for: odometry true, never too fast, standing after a zero."""
+"""The Due's program in worlds for which it was not tuned: true odometry, no overspeed, stopped after a zero."""
 
 import math
 
@@ -16,21 +16,21 @@ WORLDS = settings(max_examples=settings.default.max_examples * 2)  # 20 ms each
 speeds = st.floats(0.02, 0.34).flatmap(lambda size: st.sampled_from([size, -size]))
 turns = st.one_of(st.just(0.0), st.floats(-1.5, 1.5))
 drives = st.tuples(speeds, turns, st.floats(0.1, 3.0), st.sampled_from([0.0, 0.0, 0.04, 0.07, 0.1, 0.2, 0.6, 1.0]))
-stories = st.lists(drives, min_size=1, max_size=8)  # speed, turn, for so long; then a zero for so long
+stories = st.lists(drives, min_size=1, max_size=8)  # speed, turn, seconds; then a zero for seconds
 
 
 def error_m(trace: Trace) -> float:
-    """How far the odometry ends from the truth."""
+    """Distance between the end of the odometry and the true end."""
     return float(np.hypot(trace.x_m[-1] - trace.odom_x_m[-1], trace.y_m[-1] - trace.odom_y_m[-1]))
 
 
 def way_m(trace: Trace) -> float:
-    """How far the middle of the robot has rolled, forwards and backwards."""
+    """Distance that the middle of the robot has rolled, forwards and backwards."""
     return float(np.sum(np.hypot(np.diff(trace.x_m), np.diff(trace.y_m))))
 
 
 def top_ticks_s(drawn: WorldParameters) -> float:
-    """What the slower wheel reaches with full PWM, on this floor and with this battery."""
+    """Speed of the slower wheel with full PWM, on this floor and with this battery."""
     pwm = FULL_PWM * (drawn["battery_v"] - drawn["battery_sag_v"]) / drawn["rated_v"] - drawn["floor_pwm"]
     found = []
     for side in ("left", "right"):
@@ -41,7 +41,7 @@ def top_ticks_s(drawn: WorldParameters) -> float:
 
 
 def check_stop(made: World, drawn: WorldParameters) -> None:
-    """A zero stands."""
+    """A zero stops the robot."""
     before = sum(map(len, made.rows)) - 1
     made.drive(0.0, 0.0, 1.2)
     check_standstill(made.trace.since(before), drawn)
@@ -49,7 +49,7 @@ def check_stop(made: World, drawn: WorldParameters) -> None:
 
 @WORLDS
 @given(drawn=worlds(), story=stories)
-def test_whatever_motors_it_has_the_robot_moves_as_its_odometry_shows(
+def test_robot_with_drawn_motors_moves_as_its_odometry_shows(
     drawn: WorldParameters, story: list[tuple[float, float, float, float]]
 ) -> None:
     with world(drawn) as made:
@@ -67,11 +67,11 @@ hands = st.tuples(st.sampled_from([LEFT, RIGHT]), st.floats(-300.0, 300.0), st.f
 
 @WORLDS
 @given(drawn=worlds(), story=st.lists(st.tuples(drives, st.none() | hands), min_size=1, max_size=6))
-def test_a_wheel_that_somebody_turned_is_driven_as_before_when_it_is_let_go(
+def test_wheel_turned_by_hand_is_driven_as_before_after_release(
     drawn: WorldParameters,
     story: list[tuple[tuple[float, float, float, float], tuple[int, float, float] | None]],
 ) -> None:
-    """What one channel cannot see, which way somebody turns, it must not pay for afterwards."""
+    """One channel cannot see the direction of the hand that turns the wheel. The robot drives correctly afterwards."""
     with world(drawn) as made:
         for (linear, angular, seconds, pause_s), hand in story:
             if hand is not None:
@@ -91,10 +91,8 @@ def test_a_wheel_that_somebody_turned_is_driven_as_before_when_it_is_let_go(
 
 @WORLDS
 @given(drawn=worlds(), linear=st.floats(0.08, 0.28), sense=st.sampled_from([1, -1]))
-def test_whatever_motors_it_has_a_steady_speed_is_the_requested_one(
-    drawn: WorldParameters, linear: float, sense: int
-) -> None:
-    """To 1 %; to 5 % where the motor cannot turn so slowly, and is driven and braked in turn."""
+def test_steady_speed_with_drawn_motors_is_the_requested_one(drawn: WorldParameters, linear: float, sense: int) -> None:
+    """To 1 %; to 5 % where the motor cannot turn so slowly, and is alternately driven and braked."""
     assume(linear < 0.9 * METRES_PER_TICK * top_ticks_s(drawn))
     with world(drawn) as made:
         made.drive(sense * linear, 0.0, 14.0)
@@ -113,7 +111,7 @@ corners = st.tuples(pauses, st.floats(0.4, 1.2), st.floats(2.0, 4.0), pauses, st
 def test_odometry_of_a_stop_and_go_square_is_true_to_0_2_percent_of_the_way(
     linear: float, sides: list[tuple[float, float, float, float, float]], sense: int
 ) -> None:
-    """Sides of more than a metre with stops, turns on the spot, and some way back; in a perfect world."""
+    """Sides of more than a metre with stops, turns on the spot, and some reversing; in a perfect world."""
     with world() as made:
         for pause_s, angular, turn_s, later_s, back_s in sides:
             made.drive(linear, 0.0, 6.0)

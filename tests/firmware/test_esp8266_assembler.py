@@ -1,4 +1,4 @@
-"""Laws of the frame assembler: order, no loss, whole frames, nothing stale, nothing held."""
+"""Laws of the frame assembler: order, no loss, whole frames, no old bytes, no delay."""
 
 import pytest
 from hypothesis import given
@@ -26,7 +26,7 @@ def pieces(data: bytes, draw: st.DataObject) -> list[bytes]:
 
 
 def pumped(assembler: Assembler, part: bytes, limit_bytes: int, now_ms: int) -> list[bytes]:
-    """Put all of part in, taking what is ready at each step."""
+    """Put in all of `part`, and take the ready bytes at each step."""
     writes = []
     while part:
         part = part[assembler.put(part, now_ms) :]
@@ -70,10 +70,10 @@ def test_a_frame_is_never_cut(parts: list[bytes], data: st.DataObject) -> None:
 
 
 @given(frames | noise | cut_frames, frames, st.integers(1, 1100), st.lists(frames, max_size=4), st.data())
-def test_nothing_from_before_a_restart_comes_out(
+def test_assembler_after_a_restart_sends_no_earlier_byte(
     before: bytes, cut: bytes, cut_at: int, after: list[bytes], data: st.DataObject
 ) -> None:
-    """What comes first is the end of a frame of which the start was lost: it goes too, up to the next header."""
+    """First the rest of a frame whose start was lost: it is dropped too, up to the next header."""
     rest = cut[min(cut_at, len(cut) - 1) :].replace(b"\xff", b"\xfa")
     wire = b"".join(after)
     out = b""

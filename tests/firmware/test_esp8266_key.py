@@ -1,4 +1,4 @@
-"""The key of the passthrough: its SHA-256 against Python's, its proof against the host's, and other words."""
+"""The key of the passthrough: its SHA-256 compared with Python's, its proof with the host's, and other clients."""
 
 import asyncio
 import ctypes
@@ -58,7 +58,7 @@ def connect(bridge: Bridge) -> None:
 def test_host_and_device_with_one_key_agree_however_their_words_are_cut(from_host: int, to_host: int) -> None:
     with Bridge(KEY) as bridge:
         connect(bridge)
-        bridge.from_device(COMMAND)  # said before the link stands: it is not for this host
+        bridge.from_device(COMMAND)  # sent before the link is up: it is not for this host
 
         def exchange(data: bytes) -> bytes:
             for at in range(0, len(data), from_host):
@@ -82,7 +82,7 @@ def test_host_and_device_with_one_key_agree_however_their_words_are_cut(from_hos
         assert bridge.to_device() == COMMAND
 
 
-def test_what_the_host_sends_right_after_its_proof_reaches_the_device() -> None:
+def test_bytes_directly_after_the_host_s_proof_reach_the_device() -> None:
     with Bridge(KEY) as bridge:
         connect(bridge)
         bridge.from_host(MAGIC + RANDOM)
@@ -96,7 +96,7 @@ def test_what_the_host_sends_right_after_its_proof_reaches_the_device() -> None:
 
 @settings(deadline=None)
 @given(st.lists(st.binary(max_size=80), max_size=8), st.booleans())
-def test_nobody_without_the_key_reaches_the_device(parts: list[bytes], begins_right: bool) -> None:
+def test_host_without_the_key_never_reaches_the_device(parts: list[bytes], begins_right: bool) -> None:
     with Bridge(KEY) as bridge:
         connect(bridge)
         for part in [MAGIC + RANDOM] * begins_right + parts:
@@ -120,8 +120,8 @@ def test_the_random_bytes_of_two_connections_differ() -> None:
 
 
 @pytest.mark.parametrize(("key", "refused"), [(KEY, {}), (b"another key, as long as it is", {"wrong_key"})])
-async def test_the_sketch_and_the_daemon(tmp_path: Path, key: bytes, refused: set[str]) -> None:
-    """A simulated robot behind the unmodified sketch, on a daemon that wants the key."""
+async def test_sketch_and_daemon_with_one_key_connect(tmp_path: Path, key: bytes, refused: set[str]) -> None:
+    """A simulated robot behind the unmodified sketch, on a daemon that requires the key."""
     (tmp_path / "key").write_bytes(KEY)
     config = Config(tcp=TcpConfig(key_file=tmp_path / "key"))
     async with daemon(config) as host, asyncio.TaskGroup() as tasks:
@@ -129,7 +129,7 @@ async def test_the_sketch_and_the_daemon(tmp_path: Path, key: bytes, refused: se
             reader, writer = await asyncio.open_connection("127.0.0.1", sketch.uart_port)
             robot = tasks.create_task(run_over_streams(SimulatedRobot("robot_0"), reader, writer))
             if refused:
-                await expect(lambda: host.hub.counts.refused["wrong_key"] > 1)  # it comes again
+                await expect(lambda: host.hub.counts.refused["wrong_key"] > 1)  # the device reconnects
                 assert not host.hub.robots.all()
             else:
                 await expect(lambda: host.hub.robots.find("robot_0").odometry.snapshot(0.0), timeout_s=15)

@@ -34,12 +34,12 @@ def tags(stream: FrameStream, data: bytes) -> list[tuple[int, int]]:
 
 
 class Links:
-    """A bridge, and what has come out of it on each side."""
+    """A bridge, and its output on each side."""
 
     def __init__(self, bridge: Bridge) -> None:
         self.bridge, self.link, self.frame = bridge, 0, 0
-        self.is_linked = False  # the bridge believes so
-        self.is_open = False  # the host too
+        self.is_linked = False  # the bridge's view
+        self.is_open = False  # the host's view
         self.to_host: list[tuple[int, int]] = []
         self.to_device: list[tuple[int, int]] = []
         self._at_device, self._at_host = FrameStream(), FrameStream()

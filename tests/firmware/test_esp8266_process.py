@@ -63,7 +63,7 @@ def open_device(sketch: Sketch) -> socket.socket:
 
 
 def assert_passes_both_ways(device: socket.socket, link: socket.socket) -> None:
-    """Frames pass; the first thing that the host sees of a link is the start of a frame."""
+    """Frames pass; the first bytes that the host sees of a link are the start of a frame."""
     device.sendall(POSE)
     assert receive(link, len(POSE)) == POSE
     link.sendall(COMMAND)
@@ -86,7 +86,7 @@ def test_a_full_line_passes_at_its_rate_each_frame_in_one_write(host: Host) -> N
         assert stats["uart_overflowed_bytes"] == stats["uart_lost_bytes"] == 0
 
 
-def test_bytes_that_are_no_frame_pass_too(host: Host) -> None:
+def test_bytes_outside_frames_pass(host: Host) -> None:
     with running_sketch(host.port) as sketch, open_device(sketch) as device, host.accept() as link:
         assert_passes_both_ways(device, link)
         text = b"hello \xff\xfe\xff\xff and goodbye"
@@ -127,11 +127,11 @@ def test_a_closed_connection_is_made_anew(host: Host, is_reset: bool) -> None:
         for _ in range(3):
             with host.accept() as link:
                 assert_passes_both_ways(device, link)
-                link.sendall(TWIST[:30])  # never whole, so never at the device
+                link.sendall(TWIST[:30])  # never complete, so never at the device
                 if is_reset:
                     link.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
             ended_s = time.monotonic()
-            device.sendall(POSE[:20])  # comes while no link is up, or is half a frame on the next
+            device.sendall(POSE[:20])  # arrives without a link, or is half a frame on the next one
         with host.accept() as link:
             assert time.monotonic() - ended_s < 1
             device.sendall(bytes(12) + TWIST)
@@ -152,7 +152,7 @@ def test_a_host_that_was_away_gets_its_robot_back_within_3_s(host: Host) -> None
         assert sketch.command("stats")["wifi_begins"] == 1
 
 
-def test_wifi_that_was_away_comes_back_on_a_new_connection(host: Host) -> None:
+def test_wifi_after_an_interruption_reconnects(host: Host) -> None:
     with running_sketch(host.port) as sketch, open_device(sketch) as device, host.accept() as old_link:
         assert_passes_both_ways(device, old_link)
         sketch.signal(signal.SIGUSR1)
@@ -161,7 +161,7 @@ def test_wifi_that_was_away_comes_back_on_a_new_connection(host: Host) -> None:
         with host.accept() as link:
             assert_passes_both_ways(device, link)
         old_link.setblocking(False)
-        with pytest.raises(BlockingIOError):  # nobody told the host that the old one is dead
+        with pytest.raises(BlockingIOError):  # the host was not informed that the old connection is dead
             old_link.recv(1)
 
 
@@ -170,7 +170,7 @@ def test_a_link_that_accepts_no_more_bytes_is_given_up(host: Host) -> None:
     with running_sketch(host.port, *options) as sketch, open_device(sketch) as device, host.accept() as old_link:
         assert_passes_both_ways(device, old_link)
         sketch.command("radio mute")
-        device.sendall(POSE * 60)  # half a second of the wire fills the send buffer and more
+        device.sendall(POSE * 60)  # half a second of the wire fills more than the send buffer
         assert sketch.command("wait 2000")["closed_in_silence"] == 0
         assert sketch.command("wait 1000")["closed_in_silence"] == 1
         sketch.command("radio clear")
@@ -195,7 +195,7 @@ def test_a_server_that_cannot_be_reached_does_not_stop_the_uart(host: Host) -> N
             assert_passes_both_ways(device, link)
             sketch.command("connect hang")
         overflowed = sketch.command("stats")["uart_overflowed_bytes"]
-        for _ in range(20):  # as much as a robot says: 880 bytes a second
+        for _ in range(20):  # as much as a robot sends: 880 bytes a second
             device.sendall(POSE + TWIST)
             sketch.command("wait 100")
         assert sketch.command("connect normal")["uart_overflowed_bytes"] == overflowed
@@ -219,7 +219,7 @@ def test_a_restarted_device_is_found_again(host: Host) -> None:
                 assert_passes_both_ways(device, link)
 
 
-def test_the_original_overflows_its_buffer_here(host: Host) -> None:
+def test_original_passthrough_overflows_its_buffer(host: Host) -> None:
     with running("esp8266_original", host.port) as sketch, open_device(sketch), host.accept() as link:
         link.sendall(bytes(1000))
         status, errors = sketch.crash()
@@ -227,7 +227,7 @@ def test_the_original_overflows_its_buffer_here(host: Host) -> None:
         assert "global-buffer-overflow" in errors
 
 
-def test_the_original_trips_the_watchdog_without_wifi(host: Host) -> None:
+def test_original_passthrough_without_wifi_trips_the_watchdog(host: Host) -> None:
     with running("esp8266_original", host.port, "--join-ms", "60000") as sketch:
         status, errors = sketch.crash()
         assert status == 70

@@ -22,7 +22,7 @@ def linked(bridge: Bridge, dbm: int) -> None:
 
 
 def reports(data: bytes) -> list[tuple[int, str]]:
-    """Level and text of the lines about the signal; every byte must be of a frame."""
+    """Level and text of the lines about the signal; every byte must belong to a frame."""
     logs = []
     for event in FrameStream().feed(data):
         assert isinstance(event, Frame), f"not a frame: {event!r}"
@@ -92,7 +92,7 @@ def test_a_steady_signal_is_reported_once_a_minute_and_a_change_within_ten_secon
     st.lists(st.tuples(frames | st.binary(max_size=30), st.integers(0, 4000), st.integers(1, 8)), max_size=25),
     st.integers(-100, -30),
 )
-def test_whatever_the_device_sends_reaches_the_host_whole_and_in_order_beside_the_reports(
+def test_device_bytes_with_signal_reports_reach_the_host_whole_and_in_order(
     story: list[tuple[bytes, int, int]], dbm: int
 ) -> None:
     """In pieces of any size; without the reports the stream is the device's, byte by byte."""

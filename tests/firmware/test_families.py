@@ -1,4 +1,4 @@
-"""What compiles for which family of boards, as far as it is quick; tools/board_sizes.py has every example on each."""
+"""Quick compilations for each family of boards; tools/board_sizes.py has every example on each."""
 
 from pathlib import Path
 
@@ -23,7 +23,7 @@ def test_an_example_compiles_without_a_warning(family: Family) -> None:
 @pytest.mark.parametrize("chip", ["ESP8266", "ESP32"])
 @pytest.mark.parametrize("name", [*sorted(NEED_WIFI), "ros_lib"])
 def test_a_sketch_for_wifi_compiles_with_the_names_of_the_core(tmp_path: Path, name: str, chip: str) -> None:
-    """By the PC's compiler; the chip's own is only in `make firmware`."""
+    """With the PC's compiler; only `make firmware` uses the chip's own."""
     path = MOVED / "tcp_hello_world.ino" if name == "ros_lib" else sketch(name)
     compiler = ["g++", "-O0", f"-D{chip}", f"-I{HOST}/esp", f"-I{HOST}/any_board"]
     compile_sketch(path, tmp_path / "x.o", compiler)

@@ -1,4 +1,4 @@
-"""The laboratory drives the firmware as the board executes it (HOSTLINK_LAB_RUNS: so many of each pattern)."""
+"""The laboratory drives the firmware that the board executes (HOSTLINK_LAB_RUNS: runs of each pattern)."""
 
 import json
 import os
@@ -28,8 +28,8 @@ def ours(cause: Cause, pattern: Pattern) -> Errors:
 
 @pytest.mark.parametrize("pattern", [SQUARE_LEFT, SQUARE_RIGHT], ids=lambda pattern: pattern.name)
 @pytest.mark.parametrize("world", [NAMED["none"], NAMED["jump"], NAMED["battery"]], ids=lambda cause: cause.name)
-def test_a_stop_and_go_square_in_a_perfect_world_ends_where_it_is_believed_to(world: Cause, pattern: Pattern) -> None:
-    assert np.hypot(*ours(world, pattern).xy_cm.T).max() < 0.002 * 800  # 0.2 % of the way
+def test_stop_and_go_square_in_a_perfect_world_ends_where_its_odometry_says(world: Cause, pattern: Pattern) -> None:
+    assert np.hypot(*ours(world, pattern).xy_cm.T).max() < 0.002 * 800  # 0.2 % of the distance
 
 
 def test_a_larger_wheel_shortens_the_line_that_odometry_measures() -> None:
@@ -38,7 +38,7 @@ def test_a_larger_wheel_shortens_the_line_that_odometry_measures() -> None:
     assert errors.length_cm == pytest.approx([-0.005 * length for length in lengths_cm], abs=0.15)
 
 
-def test_a_caster_turns_squares_both_ways_and_leaves_lines() -> None:
+def test_caster_twists_squares_in_both_directions_but_not_lines() -> None:
     left, right = ours(NAMED["caster_twist"], SQUARE_LEFT), ours(NAMED["caster_twist"], SQUARE_RIGHT)
     assert np.all(left.xy_cm[:, 0] < 0.0)
     assert np.all(left.xy_cm[:, 1] > 0.0)
@@ -52,7 +52,7 @@ def column(table: Table, title: str) -> np.ndarray:
     return found
 
 
-def test_tables_stand_beside_the_paper_and_calibration_gains_threefold() -> None:
+def test_tables_have_the_paper_s_values_and_calibration_gains_threefold() -> None:
     driven = {table.pattern: table for table in tables(CASTER_WORLD, LABORATORY, runs=RUNS)}
     assert [table.pattern.table for table in driven.values()] == [2, 3, 4, 5]
     assert driven[LINE].columns[0].means_cm == pytest.approx([1.84])
@@ -71,7 +71,7 @@ def test_tables_stand_beside_the_paper_and_calibration_gains_threefold() -> None
     threshold_pwm=st.floats(0.0, 680.0),
     has_jump=st.booleans(),
 )
-def test_a_firmware_that_has_the_true_numbers_ends_where_it_believes_to(
+def test_firmware_with_the_true_numbers_ends_where_its_odometry_says(
     left_m: float, right_m: float, track_m: float, threshold_pwm: float, has_jump: bool
 ) -> None:
     wheels = {"left.radius_m": left_m, "right.radius_m": right_m, "track_m": track_m}
@@ -81,10 +81,10 @@ def test_a_firmware_that_has_the_true_numbers_ends_where_it_believes_to(
     world = PAPER_WORLD.changed(wheels | both)
     setup = Setup(software=Software.FIRMWARE, world=world, device_parameters=numbers)
     errors = measure(Experiment(setup, SQUARE_RIGHT, 2))
-    assert np.hypot(*errors.xy_cm.T).max() < 0.002 * 800  # 0.2 % of the way
+    assert np.hypot(*errors.xy_cm.T).max() < 0.002 * 800  # 0.2 % of the distance
 
 
-def test_calibration_finds_wheels_and_track_where_nothing_is_left_to_chance() -> None:
+def test_calibration_without_noise_finds_wheels_and_track() -> None:
     wheels = {"left.radius_m": 0.0452, "right.radius_m": 0.0447, "track_m": 0.215}
     before = Setup(software=Software.FIRMWARE, world=PAPER_WORLD.changed(wheels))
     after = calibrated(before)

@@ -1,4 +1,4 @@
-"""Both sketches as PlatformIO sees them, by its own functions: found, converted, compiled with all that belongs to it.
+"""Both sketches with PlatformIO's own functions: found, converted, and compiled with everything that belongs to them.
 
 Its platforms, with the boards' cores and compilers, are not there: the stand-ins of firmware/host take their place.
 """
@@ -25,7 +25,7 @@ CORE = {
 
 
 def built(env: str, folder: Path) -> dict[str, Any]:
-    """What PlatformIO makes of what is in the folder."""
+    """PlatformIO's result for the folder."""
     command = [sys.executable, "-m", "tests.firmware.platformio_build", env]
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)
@@ -60,6 +60,6 @@ def test_the_sketch_compiles_as_platformio_converts_it(sketch: str, env: str, tm
 
 
 def test_platformio_finds_no_sketch_below_the_top_of_its_sources(tmp_path: Path) -> None:
-    """Why there is a platformio.ini beside each sketch, and none above them."""
+    """The reason for a platformio.ini next to each sketch, and none above them."""
     (copied("due", tmp_path) / "platformio.ini").rename(tmp_path / "platformio.ini")
     assert built("due", tmp_path)["sketches"] == []

@@ -1,4 +1,4 @@
-"""Sketches written for ros_lib, the field's usual tutorials, with this library as they are, against a real daemon."""
+"""Sketches written for ros_lib, the field's usual tutorials, unchanged with this library and a real daemon."""
 
 import asyncio
 import itertools
@@ -22,7 +22,7 @@ SERVICE = "rosserial_arduino/Test"
 
 
 class Host(NamedTuple):
-    """The daemon for a client, and how to run a sketch on it."""
+    """Client of the daemon, and a function that runs a sketch on it."""
 
     client: client.Host
     run: Callable[[str], AbstractAsyncContextManager[Board]]
@@ -30,7 +30,7 @@ class Host(NamedTuple):
 
 @pytest.fixture(scope="module", autouse=True)
 def _built() -> None:
-    """Before the clock of the first test runs."""
+    """Before the time limit of the first test starts."""
     build("ros_lib/pubsub")
 
 
@@ -42,7 +42,7 @@ async def host() -> AsyncIterator[Host]:
 
 
 class Said(NamedTuple):
-    """What a sketch publishes when its inputs are so."""
+    """A sketch's messages for given inputs."""
 
     name: str
     topic: str
@@ -100,7 +100,7 @@ SAID = [
 
 
 @pytest.mark.parametrize("said", SAID, ids=lambda said: said.name)
-async def test_what_a_sketch_publishes(host: Host, said: Said) -> None:
+async def test_sketch_publishes_its_messages(host: Host, said: Said) -> None:
     async with host.run(said.name) as board, asyncio.TaskGroup() as tasks:
         received_one = tasks.create_task(received(host.client, said.topic, said.type_name, said.is_so))
         for lines in itertools.cycle([said.inputs, [released(line) for line in said.inputs]]):
@@ -117,7 +117,7 @@ def released(line: str) -> str:
 
 
 class Told(NamedTuple):
-    """What a sketch does with a message."""
+    """Reaction of a sketch to a message."""
 
     name: str
     topic: str
@@ -135,7 +135,7 @@ TOLD = [
 
 
 @pytest.mark.parametrize("told", TOLD, ids=lambda told: told.name)
-async def test_what_a_sketch_does_with_a_message(host: Host, told: Told) -> None:
+async def test_sketch_reacts_to_a_message(host: Host, told: Told) -> None:
     async with host.run(told.name) as board:
         await publish_until(host.client, told.topic, told.message, told.type_name, board.expect(told.output))
 
@@ -170,7 +170,7 @@ async def test_what_a_sketch_does_with_a_message(host: Host, told: Told) -> None
     ],
     ids=["array_test", "float64_test", "trajectory"],
 )
-async def test_what_a_sketch_answers(
+async def test_sketch_answers_a_call(
     host: Host,
     name: str,
     topic: str,

@@ -10,7 +10,7 @@ from tests.firmware.families import UNO, image_bytes
 
 DOCUMENT = ROOT / "docs" / "board-sizes.md"
 FLASH_BYTES = 32256  # without the boot loader
-# Of the RAM, 2,048 bytes: what is left is the stack's. Measured, with a little room for what a change may need.
+# RAM limits: the rest of the 2,048 bytes is stack. Measured, with a little room for changes.
 RAM_BYTES = {
     "pubsub": 1060,
     "blink": 1010,
@@ -39,7 +39,7 @@ def test_pubsub_leaves_two_thirds_of_the_flash() -> None:
 
 
 def test_the_document_has_the_size_of_pubsub() -> None:
-    """To be brought up to date by tools/board_sizes.py --write."""
+    """`tools/board_sizes.py --write` updates it."""
     first, *_ = re.findall(r"^\| `pubsub` \| ([\d,]+) / ([\d,]+) \|", DOCUMENT.read_text(), re.MULTILINE)
     documented = tuple(int(number.replace(",", "")) for number in first)
     assert sizes("pubsub") == pytest.approx(documented, rel=0.02)

@@ -26,7 +26,7 @@ NOTHING = (math.inf, None)  # a range: REST has no infinity
 
 @pytest.fixture(scope="module", autouse=True)
 def built() -> None:
-    """Compiled before the clock of the first test runs."""
+    """Compiled before the time limit of the first test starts."""
     build("pubsub")
 
 
@@ -92,7 +92,7 @@ async def test_odometry_of_two_encoders_and_its_transform(daemon: Process) -> No
     async with client.connect(daemon.url) as host, running("odometry", daemon.tcp) as board:
         assert (await received(host, "/odom", "nav_msgs/Odometry"))["child_frame_id"] == "base_link"
         for turn in range(100):
-            board.set(f"digital 2 {turn % 2}")  # B stands still: forwards, backwards, forwards, ...
+            board.set(f"digital 2 {turn % 2}")  # B does not move: forwards, backwards, forwards, ...
             board.set(f"digital 4 {1 - turn % 2}")
             board.set(f"digital 3 {turn % 2}")
             board.set(f"digital 5 {1 - turn % 2}")
@@ -118,7 +118,7 @@ async def test_imu_with_diagnostics(daemon: Process) -> None:
         assert imu["orientation_covariance"][0] == -1.0
         of_board = await received(
             host, "/diagnostics", "diagnostic_msgs/DiagnosticArray", lambda sent: sent["status"][0]["name"] == "imu"
-        )  # the daemon publishes its own there, too
+        )  # the daemon publishes its own diagnostics there, too
         (status,) = of_board["status"]
         assert (status["hardware_id"], status["message"]) == ("MPU-6050", "OK")
         assert int(status["values"][0]["value"]) % 50 == 0
@@ -211,7 +211,7 @@ async def test_udp(tmp_path: Path) -> None:
         assert await received(host, "/chatter", "std_msgs/String") == {"data": "hello in a datagram"}
 
 
-async def test_a_board_comes_back_to_a_host_that_was_restarted() -> None:
+async def test_board_reconnects_to_a_restarted_host() -> None:
     port = free_port()
     async with running("wifi", ("127.0.0.1", port)):
         for _ in range(2):
@@ -227,7 +227,7 @@ async def test_a_board_and_its_host_prove_the_key_to_each_other(tmp_path: Path, 
         if is_right:
             await expect(lambda: host.hub.topics.find_or_none("/chatter") is not None, timeout_s=15.0)
         else:
-            await expect(lambda: host.hub.counts.refused["wrong_key"] > 1, timeout_s=15.0)  # it comes again
+            await expect(lambda: host.hub.counts.refused["wrong_key"] > 1, timeout_s=15.0)  # the board reconnects
         assert not is_right or not host.hub.counts.refused
 
 
@@ -244,7 +244,7 @@ async def test_a_host_without_the_key_gets_no_byte() -> None:
 
 @contextlib.asynccontextmanager
 async def uart() -> AsyncIterator[int]:
-    """The wires between two boards, as a port: what comes on one connection leaves on the other."""
+    """The wires between two boards, as a port: bytes of one connection are sent on the other."""
     ends: list[asyncio.StreamWriter] = []
 
     async def pass_on(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
@@ -298,12 +298,12 @@ async def test_button_and_analog_inputs(daemon: Process) -> None:
         async with host.subscribe("/pushed", type_name="std_msgs/Bool") as pushes:
             adc = "std_msgs/UInt16MultiArray"
             await received(host, "/adc", adc, lambda adc: adc["data"] == [0, 512, 0, 0])
-            # The host has subscribed to the first topic when it sends of the second.
+            # The host has subscribed to the first topic when it sends on the second.
             board.set("digital 7 0")
             assert await asyncio.wait_for(anext(aiter(pushes)), 15.0) == {"data": True}
 
 
-async def test_a_picture_that_is_too_large_is_refused_and_the_next_one_comes(daemon: Process) -> None:
+async def test_picture_that_is_too_large_is_refused_and_the_next_one_arrives(daemon: Process) -> None:
     async with client.connect(daemon.url) as host, running("camera", daemon.tcp):
         picture = await received(host, "/image/compressed", "sensor_msgs/CompressedImage")
         assert len(base64.b64decode(picture["data"])) == 1000

@@ -16,12 +16,12 @@ from tests.support.waiting import expect
 
 HOST = ROOT / "firmware" / "host"
 EMULATOR = BUILD / "uno_emulator"
-pytestmark = pytest.mark.quiet  # where the machine is busy, a second of the board lasts ten
+pytestmark = pytest.mark.quiet  # on a busy machine a second of the board lasts ten
 
 
 @pytest.fixture(scope="module", autouse=True)
 def _built() -> None:
-    """Before the clock of the first test runs."""
+    """Before the time limit of the first test starts."""
     once_a_run("uno_emulator", _compile)
     for name in ("pubsub", "service_server", "parameters"):
         image(UNO, EXAMPLES / name / f"{name}.ino")

@@ -1,4 +1,4 @@
-"""The wheels' set-point under commands that change, as a joystick, a ramp or a controller sends them.
+"""The wheels' set-point under changing commands, like those of a joystick, a ramp or a controller.
 
 The firmware's curve, and the whole firmware in a world.
 """
@@ -19,8 +19,8 @@ from tests.firmware.due import library, made
 
 LOOP_S = 1 / 30
 FULL_TICKS_S = 280.0
-STEEPEST_TICKS_S2 = 1.875 / S_PER_TICK_S  # of each minimum-jerk curve, however long its way
-STEEPEST_SLOWER_TICKS_S2 = 1.875 * 20 / S_PER_TICK_S  # of one that goes towards zero
+STEEPEST_TICKS_S2 = 1.875 / S_PER_TICK_S  # of each minimum-jerk curve, independent of its distance
+STEEPEST_SLOWER_TICKS_S2 = 1.875 * 20 / S_PER_TICK_S  # of a curve towards zero
 ROUNDING_TICKS_S = 0.001
 HUGE = 2.0**122
 LAG_S = 0.1
@@ -51,7 +51,7 @@ steps_s = st.sampled_from([0.001, 0.01, LOOP_S, 0.05, 0.2])
 
 @st.composite
 def joysticks(draw: st.DrawFn) -> Story:
-    """Creeping, sweeping, trembling and jumping, with a new command every few turns."""
+    """Creeping, sweeping, trembling and jumping targets, with a new command every few turns."""
     target, story = 0.0, []
     change = st.just(0.0) | st.floats(-15.0, 15.0, width=32) | st.floats(-500.0, 500.0, width=32)
     for by, tremble, commands, turns in draw(
@@ -66,7 +66,7 @@ def joysticks(draw: st.DrawFn) -> Story:
 
 
 def after_command(value: float, target: float) -> float:
-    """Where the set-point is once it has a new target: a zero and another sign stop at once."""
+    """The set-point after a new target: a zero and another sign stop at once."""
     return value if value * target > 0.0 else 0.0
 
 
@@ -165,7 +165,7 @@ def test_a_repeated_command_changes_nothing(story: Story) -> None:
     sign=st.sampled_from([-1.0, 1.0]),
 )
 def test_a_ramp_of_small_changes_is_followed(rate: float, turns: int, tremble: float, sign: float) -> None:
-    """At up to 90 ticks/s2 (0.11 m/s2) the set-point is behind by what the command changes in LAG_S."""
+    """At up to 90 ticks/s2 (0.11 m/s2) the set-point lags by the change of the command in LAG_S."""
     with set_point() as curve:
         for number in range(round(4.0 / LOOP_S / turns)):
             target = rate * number * turns * LOOP_S + tremble * (-1) ** number
@@ -180,7 +180,7 @@ hostile = st.floats(-HUGE, HUGE, width=32) | st.sampled_from([2.0**-149, -(2.0**
 
 @given(st.lists(st.tuples(hostile, st.integers(0, 3)), max_size=20), st.floats(1e-6, 0.2))
 @example([(2.0**-146, 0), (2.0**100, 0), (HUGE, 2)], LOOP_S)
-def test_any_number_leaves_a_number(story: Story, dt_s: float) -> None:
+def test_set_point_after_any_input_is_finite(story: Story, dt_s: float) -> None:
     with set_point() as curve:
         for target, turns in story:
             curve.aim(target)
@@ -200,11 +200,11 @@ def test_a_zero_stops_at_once_and_the_next_motion_begins_without_slope(story: St
         assert library().wheel_pwm(wheel) == 0
         library().wheel_aim(wheel, 200.0)
         library().wheel_step(wheel, 0, LOOP_S)
-        assert abs(library().wheel_set_point(wheel)) < 0.01  # in its first turn the curve goes 0.002
+        assert abs(library().wheel_set_point(wheel)) < 0.01  # in its first turn the curve moves by 0.002
 
 
 def reached_s(commands: Iterable[float], share: float = 0.95) -> float:
-    """When a robot that gets a new velocity every tenth of a second has so much of 0.2 m/s; at most 30 s."""
+    """Time after which a robot with a new velocity every tenth of a second has this share of 0.2 m/s; at most 30 s."""
     robot = FirmwareWorld()
     robot.connect()
     for number, command in zip(range(300), commands, strict=False):
@@ -232,7 +232,7 @@ def test_a_trembling_joystick_drives_the_robot(amplitude_m_s: float) -> None:
 @given(st.lists(st.tuples(st.floats(), st.floats()), min_size=1, max_size=5))
 @example([(3e38, 0.0)])
 @example([(1e300, -1e300)])
-def test_a_velocity_that_is_no_number_stops_and_the_next_one_drives(commands: list[tuple[float, float]]) -> None:
+def test_nan_velocity_stops_and_the_next_one_drives(commands: list[tuple[float, float]]) -> None:
     robot = FirmwareWorld()
     robot.connect()
     for linear, angular in commands:
@@ -255,7 +255,7 @@ SLOWER = {
 @pytest.mark.parametrize("commands", SLOWER.values(), ids=SLOWER.keys())
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_a_wheel_that_is_to_go_slower_follows_and_does_not_swing(commands: list[float], sign: float) -> None:
-    """A second later it follows, and is not braked again."""
+    """A second later it follows, and does not brake again."""
     robot = FirmwareWorld()
     robot.connect()
     robot.drive(sign * 0.3, 0.0, 6.0)

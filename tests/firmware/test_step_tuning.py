@@ -1,4 +1,4 @@
-"""The Due's firmware in worlds that are drawn: its motors are found from plot_data, and the gains make it faster."""
+"""The Due's firmware in drawn worlds: its motors are found from plot_data, and the gains make it faster."""
 
 import math
 
@@ -14,13 +14,13 @@ from hostlink.sim.world_parameters import WorldParameters
 from tools.compare_gains import PAPER, SEPARATION_M, SIDES, Gains, compare, drawn_world, drive, identify, rows
 
 FILTER_S = -LOOP_S / math.log(1 - FILTER)  # time constant of the firmware's filter: 0.32 s
-LATE_S = 0.1  # what the turns of its loop add at most
-COASTS = 0.2  # share of the time in which the PWM is below what the wheel's speed needs: then it coasts, more slowly
+LATE_S = 0.1  # the most that the turns of its loop add
+COASTS = 0.2  # share of the time with a PWM below the one for the wheel's speed: it coasts then, more slowly
 SPEEDS_M_S = (0.1, 0.2, 0.3)
 
 
 def true_gain(world: WorldParameters, side: str) -> float:
-    """Ticks/s for a count of PWM, above the dead zone."""
+    """Ticks/s for each count of PWM, above the dead zone."""
     driven_pwm = FULL_PWM if world[f"{side}.has_jump"] else FULL_PWM - world[f"{side}.dead_zone_pwm"]
     full_speed_ticks_s = world[f"{side}.full_speed_rad_s"] * world[f"{side}.ticks_per_turn"] / math.tau
     return full_speed_ticks_s / driven_pwm * world["battery_v"] / world["rated_v"]
@@ -54,7 +54,7 @@ def test_tuned_gains_follow_the_set_point_better_than_table_1_and_do_not_swing(s
 
 @pytest.fixture(scope="module")
 def tuned_worlds() -> list[tuple[WorldParameters, Gains]]:
-    """The hundred robots of docs/tuning.md#how-far-the-true-speed-overshoots, each with gains of its own."""
+    """The hundred robots of docs/tuning.md#how-far-the-true-speed-overshoots, each with its own gains."""
     worlds = [drawn_world(seed) for seed in range(1, 101)]
     return [(world, {side: simc_gains(model) for side, model in identify(world).items()}) for world in worlds]
 

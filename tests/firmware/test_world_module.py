@@ -1,4 +1,4 @@
-"""The module firmware.wasm is of these sources: compiled again, it has the same bytes."""
+"""The module firmware.wasm is made of these sources: compiled again, it has the same bytes."""
 
 import subprocess
 from functools import cache

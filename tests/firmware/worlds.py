@@ -29,7 +29,7 @@ SOURCES = [
 ]
 WORLD_LIBRARY = LIBRARY.parent.parent / "due_world" / "libdue_world.so"
 SHIM = FIRMWARE / "host" / "due_arduino"
-QUIET_S = 2.1  # the board listens to nobody for its first two seconds
+QUIET_S = 2.1  # the board ignores its host for the first two seconds
 COMMAND_S = 0.1
 LEFT, RIGHT = 0, 1
 SEPARATION_M = 0.210
@@ -87,30 +87,30 @@ def _run(*command: object) -> None:
 
 @dataclass(frozen=True)
 class Trace:
-    """What was, each ten milliseconds: an array a column."""
+    """The recorded drive, one row every ten milliseconds: an array for each column."""
 
     t_s: np.ndarray
     left: np.ndarray  # true speeds of the wheels, ticks/s
     right: np.ndarray
     left_set: np.ndarray  # their set-points
     right_set: np.ndarray
-    x_m: np.ndarray  # the truth
+    x_m: np.ndarray  # the true pose
     y_m: np.ndarray
     theta_rad: np.ndarray
-    odom_x_m: np.ndarray  # what the firmware believes
+    odom_x_m: np.ndarray  # the firmware's pose
     odom_y_m: np.ndarray
     odom_theta_rad: np.ndarray
-    left_drive: np.ndarray  # the duty that its motor is given, with the sign of the way; 0 while it brakes
+    left_drive: np.ndarray  # the duty of its motor, with the sign of the direction; 0 while it brakes
     right_drive: np.ndarray
-    left_rolled: np.ndarray  # how far the wheels have truly rolled, in ticks of their encoders
+    left_rolled: np.ndarray  # true distance of the wheels, in ticks of their encoders
     right_rolled: np.ndarray
 
     def since(self, row: int) -> "Trace":
-        """The rows from this one on."""
+        """Rows from this one on."""
         return Trace(*(getattr(self, item.name)[row:] for item in fields(self)))
 
     def rolled(self) -> tuple[np.ndarray, np.ndarray]:
-        """How far the odometry believes that the wheels have rolled, in ticks."""
+        """Distance of the wheels by the odometry, in ticks."""
         theta_rad = np.unwrap(self.odom_theta_rad)
         turned_rad = np.diff(theta_rad, prepend=theta_rad[0])
         heading_rad = theta_rad - turned_rad / 2
@@ -123,11 +123,11 @@ class Trace:
 
 @dataclass
 class World:
-    """A robot that is driven: a command goes out ten times a second, and the time with it."""
+    """A driven robot: a command is sent ten times a second, with the time."""
 
     handle: int
     rows: list[np.ndarray] = field(default_factory=list)
-    commanded: list[np.ndarray] = field(default_factory=list)  # a row to each of `rows`: left and right, ticks/s
+    commanded: list[np.ndarray] = field(default_factory=list)  # one row for each row of `rows`: left and right, ticks/s
     command: tuple[float, float] = (0.0, 0.0)
     frames: list[Frame] = field(default_factory=list)
     stream: FrameStream = field(default_factory=FrameStream)
@@ -153,12 +153,12 @@ class World:
             left_s -= COMMAND_S
 
     def hang(self, seconds: float) -> None:
-        """The program does something else for so long: a delay() in its loop."""
+        """The program blocks for this time, like a delay() in its loop."""
         library().world_hang(self.handle, round(seconds * 1000))
 
     @property
     def restarts(self) -> int:
-        """How often the board's watchdog would have started it again."""
+        """How often the board's watchdog would have restarted it."""
         return int(library().world_restarts(self.handle))
 
     def grip(self, side: int, ticks_s: float) -> None:
@@ -168,23 +168,23 @@ class World:
         library().world_release(self.handle, side)
 
     def deafen(self, side: int, *, is_so: bool = True) -> None:
-        """The encoder of a wheel is dead."""
+        """Set the encoder of a wheel dead."""
         library().world_deafen(self.handle, side, is_so)
 
     def stick(self, side: int, *, is_so: bool = True) -> None:
-        """The driver of a motor is through: it runs at full speed, whatever the pins command."""
+        """Break the driver of a motor: it runs at full speed, whatever the pins command."""
         library().world_stick(self.handle, side, is_so)
 
     @property
     def resolution_bits(self) -> int:
-        """Of the duties that the board writes."""
+        """Resolution of the duties that the board writes."""
         return int(library().world_resolution_bits(self.handle))
 
     def pin(self, pin: int) -> int:
         return int(library().world_pin(self.handle, pin))
 
     def writes(self) -> list[tuple[int, int]]:
-        """What was written to pins since the last call: (pin, level or duty)."""
+        """Writes to pins since the last call: (pin, level or duty)."""
         out = (ctypes.c_uint16 * 8192)()
         count = library().world_writes(self.handle, out, 4096)
         return [(out[2 * i], out[2 * i + 1]) for i in range(count)]
@@ -195,13 +195,13 @@ class World:
 
     @property
     def errors(self) -> list[str]:
-        """The lines of the device's log that are errors."""
+        """Lines of the device's log that are errors."""
         logs = [decode_log(frame.payload) for frame in self.frames if frame.topic_id == Id.LOG]
         return [log.text for log in logs if log is not None and log.level == 3]
 
 
 def wheel_speeds(linear: float, angular: float) -> tuple[float, float]:
-    """What a command is for the wheels, in ticks/s: both slowed where one of them cannot."""
+    """Wheel speeds of a command, in ticks/s: both reduced if one of them cannot follow."""
     turning = angular * SEPARATION_M / 2
     left, right = (linear - turning) / METRES_PER_TICK, (linear + turning) / METRES_PER_TICK
     factor = min(1.0, FULL_TICKS_S / max(abs(left), abs(right), 1e-9))
@@ -210,7 +210,7 @@ def wheel_speeds(linear: float, angular: float) -> tuple[float, float]:
 
 @contextmanager
 def world(parameters: WorldParameters | None = None, *, setup_s: float = 0.0, reset_type: int = 0) -> Iterator[World]:
-    """A robot that has just got its topics, for the length of the block; its setup() lasts `setup_s`.
+    """A robot that has just received its topics, for the length of the block; its setup() lasts `setup_s`.
 
     `reset_type`: why its processor started, RSTTYP of the SAM3X; 2 is the watchdog.
     """
@@ -229,7 +229,7 @@ def world(parameters: WorldParameters | None = None, *, setup_s: float = 0.0, re
 
 @st.composite
 def worlds(draw: st.DrawFn) -> WorldParameters:
-    """A world that nobody has tuned the firmware for: two motors of one make, each with its own gain and wheel."""
+    """A drawn world for which the firmware was not tuned: two motors of one make, each with its own gain and wheel."""
     dead_zone_pwm = draw(st.floats(0.0, 800.0))
     time_constant_s = draw(st.floats(0.02, 0.2))
     has_jump = float(draw(st.booleans()))

@@ -25,6 +25,7 @@ TEST_PLACES = (
     "tests/unit/*.py",
     *(f"tests/unit/{name}" for name in REVISED),
     *(f"tests/{name}" for name in REVISED_TESTS),
+    "tests/firmware",
 )
 
 NO_SUBJECT = re.compile(

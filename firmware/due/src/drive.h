@@ -7,15 +7,15 @@
 namespace hostlink {
 
 struct Pose {
-  double x_m;  // doubles here only: a sum of many small steps
+  double x_m;  // the only doubles in the firmware: a sum of many small steps
   double y_m;
   double theta_rad;  // in (-pi, pi]
 };
 
-// What a wheel is like; no two are the same.
+// Properties of one wheel; no two wheels are equal.
 struct WheelSize {
   float radius_m;
-  float ticks_per_turn;  // of its encoder
+  float ticks_per_turn;  // periods of its encoder
 };
 
 class Drive {
@@ -28,9 +28,9 @@ class Drive {
   const WheelSize& right() const { return right_; }
   float separation_m() const { return separation_m_; }
 
-  // Wheel speeds that give this body velocity; both slowed together so that the faster one keeps the limit.
+  // Wheel speeds for this body velocity. Both are scaled down together so that the faster one keeps the limit.
   void wheel_speeds(float linear_m_s, float angular_rad_s, float& left_ticks_s, float& right_ticks_s) const;
-  // The pose after the wheels rolled this far, along the arc of a circle.
+  // Pose after the wheels have rolled these distances along the arc of a circle.
   Pose integrate(const Pose& pose, float left_ticks, float right_ticks) const;
 
  private:

@@ -1,4 +1,4 @@
-// What the robot needs of a board, and nothing more. Implementations: board/ (the Due), firmware/host, firmware/qemu.
+// What the robot needs of a board. Implementations: board/ (the Due), firmware/host, firmware/qemu.
 #pragma once
 
 #include <ros/link.h>
@@ -14,8 +14,8 @@ class Hal : public ros::Link {
   virtual uint32_t micros() = 0;                                // wraps after 71.6 minutes
   virtual void drive(int16_t left_pwm, int16_t right_pwm) = 0;  // signed, -4095..4095; 0 brakes as hard as it can
   virtual void edges(uint32_t& left, uint32_t& right) = 0;      // of the encoders, rising and falling; wrap
-  virtual float battery_v() { return kNotMeasured; }            // of the motors' supply; NaN: nothing measures it
-  virtual bool was_hung() { return false; }                     // the hardware watchdog started the board
+  virtual float battery_v() { return kNotMeasured; }            // of the motors' supply; NaN: not measured
+  virtual bool was_hung() { return false; }                     // whether the hardware watchdog restarted the board
 
  protected:
   ~Hal() {}

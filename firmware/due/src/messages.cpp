@@ -22,7 +22,7 @@ float read_float64(const uint8_t* bytes) {
   const uint32_t sign = static_cast<uint32_t>(bits >> 63) << 31;
   const int exponent = static_cast<int>(bits >> kFraction64Bits & kExponent64All);
   const uint64_t fraction = bits & ((static_cast<uint64_t>(1) << kFraction64Bits) - 1);
-  uint32_t out = sign;  // zero, and what is too small
+  uint32_t out = sign;  // zero, and values that are too small
   if (exponent == static_cast<int>(kExponent64All)) {
     out |= kExponent32All << kFraction32Bits | (fraction != 0 ? 1u : 0u);
   } else if (exponent - kBias64 > kBias32) {
@@ -46,7 +46,7 @@ void write_float64(uint8_t* bytes, float value) {
   } else if (exponent != 0) {
     bits |= static_cast<uint64_t>(static_cast<int>(exponent) - kBias32 + kBias64) << kFraction64Bits;
   }
-  if (exponent != 0) {  // what is too small for a normal float is zero
+  if (exponent != 0) {  // a value that is too small for a normal float becomes zero
     const uint64_t fraction = in & ((static_cast<uint32_t>(1) << kFraction32Bits) - 1);
     bits |= fraction << (kFraction64Bits - kFraction32Bits);
   }

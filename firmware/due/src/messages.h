@@ -20,17 +20,17 @@ const char kVector3Type[] ROS_IN_FLASH = "geometry_msgs/Vector3";
 const char kVector3Md5[] ROS_IN_FLASH = "4a842b65f413084dc2b10fb484ea7f17";
 const char kBatteryStateType[] ROS_IN_FLASH = "sensor_msgs/BatteryState";
 const char kBatteryStateMd5[] ROS_IN_FLASH = "4ddae7f048e32fda22cac764685e3974";
-const size_t kBatteryVoltageAt = 16;  // behind the header; six more float32 follow
+const size_t kBatteryVoltageAt = 16;  // after the header; six more float32 follow
 const size_t kBatteryFloats = 7;
 const size_t kBatteryPresentAt = 47;
 const size_t kBatteryStateBytes = 64;  // with empty lists and texts
 const char kUInt16MultiArrayType[] ROS_IN_FLASH = "std_msgs/UInt16MultiArray";
 const char kUInt16MultiArrayMd5[] ROS_IN_FLASH = "52f264f1c973c4b73790d384c6cb4484";
-const size_t kUInt16MultiArrayBytes = 12;  // without its data; its last four are their number
+const size_t kUInt16MultiArrayBytes = 12;  // without its data; the last four bytes are the number of elements
 const char kEmptyType[] ROS_IN_FLASH = "std_msgs/Empty";
 const char kEmptyMd5[] ROS_IN_FLASH = "d41d8cd98f00b204e9800998ecf8427e";
 
-// A float64 of the wire, rounded towards zero to a float; what no float can represent becomes infinite or zero.
+// Round a float64 of the wire towards zero to a float. A value that no float can represent becomes infinite or zero.
 float read_float64(const uint8_t* bytes);
 void write_float64(uint8_t* bytes, float value);
 void write_float32(uint8_t* bytes, float value);

@@ -1,5 +1,5 @@
-// What the three inputs of a motor's channel on the shield are given for a PWM with a sign. On the shield's L298 the
-// PWM is the enable: BRAKE HIGH shorts the motor only while the PWM is on, with a PWM of 0 it runs free.
+// Levels of the three inputs of one motor channel on the shield, for a signed PWM. On the shield's L298 the PWM is the
+// enable: BRAKE HIGH shorts the motor only while the PWM is on. With a PWM of 0 the motor runs free.
 #pragma once
 
 #include "constants.h"
@@ -12,7 +12,7 @@ struct MotorLevels {
   int16_t duty;  // of the PWM, 0..4095
 };
 
-// 0 brakes as hard as the shield can. A reversed motor is mounted mirrored: it rolls forwards with DIR LOW.
+// 0 brakes with the full force of the shield. A reversed motor is mounted mirrored: it rolls forwards with DIR LOW.
 inline MotorLevels motor_levels(int16_t pwm, bool is_reversed) {
   const int16_t size = pwm < 0 ? static_cast<int16_t>(-pwm) : pwm;
   const bool is_forward = pwm >= 0;

@@ -14,11 +14,11 @@ using ros::Size;
 const size_t kFloatsMax = 8;  // of one parameter
 const float kMostGain = 1e6f;
 const uint32_t kTroubleIntervalMs = 10000;
-const float kLongestStepS = 0.2f;  // a loop that was away does not integrate the time that it missed
+const float kLongestStepS = 0.2f;  // a loop that was interrupted does not integrate the time that it missed
 
 enum class Use : uint8_t { kRadius, kSeparation, kTicks, kLeftGains, kRightGains, kTopSpeed, kBatteryLow };
 
-// What the robot requests of the host: how many numbers, and their range.
+// Parameters that the robot requests from the host: how many numbers, and their range.
 struct Parameter {
   const char* name;
   Use use;
@@ -86,7 +86,7 @@ uint32_t Robot::loop() {
   const uint32_t now_us = hal_.micros();
   if (now_us - due_since_us_ < kLoopUs) return 0;
   const uint32_t late_us = now_us - due_since_us_ - kLoopUs;
-  // Steady, but nothing is caught up, and no turn is shorter than half of one.
+  // A steady rate. Missed turns are not repeated, and no turn is shorter than half a period.
   due_since_us_ = late_us < kLoopUs / 2 ? due_since_us_ + kLoopUs : now_us;
   const float passed_s = static_cast<float>(now_us - turned_at_us_) * 1e-6f;
   turned_at_us_ = now_us;
@@ -99,7 +99,7 @@ uint32_t Robot::turn_due_in_us() {
   return passed_us < kLoopUs ? kLoopUs - passed_us : 0;
 }
 
-// On each pass, whatever the parser and the control do: nobody drives, so nothing moves.
+// Runs on each pass, independent of parser and control: without a driver nothing moves.
 void Robot::guard() {
   if (!is_commanded_) return;
   if (!node_.is_configured()) {
@@ -132,7 +132,7 @@ void Robot::turn(float dt_s) {
   }
 }
 
-// A wheel that does not follow its command stops both, with one line in the log, until a zero has come and both stand.
+// A wheel that does not follow its command stops both wheels, with one line in the log, until a zero has arrived and
 void Robot::watch() {
   if (is_faulted_) {
     if (!has_zero_ || !left_.stands() || !right_.stands()) return;
@@ -162,7 +162,7 @@ bool Robot::log_fault(const Wheel& wheel, const char* side) {
   return true;
 }
 
-// For as long as the wheel is off.
+// While the wheel is off.
 void Robot::raise_faults() {
   const WheelFault left = left_.fault();
   const WheelFault right = right_.fault();
@@ -177,7 +177,7 @@ void Robot::stop() {
   hal_.drive(0, 0);
 }
 
-// Once configured: log it, and request the parameters, one after the other and never waiting.
+// Log the configuration once, and request the parameters one after the other without waiting.
 void Robot::greet() {
   const bool is_configured = node_.is_configured();
   if (is_configured && !was_configured_) {
@@ -191,7 +191,7 @@ void Robot::greet() {
     node_.request_parameter(kParameters[0].name, &Robot::receive_parameter, this);
     requested_at_ms_ = hal_.milliseconds();
   } else if (is_configured && requested_ != 0 && hal_.milliseconds() - requested_at_ms_ > kParameterTimeoutMs) {
-    // The constants apply. An answer does not name its parameter: one that comes now must not be used for the next.
+    // The constants apply. An answer does not name its parameter, so a late answer must not be used for the next one.
     node_.log(Level::kWarn,
               Text().add("no answer to ").add(kParameters[requested_ - 1].name).add(": no more questions").chars());
     requested_ = 0;
@@ -199,7 +199,7 @@ void Robot::greet() {
   was_configured_ = is_configured;
 }
 
-// An answer without a number: the host has no such parameter, and what applies stays.
+// An answer without a number: the host does not have the parameter, and the present value stays.
 void Robot::use_parameter(const float* values, size_t count) {
   if (requested_ == 0) return;
   if (count > 0 && !apply_values(values, count)) refuse_parameter();
@@ -212,7 +212,7 @@ void Robot::use_parameter(const float* values, size_t count) {
   requested_at_ms_ = hal_.milliseconds();
 }
 
-// False: it makes no sense. One number for both wheels, or one for each, the left one first.
+// Returns false for an invalid value. One number is for both wheels; two are for the left and the right wheel.
 bool Robot::apply_values(const float* values, size_t count) {
   const Parameter& parameter = kParameters[requested_ - 1];
   if (count < parameter.least || count > parameter.most) return false;
@@ -257,7 +257,7 @@ void Robot::refuse_parameter() {
   node_.log(Level::kWarn, text.chars());
 }
 
-// In two lines, because the host's own log cuts one at 64 characters; each in a function, for the stack's sake.
+// Two lines, because the host's log cuts a line at 64 characters. Each in its own function, to save stack.
 void Robot::log_geometry() {
   if (!has_new_geometry_) return;
   has_new_geometry_ = false;
@@ -297,7 +297,7 @@ void Robot::receive_velocity(void* self, const uint8_t* payload, size_t) {
   float right_ticks_s = 0.0f;
   robot.drive_.wheel_speeds(read_float64(payload), read_float64(payload + 5 * kFloat64Bytes), left_ticks_s,
                             right_ticks_s);
-  // Of the ticks, not of the metres: a velocity may be finite and its ticks not. Scaling those gives no number.
+  // Check the ticks, not the metres: a velocity may be finite while its ticks are not. Scaling those gives NaN.
   const bool is_number = left_ticks_s - left_ticks_s == 0.0f && right_ticks_s - right_ticks_s == 0.0f;
   if (!is_number) {
     robot.stop();
@@ -307,13 +307,13 @@ void Robot::receive_velocity(void* self, const uint8_t* payload, size_t) {
   }
   if (left_ticks_s == 0.0f && right_ticks_s == 0.0f) {
     robot.has_zero_ = true;
-    robot.stop();  // now, not with the next turn; and who stands needs no watching
+    robot.stop();  // now, not in the next turn; a stopped robot needs no watchdog
     return;
   }
   if (robot.is_faulted_) return;
   robot.left_.aim(left_ticks_s);
   robot.right_.aim(right_ticks_s);
-  robot.hal_.drive(robot.left_.pwm_now(), robot.right_.pwm_now());  // a wheel that is to reverse brakes now
+  robot.hal_.drive(robot.left_.pwm_now(), robot.right_.pwm_now());  // a wheel that must reverse brakes now
   robot.is_commanded_ = true;
   robot.commanded_at_ms_ = robot.hal_.milliseconds();
 }
@@ -333,7 +333,7 @@ void Robot::receive_right_gains(void* self, const uint8_t* payload, size_t) {
   robot.tune(robot.right_, read_gains(payload));
 }
 
-// One that is negative or no number would leave the wheel without control.
+// A negative gain or NaN would leave the wheel without control.
 void Robot::tune(Wheel& wheel, const Gains& gains) {
   const char* const side = &wheel == &left_ ? "left" : "right";
   if (!is_gain(gains.kp) || !is_gain(gains.ki) || !is_gain(gains.kd)) {
@@ -347,7 +347,7 @@ void Robot::tune(Wheel& wheel, const Gains& gains) {
   node_.log(Level::kInfo, text.chars());
 }
 
-// What the link has cost so far, when it was something new, at most every ten seconds.
+// Report the errors of the link when there are new ones, at most every ten seconds.
 void Robot::log_trouble() {
   const uint32_t trouble = node_.dropped_from_host() + node_.refused() + node_.dropped_to_host();
   const bool is_new = trouble != logged_trouble_ && hal_.milliseconds() - logged_trouble_at_ms_ > kTroubleIntervalMs;

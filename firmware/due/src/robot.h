@@ -1,4 +1,4 @@
-// Robot: the paper's robot over a Hal: its topics, its 30 Hz loop, and what stops it. Every state of loop() either
+// Robot: the paper's robot over a Hal: its topics, its 30 Hz loop, and its safety stops. Every state of loop() either
 // feeds the motors or stops them.
 #pragma once
 
@@ -21,11 +21,11 @@ class Robot {
                  Feedback feedback = Feedback::kWashedOut, const ControlProfile& profile = paper_profile());
 
   void setup();
-  // Call it as often as possible: it drains the UART on each call, and controls thirty times a second. 0, or with the
-  // paper's retry clause how many milliseconds to wait before the next call.
+  // Call it as often as possible: it drains the UART on each call, and controls thirty times a second. Returns 0, or
+  // with the paper's retry clause the milliseconds to wait before the next call.
   uint32_t loop();
 
-  // Until the next turn of the control: unless something comes from the host, nothing new is sent before.
+  // Time until the next turn of the control. Unless a byte arrives from the host, the robot sends nothing before it.
   uint32_t turn_due_in_us();
 
   const Pose& pose() const { return pose_; }
@@ -72,17 +72,17 @@ class Robot {
   Wheel right_;
   Pose pose_ = {0.0, 0.0, 0.0};
   uint32_t turned_at_us_ = 0;  // the last turn
-  uint32_t due_since_us_ = 0;  // the steady grid of the turns
+  uint32_t due_since_us_ = 0;  // the steady grid of turns
   uint32_t commanded_at_ms_ = 0;
   bool is_commanded_ = false;
   bool is_faulted_ = false;  // a wheel stalled or ran away
-  bool has_zero_ = false;    // a zero velocity came since
+  bool has_zero_ = false;    // a zero velocity has arrived since
   uint32_t left_edges_ = 0;
   uint32_t right_edges_ = 0;
   uint8_t turns_ = 0;
   bool was_configured_ = false;
   bool was_hung_logged_ = false;
-  uint8_t requested_ = 0;  // the parameter that is requested, 0: none
+  uint8_t requested_ = 0;  // the requested parameter; 0: none
   uint32_t requested_at_ms_ = 0;
   bool has_new_geometry_ = false;  // of the wheels, since it was logged
   uint32_t logged_trouble_ = 0;

@@ -54,7 +54,7 @@ void Battery::add(float volts) {
     volts_ += kSmoothing * (volts - volts_);
   }
   if (!(volts_ < (is_low() ? low_v_ + kRecoveredV : low_v_))) {
-    low_turns_ = 0;  // also when it is not measured
+    low_turns_ = 0;  // also when the battery is not measured
   } else if (low_turns_ < kLowTurns) {
     ++low_turns_;
   }
@@ -103,7 +103,7 @@ void SelfReport::check_link(const ros::NodeApi& node, uint32_t now_ms) {
 void SelfReport::publish_battery() {
   uint8_t payload[kBatteryStateBytes] = {};  // no stamp, no frame, no cells, no names
   write_float32(payload + kBatteryVoltageAt, battery_.volts());
-  // Temperature, current, charge, capacities and percentage: NaN says that nothing measures them.
+  // Temperature, current, charge, capacities and percentage are NaN: not measured.
   for (size_t i = 1; i < kBatteryFloats; ++i) write_float32(payload + kBatteryVoltageAt + 4 * i, kNotMeasured);
   payload[kBatteryPresentAt] = 1;
   battery_topic_.publish(payload, sizeof payload);

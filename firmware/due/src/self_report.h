@@ -1,5 +1,5 @@
-// What the robot knows of itself, as numbers for programs: its battery's voltage and what is wrong
-// (docs/robot.md#what-the-robot-knows-of-itself). The lines of the log say the same to people.
+// The robot's report about itself, as numbers for programs: the battery's voltage and the robot's errors
+// (docs/robot.md#what-the-robot-knows-of-itself). The lines of the log say the same for people.
 #pragma once
 
 #include <ros/node_handle.h>
@@ -16,24 +16,24 @@ enum class Error : uint8_t {
   kRightStalled = 12,
   kLeftRunaway = 21,
   kRightRunaway = 22,
-  kNoCommand = 31,    // the wheels rolled, and no command came
-  kHung = 32,         // the hardware watchdog started the board again
-  kNoNumber = 33,     // a velocity that is none
+  kNoCommand = 31,    // the wheels rolled without a command
+  kHung = 32,         // the hardware watchdog restarted the board
+  kNoNumber = 33,     // an invalid velocity (NaN or infinite)
   kRefused = 34,      // gains or a parameter out of range
-  kFromHost = 41,     // bytes from the host that made no frame
-  kNotExpected = 42,  // frames that no topic has
-  kNotSent = 43,      // messages to the host for which the line had no room
+  kFromHost = 41,     // bytes from the host that were not part of a frame
+  kNotExpected = 42,  // frames with an unknown topic
+  kNotSent = 43,      // messages to the host that found no room on the line
   kBatteryLow = 51,
 };
 
-// The errors of the last ten seconds, each once.
+// The distinct errors of the last ten seconds.
 class Errors {
  public:
   static const size_t kMost = 12;
   static const uint32_t kShownMs = 10000;
 
   void raise(Error error, uint32_t now_ms);
-  size_t list(uint8_t* numbers, uint32_t now_ms);  // ascending; what is older is forgotten
+  size_t list(uint8_t* numbers, uint32_t now_ms);  // ascending; older ones are forgotten
   bool has_changed();                              // since the last call
 
  private:
@@ -46,12 +46,12 @@ class Errors {
   bool has_changed_ = false;
 };
 
-// Smoothed over a second; low is what stays below the limit for five: a motor that starts costs a volt.
+// Smoothed over a second. Low means below the limit for five seconds: a starting motor costs a volt.
 class Battery {
  public:
   static const uint8_t kLowTurns = 50;
 
-  void add(float volts);  // ten times a second; NaN: nothing measures it
+  void add(float volts);  // ten times a second; NaN: not measured
   bool is_measured() const { return volts_ == volts_; }
   float volts() const { return volts_; }
   bool is_low() const { return low_turns_ == kLowTurns; }
@@ -68,7 +68,7 @@ class SelfReport {
  public:
   void advertise(ros::NodeApi& node);
   void raise(Error error, uint32_t now_ms) { errors_.raise(error, now_ms); }
-  // Ten times a second: the errors each second and when they change, the battery each second where it is measured.
+  // Ten times a second: publish the errors each second and when they change, and the battery each second if measured.
   void publish(ros::NodeApi& node, float battery_v, uint32_t now_ms);
   Battery& battery() { return battery_; }
 
@@ -85,7 +85,7 @@ class SelfReport {
   ros::RawPublisher errors_topic_ = {"errors", ros::FlashText(kUInt16MultiArrayType),
                                      ros::FlashText(kUInt16MultiArrayMd5)};
   uint8_t turns_ = 0;
-  uint32_t from_host_ = 0;  // as they were counted last
+  uint32_t from_host_ = 0;  // the last counts
   uint32_t not_expected_ = 0;
   uint32_t not_sent_ = 0;
 };

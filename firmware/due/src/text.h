@@ -1,4 +1,4 @@
-// A line for the host's log, put together without printf: that would bring 10 KB and the heap along.
+// A line for the host's log, composed without printf, which would add 10 KB and the heap.
 #pragma once
 
 #include <stddef.h>
@@ -8,12 +8,12 @@ namespace hostlink {
 
 class Text {
  public:
-  static const size_t kMost = 120;  // what is longer is cut
+  static const size_t kMost = 120;  // a longer text is cut
 
   Text& add(const char* text);
   Text& add(int32_t number);
   Text& add(uint32_t number);
-  // With `decimals` digits after the point; what does not fit an int32 is "?".
+  // With `decimals` digits after the point; a value that does not fit an int32 is "?".
   Text& add(float number, uint8_t decimals);
 
   const char* chars() const { return chars_; }

@@ -4,25 +4,27 @@ namespace hostlink {
 
 namespace {
 
-const float kCountTicks = 0.49f;  // nearly an edge: so much a count may be off
+const float kCountTicks = 0.49f;  // almost an edge: the possible error of a count
 
 float magnitude(float value) { return value < 0.0f ? -value : value; }
 
-// Times are sums of turns: half a turn less, so that rounding decides nothing.
+// Times are sums of turns: half a turn less, so that rounding does not decide.
 bool has_lasted(float time_s, float wanted_s) { return time_s > wanted_s - static_cast<float>(kLoopUs) * 0.5e-6f; }
 
-// What a minimum-jerk curve has travelled of its way after the share s of its time.
+// Share of its distance that a minimum-jerk curve has travelled after the share s of its time.
 float travelled(float way, float s) { return way * s * s * s * (10.0f + s * (-15.0f + 6.0f * s)); }
 
 }  // namespace
 
-// The slope of each curve is 30 s^2 (1-s)^2 / its seconds per tick, whatever its way: one that begins at s has the
-// slope that the set-point has there. Its way is then what is left, divided by the share that a curve has left at s.
+// The slope of each curve is 30 s^2 (1-s)^2 / its seconds per tick, independent of its distance: a curve that starts at
+// s has the slope of the set-point there. Its distance is what is left, divided by the share that a curve has left at
+// s.
 void MinimumJerk::aim(float target) {
   if (target == target_) return;
   if (target == 0.0f || (target < 0.0f ? value_ > 0.0f : value_ < 0.0f)) stop_at_once();
   const float rest = target - value_;
-  const bool goes_on = rest * (target_ - from_) > 0.0f;  // by the whole way: rounding decides what is left at its end
+  const bool goes_on =
+      rest * (target_ - from_) > 0.0f;  // use the whole distance: otherwise rounding decides what is left at its end
   const float s = goes_on ? rising_phase() : 0.0f;
   const float way = rest / (1.0f - travelled(1.0f, s));
   from_ = value_ - travelled(way, s);
@@ -31,7 +33,7 @@ void MinimumJerk::aim(float target) {
   elapsed_s_ = s * length_s_;
 }
 
-// Where in its first half a curve has the present slope: the second half has the same slopes, and is slower.
+// The phase in the first half of a curve that has the present slope. The second half has the same slopes but is slower.
 float MinimumJerk::rising_phase() const {
   if (!(elapsed_s_ < length_s_)) return 0.0f;
   const float s = elapsed_s_ / length_s_;
@@ -51,7 +53,7 @@ void MinimumJerk::begin_at_zero() {
 
 float MinimumJerk::step(float dt_s) {
   elapsed_s_ += dt_s;
-  if (!(elapsed_s_ < length_s_)) {  // also when there is no way to go: no division by zero
+  if (!(elapsed_s_ < length_s_)) {  // also with a distance of zero: no division by zero
     value_ = target_;
     elapsed_s_ = length_s_;
     return value_;
@@ -72,7 +74,7 @@ float Pid::step(float wanted_ticks_s, float measured_ticks_s, float dt_s, float 
   return output_;
 }
 
-// The last output as a speed; washed out, less its mean over the last second or so.
+// The last output as a speed; with kWashedOut, minus its mean over the last second or so.
 float Pid::fed_back_ticks_s(float dt_s) {
   const float last_ticks_s = output_ / static_cast<float>(kPwmMax) * kTopSpeedTicksS;
   if (feedback_ == Feedback::kPaper) return last_ticks_s;
@@ -140,9 +142,9 @@ float Wheel::requested_ticks_s() const {
   return value > target ? value : target;
 }
 
-// The filter and the integral are late by a third of a second and more. So they follow a set-point that goes slower,
-// and do not notice a braking: otherwise the wheel is braked to a standstill, driven too fast, and braked again, for as
-// long as the command lasts.
+// The filter and the integral lag by a third of a second and more, so they follow a decreasing set-point late and do
+// not notice the braking. Without this the wheel is braked to a standstill, driven too fast and braked again while the
+// command lasts.
 void Wheel::forget(float before, float wanted) {
   outdated_ticks_s_ -= filter_weight_ * outdated_ticks_s_;
   if (magnitude(wanted) < magnitude(before)) {
@@ -155,21 +157,21 @@ void Wheel::forget(float before, float wanted) {
   }
 }
 
-// As long as the filter still has the higher speed.
+// While the filter still has the higher speed.
 bool Wheel::is_to_slow_down(float dt_s) const {
   const float wanted_ticks_s = magnitude(set_point_.value());
   return magnitude(outdated_ticks_s_) > kOutdatedShare * wanted_ticks_s &&
          recent_.last_ticks() > kSlowerFactor * wanted_ticks_s * dt_s + kCountTicks;
 }
 
-// The window is late by a tenth of a second: the last turn ends the braking before the wheel stands.
+// The window lags by a tenth of a second. The last turn ends the braking before the wheel has stopped.
 bool Wheel::is_too_fast(float dt_s) const {
   const float allowed_ticks_s = kTooFastFactor * recent_request_.most() + kTooFastTicksS;
   return recent_.ticks() > allowed_ticks_s * recent_.seconds() + kCountTicks &&
          recent_.last_ticks() + kCountTicks > allowed_ticks_s * dt_s;
 }
 
-// The PWM of the motor, by the table of the class.
+// PWM of the motor, by the table of the class.
 float Wheel::regulate(float dt_s) {
   const float before = set_point_.value();
   const float wanted = set_point_.step(dt_s);
@@ -182,7 +184,7 @@ float Wheel::regulate(float dt_s) {
     pid_.reset();
     outdated_ticks_s_ = 0.0f;
     braked_turns_ = 0;
-    if (stands()) speed_ticks_s_ = 0.0f;  // the filter need not find out
+    if (stands()) speed_ticks_s_ = 0.0f;  // do not wait for the filter
     if (is_reversal) set_point_.begin_at_zero();
     if (is_reversal && stands()) direction_ = static_cast<int8_t>(-direction_);
     return 0.0f;
@@ -213,7 +215,7 @@ bool Wheel::is_stalled(bool has_edges, float dt_s) {
   return has_lasted(strained_s_, kStalledS) || has_lasted(blind_s_, kBlindS);
 }
 
-// A wheel that coasts or has a lower set-point slows down; one that is driven from outside does not.
+// A wheel that coasts or has a lower set-point slows down; a wheel that is driven from outside does not.
 bool Wheel::runs_away(float dt_s) {
   if (has_lasted(waited_s_, kRestS)) return true;
   const float requested = recent_request_.most();

@@ -13,8 +13,8 @@ namespace {
 const uint8_t kSync = 0xff;
 const uint8_t kVersion = 0xfe;
 const size_t kHeaderBytes = 5;           // sync, version, length, checksum of the length
-const size_t kNoiseBytes = 64;           // bytes that are no frame leave at this size without waiting for more
-const size_t kUnalignedBytesMax = 1024;  // noise at power-up is shorter: who sends more does not speak in frames
+const size_t kNoiseBytes = 64;           // bytes outside frames are sent at this size without waiting
+const size_t kUnalignedBytesMax = 1024;  // noise at power-up is shorter; more bytes are not rosserial
 
 size_t least(size_t a, size_t b) { return a < b ? a : b; }
 }  // namespace
@@ -140,7 +140,7 @@ void FrameAssembler::erase(size_t at, size_t count) {
   is_waiting_ = false;
 }
 
-// True as long as the bytes that are there agree with a header: five of them, or fewer at the end.
+// True while the present bytes agree with a header: five bytes, or fewer at the end.
 bool FrameAssembler::could_start_frame(size_t at) const {
   const uint8_t* header = bytes_ + at;
   const size_t count = size_bytes_ - at;

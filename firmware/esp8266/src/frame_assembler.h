@@ -1,6 +1,6 @@
-// Cuts a byte stream into pieces that may leave in one write: whole rosserial frames, or bytes that are none.
-// Owns the bytes between two ports and nothing else: no clock, no port. Order is kept, and no byte is lost or
-// added, except what restart(), drop_oldest() and the forget_ calls drop and count.
+// Cuts a byte stream into pieces that one write may send: whole rosserial frames, or bytes that are not frames.
+// Owns the bytes between two ports: no clock, no port. The order is kept, and no byte is lost or added, except those
+// that restart(), drop_oldest() and the forget_ functions drop and count.
 #pragma once
 
 #include <stddef.h>
@@ -8,22 +8,22 @@
 
 namespace hostlink {
 
-// How long bytes may wait for the rest of their frame.
+// How long bytes wait for the rest of their frame.
 struct Hold {
   uint32_t quiet_ms;    // since the last byte came
-  uint32_t longest_ms;  // since the frame began, however slowly its bytes drip in
+  uint32_t longest_ms;  // since the frame began, even if bytes still arrive slowly
 };
 
 class FrameAssembler {
  public:
   static const size_t kOverheadBytes = 8;
-  static const size_t kPayloadBytesMax = 1024;  // a header that claims more is not believed
+  static const size_t kPayloadBytesMax = 1024;  // a header that claims more is not a header
   static const size_t kFrameBytesMax = kPayloadBytesMax + kOverheadBytes;
   static const size_t kCapacityBytes = 2 * kFrameBytesMax;  // so a full buffer always has a whole piece
 
   explicit FrameAssembler(const Hold& hold) : hold_(hold) {}
 
-  // Forget everything; then swallow what comes up to the first frame header or a quiet period, whichever is first.
+  // Forget everything, then drop incoming bytes up to the first frame header or a quiet period, whichever is first.
   void restart(uint32_t now_ms);
 
   // Adds as many bytes as there is room for; returns how many.
@@ -31,21 +31,21 @@ class FrameAssembler {
   size_t room_bytes() const { return kCapacityBytes - size_bytes_; }
   size_t size_bytes() const { return size_bytes_; }
 
-  // How many bytes from head() on may leave now in one write of at most limit_bytes; frames are not cut.
+  // How many bytes from head() one write of at most limit_bytes may send now. Frames are not cut.
   size_t ready_bytes(size_t limit_bytes, uint32_t now_ms);
   const uint8_t* head() const { return bytes_; }
-  // The first count bytes have left. Cut inside a frame, its rest is ready at once.
+  // The first count bytes were sent. If they end inside a frame, its rest is ready at once.
   void take(size_t count);
 
-  // Whether a frame with this id begins within the first count bytes, which are ready.
+  // Whether a frame with this id begins within the first count bytes that are ready.
   bool has_frame(uint16_t topic_id, size_t count) const;
 
-  // Whether the last bytes that came are a whole frame: the next one begins a frame, or none.
+  // Whether the last received bytes are a whole frame, so that a new frame may begin here.
   bool ends_with_frame() const;
 
-  // Each forgets bytes and returns how many. What has begun to leave is never forgotten.
+  // Each function forgets bytes and returns how many. A piece that was partly sent is never forgotten.
   size_t drop_oldest();        // the oldest piece
-  size_t forget_incomplete();  // the frame at the end that has not come whole
+  size_t forget_incomplete();  // the incomplete frame at the end
   size_t forget_unstarted();   // all
 
   uint32_t swallowed_bytes() const { return swallowed_bytes_; }  // by restart(), since the start
@@ -68,13 +68,13 @@ class FrameAssembler {
   const Hold hold_;
   uint8_t bytes_[kCapacityBytes] = {};
   size_t size_bytes_ = 0;
-  size_t started_bytes_ = 0;  // rest of a frame of which the first part has left
-  size_t waiting_at_ = 0;     // where the piece that is waited for begins
+  size_t started_bytes_ = 0;  // rest of a frame whose first part was sent
+  size_t waiting_at_ = 0;     // where the incomplete piece begins
   uint32_t waiting_since_ms_ = 0;
   bool is_waiting_ = false;
   bool is_aligned_ = true;
   uint32_t last_put_ms_ = 0;
-  size_t unaligned_bytes_ = 0;  // swallowed since restart()
+  size_t unaligned_bytes_ = 0;  // dropped since restart()
   uint32_t swallowed_bytes_ = 0;
 };
 

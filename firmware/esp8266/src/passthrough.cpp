@@ -15,7 +15,7 @@ const size_t kTurnBytes = 256;  // the most that one turn reads from a port: 67 
 
 // A byte lasts 0.26 ms at 38400 baud: 20 ms of silence is an end, 270 ms the longest frame.
 const Hold kFromDeviceHold = {20, 500};
-// A lost TCP segment comes again after 200 ms and more; the device would give up on half a frame after 20 ms.
+// A lost TCP segment is sent again after 200 ms or more; the device would give up half a frame after 20 ms.
 const Hold kToDeviceHold = {500, 1000};
 
 size_t least(size_t a, size_t b) { return a < b ? a : b; }
@@ -95,7 +95,7 @@ void Passthrough::step_proving(uint32_t now_ms) {
 void Passthrough::step_connected(uint32_t now_ms) {
   const bool has_read = read_host(now_ms);
   if (!network_.is_joined()) return end_link(LinkEnd::kWifiLost, now_ms);
-  // What a host sent before it closed still counts: a stop, for one.
+  // Bytes that a host sent before it closed still count: they may be a stop.
   if (!has_read && to_device_.room_bytes() > 0 && !network_.is_connected())
     return end_link(LinkEnd::kPeerClosed, now_ms);
   read_device(now_ms);
@@ -133,7 +133,7 @@ void Passthrough::read_device(uint32_t now_ms) {
   if (count > 0) report_signal(now_ms);
 }
 
-// Where the device has just ended a frame, and there is room: nothing of the device's is dropped for it.
+// The device has just ended a frame, and there is room: no byte of the device is dropped for this line.
 void Passthrough::report_signal(uint32_t now_ms) {
   const bool has_room = from_device_.room_bytes() >= SignalReport::kFrameBytesMax + FrameAssembler::kFrameBytesMax;
   const int signal_dbm = network_.signal_dbm();
@@ -142,7 +142,7 @@ void Passthrough::report_signal(uint32_t now_ms) {
   from_device_.put(frame, signal_.write(signal_dbm, now_ms, frame), now_ms);
 }
 
-// False when the network has taken nothing for too long.
+// False when the network has not accepted bytes for too long.
 bool Passthrough::write_host(uint32_t now_ms) {
   const size_t waiting = from_device_.ready_bytes(FrameAssembler::kCapacityBytes, now_ms);
   const size_t count = waiting == 0 ? 0 : from_device_.ready_bytes(network_.room_bytes(), now_ms);
@@ -179,7 +179,7 @@ void Passthrough::retry_in(uint32_t delay_ms, uint32_t now_ms) {
   retry_after_ms_ = delay_ms;
 }
 
-// Read until the port is empty, but not without end: a port that refills itself is read again next turn.
+// Read until the port is empty, with a limit: a port that fills again is read in the next turn.
 void Passthrough::discard_from_device() {
   uint8_t bytes[kTurnBytes];
   for (size_t turn = 0; turn < 8; ++turn) {

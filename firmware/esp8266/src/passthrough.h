@@ -1,5 +1,5 @@
-// The bridge between the device's UART and the host's TCP port: decides when to connect, what may pass, when a link is
-// dead. Owns the two buffers and the state; the shell owns the ports and makes the connection on request.
+// The bridge between the device's UART and the host's TCP port: decides when to connect, what may pass, and when a link
+// is dead. Owns the two buffers and the state; the shell owns the ports and connects on request.
 #pragma once
 
 #include <stddef.h>
@@ -22,7 +22,7 @@ struct Counters {
   uint32_t from_device_bytes = 0;  // forwarded
   uint32_t to_device_bytes = 0;
   uint32_t from_device_dropped_bytes = 0;    // oldest frames, because the network did not accept them
-  uint32_t from_device_discarded_bytes = 0;  // came while no link was up, or was not sent when it ended
+  uint32_t from_device_discarded_bytes = 0;  // received without a link, or not sent when it ended
   uint32_t to_device_discarded_bytes = 0;    // was not delivered when a link ended
   uint32_t links = 0;
   uint32_t refused = 0;
@@ -54,7 +54,7 @@ class Passthrough {
 
   Passthrough(Uart& uart, Network& network, uint32_t seed);
 
-  // From the next connection on host and device prove that they share this key; an empty one: they do not.
+  // From the next connection on, host and device prove that they share this key; empty: no proof.
   void set_key(const char* key, uint32_t (*random)()) { proof_.set_key(key, random); }
 
   // Whether the shell should call Network::connect() now and report to connection_tried().

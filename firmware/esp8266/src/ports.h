@@ -19,7 +19,7 @@ class Uart {
 class Network {
  public:
   virtual bool is_joined() = 0;
-  virtual int signal_dbm() = 0;  // 0 or more: it is not known
+  virtual int signal_dbm() = 0;  // 0 or more: unknown
   virtual void rejoin() = 0;
   virtual bool connect() = 0;
   virtual bool is_connected() = 0;

@@ -39,7 +39,7 @@ size_t add_number(uint8_t* to, int number) {
 
 }  // namespace
 
-// dBm are negative: what is not is none.
+// A valid level in dBm is negative.
 bool SignalReport::is_due(int signal_dbm, uint32_t now_ms) const {
   if (signal_dbm >= 0 || signal_dbm < kLeast_dbm) return false;
   const uint32_t passed_ms = now_ms - reported_at_ms_;

@@ -1,6 +1,6 @@
-// SignalReport: how strong the WiFi is, as a line of the device's log: a whole rosserial frame of the passthrough's
-// own, put directly behind a whole frame of the device. So it cuts no frame, and a device that does not speak rosserial
-// never gets one.
+// SignalReport: the strength of the WiFi as a line of the device's log: a whole rosserial frame of the passthrough
+// itself, inserted directly after a whole frame of the device. So it cuts no frame, and a device that does not speak
+// rosserial gets none.
 #pragma once
 
 #include <stddef.h>
@@ -10,7 +10,7 @@ namespace hostlink {
 
 class SignalReport {
  public:
-  static const uint32_t kSoonest_ms = 10000;  // when it has changed
+  static const uint32_t kSoonest_ms = 10000;  // after a change
   static const uint32_t kLatest_ms = 60000;
   static const int kChange_dbm = 5;
   static const size_t kFrameBytesMax = 40;
@@ -25,7 +25,7 @@ class SignalReport {
   uint32_t reported_at_ms_ = 0;
   int reported_dbm_ = 0;
   bool has_reported_ = false;
-  bool was_weak_ = false;  // one warning, when it becomes so
+  bool was_weak_ = false;  // one warning when the signal becomes weak
 };
 
 }  // namespace hostlink

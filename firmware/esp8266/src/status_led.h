@@ -1,4 +1,4 @@
-// What the board's LED shows: fast blinking without WiFi, slow blinking without host, lit with a link.
+// States of the board's LED: fast blinking without WiFi, slow blinking without a host, lit with a link.
 #pragma once
 
 #include <stdint.h>

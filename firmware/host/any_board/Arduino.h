@@ -38,7 +38,7 @@ class Print {
  public:
   virtual size_t write(uint8_t byte) = 0;
   virtual size_t write(const uint8_t* bytes, size_t size) = 0;
-  virtual int availableForWrite() { return 0; }  // as the cores have it: who knows no more waits
+  virtual int availableForWrite() { return 0; }  // like the cores: without information, wait
 
  protected:
   ~Print() {}

@@ -1,4 +1,4 @@
-// Stand-in: no update ever comes.
+// Stand-in: never receives an update.
 #pragma once
 
 #include <functional>

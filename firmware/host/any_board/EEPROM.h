@@ -20,7 +20,7 @@ class EEPROMClass {
   }
   uint8_t read(int at) { return bytes_[at]; }
   void write(int at, uint8_t value) { bytes_[at] = value; }
-  bool commit() { return true; }  // nothing of it stays
+  bool commit() { return true; }  // not stored
   size_t length() { return size_; }
 
  private:

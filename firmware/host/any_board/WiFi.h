@@ -1,4 +1,4 @@
-// Stand-in for the WiFi of an ESP8266 or ESP32: it is joined a tenth of a second after begin().
+// Stand-in for the WiFi of an ESP8266 or ESP32: joined a tenth of a second after begin().
 #pragma once
 
 #include "Arduino.h"
@@ -27,7 +27,7 @@ class WiFiClass {
 
 extern WiFiClass WiFi;
 
-// Connects to the host of the process's arguments, whatever it is given.
+// Connects to the host of the process's arguments, and ignores its own.
 class WiFiClient : public Stream {
  public:
   void setTimeout(unsigned long) {}

@@ -5,9 +5,9 @@
 // Serial and the network are connections to the host; with SERIAL_PORT, Serial is one to that port, where another
 // board may be.
 //
-// It writes a line for each change of an output: "digital PIN LEVEL", "analog PIN DUTY", "servo PIN DEGREES". Lines of
-// its input set what the sketch reads: "digital PIN LEVEL" (with its interrupt), "analog PIN VALUE", "pulse PIN
-// MICROSECONDS", "register N VALUE".
+// The program writes a line for each change of an output: "digital PIN LEVEL", "analog PIN DUTY", "servo PIN DEGREES".
+// Lines of its input set what the sketch reads: "digital PIN LEVEL" (with its interrupt), "analog PIN VALUE", "pulse
+// PIN MICROSECONDS", "register N VALUE".
 #include <fcntl.h>
 #include <poll.h>
 #include <stdio.h>

@@ -1,4 +1,4 @@
-// A TCP connection as a core's client has it; never waits, but for connect().
+// A TCP connection like the client of a core. Only connect() waits.
 #pragma once
 
 #include <stddef.h>

@@ -1,4 +1,4 @@
-// Stand-in for the ESP8266 Arduino core: the part of it that the sketch uses, with the core's names and types.
+// Stand-in for the ESP8266 Arduino core: the part that the sketch uses, with the core's names and types.
 #pragma once
 
 #include <cstddef>
@@ -26,8 +26,8 @@ class HardwareSerial {
   int available();
   int availableForWrite();
   int read();
-  size_t readBytes(uint8_t* buffer, size_t length);  // waits for them, like the core's
-  size_t write(const uint8_t* buffer, size_t size);  // waits for the wire, like the core's
+  size_t readBytes(uint8_t* buffer, size_t length);  // blocks until they arrive, like the core's
+  size_t write(const uint8_t* buffer, size_t size);  // blocks until the wire is free, like the core's
 
  private:
   bool has_begun_ = false;

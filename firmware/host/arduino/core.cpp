@@ -1,4 +1,4 @@
-// Arduino.h and ESP8266WiFi.h on the emulated machine. Where the real core blocks, this blocks as long.
+// Arduino.h and ESP8266WiFi.h on the emulated machine. Each call blocks as long as in the real core.
 #include <fcntl.h>
 #include <netdb.h>
 #include <netinet/in.h>

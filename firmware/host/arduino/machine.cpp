@@ -15,9 +15,9 @@
 namespace standin {
 
 namespace {
-constexpr int64_t kTurn_us = 1000;  // the longest rest of a loop that has nothing to do
+constexpr int64_t kTurn_us = 1000;  // the longest rest of an idle loop
 constexpr int kWatchdogTicks =
-    4;  // of 250 ms of processor time: waiting for a late scheduler is not the sketch's fault
+    4;  // of 250 ms of processor time, so that a late scheduler is not counted against the sketch
 std::atomic<int> ticks_since_yield{0};
 volatile std::sig_atomic_t wifi_signal = 0;
 volatile std::sig_atomic_t end_signal = 0;

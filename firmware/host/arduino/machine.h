@@ -1,5 +1,5 @@
-// The ESP8266 as its sketch knows it: time, a paced UART, a radio, a watchdog. One thread: the hardware catches
-// up whenever the sketch calls into the core, and the sketch sleeps only where the real core lets the SDK run.
+// The ESP8266 from the view of its sketch: time, a paced UART, a radio, a watchdog. One thread: the hardware catches
+// up when the sketch calls into the core, and the sketch sleeps only where the real core lets the SDK run.
 #pragma once
 
 #include <cstdint>
@@ -19,7 +19,7 @@ struct Options {
   unsigned boot_noise_bytes = 0;  // the ROM's messages at another baud rate
   bool is_uart_paced = true;
   bool is_uart_swapped = false;
-  bool waits_for_device = false;  // power comes when the other end of the UART is there
+  bool waits_for_device = false;  // the power is on when the other end of the UART is connected
   RadioOptions radio;
 };
 
@@ -27,7 +27,7 @@ class Machine {
  public:
   void power_up(const Options& options);
   int64_t now_us() const;
-  // What the core does in yield() and delay(): feed the watchdog, let the hardware run, rest until something happens.
+  // Work of the core in yield() and delay(): feed the watchdog, let the hardware run, rest until an event.
   void rest(int64_t limit_us);
   void delay(int64_t duration_us);
   void advance();
@@ -47,7 +47,7 @@ class Machine {
   int64_t started_us_ = 0;
   std::string typed_;
   bool has_stdin_ = true;
-  int64_t answer_at_us_ = 0;  // 0: no command waits for its answer
+  int64_t answer_at_us_ = 0;  // 0: no command is pending
 };
 
 Machine& machine();

@@ -41,7 +41,7 @@ void Connection::receive() {
       continue;
     }
     if (count < 0 && (errno == EAGAIN || errno == EINTR)) return;
-    is_open_ = false;                  // as the core does: closed while bytes of the peer still wait
+    is_open_ = false;                  // like the core: closed while bytes of the peer are unread
     if (count < 0) received_.clear();  // a reset discards them
   }
 }

@@ -1,5 +1,5 @@
-// The WiFi side: joining is slow, connections go silent instead of ending when the air is gone, and a peer does not
-// notice a close that was made in silence.
+// The WiFi side: joining is slow, connections become silent instead of ending when the radio is off, and a peer does
+// not notice a close during that time.
 #pragma once
 
 #include <cstdint>
@@ -11,7 +11,7 @@ namespace standin {
 
 struct RadioOptions {
   unsigned join_ms = 100;
-  int signal_dbm = 31;       // as the core has it where there is none
+  int signal_dbm = 31;       // the core's value for no address
   unsigned connect_ms = 20;  // the least duration of a connect()
   size_t send_buffer_bytes = 2920;
   size_t write_limit_bytes = 0;  // the most that one write() accepts; 0: what fits the send buffer
@@ -29,7 +29,7 @@ class Connection {
 
   void advance(int64_t now_us, bool has_air);
   size_t send_room() const;
-  size_t queue(const uint8_t* bytes, size_t count);  // adds what there is room for
+  size_t queue(const uint8_t* bytes, size_t count);  // adds as many as there is room for
   size_t available() const { return received_.size(); }
   size_t read(uint8_t* bytes, size_t limit_bytes);
   bool is_open() const { return is_open_; }
@@ -68,7 +68,7 @@ class Radio {
   std::vector<int> fds(int64_t now_us) const;
 
   std::shared_ptr<Connection> adopt(int fd);
-  void bury(int fd) { ghosts_.push_back(fd); }  // closed in silence: the peer goes on believing in it
+  void bury(int fd) { ghosts_.push_back(fd); }  // closed while silent: the peer still considers it open
 
   size_t closed_in_silence() const { return ghosts_.size(); }
 

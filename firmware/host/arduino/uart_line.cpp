@@ -67,7 +67,7 @@ void UartLine::open_pty() {
   termios raw{};
   tcgetattr(other, &raw);
   cfmakeraw(&raw);
-  tcsetattr(other, TCSANOW, &raw);  // `other` stays open: the line outlives who uses it
+  tcsetattr(other, TCSANOW, &raw);  // `other` stays open: the line outlives its users
   fcntl(fd_, F_SETFL, O_NONBLOCK);
   is_pty_ = true;
   std::printf("{\"event\": \"uart.listening\", \"pty\": \"%s\"}\n", name);
@@ -80,7 +80,7 @@ void UartLine::add_noise(unsigned bytes) {
   for (unsigned i = 0; i < bytes; ++i) {
     random = random * 1664525u + 1013904223u;
     const auto byte = static_cast<uint8_t>(random >> 24);
-    transmitting_.push_back(i % 16 == 7 ? 0xff : byte);  // a false start of a frame now and then
+    transmitting_.push_back(i % 16 == 7 ? 0xff : byte);  // sometimes a false start of a frame
   }
 }
 
@@ -90,7 +90,7 @@ void UartLine::advance(int64_t now_us) {
   send(now_us);
 }
 
-// Whoever calls last is the device: it may have been restarted.
+// The last caller is the device: it may have restarted.
 void UartLine::find_peer(int64_t now_us) {
   int found = -1;
   if (listener_ >= 0) {

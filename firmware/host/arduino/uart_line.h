@@ -1,4 +1,4 @@
-// A UART and the wire behind it: 10 bits a byte, a 128-byte transmit FIFO, a receive ring that loses what does not fit.
+// A UART and its wire: 10 bits a byte, a 128-byte transmit FIFO, a receive ring that loses bytes when it is full.
 #pragma once
 
 #include <algorithm>
@@ -21,7 +21,7 @@ class UartLine {
   void advance(int64_t now_us);
   void add_noise(unsigned bytes);
 
-  // When the next byte is due, for the sleeper; fds() are what it waits for besides.
+  // When the next byte is due, for the sleep of the machine; fds() are the other events.
   int64_t next_event_us(int64_t now_us) const;
   std::vector<int> fds() const;
 
@@ -33,10 +33,10 @@ class UartLine {
   uint64_t received_bytes = 0;
   uint64_t overflowed_bytes = 0;
   uint64_t transmitted_bytes = 0;
-  uint64_t lost_bytes = 0;  // sent while nobody was at the other end
+  uint64_t lost_bytes = 0;  // sent while the other end was not connected
 
  private:
-  // Bytes pass one by one; a busy wire does not fall behind when this process is scheduled late.
+  // Bytes pass one by one; a busy wire keeps its rate when this process is scheduled late.
   struct Lane {
     int64_t next_us = 0;
     bool is_busy = false;
@@ -54,7 +54,7 @@ class UartLine {
 
   std::deque<uint8_t> received_;
   std::deque<uint8_t> transmitting_;
-  std::vector<uint8_t> arriving_;  // read from the socket, not yet over the wire
+  std::vector<uint8_t> arriving_;  // read from the socket, not yet on the wire
   size_t arrived_ = 0;
   Lane receive_lane_;
   Lane send_lane_;

@@ -1,9 +1,9 @@
-// An emulated Uno (simavr), whose UART is a connection to the host: the image of a sketch, with Arduino's core, as it
-// is flashed.
+// An emulated Uno (simavr) whose UART is a connection to the host: runs the image of a sketch with Arduino's core, as
+// it is flashed.
 //
 //   uno IMAGE HOST PORT
 //
-// It writes a line for each change of the LED: "digital 13 LEVEL". It runs as fast as the real one, or slower.
+// The program writes a line for each change of the LED: "digital 13 LEVEL". It runs as fast as a real Uno, or slower.
 #include <stdio.h>
 #include <stdlib.h>
 #include <time.h>

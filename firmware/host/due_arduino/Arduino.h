@@ -1,4 +1,4 @@
-// As much of the Due's Arduino core as src/board/ uses, on a board without hardware: pins.h is its other side.
+// The part of the Due's Arduino core that src/board/ uses, on a board without hardware; pins.h is the test's side.
 #pragma once
 
 #include <stddef.h>
@@ -12,7 +12,7 @@
 
 const uint8_t A2 = 56;
 
-struct Rstc {  // why the processor started, as the SAM3X tells it
+struct Rstc {  // why the processor started, as the SAM3X reports it
   uint32_t RSTC_SR;
 };
 extern Rstc the_reset_controller;

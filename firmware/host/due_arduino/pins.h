@@ -1,4 +1,4 @@
-// Pins: what the Due's program has done to its pins, and what comes to it, for the tests of src/board/.
+// Pins: record of what the Due's program wrote to its pins, and source of its inputs, for the tests of src/board/.
 #pragma once
 
 #include <stdint.h>
@@ -28,10 +28,10 @@ struct Pins {
   std::string to_host;
   uint32_t watchdog_ms = kWatchdogAtResetMs;
   uint64_t watchdog_fed_at_us = 0;
-  uint32_t restarts = 0;  // that the watchdog would have made
+  uint32_t restarts = 0;  // that the watchdog would have caused
 };
 
 Pins& pins();
-void power_up();  // as after a reset: everything anew, the program's static memory excepted
+void power_up();  // as after a reset, except the program's static memory
 
 }  // namespace due_pins

@@ -1,5 +1,5 @@
 // Stand-in for Arduino.h of an ESP8266 (with ESP8266 defined) or an ESP32 (with ESP32): names and types of their cores,
-// without their code. To compile, not to run.
+// without their code. For compiling only.
 #pragma once
 
 #include "../any_board/Arduino.h"

@@ -6,7 +6,7 @@ class ArduinoOTAClass {
   void setHostname(const char* name);
   void setPassword(const char* password);
   template <class F>
-  void onStart(F) {}  // the cores take a std::function, which the compiler of the chips has not here
+  void onStart(F) {}  // the cores take a std::function, which the compiler of the chips does not have here
   void begin();
   void handle();
 };

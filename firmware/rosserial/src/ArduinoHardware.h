@@ -1,4 +1,4 @@
-// What ros::NodeHandle runs on, by ros_lib's names for header and class; ros.h has the choices.
+// Hardware of ros::NodeHandle, with ros_lib's names for header and class; ros.h has the choices.
 #pragma once
 
 #if !defined(ROSSERIAL_ARDUINO_TCP)

@@ -1,7 +1,7 @@
-// rosserial for any board: what a sketch includes. The API reads like ros_lib's; README.md has the differences.
+// rosserial for any board: the header that a sketch includes. The API reads like ros_lib's; README.md has differences.
 //
 // On an Arduino core `ros::NodeHandle` is a node on Serial. With ROSSERIAL_ARDUINO_TCP defined before, as in ros_lib,
-// it is one on TCP: WiFi on an ESP8266 or ESP32, else an Ethernet shield.
+// it is one on TCP: WiFi on an ESP8266 or ESP32, otherwise an Ethernet shield.
 #pragma once
 
 #include "ros/node_handle.h"

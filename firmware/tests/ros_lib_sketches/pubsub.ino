@@ -1,4 +1,4 @@
-// Both.
+// A publisher and a subscriber.
 #include <ros.h>
 #include <std_msgs/Empty.h>
 #include <std_msgs/String.h>

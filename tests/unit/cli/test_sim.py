@@ -21,7 +21,7 @@ from hostlink.errors import ConfigError
         (None, "No such file or directory"),
     ],
 )
-def test_a_world_that_is_none_is_refused_with_its_line(tmp_path: Path, content: bytes | None, reason: str) -> None:
+def test_invalid_world_is_refused_with_its_line(tmp_path: Path, content: bytes | None, reason: str) -> None:
     file = tmp_path / "world.txt"
     if content is not None:
         file.write_bytes(content)

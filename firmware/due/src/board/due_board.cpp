@@ -31,14 +31,14 @@ const uint32_t kResetByWatchdog = 2;  // SAM3X, RSTTYP
 const uint32_t kFullCounts = 1023;
 const float kReferenceV = 5.0f;
 #endif
-const uint32_t kLeastPulseUs = 500;  // at 280 ticks/s an edge comes each 1.8 ms; what is faster is a bouncing sensor
+const uint32_t kLeastPulseUs = 500;  // at 280 ticks/s an edge arrives every 1.8 ms; faster edges are a bouncing sensor
 const uint32_t kQuietMs = 2000;      // after power-up: the ESP8266 prints its boot message at another baud rate
-const uint32_t kWatchdogMs = 500;    // the loop has not turned for this time: the board starts again, motors off
+const uint32_t kWatchdogMs = 500;    // the board restarts with its motors off when the loop has not run for this time
 
-struct Encoder {  // written by its interrupt
+struct Encoder {  // written by the interrupt
   volatile uint32_t edges;
   volatile uint32_t edge_us;
-  volatile int level;  // after the last edge: a bounce that ends where it began is none
+  volatile int level;  // after the last edge: a bounce that ends at its starting level is not an edge
 };
 
 Encoder left_encoder = {0, 0, LOW};
@@ -64,8 +64,8 @@ void write_duty(const MotorPins& pins, int16_t duty) {
 #endif
 }
 
-// In an order that never drives harder than before or after: the full duty of a brake comes after BRAKE, and goes
-// before it.
+// Write the pins in an order that never drives harder than before or after: the full duty of a brake is written after
+// BRAKE is set, and is removed before BRAKE is cleared.
 void drive_motor(const MotorPins& pins, int16_t pwm) {
   const MotorLevels levels = motor_levels(pwm, pins.is_reversed);
   if (levels.brake) {
@@ -134,7 +134,7 @@ void DueBoard::drive(int16_t left_pwm, int16_t right_pwm) {
 }
 
 void DueBoard::edges(uint32_t& left, uint32_t& right) {
-  noInterrupts();  // both of one moment
+  noInterrupts();  // both values from one moment
   left = left_encoder.edges;
   right = right_encoder.edges;
   interrupts();
@@ -156,7 +156,7 @@ bool DueBoard::was_hung() {
 }  // namespace hostlink
 
 #if defined(ARDUINO_ARCH_SAM)
-// The core turns the watchdog off at the start unless the sketch has this function, and its register can be written
-// once. So it stays as a reset leaves it, at 16 s, until loop() turns: setup() may take its time.
+// The core turns the watchdog off at the start unless the sketch defines this function, and its register can be
+// written once. So the watchdog keeps its reset value, 16 s, until loop() runs: setup() may take its time.
 void watchdogSetup() {}
 #endif

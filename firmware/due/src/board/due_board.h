@@ -1,4 +1,4 @@
-// The Arduino Due with its motor shield, encoders and Serial1; with due_board.cpp the only file that includes
+// The Arduino Due with its motor shield, encoders and Serial1. Only this file and due_board.cpp include
 // Arduino.h.
 #pragma once
 

@@ -34,13 +34,13 @@ size_t SerialUart::read(uint8_t* bytes, size_t limit_bytes) {
 size_t SerialUart::room_bytes() { return least(Serial.availableForWrite(), SIZE_MAX); }
 
 size_t SerialUart::write(const uint8_t* bytes, size_t count) {
-  return Serial.write(bytes, least(Serial.availableForWrite(), count));  // more would wait for the wire
+  return Serial.write(bytes, least(Serial.availableForWrite(), count));  // more would block until the wire is free
 }
 
 void WifiNetwork::begin(const hostlink::Settings& settings) {
   server_ = settings.server;
   server_port_ = settings.server_port;
-  WiFi.persistent(false);  // no wear of the flash at each start
+  WiFi.persistent(false);  // avoid wear of the flash at each start
   WiFi.mode(WIFI_STA);
   WiFi.setSleepMode(WIFI_NONE_SLEEP);  // modem sleep adds 100 to 300 ms
   WiFi.setAutoReconnect(true);
@@ -50,14 +50,14 @@ void WifiNetwork::begin(const hostlink::Settings& settings) {
 
 bool WifiNetwork::is_joined() { return WiFi.status() == WL_CONNECTED; }
 
-int WifiNetwork::signal_dbm() { return WiFi.RSSI(); }  // 31 where there is none
+int WifiNetwork::signal_dbm() { return WiFi.RSSI(); }  // 31 where there is no signal
 
 void WifiNetwork::rejoin() { WiFi.reconnect(); }
 
 bool WifiNetwork::connect() {
   client_.setTimeout(kConnectLimit_ms);
   if (client_.connect(server_, server_port_) != 1) return false;
-  client_.setNoDelay(true);  // each connection starts with Nagle on
+  client_.setNoDelay(true);  // each connection starts with Nagle's algorithm on
   client_.keepAlive(kKeepAliveIdle_s, kKeepAliveInterval_s, kKeepAliveProbes);
   return true;
 }
@@ -65,7 +65,7 @@ bool WifiNetwork::connect() {
 bool WifiNetwork::is_connected() { return client_.connected() != 0; }
 
 size_t WifiNetwork::read(uint8_t* bytes, size_t limit_bytes) {
-  // Check first: read() of a client that was never connected is not safe in every version of the core.
+  // Check first: read() of a client that was never connected is unsafe in some versions of the core.
   const size_t count = least(client_.available(), limit_bytes);
   if (count == 0) return 0;
   const int got = client_.read(bytes, count);
@@ -75,7 +75,7 @@ size_t WifiNetwork::read(uint8_t* bytes, size_t limit_bytes) {
 size_t WifiNetwork::room_bytes() { return least(static_cast<int>(client_.availableForWrite()), SIZE_MAX); }
 
 size_t WifiNetwork::write(const uint8_t* bytes, size_t count) {
-  const size_t room = room_bytes();  // more would wait for the peer
+  const size_t room = room_bytes();  // more would block until the peer reads
   return client_.write(bytes, count < room ? count : room);
 }
 
@@ -101,6 +101,6 @@ uint32_t random_seed() { return ESP.random(); }
 
 void begin_led() { pinMode(LED_BUILTIN, OUTPUT); }
 
-void set_led(bool is_lit) { digitalWrite(LED_BUILTIN, is_lit ? LOW : HIGH); }  // the LED hangs on the supply
+void set_led(bool is_lit) { digitalWrite(LED_BUILTIN, is_lit ? LOW : HIGH); }  // LOW lights the LED
 
 }  // namespace board

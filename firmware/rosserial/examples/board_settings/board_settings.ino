@@ -1,6 +1,6 @@
 // "chatter" over WiFi, from an ESP8266 or an ESP32 that is flashed once: network, host, name and key are in its flash.
 // `hostlink board setup /dev/ttyUSB0` sets them over its serial port, `hostlink board info /dev/ttyUSB0` shows them.
-// With a password for updates, the next sketch comes over the air.
+// With a password for updates, the next sketch arrives over the air.
 #include <ArduinoOTA.h>
 #include <EEPROM.h>
 #include <hostlink/keyed.h>
@@ -26,7 +26,7 @@ hostlink::WifiStation wifi;
 ros::NodeHandle_<hostlink::Keyed<hostlink::WifiHardware>> nh;
 std_msgs::String text;
 ros::Publisher chatter("chatter", &text);
-hostlink::Updates<ArduinoOTAClass> updates(ArduinoOTA);  // of a robot: updates(ArduinoOTA, watchdog)
+hostlink::Updates<ArduinoOTAClass> updates(ArduinoOTA);  // for a robot: updates(ArduinoOTA, watchdog)
 unsigned long published_at = 0;
 
 void setup() {

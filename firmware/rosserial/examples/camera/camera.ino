@@ -1,9 +1,10 @@
-// A picture that is larger than the node's buffer, as of an ESP32-CAM: publish() refuses it with -1, and the board goes
-// on. A whole one needs a node with room for it, OUTPUT_SIZE below: 64 KB at most, which rosserial's frames allow.
+// A picture that is larger than the node's buffer, like one of an ESP32-CAM: publish() refuses it with -1, and the
+// board continues. A whole picture needs a node with room for it, OUTPUT_SIZE below: at most 64 KB, the limit of
+// rosserial.
 #include <ros.h>
 #include <sensor_msgs/CompressedImage.h>
 
-uint8_t picture[4096];  // of the camera's driver
+uint8_t picture[4096];  // from the camera's driver
 
 ros::NodeHandle_<ArduinoHardware, 25, 25, 128, 2048> nh;
 sensor_msgs::CompressedImage image;

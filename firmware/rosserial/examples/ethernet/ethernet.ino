@@ -1,4 +1,4 @@
-// "chatter" over an Ethernet shield: the board connects again by itself.
+// "chatter" over an Ethernet shield: the board reconnects by itself.
 #include <Ethernet.h>
 #include <hostlink/ethernet.h>
 #include <ros.h>

@@ -5,7 +5,7 @@
 #include <sensor_msgs/Imu.h>
 
 const uint8_t kAddress = 0x68, kPower = 0x6B, kFirst = 0x3B;
-const float kMetresS2 = 9.80665f / 16384.0f;            // of a count, +-2 g
+const float kMetresS2 = 9.80665f / 16384.0f;            // m/s2 of one count at +-2 g
 const float kRadiansS = 3.14159265f / 180.0f / 131.0f;  // +-250 degrees/s
 const unsigned long kPeriodMs = 20;
 
@@ -40,13 +40,13 @@ void setup() {
   Wire.begin();
   Wire.beginTransmission(kAddress);
   Wire.write(kPower);
-  Wire.write(static_cast<uint8_t>(0));  // awake
+  Wire.write(static_cast<uint8_t>(0));  // wake the sensor
   Wire.endTransmission();
   nh.initNode();
   nh.advertise(publisher);
   diagnostics.init(nh);
   imu.header.frame_id = "imu";
-  imu.orientation_covariance[0] = -1;  // nothing measures it
+  imu.orientation_covariance[0] = -1;  // not measured
 }
 
 void loop() {

@@ -5,7 +5,7 @@
 
 const uint8_t kPin = A0;
 const float kVoltsPerCount = 5.0f / 1023.0f;
-const float kVoltMetres = 0.25f;  // distance times voltage, of its data sheet between 0.1 and 0.8 m
+const float kVoltMetres = 0.25f;  // distance times voltage, from its data sheet between 0.1 and 0.8 m
 const unsigned long kPeriodMs = 50;
 
 ros::NodeHandle nh;
@@ -28,7 +28,7 @@ void loop() {
   if (millis() - measured_at < kPeriodMs) return;
   measured_at = millis();
   const float metres = kVoltMetres / (static_cast<float>(analogRead(kPin)) * kVoltsPerCount + 0.001f);
-  range.range = metres > range.max_range ? INFINITY : metres;  // nothing is near
+  range.range = metres > range.max_range ? INFINITY : metres;  // no object in range
   range.header.stamp = nh.now();
   publisher.publish(&range);
 }

@@ -1,5 +1,5 @@
 // cmd_vel to two motors on a TB6612 (AIN1, AIN2, PWMA; STBY on pin 4), with a watchdog: they stop half a second after
-// the last command, and at once when the host is gone.
+// the last command, and at once when the connection to the host is lost.
 #include <geometry_msgs/Twist.h>
 #include <hostlink/command_watchdog.h>
 #include <ros.h>
@@ -40,7 +40,7 @@ hostlink::CommandWatchdog watchdog([]() {
 
 int duty_of(float speed_m_s) {
   const float duty = speed_m_s / kTopSpeedMS * 255.0f;
-  if (!(duty > -255.0f)) return duty != duty ? 0 : -255;  // what is no number stands
+  if (!(duty > -255.0f)) return duty != duty ? 0 : -255;  // NaN stops the motor
   return duty > 255.0f ? 255 : static_cast<int>(duty);
 }
 

@@ -21,7 +21,7 @@ volatile long right_edges = 0;
 void IRAM_ATTR count_left() { left_edges = left_edges + (digitalRead(kLeftA) == digitalRead(kLeftB) ? -1 : 1); }
 void IRAM_ATTR count_right() { right_edges = right_edges + (digitalRead(kRightA) == digitalRead(kRightB) ? -1 : 1); }
 
-// A covariance of 36 numbers each makes it 724 bytes: more than an Uno has room for.
+// The two covariances of 36 numbers make it 724 bytes: too large for an Uno.
 typedef ros::NodeHandle_<ArduinoHardware, 25, 25, 128, 768, 1024> OdometryNode;
 OdometryNode nh;
 nav_msgs::Odometry odometry;
@@ -34,7 +34,7 @@ long last_left = 0, last_right = 0;
 unsigned long measured_at = 0;
 
 void measure(float dt_s) {
-  noInterrupts();  // both of one moment
+  noInterrupts();  // both counts from one moment
   const long left = left_edges;
   const long right = right_edges;
   interrupts();

@@ -1,11 +1,12 @@
-// Parameters with defaults: requested at each request for topics, without waiting; [parameters] of its configuration.
+// Parameters with defaults: requested at each request for topics, without waiting. The host's configuration sets them
+// in
 #include <ros.h>
 #include <ros/parameter.h>
 #include <std_msgs/String.h>
 
 ros::NodeHandle nh;
 ros::Parameters parameters;
-ros::Parameter<int> blink_ms("/blink_ms", 500, 20, 10000);  // what is out of range is refused
+ros::Parameter<int> blink_ms("/blink_ms", 500, 20, 10000);  // a value out of range is refused
 ros::TextParameter<32> text("/text", "hello");
 std_msgs::String message;
 ros::Publisher chatter("chatter", &message);

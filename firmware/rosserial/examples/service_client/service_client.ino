@@ -1,4 +1,4 @@
-// Calls std_srvs/Trigger on "trigger" each second, and never waits for it: a call without an answer ends after half a
+// Calls std_srvs/Trigger on "trigger" each second without waiting: a call without an answer ends after half a
 // second.
 #include <ros.h>
 #include <std_msgs/String.h>

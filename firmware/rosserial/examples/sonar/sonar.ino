@@ -3,7 +3,7 @@
 #include <sensor_msgs/Range.h>
 
 const uint8_t kTrigger = 7, kEcho = 8;
-const float kMetresPerMicrosecond = 343.0f / 2.0f / 1e6f;  // there and back
+const float kMetresPerMicrosecond = 343.0f / 2.0f / 1e6f;  // to the object and back
 const unsigned long kPeriodMs = 100;
 const unsigned long kTimeoutUs = 25000;  // four metres
 
@@ -32,7 +32,7 @@ void loop() {
   delayMicroseconds(10);
   digitalWrite(kTrigger, LOW);
   const unsigned long echo_us = pulseIn(kEcho, HIGH, kTimeoutUs);
-  range.range = echo_us == 0 ? INFINITY : static_cast<float>(echo_us) * kMetresPerMicrosecond;  // 0: nothing is near
+  range.range = echo_us == 0 ? INFINITY : static_cast<float>(echo_us) * kMetresPerMicrosecond;  // 0: no object in range
   range.header.stamp = nh.now();
   publisher.publish(&range);
 }

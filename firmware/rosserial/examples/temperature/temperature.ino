@@ -4,7 +4,7 @@
 #include <sensor_msgs/Temperature.h>
 
 const uint8_t kAddress = 0x48;
-const double kDegreesC = 0.0625;  // of a count; 12 bits, the first ones of two bytes
+const double kDegreesC = 0.0625;  // degrees of one count; 12 bits, the first ones of two bytes
 const unsigned long kPeriodMs = 1000;
 
 ros::NodeHandle nh;

@@ -1,4 +1,4 @@
-// Where a sensor sits on the robot, from "base_link" to "camera", on /tf ten times a second.
+// The place of a sensor on the robot, from "base_link" to "camera", on /tf ten times a second.
 #include <ros.h>
 #include <tf/tf.h>
 #include <tf/transform_broadcaster.h>

@@ -1,5 +1,5 @@
-// "chatter" in datagrams over WiFi: [udp] in the host's configuration. What is lost is lost: for sensors, not for
-// commands.
+// "chatter" in datagrams over WiFi: [udp] in the host's configuration. Lost datagrams are not sent again: use UDP for
+// sensors, not for commands.
 #include <WiFiUdp.h>
 #include <hostlink/udp_hardware.h>
 #include <hostlink/wifi.h>

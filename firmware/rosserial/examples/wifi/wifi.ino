@@ -1,4 +1,4 @@
-// "chatter" over WiFi, from an ESP8266 or an ESP32: the board joins and connects again by itself. With a key, the same
+// "chatter" over WiFi, from an ESP8266 or an ESP32: the board joins and reconnects by itself. With a key, the same
 // as in the host's tcp.key_file, host and board prove it to each other at each connection.
 #include <hostlink/keyed.h>
 #include <hostlink/wifi.h>
@@ -8,7 +8,7 @@
 const char kWifiName[] = "workshop";
 const char kWifiPassword[] = "secret";
 const char kHost[] = "192.168.0.10";
-const char kKey[] = "";  // empty: none is wanted
+const char kKey[] = "";  // empty: no key
 
 #if defined(ESP32)
 uint32_t random_bits() { return esp_random(); }

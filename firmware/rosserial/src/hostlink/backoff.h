@@ -1,5 +1,5 @@
-// How long to wait before the next attempt: doubles up to a limit, with jitter, so that a fleet does not come back in
-// step.
+// Delay before the next attempt: doubles up to a limit, with jitter, so that the boards of a fleet do not reconnect at
+// the same moment.
 #pragma once
 
 #include <stdint.h>
@@ -14,10 +14,10 @@ class Backoff {
   explicit Backoff(uint32_t seed) : random_(seed | 1u) {}
 
   void reset() { next_ms_ = kFirst_ms; }
-  // Something that differs from board to board, as the microseconds of an event of the network.
+  // A number that differs from board to board, for example the microseconds of a network event.
   void stir(uint32_t bits) { random_ = (random_ ^ bits) | 1u; }
 
-  // Between the half and the whole of the step.
+  // Between half of the step and the whole step.
   uint32_t next_ms() {
     const uint32_t step_ms = next_ms_;
     next_ms_ = step_ms * 2 < kLongest_ms ? step_ms * 2 : static_cast<uint32_t>(kLongest_ms);

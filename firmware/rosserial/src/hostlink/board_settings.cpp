@@ -20,7 +20,7 @@ void write_u32(uint8_t* bytes, uint32_t value) {
 
 bool is_printable(uint8_t byte) { return byte > ' ' && byte != 0x7F; }
 
-// 1 to 65535, in digits; 0: it is none.
+// 1 to 65535, in digits; 0: not a port.
 uint16_t read_port(const uint8_t* text, size_t size) {
   uint32_t port = 0;
   for (size_t i = 0; i < size; ++i) {
@@ -114,7 +114,7 @@ BoardSettings::Error BoardSettings::set(Field field, const uint8_t* value, size_
 
 void BoardSettings::clear() { memset(record_, 0, sizeof record_); }
 
-// What stands in a flash is as little to be trusted as what comes over a wire: each text must end.
+// Data in the flash is as untrusted as data from a wire: each text must end.
 bool BoardSettings::is_intact() const {
   const uint8_t* check = record_ + kRecordBytes - kCheckBytes;
   if (memcmp(record_, kHead, sizeof kHead) != 0 || read_u32(check) != crc32(0, record_, kRecordBytes - kCheckBytes)) {

@@ -1,5 +1,5 @@
-// What a board keeps when it is flashed again: where its host is, its name, WiFi and keys. `hostlink board setup` sets
-// it over the serial line, `hostlink board info` shows it; passwords and keys go into the board and never out of it.
+// Settings that a board keeps when it is flashed again: address of its host, name, WiFi and keys. `hostlink board
+// setup` sets them over the serial line, `hostlink board info` shows them; passwords and keys cannot be read back.
 // Board-free: the storage is an interface (settings_eeprom.h, settings_preferences.h).
 // docs/arduino.md#settings-on-the-board
 #pragma once
@@ -9,11 +9,11 @@
 
 namespace hostlink {
 
-// Where the settings are kept, from its first byte on.
+// Storage of the settings, from its first byte on.
 class SettingsStorage {
  public:
   virtual bool read(uint8_t* bytes, size_t size) = 0;
-  virtual bool write(const uint8_t* bytes, size_t size) = 0;  // returns when they are kept
+  virtual bool write(const uint8_t* bytes, size_t size) = 0;  // returns when they are stored
 
  protected:
   ~SettingsStorage() {}
@@ -26,21 +26,21 @@ class BoardSettings {
 
   explicit BoardSettings(SettingsStorage& storage) : storage_(storage) {}
 
-  bool load();  // false: none are stored, or they are damaged; then all are empty
-  // From now on what was set is stored: all of it, or nothing.
+  bool load();  // false: not stored, or damaged; then all are empty
+  // Store the settings that were set: all of them, or none.
   Error save();
 
   const char* host() const { return text(kHost); }
-  uint16_t port() const;  // 11411, hostlink's own, where none is set
+  uint16_t port() const;  // 11411, hostlink's default, if not set
   const char* name() const { return text(kName); }
-  const char* name_space();  // the name as NodeHandle::setNamespace wants it: "robot_3/"; stays where it is
+  const char* name_space();  // the name as NodeHandle::setNamespace takes it: "robot_3/"; valid as long as this object
   const char* wifi_name() const { return text(kWifiName); }
   const char* wifi_password() const { return text(kWifiPassword); }
   const char* key() const { return text(kKey); }
   const char* update_password() const { return text(kUpdatePassword); }
 
   const char* text(Field field) const { return reinterpret_cast<const char*>(record_ + at(field)); }
-  // `value` has no zero in it; an empty one: not set. Nothing is stored before save().
+  // `value` contains no zero byte; empty: not set. Nothing is stored before save().
   Error set(Field field, const uint8_t* value, size_t size);
 
   static const char* field_name(Field field);
@@ -75,7 +75,7 @@ class BoardSettings {
   char name_space_[kNameBytes + 2] = {};
 
  public:
-  static const size_t kStoredBytes = kRecordBytes;  // what a storage needs room for
+  static const size_t kStoredBytes = kRecordBytes;  // the room that a storage needs
 };
 
 // CRC-32 as zlib's, of bytes in pieces: begin with 0.

@@ -1,5 +1,5 @@
-// A TCP connection to the host, made again whenever it is lost: by a client of an Arduino core, as WiFiClient or
-// EthernetClient. Nothing here waits but the client's own connect().
+// A TCP connection to the host that reconnects when it is lost: over a client of an Arduino core, such as WiFiClient or
+// EthernetClient. Only the client's own connect() waits.
 #pragma once
 
 #include <Arduino.h>
@@ -15,7 +15,7 @@ const uint16_t kHostPort = 11411;
 template <class Client>
 class ClientHardware : public ros::Link {
  public:
-  // Before initNode(). The name must stay where it is; an address costs no look-up at each connect.
+  // Call it before initNode(). The name must stay valid; an address saves the look-up at each connect.
   void setConnection(const char* host, uint16_t port = kHostPort) {
     name_ = host;
     port_ = port;
@@ -25,7 +25,7 @@ class ClientHardware : public ros::Link {
     address_ = host;
     port_ = port;
   }
-  // Whether it is of any use to connect; without: always.
+  // Whether connecting can succeed now; without this function: always.
   void setNetwork(bool (*is_up)()) { is_up_ = is_up; }
 
   void init() {}
@@ -37,7 +37,7 @@ class ClientHardware : public ros::Link {
   }
 
   int read() override {
-    if (!is_lost_ && client_.available() > 0) {  // before connected(): a host's last bytes are often a stop
+    if (!is_lost_ && client_.available() > 0) {  // check before connected(): a host's last bytes are often a stop
       heard_at_ms_ = now_ms();
       return client_.read();
     }
@@ -68,7 +68,7 @@ class ClientHardware : public ros::Link {
   static uint32_t now_ms() { return static_cast<uint32_t>(millis()); }
 
  private:
-  static const uint32_t kSilenceMs = 15000;  // a host answers each 2.5 s, and is given up by the node after 11 s
+  static const uint32_t kSilenceMs = 15000;  // a host answers every 2.5 s, and the node gives up after 11 s
 
   static const uint32_t kSteadyMs = 5000;
 
@@ -80,19 +80,19 @@ class ClientHardware : public ros::Link {
     backoff_.stir(static_cast<uint32_t>(micros()));  // a fleet has one firmware
     wait_ms_ = backoff_.next_ms();
     if (!is_connected_) return;
-    is_lost_ = true;  // what was queued meanwhile is for another host
+    is_lost_ = true;  // queued bytes are not for another host
     set_options(client_, 0);
   }
 
   void lose() {
-    if (is_connected_ && now_ms() - tried_at_ms_ > kSteadyMs) backoff_.reset();  // else the host refuses us
+    if (is_connected_ && now_ms() - tried_at_ms_ > kSteadyMs) backoff_.reset();  // otherwise the host refuses the board
     is_connected_ = false;
     is_lost_ = true;
     wait_ms_ = backoff_.next_ms();
     tried_at_ms_ = now_ms();
   }
 
-  // Where the client has them: no Nagle, which each connection starts with.
+  // If the client has it: switch off Nagle's algorithm, which each connection starts with.
   template <class C>
   static auto set_options(C& client, int) -> decltype(client.setNoDelay(true), void()) {
     client.setNoDelay(true);

@@ -18,7 +18,7 @@ bool CommandWatchdog::feed() {
   return true;
 }
 
-// A UART that overflows keeps the oldest bytes: the stop that followed may be lost.
+// A UART that overflows keeps the oldest bytes: a stop after them may be lost.
 bool CommandWatchdog::is_late() {
   const bool is_late = node()->waited_ms() > timeout_ms_;
   if (is_late && !has_logged_late_) node()->log(ros::Level::kWarn, ros::FlashText(kLate));

@@ -1,5 +1,5 @@
-// CommandWatchdog: who drives motors stops them when no command has come for a while, or the host is gone: also while a
-// service or a parameter is waited for. Attach it to the node: nh.attach(watchdog).
+// CommandWatchdog: stops the motors when no command has arrived for a while, or the host is lost: also while the sketch
+// waits for a service or a parameter. Attach it to the node: nh.attach(watchdog).
 #pragma once
 
 #include "../ros/callable.h"
@@ -23,9 +23,9 @@ class CommandWatchdog : public ros::Task {
   template <class F>
   explicit CommandWatchdog(F stop, uint32_t timeout_ms = kCommandTimeoutMs) : stop_(stop), timeout_ms_(timeout_ms) {}
 
-  // A command has come: call it in its callback, before the motors start. False: nothing would stop them, as the
-  // watchdog is not attached to a node, or the host is gone; or the loop stood still, and the command is an old one.
-  // The stop was called then.
+  // Report a command: call it in its callback, before the motors start. False: the watchdog could not stop them,
+  // because it is not attached to a node, or the host is lost; or the loop was blocked, and the command is old. The
+  // watchdog has called `stop` then.
   bool feed();
   void stop();
   bool is_running() const { return is_running_; }

@@ -1,8 +1,8 @@
-// The device's side of the key that it shares with its host (hostlink/transport/keyed.py):
+// The device's side of the proof that device and host share a key (hostlink/transport/keyed.py):
 //   host -> device   "HLK1", 16 random bytes
 //   device -> host   "HLK1", 16 random bytes, HMAC-SHA256(key, "device", both randoms)
 //   host -> device   HMAC-SHA256(key, "host", both randoms)
-// It owns the bytes of both sides, and no port.
+// Owns the bytes of both sides, and no port.
 #pragma once
 
 #include <stddef.h>
@@ -26,15 +26,15 @@ class KeyProof {
   static const size_t kQuestionBytes = kMagicBytes + kRandomBytes;
   static const size_t kAnswerBytes = kQuestionBytes + Sha256::kDigestBytes;
 
-  // The key stays where it is. An empty one: no proof is wanted.
+  // The key must stay valid. Empty: no proof is required.
   void set_key(const char* key, uint32_t (*random)());
   bool has_key() const { return key_bytes_ > 0; }
 
   void begin();  // a new connection
-  // How many bytes of the host's are its proof's; the ones after them are rosserial's.
+  // How many bytes of the host belong to its proof; the bytes after them are rosserial.
   size_t wanted_bytes() const;
   void take(const uint8_t* bytes, size_t count);
-  // What waits for the host.
+  // Bytes for the host.
   const uint8_t* to_say() const { return answer_ + said_bytes_; }
   size_t to_say_bytes() const { return state_ == State::kAnswered ? kAnswerBytes - said_bytes_ : 0; }
   void said(size_t count) { said_bytes_ += ros::accepted_of(to_say_bytes(), count); }

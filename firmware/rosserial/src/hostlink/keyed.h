@@ -1,5 +1,5 @@
 // A connection whose two ends prove to each other that they know the same key (tcp.key_file of hostlink), before the
-// first byte of rosserial. `Hardware` is one that says kRestarted at each connection and has close(), as
+// first byte of rosserial. `Hardware` returns kRestarted at each connection and has close(), like
 // ClientHardware.
 #pragma once
 
@@ -11,7 +11,7 @@ namespace hostlink {
 template <class Hardware>
 class Keyed : public Hardware {
  public:
-  // The key stays where it is; an empty one: no proof is wanted. `random` gives 32 bits that nobody can guess.
+  // The key must stay valid; empty: no proof is required. `random` gives 32 unpredictable bits.
   void setKey(const char* key, uint32_t (*random)()) { proof_.set_key(key, random); }
   bool is_proven() const { return !proof_.has_key() || proof_.state() == KeyProof::State::kProven; }
 

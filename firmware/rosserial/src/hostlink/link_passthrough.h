@@ -1,5 +1,5 @@
-// A board with a network in front of one without: what the device says on its UART goes to the host, and back. Bytes
-// pass as they are, so topics, services and parameters are the device's own; whose connection is lost is stopped.
+// A board with a network between a host and a board without a network: forwards the device's UART in both directions.
+// Bytes pass unchanged, so topics, services and parameters are the device's. A lost connection stops the device.
 #pragma once
 
 #include <string.h>
@@ -16,7 +16,7 @@ class LinkPassthrough {
   // `device` and `host` are initialised by the sketch.
   LinkPassthrough(ros::Link& device, ros::Link& host) : device_(device), host_(host) {}
 
-  // One turn, which never waits: each direction at most what its buffer takes.
+  // One turn, which never waits: forwards in each direction at most what the buffer takes.
   void spin() {
     read_host();
     to_device_.flush(device_, &begun_);
@@ -27,11 +27,11 @@ class LinkPassthrough {
   uint32_t dropped() const { return dropped_; }  // bytes of the device that the host did not accept in time
 
  private:
-  // The frame that the device has received in part: what follows would be taken for the rest of it.
+  // A frame that the device has received in part: the device would take the following bytes for its rest.
   class BegunFrame {
    public:
     bool is_begun() const { return at_ > 0; }
-    // With it the frame ends as soon as it can, and never as a good one.
+    // Filler that ends the frame as soon as possible, and always with a wrong checksum.
     uint8_t bad_byte() const {
       const bool is_check = at_ == kSizeBytes || (at_ > kSizeBytes && left_ == 1);
       return is_check ? static_cast<uint8_t>(0xFE - sum_) : 0;
@@ -85,7 +85,7 @@ class LinkPassthrough {
     size_t size_ = 0;
   };
 
-  // What has no room stays with the host: TCP slows it down.
+  // Bytes that do not fit stay with the host: TCP slows it down.
   void read_host() {
     for (size_t count = 0; count < kBytes && to_device_.has_room(); ++count) {
       const int byte = host_.read();
@@ -99,7 +99,7 @@ class LinkPassthrough {
     }
   }
 
-  // A UART cannot be slowed down: what has no room is dropped, so that nothing old is waiting for a host.
+  // A UART cannot be slowed down: bytes that do not fit are dropped, so that no old bytes wait for a host.
   void read_device() {
     for (size_t count = 0; count < kBytes; ++count) {
       const int byte = device_.read();
@@ -112,7 +112,7 @@ class LinkPassthrough {
     }
   }
 
-  // The host is gone, or another one: nothing of the old one reaches anybody, and the device stops what it drives.
+  // The host is lost, or another one connected: bytes of the old one are dropped, and the device stops its motors.
   void restart() {
     static const uint8_t kStop[] = {0xFF, 0xFE, 0x00, 0x00, 0xFF, 0x0B, 0x00, 0xF4};  // id 11: docs/protocol.md
     to_device_.clear();

@@ -11,7 +11,7 @@ namespace hostlink {
 template <class Eeprom>
 class EepromStorage : public SettingsStorage {
  public:
-  // From `first` on; what is before is the sketch's own. It may begin() its EEPROM with another size.
+  // From `first` on; the bytes before it belong to the sketch, which may begin() its EEPROM with another size.
   explicit EepromStorage(Eeprom& eeprom, int first = 0) : eeprom_(eeprom), first_(first) {}
 
   bool read(uint8_t* bytes, size_t size) override {
@@ -23,8 +23,8 @@ class EepromStorage : public SettingsStorage {
   bool write(const uint8_t* bytes, size_t size) override {
     if (!has_begun_ || eeprom_.length() < end_of(size)) begin(size);
     for (size_t i = 0; i < size; ++i) eeprom_.write(first_ + static_cast<int>(i), bytes[i]);
-    const bool is_committed = eeprom_.commit();  // also true of a copy that no byte of it has changed
-    begin(size);                                 // reads again what is in the flash
+    const bool is_committed = eeprom_.commit();  // also true for a copy that was not changed
+    begin(size);                                 // reads the flash again
     bool is_kept = is_committed;
     for (size_t i = 0; i < size; ++i) is_kept = is_kept && eeprom_.read(first_ + static_cast<int>(i)) == bytes[i];
     return is_kept;

@@ -10,7 +10,7 @@ const char kMark[] = "#hl ";
 const size_t kMarkBytes = sizeof kMark - 1;
 const size_t kCheckDigits = 8;
 const char kDigits[] = "0123456789ABCDEF";
-// Of BoardSettings::Error.
+// Texts of BoardSettings::Error.
 const char* const kErrors[] = {"", "unknown", "short", "long", "value", "stored", "lost"};
 static_assert(BoardSettings::kFieldCount <= 8, "set_fields_ has a bit for each");
 
@@ -29,7 +29,7 @@ bool read_check(const char* text, uint32_t& check) {
   return true;
 }
 
-// Replaces %XX by its byte, in place; false: there is a % that is none, or a zero.
+// Replace %XX by its byte, in place. False: a % without two digits, or a zero byte.
 bool decode(char* text, size_t& size) {
   size_t to = 0;
   for (size_t from = 0; from < size; ++from, ++to) {
@@ -47,7 +47,7 @@ bool decode(char* text, size_t& size) {
 }  // namespace
 
 bool SettingsLine::add(uint8_t byte) {
-  if (byte == '#') {  // a line begins, whatever came before
+  if (byte == '#') {  // a new line begins
     size_ = 0;
     is_too_long_ = false;
   }
@@ -58,7 +58,7 @@ bool SettingsLine::add(uint8_t byte) {
   }
   verb_ = kNone;
   if (!is_too_long_) parse(size_);
-  memset(line_, 0, sizeof line_);  // no password stays
+  memset(line_, 0, sizeof line_);  // no password stays in memory
   size_ = 0;
   is_too_long_ = false;
   return verb_ != kNone;
@@ -190,7 +190,7 @@ void SettingsLine::add_encoded(const char* text) {
   }
 }
 
-// The longest has its room: a name, three characters for each byte of a value, the check.
+// Room for the longest line: a name, three characters for each byte of a value, the check.
 size_t SettingsLine::end_line() {
   const uint32_t check = crc32(0, reinterpret_cast<const uint8_t*>(line_), size_);
   add_char(' ');

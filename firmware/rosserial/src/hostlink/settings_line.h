@@ -1,14 +1,14 @@
-// The board's side of `hostlink board setup` and `info`: lines of text over the serial port, among whatever the sketch
-// prints there. A line is "#hl NUMBER WORDS CRC\n": the CRC-32 of all before its space, in eight hexadecimal digits.
+// The board's side of `hostlink board setup` and `info`: lines of text over the serial port, between the sketch's own
+// output. A line is "#hl NUMBER WORDS CRC\n": the CRC-32 of everything before its space, in eight hexadecimal digits.
 //
 //   request               answer
 //   info                  value NAME=VALUE, or secret NAME=set|unset, a line each; then: ok
 //   set NAME=VALUE        ok, or error unknown|short|long|value; VALUE: bytes outside of ! to ~, and %, as %XX
-//   save COUNT            ok when it is stored, or error stored; error lost where not COUNT settings were set since
-//                         forget: the board has restarted in between. Nothing is stored then: begin again with forget
-//   forget                ok; what was set since the last save is as if it had not been
+//   save COUNT            ok when it is stored, or error stored; error lost if not COUNT settings were set since
+//                         forget: the board has restarted in between. Nothing is stored then: start again with forget
+//   forget                ok; discards what was set since the last save
 //
-// An answer has the request's number. A request can be repeated. A line that is damaged is ignored: it is sent again.
+// An answer has the request's number. A request can be repeated. A damaged line is ignored, and the host repeats it.
 #pragma once
 
 #include "board_settings.h"
@@ -21,8 +21,8 @@ class SettingsLine {
 
   explicit SettingsLine(BoardSettings& settings) : settings_(settings) {}
 
-  // One turn: reads what is there, or answers with one line, so that a slow port holds up no watchdog. True: new
-  // settings are stored; restart, or connect anew. `Port` is a Stream.
+  // One turn: reads the available bytes, or answers with one line, so that a slow port delays no watchdog. True: new
+  // settings are stored; restart, or reconnect. `Port` is a Stream.
   template <class Port>
   bool spin(Port& port) {
     for (size_t i = 0; i < kBytesPerTurn && !has_answer_ && port.available() > 0; ++i) {
@@ -34,16 +34,16 @@ class SettingsLine {
     const size_t size = answer(is_last, is_saved);
     if (size > 0) port.write(reinterpret_cast<const uint8_t*>(line_), size);
     has_answer_ = !is_last;
-    if (is_saved) port.flush();  // a restart cuts off what has not left
+    if (is_saved) port.flush();  // a restart cuts off bytes that were not sent
     return is_saved;
   }
 
-  // Adds one byte; true: it ends a request, call answer() until it is the last.
+  // Add one byte. True: it ends a request; call answer() until the last line.
   bool add(uint8_t byte);
-  // The next line of the answer is in line(); 0: the request gets none.
+  // The next line of the answer is in line(). 0: the request gets none.
   size_t answer(bool& is_last, bool& is_saved);
   const char* line() const { return line_; }
-  bool has_answer() const { return has_answer_; }  // another turn has something to write
+  bool has_answer() const { return has_answer_; }  // another turn must write more
 
  private:
   static const size_t kBytesPerTurn = 256;
@@ -70,7 +70,7 @@ class SettingsLine {
   Verb verb_ = kNone;
   uint16_t number_ = 0;
   uint8_t next_field_ = 0;
-  uint8_t set_fields_ = 0;  // a bit for each that was set since forget
+  uint8_t set_fields_ = 0;  // one bit for each setting since forget
   BoardSettings::Error error_ = BoardSettings::kDone;
 };
 

@@ -12,7 +12,7 @@ class Sha256 {
   static const size_t kBlockBytes = 64;
 
   void add(const uint8_t* bytes, size_t count);
-  // Ends the message; the object is of no more use.
+  // Ends the message; the object cannot be used again.
   void finish(uint8_t digest[kDigestBytes]);
 
  private:
@@ -36,7 +36,7 @@ class HmacSha256 {
   Sha256 inner_;
 };
 
-// The duration is the same wherever they differ: it gives no secret away.
+// The duration does not depend on the position of a difference, so it reveals nothing.
 bool are_equal(const uint8_t* a, const uint8_t* b, size_t count);
 
 }  // namespace hostlink

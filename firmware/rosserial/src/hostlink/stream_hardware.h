@@ -1,4 +1,4 @@
-// A serial port of an Arduino core: a UART, USB, or any other Stream. By ros_lib's name: ArduinoHardware.
+// A serial port of an Arduino core: a UART, USB, or another Stream. ros_lib's name for it: ArduinoHardware.
 #pragma once
 
 #include <Arduino.h>
@@ -7,7 +7,7 @@
 
 namespace hostlink {
 
-const unsigned long kSerialBaud = 57600;  // rosserial's own
+const unsigned long kSerialBaud = 57600;  // rosserial's default
 
 class StreamHardware : public ros::Link {
  public:
@@ -17,8 +17,8 @@ class StreamHardware : public ros::Link {
     setPort(port);
   }
 
-  // Before initNode(). A port without availableForWrite(), as SoftwareSerial, takes a few bytes a turn, and the turn
-  // waits for them.
+  // Before initNode(). A port without availableForWrite(), such as SoftwareSerial, takes a few bytes a turn, and the
+  // turn waits for them.
   template <class Port>
   void setPort(Port* port) {
     port_ = port;
@@ -44,7 +44,7 @@ class StreamHardware : public ros::Link {
   static void begin(Stream* port, unsigned long baud) {
     static_cast<Port*>(port)->begin(baud);
   }
-  // The stream's own function: some cores have none in Stream, others have one there that says 0.
+  // The stream's own function: in some cores Stream has none, in others its function returns 0.
   template <class Port>
   static size_t room(Stream* port) {
     const int room = available(*static_cast<Port*>(port), &Port::availableForWrite);

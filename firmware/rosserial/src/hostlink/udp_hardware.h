@@ -1,5 +1,5 @@
-// Datagrams to the host and from it, by WiFiUDP or EthernetUDP: [udp] in hostlink's configuration. What is lost is
-// lost.
+// Datagrams to the host and from it, by WiFiUDP or EthernetUDP: [udp] in hostlink's configuration. Lost datagrams are
+// not sent again.
 #pragma once
 
 #include <Arduino.h>
@@ -12,14 +12,14 @@ namespace hostlink {
 template <class Udp>
 class UdpHardware : public ros::Link {
  public:
-  // Also later: to another host the node is a new board.
+  // Also later: for another host the node starts again like a new board.
   void setConnection(IPAddress host, uint16_t port = 11411, uint16_t own_port = 11411) {
     is_lost_ = is_lost_ || (has_begun_ && !(host == host_ && port == port_));
     host_ = host;
     port_ = port;
     own_port_ = own_port;
   }
-  // Whether the network is up; without: always.
+  // Whether the network is up; without this function: always.
   void setNetwork(bool (*is_up)()) { is_up_ = is_up; }
 
   void init() {}
@@ -35,7 +35,7 @@ class UdpHardware : public ros::Link {
       if (udp_.remoteIP() == host_ && udp_.remotePort() == port_) {
         heard_at_ms_ = now_ms();
       } else {
-        drop_datagram();  // anybody can send one
+        drop_datagram();  // anyone can send a datagram
       }
     }
     return udp_.read();
@@ -57,9 +57,9 @@ class UdpHardware : public ros::Link {
 
  private:
   static const size_t kDatagramBytes = 1400;
-  static const uint8_t kForeignDatagrams = 16;  // in one turn: a flood of them must not keep the loop away
+  static const uint8_t kForeignDatagrams = 16;  // in one turn: a flood must not block the loop
   static const uint32_t kGreetingMs = 1000;
-  static const uint32_t kSilenceMs = 4000;  // a host that knows us answers each 2.5 s
+  static const uint32_t kSilenceMs = 4000;  // a host that knows the board answers every 2.5 s
 
   static uint32_t now_ms() { return static_cast<uint32_t>(millis()); }
 
@@ -76,14 +76,14 @@ class UdpHardware : public ros::Link {
     return kRestarted;
   }
 
-  // parsePacket() of an ESP32 finds no other one before it is read.
+  // parsePacket() of an ESP32 finds the next one only after this one was read.
   void drop_datagram() {
     uint8_t bytes[64];
     while (udp_.available() > 0 && udp_.read(bytes, sizeof bytes) > 0) {
     }
   }
 
-  // A host knows nothing of a device that has sent nothing: a request for the time.
+  // A host does not know a device that has sent nothing: send a request for the time.
   void greet() {
     static const uint8_t kRequest[] = {0xFF, 0xFE, 8, 0, 0xF7, 10, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0xF5};
     if ((heard_at_ms_ != 0 && now_ms() - heard_at_ms_ < kSilenceMs) || now_ms() - greeted_at_ms_ < kGreetingMs) return;

@@ -1,5 +1,4 @@
-// Updates over the air of an ESP8266 or an ESP32 that leave no robot driving: while one is received the loop stands
-// still.
+// Updates over the air of an ESP8266 or an ESP32. The loop does not run during an update, so no robot may drive.
 //   #include <ArduinoOTA.h>
 //   #include <hostlink/updates.h>
 //   hostlink::Updates<ArduinoOTAClass> updates(ArduinoOTA, watchdog);  // without motors: updates(ArduinoOTA)
@@ -14,16 +13,16 @@ template <class Ota>
 class Updates {
  public:
   explicit Updates(Ota& ota) : ota_(ota) {}
-  // The watchdog's motors stand before an update begins, and none begins while they are commanded.
+  // The watchdog's motors are stopped before an update begins, and no update begins while they are commanded.
   Updates(Ota& ota, CommandWatchdog& watchdog) : ota_(ota), watchdog_(&watchdog) {}
 
-  // Without a password there are none. Both texts stay where they are.
+  // Without a password updates are off. Both texts must stay valid.
   void begin(const char* name, const char* password) {
     if (password[0] == '\0' || is_on_) return;
     is_on_ = true;
     if (name[0] != '\0') ota_.setHostname(name);
     ota_.setPassword(password);
-    ota_.onStart([this]() { stop(); });  // what was requested before it was driven may begin after
+    ota_.onStart([this]() { stop(); });  // an update that was requested before the drive may begin after it
     ota_.begin();
   }
 

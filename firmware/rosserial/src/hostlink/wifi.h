@@ -1,4 +1,4 @@
-// WiFi of an ESP8266 or ESP32: a station that joins again by itself, and the TCP connection to the host.
+// WiFi of an ESP8266 or ESP32: a station that rejoins by itself, and the TCP connection to the host.
 #pragma once
 
 #if defined(ESP32)
@@ -13,12 +13,12 @@
 
 namespace hostlink {
 
-// attach() it to the node; a sketch without one calls spin().
+// attach() it to the node; a sketch without a node calls spin().
 class WifiStation : public ros::Task {
  public:
   // Returns at once: the SDK joins while the loop turns.
   void begin(const char* name, const char* password, const char* own_name = nullptr) {
-    WiFi.persistent(false);  // no wear of the flash at each start
+    WiFi.persistent(false);  // avoid wear of the flash at each start
     WiFi.mode(WIFI_STA);
 #if defined(ESP32)
     WiFi.setSleep(false);  // modem sleep adds 100 to 300 ms
@@ -45,7 +45,7 @@ class WifiStation : public ros::Task {
   }
 
  private:
-  static const uint32_t kRejoinMs = 20000;  // the SDK has given up: begin anew
+  static const uint32_t kRejoinMs = 20000;  // the SDK has given up: start again
 
   void spin(ros::Node&) override { spin(); }
 
@@ -62,7 +62,7 @@ class WifiHardware : public ClientHardware<WiFiClient> {
   }
 
 #if defined(ESP32)
-  // The client's own write() waits for seconds when the peer is gone.
+  // The client's own write() waits for seconds when the peer is lost.
   size_t write(const uint8_t* bytes, size_t size) override {
     if (!is_connected()) return 0;
     const int sent = ::send(client().fd(), bytes, size, MSG_DONTWAIT);
@@ -70,7 +70,7 @@ class WifiHardware : public ClientHardware<WiFiClient> {
   }
 #else
  private:
-  static const unsigned long kConnectMs = 1000;  // the core's own is 5 s
+  static const unsigned long kConnectMs = 1000;  // the core's own timeout is 5 s
 #endif
 };
 

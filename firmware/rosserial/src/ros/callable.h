@@ -1,4 +1,4 @@
-// Something to call back, kept without a heap: a function, a lambda that captures little, or an object and its member.
+// A callback without a heap: a function, a lambda that captures little, or an object and its member.
 #pragma once
 
 #include <stddef.h>
@@ -13,7 +13,7 @@ namespace ros {
 #define ROS_IS_PLAIN(type) __is_trivially_copyable(type)
 #endif
 
-// A member of an object, which may be one of a derived class.
+// A member function of an object, which may belong to a derived class.
 template <class Object, class Member>
 struct MemberOf {
   Member member;

@@ -1,4 +1,4 @@
-// Publishes what a board knows of itself on /diagnostics: a level, a text, and numbers by their names.
+// Publishes the state of a board on /diagnostics: a level, a text, and numbers with their names.
 #pragma once
 
 #include <diagnostic_msgs/DiagnosticArray.h>
@@ -7,11 +7,11 @@
 
 namespace ros {
 
-// `kValues`: the most key/value pairs. A text stays where it is; a number becomes one here.
+// `kValues`: the most key/value pairs. A text must stay valid; a number becomes a text here.
 template <size_t kValues = 4>
 class Diagnostics {
  public:
-  // The name of the part, and the board's own.
+  // Name of the part, and name of the board.
   Diagnostics(const char* name, const char* hardware_id) : publisher_("/diagnostics", &message_) {
     status_.name = name;
     status_.hardware_id = hardware_id;
@@ -22,7 +22,7 @@ class Diagnostics {
 
   bool init(NodeApi& node) { return node.advertise(publisher_); }
 
-  // Begins again; then add() what belongs to it, and publish().
+  // Start a new status; then add() its values, and publish().
   void set(int8_t level, const char* text) {
     status_.level = level;
     status_.message = text;

@@ -1,4 +1,4 @@
-// A signed span of time, as ROS has it.
+// A signed span of time, like ROS's.
 #pragma once
 
 #include <stdint.h>

@@ -1,5 +1,5 @@
-// What a node announces to its host: a topic, or half of a service. The objects belong to the sketch and stay where
-// they are; a node links them, and has no table of them.
+// Endpoints that a node announces to its host: a topic, or half of a service. The objects belong to the sketch and stay
+// in place; a node links them and has no table of them.
 #pragma once
 
 #include "flash_text.h"
@@ -27,10 +27,10 @@ class Endpoint {
   Endpoint(Kind kind, const char* name, FlashText type, FlashText md5)
       : kind_(kind), name_(name), type_(type), md5_(md5) {}
   Endpoint(const Endpoint&) = default;
-  Endpoint& operator=(const Endpoint&) = delete;  // a node has linked it
+  Endpoint& operator=(const Endpoint&) = delete;  // whether a node has linked it
   ~Endpoint() {}
 
-  Node* node() const { return node_; }  // nullptr: it is not announced
+  Node* node() const { return node_; }  // nullptr: not announced
   FlashText type() const { return type_; }
 
  private:
@@ -45,7 +45,7 @@ class Endpoint {
   Endpoint* next_ = nullptr;
 };
 
-// To the host.
+// An endpoint for messages to the host.
 class Sender : public Endpoint {
  protected:
   Sender(Kind kind, const char* name, FlashText type, FlashText md5) : Endpoint(kind, name, type, md5) {}
@@ -54,10 +54,10 @@ class Sender : public Endpoint {
   friend class Node;
 };
 
-// From the host.
+// An endpoint for messages from the host.
 class Receiver : public Endpoint {
  protected:
-  // False: the payload is damaged. It may be written to, and is gone after the call.
+  // False: the payload is damaged. The function may write to the payload, which is invalid after the call.
   typedef bool (*Receive)(Receiver& self, uint8_t* payload, size_t size);
 
   Receiver(Kind kind, const char* name, FlashText type, FlashText md5, Size size, Receive receive)

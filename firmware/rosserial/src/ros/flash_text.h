@@ -1,4 +1,4 @@
-// Texts that stay in the flash: on an AVR every other constant text lies in the RAM, too.
+// Texts that stay in the flash: on an AVR every other constant text is also in the RAM.
 #pragma once
 
 #include <stddef.h>
@@ -33,7 +33,7 @@ class FlashText {
   const char* address_;
 };
 
-// How many bytes a message has on the wire; what is not fixed may have as many as 65535.
+// Size of a message on the wire in bytes; 65535 for a message without a fixed size.
 class Size {
  public:
   constexpr Size(uint32_t minimum, uint32_t maximum) : minimum_(clamp(minimum)), maximum_(clamp(maximum)) {}

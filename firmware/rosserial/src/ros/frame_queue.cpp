@@ -58,12 +58,12 @@ FrameQueue::Rank FrameQueue::rank(uint16_t id) const {
   return topics_.is_replaceable(id) ? Rank::kMessage : Rank::kAwaited;
 }
 
-// Of the frame that begins there, by its header.
+// Rank of the frame that begins here, from its header.
 size_t FrameQueue::frame_bytes(size_t at) const {
   return kOverheadBytes + (static_cast<size_t>(bytes_[at + 2]) | static_cast<size_t>(bytes_[at + 3]) << 8);
 }
 
-// The oldest of this rank that is not on its way yet.
+// The oldest frame of this rank that is not partly sent.
 bool FrameQueue::drop_oldest(Rank of_rank) {
   const size_t end = head_ + size_;
   size_t at = head_ + begun_bytes_;
@@ -76,7 +76,7 @@ bool FrameQueue::drop_oldest(Rank of_rank) {
   return true;
 }
 
-// So many bytes are on the wire: of which frame the rest must follow?
+// This many bytes were sent: the frame whose rest must follow, if any.
 void FrameQueue::leave(size_t count) {
   while (count > 0) {
     if (begun_bytes_ == 0) begun_bytes_ = frame_bytes(head_);

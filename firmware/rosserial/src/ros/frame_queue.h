@@ -1,6 +1,6 @@
-// The frames that wait for the line to the host, whole ones only. Where there is no room the oldest messages of topics
-// go: the next ones replace them. Lines of the log are sent once, and go only for what the host waits for: topics,
-// requests, and the halves of services, which stay.
+// Whole frames that wait for the line to the host. When there is no room, the oldest messages of topics are dropped,
+// because newer ones replace them. Lines of the log are dropped only for frames that the host waits for: topics,
+// requests, and the halves of services, which are never dropped.
 #pragma once
 
 #include "link.h"
@@ -20,14 +20,14 @@ class FrameQueue {
   FrameQueue(uint8_t* bytes, size_t capacity, size_t payload_bytes_max, const Topics& topics)
       : bytes_(bytes), capacity_(capacity), payload_bytes_max_(payload_bytes_max), topics_(topics) {}
 
-  // Where the payload of the next frame is written; valid until the next call.
+  // Place of the next frame's payload; valid until the next call.
   Writer open();
   bool has_room(size_t payload_bytes) const {
     return payload_bytes <= payload_bytes_max_ && payload_bytes + kOverheadBytes <= capacity_ - size_;
   }
-  // Drops what may go for a frame of this id until there is. False: no room even without all of that; none has gone.
+  // Drop frames of a lower rank until a frame of this id fits. False: it does not fit even then; nothing was dropped.
   bool make_room(uint16_t id, size_t payload_bytes);
-  // Ends the frame whose payload was written.
+  // End the frame whose payload was written.
   void close(uint16_t id, size_t payload_bytes);
   void flush(Link& link);
   void clear();
@@ -37,7 +37,7 @@ class FrameQueue {
   uint32_t dropped_lines() const { return dropped_lines_; }
 
  private:
-  // What is lower goes for what is higher, and a message for the next one.
+  // A lower rank is dropped for a higher one, and a message for the next one.
   enum class Rank : uint8_t { kMessage, kLine, kAwaited };
 
   Rank rank(uint16_t id) const;
@@ -50,9 +50,9 @@ class FrameQueue {
   size_t capacity_;
   size_t payload_bytes_max_;
   const Topics& topics_;
-  size_t head_ = 0;         // of the bytes before it, all are on the wire
-  size_t size_ = 0;         // behind the head
-  size_t begun_bytes_ = 0;  // of the first frame, which is on the wire in part: what is left of it
+  size_t head_ = 0;         // of the bytes before it, which were sent
+  size_t size_ = 0;         // after the head
+  size_t begun_bytes_ = 0;  // of the first frame, which was sent in part: the size of its rest
   uint32_t dropped_ = 0;
   uint32_t dropped_lines_ = 0;
 };

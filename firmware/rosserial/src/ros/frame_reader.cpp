@@ -39,7 +39,7 @@ void FrameReader::give_up() {
 
 void FrameReader::clear() { size_ = frame_bytes_ = 0; }
 
-// Checks what stands at the start until it is a frame, may become one, or nothing is left. Each false start drops at
+// Check the bytes at the start until they are a frame, may become one, or none are left. Each false start drops at
 // least one byte, so this ends.
 FrameReader::Result FrameReader::judge() {
   while (size_ >= 2) {
@@ -71,7 +71,7 @@ bool FrameReader::is_false_start() const {
   return rescans_ && size_ >= kHeaderBytes && !topics_.is_expected(topic_id(), claimed_bytes());
 }
 
-// The first byte starts no frame: go on with the next possible one, or forget all.
+// The first byte starts no frame: continue with the next possible one, or drop everything.
 void FrameReader::fail() {
   ++dropped_;
   if (!rescans_) {

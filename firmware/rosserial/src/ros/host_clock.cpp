@@ -6,8 +6,8 @@ namespace {
 
 const uint32_t kMeasuredMs = 20000;  // a millisecond of jitter is 50 ppm then
 const uint32_t kAdvanceMs = 30000;
-const uint32_t kRoundTripMaxMs = 2000;  // an answer of longer ago says nothing
-const uint32_t kWorseMs = 20;           // an answer that took so much longer is not as good as the board's own clock
+const uint32_t kRoundTripMaxMs = 2000;  // ignore an answer that is older
+const uint32_t kWorseMs = 20;           // an answer that took this much longer is worse than the board's own clock
 const int32_t kDriftMaxPpm = 20000;     // a resonator has 5000
 const int32_t kJumpS = 1;
 const int32_t kNsPerMs = 1000000;
@@ -76,7 +76,7 @@ Duration HostClock::offset(uint32_t now_ms) const {
 
 Time HostClock::compute(uint32_t now_ms) const {
   const uint32_t elapsed_ms = now_ms - base_ms_;
-  // So many milliseconds times parts of a million are nanoseconds; a base that is older than advance() allows has none.
+  // Milliseconds times parts per million are nanoseconds. A base that is older than advance() allows has none.
   const int32_t drifted_ns = elapsed_ms < 2 * kAdvanceMs ? static_cast<int32_t>(elapsed_ms) * drift_ppm_ : 0;
   const Duration elapsed = milliseconds(elapsed_ms);
   return base_ + Duration(elapsed.sec, elapsed.nsec + drifted_ns);

@@ -9,18 +9,18 @@ class HostClock {
  public:
   // The board asks at now_ms.
   void request(uint32_t now_ms) { requested_at_ms_ = now_ms; }
-  // The host's time of about the middle between request and answer.
+  // The host's time at about the middle between request and answer.
   void answer(const Time& host, uint32_t now_ms);
   void set(const Time& host, uint32_t now_ms);
-  // Call it now and then: the board's milliseconds wrap.
+  // Call it regularly: the board's milliseconds wrap.
   void advance(uint32_t now_ms);
 
-  // Never goes back, unless the host's clock was set by more than a second. Zero: no answer has come.
+  // Never goes back, unless the host's clock was set by more than a second. Zero: no answer has arrived.
   Time now(uint32_t now_ms);
   bool is_set() const { return is_set_; }
   uint32_t round_trip_ms() const { return round_trip_ms_; }
-  int32_t drift_ppm() const { return drift_ppm_; }  // so much faster does the host's clock run
-  Duration offset(uint32_t now_ms) const;           // what is to be added to the board's time since its start
+  int32_t drift_ppm() const { return drift_ppm_; }  // how much faster the host's clock runs
+  Duration offset(uint32_t now_ms) const;           // offset to the board's time since its start
 
  private:
   Time compute(uint32_t now_ms) const;
@@ -30,7 +30,7 @@ class HostClock {
   Time last_;  // that was read
   Time anchor_;
   uint32_t base_ms_ = 0;
-  uint32_t anchor_ms_ = 0;  // where the present measurement of the drift began
+  uint32_t anchor_ms_ = 0;  // start of the present measurement of the drift
   uint32_t requested_at_ms_ = 0;
   uint32_t round_trip_ms_ = 0;
   int32_t drift_ppm_ = 0;

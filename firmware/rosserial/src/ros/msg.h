@@ -1,4 +1,4 @@
-// What every message is.
+// Base class of every message.
 #pragma once
 
 #include "flash_text.h"

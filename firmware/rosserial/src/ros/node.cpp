@@ -8,7 +8,7 @@ namespace ros {
 
 namespace {
 
-// Of the rosserial protocol and its original client library (docs/protocol.md#special-ids, docs/protocol.md#timing).
+// From rosserial and its original client library (docs/protocol.md#special-ids, docs/protocol.md#timing).
 const uint16_t kIdParameter = 6;
 const uint16_t kIdTime = 10;
 const uint16_t kIdStop = 11;
@@ -17,9 +17,9 @@ const uint32_t kKeptFrameTimeoutMs = 250;  // a frame of 512 bytes lasts 135 ms 
 const uint32_t kRetryMs = 10;
 const uint32_t kTimeIntervalMs = 2500;
 const uint32_t kHostTimeoutMs = 11000;
-const uint32_t kLateParameterMs = 1000;  // rosserial_python has no answer for what is missing: not longer
+const uint32_t kLateParameterMs = 1000;  // rosserial_python does not answer for a missing parameter: not longer
 const size_t kTimeBytes = 8;
-const size_t kBytesPerTurn = 1024;  // a flood must not keep the control loop away
+const size_t kBytesPerTurn = 1024;  // a flood must not block the control loop
 const size_t kLogBytes = 5;         // level and length
 
 bool is_to_host(Kind kind) { return (static_cast<uint8_t>(kind) & 1) == 0; }
@@ -93,14 +93,14 @@ bool Node::spin_until(const bool& is_done, uint32_t timeout_ms) {
   return is_done;
 }
 
-// True when the turn ends here.
+// Returns true when the turn ends here.
 bool Node::begin_turn() {
   is_spinning_ = true;
   is_retrying_ = false;
   began_ms_ = link_.milliseconds();
   clock_.advance(began_ms_);
   if (is_configured_ && began_ms_ - time_received_ms_ > kHostTimeoutMs && lose_host()) return true;
-  // What stood behind a frame that ended a turn.
+  // Bytes after a frame that ended a turn.
   if (reader_.has_frame() && act(reader_.again())) return true;
   return retry_ != Retry::kKeepState && give_up_frame();
 }
@@ -130,10 +130,10 @@ bool Node::read_link() {
   return true;
 }
 
-// All that has come is read. False: the clause of the paper waits.
+// All available bytes were read. False: the clause of the paper waits.
 bool Node::find_nothing() {
   emptied_at_ms_ = link_.milliseconds();
-  if (retry_ == Retry::kKeepState) {  // only now: the rest may have waited for a loop that stood still
+  if (retry_ == Retry::kKeepState) {  // only now: the rest may have waited for a blocked loop
     give_up_frame();
     return true;
   }
@@ -142,16 +142,16 @@ bool Node::find_nothing() {
   return false;
 }
 
-// True: the turn ends here, so that whoever drives something for this host stops it before the next one has a word.
+// True: the turn ends here, so that the sketch stops what it drives for this host before the next host is read.
 bool Node::lose_host() {
   is_configured_ = false;
   announcing_ = nullptr;
   parameter_ = nullptr;
   is_parameter_late_ = false;
-  return retry_ == Retry::kKeepState;  // the original reads on
+  return retry_ == Retry::kKeepState;  // the original continues to read
 }
 
-// True when this turn ends here, as the original's does after a request for topics.
+// True when this turn ends here, like the original's after a request for topics.
 bool Node::receive(uint8_t byte) {
   const uint32_t dropped = reader_.dropped();
   const bool was_inside = reader_.is_inside();
@@ -164,10 +164,10 @@ bool Node::act(FrameReader::Result result) {
   while (result == FrameReader::kFrame) {
     const bool ends_turn = act_on_frame();
     frame_began_ms_ = began_ms_;
-    if (ends_turn || (awaited_ != nullptr && *awaited_)) return true;  // what stands behind it follows with the next
+    if (ends_turn || (awaited_ != nullptr && *awaited_)) return true;  // the bytes after it follow in the next turn
     result = reader_.again();
   }
-  if (result == FrameReader::kWrongVersion && !is_configured_) request_time();  // shows our version
+  if (result == FrameReader::kWrongVersion && !is_configured_) request_time();  // the host sees our version
   return false;
 }
 
@@ -176,7 +176,7 @@ bool Node::act_on_frame() {
   const size_t size = reader_.payload_bytes();
   switch (reader_.topic_id()) {
     case static_cast<uint16_t>(Kind::kPublisher):
-      if (!is_configured_) emptied_at_ms_ = began_ms_;  // what comes behind it is for this board of now
+      if (!is_configured_) emptied_at_ms_ = began_ms_;  // the bytes after it belong to the new connection
       request_time();
       announcing_ = senders_ != nullptr ? senders_ : receivers_;
       if (announcing_ == nullptr) end_announcement();
@@ -212,7 +212,7 @@ bool Node::is_expected(uint16_t topic_id, size_t size) const {
   }
 }
 
-// A message of a topic; a service's half is not.
+// Whether it is a message of a topic, not half of a service.
 bool Node::is_replaceable(uint16_t id) const {
   const Endpoint* endpoint = senders_;
   while (endpoint != nullptr && endpoint->id_ != id) endpoint = endpoint->next_;
@@ -252,7 +252,7 @@ bool Node::send_counted(uint16_t id, const void* message, Serialize serialize) {
 
 void Node::log(Level level, const char* text) {
   const size_t size = strlen(text);
-  const size_t most = queue_.payload_bytes_max() - kLogBytes;  // what is longer is cut
+  const size_t most = queue_.payload_bytes_max() - kLogBytes;  // a longer text is cut
   const LogLine line = {level, FlashText(nullptr), text, size < most ? size : most};
   send_counted(kIdLog, &line, put_line);
 }
@@ -305,7 +305,7 @@ void Node::request_time() {
   send_counted(kIdTime, nullptr, put_no_time);
 }
 
-// What has no room now follows with the next turns.
+// What does not fit now follows in the next turns.
 void Node::announce() {
   if (announcing_ == nullptr) return;
   while (announcing_ != nullptr) {
@@ -329,7 +329,7 @@ void Node::end_announcement() {
   ++announcements_;
 }
 
-// A frame goes into the queue whole, or not at all.
+// A frame is queued whole, or not at all.
 int Node::send(uint16_t id, const void* message, Serialize serialize) {
   Writer out = queue_.open();
   if (!serialize(message, out) || !queue_.has_room(out.size())) {

@@ -1,4 +1,4 @@
-// Node: the device side of rosserial, whatever the messages are: topics, services, time, log, parameters. No heap;
+// Node: the device side of rosserial, independent of the messages: topics, services, time, log, parameters. No heap;
 // every length from the wire is bounded. Buffers and endpoints belong to the sketch; node_handle.h has the classes that
 // it uses.
 #pragma once
@@ -13,11 +13,11 @@
 
 namespace ros {
 
-// What happens when the bytes of a frame stop coming in its middle (docs/protocol.md#the-retry-clause).
+// What to do when the bytes of a frame stop arriving in its middle (docs/protocol.md#the-retry-clause).
 enum class Retry : uint8_t {
   kNone,       // the original library: a frame that is not complete 20 ms after its first byte is dropped
-  kPaper,      // the paper's listing 1: the same, but wait 10 ms and read once more before the loop is left
-  kKeepState,  // the default: keep what has come and never wait; after 250 ms read it again from its second byte
+  kPaper,      // the paper's listing 1: the same, but wait 10 ms and read once more before leaving the loop
+  kKeepState,  // the default: keep the bytes and never wait; after 250 ms read the frame again from its second byte
 };
 
 enum class Level : uint8_t { kDebug, kInfo, kWarn, kError, kFatal };
@@ -27,7 +27,7 @@ class Node : private Topics {
   typedef void (*ParameterCallback)(void* context, ParameterAnswer& answer);
   typedef bool (*Serialize)(const void* message, Writer& out);
 
-  // In front of every name that begins with neither / nor ~. The text must stay where it is.
+  // Prefix of every name that begins with neither / nor ~. The text must stay valid.
   void set_namespace(const char* name_space) { namespace_ = name_space; }
 
   // Before the first spin(). False: there are too many, or the announcement does not fit into the output buffer.
@@ -36,37 +36,37 @@ class Node : private Topics {
   bool add(Sender& sender, Receiver& receiver);  // both, or none
   void attach(Task& task);
 
-  // One turn. 0: done; else the clause of the paper wants to be called again after so many milliseconds.
+  // One turn. Returns 0, or with the clause of the paper the milliseconds after which to call it again.
   uint32_t spin();
-  // Turns until a callback has set `is_done`; the payload of its message then stays until the next turn. False after
-  // timeout_ms, and at once where it cannot wait.
+  // Runs turns until a callback has set `is_done`; the payload of its message then stays until the next turn. False
+  // after timeout_ms, and at once where it cannot wait.
   bool spin_until(const bool& is_done, uint32_t timeout_ms);
-  bool can_wait() const { return !is_calling_ && awaited_ == nullptr; }  // a callback cannot
+  bool can_wait() const { return !is_calling_ && awaited_ == nullptr; }  // a callback cannot wait
 
   bool is_configured() const { return is_configured_; }
-  // How often the host has been sent the topics, modulo 256: where nothing tells of a new host, it has asked for them.
+  // How often the host was sent the topics, modulo 256. On a link without connections a change shows a new host.
   uint8_t announcements() const { return announcements_; }
-  // In a callback: how long its message may have waited for this turn, at most; since then the link was not empty.
+  // In a callback: how long its message may have waited for this turn, at most; the link was not empty since then.
   uint32_t waited_ms() { return is_calling_ ? link_.milliseconds() - emptied_at_ms_ : 0; }
-  // The bytes of the payload. -1: dropped and counted; 0: the host has not asked for topics. One that is queued may
-  // still go for a newer one, when the line is full.
+  // The bytes of the payload. -1: dropped and counted; 0: the host has not asked for topics. A queued message may still
+  // be dropped for a newer one when the line is full.
   int publish(const Sender& sender, const void* message, Serialize serialize);
   void log(Level level, const char* text);
   void log(Level level, FlashText text);
-  // One at a time: an answer does not name its parameter. False: another one's answer is expected, that of one that
-  // was forgotten for a second; or there is no room.
+  // One at a time: an answer does not name its parameter. False: another answer is expected, or a request was given up
+  // less than a second ago; or there is no room.
   bool request_parameter(const char* name, ParameterCallback callback, void* context);
-  // The request of this context; that of somebody else, who asked since the host was lost, stays.
+  // Cancel the request of this context. A request of another context, made since the host was lost, stays.
   void forget_parameter(const void* context);
 
   uint32_t milliseconds() { return link_.milliseconds(); }
   HostClock& clock() { return clock_; }
 
   uint32_t delivered() const { return delivered_; }                     // messages that reached their callback
-  uint32_t published() const { return published_ - queue_.dropped(); }  // that went to the host, or will
+  uint32_t published() const { return published_ - queue_.dropped(); }  // messages that went to the host, or will
   uint32_t dropped_from_host() const { return reader_.dropped(); }
   uint32_t dropped_to_host() const { return not_queued_ + queue_.dropped() + queue_.dropped_lines(); }
-  // Good frames with an id, a size or a content that no topic of ours has; kKeepState counts a wrong id or size as
+  // Valid frames with an id, a size or a content that fits no topic; kKeepState counts a wrong id or size as
   // dropped, by their header.
   uint32_t refused() const { return refused_; }
 
@@ -127,18 +127,18 @@ class Node : private Topics {
   const char* namespace_ = "";
   Endpoint* senders_ = nullptr;
   Endpoint* receivers_ = nullptr;
-  Endpoint* announcing_ = nullptr;  // the next one
+  Endpoint* announcing_ = nullptr;  // the next endpoint
   Task* tasks_ = nullptr;
   const bool* awaited_ = nullptr;  // by spin_until
   uint32_t began_ms_ = 0;
-  uint32_t emptied_at_ms_ = 0;  // all that had come was read
+  uint32_t emptied_at_ms_ = 0;  // all available bytes were read
   uint32_t frame_began_ms_ = 0;
   uint32_t time_requested_ms_ = 0;
   uint32_t time_received_ms_ = 0;
   ParameterCallback parameter_ = nullptr;
   void* parameter_context_ = nullptr;
   uint32_t parameter_forgotten_ms_ = 0;
-  bool is_parameter_late_ = false;  // the answer of one that was forgotten may still come
+  bool is_parameter_late_ = false;  // the answer to a request that was given up may still arrive
   uint32_t not_queued_ = 0;
   uint32_t refused_ = 0;
   uint32_t delivered_ = 0;

@@ -1,4 +1,4 @@
-// The node by the names that ros_lib gives it, with its buffers and its hardware.
+// The node with ros_lib's names, with its buffers and its hardware.
 #pragma once
 
 #include "node.h"
@@ -8,7 +8,7 @@
 #include "service_server.h"
 #include "subscriber.h"
 
-class __FlashStringHelper;  // what Arduino's F("...") is
+class __FlashStringHelper;  // the type of Arduino's F("...")
 
 namespace ros {
 
@@ -35,7 +35,7 @@ class HardwareLink : public Link {
   Hardware hardware_;
 };
 
-// What is a link already.
+// A hardware that is already a link.
 template <class Hardware>
 class OwnLink : public Hardware {
  public:
@@ -92,8 +92,8 @@ class NodeApi : public Node {
   void logerror(const __FlashStringHelper* text) { log(Level::kError, in_flash(text)); }
   void logfatal(const __FlashStringHelper* text) { log(Level::kFatal, in_flash(text)); }
 
-  // Turn until the answer has come, as in ros_lib; before that, for as long at most, until that of a parameter that was
-  // requested before has come. False: the parameter is missing, has another type or another length, or this is a
+  // Run turns until the answer has arrived, like ros_lib; before that, for at most the same time, until the answer to
+  // an earlier request has arrived. False: the parameter is missing, has another type or another length, or this is a
   // callback; and the values stay as they are.
   bool getParam(const char* name, int* values, int length = 1, uint32_t timeout_ms = kParameterTimeoutMs) {
     Wanted<int> wanted = {values, length, false, false};

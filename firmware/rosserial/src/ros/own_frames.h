@@ -1,4 +1,4 @@
-// What stands in the frames that the node sends of itself: announcements, lines of the log, names of parameters.
+// Contents of the frames that the node itself sends: announcements, lines of the log, names of parameters.
 #pragma once
 
 #include <string.h>

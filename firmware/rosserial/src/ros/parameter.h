@@ -1,4 +1,4 @@
-// Parameters with defaults, requested one after the other each time the host has asked for the topics; nothing waits.
+// Parameters with defaults, requested one after the other after each request of the host for topics, without waiting.
 #pragma once
 
 #include "node.h"
@@ -8,10 +8,10 @@ namespace ros {
 class ParameterBase {
  public:
   const char* name() const { return name_; }
-  bool is_from_host() const { return is_from_host_; }  // else the default applies
+  bool is_from_host() const { return is_from_host_; }  // otherwise the default applies
 
  protected:
-  // False: the answer makes no sense, and what applies stays.
+  // False: the answer is invalid, and the present value stays.
   typedef bool (*Use)(ParameterBase& self, ParameterAnswer& answer);
 
   ParameterBase(const char* name, Use use) : name_(name), use_(use) {}
@@ -33,7 +33,7 @@ template <class T, size_t kCount = 1>
 class Parameter : public ParameterBase {
  public:
   Parameter(const char* name, T value) : Parameter(name, value, value, value) { has_range_ = false; }
-  // What is not from `low` to `high` is refused, with a line in the host's log.
+  // A value outside `low` to `high` is refused, with a line in the host's log.
   Parameter(const char* name, T value, T low, T high) : ParameterBase(name, &Parameter::use), low_(low), high_(high) {
     for (size_t i = 0; i < kCount; ++i) values_[i] = value;
   }
@@ -92,7 +92,7 @@ class TextParameter : public ParameterBase {
 class Parameters : public Task {
  public:
   void add(ParameterBase& parameter);
-  bool is_done() const { return is_done_; }  // each was requested, and has its answer if the host gave one
+  bool is_done() const { return is_done_; }  // each was requested, and set if the host answered
 
  private:
   void spin(Node& node) override;
@@ -103,7 +103,7 @@ class Parameters : public Task {
   ParameterBase* requested_ = nullptr;
   uint32_t requested_at_ms_ = 0;
   uint8_t announcements_ = 0;
-  bool is_requested_ = false;  // of the host, else it is to be
+  bool is_requested_ = false;  // whether the value is the host's, otherwise it is still to be requested
   bool was_configured_ = false;
   bool is_answered_ = false;
   bool is_done_ = false;

@@ -14,7 +14,7 @@ uint32_t read_u32(const uint8_t* bytes) {
          static_cast<uint32_t>(bytes[2]) << 16 | static_cast<uint32_t>(bytes[3]) << 24;
 }
 
-// A list of elements of at least four bytes each; nullptr: it lies, or there is none.
+// A list of elements of at least four bytes each; nullptr: its length is wrong, or it is empty.
 const uint8_t* read_list(const uint8_t* at, const uint8_t* end, size_t& count) {
   if (at == nullptr || static_cast<size_t>(end - at) < kCountBytes) return nullptr;
   const uint32_t announced = read_u32(at);
@@ -49,7 +49,7 @@ int32_t ParameterAnswer::whole_number(size_t number) const {
 bool ParameterAnswer::copy(int* values, size_t count) const {
   if (count == 0 || ints_count_ != count) return false;
   for (size_t i = 0; i < count; ++i) {
-    if (static_cast<int>(whole_number(i)) != whole_number(i)) return false;  // an AVR's has 16 bits
+    if (static_cast<int>(whole_number(i)) != whole_number(i)) return false;  // an AVR's int has 16 bits
   }
   for (size_t i = 0; i < count; ++i) values[i] = static_cast<int>(whole_number(i));
   return true;
@@ -61,7 +61,7 @@ bool ParameterAnswer::copy(bool* values, size_t count) const {
   return true;
 }
 
-// Whole numbers, too: a host that writes 2.0 as 2 means the same.
+// Also accept whole numbers: a host that writes 2.0 as 2 means the same.
 bool ParameterAnswer::copy(float* values, size_t count) const {
   if (count == 0 || (floats_count_ != count && (floats_count_ > 0 || ints_count_ != count))) return false;
   numbers(values, count);

@@ -1,4 +1,4 @@
-// The host's answer to a request for a parameter: whole numbers, floats, or texts; nothing where it has none.
+// The host's answer to a request for a parameter: whole numbers, floats, or texts; empty if the host has none.
 #pragma once
 
 #include <stddef.h>
@@ -8,21 +8,21 @@ namespace ros {
 
 class ParameterAnswer {
  public:
-  // False: the payload is no answer.
+  // False: the payload is not an answer.
   bool read(uint8_t* payload, size_t size);
 
   bool is_empty() const { return ints_count_ == 0 && floats_count_ == 0 && texts_count_ == 0; }
-  // How many there are. At most `most` are copied.
-  size_t numbers(float* values, size_t most) const;  // floats; where there are none, whole numbers
+  // The number of values. At most `most` are copied.
+  size_t numbers(float* values, size_t most) const;  // floats, otherwise whole numbers
   size_t ints(int32_t* values, size_t most) const;
   size_t floats(float* values, size_t most) const;
   size_t texts() const { return texts_count_; }
-  // All of them, if they are of this type and so many; else nothing is changed. A bool is a whole number.
+  // Copies all values if they have this type and number; otherwise changes nothing. A bool is a whole number.
   bool copy(int* values, size_t count) const;
   bool copy(float* values, size_t count) const;
   bool copy(bool* values, size_t count) const;
   bool copy(char* chars, size_t room) const { return text(0, chars, room); }
-  // Copies the text with its zero. False: there is none of this number, or it needs more room.
+  // Copies the text with its zero. False: there is no text of this number, or it does not fit.
   bool text(size_t number, char* chars, size_t room) const;
 
  private:

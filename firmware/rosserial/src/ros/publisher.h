@@ -5,7 +5,7 @@
 
 namespace ros {
 
-// How a message of type M is written; one function a type.
+// Function that writes a message of type M; one function for each type.
 template <class M>
 bool serialize_message(const void* message, Writer& out) {
   return static_cast<const M*>(message)->serialize(out);
@@ -13,12 +13,12 @@ bool serialize_message(const void* message, Writer& out) {
 
 class Publisher : public Sender {
  public:
-  // The message only shows the type.
+  // The message is only used for its type.
   template <class M>
   Publisher(const char* topic, const M*) : Sender(Kind::kPublisher, topic, M::getType(), M::getMD5()) {}
 
-  // The bytes of the message; 0: the host has not asked for topics; -1: it is too large, the line is full, or the topic
-  // has another type.
+  // Returns the bytes of the message; 0: the host has not asked for topics; -1: it is too large, the line is full, or
+  // the topic has another type.
   template <class M>
   int publish(const M* message) {
     if (node() == nullptr) return 0;

@@ -9,7 +9,7 @@ class RawPublisher : public Sender {
  public:
   RawPublisher(const char* topic, FlashText type, FlashText md5) : Sender(Kind::kPublisher, topic, type, md5) {}
 
-  // As Publisher::publish.
+  // Returns what Publisher::publish returns.
   int publish(const uint8_t* payload, size_t size);
 };
 

@@ -4,7 +4,7 @@ namespace ros {
 
 namespace {
 
-const uint32_t kLateMs = 5000;  // what a host may still take for its answer
+const uint32_t kLateMs = 5000;  // for this time a host may still answer the call
 
 }  // namespace
 

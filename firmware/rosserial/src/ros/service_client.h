@@ -25,7 +25,7 @@ class CallDeadline : public Task {
 
  protected:
   void start(uint32_t now_ms, uint32_t timeout_ms);
-  bool finish();  // an answer has come; false: nobody waits for it
+  bool finish();  // an answer has arrived; false: no call waits for it
   virtual void expire() = 0;
   void spin(Node& node) override;
 
@@ -41,7 +41,7 @@ class CallDeadline : public Task {
 template <class Request, class Response, size_t kArrayBytes = 0>
 class ServiceClient : public Receiver, public CallDeadline {
  public:
-  // The response, or nullptr after the deadline; it is gone after the callback.
+  // The response, or nullptr after the deadline; it is invalid after the callback.
   typedef Callable<void(const Response*)> Callback;
 
   explicit ServiceClient(const char* service)
@@ -49,8 +49,8 @@ class ServiceClient : public Receiver, public CallDeadline {
                  &ServiceClient::receive),
         request_(service) {}
 
-  // Never waits. False: a call is running or was given up less than 5 s ago, or the request was not queued; the
-  // callback is not called then.
+  // Never waits. False: a call is running or was given up less than 5 s ago, or the request was not queued; then the
+  // callback is not called.
   template <class F>
   bool begin(const Request& request, F callback, uint32_t timeout_ms = kCallTimeoutMs) {
     if (!is_idle()) return false;
@@ -58,8 +58,8 @@ class ServiceClient : public Receiver, public CallDeadline {
     return send(request, timeout_ms);
   }
 
-  // Turns until the response has come, as ros_lib does, but not for ever. Its texts and arrays stay until the next
-  // turn. False: none has come, or this is a callback.
+  // Runs turns until the response has arrived, like ros_lib, but with a deadline. Its texts and arrays stay until the
+  // next turn. False: no response, or this is a callback.
   bool call(const Request& request, Response& response, uint32_t timeout_ms = kCallTimeoutMs) {
     Node* node = Receiver::node();
     if (!is_idle() || node == nullptr || !node->can_wait()) return false;
@@ -67,13 +67,13 @@ class ServiceClient : public Receiver, public CallDeadline {
     waiting_ = &response;
     is_done_ = is_answered_ = false;
     const bool is_sent = send(request, timeout_ms);
-    // The deadline ends it, too; a little later, should that turn be missed.
+    // The deadline also ends the call; a little later if that turn is missed.
     if (is_sent) node->spin_until(is_done_, timeout_ms == UINT32_MAX ? timeout_ms : timeout_ms + 1);
     waiting_ = nullptr;
     return is_answered_;
   }
 
-  Sender& request() { return request_; }  // its other half
+  Sender& request() { return request_; }  // the other half of the service
 
  private:
   struct Question : public Sender {

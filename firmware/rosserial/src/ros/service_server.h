@@ -22,7 +22,7 @@ class ServiceServer : public Receiver {
       : ServiceServer(service,
                       Callback(MemberOf<const C, void (C::*)(const Request&, Response&) const>{member, object})) {}
 
-  Sender& response() { return response_; }  // its other half
+  Sender& response() { return response_; }  // the other half of the service
 
  private:
   typedef Callable<void(const Request&, Response&)> Callback;

@@ -12,7 +12,7 @@ const size_t kStorageBytes = 64;
 const size_t kStorageBytes = 256;
 #endif
 
-// What a message is read into, for as long as its callback runs: the elements of its variable arrays.
+// Memory for one message while its callback runs: the elements of its variable arrays.
 template <size_t kBytes>
 struct Storage {
   union {
@@ -27,17 +27,17 @@ struct Storage<0> {
   uint8_t* start() { return nullptr; }
 };
 
-// The message, its texts and its arrays are gone after the callback. `kArrayBytes`: for the elements of its variable
-// arrays, but uint8[]; a message with more is refused.
+// The message, its texts and its arrays are invalid after the callback. `kArrayBytes`: for the elements of its variable
+// arrays, except uint8[]; a larger message is refused.
 template <class M, class T = void, size_t kArrayBytes = kStorageBytes>
 class Subscriber : public Receiver {
  public:
   // A function, or a lambda that captures at most three references.
   template <class F>
   Subscriber(const char* topic, F callback) : Subscriber(topic, Callable<void(M&)>(callback)) {}
-  // A function, as in ros_lib.
+  // A function, like in ros_lib.
   Subscriber(const char* topic, void (*callback)(const M&)) : Subscriber(topic, Callable<void(M&)>(callback)) {}
-  // A member of an object.
+  // A member function of an object.
   template <class C, class Object>
   Subscriber(const char* topic, void (C::*member)(const M&), Object* object)
       : Subscriber(topic, Callable<void(M&)>(MemberOf<C, void (C::*)(const M&)>{member, object})) {}

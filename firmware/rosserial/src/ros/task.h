@@ -1,4 +1,4 @@
-// What wants a turn with each turn of the node, also while a call or a parameter is waited for.
+// Work that gets a turn with each turn of the node, also while a call or a parameter is pending.
 #pragma once
 
 namespace ros {
@@ -14,7 +14,7 @@ class Task {
   Task(const Task&) = delete;
   Task& operator=(const Task&) = delete;
   ~Task() {}
-  Node* node() const { return node_; }  // nullptr: it is not attached
+  Node* node() const { return node_; }  // nullptr: not attached
 
  private:
   friend class Node;

@@ -6,7 +6,7 @@ namespace {
 
 const int32_t kNsPerS = 1000000000;
 
-// They wrap: a message may have any number in its times.
+// The times wrap: a message may have any number in them.
 int32_t sum(int32_t a, int32_t b) { return static_cast<int32_t>(static_cast<uint32_t>(a) + static_cast<uint32_t>(b)); }
 int32_t difference(uint32_t a, uint32_t b) { return static_cast<int32_t>(a - b); }
 int32_t difference(int32_t a, int32_t b) { return difference(static_cast<uint32_t>(a), static_cast<uint32_t>(b)); }

@@ -1,4 +1,4 @@
-// A moment since 1970, as ROS has it.
+// A moment since 1970, like ROS's.
 #pragma once
 
 #include <stdint.h>
@@ -26,7 +26,7 @@ struct Time {
 
 inline Time operator+(Time time, const Duration& duration) { return time += duration; }
 inline Time operator-(Time time, const Duration& duration) { return time -= duration; }
-// Of times within 68 years of each other.
+// For times within 68 years of each other.
 Duration operator-(const Time& later, const Time& earlier);
 
 }  // namespace ros

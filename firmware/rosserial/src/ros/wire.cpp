@@ -12,9 +12,9 @@ const int kFraction64Bits = 52;
 const int kFractionBitsMore = kFraction64Bits - kFraction32Bits;
 const uint32_t kExponent32All = 0xFF;
 const int kExponent64All = 0x7FF;
-const uint32_t kEmptyElementsMax = 16;  // of messages without fields, whose number the payload does not bound
+const uint32_t kEmptyElementsMax = 16;  // of messages without fields: the payload does not bound their number
 
-// The double of a board: 8 bytes, or those of a float.
+// A double of the board: 8 bytes, or the 4 of a float.
 template <size_t size>
 struct Double;
 
@@ -140,7 +140,7 @@ void Reader::get(const char*& text) {
   text = "";
   if (bytes == nullptr) return;
   memmove(bytes - 1, bytes, static_cast<size_t>(length));  // over the last byte of its length
-  *(bytes + length - 1) = 0;                               // without a text, that byte itself
+  *(bytes + length - 1) = 0;                               // without characters: over that byte itself
   text = reinterpret_cast<const char*>(bytes - 1);
 }
 
@@ -150,7 +150,7 @@ void Reader::get_variable(uint8_t*& values, uint32_t& count, size_t least) {
   if (values == nullptr) count = 0;
 }
 
-// The number of elements of an array, or of bytes of a text; 0 where they cannot be there.
+// The number of elements of an array, or of bytes of a text; 0 if the payload is too short for them.
 uint32_t Reader::get_count(size_t least) {
   const uint32_t count = get_number(4);
   const uint32_t most = least == 0 ? kEmptyElementsMax : static_cast<uint32_t>(left_ / least);

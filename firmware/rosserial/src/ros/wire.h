@@ -10,7 +10,7 @@
 
 namespace ros {
 
-// The texts of a string[]; the array is the sketch's own, of char* or const char*.
+// The texts of a string[]. The array belongs to the sketch; char* or const char*.
 class Texts {
  public:
   Texts(decltype(nullptr) = nullptr) {}
@@ -24,7 +24,7 @@ class Texts {
   const char** texts_ = nullptr;
 };
 
-// The numbers of a float64[]; the array is the sketch's own, of double, or of float as ros_lib has it.
+// The numbers of a float64[]. The array belongs to the sketch; double, or float like in ros_lib.
 class Doubles {
  public:
   class Number {
@@ -61,19 +61,19 @@ class Doubles {
   float* floats_ = nullptr;
 };
 
-// A float64 has 8 bytes on the wire, also where double has 4: the bits of one, from and to a double of either size.
+// A float64 has 8 bytes on the wire, also where double has 4: these functions convert its bits from and to a double.
 uint64_t float64_bits(double value);
 double float64_value(uint64_t bits);
 uint64_t float64_bits_of_float(float value);
 float float_of_float64_bits(uint64_t bits);  // rounds to the nearest; too large: infinite, too small: zero
 
-// Writes a message into bytes. What has no room is not written, and nothing behind it.
+// Writes a message into bytes. A field that does not fit is not written, nor are the fields after it.
 class Writer {
  public:
   Writer(uint8_t* bytes, size_t size) : bytes_(bytes), room_(size) {}
 
   bool is_good() const { return is_good_; }
-  size_t size() const { return size_; }  // also of what has no room: how much the message needs
+  size_t size() const { return size_; }  // counts fields that do not fit too: the size that the message needs
 
   void put(bool value) { put_number(value ? 1u : 0u, 1); }
   void put(int8_t value) { put_number(static_cast<uint8_t>(value), 1); }
@@ -116,7 +116,7 @@ class Writer {
   void put(const Doubles::Number& value) { put(static_cast<double>(value)); }
 
  private:
-  uint8_t* claim(size_t size);  // nullptr: no room
+  uint8_t* claim(size_t size);  // nullptr: it does not fit
   void put_number(uint32_t value, size_t size);
   void put_long(uint64_t value);
 
@@ -126,15 +126,15 @@ class Writer {
   bool is_good_ = true;
 };
 
-// Reads a message from bytes, which stay where they are as long as the message is used: a text is not copied, it moves
-// over its length, and a zero ends it. Variable arrays are put into `storage`.
+// Reads a message from bytes, which must stay as long as the message is used: a text is not copied. It moves over its
+// length, and a zero ends it. Variable arrays are put into `storage`.
 class Reader {
  public:
   Reader(uint8_t* bytes, size_t size, void* storage, size_t storage_bytes)
       : bytes_(bytes), left_(size), storage_(static_cast<uint8_t*>(storage)), storage_left_(storage_bytes) {}
 
   bool is_good() const { return is_good_; }
-  size_t left() const { return left_; }  // bytes behind the message
+  size_t left() const { return left_; }  // whether bytes follow the message
 
   void get(bool& value) { value = get_number(1) != 0; }
   void get(int8_t& value) { value = static_cast<int8_t>(get_number(1)); }
@@ -165,7 +165,7 @@ class Reader {
   void get_fixed(T (&values)[N]) {
     for (size_t i = 0; i < N && is_good_; ++i) get(values[i]);
   }
-  // `least`: the bytes that an element has at least.
+  // `least`: the minimum size of an element in bytes.
   template <class T>
   void get_variable(T*& values, uint32_t& count, size_t least) {
     count = get_count(least);
@@ -185,14 +185,14 @@ class Reader {
     numbers = values;
   }
 
-  // Where an element is constructed; the boards' cores do not agree on a header with the usual one.
+  // Place to construct an element; the boards' cores have the usual function in different headers.
   struct Place {
     explicit Place(void* memory) : at(memory) {}
     void* at;
   };
 
  private:
-  uint8_t* claim(size_t size);  // nullptr: there are fewer
+  uint8_t* claim(size_t size);  // nullptr: fewer bytes are left
   uint32_t get_number(size_t size);
   uint64_t get_long();
   uint32_t get_count(size_t least);

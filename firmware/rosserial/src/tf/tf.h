@@ -1,4 +1,4 @@
-// Turns about the vertical axis, as ros_lib has them.
+// Rotations about the vertical axis, like in ros_lib.
 #pragma once
 
 #include <geometry_msgs/Quaternion.h>

@@ -1,4 +1,4 @@
-// Publishes transforms on /tf, as ros_lib's does.
+// Publishes transforms on /tf, like ros_lib's.
 #pragma once
 
 #include <geometry_msgs/TransformStamped.h>
