@@ -114,7 +114,7 @@ class Board:
 async def running(name: str, address: tuple[str, int], serial_port: int | None = None) -> AsyncIterator[Board]:
     """A sketch that is connected to a host until the end of the block. A finding of a sanitizer fails the block.
 
-    `serial_port`: where its Serial goes, of another board; None: to the host as well.
+    `serial_port`: port of another board for its Serial; None: its Serial is connected to the host too.
     """
     ports: Iterable[int] = (address[1],) if serial_port is None else (address[1], serial_port)
     async with started(build(name), name, address[0], *ports) as board:

@@ -21,7 +21,7 @@ def test_without_noise_the_square_s_error_falls_a_hundredfold() -> None:
 
 @pytest.mark.timeout(60 + 30 * SEEDS)
 def test_with_slip_and_a_random_caster_the_square_s_error_falls_fivefold() -> None:
-    """By the mean of all seeds; with thirty seeds also by the lower end of its confidence interval."""
+    """The mean of all seeds counts; with thirty seeds the lower end of its confidence interval counts too."""
     errors = [errors_in(noisy(seed)) for seed in range(1, SEEDS + 1)]
     for found in (gain(errors, lambda each: each.umbmark_m), gain(errors, lambda each: each.least_squares_m)):
         assert (found.low if SEEDS >= 30 else found.middle) > 5.0

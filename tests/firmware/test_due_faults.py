@@ -49,7 +49,7 @@ def test_a_dead_encoder_is_a_stalled_wheel(side: int, name: str) -> None:
 
 @given(speed=st.floats(0.002, 0.34), side=st.sampled_from([LEFT, RIGHT]), drawn=worlds())
 def test_a_dead_encoder_ends_a_drive_at_any_speed(speed: float, side: int, drawn: WorldParameters) -> None:
-    """Also at a speed so low that the PWM never gets high: after five seconds without an edge."""
+    """The drive also ends at a speed so low that the PWM never gets high: after five seconds without an edge."""
     with world(drawn) as made:
         made.deafen(side)
         made.drive(speed, 0.0, 7.0)

@@ -92,7 +92,7 @@ def test_wheel_turned_by_hand_is_driven_as_before_after_release(
 @WORLDS
 @given(drawn=worlds(), linear=st.floats(0.08, 0.28), sense=st.sampled_from([1, -1]))
 def test_steady_speed_with_drawn_motors_is_the_requested_one(drawn: WorldParameters, linear: float, sense: int) -> None:
-    """To 1 %; to 5 % where the motor cannot turn so slowly, and is alternately driven and braked."""
+    """Bound: 1 %, or 5 % where the motor cannot turn so slowly, and is alternately driven and braked."""
     assume(linear < 0.9 * METRES_PER_TICK * top_ticks_s(drawn))
     with world(drawn) as made:
         made.drive(sense * linear, 0.0, 14.0)

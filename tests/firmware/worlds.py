@@ -158,7 +158,7 @@ class World:
 
     @property
     def restarts(self) -> int:
-        """How often the board's watchdog would have restarted it."""
+        """Number of restarts that the board's watchdog would have caused."""
         return int(library().world_restarts(self.handle))
 
     def grip(self, side: int, ticks_s: float) -> None:
@@ -172,7 +172,7 @@ class World:
         library().world_deafen(self.handle, side, is_so)
 
     def stick(self, side: int, *, is_so: bool = True) -> None:
-        """Break the driver of a motor: it runs at full speed, whatever the pins command."""
+        """Break the driver of a motor: it runs at full speed, independent of the pins."""
         library().world_stick(self.handle, side, is_so)
 
     @property
