@@ -306,7 +306,7 @@ def test_a_frame_found_among_bytes_that_are_read_again_has_its_own_quarter_of_a_
 
 @pytest.mark.parametrize("topic_id", [1, 7, 99, 100, 102, 65535])
 def test_a_false_header_does_not_make_the_default_deaf(topic_id: int) -> None:
-    """The header claims 510 bytes, perhaps a second of commands. Its id, or the size for its id, shows that it is false."""
+    """The header claims 510 bytes, perhaps a second of commands. Its id, or the size for it, is wrong."""
     with node() as device:
         device.feed(encode(topic_id, bytes(510))[:7] + LED)
         spin(device, 1.0)
