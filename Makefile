@@ -24,12 +24,6 @@ CHAOS_S ?= 600
 MUTANTS ?= 8
 MUTANTS_SEED ?= 1
 
-PURE := protocol messages robot diagnosis
-PURE_TESTS := $(addprefix tests/unit/,$(PURE))
-comma := ,
-empty :=
-PURE_FILES := $(subst $(empty) ,$(comma),$(foreach package,$(PURE),hostlink/$(package)/*))
-
 CORES := $(shell nproc)
 WORKERS ?= $(shell echo $$((3 * $(CORES))))# of make test: two thirds of its time is waiting
 QUIET_WORKERS ?= $(shell echo $$((3 * $(CORES) / 2)))# of the tests that a busy machine disturbs: three fifths of their time is waiting
@@ -115,8 +109,11 @@ $(CLIENTS): tests/clients/package.json tests/clients/package-lock.json
 	@cd tests/clients && npm ci --ignore-scripts --no-progress --loglevel=error
 	@touch $@
 
-test: $(VENV)/.dev $(CLIENTS) $(ROS2_VENV)/.installed $(ROS_MCP_VENV)/.installed
-	@tools/require.sh tmux procps systemd chromium-headless-shell firefox-esr openssl $(FIRMWARE_PACKAGES) $(WORLD_PACKAGES) $(ROS1_PACKAGES)
+# What cannot be installed here does not end the run: the table lists the tests that need it (tests/support/requirements.py).
+test: $(VENV)/.dev
+	@tools/require.sh tmux procps systemd chromium-headless-shell firefox-esr openssl $(FIRMWARE_PACKAGES) $(WORLD_PACKAGES) $(ROS1_PACKAGES) || true
+	@for each in $(CLIENTS) $(ROS2_VENV)/.installed $(ROS_MCP_VENV)/.installed; do \
+	  $(MAKE) --no-print-directory $$each || echo "the tests that need $$each are not run"; done
 	$(BIN)/python -m pytest --collect-only --quiet tests >/dev/null # what pytest compiles: once, not once a worker
 	$(BIN)/python tools/run_tests.py --workers $(WORKERS) --quiet-workers $(QUIET_WORKERS)
 
@@ -127,7 +124,7 @@ coverage: $(VENV)/.dev
 	HYPOTHESIS_PROFILE=ci $(BIN)/coverage run -m pytest -n $(CORES) tests/unit tests/property tests/integration
 	$(BIN)/coverage combine --quiet
 	$(BIN)/coverage report
-	$(BIN)/coverage report --include='$(PURE_FILES)' --fail-under=100
+	$(BIN)/python tools/run_tests.py --branches
 
 release: $(VENV)/.dev
 	$(BIN)/python tools/release.py
