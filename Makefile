@@ -81,6 +81,7 @@ ROS2_PACKAGES := 'ros-rclpy[fastrtps]' ros-std-msgs ros-std-srvs ros-geometry-ms
 $(ROS2_VENV)/.installed: pyproject.toml
 	@test -n "$(PYTHON)" || { echo "hostlink needs Python 3.11 or newer"; exit 1; }
 	@echo "installing rclpy and hostlink into $(ROS2_VENV) ..."
+	@test ! -L $(ROS2_VENV) || { echo "$(ROS2_VENV) is a link: venv --clear would empty the directory that it names"; exit 1; }
 	@$(PYTHON) -m venv --clear $(ROS2_VENV)
 	@$(ROS2_VENV)/bin/python -m pip install --quiet --disable-pip-version-check -e . $(ROS2_PACKAGES) \
 	  || { echo "rclpy cannot be installed from PyPI: the tests of hostlink ros2 (tests/system/ros2) need it"; exit 1; }
@@ -94,6 +95,7 @@ ROS_MCP_VENV := build/ros-mcp-venv
 $(ROS_MCP_VENV)/.installed:
 	@test -n "$(PYTHON)" || { echo "hostlink needs Python 3.11 or newer"; exit 1; }
 	@echo "installing ros-mcp into $(ROS_MCP_VENV) ..."
+	@test ! -L $(ROS_MCP_VENV) || { echo "$(ROS_MCP_VENV) is a link: venv --clear would empty the directory that it names"; exit 1; }
 	@$(PYTHON) -m venv --clear $(ROS_MCP_VENV)
 	@$(ROS_MCP_VENV)/bin/python -m pip install --quiet --disable-pip-version-check ros-mcp==3.1.2 \
 	  || { echo "ros-mcp cannot be installed from PyPI: tests/system/test_ros_mcp.py needs it"; exit 1; }
