@@ -20,7 +20,7 @@ from hostlink.guardian.guardian import CODE, Guardian, _spawn
 from hostlink.guardian.records import encode_goodbye, encode_ping, encode_watch
 from tests.support.process import is_running
 from tests.support.pty_pair import pty_pair
-from tests.support.waiting import expect
+from tests.support.waiting import TIMEOUT_S, expect
 
 SEQUENCE = b"".join(part for _, part in stop_sequence((100,), 0))
 ROBOTS = 200
@@ -180,7 +180,7 @@ async def test_two_hundred_robots_stop_at_once_and_one_that_reads_nothing_delays
             with contextlib.suppress(BlockingIOError):
                 while True:
                     peers[0].ours.send(bytes(65536))
-            await expect(lambda: guarded(ours) == ROBOTS, timeout_s=20)
+            await expect(lambda: guarded(ours) == ROBOTS)
             for peer in peers:
                 peer.ours.close()
             assert ours._channel is not None
@@ -219,7 +219,7 @@ def waiting_bytes(peer: Peer) -> bytes:
 async def received(peer: Peer, wanted: bytes) -> None:
     """Wait for these bytes, and no others before them."""
     data = b""
-    async with asyncio.timeout(10):
+    async with asyncio.timeout(TIMEOUT_S):
         while len(data) < len(wanted):
             data += waiting_bytes(peer)
             await asyncio.sleep(0.005)

@@ -30,7 +30,7 @@ from tests.support.participants import (
 )
 from tests.support.rosbridge import client
 from tests.support.scripted_device import ScriptedDevice
-from tests.support.waiting import expect
+from tests.support.waiting import TIMEOUT_S, expect
 
 ZERO = bytes(48)
 SPEED = struct.pack("<d", 0.77)
@@ -65,7 +65,7 @@ def play_arm(test: Callable[[Arm], Awaitable[None]]) -> None:
 
 async def heard(device: FakeDevice, topic_id: int, *, is_zero: bool) -> None:
     """Wait for a velocity of this kind."""
-    async with asyncio.timeout(5):
+    async with asyncio.timeout(TIMEOUT_S):
         while (await device.frame(topic_id) == ZERO) != is_zero:
             pass
 
