@@ -268,7 +268,7 @@ async def test_a_peer_with_many_robots_keeps_the_loop_for_no_stop() -> None:
             liar.claim(*names)
             await expect(lambda: a.hub.robots.remote.keys() >= set(names))
             watching.cancel()
-        assert len(shown) > 10
+        assert len(shown) > 3  # of one slice there would be two: none and all
         assert a.hub.isolation.crashes.total() == 0
 
 
