@@ -24,15 +24,9 @@ CHAOS_S ?= 600
 MUTANTS ?= 8
 MUTANTS_SEED ?= 1
 
-PURE := protocol messages robot diagnosis
-PURE_TESTS := $(addprefix tests/unit/,$(PURE))
-comma := ,
-empty :=
-PURE_FILES := $(subst $(empty) ,$(comma),$(foreach package,$(PURE),hostlink/$(package)/*))
-
 CORES := $(shell nproc)
 WORKERS ?= $(shell echo $$((3 * $(CORES))))# of make test: two thirds of its time is waiting
-QUIET_WORKERS ?= $(shell echo $$((3 * $(CORES) / 2)))# of the tests that a busy machine disturbs: three fifths of their time is waiting
+QUIET_WORKERS ?= $(shell echo $$((2 * $(CORES))))# of the tests that a busy machine disturbs: three fifths of their time is waiting
 unexport PYTHONDONTWRITEBYTECODE # the tests start hostlink some hundred times
 
 .PHONY: help demo docs test quick test-pythons coverage mutants check bench fuzz web screenshots firmware world lab chain soak netns ros2-venv ros-mcp-venv release format clean
@@ -87,6 +81,7 @@ ROS2_PACKAGES := 'ros-rclpy[fastrtps]' ros-std-msgs ros-std-srvs ros-geometry-ms
 $(ROS2_VENV)/.installed: pyproject.toml
 	@test -n "$(PYTHON)" || { echo "hostlink needs Python 3.11 or newer"; exit 1; }
 	@echo "installing rclpy and hostlink into $(ROS2_VENV) ..."
+	@test ! -L $(ROS2_VENV) || { echo "$(ROS2_VENV) is a link: venv --clear would empty the directory that it names"; exit 1; }
 	@$(PYTHON) -m venv --clear $(ROS2_VENV)
 	@$(ROS2_VENV)/bin/python -m pip install --quiet --disable-pip-version-check -e . $(ROS2_PACKAGES) \
 	  || { echo "rclpy cannot be installed from PyPI: the tests of hostlink ros2 (tests/system/ros2) need it"; exit 1; }
@@ -100,6 +95,7 @@ ROS_MCP_VENV := build/ros-mcp-venv
 $(ROS_MCP_VENV)/.installed:
 	@test -n "$(PYTHON)" || { echo "hostlink needs Python 3.11 or newer"; exit 1; }
 	@echo "installing ros-mcp into $(ROS_MCP_VENV) ..."
+	@test ! -L $(ROS_MCP_VENV) || { echo "$(ROS_MCP_VENV) is a link: venv --clear would empty the directory that it names"; exit 1; }
 	@$(PYTHON) -m venv --clear $(ROS_MCP_VENV)
 	@$(ROS_MCP_VENV)/bin/python -m pip install --quiet --disable-pip-version-check ros-mcp==3.1.2 \
 	  || { echo "ros-mcp cannot be installed from PyPI: tests/system/test_ros_mcp.py needs it"; exit 1; }
@@ -115,8 +111,11 @@ $(CLIENTS): tests/clients/package.json tests/clients/package-lock.json
 	@cd tests/clients && npm ci --ignore-scripts --no-progress --loglevel=error
 	@touch $@
 
-test: $(VENV)/.dev $(CLIENTS) $(ROS2_VENV)/.installed $(ROS_MCP_VENV)/.installed
-	@tools/require.sh tmux procps systemd chromium-headless-shell firefox-esr openssl $(FIRMWARE_PACKAGES) $(WORLD_PACKAGES) $(ROS1_PACKAGES)
+# What cannot be installed here does not end the run: the table lists the tests that need it (tests/support/requirements.py).
+test: $(VENV)/.dev
+	@tools/require.sh tmux procps systemd chromium-headless-shell firefox-esr openssl $(FIRMWARE_PACKAGES) $(WORLD_PACKAGES) $(ROS1_PACKAGES) || true
+	@for each in $(CLIENTS) $(ROS2_VENV)/.installed $(ROS_MCP_VENV)/.installed; do \
+	  $(MAKE) --no-print-directory $$each || echo "the tests that need $$each are not run"; done
 	$(BIN)/python -m pytest --collect-only --quiet tests >/dev/null # what pytest compiles: once, not once a worker
 	$(BIN)/python tools/run_tests.py --workers $(WORKERS) --quiet-workers $(QUIET_WORKERS)
 
@@ -127,7 +126,7 @@ coverage: $(VENV)/.dev
 	HYPOTHESIS_PROFILE=ci $(BIN)/coverage run -m pytest -n $(CORES) tests/unit tests/property tests/integration
 	$(BIN)/coverage combine --quiet
 	$(BIN)/coverage report
-	$(BIN)/coverage report --include='$(PURE_FILES)' --fail-under=100
+	$(BIN)/python tools/run_tests.py --branches
 
 release: $(VENV)/.dev
 	$(BIN)/python tools/release.py

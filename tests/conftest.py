@@ -1,6 +1,6 @@
-"""How much the property tests try, how workers share the tests, and which signals the tests' programs get.
+"""Number of hypothesis examples, order of the tests, tests that cannot run here, and signals of the tests' programs.
 
-HYPOTHESIS_PROFILE=fuzz: fifty times the usual examples; ci: the same examples each time.
+HYPOTHESIS_PROFILE=fuzz draws fifty times the usual examples; ci draws the same examples each time.
 """
 
 import gc
@@ -12,6 +12,8 @@ from typing import Any
 
 import pytest
 from hypothesis import HealthCheck, settings
+
+from tests.support import requirements
 
 _EXAMPLES, _EXAMPLES_OF_UNIT = 100, 20
 _COMMON = {"deadline": None, "suppress_health_check": [HealthCheck.too_slow]}
@@ -28,14 +30,14 @@ settings.load_profile(_PROFILE)
 
 
 def pytest_collectstart(collector: pytest.Collector) -> None:
-    """The unit tests are quick: they draw fewer examples, and `make fuzz` as many as of the property tests."""
+    """Give unit tests fewer examples than property tests. `make fuzz` gives both the same number."""
     if isinstance(collector, pytest.Module):
         settings.load_profile(f"{_PROFILE}_unit" if "/tests/unit/" in collector.path.as_posix() else _PROFILE)
 
 
 @pytest.fixture(autouse=True, scope="session")
 def _state_of_its_own(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """Recordings of the tests are not put beside those of whoever runs them."""
+    """Keep the recordings of tests apart from those of the user."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_STATE_HOME", str(tmp_path_factory.mktemp("state")))
         patch.delenv("STATE_DIRECTORY", raising=False)
@@ -43,41 +45,47 @@ def _state_of_its_own(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None
 
 
 def pytest_configure() -> None:
-    """What nohup or a shell's background job ignores is ignored here too, but not by the programs that tests start."""
+    """Replace an inherited SIG_IGN (nohup, a shell's background job), so that programs of tests do not inherit it."""
     for number in (signal.SIGINT, signal.SIGQUIT, signal.SIGHUP, signal.SIGTERM):
         if signal.getsignal(number) is signal.SIG_IGN:
             signal.signal(number, _ignore)
 
 
 def _ignore(number: int, frame: object) -> None:
-    """A program inherits SIG_IGN, but no function."""
+    """Do nothing. A program that is started inherits SIG_IGN, but no function."""
 
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> object:
-    """Called by pytest-xdist."""
+    """Distribute the tests to the workers of pytest-xdist by `FilesThatShare`."""
     from tests.support.sharing import FilesThatShare  # noqa: PLC0415 - without workers pytest-xdist is not needed
 
     return FilesThatShare(config, log)
 
 
 def pytest_collection_finish() -> None:
-    """A full collection among all that the tests have imported takes as long as a lease: it is left out of them."""
+    """Exclude what the tests have imported from garbage collections: a full one would last as long as a lease."""
     gc.collect()
     gc.freeze()
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """What takes longest begins first, so that no worker begins it when the others are done.
+    """Skip what needs a missing program, and begin with the longest tests, so that no worker ends with one of them.
 
-    Files that wait stand beside files that compute, so that no core is idle; those that measure times do not.
+    Workers take the files in a mixed order: files that wait run beside files that compute, and no core is idle. Files
+    that measure times keep their order.
     """
+    absent = requirements.missing()
+    for item in items:
+        path, fixtures = item.path.relative_to(config.rootpath).as_posix(), getattr(item, "fixturenames", ())
+        for reason in requirements.reasons(path, fixtures, absent):
+            item.add_marker(pytest.mark.skip(reason=reason))
     has_workers = hasattr(config, "workerinput")
     items.sort(key=lambda item: (item.get_closest_marker("long") is None, _place(item, config) if has_workers else 0))
 
 
 def _place(item: pytest.Item, config: pytest.Config) -> int:
-    """Any, that is the same in each worker and for all tests of a file; those that measure times stay as they are."""
+    """Return a place that is the same in each worker and for all tests of a file; 0 for a test that measures times."""
     if item.get_closest_marker("quiet"):
         return 0
     return zlib.crc32(item.path.relative_to(config.rootpath).as_posix().encode())

@@ -1,43 +1,46 @@
-"""Run the tests in groups. Every group runs, whatever another one came to; a table at the end says what each did.
+"""Run the tests in groups. Each group runs, whatever the result of another one; a table at the end shows all results.
 
 The groups are the pure packages with their branches counted, all other tests, those that a busy machine disturbs
 (marked `quiet`), and those that need the machine for themselves (marked `alone`).
 
-Up to MOST failed tests of a group are run once more by themselves, and the table counts them. A test with processes
-and times in it can fail because other programs have the processor. A defect fails again.
+Tests whose programs are not installed (`tests/support/requirements.py`) are listed as not run. They fail the run only
+where CI=true.
 """
 
 import argparse
-import json
+import os
 import re
 import subprocess
 import sys
 import time
 import xml.etree.ElementTree as ET
+from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
-MOST = 6  # more than that is no accident
-TESTS_FAILED = 1  # pytest's exit code; others are errors of the call or of pytest itself
-LAST_FAILED = Path(".pytest_cache/v/cache/lastfailed")
 REPORTS = Path("build/tests")
 PURE = ("protocol", "messages", "robot", "diagnosis")
+MISSING = "needs "  # begins the reason of a skip for which something is not installed
 
 Run = Callable[[list[str]], int]
 
 
 @dataclass(slots=True)
 class Result:
-    """What one group came to."""
+    """Result of one group."""
 
     name: str
-    code: int  # 0: each test passed, at the latest when it was run again
-    passed: int
-    failed: tuple[str, ...]  # also when they were run again
-    passed_again: tuple[str, ...]
-    not_run: int
-    seconds: float
+    code: int  # exit code of pytest; 0: each test passed or was skipped
+    passed: int = 0
+    failed: list[str] = field(default_factory=list)  # names of tests
+    skipped: Counter[str] = field(default_factory=Counter)  # tests by reason
+    seconds: float = 0.0
+
+    @property
+    def missing(self) -> Counter[str]:
+        """Return how many tests did not run because something is not installed, by what they need."""
+        return Counter({reason: count for reason, count in self.skipped.items() if reason.startswith(MISSING)})
 
 
 def run(command: list[str]) -> int:
@@ -45,49 +48,39 @@ def run(command: list[str]) -> int:
     return subprocess.run([sys.executable, *command], check=False).returncode
 
 
-def failed_tests() -> list[str]:
-    """Return the node ids of what failed last, as pytest keeps them."""
-    return sorted(json.loads(LAST_FAILED.read_text())) if LAST_FAILED.exists() else []
-
-
-def counts_of(report: Path) -> tuple[int, int]:
-    """Return how many tests of a JUnit report passed, and how many were skipped; 0 of both where there is none."""
+def read(report: Path, result: Result) -> None:
+    """Add the tests of a JUnit report to a result. A group that was killed has no report."""
     if not report.exists():
-        return 0, 0
-    suites = ET.parse(report).getroot().iter("testsuite")  # noqa: S314 - written by pytest just now
-    tests = skipped = broken = 0
-    for suite in suites:
-        tests += int(suite.get("tests", 0))
-        skipped += int(suite.get("skipped", 0))
-        broken += int(suite.get("failures", 0)) + int(suite.get("errors", 0))
-    return tests - skipped - broken, skipped
+        return
+    for case in ET.parse(report).getroot().iter("testcase"):  # noqa: S314 - written by pytest just now
+        skipped = case.find("skipped")
+        if case.find("failure") is not None or case.find("error") is not None:
+            result.failed.append(f"{case.get('classname')}::{case.get('name')}")
+        elif skipped is not None:
+            result.skipped[skipped.get("message") or "without a reason"] += 1
+        else:
+            result.passed += 1
 
 
 def run_group(name: str, command: Sequence[str], arguments: Sequence[str], run: Run = run) -> Result:
-    """Run a group with `command`, which is pytest or something around it; failed tests run again with pytest alone."""
+    """Run a group with `command`, which is pytest or a program that calls it."""
     began_s, report = time.monotonic(), REPORTS / f"{name}.xml"
-    LAST_FAILED.unlink(missing_ok=True)
     report.unlink(missing_ok=True)
-    code = run([*command, *arguments, f"--junit-xml={report}"])
-    failed = failed_tests()
-    passed, not_run = counts_of(report)
-    again: list[str] = []
-    if code == TESTS_FAILED and 1 <= len(failed) <= MOST:
-        print(f"run again alone: {', '.join(failed)}", flush=True)
-        code = run(["-m", "pytest", *failed])
-        still = failed_tests() if code else []
-        again, failed = [each for each in failed if each not in still], still
-    return Result(name, code, passed + len(again), tuple(failed), tuple(again), not_run, time.monotonic() - began_s)
+    result = Result(name, run([*command, *arguments, f"--junit-xml={report}"]))
+    read(report, result)
+    result.seconds = time.monotonic() - began_s
+    return result
 
 
 def table(results: Sequence[Result]) -> str:
-    """Return one line for each group, and the names of what failed."""
+    """Return one line for each group, the names of the failed tests, and why tests did not run."""
     lines = [f"{'group':12}{'passed':>8}{'failed':>8}{'not run':>9}{'seconds':>9}"]
     for each in results:
         failed = str(len(each.failed) or ("yes" if each.code else 0))
-        lines.append(f"{each.name:12}{each.passed:>8}{failed:>8}{each.not_run:>9}{each.seconds:>9.0f}")
+        lines.append(f"{each.name:12}{each.passed:>8}{failed:>8}{each.skipped.total():>9}{each.seconds:>9.0f}")
     lines += [f"failed: {test}" for each in results for test in each.failed]
-    lines += [f"passed only when run again, to be looked at: {test}" for each in results for test in each.passed_again]
+    skipped = sum((each.skipped for each in results), Counter[str]())
+    lines += [f"not run: {count} ({reason})" for reason, count in sorted(skipped.items())]
     return "\n".join(lines)
 
 
@@ -116,15 +109,23 @@ def covered(run: Run = run) -> Result:
     files = ",".join(f"hostlink/{package}/*" for package in PURE)
     run(["-m", "coverage", "combine", "--quiet"])
     code = run(["-m", "coverage", "report", f"--include={files}", "--fail-under=100"])
-    return Result("branches", code, int(not code), (), (), 0, time.monotonic() - began_s)
+    return Result("branches", code, passed=int(not code), seconds=time.monotonic() - began_s)
+
+
+def exit_code(results: Sequence[Result], *, is_ci: bool) -> int:
+    """Return 0 if each test passed; in CI each test must also have found what it needs."""
+    return int(any(each.code or (is_ci and each.missing) for each in results))
 
 
 def main() -> int:
-    """Run each group; return 0 if each test passed."""
+    """Run each group, or with --branches only check what the last run with coverage took."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--workers", type=int, required=True)
-    parser.add_argument("--quiet-workers", type=int, required=True)
+    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--quiet-workers", type=int, default=2)
+    parser.add_argument("--branches", action="store_true")
     arguments = parser.parse_args()
+    if arguments.branches:
+        return covered().code
     REPORTS.mkdir(parents=True, exist_ok=True)
     results: list[Result] = []
     for name, command, selected in groups(arguments.workers, arguments.quiet_workers):
@@ -132,7 +133,7 @@ def main() -> int:
         if name == "pure":
             results.append(covered())
     print(table(results), flush=True)
-    return int(any(each.code for each in results))
+    return exit_code(results, is_ci=os.environ.get("CI") == "true")
 
 
 if __name__ == "__main__":

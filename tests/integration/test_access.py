@@ -17,6 +17,7 @@ from hostlink.errors import ConfigError, HostlinkError
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import fake_device, robot_topics
 from tests.support.rosbridge import Client
+from tests.support.waiting import TIMEOUT_S
 
 DRIVE, READ = "a-token-of-a-driver", "a-token-of-a-watcher"
 GUARDED = Config(
@@ -153,7 +154,7 @@ async def test_too_many_clients() -> None:
             assert refusal.value.status == 503
             assert await status(host, "GET", "/api/events") == 503
             assert (await host.get("/api/clients"))["refused"] == 2
-        async with asyncio.timeout(5), host.session.ws_connect(host.url):
+        async with asyncio.timeout(TIMEOUT_S), host.session.ws_connect(host.url):
             pass
 
 

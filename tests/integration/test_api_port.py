@@ -15,7 +15,7 @@ import pytest
 from hostlink.config import ApiConfig, Config
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import fake_device, robot_topics
-from tests.support.waiting import expect
+from tests.support.waiting import TIMEOUT_S, expect
 
 HALF = b"GET /api/robots HTTP/1.1\r\nHost: 127.0.0.1\r\nX-Half: "
 BODY_MISSING = b"PUT /api/robots/robot_0/velocity HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: 40\r\n\r\n{"
@@ -73,14 +73,14 @@ async def connections(host: Daemon, count: int, sent_bytes: bytes) -> AsyncItera
 
 async def closed(reader: asyncio.StreamReader) -> bytes:
     """What came until the host closed it."""
-    async with asyncio.timeout(5):
+    async with asyncio.timeout(TIMEOUT_S):
         with contextlib.suppress(ConnectionError):
             return await reader.read()
     return b""
 
 
 async def stop(host: Daemon) -> int:
-    async with asyncio.timeout(5):
+    async with asyncio.timeout(TIMEOUT_S):
         return (await host.rest("POST", "/api/stop"))[0]
 
 
@@ -145,7 +145,7 @@ async def test_handshakes_of_tls_that_never_end_give_way(tmp_path: Path) -> None
     await asyncio.to_thread(subprocess.run, [*make, *names], check=True, capture_output=True)
     trust = ssl.create_default_context(cafile=certificate)
     api = ApiConfig(certificate=certificate, key=key, max_connections=24, max_connections_per_address=24)
-    async with daemon(Config(api=api)) as host, connections(host, 60, b"\x16"), asyncio.timeout(5):
+    async with daemon(Config(api=api)) as host, connections(host, 60, b"\x16"), asyncio.timeout(TIMEOUT_S):
         assert (await host.session.post(host.url + "/api/stop", ssl=trust)).status == 200
 
 

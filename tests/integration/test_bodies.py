@@ -12,6 +12,7 @@ from hostlink.hub.byte_budget import SHARES
 from tests.support.api_loads import head
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import fake_device, robot_topics
+from tests.support.waiting import TIMEOUT_S
 
 READ, DRIVE = "reader-of-the-tests-0000", "driver-of-the-tests-0000"
 CONFIG = Config(
@@ -64,7 +65,7 @@ async def sent_bytes(writer: asyncio.StreamWriter) -> int:
 async def test_a_body_that_the_head_refuses_is_not_read(method: str, path: str, token: str, status: int) -> None:
     async with daemon(CONFIG) as host, fake_device(host.tcp, robot_topics()), connection(host) as (reader, writer):
         writer.write(head(method, path, token, HUGE))
-        async with asyncio.timeout(5):
+        async with asyncio.timeout(TIMEOUT_S):
             assert (await reader.readline()).split()[1] == str(status).encode()
         assert await sent_bytes(writer) < KERNEL_BYTES
 

@@ -13,14 +13,14 @@ from hostlink.protocol.frame import Id, encode
 from tests.support.daemon import daemon
 from tests.support.fake_device import fake_device, robot_topics, topic
 from tests.support.rosbridge import client
-from tests.support.waiting import expect_never
+from tests.support.waiting import TIMEOUT_S, expect_never
 
 Graphs = Mailbox[dict[str, Any]]
 
 
 async def until(graphs: Graphs, is_so: Any) -> dict[str, Any]:
     """The first graph of which this is true."""
-    async with asyncio.timeout(5):
+    async with asyncio.timeout(TIMEOUT_S):
         async for graph in graphs:
             if is_so(graph):
                 return graph
@@ -89,7 +89,7 @@ async def test_bytes_come_as_the_device_sends_them_and_go_as_they_are() -> None:
             await me.settle()
             payload = struct.pack("<3d", 1.0, float("nan"), float("inf"))
             await device.send(encode(125, payload))
-            async with asyncio.timeout(5):
+            async with asyncio.timeout(TIMEOUT_S):
                 assert (await anext(messages)).payload == payload
         await me.publish_raw("/robot_0/servo", struct.pack("<d", float("-inf")))
         assert await device.frame(110) == struct.pack("<d", float("-inf"))
@@ -129,11 +129,11 @@ async def test_a_group_does_not_receive_what_it_publishes_and_others_do() -> Non
         await me.settle()
         await other.settle()
         await same.publish("/chat", {"data": "x"}, type_name="std_msgs/String")
-        async with asyncio.timeout(5):
+        async with asyncio.timeout(TIMEOUT_S):
             assert await anext(theirs) == {"data": "x"}
         await expect_never(own.pop_all, for_s=0.1)
         await other.publish("/chat", {"data": "y"}, type_name="std_msgs/String")
-        async with asyncio.timeout(5):
+        async with asyncio.timeout(TIMEOUT_S):
             assert await anext(own) == {"data": "y"}
 
 
@@ -165,7 +165,7 @@ async def test_a_service_is_offered_again_after_the_connection_was_lost() -> Non
         async with me.serve("/add", "rospy_tutorials/AddTwoInts", add):
             assert me._connection._socket is not None
             await me._connection._socket.close()
-            async with asyncio.timeout(5):
+            async with asyncio.timeout(TIMEOUT_S):
                 while not (await anext(changes)).is_connected:
                     pass
             await me.settle()
@@ -182,7 +182,7 @@ async def test_a_block_that_is_left_waits_for_no_answer_of_its_own() -> None:
 
     async with daemon() as server, connect(server.url) as other, asyncio.TaskGroup() as tasks:
         async with (
-            asyncio.timeout(5),
+            asyncio.timeout(TIMEOUT_S),
             connect(server.url) as me,
             me.serve("/add", "rospy_tutorials/AddTwoInts", never),
         ):

@@ -17,7 +17,7 @@ from hostlink.robot.odometry_correction import OdometryCorrection
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import fake_device, pose, robot_topics
 from tests.support.simulated import simulated_robot
-from tests.support.waiting import expect
+from tests.support.waiting import TIMEOUT_S, expect
 
 
 async def follow(host: Daemon, legs: Sequence[Leg], name: str = "robot_0") -> tuple[Pose, ...]:
@@ -64,7 +64,7 @@ async def test_a_robot_that_falls_silent_or_jumps_is_stopped(last_m: float, reas
         await expect(lambda: bool(host.hub.robots.all()))
         async with asyncio.TaskGroup() as tasks:
             driving = tasks.create_task(_refused(host))
-            async with asyncio.timeout(5.0):
+            async with asyncio.timeout(TIMEOUT_S):
                 while not is_driven(host):
                     await device.send(pose(0.0, 0.0, 0.0))
                     await asyncio.sleep(0.05)

@@ -24,7 +24,7 @@ from tests.support.background import meanwhile
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import fake_device, pose, robot_topics, topic
 from tests.support.gates import drive_gate
-from tests.support.waiting import expect
+from tests.support.waiting import TIMEOUT_S, expect
 
 ZERO = (0.0, 0.0)
 HELD_BY_PERSON = "robot_0: a person drives it with a higher priority; wait until it lets go, or use stop"
@@ -385,7 +385,7 @@ async def test_a_drive_that_makes_no_sense_is_answered_with_the_reason(
 async def test_odometry_gives_each_new_pose_once() -> None:
     async with daemon() as host, fake_device(host.tcp, robot_topics()) as device, connect(host.url) as me:
         observed: list[float] = []
-        async with asyncio.timeout(5):
+        async with asyncio.timeout(TIMEOUT_S):
             async with asyncio.TaskGroup() as tasks:
 
                 async def send_poses() -> None:
@@ -412,7 +412,7 @@ async def test_odometry_of_a_robot_that_nobody_knows_is_an_error() -> None:
 async def test_watch_gives_what_the_daemon_shows_as_it_changes() -> None:
     async with daemon() as host, connect(host.url) as me:
         observed: dict[str, object] = {}
-        async with asyncio.timeout(5), contextlib.aclosing(me.watch()) as events:
+        async with asyncio.timeout(TIMEOUT_S), contextlib.aclosing(me.watch()) as events:
             async for event in events:
                 observed[event.name] = event.data
                 if len(observed) == 3:

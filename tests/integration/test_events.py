@@ -20,7 +20,7 @@ from hostlink.protocol.frame import Id, encode
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import CATALOG, fake_device, pose, robot_topics, topic
 from tests.support.participants import publish
-from tests.support.waiting import expect
+from tests.support.waiting import TIMEOUT_S, expect
 
 ROBOTS, POSES, NARROW_BYTES = 6, 12, 2048
 NO_LINGER = struct.pack("ii", 1, 0)  # the end of a connection is a reset
@@ -35,7 +35,7 @@ class Reader:
     async def next(self, wanted: str) -> Any:
         """The data of the next event of that name."""
         name = ""
-        async with asyncio.timeout(5):
+        async with asyncio.timeout(TIMEOUT_S):
             async for line in self._response.content:
                 key, _, value = line.decode().strip().partition(": ")
                 if key == "event":
@@ -104,7 +104,7 @@ async def test_a_slow_reader_is_sent_the_newest_and_not_what_was_true_in_between
                     await device.send(pose(float(number)))
                 await asyncio.sleep(TICK_S)
             received = b""
-            async with asyncio.timeout(5):
+            async with asyncio.timeout(TIMEOUT_S):
                 while b'"x_m":%.1f' % POSES not in received:
                     received += await reader.read(NARROW_BYTES)
             assert received.count(b"event: robots") < POSES / 2
@@ -144,7 +144,7 @@ async def test_each_new_pose_is_an_event() -> None:
 
 
 async def x_of_the_next(reader: Reader, x_m: float) -> None:
-    async with asyncio.timeout(3):
+    async with asyncio.timeout(TIMEOUT_S):
         while (await reader.next("odometry"))["pose"]["x_m"] != x_m:
             pass
 
@@ -167,7 +167,7 @@ async def test_a_stream_follows_a_robot_that_comes_back_with_another_topic_and_t
             await expect(lambda: host.hub.robots.find("robot_0").shown.odometry == "/robot_0/odom")
             count = host.hub.robots.find("robot_0").odometry.count
             await device.send(frame)
-            async with asyncio.timeout(3):
+            async with asyncio.timeout(TIMEOUT_S):
                 while (await reader.next("odometry"))["count"] != count + 1:
                     pass
 

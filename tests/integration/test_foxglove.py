@@ -10,7 +10,7 @@ from hostlink.protocol.frame import Id, encode
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import fake_device, pose, robot_topics
 from tests.support.rosbridge import Client, client
-from tests.support.waiting import expect
+from tests.support.waiting import TIMEOUT_S, expect
 
 NODES = "/rosapi/nodes"
 
@@ -72,7 +72,7 @@ async def test_the_graph_is_read_while_messages_flow() -> None:
             ):  # fmt: skip
                 await player.send(op="call_service", id=f"{service}:{number}", service=service, args=args)
             await device.send(pose(float(number)))
-        async with asyncio.timeout(5):
+        async with asyncio.timeout(TIMEOUT_S):
             frames = [await player.socket.receive() for _ in range(15)]
         answers = [frame.json() for frame in frames if frame.type.name == "TEXT"]
     assert all(answer["result"] for answer in answers)

@@ -16,13 +16,12 @@ from hostlink.config import ApiConfig, Config, TokenConfig
 from hostlink.robot.velocity import PlanarVelocity
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import fake_device, pose, robot_topics
-from tests.support.waiting import expect
+from tests.support.waiting import TIMEOUT_S, expect
 
 FOXGLOVE = "foxglove.sdk.v1"
 DRIVE, READ = "a-token-of-a-driver", "a-token-of-a-watcher"
 TOKENS = (TokenConfig(name="ann", token=DRIVE, role="drive"), TokenConfig(name="tv", token=READ, role="read"))
 CURVE, ZERO = (0.2, 0.5), (0.0, 0.0)
-TIMEOUT_S = 5.0
 MESSAGE, TIME = 1, 2  # opcodes
 
 
@@ -169,7 +168,7 @@ async def test_a_client_that_never_reads_loses_only_its_own_messages_and_the_rob
                 transport = stuck.socket._response.connection.transport  # type: ignore[union-attr]
                 transport.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
                 transport.pause_reading()
-                async with asyncio.timeout(4 * TIMEOUT_S):
+                async with asyncio.timeout(TIMEOUT_S):
                     while not dropped(await host.get("/api/clients")):
                         await device.send(pose(1.0) * 1000)
                 assert (await host.get("/api/robots/robot_0"))["connected"] is True

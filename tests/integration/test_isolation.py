@@ -17,7 +17,7 @@ from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import FakeDevice, fake_device, pose, robot_topics, topic
 from tests.support.gates import drive_gate
 from tests.support.participants import publish, subscribe
-from tests.support.waiting import expect
+from tests.support.waiting import TIMEOUT_S, expect
 
 ZERO = (0.0, 0.0)
 CURVE = (0.2, 0.5)
@@ -160,7 +160,7 @@ async def test_without_a_free_descriptor_a_sick_device_is_diagnosed_and_a_robot_
                     opened.append(os.open("/dev/null", os.O_RDONLY))
             assert opened
             await silent.send(b"nonsense" * 100)
-            await expect(lambda: any(host.hub.diagnoses.of(link) for link in host.hub.links.all()), timeout_s=15)
+            await expect(lambda: any(host.hub.diagnoses.of(link) for link in host.hub.links.all()))
             await is_driven(host, "robot_0", device)
         finally:
             resource.setrlimit(resource.RLIMIT_NOFILE, usual)
@@ -195,7 +195,7 @@ async def test_names_requested_in_vain_are_not_kept(logged: list[dict[str, objec
         host.hub.parameters["/there"] = 3
         name = b"/there"
         await device.send(encode(Id.PARAMETER, len(name).to_bytes(4, "little") + name))
-        async with asyncio.timeout(5):
+        async with asyncio.timeout(TIMEOUT_S):
             while (answer := await device.frame(Id.PARAMETER)) == bytes(12):
                 pass
         assert answer[:8] == b"\x01\x00\x00\x00\x03\x00\x00\x00"

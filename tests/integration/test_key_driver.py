@@ -14,7 +14,7 @@ from hostlink.robot.admission import LEASE_S
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import fake_device, robot_topics
 from tests.support.proxy import Line, Proxy, proxy
-from tests.support.waiting import expect
+from tests.support.waiting import TIMEOUT_S, expect
 
 ZERO = (0.0, 0.0)
 INTERRUPTED = "it was stopped, locked or reconnected while this source was driving"
@@ -61,7 +61,7 @@ async def test_a_device_that_connects_again_is_not_driven_by_a_key_that_is_still
         robot = host.hub.robots.find("robot_0")
         first = robot.link
         async with fake_device(host.tcp, robot_topics()) as new:
-            async with asyncio.timeout(5):
+            async with asyncio.timeout(TIMEOUT_S):
                 while robot.link in (None, first):
                     await keys.press("w", SEND_INTERVAL_S)
             commands = robot.gate.counts.commands

@@ -10,7 +10,7 @@ from hostlink.robot.velocity import PlanarVelocity
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import FakeDevice, fake_device, robot_topics, topic
 from tests.support.gates import drive_gate
-from tests.support.waiting import expect
+from tests.support.waiting import TIMEOUT_S, expect
 
 ZERO = (0.0, 0.0)
 CURVE = (0.2, 0.5)
@@ -83,7 +83,7 @@ async def test_one_that_never_announces_it_again_receives_zero_before_it_is_no_r
             await device.send(without_velocity(infos))
             await expect(lambda count=count: host.hub.links.all()[0].session.counts.negotiations == count)  # type: ignore[misc]
         assert host.hub.robots.find("robot_0").link is None
-        async with asyncio.timeout(5):
+        async with asyncio.timeout(TIMEOUT_S):
             assert await velocity(device, topic_id, other_than=driven) == bytes(48)
 
 
@@ -112,7 +112,7 @@ async def test_one_that_has_no_odometry_or_velocity_any_more_stands_after_the_th
         robot = host.hub.robots.find("robot_0")
         await device.send(without(type_name, VELOCITY_FIRST))
         last = b""
-        async with asyncio.timeout(5):
+        async with asyncio.timeout(TIMEOUT_S):
             while robot.link is not None or last != bytes(48):
                 frame = await device.next()
                 if frame.topic_id == 100:

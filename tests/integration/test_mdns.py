@@ -12,6 +12,7 @@ from hostlink.config import Config, TcpConfig
 from hostlink.errors import ConfigError
 from hostlink.transport.mdns import SERVICE, advertised
 from tests.support.daemon import daemon
+from tests.support.waiting import TIMEOUT_S
 
 MDNS = TcpConfig(host="127.0.0.1", mdns=True)
 
@@ -25,7 +26,7 @@ async def test_a_daemon_is_found_by_its_service_and_no_longer_when_it_has_stoppe
     network = AsyncZeroconf(interfaces=["127.0.0.1"])
     browser = AsyncServiceBrowser(network.zeroconf, SERVICE, handlers=[note])
     try:
-        async with asyncio.timeout(15):
+        async with asyncio.timeout(TIMEOUT_S):
             async with daemon(Config(tcp=MDNS)) as host:
                 change, name = await news.get()
                 assert change is ServiceStateChange.Added

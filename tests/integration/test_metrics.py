@@ -27,7 +27,7 @@ from tests.support.daemon import Daemon, daemon
 from tests.support.device_reports import BATTERY, battery
 from tests.support.fake_device import fake_device, pose, robot_topics, topic
 from tests.support.rosbridge import client
-from tests.support.waiting import expect
+from tests.support.waiting import TIMEOUT_S, expect
 
 
 async def metrics(host: Daemon) -> dict[str, float]:
@@ -299,7 +299,7 @@ async def test_clients_of_every_kind_are_counted() -> None:
 
 
 async def until_metric(host: Daemon, name: str, value: float | None) -> None:
-    async with asyncio.timeout(5):
+    async with asyncio.timeout(TIMEOUT_S):
         found = None if value is not None else math.inf
         while found != value:
             await asyncio.sleep(0.02)

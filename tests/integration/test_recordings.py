@@ -344,7 +344,7 @@ async def test_a_folder_that_is_removed_is_made_again_and_costs_a_second(tmp_pat
         await start(host, name="run")
         await send_poses(host, device)
         shutil.rmtree(inside)
-        await expect(inside.exists, timeout_s=5)
+        await expect(inside.exists)
         await send_poses(host, device)
         await stop(host, "run")
     assert len(payloads(messages(*(inside / name for name in names(inside))), "/robot_0/odometry")) == len(POSES)

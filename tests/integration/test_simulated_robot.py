@@ -9,9 +9,9 @@ import pytest
 
 from hostlink.protocol.frame import Id, encode
 from tests.support.simulated import simulated_robot
+from tests.support.waiting import TIMEOUT_S
 
 RESET = struct.pack("ii", 1, 0)
-TIMEOUT_S = 10.0
 
 
 @pytest.mark.parametrize("is_reset", [False, True])

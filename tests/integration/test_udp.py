@@ -121,7 +121,7 @@ class TestSession:
             async with udp_device(host.udp, robot_topics(), local=(ROBOT, 0)) as before:
                 await before.send(pose(1.0))
             async with udp_device(host.udp, robot_topics(), local=(ROBOT, 0)):
-                await expect(lambda: len(host.hub.links.all()) == 1, timeout_s=8)
+                await expect(lambda: len(host.hub.links.all()) == 1)
                 assert [robot.name for robot in host.hub.robots.all()] == ["robot_0"]
 
     async def test_a_frame_is_a_datagram_and_a_longer_one_is_several(self) -> None:

@@ -59,5 +59,5 @@ async def test_a_daemon_that_starts_again_finds_the_robots_again() -> None:
     async with fleet(port, robots=3):
         for _ in range(2):
             async with daemon(config) as host:
-                await expect(lambda: len(host.hub.robots.all()) == 3, timeout_s=15)
+                await expect(lambda: len(host.hub.robots.all()) == 3)
                 await drive_until(host.hub, x_m(host.hub) + 0.05)

@@ -7,6 +7,7 @@ from collections.abc import Awaitable, Callable
 from typing import NamedTuple
 
 import pytest
+from structlog.testing import capture_logs
 
 from hostlink.config import Config, RobotConfig
 from hostlink.errors import CommandRefused, RefusalKind
@@ -15,8 +16,7 @@ from hostlink.protocol.control import TopicInfo
 from hostlink.protocol.frame import Id
 from hostlink.robot.admission import LEASE_S
 from hostlink.robot.velocity import PlanarVelocity, Twist
-from tests.support.daemon import Daemon, daemon
-from tests.support.fake_device import FakeDevice, fake_device, robot_topics, topic
+from tests.support.fake_device import CATALOG, robot_topics, topic
 from tests.support.participants import (
     NEIGHBOUR,
     ODOMETRY_ID,
@@ -28,17 +28,14 @@ from tests.support.participants import (
     source_of,
     subscribe,
 )
-from tests.support.rosbridge import client
+from tests.support.ros_lib_device import running_hub
 from tests.support.scripted_device import ScriptedDevice
-from tests.support.waiting import expect
+from tests.support.virtual_loop import run_virtual
 
 ZERO = bytes(48)
 SPEED = struct.pack("<d", 0.77)
 NO_POSE = [topic(Id.SUBSCRIBER, 100, "/cart/cmd_vel", "geometry_msgs/Twist")]
 SECOND = [*robot_topics(), topic(Id.SUBSCRIBER, 102, "/robot_0/arm_vel", "geometry_msgs/Twist")]
-DRIVE = {"op": "publish", "topic": "", "msg": {"linear": {"x": 0.3}}}
-
-
 VELOCITY, ARM, ARM_ID = "/robot_0/velocity_commands", "/robot_0/arm_vel", 102
 
 
@@ -63,180 +60,190 @@ def play_arm(test: Callable[[Arm], Awaitable[None]]) -> None:
     play(run)
 
 
-async def heard(device: FakeDevice, topic_id: int, *, is_zero: bool) -> None:
-    """Wait for a velocity of this kind."""
-    async with asyncio.timeout(5):
-        while (await device.frame(topic_id) == ZERO) != is_zero:
-            pass
+class Twisted(NamedTuple):
+    """A hub, and a device whose velocity topic is not that of a robot's base."""
+
+    hub: Hub
+    device: ScriptedDevice
+    name: str
+    topic_id: int
+
+    def heard(self) -> list[bytes]:
+        """Return what the device received on the topic."""
+        return self.device.payloads(self.topic_id)
+
+    async def drive(self, source: str = "test") -> None:
+        publish(self.hub, self.name, twist(0.3), source=source)
+        await asyncio.sleep(0.05)
+        assert self.heard()[-1] == twist(0.3)
+
+    async def stands(self) -> None:
+        """The device receives a zero within the time of a frame, and nothing but zeros for a second."""
+        await asyncio.sleep(0.05)
+        before = len(self.heard())
+        assert self.heard()[-1] == ZERO
+        await asyncio.sleep(1.0)
+        assert set(self.heard()[before:]) <= {ZERO}
 
 
-async def driven(host: Daemon, device: FakeDevice, topic_id: int, name: str) -> None:
-    await expect(lambda: host.hub.topics.find(name).devices)
-    publish(host.hub, name, {"linear": {"x": 0.3}}, source="test")
-    await heard(device, topic_id, is_zero=False)
+def play_twisted(infos: list[TopicInfo], test: Callable[[Twisted], Awaitable[None]]) -> None:
+    """Run the test with a hub and a device that has these topics; the last one is the velocity topic."""
+
+    async def run() -> None:
+        async with running_hub(Hub(Config(), CATALOG, reraises=True)) as hub:
+            device = ScriptedDevice(hub, infos, address="10.0.0.1")
+            await asyncio.sleep(0.5)
+            await test(Twisted(hub, device, infos[-1].name, infos[-1].topic_id))
+            await device.aclose()
+
+    with capture_logs():
+        run_virtual(run())
 
 
-@pytest.mark.parametrize(
-    ("infos", "topic_id", "name"), [(NO_POSE, 100, "/cart/cmd_vel"), (SECOND, 102, "/robot_0/arm_vel")]
-)
+BOTH = pytest.mark.parametrize("infos", [NO_POSE, SECOND], ids=["no pose", "second topic"])
+
+
+@BOTH
 class TestBoth:
-    async def test_a_driver_that_vanishes_leaves_it_standing(self, infos: list, topic_id: int, name: str) -> None:  # type: ignore[type-arg]
-        async with daemon() as host, fake_device(host.tcp, infos) as device:
-            await expect(lambda: host.hub.topics.find(name).devices)
-            async with client(host) as program:
-                await program.send(**{**DRIVE, "topic": name})
-                await heard(device, topic_id, is_zero=False)
-                began_s = asyncio.get_running_loop().time()
-            await heard(device, topic_id, is_zero=True)
-            assert asyncio.get_running_loop().time() - began_s < 0.9
-            for _ in range(2):
-                await heard(device, topic_id, is_zero=True)
+    def test_driver_that_is_silent_for_a_lease_leaves_the_device_standing(self, infos: list[TopicInfo]) -> None:
+        async def test(made: Twisted) -> None:
+            await made.drive()
+            await asyncio.sleep(LEASE_S)
+            await made.stands()
 
-    async def test_one_that_is_commanded_again_and_again_moves_on(
-        self,
-        infos: list,
-        topic_id: int,
-        name: str,  # type: ignore[type-arg]
-    ) -> None:
-        async with daemon() as host, fake_device(host.tcp, infos) as device:
-            await driven(host, device, topic_id, name)
-            for _ in range(8):
-                publish(host.hub, name, {"linear": {"x": 0.3}}, source="test")
-                assert await device.frame(topic_id) != ZERO
-                await asyncio.sleep(0.1)
+        play_twisted(infos, test)
 
-    async def test_the_stop_of_all_stops_it(self, infos: list, topic_id: int, name: str) -> None:  # type: ignore[type-arg]
-        async with daemon() as host, fake_device(host.tcp, infos) as device:
-            await driven(host, device, topic_id, name)
-            began_s = asyncio.get_running_loop().time()
-            assert (await host.rest("POST", "/api/stop"))[0] == 200
-            await heard(device, topic_id, is_zero=True)
-            assert asyncio.get_running_loop().time() - began_s < 0.4
+    def test_driver_that_leaves_stops_the_device_at_once(self, infos: list[TopicInfo]) -> None:
+        async def test(made: Twisted) -> None:
+            await made.drive()
+            source_of(made.hub, "test").leave()
+            await made.stands()
 
-    async def test_the_daemons_end_stops_it(self, infos: list, topic_id: int, name: str) -> None:  # type: ignore[type-arg]
-        async with daemon() as host, fake_device(host.tcp, infos) as device:
-            await driven(host, device, topic_id, name)
-            async with asyncio.TaskGroup() as tasks:
-                tasks.create_task(host.hub.shutdown())
-                frames = []
-                while not frames or frames[-1].topic_id != Id.STOP:
-                    frames.append(await device.next())
-            velocities = [frame.payload for frame in frames if frame.topic_id == topic_id]
-            assert velocities
-            assert velocities[-1] == ZERO
+        play_twisted(infos, test)
 
-    async def test_a_link_that_ends_from_here_leaves_it_standing(
-        self,
-        infos: list,
-        topic_id: int,
-        name: str,  # type: ignore[type-arg]
-    ) -> None:
-        async with daemon() as host, fake_device(host.tcp, infos) as device:
-            await driven(host, device, topic_id, name)
-            link = host.hub.links.all()[0]
-            link.received_at_s -= 60.0
-            link.wake()
-            if infos is NO_POSE:
-                await heard(device, topic_id, is_zero=True)
-            await device.closed()
+    def test_device_that_is_commanded_again_and_again_moves_on(self, infos: list[TopicInfo]) -> None:
+        async def test(made: Twisted) -> None:
+            for _ in range(20):
+                await made.drive()
+                await asyncio.sleep(LEASE_S - 0.1)
+            assert ZERO not in made.heard()[made.heard().index(twist(0.3)) :]
 
+        play_twisted(infos, test)
 
-async def test_a_locked_robot_is_locked_on_its_second_topic() -> None:
-    async with daemon() as host, fake_device(host.tcp, SECOND) as device:
-        await driven(host, device, 102, "/robot_0/arm_vel")
-        assert (await host.rest("POST", "/api/robots/robot_0/lock"))[0] == 200
-        await heard(device, 102, is_zero=True)
-        async with client(host) as program:
-            await program.send(**{**DRIVE, "topic": "/robot_0/arm_vel"})
-            assert "locked" in (await program.receive())["msg"]
+    def test_stop_of_all_stops_the_device(self, infos: list[TopicInfo]) -> None:
+        async def test(made: Twisted) -> None:
+            await made.drive()
+            made.hub.robots.stop_all()
+            await made.stands()
 
+        play_twisted(infos, test)
 
-async def test_a_twist_that_is_no_velocity_by_its_name_stays_as_it_was_sent() -> None:
-    plain = [topic(Id.SUBSCRIBER, 100, "/show/target", "geometry_msgs/Twist")]
-    async with daemon() as host, fake_device(host.tcp, plain) as device:
-        await expect(lambda: host.hub.topics.find("/show/target").devices)
-        publish(host.hub, "/show/target", {"linear": {"x": 0.3}}, source="test")
-        assert struct.unpack("<6d", await device.frame(100))[0] == 0.3
-        with pytest.raises(TimeoutError):
-            async with asyncio.timeout(0.8):
-                await device.frame(100)
+    def test_end_of_the_daemon_sends_a_zero_before_its_stop(self, infos: list[TopicInfo]) -> None:
+        async def test(made: Twisted) -> None:
+            await made.drive()
+            before = len(made.device.heard)
+            await made.hub.shutdown()
+            frames = [frame for _, frame in made.device.heard[before:]]
+            stop = [frame.topic_id for frame in frames].index(Id.STOP)
+            velocities = {frame.payload for frame in frames[:stop] if frame.topic_id == made.topic_id}
+            assert velocities == {ZERO}
+
+        play_twisted(infos, test)
+
+    def test_link_that_the_daemon_ends_leaves_the_device_standing(self, infos: list[TopicInfo]) -> None:
+        async def test(made: Twisted) -> None:
+            await made.drive()
+            made.device.link.received_at_s -= 60.0
+            made.device.link.wake()
+            await asyncio.sleep(0.5)
+            assert made.heard()[-1] == ZERO
+            assert made.device.link not in made.hub.links.all()
+
+        play_twisted(infos, test)
+
+    def test_lower_priority_is_refused_with_a_reason(self, infos: list[TopicInfo]) -> None:
+        async def test(made: Twisted) -> None:
+            publish(made.hub, made.name, twist(0.2), source="a person", priority=60)
+            with pytest.raises(CommandRefused, match="a person drives it with a higher priority"):
+                publish(made.hub, made.name, twist(0.3), source="a script")
+            await asyncio.sleep(0.05)
+            assert made.heard()[-1] == twist(0.2)
+
+        play_twisted(infos, test)
+
+    def test_subscribers_receive_what_the_gate_sends(self, infos: list[TopicInfo]) -> None:
+        async def test(made: Twisted) -> None:
+            received: list[bytes] = []
+            subscribe(made.hub, made.name, lambda message: received.append(message.payload))
+            await made.drive()
+            await asyncio.sleep(2 * LEASE_S)
+            assert twist(0.3) in received
+            assert received[-1] == ZERO
+
+        play_twisted(infos, test)
 
 
-@pytest.mark.parametrize(
-    ("infos", "topic_id", "name"), [(NO_POSE, 100, "/cart/cmd_vel"), (SECOND, 102, "/robot_0/arm_vel")]
-)
-class TestAsAnyRobot:
-    async def test_somebody_less_important_is_refused_with_a_reason(
-        self,
-        infos: list[TopicInfo],
-        topic_id: int,
-        name: str,
-    ) -> None:
-        async with daemon() as host, fake_device(host.tcp, infos) as device, client(host) as program:
-            await expect(lambda: host.hub.topics.find(name).devices)
-            publish(host.hub, name, {"linear": {"x": 0.2}}, source="a person", priority=60)
-            await program.send(**{**DRIVE, "topic": name})
-            assert "a person drives it with a higher priority" in (await program.receive())["msg"]
-            await heard(device, topic_id, is_zero=False)
-
-    async def test_its_driver_leaves_and_it_stops_at_once(
-        self,
-        infos: list[TopicInfo],
-        topic_id: int,
-        name: str,
-    ) -> None:
-        async with daemon() as host, fake_device(host.tcp, infos) as device:
-            await driven(host, device, topic_id, name)
-            began_s = asyncio.get_running_loop().time()
-            source_of(host.hub, "test").leave()
-            await heard(device, topic_id, is_zero=True)
-            assert asyncio.get_running_loop().time() - began_s < 0.4
-
-    async def test_subscribers_receive_what_the_gate_sends(
-        self,
-        infos: list[TopicInfo],
-        topic_id: int,
-        name: str,
-    ) -> None:
-        async with daemon() as host, fake_device(host.tcp, infos) as device:
-            await expect(lambda: host.hub.topics.find(name).devices)
-            received: list[float] = []
-            subscribe(host.hub, name, lambda message: received.append(struct.unpack("<6d", message.payload)[0]))
-            await driven(host, device, topic_id, name)
-            await heard(device, topic_id, is_zero=True)
-            await expect(lambda: received[-1:] == [0.0])
-            assert 0.3 in received
-
-
-async def test_a_second_velocity_of_a_robot_has_the_robots_limits_and_another_device_none() -> None:
-    limited = Config(robots={"robot_0": RobotConfig(max_linear_m_s=0.25)})
-    async with (
-        daemon(limited) as host,
-        fake_device(host.tcp, SECOND) as robot,
-        fake_device(host.tcp, NO_POSE, local_host="127.0.0.3") as cart,
-    ):
-        for name, device, topic_id, speed_m_s in (
-            ("/robot_0/arm_vel", robot, 102, 0.25),
-            ("/cart/cmd_vel", cart, 100, 30.0),
-        ):
-            await expect(lambda name=name: host.hub.topics.find(name).devices)
-            publish(host.hub, name, {"linear": {"x": 30.0}})
-            while (payload := await device.frame(topic_id)) == ZERO:
-                pass
-            assert struct.unpack("<6d", payload)[0] == speed_m_s
-
-
-async def test_the_lock_applies_to_a_second_topic_that_comes_later_and_ends_with_the_unlock() -> None:
-    async with daemon() as host, fake_device(host.tcp, robot_topics()) as device:
-        await expect(lambda: host.hub.robots.find("robot_0").link)
-        assert (await host.rest("POST", "/api/robots/robot_0/lock"))[0] == 200
-        await device.announce(SECOND)
-        await expect(lambda: host.hub.topics.find_or_none("/robot_0/arm_vel"))
+def test_locked_robot_is_locked_on_its_second_topic() -> None:
+    async def test(made: Twisted) -> None:
+        await made.drive()
+        made.hub.robots.find("robot_0").lock("smoke")
+        await made.stands()
         with pytest.raises(CommandRefused, match="locked"):
-            publish(host.hub, "/robot_0/arm_vel", {"linear": {"x": 0.3}})
-        assert (await host.rest("POST", "/api/robots/robot_0/unlock"))[0] == 200
-        publish(host.hub, "/robot_0/arm_vel", {})  # a stream that met a lock begins anew with a zero
-        await driven(host, device, 102, "/robot_0/arm_vel")
+            publish(made.hub, made.name, twist(0.3))
+        await made.stands()
+
+    play_twisted(SECOND, test)
+
+
+def test_lock_applies_to_a_second_topic_that_comes_later_and_ends_with_the_unlock() -> None:
+    async def test(made: Scene) -> None:
+        robot = made.hub.robots.find(ROBOT)
+        robot.lock("smoke")
+        made.robot.infos = SECOND
+        await made.robot.announce()
+        await asyncio.sleep(0.5)
+        with pytest.raises(CommandRefused, match="locked"):
+            publish(made.hub, ARM, twist(0.3))
+        robot.unlock()
+        publish(made.hub, ARM, ZERO)  # a stream that a lock interrupted begins with a zero
+        publish(made.hub, ARM, twist(0.3))
+        await asyncio.sleep(0.1)
+        assert made.robot.payloads(ARM_ID)[-1] == twist(0.3)
+
+    play(test)
+
+
+def test_twist_of_a_topic_without_a_name_of_a_velocity_is_sent_once_and_unchanged() -> None:
+    plain = [topic(Id.SUBSCRIBER, 100, "/show/target", "geometry_msgs/Twist")]
+
+    async def test(made: Scene) -> None:
+        device = ScriptedDevice(made.hub, plain, address="10.0.0.3")
+        await asyncio.sleep(0.5)
+        publish(made.hub, "/show/target", twist(0.3))
+        await asyncio.sleep(2 * LEASE_S)
+        assert device.payloads(100) == [twist(0.3)]
+        await device.aclose()
+        await asyncio.sleep(0.5)
+
+    play(test)
+
+
+def test_second_velocity_of_a_robot_has_the_robots_limits_and_another_device_none() -> None:
+    async def run() -> tuple[bytes, bytes]:
+        hub = Hub(Config(robots={"robot_0": RobotConfig(max_linear_m_s=0.25)}), CATALOG)
+        async with running_hub(hub):
+            robot = ScriptedDevice(hub, SECOND, address="10.0.0.1")
+            cart = ScriptedDevice(hub, NO_POSE, address="10.0.0.3")
+            await asyncio.sleep(0.5)
+            for name in (ARM, "/cart/cmd_vel"):
+                publish(hub, name, twist(30.0))
+            await asyncio.sleep(0.1)
+            for device in (robot, cart):
+                await device.aclose()
+        return robot.payloads(ARM_ID)[-1], cart.payloads(100)[-1]
+
+    with capture_logs():
+        assert run_virtual(run()) == (twist(0.25), twist(30.0))
 
 
 def test_what_a_device_commanded_before_it_was_known_who_it_is_is_not_obeyed_late() -> None:

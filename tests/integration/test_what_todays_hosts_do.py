@@ -21,6 +21,7 @@ from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import FakeDevice, fake_device, pose, robot_topics, topic
 from tests.support.participants import publish
 from tests.support.rosbridge import client
+from tests.support.stopwatch import Stopwatch
 from tests.support.waiting import expect
 
 SERVICE_CLIENT = [
@@ -98,12 +99,12 @@ async def test_a_half_open_link_and_the_robot_on_a_new_connection() -> None:
     """It gets nothing | the old one is closed after 5 s of silence. Here: the new one wins at once."""
     async with daemon() as host, fake_device(host.tcp, robot_topics()):
         await expect(lambda: host.hub.robots.find("robot_0").link)
-        began_s = time.monotonic()
+        watch = Stopwatch()
         async with fake_device(host.tcp, robot_topics()) as back:
             assert await back.velocity() == (0.0, 0.0)
             await back.send(pose(1.0))
             await messages(host, 1)
-        assert time.monotonic() - began_s < 1.0
+        assert watch.seconds < 1.0
 
 
 async def test_a_robot_that_publishes_on_after_a_reconnect() -> None:
@@ -121,9 +122,9 @@ async def test_a_robot_that_publishes_on_after_a_reconnect() -> None:
 async def test_the_first_topic_request() -> None:
     """2.1 s after the connection | at once, but closes after 1 s without topics. Here: at once, and it stays."""
     async with daemon() as host, fake_device(host.tcp) as device:
-        began_s = time.monotonic()
+        began_s, watch = time.monotonic(), Stopwatch()
         await device.frame(Id.PUBLISHER)
-        assert time.monotonic() - began_s < 0.3
+        assert watch.seconds < 0.3
         await device.frame(Id.PUBLISHER)  # asked again after 2 s without an answer, on the same connection
         assert time.monotonic() - began_s > 1.5
 
@@ -146,10 +147,10 @@ async def test_a_stray_ff_before_a_good_frame() -> None:
 async def test_a_missing_or_mixed_parameter(name: str) -> None:
     """No answer: the device spins a second | parameters unknown. Here: answered at once, with none."""
     async with daemon(Config(parameters={"mixed": [1, "a"]})) as host, fake_device(host.tcp, []) as device:
-        began_s = time.monotonic()
+        watch = Stopwatch()
         await device.send(encode(Id.PARAMETER, encode_parameter_request(name)))
         assert decode_parameter(await device.frame(Id.PARAMETER)) == ((), (), ())
-        assert time.monotonic() - began_s < 0.3
+        assert watch.seconds < 0.3
 
 
 async def test_a_service_of_a_device_that_never_answers() -> None:

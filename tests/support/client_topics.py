@@ -7,8 +7,7 @@ from typing import Any
 from hostlink import client
 from hostlink.client import Refused
 from hostlink.robot.admission import LEASE_S
-
-TIMEOUT_S = 15.0
+from tests.support.waiting import TIMEOUT_S
 
 
 async def received(

@@ -11,9 +11,9 @@ from hostlink.protocol.control import TopicInfo, encode_topic_info
 from hostlink.protocol.frame import Frame, Id, encode
 from hostlink.protocol.stream import FrameStream
 from tests.support.background import meanwhile
+from tests.support.waiting import TIMEOUT_S
 
 CATALOG = Catalog()
-TIMEOUT_S = 5.0
 
 
 def topic(kind: Id, topic_id: int, name: str, type_name: str, *, buffer_bytes: int = 512) -> TopicInfo:

@@ -17,10 +17,10 @@ from pathlib import Path
 from typing import Any
 
 from tests.support.fork_server import Child, start
-from tests.support.waiting import expect
+from tests.support.waiting import TIMEOUT_S, expect
 
 HOSTLINK = str(Path(sys.executable).parent / "hostlink")
-TIMEOUT_S, POLL_S = 20.0, 0.005
+POLL_S = 0.005
 FIRST_PORT, PORTS = 20_000, 1200  # for each of ten workers
 _given: set[int] = set()
 

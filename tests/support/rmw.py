@@ -24,8 +24,8 @@ from hostlink.graphs.zenoh.rmw_bridge import RmwBridge, ros2_bridged
 from hostlink.graphs.zenoh.session import Session, opened
 from tests.support.daemon import Daemon, daemon
 from tests.support.process import free_port
+from tests.support.waiting import TIMEOUT_S
 
-TIMEOUT_S = 20.0
 PROGRAM = Path(__file__).parent.parent / "clients" / "rmw_peer.py"
 TWIST = "geometry_msgs/msg/Twist"
 TWIST_KEY = "geometry_msgs::msg::dds_::Twist_/RIHS01_9c45bf16fe0983d80e3cfe750d6835843d265a9a6c46bd2e609fcddde6fb8d2a"

@@ -10,8 +10,7 @@ import aiohttp
 import cbor2
 
 from tests.support.daemon import Daemon
-
-TIMEOUT_S = 5.0
+from tests.support.waiting import TIMEOUT_S
 
 
 class Client:

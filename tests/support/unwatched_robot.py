@@ -19,13 +19,12 @@ from hostlink.protocol.control import TopicInfo, encode_topic_info
 from hostlink.protocol.frame import Id, encode
 from tests.support.fake_device import robot_topics, topic
 from tests.support.ros_lib_reader import RosLibReader
-from tests.support.waiting import expect
+from tests.support.waiting import TIMEOUT_S, expect
 
 ZERO = (0.0, 0.0)
 BLOB_ID = 102
 BLOB_BUFFER_BYTES = 32768
 TURN_S = 0.002
-TIMEOUT_S = 10.0
 
 
 @dataclass

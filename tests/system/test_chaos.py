@@ -1,6 +1,6 @@
-"""A minute of chaos against a real daemon, from a new seed each time: tests/support/chaos, tools/chaos_daemon.py.
+"""Half a minute of chaos against a real daemon, with a new seed each time: tests/support/chaos, tools/chaos_daemon.py.
 
-HOSTLINK_CHAOS_SEED=7 plays the steps of that seed again, HOSTLINK_CHAOS_S=600 plays for longer; `make soak` does so.
+HOSTLINK_CHAOS_SEED=7 plays the steps of that seed again. HOSTLINK_CHAOS_S=600 plays for longer, as `make soak` does.
 """
 
 import os
@@ -13,12 +13,12 @@ from tests.support.chaos.limits import Limits
 from tests.support.chaos.report import describe
 from tests.support.chaos.run import Wanted, run
 
-SECONDS = float(os.environ.get("HOSTLINK_CHAOS_S", "50"))  # with its start, its end and what waits: a minute
+SECONDS = float(os.environ.get("HOSTLINK_CHAOS_S", "25"))  # start, end and what waits take ten more
 IMPOSSIBLE = Limits(p99_s=1e-6, memory_mib=1.0)
 
 
 def draw_seed() -> int:
-    """CI plays the same steps each time; what is played anew is played by whoever changes something."""
+    """Return the seed of the environment, 1 in CI, else a new one."""
     is_ci = os.environ.get("HYPOTHESIS_PROFILE") == "ci"
     return int(os.environ.get("HOSTLINK_CHAOS_SEED") or (1 if is_ci else secrets.randbelow(1_000_000)))
 

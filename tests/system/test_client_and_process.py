@@ -10,7 +10,7 @@ from hostlink.client import connect
 from hostlink.errors import HostlinkError
 from tests.support.process import serve, simulated
 from tests.support.simulated import simulated_robot
-from tests.support.waiting import expect
+from tests.support.waiting import TIMEOUT_S, expect
 
 pytestmark = pytest.mark.quiet
 
@@ -40,7 +40,7 @@ async def test_a_daemon_that_is_killed_and_started_again_while_a_script_drives()
                 await robot.drive(0.2, 0.0)
             async with serve(*ports) as second:
                 await second.read_log("robot.appeared")
-                async with asyncio.timeout(5):
+                async with asyncio.timeout(TIMEOUT_S):
                     assert (await anext(changes)).is_connected
                     await anext(odometry)
                 assert (await robot.state())["holder"] is None

@@ -199,7 +199,7 @@ async def test_foxglove_mcap_record_records_every_channel(line_is: Line, tmp_pat
             stdout=asyncio.subprocess.DEVNULL, stderr=asyncio.subprocess.PIPE,
         )  # fmt: skip
         try:
-            await expect(lambda: any(str(one.key).startswith("client") for one in odometry.subscribers), timeout_s=20.0)
+            await expect(lambda: any(str(one.key).startswith("client") for one in odometry.subscribers))
             line.set_line(Line.WORKS)
             there = odometry.messages
             await expect(lambda: odometry.messages >= there + 5)

@@ -9,10 +9,12 @@ import sys
 import pytest
 
 from tests.support.process import HOSTLINK, free_port, run
+from tests.support.waiting import TIMEOUT_S
 
 FULL = "/dev/full"
 INTERRUPTED_IMPORT = """
 import os, runpy, signal, sys
+from tests.support.waiting import TIMEOUT_S
 class Interrupts:
     def find_spec(self, name, path=None, target=None):
         if name == "typer":
@@ -56,7 +58,7 @@ async def test_a_group_of_commands_alone_shows_what_it_has() -> None:
 async def test_an_output_that_is_full_is_one_line_and_status_1(words: str) -> None:
     with open(FULL, "w") as full:  # noqa: ASYNC230, PTH123 - a device
         child = await asyncio.create_subprocess_exec(HOSTLINK, words, stdout=full, stderr=subprocess.PIPE)
-        async with asyncio.timeout(20):
+        async with asyncio.timeout(TIMEOUT_S):
             _, errors = await child.communicate()
     assert (child.returncode, errors.decode().splitlines()[1:]) == (1, [])
     assert b"No space left on device" in errors
@@ -67,7 +69,7 @@ async def test_a_demo_whose_reader_is_gone_ends_in_order() -> None:
     child = await asyncio.create_subprocess_exec(HOSTLINK, *words, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
     assert child.stdout is not None
     assert child.stderr is not None
-    async with asyncio.timeout(20):
+    async with asyncio.timeout(TIMEOUT_S):
         assert (await child.stdout.readline()).startswith(b"hostlink runs")
         child.stdout._transport.close()  # type: ignore[attr-defined]
         assert await child.stderr.read() == b""
@@ -78,6 +80,6 @@ async def test_ctrl_c_while_the_program_is_loaded_shows_no_traceback() -> None:
     child = await asyncio.create_subprocess_exec(
         sys.executable, "-c", INTERRUPTED_IMPORT, stderr=subprocess.PIPE, env=dict(os.environ)
     )
-    async with asyncio.timeout(20):
+    async with asyncio.timeout(TIMEOUT_S):
         _, errors = await child.communicate()
     assert (child.returncode, errors) == (-signal.SIGINT, b"")

@@ -12,6 +12,7 @@ import pytest
 from hostlink.protocol.frame import Id, encode
 from tests.support.fake_device import FakeDevice, fake_device, robot_topics, topic
 from tests.support.process import HOSTLINK, run, serve, simulated
+from tests.support.waiting import TIMEOUT_S
 
 LED = [topic(Id.SUBSCRIBER, 100, "/led", "std_msgs/Bool")]
 TRIGGER = [
@@ -102,7 +103,7 @@ async def test_demo_drives_its_robot_and_ends_cleanly() -> None:
     )  # fmt: skip
     assert child.stdout is not None
     lines = []
-    async with asyncio.timeout(30):
+    async with asyncio.timeout(TIMEOUT_S):
         while not any("driven by demo" in line and "x  +0.0" not in line for line in lines):
             lines.append((await child.stdout.readline()).decode())
             assert lines[-1], "the demo ended by itself"

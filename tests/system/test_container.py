@@ -17,10 +17,13 @@ from hostlink.client import connect
 from hostlink.config import Config
 from tests.support.fake_device import fake_device, robot_topics
 from tests.support.process import HOSTLINK, Process, run, serve
-from tests.support.waiting import expect
+from tests.support.waiting import TIMEOUT_S, expect
 
 FOLDER = Path("tools/container")
-ENTRY = ("unshare", "--user", "--map-root-user", "--pid", "--fork", "--kill-child", "sh", str(FOLDER / "entry.sh"))
+UNSHARED = ("unshare", "--user", "--map-root-user", "--mount", "--pid", "--fork", "--kill-child")
+#: A container has a /dev/shm of its own. That of the host may hold files of another process with the same number.
+OWN_MEMORY = 'mount -t tmpfs none /dev/shm && exec sh "$0" "$@"'
+USUAL_WAIT, LONG_WAIT = "$(seq 40)", "$(seq 180)"  # half seconds; what writes an incident lets all others go first
 
 
 def instructions() -> list[tuple[str, str]]:
@@ -94,12 +97,18 @@ def child_of(pid: int) -> int:
 @contextlib.asynccontextmanager
 async def contained(log: Path, *arguments: str) -> AsyncIterator[tuple[Process, int]]:
     """A daemon below the container's first process, in a PID namespace; and the daemon's pid outside of it."""
+    text = (FOLDER / "entry.sh").read_text()
+    assert text.count(USUAL_WAIT) == 1
+    entry = log.with_name("entry.sh")
+    entry.write_text(text.replace(USUAL_WAIT, LONG_WAIT))
     path = f"PATH={Path(HOSTLINK).parent}:/usr/bin:/bin"
-    async with serve(*arguments, log=log, program=("env", path, *ENTRY)) as process:
+    program = ("env", path, *UNSHARED, "sh", "-c", OWN_MEMORY, str(entry))
+    async with serve(*arguments, log=log, program=program) as process:
         first = child_of(process.child.pid)
         yield process, child_of(first)
 
 
+@pytest.mark.timeout(200)
 async def test_a_daemon_that_is_killed_in_a_container_leaves_a_standing_robot(tmp_path: Path) -> None:
     """Process 1 lives on until the guardian has stopped it, and the incident is written."""
     file = tmp_path / "hostlink.toml"
@@ -114,7 +123,7 @@ async def test_a_daemon_that_is_killed_in_a_container_leaves_a_standing_robot(tm
         assert await device.velocity_other_than((0.0, 0.0)) == (0.2, 0.0)
         os.kill(daemon, signal.SIGKILL)
         assert await device.velocity_other_than((0.2, 0.0)) == (0.0, 0.0)
-        assert await asyncio.wait_for(process.child.wait(), 40) == 128 + signal.SIGKILL
+        assert await asyncio.wait_for(process.child.wait(), 100) == 128 + signal.SIGKILL
     (incident,) = (tmp_path / "kept" / "incidents").glob("*.mcap")
     assert "daemon_died" in incident.name
 
@@ -123,7 +132,7 @@ async def test_a_daemon_that_is_killed_in_a_container_leaves_a_standing_robot(tm
 async def test_a_signal_to_the_first_process_ends_the_daemon_in_order(tmp_path: Path, number: signal.Signals) -> None:
     async with contained(tmp_path / "log") as (process, daemon):
         os.kill(parent_of(daemon), number)
-        assert await asyncio.wait_for(process.child.wait(), 10) == 0
+        assert await asyncio.wait_for(process.child.wait(), TIMEOUT_S) == 0
     assert b"daemon.stopped" in (tmp_path / "log").read_bytes()
 
 

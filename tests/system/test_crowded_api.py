@@ -12,6 +12,7 @@ import pytest
 
 from tests.support.fake_device import fake_device, robot_topics
 from tests.support.process import Process, serve
+from tests.support.waiting import TIMEOUT_S
 
 pytestmark = pytest.mark.quiet
 
@@ -67,7 +68,7 @@ async def test_a_stop_and_a_robot_get_through_beside_1300_half_requests() -> Non
             async with fake_device(host.tcp, robot_topics()):
                 robot_s = time.perf_counter() - began_s
                 began_s = time.perf_counter()
-                async with asyncio.timeout(10), session.post(host.url + "/api/stop") as response:
+                async with asyncio.timeout(TIMEOUT_S), session.post(host.url + "/api/stop") as response:
                     assert response.status == 200
                     robots = (await response.json())["robots"]
                 stop_s = time.perf_counter() - began_s
@@ -89,7 +90,7 @@ async def test_no_descriptor_left_is_logged_once_and_ends_when_there_are_some() 
             await asyncio.sleep(2.5)
             lines = await log_of(host)
             resource.prlimit(host.child.pid, resource.RLIMIT_NOFILE, (DESCRIPTORS, DESCRIPTORS))
-            async with asyncio.timeout(10), fake_device(host.tcp, robot_topics()):
+            async with asyncio.timeout(TIMEOUT_S), fake_device(host.tcp, robot_topics()):
                 response = await session.get(host.url + "/metrics")
                 metrics = await response.text()
     assert [b"Traceback" in line for line in lines] == [False] * len(lines)

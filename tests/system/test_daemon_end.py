@@ -20,6 +20,7 @@ from tests.support.background import meanwhile
 from tests.support.fake_device import FakeDevice, fake_device, robot_topics
 from tests.support.process import HOSTLINK, Process, serve
 from tests.support.pty_pair import pty_pair
+from tests.support.waiting import TIMEOUT_S
 
 ZERO = (0.0, 0.0)
 END_S = 1.5
@@ -123,7 +124,7 @@ class SerialRobot:
 
 async def test_a_serial_robot_receives_zero_last_too() -> None:
     with pty_pair() as (descriptor, path):
-        async with serve("--serial", f"{path}@115200") as daemon, asyncio.timeout(20):
+        async with serve("--serial", f"{path}@115200") as daemon, asyncio.timeout(TIMEOUT_S):
             robot = SerialRobot(descriptor)
             await robot.announce()
             await daemon.read_log("robot.appeared")
@@ -150,7 +151,7 @@ async def test_a_signal_in_the_moment_in_which_a_serial_port_vanishes_ends_the_d
                 os.close(descriptor)
                 await asyncio.sleep(delay_s)
             began_s = time.monotonic()
-            async with asyncio.timeout(5):
+            async with asyncio.timeout(TIMEOUT_S):
                 assert await daemon.child.wait() == 0
             assert time.monotonic() - began_s < END_S + 1.0
 
@@ -169,7 +170,7 @@ async def serve_with_stderr(stderr: int | None, folder: Path, *, shell: str = ""
     child = await asyncio.create_subprocess_exec(*command, stderr=stderr)
     process = Process(child, tcp=("127.0.0.1", ports[0]), url=f"http://127.0.0.1:{ports[1]}")
     try:
-        async with asyncio.timeout(20):
+        async with asyncio.timeout(TIMEOUT_S):
             await answers(process)
         yield process
     finally:

@@ -12,7 +12,7 @@ from tests.support.unwatched_robot import Reading
 
 pytestmark = pytest.mark.quiet
 
-KILLS = int(os.environ.get("HOSTLINK_KILLS", "100"))
+KILLS = int(os.environ.get("HOSTLINK_KILLS", "50"))
 AT_ONCE = 3
 SHORTEST_S, LONGEST_S = 0.0, 0.3
 READINGS = (

@@ -15,7 +15,7 @@ from tests.support.daemon import daemon
 from tests.support.fake_device import FakeDevice, fake_device, pose, robot_topics, topic
 from tests.support.process import run
 from tests.support.rosbridge import Client
-from tests.support.waiting import expect
+from tests.support.waiting import TIMEOUT_S, expect
 
 HOSTILE = "\x1b]0;x\x07\x1b[2J\x9b31m\u202e\u2066\x7f[red][/x]"
 TOPICS = [*robot_topics(), topic(Id.PUBLISHER, 126, "/robot_0/text", "std_msgs/String")]
@@ -93,7 +93,7 @@ async def test_the_screen_shows_names_as_they_are() -> None:
         async with screen.run_test(size=(140, 30)):
             robots = screen.query_one("#robots", DataTable)
             shown = ""
-            async with asyncio.timeout(20.0):
+            async with asyncio.timeout(TIMEOUT_S):
                 while "[red][/x]" not in shown:
                     assert (await host.rest("PUT", path, b'{"linear": 0.1, "angular": 0}'))[0] == 200
                     await asyncio.sleep(0.1)

@@ -9,6 +9,7 @@ import aiohttp
 
 from tests.support.fake_device import fake_device, pose, robot_topics
 from tests.support.process import HOSTLINK, Process, run, serve
+from tests.support.waiting import TIMEOUT_S
 
 PATHS = ["/", "/metrics", "/readyz", "/nothing"]
 API = ["robots", "robots/robot_0", "robots/robot_0/odometry", "links", "topics", "clients", "openapi.json"]
@@ -47,6 +48,6 @@ async def use(daemon: Process) -> None:
             await program.send_json({"op": "call_service", "id": 1, "service": "/rosapi/get_time"})
             assert (await program.receive()).data  # so the subscription has arrived, too
             await device.send(pose(1.0))
-            async with asyncio.timeout(5):
+            async with asyncio.timeout(TIMEOUT_S):
                 assert (await program.receive()).data
         await asyncio.sleep(2.5)  # until the diagnosis has looked at the garbage, which it does in a thread

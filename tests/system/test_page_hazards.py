@@ -14,7 +14,7 @@ from playwright.async_api import expect as expect_page
 
 from tests.support.browser import Visit, visit
 from tests.support.page_server import PageServer, State, link, odometry, page_server, robot
-from tests.support.waiting import expect
+from tests.support.waiting import TIMEOUT_S, expect
 
 pytestmark = [pytest.mark.asyncio(loop_scope="session"), pytest.mark.quiet]
 
@@ -487,7 +487,7 @@ async def test_long_paths_of_many_robots_are_not_drawn_again_and_again(browser: 
         await tab.shows("#robots .robot:nth-child(12)", "robot_11")
         await tab.page.wait_for_function("window.lines > 12 * 50")  # they were drawn
         lines: list[int] = []
-        async with asyncio.timeout(5):
+        async with asyncio.timeout(TIMEOUT_S):
             while len(lines) < 2 or lines[-1] > 200 * len(state.robots):
                 await tab.page.evaluate("window.lines = 0")
                 for number, view in enumerate(state.robots * 2):

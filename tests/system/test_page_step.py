@@ -153,7 +153,7 @@ async def test_the_run_before_stays_as_a_ghost_and_a_run_is_saved_as_a_table(bro
         ghost = page.locator("#steps .legend b").first
         for _ in range(2):
             await press(tab)
-            await expect(lambda: robot.world.now("left_measured_ticks_s") > 10.0, timeout_s=10.0)
+            await expect(lambda: robot.world.now("left_measured_ticks_s") > 10.0)
             await asyncio.sleep(0.2)  # two messages of plot_data have it
             await page.mouse.up()
             await expect(lambda: speed_m_s(host) == 0 and robot.speed_m_s == 0)

@@ -9,7 +9,7 @@ import pytest
 from hostlink.robot.admission import LEASE_S
 from tests.support.screen import screen
 from tests.support.scripts import robot_to_drive, script
-from tests.support.waiting import expect_never
+from tests.support.waiting import TIMEOUT_S, expect_never
 
 pytestmark = pytest.mark.quiet
 
@@ -31,7 +31,7 @@ async def test_the_end_of_a_program_stops_what_it_drives(line: str, status: int)
     async with robot_to_drive() as robot:
         async with script(robot.host.url.replace("127.0.0.1", "localhost"), "time.sleep(0.5)", line) as child:
             await robot.moves()
-            async with asyncio.timeout(10):
+            async with asyncio.timeout(TIMEOUT_S):
                 _, errors = await child.communicate()
             found = child.returncode
         await robot.stands()
@@ -54,7 +54,7 @@ async def test_a_signal_that_ends_a_program_stops_what_it_drives(number: signal.
         async with script(robot.host.url, line) as child:
             await robot.moves()
             child.send_signal(number)
-            async with asyncio.timeout(10):
+            async with asyncio.timeout(TIMEOUT_S):
                 await child.communicate()
         await robot.stands()
 

@@ -226,7 +226,7 @@ async def test_thirty_robots_are_recorded_with_flat_memory(tmp_path: Path) -> No
     process = await asyncio.create_subprocess_exec(
         sys.executable, SOAK, "--minutes", "2", stdout=asyncio.subprocess.PIPE, cwd=tmp_path
     )
-    async with asyncio.timeout(6 * TIMEOUT_S):
+    async with asyncio.timeout(3 * TIMEOUT_S):
         out, _ = await process.communicate()
     found = json.loads(out)
     assert (process.returncode, found["dropped"]) == (0, 0), found

@@ -7,7 +7,6 @@ import os
 import signal
 import sys
 import termios
-import time
 import tty
 from collections.abc import AsyncIterator
 from pathlib import Path
@@ -20,6 +19,7 @@ from hostlink.sim.robot import SimulatedRobot
 from hostlink.sim.run import run_over_streams
 from tests.support.fake_device import fake_device, robot_topics
 from tests.support.process import run, serve, simulated
+from tests.support.stopwatch import Stopwatch
 
 ZERO = (0.0, 0.0)
 STOP_S = 0.6  # a robot's own watchdog is 0.5 s, looked at each thirtieth of a second
@@ -40,14 +40,14 @@ async def test_a_signal_while_driving_stops_the_robot_then_silences_it_within_a_
     async with serve() as daemon, fake_device(daemon.tcp, robot_topics()) as device:
         await put_velocity(daemon.url, 0.2, 0.5)
         assert await device.velocity_other_than(ZERO) == (0.2, 0.5)
-        began_s = time.monotonic()
+        watch = Stopwatch(daemon.pid)
         daemon.child.send_signal(number)
         assert await device.velocity_other_than((0.2, 0.5)) == ZERO
         after = []
         while not after or after[-1].topic_id != Id.STOP:
             after.append(await device.next())
         assert await daemon.child.wait() == 0
-        assert time.monotonic() - began_s < 1.0
+        assert watch.seconds < 1.0
     assert {frame.payload for frame in after if frame.topic_id == 100} <= {bytes(48)}
 
 

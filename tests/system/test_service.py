@@ -17,6 +17,7 @@ from hostlink.cli.examples import read_example
 from hostlink.cli.serve import Notifier
 from tests.support.fake_device import fake_device, robot_topics
 from tests.support.process import free_port, run, serve
+from tests.support.waiting import TIMEOUT_S
 
 WATCHDOG_S = 0.4
 
@@ -30,7 +31,7 @@ class Systemd:
 
     async def received(self, wanted: str) -> str:
         """The next message with this line in it."""
-        async with asyncio.timeout(20):
+        async with asyncio.timeout(TIMEOUT_S):
             while True:
                 message = (await asyncio.get_running_loop().sock_recv(self.socket, 4096)).decode()
                 if wanted in message:

@@ -13,13 +13,14 @@ from hostlink.client import RobotState, connect
 from tests.support.fork_server import start
 from tests.support.process import HOSTLINK, run, serve, simulated
 from tests.support.screen import screen
+from tests.support.waiting import TIMEOUT_S
 
 pytestmark = pytest.mark.quiet  # a program that does not run for 0.4 s stops its robot
 
 
 async def until(url: str, is_so: Callable[[RobotState], bool]) -> None:
     """Until the daemon shows the robot so."""
-    async with connect(url) as host, asyncio.timeout(10):
+    async with connect(url) as host, asyncio.timeout(TIMEOUT_S):
         async for event in host.watch():
             if event.name == "robots" and any(is_so(state) for state in event.data["robots"]):
                 return
@@ -79,7 +80,7 @@ async def test_ctrl_c_ends_the_step_and_the_robot_is_stopped() -> None:
         await until(daemon.url, lambda state: state["velocity"]["linear_m_s"] == 0.2)
         child.send_signal(signal.SIGINT)
         await until(daemon.url, lambda state: state["velocity"]["linear_m_s"] == 0 and state["holder"] is None)
-        async with asyncio.timeout(5):
+        async with asyncio.timeout(TIMEOUT_S):
             assert await child.wait() == 130
 
 

@@ -15,6 +15,7 @@ from tests.support.fake_device import FakeDevice, fake_device, pose, repeating, 
 from tests.support.process import HOSTLINK, run
 from tests.support.screen import screen
 from tests.support.tcp_server import say_nothing, tcp_server
+from tests.support.waiting import TIMEOUT_S
 
 POINT = topic(Id.PUBLISHER, 126, "/robot_0/point", "geometry_msgs/PointStamped")
 TRIGGER = [
@@ -257,7 +258,7 @@ async def test_a_name_that_a_shell_would_run_is_not_completed() -> None:
 
 
 async def test_a_daemon_that_does_not_answer_is_waited_for_visibly() -> None:
-    async with asyncio.timeout(30), screen() as terminal, tcp_server(say_nothing) as (_, port):
+    async with asyncio.timeout(TIMEOUT_S), screen() as terminal, tcp_server(say_nothing) as (_, port):
         await terminal.keys(f"{HOSTLINK} topics --url http://127.0.0.1:{port}", "Enter")
         await terminal.shows(f"connecting to http://127.0.0.1:{port} ... ")
         shown = await terminal.shows(f"hostlink: no hostlink at http://127.0.0.1:{port}: no answer within 5 s")

@@ -15,7 +15,7 @@ from tests.support.killing import LIMIT_S, driving, end_at, killer
 from tests.support.process import HOSTLINK, run, serve
 from tests.support.pty_pair import pty_pair
 from tests.support.unwatched_robot import Reading
-from tests.support.waiting import expect
+from tests.support.waiting import TIMEOUT_S, expect
 
 ON_UVLOOP = ("--loop", "uvloop")
 ZERO = (0.0, 0.0)
@@ -50,7 +50,7 @@ async def test_devices_come_and_go_and_a_robot_is_driven() -> None:
             async with fake_device(daemon.tcp, robot_topics()) as device:
                 assert await device.velocity() == ZERO
                 daemon.child.send_signal(signal.SIGTERM)
-                async with asyncio.timeout(5):
+                async with asyncio.timeout(TIMEOUT_S):
                     assert await daemon.child.wait() == 0
         assert not [line for line in daemon.log if str(line["event"]).endswith(".crashed")]
 

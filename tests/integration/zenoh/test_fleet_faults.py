@@ -17,6 +17,7 @@ from tests.support.fake_device import fake_device, pose, robot_topics
 from tests.support.participants import subscribe
 from tests.support.process import free_port
 from tests.support.proxy import Line, Proxy, proxy
+from tests.support.stopwatch import Stopwatch
 from tests.support.waiting import expect
 from tests.support.zenoh_certificates import make_authority, make_certificate, write_rules
 from tests.support.zenoh_fleet import drive, fleet, joined, port_of, robot, shown, subscriber_count
@@ -49,7 +50,7 @@ async def test_a_network_that_is_cut_ends_the_lease_where_the_robot_is_and_shows
                 assert loop.time() - cut_s < 2.0
         line.set_line(Line.WORKS)
         line.break_off()
-        await expect(lambda: b.hub.robots.remote["robot_7"].link, timeout_s=20.0)
+        await expect(lambda: b.hub.robots.remote["robot_7"].link)
         assert b.hub.robots.remote["robot_7"].link != before  # whoever drove must drive again
         await expect(lambda: a.hub.counts.graphs["fleet"]()["met"] == 2)
         assert (await drive(b, "robot_7", 0.1))[0] == 200
@@ -242,10 +243,10 @@ async def test_a_flood_of_commands_delays_nobody_s_stop() -> None:
                 participant = a.hub.join("driver")
                 participant.drive(found, PlanarVelocity(x_m_s=0.2))
                 assert await device.velocity_other_than(STILL) == MOVING
-                began_s = asyncio.get_running_loop().time()
+                watch = Stopwatch()
                 participant.leave()
                 assert await device.velocity_other_than(MOVING) == STILL
-                assert asyncio.get_running_loop().time() - began_s < 0.45  # sooner than the lease
+                assert watch.seconds < 0.45  # sooner than the lease
             finally:
                 stop.set()
                 await pouring
@@ -268,7 +269,7 @@ async def test_a_peer_with_many_robots_keeps_the_loop_for_no_stop() -> None:
             liar.claim(*names)
             await expect(lambda: a.hub.robots.remote.keys() >= set(names))
             watching.cancel()
-        assert len(shown) > 10
+        assert len(shown) > 3  # of one slice there would be two: none and all
         assert a.hub.isolation.crashes.total() == 0
 
 

@@ -17,11 +17,10 @@ from hostlink.protocol.control import TopicInfo
 from hostlink.protocol.frame import Id, encode
 from tests.support.fake_device import FakeDevice, fake_device
 from tests.support.process import Process, free_port, serve
-from tests.support.waiting import expect
+from tests.support.waiting import TIMEOUT_S, expect
 
 PYTHON = "/usr/bin/python3"
 PROGRAM = str(Path(__file__).with_name("program.py"))
-TIMEOUT_S = 20.0
 TIME_INTERVAL_S = 1.0
 
 

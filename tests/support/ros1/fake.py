@@ -15,10 +15,9 @@ from hostlink.graphs.ros1.tcpros import MessageStream, decode_header, encode_hea
 from hostlink.graphs.ros1.xml_rpc import decode_call, encode_answer, encode_call
 from hostlink.messages.catalog import Catalog
 from tests.support.tcp_server import tcp_server
-from tests.support.waiting import expect
+from tests.support.waiting import TIMEOUT_S, expect
 
 CATALOG = Catalog()
-TIMEOUT_S = 5.0
 Answers = Callable[[str, tuple[Any, ...]], tuple[int, str, object]]
 
 

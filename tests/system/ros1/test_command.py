@@ -20,7 +20,7 @@ from tests.support.fork_server import start
 from tests.support.process import HOSTLINK, Process, free_port, run, started
 from tests.support.ros1.debian import PYTHON, Graph, call, graph, living_device
 from tests.support.ros1.fake import connection
-from tests.support.waiting import expect
+from tests.support.waiting import TIMEOUT_S, expect
 
 CHATTER = [*robot_topics(), topic(Id.PUBLISHER, 126, "chatter", "std_msgs/String")]
 
@@ -42,7 +42,7 @@ async def ros1(ros: Graph, *words: str, **environment: str) -> AsyncIterator[Pro
 async def failed(*words: str) -> str:
     """The one line of a command that is wrong."""
     child = await start("ros1", *words, stderr=PIPE, environment={**os.environ, "COLUMNS": "200"})
-    async with asyncio.timeout(20):
+    async with asyncio.timeout(TIMEOUT_S):
         _, err = await child.communicate()
     assert child.returncode == 2
     return err.decode()
@@ -104,7 +104,7 @@ async def test_two_nodes_in_two_namespaces_share_nothing_but_global_topics(ros: 
             words = (f"__ns:=/{space}",) if number else ()
             environment = {} if number else {"ROS_NAMESPACE": f"/{space}"}
             await stack.enter_async_context(ros1(ros, "--tcp", str(port), *words, **environment))
-            await expect(lambda port=port: is_listening(port), timeout_s=20)
+            await expect(lambda port=port: is_listening(port))
             devices.append(await stack.enter_async_context(living_device(("127.0.0.1", port), RELATIVE)))
         readers = [
             await stack.enter_async_context(ros.node("listen", f"/{space}/robot/odom", "nav_msgs/Odometry"))
@@ -183,13 +183,13 @@ async def test_roslaunch_starts_the_package_that_the_command_writes(ros: Graph, 
             "/usr/bin/roslaunch", str(file), env=environment, stdout=output, stderr=output
         )
     try:
-        await expect(lambda: b"daemon.started" in log.read_bytes(), timeout_s=20)
+        await expect(lambda: b"daemon.started" in log.read_bytes())
         async with living_device(("127.0.0.1", port), CHATTER):
             assert "/lab/talk" in await topics(ros, "/lab/talk")
             assert "/lab/base" in await ros.lines("rosnode", "list")
     finally:
         launch.send_signal(signal.SIGINT)
-        async with asyncio.timeout(20):
+        async with asyncio.timeout(TIMEOUT_S):
             await launch.wait()
     assert b"daemon.stopped" in log.read_bytes()
 
@@ -240,7 +240,7 @@ async def test_rosnode_kill_ends_it(ros: Graph) -> None:
         await ros.lines("rosnode", "kill", "/serial_node")
         ended = await daemon.read_log("daemon.stop_requested")
         assert "/rosnode" in ended["cause"]
-        async with asyncio.timeout(10):
+        async with asyncio.timeout(TIMEOUT_S):
             assert await daemon.child.wait() == 0
 
 
@@ -248,7 +248,7 @@ async def test_it_waits_for_the_master_that_may_know_its_port(ros: Graph) -> Non
     await ros.kill()
     port = free_port()
     async with ros1(ros) as daemon:
-        await expect(lambda: "waiting for the master" in daemon.log_file.read_text(), timeout_s=20)
+        await expect(lambda: "waiting for the master" in daemon.log_file.read_text())
         await ros.start()
         await ros.lines("rosparam", "set", "/serial_node/port", "tcp")
         await ros.lines("rosparam", "set", "/serial_node/tcp_port", str(port))

@@ -18,7 +18,7 @@ from tests.support.fake_device import FakeDevice, robot_topics
 from tests.support.process import HOSTLINK, Process, free_port, run, started
 from tests.support.ros1.debian import graph
 from tests.support.ros1.fake import fake_master
-from tests.support.waiting import expect
+from tests.support.waiting import TIMEOUT_S, expect
 
 MEASURED = Path(__file__).parents[2] / "support" / "until_listening.py"
 MOST = (
@@ -81,7 +81,7 @@ async def test_device_port_is_open_before_libraries_of_the_daemon_are_imported()
 async def early_device(port: int) -> AsyncIterator[FakeDevice]:
     """One that tries to connect again and again, as firmware does, and has succeeded."""
     connection: list[tuple[asyncio.StreamReader, asyncio.StreamWriter]] = []
-    async with asyncio.timeout(20):
+    async with asyncio.timeout(TIMEOUT_S):
         while not connection:
             try:
                 connection.append(await asyncio.open_connection("127.0.0.1", port))
@@ -105,7 +105,7 @@ async def test_device_that_connects_while_the_daemon_is_imported_is_served() -> 
     async with fresh("serve", "--listen", f"127.0.0.1:{port}", "--api", "127.0.0.1:0") as daemon:
         async with early_device(port) as device:
             assert "daemon.started" not in daemon.log_file.read_text()
-            async with asyncio.timeout(20):
+            async with asyncio.timeout(TIMEOUT_S):
                 await device.announce(robot_topics())
             assert (await daemon.read_log("topics.negotiated"))["count"] == 3
         assert await daemon.end(signal.SIGTERM) == 0
@@ -118,9 +118,9 @@ async def test_device_that_connects_to_a_start_that_fails_is_disconnected() -> N
         taken_port = taken.getsockname()[1]
         words = ("serve", "--listen", f"127.0.0.1:{port}", "--api", f"127.0.0.1:{taken_port}")
         async with fresh(*words) as daemon:
-            async with early_device(port) as device, asyncio.timeout(20):
+            async with early_device(port) as device, asyncio.timeout(TIMEOUT_S):
                 await device.closed()
-            async with asyncio.timeout(10):
+            async with asyncio.timeout(TIMEOUT_S):
                 assert await daemon.child.wait() == 2
             text = daemon.log_file.read_text()
     assert text.splitlines()[-1].startswith(f"hostlink: API port {taken_port}: is in use")
@@ -149,10 +149,10 @@ async def test_device_port_is_closed_while_the_master_is_waited_for(tmp_path: Pa
         await ros.kill()
         environment = {**os.environ, "ROS_MASTER_URI": ros.url, "ROS_IP": "127.0.0.1"}
         async with started("ros1", "--tcp", str(port), "--api", "127.0.0.1:0", environment=environment) as daemon:
-            await expect(lambda: "waiting for the master" in daemon.log_file.read_text(), timeout_s=20)
+            await expect(lambda: "waiting for the master" in daemon.log_file.read_text())
             with pytest.raises(ConnectionRefusedError):
                 await asyncio.open_connection("127.0.0.1", port)
             await ros.start()
-            async with early_device(port) as device, asyncio.timeout(20):
+            async with early_device(port) as device, asyncio.timeout(TIMEOUT_S):
                 await device.frame(Id.PUBLISHER)
             assert await daemon.end(signal.SIGTERM) == 0

@@ -11,10 +11,12 @@ from hostlink.recording.channel import EVENTS, as_text, ros_channel
 from hostlink.recording.mcap_writer import McapWriter
 from tests.support.process import run
 from tests.support.ros1.debian import PYTHON
+from tests.support.waiting import TIMEOUT_S
 
 BEGIN_NS, STEP_NS, COUNT = 1_700_000_000_000_000_000, 100_000_000, 20
 READ = """
 import json, sys, rosbag
+from tests.support.waiting import TIMEOUT_S
 with rosbag.Bag(sys.argv[1]) as bag:
     rows = [(topic, message, at.to_nsec()) for topic, message, at in bag.read_messages()]
     types = {topic: info.msg_type for topic, info in bag.get_type_and_topic_info().topics.items()}
@@ -50,7 +52,7 @@ async def of_debian(folder: Path, *words: str) -> str:
     """The output of a program of the system's Python, which has none of the test's own."""
     environment = {"PATH": "/usr/bin:/bin", "HOME": str(folder), "ROS_HOME": str(folder)}
     process = await asyncio.create_subprocess_exec(PYTHON, *words, stdout=PIPE, stderr=PIPE, env=environment)
-    async with asyncio.timeout(30):
+    async with asyncio.timeout(TIMEOUT_S):
         out, err = await process.communicate()
     assert process.returncode == 0, err.decode()
     return out.decode()

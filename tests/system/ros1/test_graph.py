@@ -14,6 +14,7 @@ from hostlink.protocol.frame import Id, encode
 from tests.support.fake_device import FakeDevice, pose, repeating, robot_topics, topic
 from tests.support.process import Process, simulated
 from tests.support.ros1.debian import Graph, Node, graph, living_device
+from tests.support.waiting import TIMEOUT_S
 
 CATALOG = Catalog()
 ODOMETRY, VELOCITY = "/robot_0/odometry", "/robot_0/velocity_commands"
@@ -77,10 +78,10 @@ async def test_latched_topic_of_rospy_second_and_rebooted_device_receive_last_me
         living_device(daemon.tcp, text) as first,
         ros.node("talk", "/text", STRING, "{data: kept}", "0"),
     ):
-        async with asyncio.timeout(10):
+        async with asyncio.timeout(TIMEOUT_S):
             assert await first.frame(102) == encoded(STRING, data="kept")
         for _ in range(2):  # the second is the first again, after a reboot
-            async with living_device(daemon.tcp, text, local_host="127.0.0.3") as second, asyncio.timeout(10):
+            async with living_device(daemon.tcp, text, local_host="127.0.0.3") as second, asyncio.timeout(TIMEOUT_S):
                 assert await second.frame(102) == encoded(STRING, data="kept")
 
 
@@ -105,7 +106,7 @@ async def test_a_program_here_receives_a_topic_of_ros_whose_type_nobody_here_nam
         session.ws_connect(daemon.url) as client,
     ):
         await client.send_json({"op": "subscribe", "topic": "/scan_name"})
-        async with asyncio.timeout(10):
+        async with asyncio.timeout(TIMEOUT_S):
             assert (await client.receive_json())["msg"] == {"data": "front"}
 
 
@@ -179,7 +180,7 @@ async def test_a_device_calls_the_service_of_a_program(ros: Graph) -> None:
 
 async def offered(session: aiohttp.ClientSession, daemon: Process, service: str) -> None:
     """Wait until the daemon offers the service of another node."""
-    async with session.ws_connect(daemon.url) as client, asyncio.timeout(10):
+    async with session.ws_connect(daemon.url) as client, asyncio.timeout(TIMEOUT_S):
         found: list[str] = []
         while service not in found:
             await client.send_json({"op": "call_service", "service": "/rosapi/services"})
@@ -261,7 +262,7 @@ async def test_devices_are_given_the_time_of_the_clock_topic(ros: Graph) -> None
         ros.daemon() as daemon,
         living_device(daemon.tcp, robot_topics()) as robot,
         ros.node("talk", "/clock", "rosgraph_msgs/Clock", "{clock: {secs: 77, nsecs: 5}}", "20"),
-        asyncio.timeout(10),
+        asyncio.timeout(TIMEOUT_S),
     ):
         seconds = -1
         while seconds != 77:

@@ -19,7 +19,7 @@ from tests.support.fake_device import FakeDevice, robot_topics, topic
 from tests.support.precedence import GOES_LAST
 from tests.support.process import Process
 from tests.support.ros1.debian import Graph, Node, call, graph, living_device
-from tests.support.waiting import expect
+from tests.support.waiting import TIMEOUT_S, expect
 
 pytestmark = pytest.mark.quiet
 
@@ -51,7 +51,7 @@ class Driven:
 
     async def stands_after(self, end: Callable[[], Awaitable[None]], limit_s: float) -> None:
         """It moves until `end`, gets its zero within the limit, and nothing else afterwards."""
-        await expect(lambda: self.speed == 0.25, timeout_s=10)
+        await expect(lambda: self.speed == 0.25)
         await asyncio.sleep(0.5)
         assert self.speed == 0.25
         began_s = time.monotonic()
@@ -91,7 +91,7 @@ async def driven(folder: Path, *, is_flooded: bool) -> AsyncIterator[Driven]:
 
 async def flooding(daemon: Process) -> None:
     """The flood is one: thousands of messages come."""
-    async with aiohttp.ClientSession() as session, asyncio.timeout(20):
+    async with aiohttp.ClientSession() as session, asyncio.timeout(TIMEOUT_S):
         count = 0.0
         while count < 3000:
             async with session.get(f"{daemon.url}/metrics") as response:
@@ -163,7 +163,7 @@ async def test_a_driver_whom_the_master_names_no_more(tmp_path: Path, is_flooded
 @flooded
 async def test_a_driver_beside_a_dead_master_drives_on_until_it_is_killed(tmp_path: Path, is_flooded: bool) -> None:
     async with driven(tmp_path, is_flooded=is_flooded) as made:
-        await expect(lambda: made.speed == 0.25, timeout_s=10)
+        await expect(lambda: made.speed == 0.25)
         await made.ros.kill()
         await made.daemon.read_log("ros1.master_lost")
         made.driver.send("0.2")
@@ -193,7 +193,7 @@ async def test_a_daemon_that_is_killed_while_a_program_of_ros_drives(tmp_path: P
         async def end() -> None:
             os.kill(made.daemon.child.pid, signal.SIGKILL)
 
-        await expect(lambda: made.speed == 0.25, timeout_s=10)
+        await expect(lambda: made.speed == 0.25)
         await end()
         with contextlib.suppress(EOFError, ConnectionError):
             await expect(lambda: made.speed == 0.0)

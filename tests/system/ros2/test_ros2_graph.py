@@ -241,7 +241,7 @@ async def test_who_waits_for_a_service_offers_none(environment: dict[str, str]) 
         await other.do("call", service="/lamp", type="std_srvs/srv/Trigger")
         await expect_never(lambda: server.hub.services.is_offered("/lamp"), for_s=2.0)
         async with me.serve("/lamp", "std_srvs/Trigger", answer):
-            await expect(lambda: other.events("response"), timeout_s=10.0)
+            await expect(lambda: other.events("response"))
     assert other.events("response")[0]["msg"]["message"] == "on"
 
 

@@ -53,7 +53,7 @@ class World:
         """Seconds until nobody drives, and the velocity that is commanded is a zero."""
         loop = asyncio.get_running_loop()
         begun_s = loop.time()
-        await expect(lambda: self.gate.owner is None or self.gate._target.is_zero, timeout_s=5.0)
+        await expect(lambda: self.gate.owner is None or self.gate._target.is_zero)
         return loop.time() - begun_s
 
     async def drives_after_a_zero_and_not_for(self, seconds: float) -> None:

@@ -15,6 +15,7 @@ import pytest
 from hostlink.graphs.zenoh.fleet_robots import READ_S
 from tests.support.fake_device import fake_device, robot_topics
 from tests.support.process import HOSTLINK, Process, free_port, run, serve
+from tests.support.waiting import TIMEOUT_S
 from tools.measure_fleet import all_known, drive, populated, robots_of
 
 STILL, MOVING = (0.0, 0.0), (0.2, 0.0)
@@ -45,7 +46,7 @@ async def shows(session: aiohttp.ClientSession, host: Process, is_so: Callable[[
     """Seconds until the daemon's robots, by name, are as wanted."""
     loop = asyncio.get_running_loop()
     began_s = loop.time()
-    async with asyncio.timeout(10):
+    async with asyncio.timeout(TIMEOUT_S):
         while not is_so({robot["name"]: robot for robot in await robots_of(session, host)}):  # noqa: ASYNC110 - a process
             await asyncio.sleep(0.05)
     return loop.time() - began_s

@@ -1,82 +1,64 @@
-"""Every group runs; a test that fails beside others has one more try alone; what fails again, or in numbers, fails."""
+"""tools/run_tests.py: each group runs once, and the table names what failed and what could not run."""
 
-import json
 from pathlib import Path
 
 import pytest
 
+from tests.support import requirements
 from tools import run_tests
+from tools.run_tests import Result
 
-REPORT = '<testsuites><testsuite tests="10" failures="{failures}" errors="0" skipped="2"/></testsuites>'
-
-
-class Runs:
-    """Stands for pytest: each run ends with the next code, and keeps what failed in it."""
-
-    def __init__(self, *runs: tuple[int, list[str]]) -> None:
-        self.runs = list(runs)
-        self.arguments: list[list[str]] = []
-
-    def __call__(self, arguments: list[str]) -> int:
-        self.arguments.append([each for each in arguments if not each.startswith("--junit-xml=")])
-        code, failed = self.runs.pop(0)
-        run_tests.LAST_FAILED.parent.mkdir(parents=True, exist_ok=True)
-        run_tests.LAST_FAILED.write_text(json.dumps(dict.fromkeys(failed, True)))
-        for each in arguments:
-            if each.startswith("--junit-xml="):
-                Path(each.partition("=")[2]).write_text(REPORT.format(failures=len(failed)))
-        return code
+NEEDS_TMUX = "needs apt-get install tmux"
+REPORT = f"""<testsuites><testsuite>
+<testcase classname="tests.some" name="test_good"/>
+<testcase classname="tests.some" name="test_bad"><failure/></testcase>
+<testcase classname="tests.some" name="test_broken"><error/></testcase>
+<testcase classname="tests.some" name="test_screen"><skipped message="{NEEDS_TMUX}"/></testcase>
+<testcase classname="tests.some" name="test_group"><skipped message="no control group"/></testcase>
+</testsuite></testsuites>"""
 
 
-@pytest.fixture(autouse=True)
+@pytest.fixture
 def in_a_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     run_tests.REPORTS.mkdir(parents=True)
 
 
-def run_group(runs: Runs) -> run_tests.Result:
-    return run_tests.run_group("some", ["-m", "pytest"], ["-n", "6"], runs)
+@pytest.mark.usefixtures("in_a_folder")
+def test_group_with_failed_tests_runs_once_and_names_them() -> None:
+    commands = []
+
+    def run(command: list[str]) -> int:
+        commands.append(command)
+        Path(command[-1].partition("=")[2]).write_text(REPORT)
+        return 1
+
+    result = run_tests.run_group("some", ["-m", "pytest"], ["-n", "6"], run)
+    assert commands == [["-m", "pytest", "-n", "6", "--junit-xml=build/tests/some.xml"]]
+    assert (result.code, result.passed, result.skipped.total()) == (1, 1, 2)
+    lines = run_tests.table([result]).splitlines()
+    assert lines[1].split() == ["some", "1", "2", "2", "0"]
+    assert lines[2:] == [
+        "failed: tests.some::test_bad",
+        "failed: tests.some::test_broken",
+        f"not run: 1 ({NEEDS_TMUX})",
+        "not run: 1 (no control group)",
+    ]
 
 
-def test_what_failed_beside_others_is_run_alone_and_named() -> None:
-    runs = Runs((1, ["b", "a"]), (0, []))
-    result = run_group(runs)
-    assert (result.code, result.failed, result.passed_again) == (0, (), ("a", "b"))
-    assert (result.passed, result.not_run) == (8, 2)
-    assert runs.arguments == [["-m", "pytest", "-n", "6"], ["-m", "pytest", "a", "b"]]
-    assert "passed only when run again, to be looked at: a" in run_tests.table([result])
-
-
-def test_what_fails_again_is_a_failure() -> None:
-    result = run_group(Runs((1, ["a", "b"]), (1, ["a"])))
-    assert (result.code, result.failed, result.passed_again) == (1, ("a",), ("b",))
-    assert "failed: a" in run_tests.table([result])
-
-
-@pytest.mark.parametrize(
-    ("code", "failed"),
-    [(0, []), (1, list("abcdefg")), (2, ["a"]), (5, []), (1, [])],
-    ids=["passed", "seven at once", "cannot be read", "no tests", "killed before it kept anything"],
-)
-def test_everything_else_is_reported_at_once(code: int, failed: list[str]) -> None:
-    runs = Runs((code, failed))
-    assert run_group(runs).code == code
-    assert len(runs.arguments) == 1
-
-
-def test_what_failed_the_day_before_is_not_run() -> None:
-    Runs((1, ["old"]))([])
-    runs = Runs((1, ["new"]), (0, []))
-    assert run_group(runs).code == 0
-    assert runs.arguments[1] == ["-m", "pytest", "new"]
-
-
-def test_a_group_that_was_killed_without_a_report_counts_as_failed_in_the_table() -> None:
-    def killed(_: list[str]) -> int:
-        return 137
-
-    result = run_tests.run_group("some", ["-m", "pytest"], [], killed)
+@pytest.mark.usefixtures("in_a_folder")
+def test_group_that_was_killed_without_a_report_is_shown_as_failed() -> None:
+    (run_tests.REPORTS / "some.xml").write_text(REPORT)  # of an earlier run
+    result = run_tests.run_group("some", ["-m", "pytest"], [], lambda _: 137)
     assert run_tests.table([result]).splitlines()[1].split() == ["some", "0", "yes", "0", "0"]
+
+
+def test_missing_requirement_fails_the_run_in_ci_alone() -> None:
+    skipped, missing, failed = Result("a", 0), Result("b", 0), Result("c", 1)
+    skipped.skipped["no control group"] += 1
+    missing.skipped[NEEDS_TMUX] += 1
+    assert [run_tests.exit_code([skipped, each], is_ci=False) for each in (skipped, missing, failed)] == [0, 0, 1]
+    assert [run_tests.exit_code([skipped, each], is_ci=True) for each in (skipped, missing, failed)] == [0, 1, 1]
 
 
 def test_the_groups_take_every_test_once() -> None:
@@ -90,3 +72,20 @@ def test_the_groups_take_every_test_once() -> None:
         "quiet and not alone",
         "alone",
     ]
+
+
+def test_requirement_that_is_missing_is_the_reason_for_its_tests_alone() -> None:
+    absent = requirements.missing(lambda needed: needed not in ("tmux", "chromium-headless-shell"))
+    assert requirements.REASON == run_tests.MISSING
+
+    def reasons(path: str, *fixtures: str) -> list[str]:
+        return list(requirements.reasons(path, fixtures, absent))
+
+    assert reasons("tests/system/test_top.py", "tmp_path") == ["needs apt-get install tmux procps"]
+    assert reasons("tests/system/test_page.py", "browser") == ["needs apt-get install chromium-headless-shell"]
+    assert reasons("tests/system/test_serve.py") == []
+
+
+def test_requirement_names_tests_that_exist() -> None:
+    patterns = [pattern for each in requirements.REQUIREMENTS for pattern in each.tests]
+    assert [pattern for pattern in patterns if not list(requirements.ROOT.glob(pattern))] == []
