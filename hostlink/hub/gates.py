@@ -8,7 +8,7 @@ import contextlib
 import time
 from abc import ABC, abstractmethod
 from collections import Counter
-from collections.abc import Callable, Hashable, Iterable
+from collections.abc import Callable, Hashable, Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
@@ -17,11 +17,9 @@ import structlog
 from hostlink.errors import CommandRefused, DeviceGone, HostlinkError, RefusalKind, WrongType
 from hostlink.host_pauses import HostPauses
 from hostlink.hub.diagnoses import Diagnosis
-from hostlink.hub.guard import Guard
 from hostlink.hub.isolation import Isolation
 from hostlink.hub.message import Message
 from hostlink.hub.node import address_of
-from hostlink.hub.refusals import Refusals
 from hostlink.hub.robot_events import HOST_AWAY, LEASE_ENDED, LET_GO, OWNER_LEFT, WAS_STOPPED, EventKind, RobotEvents
 from hostlink.hub.stall_watch import BEAT_S, StallWatch
 from hostlink.hub.topic import Topic
@@ -41,6 +39,53 @@ from hostlink.robot.velocity import (
 from hostlink.robot.velocity_gate import V, VelocityGate
 
 log = structlog.get_logger()
+
+
+class Guard(Protocol):
+    """Its methods do not wait, and do not fail."""
+
+    def watch(
+        self, number: int, connection: Callable[[], int | None], *, topic_ids: Sequence[int], claim_bytes: int
+    ) -> None:
+        """A link has these velocity topics.
+
+        `connection`: its descriptor while it is open; `claim_bytes`: the longest frame that was sent.
+        """
+        ...
+
+    def beat(self, driven: set[int]) -> None:
+        """This process runs, and these links have robots that may move; without a beat for a second they are stopped.
+
+        Call it at least ten times a second while there are any, and once when there are none any more.
+        """
+        ...
+
+    def release(self, number: int) -> None:
+        """A link has ended, or has no velocity topic any more."""
+        ...
+
+
+LOG_INTERVAL_S = 10.0  # for what is refused again and again: a driver repeats his command ten times a second
+
+
+@dataclass(slots=True)
+class Refusals:
+    """Velocities that did not fit a robot's device."""
+
+    count: int = 0
+    cause: str | None = None  # of the last velocity; None: it was sent
+    log_at_s: float = float("-inf")
+    logged: int = 0
+
+    def add(self, robot: str, error: HostlinkError) -> None:
+        """Log the first, then one in LOG_INTERVAL_S with the number of those since."""
+        self.count += 1
+        self.cause = str(error)
+        now_s = asyncio.get_running_loop().time()
+        if now_s >= self.log_at_s:
+            log.warning("robot.unreachable", robot=robot, cause=self.cause, count=self.count - self.logged)
+            self.log_at_s, self.logged = now_s + LOG_INTERVAL_S, self.count
+
 
 TICK_S = 0.05  # between two steps of a ramp; the end of a lease is not waited past
 MAX_STEPS = 64  # of gates in one turn of the loop: a device may have 256, and a stop comes in between

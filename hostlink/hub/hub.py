@@ -2,30 +2,28 @@
 
 import asyncio
 import contextlib
-from collections.abc import Callable, Coroutine
+from collections import Counter
+from collections.abc import Callable, Coroutine, Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
 import structlog
 
 from hostlink.config import Config
 from hostlink.hub.byte_budget import ByteBudget
-from hostlink.hub.counts import Counts
 from hostlink.hub.diagnoses import Diagnoses
 from hostlink.hub.diagnostics_topic import DiagnosticsTopic
-from hostlink.hub.gates import Gates
+from hostlink.hub.gates import Gates, Guard
 from hostlink.hub.graph_changes import GraphChanges, Kind
 from hostlink.hub.graph_view import GraphViews
-from hostlink.hub.guard import Guard
 from hostlink.hub.identities import Affected
 from hostlink.hub.isolation import Isolation
 from hostlink.hub.links import Links, Surroundings, addresses_of
-from hostlink.hub.listening import Listening
 from hostlink.hub.message import PROGRAM_PRIORITY
 from hostlink.hub.node import Node, Role
 from hostlink.hub.participant import Participant, Parts
-from hostlink.hub.robot import LocalRobot
+from hostlink.hub.robot import LocalRobot, limits_of
 from hostlink.hub.robot_events import RobotEvents
-from hostlink.hub.robot_settings import limits_of
 from hostlink.hub.robot_topic_publisher import RobotTopicPublisher
 from hostlink.hub.robots import Robots
 from hostlink.hub.rosout import Rosout
@@ -35,9 +33,28 @@ from hostlink.hub.topic_graph import TopicGraph
 from hostlink.link.fair_share import FairShare, Turns
 from hostlink.logs import log_what_is_missing
 from hostlink.messages.catalog import Catalog
-from hostlink.robot.robot_names import Places
+from hostlink.robot.directory import Places
 
 log = structlog.get_logger()
+
+
+@dataclass(frozen=True, slots=True)
+class Counts:
+    """Whoever counts writes into it."""
+
+    refused: Counter[str] = field(default_factory=Counter)  # connections not served or evicted, by cause
+    datagrams_dropped: Counter[str] = field(default_factory=Counter)  # of UDP, either way, by cause
+    velocities_replaced: Counter[str] = field(default_factory=Counter)  # of clients, by a newer one, by their kind
+    graphs: dict[str, Callable[[], Mapping[str, int]]] = field(default_factory=dict)  # of each that the hub is part of
+
+
+@dataclass(frozen=True, slots=True)
+class Listening:
+    """Addresses as sockets have them; None: it does not listen there."""
+
+    tcp: tuple[str, int] | None = None
+    udp: tuple[str, int] | None = None
+
 
 DAEMON = "hostlink"  # the name of the daemon's own parts in the graph
 STOP_REPEATS = 3  # a single stop can be lost on a radio

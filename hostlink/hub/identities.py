@@ -8,20 +8,18 @@ from typing import NamedTuple
 import structlog
 
 from hostlink.errors import HostlinkError, ReloadRefused
-from hostlink.hub.device import Device
+from hostlink.hub.device import Device, ShownNames
 from hostlink.hub.gates import Gates
+from hostlink.hub.isolation import Spawn
 from hostlink.hub.robot import LocalRobot
 from hostlink.hub.robot_topic_publisher import RobotTopicPublisher
 from hostlink.hub.robots import Robots
-from hostlink.hub.shown_names import ShownNames
-from hostlink.hub.spawn import Spawn
 from hostlink.hub.topic_graph import TopicGraph
 from hostlink.link.link import Link, LinkEnd
 from hostlink.logs import printable
 from hostlink.protocol.control import TopicInfo
 from hostlink.protocol.events import MessageReceived
-from hostlink.robot.directory import Accepted, Directory, RobotTopicNames, Undecided
-from hostlink.robot.robot_names import Places
+from hostlink.robot.directory import Accepted, Directory, Places, RobotTopicNames, Undecided
 
 log = structlog.get_logger()
 

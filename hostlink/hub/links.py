@@ -16,20 +16,19 @@ from hostlink.hub.device_calls import DeviceCalls
 from hostlink.hub.device_events import DeviceEvents, Receivers
 from hostlink.hub.diagnoses import Diagnoses
 from hostlink.hub.identities import Affected, Identities
+from hostlink.hub.isolation import Spawn
 from hostlink.hub.node import Node
 from hostlink.hub.parameters import ParameterAnswers, ParameterSource
 from hostlink.hub.participant import Parts
 from hostlink.hub.robot import LocalRobot
 from hostlink.hub.robot_events import EventKind
 from hostlink.hub.rosout import Rosout
-from hostlink.hub.spawn import Spawn
 from hostlink.link.fair_share import FairShare, Turns
 from hostlink.link.link import Authenticate, Link, LinkEnd, trust
 from hostlink.logs import of_peer, printable
 from hostlink.protocol.control import Parameter
 from hostlink.protocol.session import Session
-from hostlink.robot.directory import Directory
-from hostlink.robot.robot_names import Places
+from hostlink.robot.directory import Directory, Places
 from hostlink.transport.base import Transport
 
 log = structlog.get_logger()

@@ -12,9 +12,8 @@ from hostlink.cancellation import expire
 from hostlink.errors import BadRequest, DeviceGone, ServiceFailed, UnknownTopic, WrongType
 from hostlink.hub.byte_budget import OWN_LATCHED_BYTES, SHARES
 from hostlink.hub.gates import ENDING, Gates
-from hostlink.hub.graph import Graph
 from hostlink.hub.graph_changes import GraphChanges
-from hostlink.hub.graph_view import GraphViews
+from hostlink.hub.graph_view import Graph, GraphViews
 from hostlink.hub.isolation import Isolation
 from hostlink.hub.message import PROGRAM_PRIORITY
 from hostlink.hub.node import Node, Role

@@ -5,6 +5,7 @@ import contextlib
 import itertools
 import math
 import secrets
+from collections import OrderedDict
 from collections.abc import Callable, Hashable, Mapping
 
 import structlog
@@ -13,18 +14,53 @@ from hostlink.config import RobotConfig
 from hostlink.errors import UnknownTopic
 from hostlink.hub.device import Device
 from hostlink.hub.gates import Drivable, Gates
-from hostlink.hub.robot import LocalRobot, RemoteRobot, Robot
+from hostlink.hub.robot import LocalRobot, RemoteRobot, Robot, correction_of, limits_of, of_namesake
 from hostlink.hub.robot_events import EventKind
-from hostlink.hub.robot_settings import correction_of, limits_of, of_namesake
 from hostlink.link.link import Link
 from hostlink.robot.admission import EPOCH_BITS, Admission, EarlierCommands
-from hostlink.robot.away import Away
 from hostlink.robot.directory import RobotTopicNames
-from hostlink.robot.odometry_estimator import OdometryEstimator
+from hostlink.robot.odometry import OdometryEstimator
 from hostlink.robot.velocity import ZERO, Kinematics, PlanarVelocity
 from hostlink.robot.velocity_gate import VelocityGate
 
 log = structlog.get_logger()
+
+MAX_AWAY = 64  # more robots than people name without configuring them
+
+
+class RetentionPolicy:
+    """Names in the order in which they left. Times are monotonic, in seconds."""
+
+    def __init__(self, forget_after_s: float = math.inf, max_away: int = MAX_AWAY) -> None:
+        self._forget_after_s, self._max_away = forget_after_s, max_away
+        self._left_at_s: OrderedDict[str, float] = OrderedDict()
+
+    def __len__(self) -> int:
+        return len(self._left_at_s)
+
+    def put(self, name: str, now_s: float) -> None:
+        """It left; if it was away already it left again."""
+        self._left_at_s.pop(name, None)
+        self._left_at_s[name] = now_s
+
+    def remove(self, name: str) -> None:
+        """It is back, or must not be forgotten."""
+        self._left_at_s.pop(name, None)
+
+    def pop_forgotten(self, now_s: float) -> list[str]:
+        """Those whose time has come."""
+        popped: list[str] = []
+        while len(self._left_at_s) > self._max_away or now_s >= self.next_s():
+            popped.append(self._left_at_s.popitem(last=False)[0])
+        return popped
+
+    def pop_first(self) -> str | None:
+        """The one that left first, if anybody has."""
+        return self._left_at_s.popitem(last=False)[0] if self._left_at_s else None
+
+    def next_s(self) -> float:
+        """When the next one is forgotten; infinite: nobody is."""
+        return next(iter(self._left_at_s.values()), math.inf) + self._forget_after_s
 
 
 MAX_ROBOTS = 4096  # connected or locked, which are never forgotten: over it no new one is accepted
@@ -71,7 +107,7 @@ class Robots:
         self._on_forgotten, self._on_change = on_forgotten, on_change
         self._robots: dict[str, LocalRobot] = {}
         self._earlier = EarlierCommands()
-        self._away = Away(forget_after_s)  # who may be forgotten
+        self._away = RetentionPolicy(forget_after_s)  # who may be forgotten
         self._wake = asyncio.Event()
 
     # -- links --------------------------------------------------------------------------------------------------------

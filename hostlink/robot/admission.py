@@ -53,8 +53,25 @@ from dataclasses import dataclass, field
 from typing import Any, Generic, NamedTuple, Self, TypeVar
 
 from hostlink.errors import RefusalKind
-from hostlink.robot.freshness import Freshness
 from hostlink.robot.velocity import AnyVelocity, Kinematics
+
+DRIFT = 0.001  # two clocks drift far less; a route that became slower for good is accepted at this pace
+
+
+class Freshness:
+    """How much longer than the quickest of its kind something was on its way, by the sender's clock and ours."""
+
+    def __init__(self) -> None:
+        self._quickest_s = float("inf")  # the smallest difference of the clocks: no wait in it
+        self._updated_at_s = 0.0
+
+    def late_s(self, sent_s: float, now_s: float) -> float:
+        """Seconds that it waited on the way; `sent_s` is of the sender's own clock, from any beginning."""
+        difference_s = now_s - sent_s
+        self._quickest_s = min(difference_s, self._quickest_s + DRIFT * (now_s - self._updated_at_s))
+        self._updated_at_s = now_s
+        return difference_s - self._quickest_s
+
 
 LEASE_S = 0.5  # the time-out of diff_drive_controller and of the robot's own watchdog
 MAX_SOURCES = 64  # that one robot keeps apart

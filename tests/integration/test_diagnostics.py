@@ -11,8 +11,7 @@ import roslibpy
 from hostlink.config import Config, LinkConfig, RobotConfig, SerialConfig
 from hostlink.diagnosis.evidence import HostClock
 from hostlink.diagnosis.finding import words
-from hostlink.hub.diagnostic_status import STALE_AFTER_S, WARNINGS, Level
-from hostlink.hub.diagnostics_topic import ARRAY_STATUSES, INTERVAL_S, TOPIC, TYPE
+from hostlink.hub.diagnostics_topic import ARRAY_STATUSES, INTERVAL_S, STALE_AFTER_S, TOPIC, TYPE, WARNINGS, Level
 from hostlink.hub.hub import Hub
 from hostlink.hub.message import Message
 from hostlink.hub.participant import Participant

@@ -6,7 +6,7 @@ from hostlink.errors import BadRequest
 from hostlink.hub.byte_budget import OWN_LATCHED_BYTES, OWN_QUEUE_BYTES, SHARES, ByteBudget, Share
 from hostlink.hub.message import Message
 from hostlink.hub.queue import Queue
-from hostlink.hub.throttle import Throttle
+from hostlink.hub.subscription import Throttle
 from hostlink.hub.topic import Topic
 
 PIECE = bytes(1024 * 1024)

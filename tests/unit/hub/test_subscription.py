@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hostlink.hub.message import Message
-from hostlink.hub.throttle import Throttle
+from hostlink.hub.subscription import Throttle
 
 
 def message(number: int) -> Message:
