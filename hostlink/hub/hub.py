@@ -16,12 +16,11 @@ from hostlink.hub.diagnostics_topic import DiagnosticsTopic
 from hostlink.hub.gates import Gates, Guard
 from hostlink.hub.graph_changes import GraphChanges, Kind
 from hostlink.hub.graph_view import GraphViews
-from hostlink.hub.identities import Affected
 from hostlink.hub.isolation import Isolation
-from hostlink.hub.links import Links, Surroundings, addresses_of
+from hostlink.hub.links import Links, addresses_of
 from hostlink.hub.message import PROGRAM_PRIORITY
 from hostlink.hub.node import Node, Role
-from hostlink.hub.participant import Participant, Parts
+from hostlink.hub.participant import Participant
 from hostlink.hub.robot import LocalRobot, limits_of
 from hostlink.hub.robot_events import RobotEvents
 from hostlink.hub.robot_topic_publisher import RobotTopicPublisher
@@ -76,16 +75,16 @@ class Hub:
         self.listening = Listening()  # who listens sets it
         self.parameters = dict(config.parameters)  # what devices request; clients may change it
         self.isolation = Isolation(reraises=reraises)
-        self._changes = changes = GraphChanges()
+        self.changes = GraphChanges()
         self.budget = ByteBudget()
-        self.topics = TopicGraph(catalog, changes, self.budget)
-        self.services = Services(catalog, changes)
+        self.share = FairShare()  # of the event loop, for links and participants
+        self.node = Node(DAEMON, is_daemon=True)  # publishes and subscribes what robots have by the names of ROS
+        self.topics = TopicGraph(catalog, self.changes, self.budget)
+        self.services = Services(catalog, self.changes)
+        self.views = GraphViews(self.topics, self.services, self.changes)
         self.events = RobotEvents()
         self.gates = Gates(self.isolation, guard, self.events)
         self.diagnoses = Diagnoses(self.isolation, self.events, self.gates.pauses)
-        views = GraphViews(self.topics, self.services, changes)
-        self._parts = Parts(catalog, self.topics, self.services, self.gates, self.isolation, changes, views)
-        self._share = FairShare()
         self.robots = Robots(
             config.robots,
             self.gates,
@@ -93,14 +92,11 @@ class Hub:
             on_forgotten=self._forget_robot,
             on_change=self._note_robot,
         )
+        self.robot_topics = RobotTopicPublisher(self.topics, self.node, catalog)
         self.standstills = Standstills()
         self._lock_services = LockServices(self.robots, self.gates, self.standstills, self.join_daemon())
-        node = Node(DAEMON, is_daemon=True)
-        robot_topics = RobotTopicPublisher(self.topics, node, catalog)
-        affected = Affected(self.topics, self.gates, self.robots, robot_topics)
         self.rosout = Rosout(self.join_daemon())
-        around = Surroundings(self._parts, affected, self.diagnoses, node, self.rosout, self._share, self.spawn)
-        self.links = Links(around, config, self.parameters)
+        self.links = Links(self)
         self._tasks: asyncio.TaskGroup | None = None
 
     async def run(self) -> None:
@@ -125,7 +121,7 @@ class Hub:
 
     def turns(self) -> Turns:
         """The part of one more link or participant in what the loop does for all."""
-        return Turns(self._share)
+        return Turns(self.share)
 
     def reconfigure(self, config: Config, places: Places) -> dict[str, str]:
         """Other names and limits of robots from now on; returns the new names of those that are connected, by the old.
@@ -138,7 +134,7 @@ class Hub:
         self.links.check(places)
         self.config = config
         self.robots.reconfigure(config.robots)
-        return self.links.reconfigure(config, places)
+        return self.links.reconfigure(places)
 
     # -- participants -------------------------------------------------------------------------------------------------
 
@@ -156,11 +152,11 @@ class Hub:
         `group`: the bridge to another graph, as ROS 2, of which it is a part. What the group publishes does not come
         back to it.
         """
-        return Participant(self._parts, name, role=role, priority=priority, group=group, on_end=on_end)
+        return Participant(self, name, role=role, priority=priority, group=group, on_end=on_end)
 
     def join_daemon(self, *, group: str = "") -> Participant:
         """A part of the daemon takes part; whatever of it fails, it stays. `group`: as of `join`."""
-        return Participant(self._parts, DAEMON, is_daemon=True, group=group)
+        return Participant(self, DAEMON, is_daemon=True, group=group)
 
     async def shutdown(self) -> None:
         """Stop every robot, request silence of every device, end every link; bounded by SHUTDOWN_TIMEOUT_S.
@@ -178,7 +174,7 @@ class Hub:
 
     def _note_robot(self, name: str) -> None:
         """A robot of this name has come, has left or is forgotten."""
-        self._changes.note(Kind.ROBOT, name)
+        self.changes.note(Kind.ROBOT, name)
         self._lock_services.update(name)
 
     def _forget_robot(self, robot: LocalRobot) -> None:
