@@ -144,9 +144,13 @@ class Participant(Node):
         if known is not None:
             before = known.latched.get(self)
             is_kept = self not in known.latched or self._hub.topics.budget.can_latch(self, before, payload)
-            with self._hub.topics.deliveries.sending(self):
-                wanted_priority = self.priority if priority is None else priority
+            wanted_priority = self.priority if priority is None else priority
+            deliveries = self._hub.topics.deliveries
+            senders = deliveries.begin_sending(self)
+            try:
                 known.publish(payload, source=self, priority=wanted_priority, at_s=at_s, epoch=epoch)
+            finally:
+                deliveries.senders = senders
             if not is_kept:
                 raise BadRequest(
                     f"{known.name}: delivered, but not kept for later subscribers: a participant may latch "
@@ -207,12 +211,16 @@ class Participant(Node):
 
     def flush(self, now_s: float) -> float | None:
         """Deliver what subscriptions held back until now; returns when the next is due."""
+        next_s = None
         try:
-            due = [subscription.flush(now_s) for subscription in list(self._subscriptions)]
+            for subscription in list(self._subscriptions):
+                due_s = subscription.flush(now_s) if subscription.waiting else None
+                if due_s is not None and (next_s is None or due_s < next_s):
+                    next_s = due_s
         except Exception as error:  # noqa: BLE001 - as when a message comes
             self.fail(error)
             return None
-        return min((at_s for at_s in due if at_s is not None), default=None)
+        return next_s
 
     # -- services -----------------------------------------------------------------------------------------------------
 
@@ -301,8 +309,12 @@ class Participant(Node):
             sent_s,
             epoch,
         )
-        with self._hub.topics.deliveries.sending(self):
+        deliveries = self._hub.topics.deliveries
+        senders = deliveries.begin_sending(self)
+        try:
             return robot.command(command)
+        finally:
+            deliveries.senders = senders
 
     async def driven(self, robot: Robot, limited: PlanarVelocity) -> PlanarVelocity:
         """What became of the newest `drive`, which returned `limited`: for a robot that is here, just that.

@@ -75,7 +75,8 @@ class Queue(Generic[Item]):
         waiting = self._topics.get(topic)
         if waiting is None:
             waiting = self._topics[topic] = deque()
-        new = self._waiting(item, at_s)
+        self._order += 1
+        new = Waiting(self._order, item, self._size_of(item), self._clock() if at_s is None else at_s)
         waiting.append(new)
         if not self._messages:
             self._share.queues[self] = None
@@ -90,12 +91,14 @@ class Queue(Generic[Item]):
 
     def put_result(self, item: Item) -> None:
         """Queue an answer or an event."""
-        new = self._waiting(item, None)
-        most_bytes = OWN_QUEUE_BYTES if self._share.is_over else MAX_RESULT_BYTES
+        self._order += 1
+        new = Waiting(self._order, item, self._size_of(item), self._clock())
+        is_over = self._share.held_bytes > self._share.max_bytes
+        most_bytes = OWN_QUEUE_BYTES if is_over else MAX_RESULT_BYTES
         is_too_large = self._results and self._result_bytes + new.size_bytes > most_bytes
         if is_too_large or len(self._results) >= MAX_RESULTS:
             self.is_too_slow = True
-            self._share.refused += self._share.is_over
+            self._share.refused += is_over
         else:
             self._results.append(new)
             self._result_bytes += new.size_bytes
@@ -110,8 +113,11 @@ class Queue(Generic[Item]):
 
     def pop(self) -> Waiting[Item] | None:
         """The oldest of all, or None."""
-        topic = min(self._topics, key=lambda name: self._topics[name][0].order, default=None)
-        if self._results and (topic is None or self._results[0].order < self._topics[topic][0].order):
+        topic, order = None, self._order + 1
+        for name, waiting in self._topics.items():
+            if waiting[0].order < order:
+                topic, order = name, waiting[0].order
+        if self._results and self._results[0].order < order:
             result = self._results.popleft()
             self._result_bytes -= result.size_bytes
             self._share.held_bytes -= result.size_bytes
@@ -163,10 +169,6 @@ class Queue(Generic[Item]):
             self._room.clear()
         else:
             self._room.set()
-
-    def _waiting(self, item: Item, at_s: float | None) -> Waiting[Item]:
-        self._order += 1
-        return Waiting(self._order, item, self._size_of(item), self._clock() if at_s is None else at_s)
 
     def drop_oldest(self, topic: str | None = None) -> None:
         """Drop and count the oldest of this topic, or of the one that has most."""

@@ -207,7 +207,7 @@ class Robots:
         """
         if self._gates.hosts is not None:
             self._gates.hosts.stop(None)
-        self.stop_all_here()
+        self._gates.stop(self.drivables())
 
     def stop_all_here(self) -> None:
         """Stop whatever this daemon drives.

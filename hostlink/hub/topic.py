@@ -68,13 +68,17 @@ class Deliveries:
             self._is_under_way = False
         return result
 
-    def sending(self, sender: Hashable) -> "Sending":
-        """For the length of a block it sends; refused when its own callback has sent too often: it would never end.
+    def begin_sending(self, sender: Hashable) -> tuple[Hashable, ...]:
+        """Note that a sender sends from now on; returns the `senders` before, to be restored when it has sent.
 
         Raises:
-            BadRequest: it is refused.
+            BadRequest: callbacks of the sender have sent too often what calls them back: it would never end.
         """
-        return Sending(self, sender)
+        senders = self.senders
+        if senders and senders.count(sender) >= MAX_NESTED:
+            raise BadRequest(f"{sender} sends in a callback what calls it back, again and again")
+        self.senders = (*senders, sender)
+        return senders
 
     def _drain(self) -> None:
         senders = self.senders
@@ -84,24 +88,6 @@ class Deliveries:
                 deliver(message)
         finally:
             self.senders = senders
-
-
-class Sending:
-    """A block in which somebody sends; a class, as it is entered for every message."""
-
-    __slots__ = ("_deliveries", "_sender", "_senders")
-
-    def __init__(self, deliveries: Deliveries, sender: Hashable) -> None:
-        self._deliveries, self._sender = deliveries, sender
-        self._senders = deliveries.senders
-
-    def __enter__(self) -> None:
-        if self._senders and self._senders.count(self._sender) >= MAX_NESTED:
-            raise BadRequest(f"{self._sender} sends in a callback what calls it back, again and again")
-        self._deliveries.senders = (*self._senders, self._sender)
-
-    def __exit__(self, *_: object) -> None:
-        self._deliveries.senders = self._senders
 
 
 Receive = Callable[[Message], None]
@@ -259,24 +245,7 @@ class Topic:
             self._keep(payload, source)
             return
         at_s = asyncio.get_running_loop().time() if at_s is None else at_s
-        message = self._message(payload, source, at_s, priority, epoch)
-        refusal = self._deliveries.run(self._pass_to_devices, message) if self.devices else None
-        if not self._is_gated:
-            self._deliveries.add(self._dispatch, message)
-        if refusal is not None:
-            raise refusal
-
-    def deliver(self, payload: bytes, *, source: Hashable, at_s: float) -> None:
-        """Pass a payload to every subscriber, and to no device."""
-        if self._subscribers:
-            self._deliveries.add(self._dispatch, self._message(payload, source, at_s, PROGRAM_PRIORITY))
-        else:
-            self.messages += 1
-
-    def _message(
-        self, payload: bytes, source: Hashable, at_s: float, priority: int, epoch: int | None = None
-    ) -> Message:
-        return Message(
+        message = Message(
             self.name,
             self.type_name,
             self.type,
@@ -287,6 +256,21 @@ class Topic:
             priority=priority,
             epoch=epoch,
         )
+        refusal = self._deliveries.run(self._pass_to_devices, message) if self.devices else None
+        if not self._is_gated:
+            self._deliveries.add(self._dispatch, message)
+        if refusal is not None:
+            raise refusal
+
+    def deliver(self, payload: bytes, *, source: Hashable, at_s: float) -> None:
+        """Pass a payload to every subscriber, and to no device."""
+        if self._subscribers:
+            self._deliveries.add(self._dispatch, self._message(payload, source, at_s))
+        else:
+            self.messages += 1
+
+    def _message(self, payload: bytes, source: Hashable, at_s: float) -> Message:
+        return Message(self.name, self.type_name, self.type, payload, source=source, stamp_ns=time.time_ns(), at_s=at_s)
 
     def _pass_to_devices(self, message: Message) -> HostlinkError | None:
         refusal = None
@@ -300,7 +284,7 @@ class Topic:
 
     def _keep(self, payload: bytes, source: Hashable) -> None:
         """For later subscribers, if its source latches, and there is room; else the one before is not kept either."""
-        if self.latched and source in self.latched:
+        if source in self.latched:
             before = self.latched.pop(source)  # the newest is the last of all
             after = payload if self._budget.can_latch(source, before, payload) else None
             self._budget["latched"].refused += after is None
@@ -309,7 +293,8 @@ class Topic:
 
     def _dispatch(self, message: Message) -> None:
         self.messages += 1
-        self._keep(message.payload, message.source)  # in its turn: who subscribes before receives it then
+        if self.latched:
+            self._keep(message.payload, message.source)  # in its turn: who subscribes before receives it then
         snapshot = self._snapshot
         for subscriber in self.subscribers if snapshot is None else snapshot:
             try:
@@ -328,7 +313,7 @@ class Topic:
         at_s = asyncio.get_running_loop().time() if self.latched else 0.0
         for source, payload in list(self.latched.items()):  # the callback may let one of them leave
             if payload is not None:
-                subscriber.receive(self._message(payload, source, at_s, PROGRAM_PRIORITY))
+                subscriber.receive(self._message(payload, source, at_s))
 
     def send_latched(self, key: Hashable) -> None:
         """Send the device `key` the last message of every publisher that latches, as far as it can take them."""
@@ -339,7 +324,7 @@ class Topic:
         for source, payload in list(self.latched.items()):
             if payload is not None:
                 try:
-                    device.receive(self._message(payload, source, at_s, PROGRAM_PRIORITY))
+                    device.receive(self._message(payload, source, at_s))
                 except HostlinkError as error:
                     log.debug("message.refused", topic=self.name, reason=str(error))
 

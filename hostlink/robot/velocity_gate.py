@@ -3,7 +3,7 @@
 import dataclasses
 import math
 from collections.abc import Hashable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Generic, Protocol, TypeVar
 
 from hostlink.errors import CommandRefused, ConfigError
@@ -61,10 +61,13 @@ class Limits:
     max_angular_acceleration_rad_s2: float | None = None
     max_linear_deceleration_m_s2: float | None = None
     max_angular_deceleration_rad_s2: float | None = None
+    has_ramps: bool = field(init=False, default=False)  # an acceleration or a deceleration is limited
 
     def __post_init__(self) -> None:
         """A limit below zero would turn velocities around, one that is not finite would let everything pass."""
         for name, limit in dataclasses.asdict(self).items():
+            if limit is not None and "celeration" in name:
+                object.__setattr__(self, "has_ramps", True)
             if limit is not None and not (math.isfinite(limit) and limit >= 0):
                 raise ConfigError("limits of a robot", f"{name} must be a finite number, zero or more, not {limit}")
             if limit == 0 and "deceleration" in name:
@@ -83,15 +86,19 @@ class Limits:
 
     def _factors(self, velocity: PlanarVelocity) -> tuple[float, float, float]:
         """By how much each of _LIMITS slows it down."""
+        linear_m_s, angular_rad_s = velocity.speed_m_s, velocity.turn_rad_s
+        # A differential drive's faster wheel: |x| + |yaw| * separation / 2; other drives have the length of (x, y).
+        wheel_m_s = linear_m_s + angular_rad_s * (self.wheel_separation_m or 0.0) / 2
+        linear, angular, wheel = self.max_linear_m_s, self.max_angular_rad_s, self.max_wheel_m_s
         return (
-            _factor(velocity.speed_m_s, self.max_linear_m_s),
-            _factor(velocity.turn_rad_s, self.max_angular_rad_s),
-            1.0 if self.max_wheel_m_s is None else _factor(self._fastest_wheel_m_s(velocity), self.max_wheel_m_s),
+            1.0 if linear is None or linear_m_s <= linear else linear / linear_m_s,
+            1.0 if angular is None or angular_rad_s <= angular else angular / angular_rad_s,
+            1.0 if wheel is None or wheel_m_s <= wheel else wheel / wheel_m_s,
         )
 
     def step(self, current: PlanarVelocity, target: PlanarVelocity, step_s: float) -> PlanarVelocity:
         """From `current` straight towards `target`, as far as accelerations and decelerations allow in `step_s`."""
-        if current == target:
+        if current == target or not self.has_ramps:
             return target
         linear = _reach(
             current[:2],
@@ -107,10 +114,6 @@ class Limits:
         )
         return current.toward(target, min(linear, angular))
 
-    def _fastest_wheel_m_s(self, velocity: PlanarVelocity) -> float:
-        """|x| + |yaw| * separation / 2 of a differential drive; other drives have the length of (x, y) for |x|."""
-        return velocity.speed_m_s + velocity.turn_rad_s * (self.wheel_separation_m or 0.0) / 2
-
 
 @dataclass(slots=True)
 class GateCounts:
@@ -120,7 +123,6 @@ class GateCounts:
     limited: int = 0
     expired: int = 0
     stops: int = 0
-    locks: int = 0
 
 
 class VelocityGate(Generic[V]):
@@ -292,11 +294,6 @@ class VelocityGate(Generic[V]):
     def _end_lease(self) -> None:
         self.admission.end(self)
         self._driver = None
-
-
-def _factor(value: float, limit: float | None) -> float:
-    """By how much a value must shrink to keep a limit; 1 at the most."""
-    return 1.0 if limit is None or value <= limit else limit / value
 
 
 def _times(rate: float | None, seconds: float) -> float:

@@ -195,7 +195,7 @@ def test_the_largest_numbers_stand_still_under_a_limit() -> None:
     assert Limits().apply(PlanarVelocity(1.7e308, 1.7e308, 1.7e308)).is_zero
 
 
-@pytest.mark.parametrize("name", [field.name for field in dataclasses.fields(Limits)])
+@pytest.mark.parametrize("name", [field.name for field in dataclasses.fields(Limits) if field.init])
 @pytest.mark.parametrize("wrong", [-0.1, math.nan, math.inf, -math.inf])
 def test_an_impossible_limit_is_refused(name: str, wrong: float) -> None:
     with pytest.raises(ConfigError, match=f"limits of a robot: {name} must be a finite number, zero or more, not"):
