@@ -282,7 +282,7 @@ class LocalRobot(Drivable, Robot):
 
     def receive_odometry(self, message: Message) -> None:
         """A message of its odometry's topic. A pose belongs to the robot of the link by which it came."""
-        link = self.link
+        link = None if self.connection is None else self.connection.link
         if message.source is not link or message.type_name != self.topics.odometry_type:
             return
         count = self.odometry.count
