@@ -435,15 +435,16 @@ class Gates:
 
     async def run(self) -> None:
         """Step every gate that is active; sleep while none is."""
+        loop = asyncio.get_running_loop()
         while True:
-            now_s = _now_s()
+            now_s = loop.time()
             self._notice_pause(now_s)
             self._stalls.beat(now_s)
             driven = set[int]()
             for number, drivable in enumerate(list(self._active), 1):
                 if number % MAX_STEPS == 0:
                     await asyncio.sleep(0)
-                    now_s = _now_s()
+                    now_s = loop.time()
                 connection = drivable.connection
                 if drivable.gate.may_move or (drivable.gate.is_active and connection is not None):
                     self._step(drivable, now_s)
@@ -455,7 +456,9 @@ class Gates:
             if self._active:
                 due_s = now_s + TICK_S
                 for drivable in self._active:
-                    due_s = min(due_s, drivable.gate.lease_ends_s)
+                    driver = drivable.gate.driver
+                    if driver is not None and driver.deadline_s < due_s:
+                        due_s = driver.deadline_s
                 self._stalls.expect(due_s)
                 await asyncio.sleep(due_s - now_s)
             else:
@@ -479,15 +482,16 @@ class Gates:
         a zero as its last frame.
         """
         if is_news:
-            self._activate(drivable)
+            self._active[drivable] = None
+            self._wake.set()
         gate, connection = drivable.gate, drivable.connection
         try:
-            previous_owner, is_first, was_let_go = gate.owner, gate.is_new_device, gate.is_let_go
+            previous, is_first, previous_target = gate.driver, gate.is_new_device, gate.target
             velocity = gate.step(now_s)
-            if previous_owner is not None and gate.owner is None:
+            if previous is not None and gate.driver is None:
                 was_away = self._stalls.pauses(now_s).was_paused(now_s - LEASE_S)
-                reason = HOST_AWAY if was_away else LET_GO if was_let_go else LEASE_ENDED
-                self._note_stop(drivable, reason, str(previous_owner))
+                reason = HOST_AWAY if was_away else LET_GO if previous_target.is_zero else LEASE_ENDED
+                self._note_stop(drivable, reason, str(previous.source))
             if velocity is None or connection is None:
                 return None
             link = connection.link

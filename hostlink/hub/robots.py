@@ -146,9 +146,13 @@ class Robots:
         Raises:
             UnknownTopic: there is none. A stream of the source that `driver` returns moves no later robot.
         """
-        robot = self._find(name.strip("/"))
+        plain = name.strip("/")
+        here = self._robots.get(plain)
+        if here is not None and here.connection is not None:
+            return here
+        robot = self._find(plain)
         if robot is None:
-            self._note_early(name.strip("/"), driver)
+            self._note_early(plain, driver)
             raise UnknownTopic("robot", name, self._robots.keys() | self.remote.keys())
         return robot
 

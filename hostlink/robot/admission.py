@@ -250,8 +250,10 @@ class Admission:
         if not self.is_connected:
             return self._refuse(RefusalKind.NOT_CONNECTED, "its device is not connected")
         waited_s = source.waited_s(command, now_s)
-        if late := self._late_text(command, waited_s):
-            return self._refuse(RefusalKind.LATE, late)
+        if waited_s >= self.lease_s or command.stamp_age_s is not None:
+            late = self._late_text(command, waited_s)
+            if late:
+                return self._refuse(RefusalKind.LATE, late)
         if command.epoch == self.epoch:
             source.is_armed = True
         if not source.is_armed:

@@ -156,25 +156,25 @@ class VelocityGate(Generic[V]):
         self.zero = self.current = zero
         self.is_new_device = False  # it has not been given its first zero
         self.counts = GateCounts()
-        self._driver: Driver | None = None
-        self._target = self.zero
+        self.driver: Driver | None = None  # the source that drives, and the end of its lease
+        self.target = self.zero  # the newest command within the limits
         self._zeros = 0
         self._zero_at_s = self._stepped_at_s = float("-inf")
 
     @property
     def owner(self) -> Hashable | None:
         """The source that drives."""
-        return None if self._driver is None else self._driver.source
+        return None if self.driver is None else self.driver.source
 
     @property
     def owner_name(self) -> str | None:
         """The name of the source that drives; others may have it, too."""
-        return None if self._driver is None else str(self._driver.source)
+        return None if self.driver is None else str(self.driver.source)
 
     @property
     def priority(self) -> int | None:
         """The priority of the source that drives."""
-        return None if self._driver is None else self._driver.priority
+        return None if self.driver is None else self.driver.priority
 
     @property
     def lock_reason(self) -> str | None:
@@ -182,34 +182,24 @@ class VelocityGate(Generic[V]):
         return self.admission.lock_reason
 
     @property
-    def lease_ends_s(self) -> float:
-        """When the lease of the source that drives ends; never, if nothing drives."""
-        return math.inf if self._driver is None else self._driver.deadline_s
-
-    @property
     def may_move(self) -> bool:
         """Whether the robot is driven, slows down, or may not have received its stop yet."""
-        return self._driver is not None or self._zeros > 0 or not self.current.is_zero
+        return self.driver is not None or self._zeros > 0 or not self.current.is_zero
 
     @property
     def is_stopping(self) -> bool:
         """Whether the device has a zero of several; `step` gives the others, without a command."""
-        return self._driver is None and self._zeros > 0 and not self.is_new_device
+        return self.driver is None and self._zeros > 0 and not self.is_new_device
 
     @property
     def is_driven(self) -> bool:
         """Whether a source drives, or the robot slows down; a stop on its way to a robot at rest is neither."""
-        return self._driver is not None or not self.current.is_zero
+        return self.driver is not None or not self.current.is_zero
 
     @property
     def is_active(self) -> bool:
         """Whether `step` has something to send, now or later."""
         return self.may_move or self.lock_reason is not None
-
-    @property
-    def is_let_go(self) -> bool:
-        """Whether the newest command of the source that drives is a zero."""
-        return self._target.is_zero
 
     def command(self, command: Command[V], *, now_s: float) -> V:
         """Drive at the velocity of the command, if it is admitted; returns it within the limits.
@@ -223,16 +213,16 @@ class VelocityGate(Generic[V]):
         if decision.kind is not None:
             raise CommandRefused(self.admission.robot, decision.kind, decision.reason, holder=decision.holder)
         self.counts.commands += 1
-        if velocity.is_zero and self._driver is None:
+        if velocity.is_zero and self.driver is None:
             self._zeros = max(self._zeros, 1)
             return self.zero
-        if self._driver is None and self.current.is_zero:
+        if self.driver is None and self.current.is_zero:
             self._stepped_at_s = now_s
-        self._driver = self.admission.driver(self, now_s)
-        self._target = self.limits.apply(velocity)
+        self.driver = self.admission.driver(self, now_s)
+        self.target = self.limits.apply(velocity)
         self._zeros = int(self.is_new_device)
-        self.counts.limited += self._target != velocity
-        return self._target
+        self.counts.limited += self.target != velocity
+        return self.target
 
     def stop(self, *, now_s: float) -> None:
         """End the lease, and brake as hard as the limits allow."""
@@ -242,7 +232,7 @@ class VelocityGate(Generic[V]):
     def stop_at_once(self) -> None:
         """End the lease, and give zero at once, whatever the limits."""
         self._end_lease()
-        self.current = self._target = self.zero
+        self.current = self.target = self.zero
         self._zeros = ZEROS
 
     def restart(self) -> None:
@@ -253,19 +243,19 @@ class VelocityGate(Generic[V]):
     def change_limits(self, limits: Bounds[V]) -> None:
         """From now on; a robot that is driven too fast slows down as far as they allow."""
         self.limits = limits
-        self._target = limits.apply(self._target)
+        self.target = limits.apply(self.target)
 
     def step(self, now_s: float) -> V | None:
         """The velocity to send now; None: nothing. Call it often while `is_active`, and after every command."""
         self._expire(now_s)
         step_s = max(now_s - self._stepped_at_s, 0.0)
         self._stepped_at_s = now_s
-        if self._driver is None:  # braking keeps its time even when a step comes late
+        if self.driver is None:  # braking keeps its time even when a step comes late
             self.current = self.limits.step(self.current, self.zero, step_s)
             return self._stand(now_s) if self.current.is_zero else self.current
         if self._zeros > 0:
             return self._stand(now_s)
-        self.current = self.limits.step(self.current, self._target, min(step_s, LONGEST_STEP_S))
+        self.current = self.limits.step(self.current, self.target, min(step_s, LONGEST_STEP_S))
         return self.current
 
     def _stand(self, now_s: float) -> V | None:
@@ -279,21 +269,21 @@ class VelocityGate(Generic[V]):
         return self.zero
 
     def _expire(self, now_s: float) -> None:
-        if self._driver is not None and self.admission.driver(self, now_s) is None:
-            self.counts.expired += now_s >= self._driver.deadline_s
-            self._stop(min(now_s, self._driver.deadline_s))
+        if self.driver is not None and self.admission.driver(self, now_s) is None:
+            self.counts.expired += now_s >= self.driver.deadline_s
+            self._stop(min(now_s, self.driver.deadline_s))
 
     def _stop(self, at_s: float) -> None:
-        if self._driver is not None:
+        if self.driver is not None:
             self._stepped_at_s = max(self._stepped_at_s, at_s)
         self._end_lease()
         self.current = self.limits.step(self.current, self.zero, 0.0)  # zero, unless a deceleration is to be kept
-        self._target = self.zero
+        self.target = self.zero
         self._zeros = ZEROS
 
     def _end_lease(self) -> None:
         self.admission.end(self)
-        self._driver = None
+        self.driver = None
 
 
 def _times(rate: float | None, seconds: float) -> float:
