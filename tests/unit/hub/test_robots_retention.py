@@ -1,0 +1,32 @@
+"""RetentionPolicy: who has left, and is forgotten."""
+
+from hostlink.hub.robots import RetentionPolicy
+
+
+def test_who_left_is_forgotten_after_a_while() -> None:
+    away = RetentionPolicy(10.0)
+    away.put("a", 0.0)
+    away.put("b", 5.0)
+    assert away.next_s() == 10.0
+    assert away.pop_forgotten(9.9) == []
+    assert away.pop_forgotten(10.0) == ["a"]
+    assert away.pop_forgotten(100.0) == ["b"]
+    assert away.pop_forgotten(100.0) == []
+
+
+def test_who_left_first_is_forgotten_for_those_who_left_later() -> None:
+    away = RetentionPolicy(max_away=2)
+    for name in "abac":
+        away.put(name, 0.0)
+    assert away.pop_forgotten(0.0) == ["b"]
+    assert len(away) == 2
+    assert away.pop_first() == "a"
+
+
+def test_who_is_back_is_not_forgotten() -> None:
+    away = RetentionPolicy(10.0)
+    away.put("a", 0.0)
+    away.remove("a")
+    away.remove("a")
+    assert away.pop_forgotten(100.0) == []
+    assert away.pop_first() is None
