@@ -6,7 +6,7 @@ import msgspec
 
 from hostlink.api.outgoing import ClientQueue, Outgoing
 from hostlink.api.request import Request
-from hostlink.hub.graph import Graph, GraphTopic
+from hostlink.hub.graph_view import Graph, GraphTopic
 from hostlink.hub.participant import Participant
 from hostlink.hub.robot import LocalRobot
 from hostlink.hub.robot_topic_publisher import command_topics

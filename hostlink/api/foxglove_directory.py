@@ -14,7 +14,7 @@ import msgspec
 
 from hostlink.api.foxglove_frames import ROS1, ROS1_SCHEMA
 from hostlink.api.node_names import node_name, receivers
-from hostlink.hub.graph import Graph
+from hostlink.hub.graph_view import Graph
 from hostlink.hub.hub import Hub
 from hostlink.messages.message_type import MessageType, ServiceType
 

@@ -23,7 +23,7 @@ from hostlink.recording.black_box import BlackBox
 from hostlink.recording.history import PastPose, Rest, RobotHistory
 from hostlink.recording.ring import Entry
 from hostlink.robot.kinematics import Pose
-from hostlink.robot.odometry_estimator import OdometryEstimator
+from hostlink.robot.odometry import OdometryEstimator
 from hostlink.robot.velocity import TWIST_TYPE, PlanarVelocity, Twist
 
 WORK_S = 0.0005  # of a thread that reads, before the loop has the interpreter for REST_S

@@ -25,7 +25,7 @@ from hostlink.recording.history import RobotHistory
 from hostlink.recording.incident import Incident, IncidentFiles, SavedIncident, read_incident
 from hostlink.recording.reader import Reader
 from hostlink.recording.ring import Entry
-from hostlink.robot.odometry_estimator import OdometryEstimator
+from hostlink.robot.odometry import OdometryEstimator
 
 NEVER_NS = 2**64
 

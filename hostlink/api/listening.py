@@ -9,8 +9,7 @@ from aiohttp import web
 from hostlink.api.replies import reply
 from hostlink.api.routes import Route
 from hostlink.config import Config, TcpConfig, UdpConfig
-from hostlink.hub.hub import Hub
-from hostlink.hub.listening import Listening
+from hostlink.hub.hub import Hub, Listening
 
 SIM = "hostlink sim"
 SIM_CONNECTS_TO = ("127.0.0.1", 11411)  # without --connect

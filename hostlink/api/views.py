@@ -12,7 +12,7 @@ from hostlink.diagnosis.finding import Finding
 from hostlink.hub.diagnoses import Diagnosis
 from hostlink.hub.hub import Hub
 from hostlink.hub.robot import Robot
-from hostlink.robot.odometry_estimator import OdometrySnapshot
+from hostlink.robot.odometry import OdometrySnapshot
 from hostlink.robot.standstill import Standstill
 from hostlink.robot.velocity import PlanarVelocity
 

@@ -27,7 +27,7 @@ from hostlink.robot.calibration_checks import (
     confirm,
 )
 from hostlink.robot.course import Speed
-from hostlink.robot.odometry_correction import OdometryCorrection
+from hostlink.robot.odometry import OdometryCorrection
 from hostlink.sim.firmware_module import require_wasmtime
 from hostlink.sim.world_parameters import read
 

@@ -16,7 +16,7 @@ from hostlink.errors import HostlinkError, RefusalKind, UnknownTopic
 from hostlink.robot.calibration import WheelGeometry
 from hostlink.robot.course import STUCK_S, CourseFollower, Leg, Speed
 from hostlink.robot.kinematics import Pose, wrap_angle
-from hostlink.robot.odometry_correction import OdometryCorrection
+from hostlink.robot.odometry import OdometryCorrection
 
 PRIORITY = 55  # above a program, below a person at the keys
 SILENCE_S = 0.4  # of the odometry: the robot would drive blind

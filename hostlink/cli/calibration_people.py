@@ -14,7 +14,7 @@ from hostlink.errors import HostlinkError
 from hostlink.robot.calibration import Kind, Measurement, WheelGeometry
 from hostlink.robot.course import Leg
 from hostlink.robot.kinematics import Pose
-from hostlink.robot.odometry_correction import OdometryCorrection
+from hostlink.robot.odometry import OdometryCorrection
 from hostlink.sim.course_driving import Person, follow
 from hostlink.sim.firmware_world import FirmwareWorld
 from hostlink.sim.world_parameters import WorldParameters

@@ -5,7 +5,7 @@ import math
 from collections.abc import Iterable, Sequence
 
 from hostlink.robot.calibration import Calibration, Kind, MeasuredRun, end_of, uncorrected
-from hostlink.robot.odometry_correction import OdometryCorrection
+from hostlink.robot.odometry import OdometryCorrection
 
 WIDTH, HEIGHT, MARGIN = 520.0, 520.0, 46.0
 DRAWN = 4  # one pose in so many

@@ -25,9 +25,8 @@ from hostlink.cli.output import write, write_error
 from hostlink.config import Config, UdpConfig
 from hostlink.detached import DetachedThread
 from hostlink.guardian.guardian import guarded
-from hostlink.hub.guard import Guard
-from hostlink.hub.hub import Hub
-from hostlink.hub.listening import Listening
+from hostlink.hub.gates import Guard
+from hostlink.hub.hub import Hub, Listening
 from hostlink.hub.reloader import Read, Reloader
 from hostlink.hub.robots import Robots
 from hostlink.listeners.accepting import TcpAcceptor, UdpAcceptor, serve_serial

@@ -5,6 +5,7 @@ import time
 from collections import deque
 from collections.abc import Callable
 from functools import partial
+from typing import TYPE_CHECKING
 
 import structlog
 
@@ -12,13 +13,10 @@ from hostlink.errors import BadRequest, HostlinkError, WrongType
 from hostlink.hub.diagnoses import Diagnosis
 from hostlink.hub.gates import Drivable, is_velocity
 from hostlink.hub.message import Message
-from hostlink.hub.node import Node
-from hostlink.hub.participant import Parts
-from hostlink.hub.robot import LocalRobot
-from hostlink.hub.robot_settings import limits_of
+from hostlink.hub.robot import LocalRobot, limits_of
 from hostlink.hub.services import DeviceService
-from hostlink.hub.shown_names import ShownNames
 from hostlink.hub.topic import DeviceSubscription, Receive, Subscriber, Topic
+from hostlink.hub.topic_graph import resolve
 from hostlink.link.link import Link, LinkEnd
 from hostlink.logs import printable
 from hostlink.messages.catalog import Catalog
@@ -27,12 +25,51 @@ from hostlink.protocol.control import Parameter, TopicInfo
 from hostlink.protocol.events import MessageReceived
 from hostlink.protocol.frame import Id
 from hostlink.robot.admission import Admission
-from hostlink.robot.directory import is_played
+from hostlink.robot.directory import RobotTopicNames, is_played
 from hostlink.robot.state import BATTERY_TYPE
 from hostlink.robot.velocity import TWIST_TYPE, ZERO, Kinematics, Twist
 from hostlink.robot.velocity_gate import Unlimited, VelocityGate
 
+if TYPE_CHECKING:
+    from hostlink.hub.hub import Hub
+
 log = structlog.get_logger()
+
+
+class ShownNames:
+    """Of one device. Those of a robot that is named otherwise than it announces itself stand under the robot's name.
+
+    `/robot_0/imu` of a robot that is named `a` is `/a/imu`, and so is `imu` of one that has no namespace. Velocity,
+    odometry and reset are the robot's wherever they are: `/odom` is `/a/odom`. All else has the name that it
+    announces, and is shared with who else uses it, as in ROS.
+    """
+
+    def __init__(self, robot: RobotTopicNames | None = None, name: str | None = None) -> None:
+        """`name`: what the robot is called here."""
+        self._is_renamed = robot is not None and name not in (None, robot.name)
+        self._name = name or ""
+        namespace = () if robot is None else robot.namespace
+        self._prefix = "/" + "".join(f"{part}/" for part in namespace)
+        own = () if robot is None else (robot.velocity, robot.odometry, robot.reset)
+        self._own = {resolve(topic) for topic in own if topic is not None}
+
+    def of(self, name: str) -> str:
+        """The full name in the graph of what the device names so."""
+        full = resolve(name)
+        if not self._is_renamed:
+            return full
+        if self._prefix != "/" and full.startswith(self._prefix):
+            return f"/{self._name}/{full.removeprefix(self._prefix)}"
+        is_relative = self._prefix == "/" and not name.startswith("/")
+        return f"/{self._name}{full}" if is_relative or full in self._own else full
+
+    def of_robot(self, robot: RobotTopicNames) -> RobotTopicNames:
+        """The robot's topics, by their names in the graph."""
+        reset = None if robot.reset is None else self.of(robot.reset)
+        return RobotTopicNames(
+            self._name or robot.name, self.of(robot.velocity), self.of(robot.odometry), robot.odometry_type, reset
+        )
+
 
 _HEADER = Field("header", "std_msgs/Header")
 _STAMP = struct.Struct("<4xII")  # seq, secs, nsecs
@@ -63,13 +100,12 @@ class Device:
     """
 
     __slots__ = (
-        "_awaited", "_node", "_observers", "_odometry", "_parts", "diagnosis", "drivables", "early", "guarded_ids",
+        "_awaited", "_hub", "_observers", "_odometry", "diagnosis", "drivables", "early", "guarded_ids",
         "infos", "is_played", "is_undecided", "link", "names", "parameters", "received_at_s", "robot", "routes",
         "services", "shown",
     )  # fmt: skip
 
-    def __init__(self, link: Link, diagnosis: Diagnosis, parts: Parts, node: Node) -> None:
-        """`node` is the key under which hostlink itself subscribes to the odometry."""
+    def __init__(self, link: Link, diagnosis: Diagnosis, hub: "Hub") -> None:
         self.link = link
         self.diagnosis = diagnosis
         self.robot: LocalRobot | None = None  # that it is; Robots sets it
@@ -88,7 +124,7 @@ class Device:
         self._observers: dict[int, Callable[[bytes], None]] = {}  # by id: what the hub itself reads of a message
         self._awaited: set[str] = set()  # its services that may still answer a call of before it left the graph
         self._odometry: list[Callable[[], None]] = []  # ends the robot's subscription
-        self._parts, self._node = parts, node
+        self._hub = hub
 
     def announce(self, infos: tuple[TopicInfo, ...], shown: ShownNames, robot: LocalRobot | None = None) -> None:
         """Put the device's endpoints into the graph in place of those that it had."""
@@ -113,13 +149,13 @@ class Device:
 
     def displace(self, name: str, type_name: str, robot: LocalRobot | None) -> None:
         """End what the device has by a name in the graph: it is another robot's own, with this type."""
-        topic = self._parts.topics.find(name)
+        topic = self._hub.topics.find(name)
         log.warning("topic.refused", topic=printable(name), reason=str(WrongType(name, type_name, topic.type_name)))
         self.routes = {topic_id: each for topic_id, each in self.routes.items() if each is not topic}
         for drivable in self.drivables:
             drivable.echoes.pop(name, None)
-        self._parts.topics.unadvertise(name, self.link)
-        self._parts.topics.unsubscribe_device(name, self.link)
+        self._hub.topics.unadvertise(name, self.link)
+        self._hub.topics.unsubscribe_device(name, self.link)
         if robot is not None and name == robot.shown.odometry:
             self._end_odometry()
             for info in self.infos:
@@ -143,12 +179,12 @@ class Device:
 
     def announced_again(self) -> None:
         """It has announced what it had: a board that restarted behind a line that stayed has received nothing yet."""
-        self._parts.topics.send_latched(self.link)
+        self._hub.topics.send_latched(self.link)
 
     def stand(self) -> None:
         """Zero to whatever it can be driven by: it may be a robot that has come back and obeys an old command."""
         for info in filter(is_velocity, self.infos):
-            self._parts.gates.attach(self._drivable(info, None), self)
+            self._hub.gates.attach(self._drivable(info, None), self)
 
     def note_parameter(self, name: str, parameter: Parameter) -> None:
         """It was answered this; of too many names the first ones are kept."""
@@ -161,23 +197,23 @@ class Device:
         self.routes.clear()
         self._observers.clear()
         self.names = frozenset()
-        self._parts.topics.leave(self.link)
+        self._hub.topics.leave(self.link)
         self._awaited.update(name for name, service in self.services.items() if service.is_awaited)
-        self._parts.services.leave(self.link)
+        self._hub.services.leave(self.link)
         self.services.clear()
 
     def _add(self, info: TopicInfo, robot: LocalRobot | None) -> None:
         name = self.shown.of(info.name)
         if info.kind is Id.PUBLISHER:
-            topic = self._parts.topics.advertise(name, self.link, type_name=info.type)
+            topic = self._hub.topics.advertise(name, self.link, type_name=info.type)
             self._route(info, topic, robot)
         elif info.kind is Id.SUBSCRIBER:
             self._subscribe(info, name, robot)
         elif info.kind is Id.SERVICE_SERVER_SUBSCRIBER:
-            type_ = self._parts.catalog.service(info.type)
+            type_ = self._hub.catalog.service(info.type)
             service = DeviceService(name, info.type, type_, self.link, lambda payload: self._call(info.name, payload))
             service.md5_sums = self._md5_sums(info.name)
-            self._parts.services.add_device_service(service)
+            self._hub.services.add_device_service(service)
             self.services[info.name] = service
 
     # -- from the device ----------------------------------------------------------------------------------------------
@@ -196,11 +232,11 @@ class Device:
         """A robot receives its odometry also where the graph has another type by this name."""
         if robot is not None and info.kind is Id.PUBLISHER and info.name == robot.topics.odometry:
             topic = Topic(self.shown.of(info.name))
-            topic.type, topic.type_name = self._parts.catalog.message(info.type), info.type
+            topic.type, topic.type_name = self._hub.catalog.message(info.type), info.type
             self._route(info, topic, robot)
 
     def _subscribe_robot(self, topic: Topic, robot: LocalRobot) -> None:
-        number = topic.add_subscriber(Subscriber(robot.receive_odometry, self._node, "", self._fail(robot)))
+        number = topic.add_subscriber(Subscriber(robot.receive_odometry, self._hub.node, "", self._fail(robot)))
         self._odometry.append(lambda: topic.remove_subscriber(number))
 
     def _fail(self, robot: LocalRobot) -> Callable[[Exception], None]:
@@ -208,7 +244,7 @@ class Device:
 
         def fail(error: Exception) -> None:
             self.link.end(LinkEnd.CRASHED)
-            self._parts.isolation.crashed("robot", error, robot=robot.name)
+            self._hub.isolation.crashed("robot", error, robot=robot.name)
 
         return fail
 
@@ -241,13 +277,13 @@ class Device:
             drivable = robot
         elif is_velocity(info):
             drivable = self._drivable(info, robot)
-            self._parts.gates.attach(drivable, self)
+            self._hub.gates.attach(drivable, self)
         if drivable is None:
             is_reset = _is_reset(info, robot)
             subscription = DeviceSubscription(self._sender(info, robot), is_gate=False, is_command=is_reset)
         else:
             subscription = DeviceSubscription(drivable.receive, is_gate=True)
-        topic = self._parts.topics.subscribe_device(name, self.link, subscription, type_name=info.type)
+        topic = self._hub.topics.subscribe_device(name, self.link, subscription, type_name=info.type)
         if drivable is not None:
             drivable.echoes[topic.name] = topic
             if robot is None:  # nothing of it is known from before
@@ -262,9 +298,9 @@ class Device:
             shown = self.shown.of(info.name)
             admission = Admission(shown, kinematics=Kinematics.SPATIAL)
             spatial: VelocityGate[Twist] = VelocityGate(admission, Unlimited(), Twist())
-            return Drivable(name=shown, velocity_topic=info.name, gate=spatial, gates=self._parts.gates)
+            return Drivable(name=shown, velocity_topic=info.name, gate=spatial, gates=self._hub.gates)
         gate = VelocityGate(robot.gate.admission, limits_of(robot.config), ZERO)
-        return Drivable(name=robot.name, velocity_topic=info.name, gate=gate, gates=self._parts.gates)
+        return Drivable(name=robot.name, velocity_topic=info.name, gate=gate, gates=self._hub.gates)
 
     def _sender(self, info: TopicInfo, robot: LocalRobot | None) -> Receive:
         def send(message: Message) -> None:

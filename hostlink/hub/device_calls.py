@@ -24,8 +24,8 @@ from hostlink.errors import (
     UnknownTopic,
     WrongType,
 )
+from hostlink.hub.isolation import Spawn
 from hostlink.hub.services import DEVICE_TIMEOUT_S, Services
-from hostlink.hub.spawn import Spawn
 from hostlink.link.fair_share import Turns
 from hostlink.link.link import Link
 from hostlink.logs import printable

@@ -9,23 +9,135 @@ import contextlib
 import itertools
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from enum import IntEnum
 from functools import partial
+from typing import Any
 
+from hostlink.diagnosis.finding import Finding
 from hostlink.errors import HostlinkError
 from hostlink.hub.diagnoses import Diagnoses, Diagnosis
-from hostlink.hub.diagnostic_status import (
-    Status,
-    absent_status,
-    daemon_status,
-    device_status,
-    port_status,
-    robot_status,
-)
 from hostlink.hub.isolation import Isolation
 from hostlink.hub.participant import Participant
 from hostlink.hub.robot import LocalRobot
 from hostlink.hub.robots import Robots
+
+STALE_AFTER_S = 10.0  # a robot that comes back sooner has only rebooted, or its network had a gap
+
+Status = dict[str, Any]  # a DiagnosticStatus, to be encoded; the name of the node is put before its name
+
+
+class Level(IntEnum):
+    """Of diagnostic_msgs/DiagnosticStatus."""
+
+    OK = 0
+    WARN = 1
+    ERROR = 2
+    STALE = 3
+
+
+WARNINGS = frozenset(  # the device works in spite of these; every other finding is an error
+    {
+        "boot_noise", "wrong_size", "buffer_too_small", "unknown_ids", "battery_low", "watchdog_restart", "weak_signal",
+        "clock_trouble", "damaged", "flashed_alike", "not_let_in",
+    }
+)  # fmt: skip
+
+
+def level_of(findings: Iterable[Finding]) -> Level:
+    """Of the worst of them."""
+    return max((Level.WARN if each.code in WARNINGS else Level.ERROR for each in findings), default=Level.OK)
+
+
+def robot_status(robot: LocalRobot, diagnosis: Diagnosis, now_s: float) -> Status:
+    """A robot whose device is connected."""
+    lock = robot.gate.lock_reason
+    odometry = robot.odometry.snapshot(now_s)
+    figures = {
+        "driver": robot.gate.owner_name or "nobody",
+        "locked": "no" if lock is None else lock,
+        "odometry rate (Hz)": "none" if odometry is None else f"{odometry.rate_hz:.1f}",
+        "odometry age (s)": "none" if odometry is None else f"{odometry.age_s:.2f}",
+    }
+    return _connected(f"{robot.name} link", diagnosis, figures, "" if lock is None else f"locked: {lock}")
+
+
+def device_status(name: str, diagnosis: Diagnosis) -> Status:
+    """A device that is no robot, or not known to be one yet."""
+    return _connected(name, diagnosis, {}, "")
+
+
+def absent_status(robot: LocalRobot, address: str, gone_s: float | None, why: str) -> Status:
+    """A robot without a device; `gone_s`: for how long, if that is known; `why`: how its last link ended."""
+    is_stale = gone_s is None or gone_s >= STALE_AFTER_S
+    since = "" if gone_s is None else f" for {gone_s:.0f} s"
+    return _status(
+        f"{robot.name} link",
+        Level.STALE if is_stale else Level.ERROR,
+        f"not connected{since}" + (f": {why}" if why else ""),
+        address,
+        {"locked": robot.gate.lock_reason or "no"},
+    )
+
+
+def port_status(name: str, found: Finding) -> Status:
+    """A serial port that cannot be opened."""
+    return _status(f"port {name}", Level.ERROR, _line(found), name, {"next step": found.next_step})
+
+
+def daemon_status(counts: Mapping[str, int], refused: Mapping[str, int], crashes: int) -> Status:
+    """The daemon itself."""
+    level = Level.ERROR if crashes else Level.OK
+    message = f"{crashes} faults of hostlink itself: see its log" if crashes else "running"
+    figures = {**counts, **{f"refused: {cause}": count for cause, count in refused.items()}}
+    return _status("daemon", level, message, "", {name: str(count) for name, count in figures.items()})
+
+
+def _connected(name: str, diagnosis: Diagnosis, figures: Mapping[str, str], remark: str) -> Status:
+    """`remark`: what a person should know though nothing is wrong."""
+    link, findings = diagnosis.link, diagnosis.findings
+    level = max(level_of(findings), Level.WARN if remark else Level.OK)
+    message = _line(findings[0]) if findings else remark or "connected"
+    wrong = {each.code: f"{_line(each)}; next: {each.next_step}" for each in findings}
+    return _status(name, level, message, link.address, {**wrong, **figures, **_link_figures(diagnosis)})
+
+
+def _link_figures(diagnosis: Diagnosis) -> dict[str, str]:
+    link = diagnosis.link
+    facts = link.facts()
+    counts = facts.counts
+    signal_dbm = diagnosis.monitor.signal_dbm(link.opened_at_s + facts.seconds)
+    round_trip_s = None if facts.clock is None else facts.clock.round_trip_s
+    return {
+        "peer": link.peer,
+        "transport": link.kind,
+        "connected (s)": f"{facts.seconds:.0f}",
+        "silent (s)": f"{link.silent_s:.1f}",
+        "topics": str(len(link.topics)),
+        "frames from device": str(counts.frames_from_device),
+        "frames to device": str(counts.frames_to_device),
+        "bytes skipped": str(counts.skipped_bytes),
+        "negotiations": str(counts.negotiations),
+        "commands replaced": str(facts.replaced),
+        "longest wait (ms)": f"{facts.slowest_wait_s * 1e3:.1f}",
+        **({} if round_trip_s is None else {"round trip (ms)": f"{round_trip_s * 1e3:.1f}"}),
+        **({} if signal_dbm is None else {"WiFi signal (dBm)": str(signal_dbm)}),
+    }
+
+
+def _status(name: str, level: Level, message: str, hardware_id: str, values: Mapping[str, str]) -> Status:
+    return {
+        "level": int(level),
+        "name": name,
+        "message": message,
+        "hardware_id": hardware_id,
+        "values": [{"key": key, "value": value} for key, value in values.items()],
+    }
+
+
+def _line(found: Finding) -> str:
+    return f"{found.cause} ({found.detail})" if found.detail else found.cause
+
 
 TOPIC, TYPE = "/diagnostics", "diagnostic_msgs/DiagnosticArray"
 NODE = "hostlink"

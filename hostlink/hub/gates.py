@@ -6,9 +6,9 @@
 import asyncio
 import contextlib
 import time
-import weakref
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Hashable, Iterable
+from collections import Counter
+from collections.abc import Callable, Hashable, Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
@@ -17,11 +17,9 @@ import structlog
 from hostlink.errors import CommandRefused, DeviceGone, HostlinkError, RefusalKind, WrongType
 from hostlink.host_pauses import HostPauses
 from hostlink.hub.diagnoses import Diagnosis
-from hostlink.hub.guard import Guard
 from hostlink.hub.isolation import Isolation
 from hostlink.hub.message import Message
 from hostlink.hub.node import address_of
-from hostlink.hub.refusals import Refusals
 from hostlink.hub.robot_events import HOST_AWAY, LEASE_ENDED, LET_GO, OWNER_LEFT, WAS_STOPPED, EventKind, RobotEvents
 from hostlink.hub.stall_watch import BEAT_S, StallWatch
 from hostlink.hub.topic import Topic
@@ -42,6 +40,53 @@ from hostlink.robot.velocity_gate import V, VelocityGate
 
 log = structlog.get_logger()
 
+
+class Guard(Protocol):
+    """Its methods do not wait, and do not fail."""
+
+    def watch(
+        self, number: int, connection: Callable[[], int | None], *, topic_ids: Sequence[int], claim_bytes: int
+    ) -> None:
+        """A link has these velocity topics.
+
+        `connection`: its descriptor while it is open; `claim_bytes`: the longest frame that was sent.
+        """
+        ...
+
+    def beat(self, driven: set[int]) -> None:
+        """This process runs, and these links have robots that may move; without a beat for a second they are stopped.
+
+        Call it at least ten times a second while there are any, and once when there are none any more.
+        """
+        ...
+
+    def release(self, number: int) -> None:
+        """A link has ended, or has no velocity topic any more."""
+        ...
+
+
+LOG_INTERVAL_S = 10.0  # for what is refused again and again: a driver repeats his command ten times a second
+
+
+@dataclass(slots=True)
+class Refusals:
+    """Velocities that did not fit a robot's device."""
+
+    count: int = 0
+    cause: str | None = None  # of the last velocity; None: it was sent
+    log_at_s: float = float("-inf")
+    logged: int = 0
+
+    def add(self, robot: str, error: HostlinkError) -> None:
+        """Log the first, then one in LOG_INTERVAL_S with the number of those since."""
+        self.count += 1
+        self.cause = str(error)
+        now_s = asyncio.get_running_loop().time()
+        if now_s >= self.log_at_s:
+            log.warning("robot.unreachable", robot=robot, cause=self.cause, count=self.count - self.logged)
+            self.log_at_s, self.logged = now_s + LOG_INTERVAL_S, self.count
+
+
 TICK_S = 0.05  # between two steps of a ramp; the end of a lease is not waited past
 MAX_STEPS = 64  # of gates in one turn of the loop: a device may have 256, and a stop comes in between
 FEED_INTERVAL_S = 0.125  # a source that commands at 10 Hz feeds the device by itself; a quarter of its own watchdog
@@ -53,14 +98,8 @@ ENDING = "hostlink is stopping, and drives no robot any more"
 class Driven(ABC):
     """Whatever velocities can be published to: a velocity topic of a device here, or a robot of another daemon."""
 
-    __slots__ = ()
-
     name: str
-
-    @property
-    @abstractmethod
-    def admission(self) -> Admission:
-        """What decides whether a command may move it."""
+    admission: Admission  # decides whether a command may move it
 
     def join(self, topic: Topic) -> None:
         """Note that it subscribes to a topic which others may be publishing already."""
@@ -79,29 +118,23 @@ class Driven(ABC):
     def receive(self, message: Message) -> None:
         """Obey a Twist or a TwistStamped that was published, as a command of its publisher. A stamp of 0 is none.
 
+        A robot has three of the six numbers; a velocity topic that belongs to no robot has them all. A joystick at rest
+        publishes zeros while another source drives: that is no error.
+
         Raises:
             HostlinkError: as `command`.
-            WrongType: it is neither.
+            WrongType: the message is neither.
         """
+        stamp_age_s = None
         if message.type_name == TWIST_TYPE:
-            self.follow(Twist.decode(message.payload), message)
-            return
-        if message.type_name != TWIST_STAMPED_TYPE:
+            twist = Twist.decode(message.payload)
+        elif message.type_name == TWIST_STAMPED_TYPE:
+            fields: Any = message.decoded
+            twist, stamp = Twist.from_fields(fields["twist"]), fields["header"]["stamp"]
+            stamp_ns = stamp["secs"] * _NS_PER_S + stamp["nsecs"]
+            stamp_age_s = (time.time_ns() - stamp_ns) / _NS_PER_S if stamp_ns else None
+        else:
             raise WrongType(message.topic, TWIST_TYPE, message.type_name)
-        fields: Any = message.decoded
-        stamp = fields["header"]["stamp"]
-        stamp_ns = stamp["secs"] * _NS_PER_S + stamp["nsecs"]
-        stamp_age_s = (time.time_ns() - stamp_ns) / _NS_PER_S if stamp_ns else None
-        self.follow(Twist.from_fields(fields["twist"]), message, stamp_age_s=stamp_age_s)
-
-    def follow(self, twist: Twist, message: Message, *, stamp_age_s: float | None = None) -> None:
-        """Obey a velocity that was published. A joystick at rest publishes zeros beside the driver: that is no error.
-
-        A robot has three of the six numbers; a velocity topic that belongs to no robot has them all.
-
-        Raises:
-            HostlinkError: as `command`.
-        """
         is_spatial = self.admission.kinematics is Kinematics.SPATIAL
         velocity: PlanarVelocity | Twist = twist if is_spatial else twist.planar
         command: Command[Any] = Command(
@@ -129,7 +162,7 @@ class Connection(Protocol):
     diagnosis: Diagnosis
 
 
-@dataclass(slots=True, eq=False, kw_only=True)
+@dataclass(eq=False, kw_only=True)
 class Drivable(Driven):
     """A velocity topic of a device, behind the gate that is its only subscriber in the graph.
 
@@ -147,16 +180,15 @@ class Drivable(Driven):
     sent: AnyVelocity = ZERO
     sent_at_s: float = 0.0
     refusals: Refusals = field(default_factory=Refusals)
+    admission: Admission = field(init=False)  # of its gate
+
+    def __post_init__(self) -> None:
+        self.admission = self.gate.admission
 
     @property
     def link(self) -> Link | None:
         """The link of its device; None: the device is not connected."""
         return None if self.connection is None else self.connection.link
-
-    @property
-    def admission(self) -> Admission:
-        """That of its gate."""
-        return self.gate.admission
 
     @property
     def beside(self) -> list["Drivable"]:
@@ -204,7 +236,7 @@ class Gates:
         self.hosts: RemoteHosts | None = None  # the way to the other daemons of the fleet
         self._isolation, self._guardian = isolation, guard
         self._driven = set[int]()  # links, as the guard knows them
-        self._known: weakref.WeakSet[Admission] = weakref.WeakSet()  # also of robots elsewhere, and of those at rest
+        self._admissions: Counter[Admission] = Counter()  # of robots and attached drivables, also of other daemons
         self._active: dict[Drivable, None] = {}  # whose gate may have something to send
         self._wake = asyncio.Event()
         self._stalls = StallWatch()
@@ -214,7 +246,7 @@ class Gates:
     def attach(self, drivable: Drivable, connection: Connection) -> None:
         """Its device is ready: no earlier command is valid any more, and its first velocity is zero."""
         drivable.connection, drivable.last_frame = connection, b""
-        self._known.add(drivable.gate.admission)
+        self.register(drivable.admission)
         if drivable.gate.admission.connect(_now_s()):
             drivable.resumed_link = connection.link.number
         drivable.gate.restart()
@@ -233,6 +265,7 @@ class Gates:
             drivable.connection = None
             drivable.echoes.clear()
             drivable.gate.admission.disconnect(_now_s())
+            self.unregister(drivable.admission)
             drivable.gate.restart()
             self._activate(drivable)
         guarded_ids, connection.guarded_ids = connection.guarded_ids, []
@@ -244,18 +277,43 @@ class Gates:
         self.hosts = hosts
         self._wake.set()
 
+    def register(self, admission: Admission) -> None:
+        """Interrupt this admission after a pause of the process, and withdraw from it each source that leaves.
+
+        Whoever registers it more than once unregisters it as often: a robot does, and each of its drivables.
+        """
+        self._admissions[admission] += 1
+
+    def unregister(self, admission: Admission) -> None:
+        """End one registration."""
+        self._admissions[admission] -= 1
+        if not self._admissions[admission]:
+            del self._admissions[admission]
+
     # -- driving ------------------------------------------------------------------------------------------------------
 
     def command(self, drivable: Drivable, command: Command[V]) -> V:
         """Drive a device here for the length of a lease, if the command is admitted; as `Driven.command`."""
+        gate: VelocityGate[V] = drivable.gate
         velocity, owner = command.velocity, command.source
         facts = {"owner": str(owner), "address": address_of(owner), "priority": command.priority, "velocity": velocity}
         try:
-            limited = self._command(drivable, self.timed(drivable.name, command))
+            command, now_s = self.timed(drivable.name, command), asyncio.get_running_loop().time()
+            # Two zeros of one moment would leave a slow line as one.
+            is_stopping = velocity.is_zero and gate.is_stopping and drivable.refusals.cause is None
+            limited = gate.command(command, now_s=now_s)
+            refusal = None if is_stopping else self._step(drivable, now_s, is_news=True)
+            if refusal is not None:
+                gate.admission.withdraw(owner)
+                gate.stop(now_s=now_s)
+                raise refusal
         except HostlinkError as error:
             if not (velocity.is_zero and command.is_planar):
                 self.events.note(EventKind.REFUSED, drivable.name, **facts, reason=str(error))
             raise
+        connection = drivable.connection
+        if connection is not None and len(connection.drivables) > 1 and not velocity.is_zero:
+            self._overrule(connection.drivables, drivable, owner, command.priority)
         self.events.note(EventKind.COMMANDED, drivable.name, **facts, limited=limited)
         return limited
 
@@ -269,30 +327,10 @@ class Gates:
         """
         if self.is_closed:
             raise CommandRefused(name, RefusalKind.ENDING, f"{name}: {ENDING}")
-        now_s = _now_s()
+        now_s = asyncio.get_running_loop().time()
         self._notice_pause(now_s)
-        return command._replace(received_s=min(command.received_s, self.came_s(now_s)))
-
-    def note_remote(self, admission: Admission) -> None:
-        """Commands are sent from here to a robot of another daemon: a pause and an owner that leaves concern it."""
-        self._known.add(admission)
-
-    def _command(self, drivable: Drivable, command: Command[V]) -> V:
-        gate: VelocityGate[V] = drivable.gate
-        velocity, now_s = command.velocity, _now_s()
-        # Two zeros of one moment would leave a slow line as one.
-        is_stopping = velocity.is_zero and gate.is_stopping and drivable.refusals.cause is None
-        limited = gate.command(command, now_s=now_s)
-        if not is_stopping:
-            refusal = self._send_news(drivable)
-            if refusal is not None:
-                gate.admission.withdraw(command.source)
-                gate.stop(now_s=now_s)
-                raise refusal
-        connection = drivable.connection
-        if connection is not None and len(connection.drivables) > 1 and not velocity.is_zero:
-            self._overrule(connection.drivables, drivable, command.source, command.priority)
-        return limited
+        came_s = now_s - self._stalls.late_s(now_s)
+        return command._replace(received_s=came_s) if came_s < command.received_s else command
 
     def came_s(self, now_s: float) -> float:
         """Since when something that is read at this moment may have waited for it."""
@@ -302,24 +340,25 @@ class Gates:
         """Interrupt every robot, here or of another daemon, if this process has just gone on after a pause."""
         since_s = self._stalls.pop_pause(now_s)
         if since_s is not None:
-            for admission in tuple(self._known):  # of a robot at rest, too: its sources may be disarmed
+            for admission in tuple(self._admissions):  # of a robot at rest, too: its sources may be disarmed
                 admission.interrupt(now_s, since_s=since_s)
 
     def _overrule(self, beside: list[Drivable], drivable: Drivable, owner: Hashable, priority: int) -> None:
-        """Stop what somebody less important drives of the same robot; its next command is refused."""
+        """Stop what a source of a lower priority drives of the same robot; its next command is refused."""
+        now_s = _now_s()
         for other in beside:
             gate = other.gate
             is_other = gate is not drivable.gate and gate.admission is drivable.gate.admission
             if is_other and gate.owner != owner and gate.priority is not None and gate.priority < priority:
                 self._note_stop(other, "overruled", str(gate.owner_name))
-                gate.stop(now_s=_now_s())
-                self._send_news(other)
+                gate.stop(now_s=now_s)
+                self._step(other, now_s, is_news=True)
 
     def release(self, owner: Hashable) -> None:
         """A source of commands is gone: what it drives stops."""
         if self.hosts is not None:
             self.hosts.release(owner)
-        for admission in self._known:
+        for admission in self._admissions:
             admission.withdraw(owner)
         now_s = _now_s()
         for drivable in list(self._active):
@@ -327,7 +366,7 @@ class Gates:
             if gate.owner == owner:
                 gate.stop(now_s=now_s)
                 self._note_stop(drivable, OWNER_LEFT, str(owner))
-                self._send_news(drivable)
+                self._step(drivable, now_s, is_news=True)
 
     def stop(self, drivables: Iterable[Drivable]) -> None:
         """Stop these as fast as decelerations allow, whoever drives.
@@ -335,14 +374,18 @@ class Gates:
         Raises:
             HostlinkError: the zero does not fit a device; all others have been stopped.
         """
-        drivables, now_s = list(drivables), _now_s()
-        for admission in self._admissions(drivables):
+        drivables, now_s, refusal = list(drivables), _now_s(), None
+        driven = [(drivable, str(drivable.gate.owner)) for drivable in drivables if drivable.gate.owner is not None]
+        for admission in {drivable.admission for drivable in drivables}:  # velocity topics of one robot share one
             admission.interrupt(now_s)
         for drivable in drivables:
             drivable.gate.counts.stops += 1
-            if drivable.gate.owner is not None:
-                self._note_stop(drivable, WAS_STOPPED, str(drivable.gate.owner))
-        self._apply(lambda gate: gate.stop(now_s=now_s), drivables)
+            drivable.gate.stop(now_s=now_s)
+            refusal = self._step(drivable, now_s, is_news=True) or refusal
+        for drivable, owner in driven:
+            self._note_stop(drivable, WAS_STOPPED, owner)
+        if refusal is not None:
+            raise refusal
 
     async def settled(self) -> None:
         """Wait until other daemons have answered the stops, locks and unlocks so far.
@@ -355,9 +398,10 @@ class Gates:
 
     def stop_at_once(self, drivables: Iterable[Drivable]) -> None:
         """Zero, whatever the limits; a device that it does not fit is passed over."""
+        now_s = _now_s()
         for drivable in drivables:
             drivable.gate.stop_at_once()
-            self._send_news(drivable)
+            self._step(drivable, now_s, is_news=True)
 
     def lock(self, drivables: Iterable[Drivable], reason: str) -> None:
         """Zero at once, and no command until the gates are unlocked.
@@ -365,16 +409,18 @@ class Gates:
         Raises:
             HostlinkError: the zero does not fit a device; its gate is locked all the same.
         """
-        drivables = list(drivables)
-        for admission in self._admissions(drivables):
-            admission.lock(reason, _now_s())
+        drivables, now_s, refusal = list(drivables), _now_s(), None
+        for admission in {drivable.admission for drivable in drivables}:
+            admission.lock(reason, now_s)
         for drivable in drivables:
-            drivable.gate.counts.locks += 1
-        self._apply(VelocityGate.stop_at_once, drivables)
+            drivable.gate.stop_at_once()
+            refusal = self._step(drivable, now_s, is_news=True) or refusal
+        if refusal is not None:
+            raise refusal
 
     def unlock(self, drivables: Iterable[Drivable]) -> None:
         """Admit commands again; nothing moves by it."""
-        for admission in self._admissions(drivables):
+        for admission in {drivable.admission for drivable in drivables}:
             admission.unlock(_now_s())
 
     def pauses(self, now_s: float) -> HostPauses:
@@ -389,15 +435,16 @@ class Gates:
 
     async def run(self) -> None:
         """Step every gate that is active; sleep while none is."""
+        loop = asyncio.get_running_loop()
         while True:
-            now_s = _now_s()
+            now_s = loop.time()
             self._notice_pause(now_s)
             self._stalls.beat(now_s)
             driven = set[int]()
             for number, drivable in enumerate(list(self._active), 1):
                 if number % MAX_STEPS == 0:
                     await asyncio.sleep(0)
-                    now_s = _now_s()
+                    now_s = loop.time()
                 connection = drivable.connection
                 if drivable.gate.may_move or (drivable.gate.is_active and connection is not None):
                     self._step(drivable, now_s)
@@ -407,7 +454,11 @@ class Gates:
                     driven.add(connection.link.number)
             self._beat(driven)
             if self._active:
-                due_s = min(now_s + TICK_S, *(drivable.gate.lease_ends_s for drivable in self._active))
+                due_s = now_s + TICK_S
+                for drivable in self._active:
+                    driver = drivable.gate.driver
+                    if driver is not None and driver.deadline_s < due_s:
+                        due_s = driver.deadline_s
                 self._stalls.expect(due_s)
                 await asyncio.sleep(due_s - now_s)
             else:
@@ -420,69 +471,54 @@ class Gates:
             async with asyncio.timeout(BEAT_S):
                 await self._wake.wait()
 
-    def _apply(self, change: Callable[[VelocityGate[Any]], None], drivables: Iterable[Drivable]) -> None:
-        """Change each gate and send what follows; the last refusal is raised once all are done."""
-        refusal = None
-        for drivable in drivables:
-            change(drivable.gate)
-            refusal = self._send_news(drivable) or refusal
-        if refusal is not None:
-            raise refusal
-
-    @staticmethod
-    def _admissions(drivables: Iterable[Drivable]) -> set[Admission]:
-        """Of these, each once: the velocity topics of one robot share one."""
-        return {drivable.gate.admission for drivable in drivables}
-
     def _activate(self, drivable: Drivable) -> None:
         self._active[drivable] = None
         self._wake.set()
 
-    def _send_news(self, drivable: Drivable) -> HostlinkError | None:
-        self._activate(drivable)
-        return self._step(drivable, _now_s(), is_news=True)
-
     def _step(self, drivable: Drivable, now_s: float, *, is_news: bool = False) -> HostlinkError | None:
         """Send what the gate gives, if it is time; returns why it does not fit the device.
 
-        A crash here is this device's own: its link ends, with a zero as its last frame.
+        `is_news`: the gate has just changed, so that it is time. A crash here is this device's own: its link ends, with
+        a zero as its last frame.
         """
+        if is_news:
+            self._active[drivable] = None
+            self._wake.set()
+        gate, connection = drivable.gate, drivable.connection
         try:
-            return self._send(drivable, now_s, is_news=is_news)
+            previous, is_first, previous_target = gate.driver, gate.is_new_device, gate.target
+            velocity = gate.step(now_s)
+            if previous is not None and gate.driver is None:
+                was_away = self._stalls.pauses(now_s).was_paused(now_s - LEASE_S)
+                reason = HOST_AWAY if was_away else LET_GO if previous_target.is_zero else LEASE_ENDED
+                self._note_stop(drivable, reason, str(previous.source))
+            if velocity is None or connection is None:
+                return None
+            link = connection.link
+            if not velocity.is_zero and link.number not in self._driven:
+                self._beat(self._driven | {link.number})  # before it moves
+            is_repeat = velocity == drivable.sent and not velocity.is_zero and not is_news
+            if is_repeat and now_s < drivable.sent_at_s + FEED_INTERVAL_S:
+                return None
+            payload = velocity.encode()
+            try:
+                link.session.publish(drivable.velocity_topic, payload, is_urgent=True, is_kept=is_first)
+                link.session.keep_clear(
+                    robot_moves=gate.may_move or any(each.gate.may_move for each in connection.drivables)
+                )
+            except HostlinkError as error:
+                drivable.refusals.add(drivable.name, error)
+                return error
+            drivable.refusals.cause = None
+            drivable.sent, drivable.sent_at_s = velocity, now_s
+            link.wake()
+            for topic in drivable.echoes.values():
+                topic.deliver(payload, source=drivable, at_s=now_s)
         except Exception as error:  # noqa: BLE001 - counted; no other gate may miss its turn
-            if drivable.connection is not None:
-                drivable.connection.link.end(LinkEnd.CRASHED)
+            if connection is not None:
+                connection.link.end(LinkEnd.CRASHED)
             self._isolation.crashed("robot", error, robot=drivable.name)
             return DeviceGone(drivable.name)
-
-    def _send(self, drivable: Drivable, now_s: float, *, is_news: bool) -> HostlinkError | None:
-        gate, connection = drivable.gate, drivable.connection
-        previous_owner, is_first, was_let_go = gate.owner, gate.is_new_device, gate.is_let_go
-        velocity = gate.step(now_s)
-        if previous_owner is not None and gate.owner is None:
-            was_away = self._stalls.pauses(now_s).was_paused(now_s - LEASE_S)
-            reason = HOST_AWAY if was_away else LET_GO if was_let_go else LEASE_ENDED
-            self._note_stop(drivable, reason, str(previous_owner))
-        if velocity is None or connection is None:
-            return None
-        link = connection.link
-        if not velocity.is_zero and link.number not in self._driven:
-            self._beat(self._driven | {link.number})  # before it moves
-        is_repeat = velocity == drivable.sent and not velocity.is_zero and not is_news
-        if is_repeat and now_s < drivable.sent_at_s + FEED_INTERVAL_S:
-            return None
-        payload = velocity.encode()
-        try:
-            link.session.publish(drivable.velocity_topic, payload, is_urgent=True, is_kept=is_first)
-            link.session.keep_clear(robot_moves=any(each.gate.may_move for each in connection.drivables))
-        except HostlinkError as error:
-            drivable.refusals.add(drivable.name, error)
-            return error
-        drivable.refusals.cause = None
-        drivable.sent, drivable.sent_at_s = velocity, now_s
-        link.wake()
-        for topic in drivable.echoes.values():
-            topic.deliver(payload, source=drivable, at_s=now_s)
         return None
 
     def _note_stop(self, drivable: Drivable, reason: str, owner: str) -> None:

@@ -2,30 +2,27 @@
 
 import asyncio
 import contextlib
-from collections.abc import Callable, Coroutine
+from collections import Counter
+from collections.abc import Callable, Coroutine, Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
 import structlog
 
 from hostlink.config import Config
 from hostlink.hub.byte_budget import ByteBudget
-from hostlink.hub.counts import Counts
 from hostlink.hub.diagnoses import Diagnoses
 from hostlink.hub.diagnostics_topic import DiagnosticsTopic
-from hostlink.hub.gates import Gates
+from hostlink.hub.gates import Gates, Guard
 from hostlink.hub.graph_changes import GraphChanges, Kind
 from hostlink.hub.graph_view import GraphViews
-from hostlink.hub.guard import Guard
-from hostlink.hub.identities import Affected
 from hostlink.hub.isolation import Isolation
-from hostlink.hub.links import Links, Surroundings, addresses_of
-from hostlink.hub.listening import Listening
+from hostlink.hub.links import Links, addresses_of
 from hostlink.hub.message import PROGRAM_PRIORITY
 from hostlink.hub.node import Node, Role
-from hostlink.hub.participant import Participant, Parts
-from hostlink.hub.robot import LocalRobot
+from hostlink.hub.participant import Participant
+from hostlink.hub.robot import LocalRobot, limits_of
 from hostlink.hub.robot_events import RobotEvents
-from hostlink.hub.robot_settings import limits_of
 from hostlink.hub.robot_topic_publisher import RobotTopicPublisher
 from hostlink.hub.robots import Robots
 from hostlink.hub.rosout import Rosout
@@ -35,9 +32,28 @@ from hostlink.hub.topic_graph import TopicGraph
 from hostlink.link.fair_share import FairShare, Turns
 from hostlink.logs import log_what_is_missing
 from hostlink.messages.catalog import Catalog
-from hostlink.robot.robot_names import Places
+from hostlink.robot.directory import Places
 
 log = structlog.get_logger()
+
+
+@dataclass(frozen=True, slots=True)
+class Counts:
+    """Whoever counts writes into it."""
+
+    refused: Counter[str] = field(default_factory=Counter)  # connections not served or evicted, by cause
+    datagrams_dropped: Counter[str] = field(default_factory=Counter)  # of UDP, either way, by cause
+    velocities_replaced: Counter[str] = field(default_factory=Counter)  # of clients, by a newer one, by their kind
+    graphs: dict[str, Callable[[], Mapping[str, int]]] = field(default_factory=dict)  # of each that the hub is part of
+
+
+@dataclass(frozen=True, slots=True)
+class Listening:
+    """Addresses as sockets have them; None: it does not listen there."""
+
+    tcp: tuple[str, int] | None = None
+    udp: tuple[str, int] | None = None
+
 
 DAEMON = "hostlink"  # the name of the daemon's own parts in the graph
 STOP_REPEATS = 3  # a single stop can be lost on a radio
@@ -59,16 +75,16 @@ class Hub:
         self.listening = Listening()  # who listens sets it
         self.parameters = dict(config.parameters)  # what devices request; clients may change it
         self.isolation = Isolation(reraises=reraises)
-        self._changes = changes = GraphChanges()
+        self.changes = GraphChanges()
         self.budget = ByteBudget()
-        self.topics = TopicGraph(catalog, changes, self.budget)
-        self.services = Services(catalog, changes)
+        self.share = FairShare()  # of the event loop, for links and participants
+        self.node = Node(DAEMON, is_daemon=True)  # publishes and subscribes what robots have by the names of ROS
+        self.topics = TopicGraph(catalog, self.changes, self.budget)
+        self.services = Services(catalog, self.changes)
+        self.views = GraphViews(self.topics, self.services, self.changes)
         self.events = RobotEvents()
         self.gates = Gates(self.isolation, guard, self.events)
         self.diagnoses = Diagnoses(self.isolation, self.events, self.gates.pauses)
-        views = GraphViews(self.topics, self.services, changes)
-        self._parts = Parts(catalog, self.topics, self.services, self.gates, self.isolation, changes, views)
-        self._share = FairShare()
         self.robots = Robots(
             config.robots,
             self.gates,
@@ -76,14 +92,11 @@ class Hub:
             on_forgotten=self._forget_robot,
             on_change=self._note_robot,
         )
+        self.robot_topics = RobotTopicPublisher(self.topics, self.node, catalog)
         self.standstills = Standstills()
         self._lock_services = LockServices(self.robots, self.gates, self.standstills, self.join_daemon())
-        node = Node(DAEMON, is_daemon=True)
-        robot_topics = RobotTopicPublisher(self.topics, node, catalog)
-        affected = Affected(self.topics, self.gates, self.robots, robot_topics)
         self.rosout = Rosout(self.join_daemon())
-        around = Surroundings(self._parts, affected, self.diagnoses, node, self.rosout, self._share, self.spawn)
-        self.links = Links(around, config, self.parameters)
+        self.links = Links(self)
         self._tasks: asyncio.TaskGroup | None = None
 
     async def run(self) -> None:
@@ -108,7 +121,7 @@ class Hub:
 
     def turns(self) -> Turns:
         """The part of one more link or participant in what the loop does for all."""
-        return Turns(self._share)
+        return Turns(self.share)
 
     def reconfigure(self, config: Config, places: Places) -> dict[str, str]:
         """Other names and limits of robots from now on; returns the new names of those that are connected, by the old.
@@ -121,7 +134,7 @@ class Hub:
         self.links.check(places)
         self.config = config
         self.robots.reconfigure(config.robots)
-        return self.links.reconfigure(config, places)
+        return self.links.reconfigure(places)
 
     # -- participants -------------------------------------------------------------------------------------------------
 
@@ -139,11 +152,11 @@ class Hub:
         `group`: the bridge to another graph, as ROS 2, of which it is a part. What the group publishes does not come
         back to it.
         """
-        return Participant(self._parts, name, role=role, priority=priority, group=group, on_end=on_end)
+        return Participant(self, name, role=role, priority=priority, group=group, on_end=on_end)
 
     def join_daemon(self, *, group: str = "") -> Participant:
         """A part of the daemon takes part; whatever of it fails, it stays. `group`: as of `join`."""
-        return Participant(self._parts, DAEMON, is_daemon=True, group=group)
+        return Participant(self, DAEMON, is_daemon=True, group=group)
 
     async def shutdown(self) -> None:
         """Stop every robot, request silence of every device, end every link; bounded by SHUTDOWN_TIMEOUT_S.
@@ -161,7 +174,7 @@ class Hub:
 
     def _note_robot(self, name: str) -> None:
         """A robot of this name has come, has left or is forgotten."""
-        self._changes.note(Kind.ROBOT, name)
+        self.changes.note(Kind.ROBOT, name)
         self._lock_services.update(name)
 
     def _forget_robot(self, robot: LocalRobot) -> None:

@@ -2,7 +2,8 @@
 
 import contextlib
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Coroutine, Iterator
+from typing import Any, Protocol
 
 import structlog
 
@@ -36,3 +37,9 @@ class Isolation:
                 log.error(event, cause=repr(error), **facts)  # noqa: TRY400 - without the traceback, which failed
         if self._reraises:
             raise error
+
+
+class Spawn(Protocol):
+    """Run something, at most as long as the hub; its crash ends nothing else."""
+
+    def __call__(self, work: Coroutine[Any, Any, object], *, name: str) -> object: ...

@@ -1,90 +1,86 @@
-"""Links: the connections of all devices. Each is opened and served here, and leaves the graph at its end."""
+"""Links: the connections of all devices: opened and served, identified as robots, and removed from the graph."""
 
 import asyncio
 import contextlib
 import dataclasses
+import functools
 import time
 from collections.abc import Callable, Mapping
-from typing import NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import structlog
 from structlog.contextvars import bound_contextvars
 
-from hostlink.config import Config, LinkConfig, ParameterValue
-from hostlink.hub.device import Device, check_type
+from hostlink.config import Config, LinkConfig
+from hostlink.errors import HostlinkError, ReloadRefused
+from hostlink.hub.device import Device, ShownNames, check_type
 from hostlink.hub.device_calls import DeviceCalls
-from hostlink.hub.device_events import DeviceEvents, Receivers
-from hostlink.hub.diagnoses import Diagnoses
-from hostlink.hub.identities import Affected, Identities
-from hostlink.hub.node import Node
 from hostlink.hub.parameters import ParameterAnswers, ParameterSource
-from hostlink.hub.participant import Parts
 from hostlink.hub.robot import LocalRobot
 from hostlink.hub.robot_events import EventKind
-from hostlink.hub.rosout import Rosout
-from hostlink.hub.spawn import Spawn
-from hostlink.link.fair_share import FairShare, Turns
+from hostlink.link.fair_share import Turns
 from hostlink.link.link import Authenticate, Link, LinkEnd, trust
 from hostlink.logs import of_peer, printable
+from hostlink.protocol import events
 from hostlink.protocol.control import Parameter
 from hostlink.protocol.session import Session
-from hostlink.robot.directory import Directory
-from hostlink.robot.robot_names import Places
+from hostlink.robot.directory import Accepted, Directory, Places, RobotTopicNames, Undecided
 from hostlink.transport.base import Transport
+
+if TYPE_CHECKING:
+    from hostlink.hub.hub import Hub
 
 log = structlog.get_logger()
 
 SILENCE_TIMEOUT_S = 0.5  # for what a device is sent before its link ends
-END_S = 0.0005  # what it costs to take a device out of the graph
-
-
-class Surroundings(NamedTuple):
-    """What of the hub links use."""
-
-    parts: Parts
-    affected: Affected
-    diagnoses: Diagnoses
-    node: Node
-    rosout: Rosout
-    share: FairShare
-    spawn: Spawn
+END_S = 0.0005  # CPU time for removing a device from the graph
+DECIDE_INTERVAL_S = 0.05  # a robot sends every 0.1 s
+LAST_ZERO_S = 0.2  # for the zero to a link that is replaced while its robot drives
 
 
 class Links:
-    """Opens, serves and ends the links, and answers what devices ask of the host: services, parameters, the time."""
+    """Opens, serves and ends the links, and answers what devices request: services, parameters, the time.
 
-    def __init__(self, around: Surroundings, config: Config, parameters: Mapping[str, ParameterValue]) -> None:
-        """`parameters`: what devices request; they may change at any time."""
-        self.parameter_source: ParameterSource | None = None  # of those that are not set here
+    `Directory` decides which robot a device is. This class does what was decided. `Robots.devices` has the `Device` of
+    each live link; events of a link that was replaced are ignored.
+    """
+
+    def __init__(self, hub: "Hub") -> None:
+        self.parameter_source: ParameterSource | None = None  # of parameters that are not set here
         self.wall_ns: Callable[[], int] = time.time_ns  # the time that devices are given
-        self._around, self._config, self._events = around, config, around.affected.gates.events
-        self._devices = around.affected.robots.devices
-        self._ends = Turns(around.share)
+        self.undelivered = 0  # messages of devices that left unidentified, or sent too many before
+        self.late_answers = 0  # answers of devices' services after their calls had timed out
+        self._hub, self._devices = hub, hub.robots.devices
+        self._directory = Directory(addresses_of(hub.config))
+        self._ends = Turns(hub.share)
         self.calls = DeviceCalls(
-            around.parts.services,
-            around.parts.catalog,
-            spawn=around.spawn,
+            hub.services,
+            hub.catalog,
+            spawn=hub.spawn,
             give_up=self._give_up,
             name_of=self._service_name,
-            turns=Turns(around.share),
+            turns=Turns(hub.share),
         )
-        self._identities = Identities(around.affected, Directory(addresses_of(config)), spawn=around.spawn)
-        self._device_events = DeviceEvents(
-            Receivers(
-                around.affected.gates,
-                self._identities,
-                around.diagnoses,
-                self.calls,
-                ParameterAnswers(parameters, lambda: self.parameter_source, around.spawn),
-                around.rosout,
-            )
-        )
+        self._parameters = ParameterAnswers(hub.parameters, lambda: self.parameter_source, hub.spawn)
+        self._reactions: dict[type[Any], Callable[[Link, Any], None]] = {
+            events.TopicsNegotiated: self._announce,
+            events.TopicRefused: _log_refused_topic,
+            events.TopicsRequested: _log_request,
+            events.ServiceRequested: self.calls.accept,
+            events.ServiceResponded: self._pass_answer,
+            events.ParameterRequested: self._answer_parameter,
+            events.DeviceLogged: self._log_line,
+            events.Protocol1Recognised: _log_protocol_1,
+        }
+
+    # -- connections --------------------------------------------------------------------------------------------------
 
     def open(self, transport: Transport, link_config: LinkConfig | None = None) -> Link:
         """A link for one connection, to be served from now on."""
-        config = self._config.link if link_config is None else link_config
+        hub = self._hub
+        config = hub.config.link if link_config is None else link_config
         session = Session(
-            check=lambda info: check_type(self._around.parts.catalog, info),
+            check=lambda info: check_type(hub.catalog, info),
             uart_bytes_s=self._uart_bytes_s(transport, config),
             max_topics=config.max_topics,
             is_lossy=transport.kind == "udp",
@@ -93,41 +89,37 @@ class Links:
             transport,
             session,
             config,
-            number=self._around.affected.robots.new_number(),
-            on_event=self._device_events.react,
-            share=self._around.share,
+            number=hub.robots.new_number(),
+            on_event=self.react,
+            share=hub.share,
             wall_ns=self._read_wall_ns,
-            pauses=self._around.affected.gates.pauses,
+            pauses=hub.gates.pauses,
         )
-        diagnosis = self._around.diagnoses.begin(link)
-        self._devices[link.number] = Device(link, diagnosis, self._around.parts, self._around.node)
+        self._devices[link.number] = Device(link, hub.diagnoses.begin(link), hub)
         return link
 
     async def serve(self, link: Link, authenticate: Authenticate = trust) -> LinkEnd:
         """Serve an opened link to its end; rosserial begins when `authenticate` returns."""
-        end = LinkEnd.CRASHED
+        hub, end = self._hub, LinkEnd.CRASHED
         with bound_contextvars(link=link.number, peer=printable(link.peer), **of_peer(link.address)):
             log.info("link.opened")
-            self._events.note(EventKind.LINK_OPENED, "", link=link.number, peer=link.peer)
+            hub.events.note(EventKind.LINK_OPENED, "", link=link.number, peer=link.peer)
             try:
-                with self._around.parts.isolation.around("link"):  # a bug in one link must not stop another robot
+                with hub.isolation.around("link"):  # a bug in one link must not stop another robot
                     end = await link.run(authenticate)
-                    await self._ends.wait(END_S, is_flooding=True)  # a crowd that leaves at once leaves one by one
+                    await self._ends.wait(END_S, is_flooding=True)  # many that leave at once leave one by one
             except asyncio.CancelledError:
                 end = LinkEnd.STOPPED
                 raise
             finally:
-                with self._around.parts.isolation.around("link"):
-                    self._leave(link, end)
-                self._events.note(EventKind.LINK_CLOSED, "", link=link.number, peer=link.peer, reason=end.value)
+                with hub.isolation.around("link"):
+                    self._forget(link)
+                    self.calls.leave(link)
+                    hub.diagnoses.finish(link, end)
+                hub.events.note(EventKind.LINK_CLOSED, "", link=link.number, peer=link.peer, reason=end.value)
                 facts = dataclasses.asdict(link.facts())
                 log.info("link.closed", reason=end.value, **facts.pop("counts"), **facts)
         return end
-
-    def _leave(self, link: Link, end: LinkEnd) -> None:
-        self._identities.forget(link)
-        self.calls.leave(link)
-        self._around.diagnoses.finish(link, end)
 
     def all(self) -> list[Link]:
         """The live links, oldest first."""
@@ -138,14 +130,12 @@ class Links:
         await _silence(self.all())
 
     def end_all(self) -> None:
-        """The daemon ends."""
+        """End every link, because the daemon ends."""
         for link in self.all():
             link.end(LinkEnd.STOPPED)
 
-    # -- who the devices are ------------------------------------------------------------------------------------------
-
     def shown_name(self, link: Link, name: str) -> str:
-        """By which name the graph knows what a device names so."""
+        """The name in the graph of what a device calls `name`."""
         device = self._devices.get(link.number)
         return name if device is None else device.shown.of(name)
 
@@ -154,56 +144,241 @@ class Links:
         device = self._devices.get(link.number)
         return {} if device is None else device.parameters
 
-    def forget_robot(self, robot: LocalRobot) -> None:
-        """It has been away for long."""
-        self._identities.forget_robot(robot)
-
-    def check(self, places: Places) -> None:
-        """Whether `reconfigure` may follow.
-
-        Raises:
-            ReloadRefused: a robot that is driven or locked would have another name.
-        """
-        self._identities.check_places(places)
-
-    def reconfigure(self, config: Config, places: Places) -> dict[str, str]:
-        """Other names of robots from now on; returns the new names of those that are connected, by the old."""
-        self._config = config
-        return self._identities.reconfigure(places)
-
-    # -- counts -------------------------------------------------------------------------------------------------------
-
-    @property
-    def undelivered(self) -> int:
-        """Messages that were lost because it was not known in time which device sent them."""
-        return self._identities.undelivered
-
-    @property
-    def late_answers(self) -> int:
-        """Answers of devices' services that nobody waited for any more."""
-        return self._device_events.late_answers
-
     def _read_wall_ns(self) -> int:
         return self.wall_ns()
 
     def _uart_bytes_s(self, transport: Transport, config: LinkConfig) -> int | None:
         here = (transport.peer, transport.address)
-        rates = (robot.uart_bytes_s for robot in self._config.robots.values() if robot.address in here)
+        rates = (robot.uart_bytes_s for robot in self._hub.config.robots.values() if robot.address in here)
         return next((rate for rate in rates if rate is not None), config.uart_bytes_s)
 
     async def _give_up(self, link: Link) -> None:
-        """End the link of a device that waits for an answer that does not fit it; it rests, and waits no more."""
+        """End the link of a device that waits for an answer that does not fit it; it stops, and waits no more."""
         device = self._devices.get(link.number)
-        self._around.affected.gates.stop_at_once([] if device is None else device.drivables)
+        self._hub.gates.stop_at_once([] if device is None else device.drivables)
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(SILENCE_TIMEOUT_S):
                 await _silence([link])
         link.end(LinkEnd.UNANSWERABLE)
 
     def _service_name(self, link: Link, name: str) -> str:
-        """That of the robot's name here, if anybody provides it; else the name that all of its kind call."""
+        """The service of the robot's name here, if one is offered; else the name that all devices of its kind call."""
         shown = self.shown_name(link, name)
-        return shown if self._around.parts.services.is_offered(shown) else name
+        return shown if self._hub.services.is_offered(shown) else name
+
+    # -- events of sessions -------------------------------------------------------------------------------------------
+
+    def react(self, link: Link, event: events.Event) -> None:
+        """Do what an event of a live link means."""
+        device = self._devices.get(link.number)
+        if device is None:
+            return
+        if link.received_at_s != device.received_at_s:  # else more came in one read
+            device.received_at_s = link.received_at_s
+            self._directory.note_read(link.number, link.received_at_s)
+        if not isinstance(event, events.MessageReceived):
+            self._hub.diagnoses.note(link, event)
+            reaction = self._reactions.get(type(event))
+            if reaction is not None:  # else the session has done all that there is to do
+                reaction(link, event)
+        elif device.is_undecided:
+            self.undelivered += device.early.add(event, link.received_at_s)
+        elif not self._hub.gates.is_closed:
+            device.receive(event)
+
+    def _announce(self, link: Link, event: events.TopicsNegotiated) -> None:
+        log.info("topics.negotiated", count=len(event.topics), gap_at=event.gap_at, is_changed=event.is_changed)
+        device = self._devices[link.number]
+        if event.is_changed:
+            link.last_frame = b""  # its id may be another topic's now
+            device.infos = event.topics
+            self._identify(device)
+        else:
+            device.announced_again()
+
+    def _log_line(self, link: Link, event: events.DeviceLogged) -> None:
+        drivables = self._devices[link.number].drivables
+        facts = {"link": link.number, "level": event.level, "text": event.text}
+        self._hub.events.note(EventKind.LOGGED, drivables[0].name if drivables else "", **facts)
+        self._hub.rosout.log(link, event)
+
+    def _answer_parameter(self, link: Link, event: events.ParameterRequested) -> None:
+        device = self._devices[link.number]
+        shown = device.shown.of(event.name)
+        self._parameters.answer(link, event.name, shown, functools.partial(device.note_parameter, shown))
+
+    def _pass_answer(self, link: Link, event: events.ServiceResponded) -> None:
+        service = self._devices[link.number].services.get(event.service.name)
+        if service is None or not service.answered(event.payload):
+            self.late_answers += 1
+            log.warning("service.late", service=printable(event.service.name))
+
+    # -- which robot a device is --------------------------------------------------------------------------------------
+
+    def forget_robot(self, robot: LocalRobot) -> None:
+        """Forget a robot that was away for long."""
+        self._directory.forget(robot.name)
+        self._hub.robot_topics.forget(robot)
+
+    def check(self, places: Places) -> None:
+        """Check whether robots may be named by these places.
+
+        Raises:
+            ReloadRefused: a robot that is driven or locked would have another name.
+        """
+        for name in self._directory.misplaced(places):
+            robot = self._hub.robots.get_here(name)
+            if robot is None:
+                continue
+            if any(drivable.gate.is_driven for drivable in robot.beside):
+                raise ReloadRefused(f"{name} is driven: stop it before its name changes")
+            if robot.gate.lock_reason is not None:
+                raise ReloadRefused(f"{name} is locked: unlock it before its name changes")
+
+    def reconfigure(self, places: Places) -> dict[str, str]:
+        """Name robots by these places from now on; returns the new names of those that are connected, by the old."""
+        misplaced = self._directory.reconfigure(places)
+        links = {name: link for name, link in misplaced.items() if link is not None}
+        for link in links.values():
+            self._leave_graph(self._devices[link])
+        for name in misplaced:
+            self._hub.robots.forget(name)
+        for link in links.values():
+            self._identify(self._devices[link])
+        found = {name: self._devices[link].robot for name, link in links.items()}
+        return {name: robot.name for name, robot in found.items() if robot is not None}
+
+    def _forget(self, link: Link) -> None:
+        """Remove the device of a link that has ended, or that another link replaces."""
+        device = self._devices.pop(link.number, None)
+        if device is not None:
+            self.undelivered += len(device.early)
+            self._leave_graph(device)
+            self._hub.gates.release(link)  # a device may drive another
+            self._directory.leave(link.number)
+
+    def _identify(self, device: Device) -> None:
+        """Find out which device it is, as far as that is known by now."""
+        link, infos = device.link, device.infos
+        claim = self._directory.claim(
+            link.number,
+            link.address,
+            [(info.name, info.type, info.is_to_device) for info in infos],
+            now_s=asyncio.get_running_loop().time(),
+            peer=link.peer,
+            announced=infos,
+        )
+        if isinstance(claim, Undecided):
+            self._wait(device, claim)
+        elif claim.robot is not None and not self._hub.robots.make_room(claim.robot.name):
+            self._refuse(link, claim.robot.name)
+        else:
+            self._accept(device, claim)
+
+    def _wait(self, device: Device, claim: Undecided) -> None:
+        """Request the topics of other links that may be the same device, silent or dead, and claim again soon."""
+        for number in claim.probe:
+            rival = self._devices[number].link
+            rival.session.request_topics("claimed_twice")
+            rival.wake()
+        if not device.is_undecided:
+            device.is_undecided = True
+            self._leave_graph(device)
+            device.stand()
+            self._hub.spawn(self._decide(device), name=f"identity of link {device.link.number}")
+
+    async def _decide(self, device: Device) -> None:
+        while device.is_undecided:
+            await asyncio.sleep(DECIDE_INTERVAL_S)
+            if self._devices.get(device.link.number) is not device:
+                return
+            self._identify(device)
+
+    def _refuse(self, link: Link, name: str) -> None:
+        self._directory.leave(link.number)
+        self._directory.forget(name)
+        log.warning("link.refused", reason="too many robots are known: unlock those that are locked and not there")
+        link.end(LinkEnd.REFUSED)
+
+    def _accept(self, device: Device, claim: Accepted) -> None:
+        """Put the device into the graph, as the robot that it is."""
+        if claim.replaces is not None:
+            self._replace(claim.replaces)
+        touched, before = device.names, device.robot
+        changed = [] if before is None else [before]
+        if claim.robot is None:
+            self._hub.robots.vanish(device)
+            device.announce(device.infos, ShownNames())
+        else:
+            changed.append(self._accept_robot(device, claim, claim.robot))
+        self._hub.robot_topics.update(changed, touched | device.names)
+        self._log_name(device, claim)
+        device.is_undecided = False
+        for message, at_s in device.early.pop_all():
+            device.receive(message, at_s)
+
+    def _accept_robot(self, device: Device, claim: Accepted, names: RobotTopicNames) -> LocalRobot:
+        before, robots = device.robot, self._hub.robots
+        own = dataclasses.replace(names, name=claim.own_name)
+        shown = ShownNames(own, names.name)
+        robot = robots.appear(names.name, own, shown.of_robot(own), device)
+        self._displace(robot)
+        device.announce(device.infos, shown, robot)
+        if not claim.is_certain and before is not robot and robot.gate.lock_reason is None:
+            other = robots.locked_likewise(robot)
+            if other is not None:
+                with contextlib.suppress(HostlinkError):  # the lock holds even if the device refuses the zero
+                    robot.lock(f"it may be {other.name}: {other.gate.lock_reason}")
+        return robot
+
+    def _displace(self, robot: LocalRobot) -> None:
+        """End what other devices have by the robot's own names with another type.
+
+        Another robot keeps a name that is its own, unless it is this robot's velocity.
+        """
+        for name, type_name in robot.shown.own.items():
+            for key in self._hub.topics.devices_against(name, type_name):
+                device = self._hub.robots.device(key)
+                other = None if device is None else device.robot
+                is_own = other is not None and name in other.shown.own and name != robot.shown.velocity
+                if device is not None and other is not robot and not is_own:
+                    device.displace(name, type_name, other)
+
+    def _log_name(self, device: Device, claim: Accepted) -> None:
+        """Note the device's names for its diagnosis, which tells a reboot from another board; log a numbered name."""
+        name = "" if claim.robot is None else claim.robot.name
+        device.diagnosis.robot = name
+        device.diagnosis.own_name = claim.own_name if claim.is_numbered else ""
+        if claim.is_numbered:
+            log.warning(
+                "robot.numbered",
+                robot=name,
+                own_name=claim.own_name,
+                advice=f'choose its name in hostlink.toml: [robots.NAME] address = "{printable(device.link.address)}"',
+            )
+
+    def _replace(self, number: int) -> None:
+        """End the old link of a device that reconnected; if its robot was moving, wait until the zero was sent."""
+        old = self._devices.get(number)
+        if old is None:
+            return
+        is_moving = old.robot is not None and old.robot.gate.may_move
+        self._forget(old.link)
+        if is_moving:
+            self._hub.spawn(_end_replaced(old.link), name=f"end of link {number}")
+        else:
+            old.link.end(LinkEnd.REPLACED)
+
+    def _leave_graph(self, device: Device) -> None:
+        touched, robot = device.names, self._hub.robots.vanish(device)
+        device.leave()
+        if robot is not None or touched:
+            self._hub.robot_topics.update([] if robot is None else [robot], touched)
+
+
+def addresses_of(config: Config) -> dict[str, str | None]:
+    """The configured addresses of robots, by their names."""
+    return {name: robot.address for name, robot in config.robots.items()}
 
 
 async def _silence(links: list[Link]) -> None:
@@ -214,6 +389,22 @@ async def _silence(links: list[Link]) -> None:
         await link.drained()
 
 
-def addresses_of(config: Config) -> dict[str, str | None]:
-    """Where its robots are configured to be, by their names."""
-    return {name: robot.address for name, robot in config.robots.items()}
+async def _end_replaced(link: Link) -> None:
+    with contextlib.suppress(TimeoutError):
+        async with asyncio.timeout(LAST_ZERO_S):
+            await link.drained()
+    link.end(LinkEnd.REPLACED)
+
+
+def _log_refused_topic(_: Link, event: events.TopicRefused) -> None:
+    log.warning("topic.refused", topic=printable(event.topic.name), reason=str(event.reason))
+
+
+def _log_request(_: Link, event: events.TopicsRequested) -> None:
+    log.debug("topics.requested", reason=event.reason)
+
+
+def _log_protocol_1(_: Link, __: events.Protocol1Recognised) -> None:
+    log.error(
+        "protocol.version_1", advice="the device speaks rosserial of before 2013: rebuild it with a newer library"
+    )

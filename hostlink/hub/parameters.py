@@ -9,7 +9,7 @@ import structlog
 
 from hostlink.config import ParameterValue
 from hostlink.errors import HostlinkError, WrongType
-from hostlink.hub.spawn import Spawn
+from hostlink.hub.isolation import Spawn
 from hostlink.hub.topic_graph import resolve
 from hostlink.link.link import Link
 from hostlink.logs import printable

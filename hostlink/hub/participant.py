@@ -5,29 +5,27 @@ Payloads are bytes here, as devices send and receive them; whoever speaks anothe
 
 import asyncio
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from typing import ParamSpec
+from typing import TYPE_CHECKING, ParamSpec
 
 from hostlink.cancellation import expire
 from hostlink.errors import BadRequest, DeviceGone, ServiceFailed, UnknownTopic, WrongType
 from hostlink.hub.byte_budget import OWN_LATCHED_BYTES, SHARES
-from hostlink.hub.gates import ENDING, Gates
-from hostlink.hub.graph import Graph
-from hostlink.hub.graph_changes import GraphChanges
-from hostlink.hub.graph_view import GraphViews
-from hostlink.hub.isolation import Isolation
+from hostlink.hub.gates import ENDING
+from hostlink.hub.graph_view import Graph
 from hostlink.hub.message import PROGRAM_PRIORITY
 from hostlink.hub.node import Node, Role
 from hostlink.hub.robot import Robot
 from hostlink.hub.robot_events import RobotEvent
-from hostlink.hub.services import Answer, Notify, Provider, Services
+from hostlink.hub.services import Answer, Notify, Provider
 from hostlink.hub.subscription import Subscription, nothing_to_close
 from hostlink.hub.topic import Receive, Subscriber, Topic
-from hostlink.hub.topic_graph import TopicGraph, resolve
-from hostlink.messages.catalog import Catalog
+from hostlink.hub.topic_graph import resolve
 from hostlink.messages.message_type import MessageType
 from hostlink.robot.admission import Command
 from hostlink.robot.velocity import PlanarVelocity
+
+if TYPE_CHECKING:
+    from hostlink.hub.hub import Hub
 
 MAX_ADVERTISED = 256  # topics
 MAX_LATCHED = 16  # topics; each keeps a message
@@ -36,19 +34,6 @@ MAX_SERVICES = 64
 MAX_CALLS = 64  # of services, under way at once
 
 Given = ParamSpec("Given")
-
-
-@dataclass(frozen=True, slots=True)
-class Parts:
-    """What of the hub a participant uses."""
-
-    catalog: Catalog
-    topics: TopicGraph
-    services: Services
-    gates: Gates
-    isolation: Isolation
-    changes: GraphChanges
-    views: GraphViews
 
 
 class Participant(Node):
@@ -60,7 +45,7 @@ class Participant(Node):
 
     def __init__(
         self,
-        parts: Parts,
+        hub: "Hub",
         name: str,
         *,
         role: Role = Role.DRIVE,
@@ -76,8 +61,8 @@ class Participant(Node):
         super().__init__(name, is_daemon=is_daemon, group=group)
         self.role, self.priority = role, priority
         self.has_left = False
-        self.view = parts.views.of(group)  # of the graph; its news cost what has changed
-        self._parts, self._on_end = parts, on_end
+        self.view = hub.views.of(group)  # of the graph; its news cost what has changed
+        self._hub, self._on_end = hub, on_end
         self._advertised: dict[str, bool] = {}  # whether it is latched, by topic
         self._subscriptions: dict[Subscription, None] = {}
         self._services: set[str] = set()
@@ -95,7 +80,7 @@ class Participant(Node):
         """
         self.check(Role.DRIVE, "advertise")
         name = resolve(topic)
-        if self._parts.catalog.message(type_name) is None:
+        if self._hub.catalog.message(type_name) is None:
             raise BadRequest(f"unknown type {type_name}; put its .msg into a folder named in message_folders")
         is_latched = is_latched or self._advertised.get(name, False)
         latched = {each for each, is_kept in self._advertised.items() if is_kept}
@@ -103,14 +88,14 @@ class Participant(Node):
             raise BadRequest(f"more than {MAX_ADVERTISED} topics advertised")
         if is_latched and len(latched | {name}) > MAX_LATCHED:
             raise BadRequest(f"more than {MAX_LATCHED} latched topics")
-        found = self._parts.topics.advertise(name, self, type_name=type_name, is_latched=is_latched)
+        found = self._hub.topics.advertise(name, self, type_name=type_name, is_latched=is_latched)
         self._advertised[name] = is_latched
         return found
 
     def unadvertise(self, topic: str) -> None:
         """It publishes the topic no more; one that it did not advertise is no error."""
         self._advertised.pop(resolve(topic), None)
-        self._parts.topics.unadvertise(topic, self)
+        self._hub.topics.unadvertise(topic, self)
 
     def message_type(self, topic: str, type_name: str = "") -> MessageType:
         """The type of a topic's messages: as it is known, else the one of this name.
@@ -119,10 +104,10 @@ class Participant(Node):
             UnknownTopic: neither the topic nor the type is known.
             WrongType: the topic has another type, or one without a definition.
         """
-        known = self._parts.topics.find_or_none(topic)
-        named = self._parts.catalog.message(type_name) if type_name else None
+        known = self._hub.topics.find_or_none(topic)
+        named = self._hub.catalog.message(type_name) if type_name else None
         if known is None and named is None:
-            raise UnknownTopic("topic", topic, self._parts.topics.names())
+            raise UnknownTopic("topic", topic, self._hub.topics.names())
         if known is not None and known.type_name and named is not None and known.type_name != named.name:
             raise WrongType(known.name, known.type_name, named.name)
         found = known.type if known is not None and known.type_name else named
@@ -151,17 +136,21 @@ class Participant(Node):
             BadRequest: it is latched, and was delivered, but cannot be kept: there is too much.
         """
         self.check(Role.DRIVE, "publish")
-        if self._parts.gates.is_closed:
+        if self._hub.gates.is_closed:
             raise DeviceGone(topic, ENDING)
-        known = self._parts.topics.find_or_none(topic)
+        known = self._hub.topics.find_or_none(topic)
         if known is None or self not in known.publishers:
             self.note_publishing(topic)
         if known is not None:
             before = known.latched.get(self)
-            is_kept = self not in known.latched or self._parts.topics.budget.can_latch(self, before, payload)
-            with self._parts.topics.deliveries.sending(self):
-                wanted_priority = self.priority if priority is None else priority
+            is_kept = self not in known.latched or self._hub.topics.budget.can_latch(self, before, payload)
+            wanted_priority = self.priority if priority is None else priority
+            deliveries = self._hub.topics.deliveries
+            senders = deliveries.begin_sending(self)
+            try:
                 known.publish(payload, source=self, priority=wanted_priority, at_s=at_s, epoch=epoch)
+            finally:
+                deliveries.senders = senders
             if not is_kept:
                 raise BadRequest(
                     f"{known.name}: delivered, but not kept for later subscribers: a participant may latch "
@@ -170,7 +159,7 @@ class Participant(Node):
 
     def note_publishing(self, topic: str) -> None:
         """Note that it publishes what nobody can receive yet: it does not drive a device that subscribes later."""
-        self._parts.topics.earlier.note(resolve(topic), self, asyncio.get_running_loop().time())
+        self._hub.topics.earlier.note(resolve(topic), self, asyncio.get_running_loop().time())
 
     def subscribe(
         self,
@@ -199,12 +188,12 @@ class Participant(Node):
             interval_s=interval_s,
             queue_length=queue_length,
             group=self.group,
-            share=self._parts.topics.budget["held_back"],
+            share=self._hub.topics.budget["held_back"],
         )
         self._subscriptions[subscription] = None
         subscriber = Subscriber(subscription.receive, self, type_name, self.fail)
         try:
-            unsubscribe = self._parts.topics.subscribe(topic, subscriber)
+            unsubscribe = self._hub.topics.subscribe(topic, subscriber)
         except WrongType:
             del self._subscriptions[subscription]
             raise
@@ -222,12 +211,16 @@ class Participant(Node):
 
     def flush(self, now_s: float) -> float | None:
         """Deliver what subscriptions held back until now; returns when the next is due."""
+        next_s = None
         try:
-            due = [subscription.flush(now_s) for subscription in list(self._subscriptions)]
+            for subscription in list(self._subscriptions):
+                due_s = subscription.flush(now_s) if subscription.waiting else None
+                if due_s is not None and (next_s is None or due_s < next_s):
+                    next_s = due_s
         except Exception as error:  # noqa: BLE001 - as when a message comes
             self.fail(error)
             return None
-        return min((at_s for at_s in due if at_s is not None), default=None)
+        return next_s
 
     # -- services -----------------------------------------------------------------------------------------------------
 
@@ -252,13 +245,13 @@ class Participant(Node):
         if not self.is_daemon and len(self._services | {name}) > MAX_SERVICES:
             raise BadRequest(f"more than {MAX_SERVICES} services")
         provider = Provider(name, type_name, self, answer, notify, fail=self.fail, is_reading=is_reading)
-        self._parts.services.provide(provider)
+        self._hub.services.provide(provider)
         self._services.add(name)
 
     def withdraw(self, service: str) -> None:
         """Answer it no more; one that it did not provide is no error."""
         self._services.discard(resolve(service))
-        self._parts.services.withdraw(service, self)
+        self._hub.services.withdraw(service, self)
 
     async def call(
         self, service: str, request: Mapping[str, object], *, timeout_s: float | None = None
@@ -271,7 +264,7 @@ class Participant(Node):
             ServiceFailed, DeviceBusy, DeviceGone, FrameTooLarge: it was not done.
         """
         self.check(Role.READ, "call_service")
-        if self.role < Role.DRIVE and not self._parts.services.is_reading(service):
+        if self.role < Role.DRIVE and not self._hub.services.is_reading(service):
             raise BadRequest("the token may only read: it may call no service but those of rosapi")
         if len(self._calls) >= MAX_CALLS:
             raise BadRequest(f"more than {MAX_CALLS} calls under way")
@@ -279,7 +272,7 @@ class Participant(Node):
             async with asyncio.timeout(None) as end:  # `leave` sets it
                 self._calls.add(end)
                 try:
-                    return await self._parts.services.call(service, request, timeout_s=timeout_s)
+                    return await self._hub.services.call(service, request, timeout_s=timeout_s)
                 finally:
                     self._calls.discard(end)
         except TimeoutError:
@@ -316,8 +309,12 @@ class Participant(Node):
             sent_s,
             epoch,
         )
-        with self._parts.topics.deliveries.sending(self):
+        deliveries = self._hub.topics.deliveries
+        senders = deliveries.begin_sending(self)
+        try:
             return robot.command(command)
+        finally:
+            deliveries.senders = senders
 
     async def driven(self, robot: Robot, limited: PlanarVelocity) -> PlanarVelocity:
         """What became of the newest `drive`, which returned `limited`: for a robot that is here, just that.
@@ -355,7 +352,7 @@ class Participant(Node):
         """
         self.check(Role.READ, "watch_graph")
 
-        self._parts.changes.watch(self, self._failing_alone(on_change))
+        self._hub.changes.watch(self, self._failing_alone(on_change))
 
     def observe(self, receive: Callable[[RobotEvent], None]) -> None:
         """Call `receive` for all that happens to robots and links, until it leaves.
@@ -364,7 +361,7 @@ class Participant(Node):
             BadRequest: it has left.
         """
         self.check(Role.READ, "observe")
-        self._parts.gates.events.observe(self, self._failing_alone(receive))
+        self._hub.events.observe(self, self._failing_alone(receive))
 
     def _failing_alone(self, callback: Callable[Given, None]) -> Callable[Given, None]:
         """What the callback raises ends this participant, and is nothing to whoever calls it."""
@@ -395,7 +392,7 @@ class Participant(Node):
         if not self.is_daemon:
             self.leave()
             self._on_end()
-        self._parts.isolation.crashed("participant", error, participant=self.name)
+        self._hub.isolation.crashed("participant", error, participant=self.name)
 
     def leave(self) -> None:
         """Take back all that it has: what it drove stops, what it provided is no more, its calls fail."""
@@ -404,15 +401,15 @@ class Participant(Node):
         self.has_left = True
         for subscription in self._subscriptions:
             subscription.is_closed = True  # its own zero is nothing to it any more
-        self._parts.gates.release(self)
+        self._hub.gates.release(self)
         for subscription in list(self._subscriptions):
             subscription.close()
         for robot in self._followed:
             robot.followers.pop(self, None)
-        self._parts.changes.unwatch(self)
-        self._parts.gates.events.leave(self)
-        self._parts.topics.leave(self)
-        self._parts.services.leave(self)
+        self._hub.changes.unwatch(self)
+        self._hub.events.leave(self)
+        self._hub.topics.leave(self)
+        self._hub.services.leave(self)
         for end in self._calls:
             expire(end)
         self._advertised.clear()

@@ -37,7 +37,6 @@ class Queue(Generic[Item]):
         self.is_closed = False
         self._size_of, self._clock = size_of, clock
         self._share = Share(SHARES["queues"]) if share is None else share
-        self._share.queues.add(self)
         self._order = 0
         self._messages = 0
         self._bytes = 0
@@ -76,8 +75,11 @@ class Queue(Generic[Item]):
         waiting = self._topics.get(topic)
         if waiting is None:
             waiting = self._topics[topic] = deque()
-        new = self._waiting(item, at_s)
+        self._order += 1
+        new = Waiting(self._order, item, self._size_of(item), self._clock() if at_s is None else at_s)
         waiting.append(new)
+        if not self._messages:
+            self._share.queues[self] = None
         self._messages += 1
         self._bytes += new.size_bytes
         self._share.held_bytes += new.size_bytes
@@ -89,12 +91,14 @@ class Queue(Generic[Item]):
 
     def put_result(self, item: Item) -> None:
         """Queue an answer or an event."""
-        new = self._waiting(item, None)
-        most_bytes = OWN_QUEUE_BYTES if self._share.is_over else MAX_RESULT_BYTES
+        self._order += 1
+        new = Waiting(self._order, item, self._size_of(item), self._clock())
+        is_over = self._share.held_bytes > self._share.max_bytes
+        most_bytes = OWN_QUEUE_BYTES if is_over else MAX_RESULT_BYTES
         is_too_large = self._results and self._result_bytes + new.size_bytes > most_bytes
         if is_too_large or len(self._results) >= MAX_RESULTS:
             self.is_too_slow = True
-            self._share.refused += self._share.is_over
+            self._share.refused += is_over
         else:
             self._results.append(new)
             self._result_bytes += new.size_bytes
@@ -104,15 +108,16 @@ class Queue(Generic[Item]):
 
     def forget(self, topic: str) -> None:
         """Nothing of this topic is wanted any more."""
-        for waiting in self._topics.pop(topic, ()):
-            self._messages -= 1
-            self._bytes -= waiting.size_bytes
-            self._share.held_bytes -= waiting.size_bytes
+        while topic in self._topics:
+            self._pop(topic)
 
     def pop(self) -> Waiting[Item] | None:
         """The oldest of all, or None."""
-        topic = min(self._topics, key=lambda name: self._topics[name][0].order, default=None)
-        if self._results and (topic is None or self._results[0].order < self._topics[topic][0].order):
+        topic, order = None, self._order + 1
+        for name, waiting in self._topics.items():
+            if waiting[0].order < order:
+                topic, order = name, waiting[0].order
+        if self._results and self._results[0].order < order:
             result = self._results.popleft()
             self._result_bytes -= result.size_bytes
             self._share.held_bytes -= result.size_bytes
@@ -165,10 +170,6 @@ class Queue(Generic[Item]):
         else:
             self._room.set()
 
-    def _waiting(self, item: Item, at_s: float | None) -> Waiting[Item]:
-        self._order += 1
-        return Waiting(self._order, item, self._size_of(item), self._clock() if at_s is None else at_s)
-
     def drop_oldest(self, topic: str | None = None) -> None:
         """Drop and count the oldest of this topic, or of the one that has most."""
         self._pop(max(self._topics, key=lambda name: len(self._topics[name])) if topic is None else topic)
@@ -180,6 +181,8 @@ class Queue(Generic[Item]):
         if not waiting:
             del self._topics[topic]
         self._messages -= 1
+        if not self._messages:
+            self._share.queues.pop(self, None)
         self._bytes -= oldest.size_bytes
         self._share.held_bytes -= oldest.size_bytes
         return oldest

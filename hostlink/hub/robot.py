@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, Protocol
 import msgspec
 import structlog
 
-from hostlink.config import RobotConfig
+from hostlink.config import CalibrationConfig, RobotConfig
 from hostlink.errors import BadPayload, CommandRefused, DeviceGone, HostlinkError
 from hostlink.hub.gates import Drivable, Driven, Gates, RemoteHosts
 from hostlink.hub.message import Message
@@ -23,16 +23,62 @@ from hostlink.hub.topic_graph import TopicGraph
 from hostlink.link.link import Link
 from hostlink.logs import printable
 from hostlink.robot.admission import EPOCH_BITS, Admission, Command
-from hostlink.robot.directory import RobotTopicNames
-from hostlink.robot.odometry_estimator import OdometryEstimator, OdometrySnapshot
-from hostlink.robot.odometry_reader import READERS
-from hostlink.robot.presence import SURE_S
+from hostlink.robot.directory import SURE_S, RobotTopicNames
+from hostlink.robot.odometry import READERS, OdometryCorrection, OdometryEstimator, OdometrySnapshot
 from hostlink.robot.standstill import OLD_S
 from hostlink.robot.state import DEVICE_AWAY, BatteryReading, RobotState, read_battery
 from hostlink.robot.velocity import PlanarVelocity
-from hostlink.robot.velocity_gate import VelocityGate
+from hostlink.robot.velocity_gate import Limits, VelocityGate
 
 log = structlog.get_logger()
+
+
+def of_namesake(config: RobotConfig | None) -> RobotConfig:
+    """The limits of a robot apply to others that announce the same name; its topics and wheels are its own."""
+    if config is None:
+        return RobotConfig()
+    return dataclasses.replace(
+        config,
+        address=None,
+        odom_topic=None,
+        cmd_vel_topic=None,
+        cmd_vel_stamped_topic=None,
+        odom_frame=None,
+        base_frame=None,
+        calibration=CalibrationConfig(),
+    )
+
+
+def correction_of(config: RobotConfig) -> OdometryCorrection | None:
+    """The correction of the robot's odometry; None: it has none."""
+    calibration = config.calibration
+    if calibration == CalibrationConfig():
+        return None
+    return OdometryCorrection(
+        calibration.left_factor,
+        calibration.right_factor,
+        calibration.nominal_separation_m,
+        calibration.separation_m,
+    )
+
+
+def limits_of(config: RobotConfig) -> Limits:
+    """The limits as the gate has them.
+
+    Raises:
+        ConfigError: one of them cannot be kept.
+    """
+    return Limits(
+        max_linear_m_s=config.max_linear_m_s,
+        max_angular_rad_s=config.max_angular_rad_s,
+        max_wheel_m_s=config.max_wheel_m_s,
+        wheel_separation_m=config.wheel_separation_m,
+        max_linear_acceleration_m_s2=config.max_linear_acceleration_m_s2,
+        max_angular_acceleration_rad_s2=config.max_angular_acceleration_rad_s2,
+        max_linear_deceleration_m_s2=config.max_linear_deceleration_m_s2,
+        max_angular_deceleration_rad_s2=config.max_angular_deceleration_rad_s2,
+    )
+
 
 LOCK_REASON = "emergency stop"  # where none was given
 
@@ -41,8 +87,6 @@ Follow = Callable[[Message | None], None]
 
 class Robot(Driven):
     """A robot, connected or not. Methods are synchronous; what is asked of another daemon is answered later."""
-
-    __slots__ = ()
 
     host: str | None  # the name of the daemon that has it; None: this one
     also_at: tuple[str, ...]  # other daemons that have a robot of this name
@@ -117,7 +161,7 @@ class Robot(Driven):
 # -- of this daemon ---------------------------------------------------------------------------------------------------
 
 
-@dataclass(slots=True, eq=False, kw_only=True)
+@dataclass(eq=False, kw_only=True)
 class LocalRobot(Drivable, Robot):
     """It outlives its link: a robot that comes back continues with the same gate, at zero."""
 
@@ -238,7 +282,7 @@ class LocalRobot(Drivable, Robot):
 
     def receive_odometry(self, message: Message) -> None:
         """A message of its odometry's topic. A pose belongs to the robot of the link by which it came."""
-        link = self.link
+        link = None if self.connection is None else self.connection.link
         if message.source is not link or message.type_name != self.topics.odometry_type:
             return
         count = self.odometry.count
@@ -312,7 +356,7 @@ class RemoteOdometry:
         return dataclasses.replace(self._newest, age_s=self._newest.age_s + now_s - self._at_s)
 
 
-@dataclass(slots=True, eq=False, kw_only=True)
+@dataclass(eq=False, kw_only=True)
 class RemoteRobot(Robot):
     """A robot as the daemon that has it describes it. Its gate and its lease are there.
 
@@ -362,7 +406,6 @@ class RemoteRobot(Robot):
             FrameTooLarge, WrongType: so was the command of its source before this one answered.
         """
         command = self.gates.timed(self.name, command)
-        self.gates.note_remote(self.admission)
         self._check_unique()
         decision = self.admission.decide(command, _now_s())
         if decision.kind is not None:

@@ -5,6 +5,7 @@ import contextlib
 import itertools
 import math
 import secrets
+from collections import OrderedDict
 from collections.abc import Callable, Hashable, Mapping
 
 import structlog
@@ -13,18 +14,53 @@ from hostlink.config import RobotConfig
 from hostlink.errors import UnknownTopic
 from hostlink.hub.device import Device
 from hostlink.hub.gates import Drivable, Gates
-from hostlink.hub.robot import LocalRobot, RemoteRobot, Robot
+from hostlink.hub.robot import LocalRobot, RemoteRobot, Robot, correction_of, limits_of, of_namesake
 from hostlink.hub.robot_events import EventKind
-from hostlink.hub.robot_settings import correction_of, limits_of, of_namesake
 from hostlink.link.link import Link
 from hostlink.robot.admission import EPOCH_BITS, Admission, EarlierCommands
-from hostlink.robot.away import Away
 from hostlink.robot.directory import RobotTopicNames
-from hostlink.robot.odometry_estimator import OdometryEstimator
+from hostlink.robot.odometry import OdometryEstimator
 from hostlink.robot.velocity import ZERO, Kinematics, PlanarVelocity
 from hostlink.robot.velocity_gate import VelocityGate
 
 log = structlog.get_logger()
+
+MAX_AWAY = 64  # more robots than people name without configuring them
+
+
+class RetentionPolicy:
+    """Names in the order in which they left. Times are monotonic, in seconds."""
+
+    def __init__(self, forget_after_s: float = math.inf, max_away: int = MAX_AWAY) -> None:
+        self._forget_after_s, self._max_away = forget_after_s, max_away
+        self._left_at_s: OrderedDict[str, float] = OrderedDict()
+
+    def __len__(self) -> int:
+        return len(self._left_at_s)
+
+    def put(self, name: str, now_s: float) -> None:
+        """It left; if it was away already it left again."""
+        self._left_at_s.pop(name, None)
+        self._left_at_s[name] = now_s
+
+    def remove(self, name: str) -> None:
+        """It is back, or must not be forgotten."""
+        self._left_at_s.pop(name, None)
+
+    def pop_forgotten(self, now_s: float) -> list[str]:
+        """Those whose time has come."""
+        popped: list[str] = []
+        while len(self._left_at_s) > self._max_away or now_s >= self.next_s():
+            popped.append(self._left_at_s.popitem(last=False)[0])
+        return popped
+
+    def pop_first(self) -> str | None:
+        """The one that left first, if anybody has."""
+        return self._left_at_s.popitem(last=False)[0] if self._left_at_s else None
+
+    def next_s(self) -> float:
+        """When the next one is forgotten; infinite: nobody is."""
+        return next(iter(self._left_at_s.values()), math.inf) + self._forget_after_s
 
 
 MAX_ROBOTS = 4096  # connected or locked, which are never forgotten: over it no new one is accepted
@@ -71,7 +107,7 @@ class Robots:
         self._on_forgotten, self._on_change = on_forgotten, on_change
         self._robots: dict[str, LocalRobot] = {}
         self._earlier = EarlierCommands()
-        self._away = Away(forget_after_s)  # who may be forgotten
+        self._away = RetentionPolicy(forget_after_s)  # who may be forgotten
         self._wake = asyncio.Event()
 
     # -- links --------------------------------------------------------------------------------------------------------
@@ -110,9 +146,13 @@ class Robots:
         Raises:
             UnknownTopic: there is none. A stream of the source that `driver` returns moves no later robot.
         """
-        robot = self._find(name.strip("/"))
+        plain = name.strip("/")
+        here = self._robots.get(plain)
+        if here is not None and here.connection is not None:
+            return here
+        robot = self._find(plain)
         if robot is None:
-            self._note_early(name.strip("/"), driver)
+            self._note_early(plain, driver)
             raise UnknownTopic("robot", name, self._robots.keys() | self.remote.keys())
         return robot
 
@@ -171,7 +211,7 @@ class Robots:
         """
         if self._gates.hosts is not None:
             self._gates.hosts.stop(None)
-        self.stop_all_here()
+        self._gates.stop(self.drivables())
 
     def stop_all_here(self) -> None:
         """Stop whatever this daemon drives.
@@ -200,6 +240,7 @@ class Robots:
         robot = self._robots.get(name)
         if robot is None:
             robot = self._robots[name] = self._make(name, topics, shown)
+            self._gates.register(robot.admission)
             self._join_early(robot)
         before = self.device(robot.link)
         if before is not None:
@@ -234,6 +275,7 @@ class Robots:
         """Another daemon has it."""
         self.pop_remote(robot.name)
         self.remote[robot.name] = robot
+        self._gates.register(robot.admission)
         self._join_early(robot)
         self._on_change(robot.name)
 
@@ -242,6 +284,7 @@ class Robots:
         robot = self.remote.pop(name, None)
         if robot is not None:
             robot.leave()
+            self._gates.unregister(robot.admission)
             self._on_change(name)
         return robot
 
@@ -324,6 +367,7 @@ class Robots:
     def _forget(self, name: str | None) -> None:
         if name is not None:
             robot = self._robots.pop(name)
+            self._gates.unregister(robot.admission)
             self.forgotten += 1
             log.info("robot.forgotten", robot=name)
             self._gates.events.note(EventKind.FORGOTTEN, name)

@@ -3,19 +3,92 @@
 import asyncio
 import itertools
 import time
+from collections import deque
 from collections.abc import Callable, Hashable
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import structlog
 
-from hostlink.errors import HostlinkError
+from hostlink.errors import BadRequest, HostlinkError
 from hostlink.hub.byte_budget import ByteBudget
-from hostlink.hub.deliveries import Deliveries
 from hostlink.hub.message import PROGRAM_PRIORITY, Message
 from hostlink.hub.node import Node
 from hostlink.messages.message_type import MessageType
 
 log = structlog.get_logger()
+
+MAX_NESTED = 8  # messages and commands of one sender, each sent in a callback that the one before caused
+MAX_WAITING = 1024  # messages that callbacks have published, and that wait for the message before them
+
+Deliver = Callable[[Message], None]
+Result = TypeVar("Result")
+
+
+class _Waiting(NamedTuple):
+    deliver: Deliver
+    message: Message
+    senders: tuple[Hashable, ...]
+
+
+class Deliveries:
+    """Of one hub: one message is delivered at a time. Over MAX_WAITING one is delivered at once, before its turn."""
+
+    def __init__(self) -> None:
+        self.out_of_order = 0  # messages that were delivered before their turn
+        self.senders: tuple[Hashable, ...] = ()  # each sends in a callback that the one before caused
+        self._waiting: deque[_Waiting] = deque()
+        self._is_under_way = False
+
+    def add(self, deliver: Deliver, message: Message) -> None:
+        """Deliver a message, now or after those before it."""
+        if not self._is_under_way:
+            self._is_under_way = True  # as `run` does, on the path of every message
+            try:
+                deliver(message)
+                if self._waiting:
+                    self._drain()
+            finally:
+                self._is_under_way = False
+        elif len(self._waiting) < MAX_WAITING:
+            self._waiting.append(_Waiting(deliver, message, self.senders))
+        else:
+            self.out_of_order += 1
+            deliver(message)
+
+    def run(self, work: Callable[[Message], Result], message: Message) -> Result:
+        """Do something with a message; what is to be delivered meanwhile is delivered afterwards."""
+        if self._is_under_way:
+            return work(message)
+        self._is_under_way = True
+        try:
+            result = work(message)
+            if self._waiting:
+                self._drain()
+        finally:
+            self._is_under_way = False
+        return result
+
+    def begin_sending(self, sender: Hashable) -> tuple[Hashable, ...]:
+        """Note that a sender sends from now on; returns the `senders` before, to be restored when it has sent.
+
+        Raises:
+            BadRequest: callbacks of the sender have sent too often what calls them back: it would never end.
+        """
+        senders = self.senders
+        if senders and senders.count(sender) >= MAX_NESTED:
+            raise BadRequest(f"{sender} sends in a callback what calls it back, again and again")
+        self.senders = (*senders, sender)
+        return senders
+
+    def _drain(self) -> None:
+        senders = self.senders
+        try:
+            while self._waiting:
+                deliver, message, self.senders = self._waiting.popleft()
+                deliver(message)
+        finally:
+            self.senders = senders
+
 
 Receive = Callable[[Message], None]
 
@@ -172,24 +245,7 @@ class Topic:
             self._keep(payload, source)
             return
         at_s = asyncio.get_running_loop().time() if at_s is None else at_s
-        message = self._message(payload, source, at_s, priority, epoch)
-        refusal = self._deliveries.run(self._pass_to_devices, message) if self.devices else None
-        if not self._is_gated:
-            self._deliveries.add(self._dispatch, message)
-        if refusal is not None:
-            raise refusal
-
-    def deliver(self, payload: bytes, *, source: Hashable, at_s: float) -> None:
-        """Pass a payload to every subscriber, and to no device."""
-        if self._subscribers:
-            self._deliveries.add(self._dispatch, self._message(payload, source, at_s, PROGRAM_PRIORITY))
-        else:
-            self.messages += 1
-
-    def _message(
-        self, payload: bytes, source: Hashable, at_s: float, priority: int, epoch: int | None = None
-    ) -> Message:
-        return Message(
+        message = Message(
             self.name,
             self.type_name,
             self.type,
@@ -200,6 +256,21 @@ class Topic:
             priority=priority,
             epoch=epoch,
         )
+        refusal = self._deliveries.run(self._pass_to_devices, message) if self.devices else None
+        if not self._is_gated:
+            self._deliveries.add(self._dispatch, message)
+        if refusal is not None:
+            raise refusal
+
+    def deliver(self, payload: bytes, *, source: Hashable, at_s: float) -> None:
+        """Pass a payload to every subscriber, and to no device."""
+        if self._subscribers:
+            self._deliveries.add(self._dispatch, self._message(payload, source, at_s))
+        else:
+            self.messages += 1
+
+    def _message(self, payload: bytes, source: Hashable, at_s: float) -> Message:
+        return Message(self.name, self.type_name, self.type, payload, source=source, stamp_ns=time.time_ns(), at_s=at_s)
 
     def _pass_to_devices(self, message: Message) -> HostlinkError | None:
         refusal = None
@@ -213,7 +284,7 @@ class Topic:
 
     def _keep(self, payload: bytes, source: Hashable) -> None:
         """For later subscribers, if its source latches, and there is room; else the one before is not kept either."""
-        if self.latched and source in self.latched:
+        if source in self.latched:
             before = self.latched.pop(source)  # the newest is the last of all
             after = payload if self._budget.can_latch(source, before, payload) else None
             self._budget["latched"].refused += after is None
@@ -222,7 +293,8 @@ class Topic:
 
     def _dispatch(self, message: Message) -> None:
         self.messages += 1
-        self._keep(message.payload, message.source)  # in its turn: who subscribes before receives it then
+        if self.latched:
+            self._keep(message.payload, message.source)  # in its turn: who subscribes before receives it then
         snapshot = self._snapshot
         for subscriber in self.subscribers if snapshot is None else snapshot:
             try:
@@ -241,7 +313,7 @@ class Topic:
         at_s = asyncio.get_running_loop().time() if self.latched else 0.0
         for source, payload in list(self.latched.items()):  # the callback may let one of them leave
             if payload is not None:
-                subscriber.receive(self._message(payload, source, at_s, PROGRAM_PRIORITY))
+                subscriber.receive(self._message(payload, source, at_s))
 
     def send_latched(self, key: Hashable) -> None:
         """Send the device `key` the last message of every publisher that latches, as far as it can take them."""
@@ -252,7 +324,7 @@ class Topic:
         for source, payload in list(self.latched.items()):
             if payload is not None:
                 try:
-                    device.receive(self._message(payload, source, at_s, PROGRAM_PRIORITY))
+                    device.receive(self._message(payload, source, at_s))
                 except HostlinkError as error:
                     log.debug("message.refused", topic=self.name, reason=str(error))
 

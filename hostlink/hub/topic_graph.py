@@ -5,9 +5,8 @@ from collections.abc import Callable, Hashable, Iterable
 
 from hostlink.errors import UnknownTopic, WrongType
 from hostlink.hub.byte_budget import ByteBudget
-from hostlink.hub.deliveries import Deliveries
 from hostlink.hub.graph_changes import GraphChanges, Kind
-from hostlink.hub.topic import DEVICE_RANK, PROGRAM_RANK, DeviceSubscription, Subscriber, Topic, rank_of
+from hostlink.hub.topic import DEVICE_RANK, PROGRAM_RANK, Deliveries, DeviceSubscription, Subscriber, Topic, rank_of
 from hostlink.messages.catalog import Catalog
 from hostlink.robot.admission import EarlierCommands
 

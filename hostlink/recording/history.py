@@ -12,8 +12,7 @@ from hostlink.recording.channel import DEVICE, EVENT, NS_PER_S, VELOCITY, Channe
 from hostlink.recording.ring import Entry
 from hostlink.recording.thinning import Thinned
 from hostlink.robot.kinematics import Pose, frame_of, placed
-from hostlink.robot.odometry_estimator import OdometryEstimator
-from hostlink.robot.odometry_reader import READERS
+from hostlink.robot.odometry import READERS, OdometryEstimator
 from hostlink.robot.velocity import TWIST_TYPE, PlanarVelocity
 
 MAX_SAMPLES = 6000  # of one topic: two and a half minutes at 40 Hz; above it every second, third, ... sample is kept

@@ -12,7 +12,7 @@ import msgspec
 
 from hostlink import logs
 from hostlink.errors import HostlinkError
-from hostlink.hub.graph import OBSERVERS, GraphTopic
+from hostlink.hub.graph_view import OBSERVERS, GraphTopic
 from hostlink.hub.hub import Hub
 from hostlink.hub.message import Message
 from hostlink.hub.node import Node

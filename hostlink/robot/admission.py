@@ -53,13 +53,34 @@ from dataclasses import dataclass, field
 from typing import Any, Generic, NamedTuple, Self, TypeVar
 
 from hostlink.errors import RefusalKind
-from hostlink.robot.freshness import Freshness
 from hostlink.robot.velocity import AnyVelocity, Kinematics
+
+DRIFT = 0.001  # two clocks drift far less; a route that became slower for good is accepted at this pace
+
+
+class Freshness:
+    """How much longer than the quickest of its kind something was on its way, by the sender's clock and ours."""
+
+    def __init__(self) -> None:
+        self._quickest_s = float("inf")  # the smallest difference of the clocks: no wait in it
+        self._updated_at_s = 0.0
+
+    def late_s(self, sent_s: float, now_s: float) -> float:
+        """Seconds that it waited on the way; `sent_s` is of the sender's own clock, from any beginning."""
+        difference_s = now_s - sent_s
+        self._quickest_s = min(difference_s, self._quickest_s + DRIFT * (now_s - self._updated_at_s))
+        self._updated_at_s = now_s
+        return difference_s - self._quickest_s
+
 
 LEASE_S = 0.5  # the time-out of diff_drive_controller and of the robot's own watchdog
 MAX_SOURCES = 64  # that one robot keeps apart
 EPOCH_BITS = 40  # the first epoch is drawn at random: that of an earlier daemon is never the current one
 EARLIER_EPOCH = -1  # of a motion that may have begun before an interruption
+NOT_SIDEWAYS = (
+    "a differential drive cannot move sideways: send 0 as linear.y; if this robot can, remove "
+    'kinematics = "differential" from its settings'
+)
 NOT_PLANAR = "a robot moves in the plane: send 0 as linear.z, angular.x and angular.y"
 
 V = TypeVar("V", bound=AnyVelocity)
@@ -178,7 +199,7 @@ class _Source:
         return waited_s
 
 
-@dataclass(slots=True, eq=False, weakref_slot=True)
+@dataclass(slots=True, eq=False)
 class Admission:
     """Who may move one robot. A robot with several velocity topics has one `Admission` and one driver for each topic.
 
@@ -203,12 +224,6 @@ class Admission:
 
     def decide(self, command: Command[Any], now_s: float, *, topic: Hashable = "") -> Decision:
         """Decide about a command for one velocity topic of the robot, and remember what follows from it."""
-        decision = self._decide(command, now_s, topic)
-        if decision.kind is not None:
-            self.refused[decision.kind] = self.refused.get(decision.kind, 0) + 1
-        return decision
-
-    def _decide(self, command: Command[Any], now_s: float, topic: Hashable) -> Decision:
         velocity, owner = command.velocity, command.source
         if velocity.is_zero and command.is_planar:
             return self._decide_zero(command, now_s, topic)
@@ -226,15 +241,19 @@ class Admission:
             source.is_armed = False  # whatever refuses this command: the next one continues its motion
         if not velocity.is_finite:
             return self._refuse(RefusalKind.NOT_FINITE, "a velocity must consist of finite numbers")
-        if unsupported := self._unsupported_text(command):
-            return self._refuse(RefusalKind.UNSUPPORTED, unsupported)
+        if not command.is_planar:
+            return self._refuse(RefusalKind.UNSUPPORTED, NOT_PLANAR)
+        if self.kinematics is Kinematics.DIFFERENTIAL and velocity.y_m_s != 0:
+            return self._refuse(RefusalKind.UNSUPPORTED, NOT_SIDEWAYS)
         if self.lock_reason is not None:
             return self._refuse(RefusalKind.LOCKED, self._locked_text())
         if not self.is_connected:
             return self._refuse(RefusalKind.NOT_CONNECTED, "its device is not connected")
         waited_s = source.waited_s(command, now_s)
-        if late := self._late_text(command, waited_s):
-            return self._refuse(RefusalKind.LATE, late)
+        if waited_s >= self.lease_s or command.stamp_age_s is not None:
+            late = self._late_text(command, waited_s)
+            if late:
+                return self._refuse(RefusalKind.LATE, late)
         if command.epoch == self.epoch:
             source.is_armed = True
         if not source.is_armed:
@@ -243,7 +262,7 @@ class Admission:
                 f"pause for {self.lease_s:g} s, or send epoch {self.epoch}"
             )
             return self._refuse(RefusalKind.DISARMED, reason)
-        holder = self._holder_beside(owner, now_s)
+        holder = self._other_holder(owner, now_s) if len(self._sources) > 1 else None
         if holder is not None and command.priority < self._sources[holder].priority:
             reason = f"{holder} drives it with a higher priority; wait until it lets go, or use stop"
             return self._refuse(RefusalKind.HELD, reason, holder)
@@ -298,8 +317,8 @@ class Admission:
         del self._sources[least]
         return True
 
-    def _holder_beside(self, owner: Hashable, now_s: float) -> Hashable:
-        """Return the most important source that holds the robot beside this one."""
+    def _other_holder(self, owner: Hashable, now_s: float) -> Hashable:
+        """Return the other source of the highest priority that holds the robot; None: no other holds it."""
         others = (
             (source.priority, source.held_until_s, other)
             for other, source in self._sources.items()
@@ -308,6 +327,7 @@ class Admission:
         return max(others, key=lambda each: each[:2], default=(0, 0.0, None))[2]
 
     def _refuse(self, kind: RefusalKind, reason: str, holder: Hashable = None) -> Decision:
+        self.refused[kind] = self.refused.get(kind, 0) + 1
         return Decision(kind, f"{self.robot}: {reason}", holder)
 
     def _late_text(self, command: Command[Any], waited_s: float) -> str:
@@ -316,17 +336,6 @@ class Admission:
             return f"velocity is {waited_s:.1f} s old, the lease is {self.lease_s:g} s; send a new one"
         if command.stamp_age_s is not None and command.stamp_age_s > self.max_stamp_age_s:
             return f"its stamp is {command.stamp_age_s:.3f} s old, cmd_vel_max_age_s allows {self.max_stamp_age_s:g}"
-        return ""
-
-    def _unsupported_text(self, command: Command[Any]) -> str:
-        """Return why a robot of these kinematics cannot obey a command; empty: it can."""
-        if not command.is_planar:
-            return NOT_PLANAR
-        if self.kinematics is Kinematics.DIFFERENTIAL and command.velocity.y_m_s != 0:
-            return (
-                "a differential drive cannot move sideways: send 0 as linear.y; if this robot can, remove "
-                'kinematics = "differential" from its settings'
-            )
         return ""
 
     def _locked_text(self) -> str:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from hostlink.errors import HostlinkError
 from hostlink.robot.kinematics import Pose
-from hostlink.robot.odometry_correction import OdometryCorrection, wheel_way
+from hostlink.robot.odometry import OdometryCorrection, wheel_way
 
 MEASURED_M = 0.001  # how finely a tape measure is read: the weights of drives are not more uneven than that
 EXPECTED_M = 0.003  # of a line of a few metres: slip and reading; counts as much as EXPECTED_LINES lines

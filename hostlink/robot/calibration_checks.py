@@ -19,7 +19,7 @@ from hostlink.robot.calibration import (
     student_95,
     uncorrected,
 )
-from hostlink.robot.odometry_correction import OdometryCorrection
+from hostlink.robot.odometry import OdometryCorrection
 
 MOST_OFF = 0.15  # of a length or an angle: wheels that were measured at all are not farther off
 MOST_OFF_SQUARE = 1.0  # of the side: the same wheels after four sides and corners

@@ -11,7 +11,7 @@ from typing import Annotated, Any, NamedTuple
 
 import msgspec
 
-from hostlink.robot.odometry_estimator import OdometrySnapshot
+from hostlink.robot.odometry import OdometrySnapshot
 from hostlink.robot.velocity import ZERO, Kinematics, PlanarVelocity
 
 BATTERY_TYPE = "sensor_msgs/BatteryState"

@@ -48,7 +48,7 @@ class PlanarVelocity(NamedTuple):
 
     def encode(self) -> bytes:
         """As a serialised Twist."""
-        return _TWIST.pack(*self.twist)
+        return _TWIST.pack(self.x_m_s, self.y_m_s, 0.0, 0.0, 0.0, self.yaw_rad_s)
 
     @property
     def twist(self) -> "Twist":

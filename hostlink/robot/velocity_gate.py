@@ -3,7 +3,7 @@
 import dataclasses
 import math
 from collections.abc import Hashable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Generic, Protocol, TypeVar
 
 from hostlink.errors import CommandRefused, ConfigError
@@ -61,10 +61,13 @@ class Limits:
     max_angular_acceleration_rad_s2: float | None = None
     max_linear_deceleration_m_s2: float | None = None
     max_angular_deceleration_rad_s2: float | None = None
+    has_ramps: bool = field(init=False, default=False)  # an acceleration or a deceleration is limited
 
     def __post_init__(self) -> None:
         """A limit below zero would turn velocities around, one that is not finite would let everything pass."""
         for name, limit in dataclasses.asdict(self).items():
+            if limit is not None and "celeration" in name:
+                object.__setattr__(self, "has_ramps", True)
             if limit is not None and not (math.isfinite(limit) and limit >= 0):
                 raise ConfigError("limits of a robot", f"{name} must be a finite number, zero or more, not {limit}")
             if limit == 0 and "deceleration" in name:
@@ -83,15 +86,19 @@ class Limits:
 
     def _factors(self, velocity: PlanarVelocity) -> tuple[float, float, float]:
         """By how much each of _LIMITS slows it down."""
+        linear_m_s, angular_rad_s = velocity.speed_m_s, velocity.turn_rad_s
+        # A differential drive's faster wheel: |x| + |yaw| * separation / 2; other drives have the length of (x, y).
+        wheel_m_s = linear_m_s + angular_rad_s * (self.wheel_separation_m or 0.0) / 2
+        linear, angular, wheel = self.max_linear_m_s, self.max_angular_rad_s, self.max_wheel_m_s
         return (
-            _factor(velocity.speed_m_s, self.max_linear_m_s),
-            _factor(velocity.turn_rad_s, self.max_angular_rad_s),
-            1.0 if self.max_wheel_m_s is None else _factor(self._fastest_wheel_m_s(velocity), self.max_wheel_m_s),
+            1.0 if linear is None or linear_m_s <= linear else linear / linear_m_s,
+            1.0 if angular is None or angular_rad_s <= angular else angular / angular_rad_s,
+            1.0 if wheel is None or wheel_m_s <= wheel else wheel / wheel_m_s,
         )
 
     def step(self, current: PlanarVelocity, target: PlanarVelocity, step_s: float) -> PlanarVelocity:
         """From `current` straight towards `target`, as far as accelerations and decelerations allow in `step_s`."""
-        if current == target:
+        if current == target or not self.has_ramps:
             return target
         linear = _reach(
             current[:2],
@@ -107,10 +114,6 @@ class Limits:
         )
         return current.toward(target, min(linear, angular))
 
-    def _fastest_wheel_m_s(self, velocity: PlanarVelocity) -> float:
-        """|x| + |yaw| * separation / 2 of a differential drive; other drives have the length of (x, y) for |x|."""
-        return velocity.speed_m_s + velocity.turn_rad_s * (self.wheel_separation_m or 0.0) / 2
-
 
 @dataclass(slots=True)
 class GateCounts:
@@ -120,7 +123,6 @@ class GateCounts:
     limited: int = 0
     expired: int = 0
     stops: int = 0
-    locks: int = 0
 
 
 class VelocityGate(Generic[V]):
@@ -154,25 +156,25 @@ class VelocityGate(Generic[V]):
         self.zero = self.current = zero
         self.is_new_device = False  # it has not been given its first zero
         self.counts = GateCounts()
-        self._driver: Driver | None = None
-        self._target = self.zero
+        self.driver: Driver | None = None  # the source that drives, and the end of its lease
+        self.target = self.zero  # the newest command within the limits
         self._zeros = 0
         self._zero_at_s = self._stepped_at_s = float("-inf")
 
     @property
     def owner(self) -> Hashable | None:
         """The source that drives."""
-        return None if self._driver is None else self._driver.source
+        return None if self.driver is None else self.driver.source
 
     @property
     def owner_name(self) -> str | None:
         """The name of the source that drives; others may have it, too."""
-        return None if self._driver is None else str(self._driver.source)
+        return None if self.driver is None else str(self.driver.source)
 
     @property
     def priority(self) -> int | None:
         """The priority of the source that drives."""
-        return None if self._driver is None else self._driver.priority
+        return None if self.driver is None else self.driver.priority
 
     @property
     def lock_reason(self) -> str | None:
@@ -180,34 +182,24 @@ class VelocityGate(Generic[V]):
         return self.admission.lock_reason
 
     @property
-    def lease_ends_s(self) -> float:
-        """When the lease of the source that drives ends; never, if nothing drives."""
-        return math.inf if self._driver is None else self._driver.deadline_s
-
-    @property
     def may_move(self) -> bool:
         """Whether the robot is driven, slows down, or may not have received its stop yet."""
-        return self._driver is not None or self._zeros > 0 or not self.current.is_zero
+        return self.driver is not None or self._zeros > 0 or not self.current.is_zero
 
     @property
     def is_stopping(self) -> bool:
         """Whether the device has a zero of several; `step` gives the others, without a command."""
-        return self._driver is None and self._zeros > 0 and not self.is_new_device
+        return self.driver is None and self._zeros > 0 and not self.is_new_device
 
     @property
     def is_driven(self) -> bool:
         """Whether a source drives, or the robot slows down; a stop on its way to a robot at rest is neither."""
-        return self._driver is not None or not self.current.is_zero
+        return self.driver is not None or not self.current.is_zero
 
     @property
     def is_active(self) -> bool:
         """Whether `step` has something to send, now or later."""
         return self.may_move or self.lock_reason is not None
-
-    @property
-    def is_let_go(self) -> bool:
-        """Whether the newest command of the source that drives is a zero."""
-        return self._target.is_zero
 
     def command(self, command: Command[V], *, now_s: float) -> V:
         """Drive at the velocity of the command, if it is admitted; returns it within the limits.
@@ -221,16 +213,16 @@ class VelocityGate(Generic[V]):
         if decision.kind is not None:
             raise CommandRefused(self.admission.robot, decision.kind, decision.reason, holder=decision.holder)
         self.counts.commands += 1
-        if velocity.is_zero and self._driver is None:
+        if velocity.is_zero and self.driver is None:
             self._zeros = max(self._zeros, 1)
             return self.zero
-        if self._driver is None and self.current.is_zero:
+        if self.driver is None and self.current.is_zero:
             self._stepped_at_s = now_s
-        self._driver = self.admission.driver(self, now_s)
-        self._target = self.limits.apply(velocity)
+        self.driver = self.admission.driver(self, now_s)
+        self.target = self.limits.apply(velocity)
         self._zeros = int(self.is_new_device)
-        self.counts.limited += self._target != velocity
-        return self._target
+        self.counts.limited += self.target != velocity
+        return self.target
 
     def stop(self, *, now_s: float) -> None:
         """End the lease, and brake as hard as the limits allow."""
@@ -240,7 +232,7 @@ class VelocityGate(Generic[V]):
     def stop_at_once(self) -> None:
         """End the lease, and give zero at once, whatever the limits."""
         self._end_lease()
-        self.current = self._target = self.zero
+        self.current = self.target = self.zero
         self._zeros = ZEROS
 
     def restart(self) -> None:
@@ -251,19 +243,19 @@ class VelocityGate(Generic[V]):
     def change_limits(self, limits: Bounds[V]) -> None:
         """From now on; a robot that is driven too fast slows down as far as they allow."""
         self.limits = limits
-        self._target = limits.apply(self._target)
+        self.target = limits.apply(self.target)
 
     def step(self, now_s: float) -> V | None:
         """The velocity to send now; None: nothing. Call it often while `is_active`, and after every command."""
         self._expire(now_s)
         step_s = max(now_s - self._stepped_at_s, 0.0)
         self._stepped_at_s = now_s
-        if self._driver is None:  # braking keeps its time even when a step comes late
+        if self.driver is None:  # braking keeps its time even when a step comes late
             self.current = self.limits.step(self.current, self.zero, step_s)
             return self._stand(now_s) if self.current.is_zero else self.current
         if self._zeros > 0:
             return self._stand(now_s)
-        self.current = self.limits.step(self.current, self._target, min(step_s, LONGEST_STEP_S))
+        self.current = self.limits.step(self.current, self.target, min(step_s, LONGEST_STEP_S))
         return self.current
 
     def _stand(self, now_s: float) -> V | None:
@@ -277,26 +269,21 @@ class VelocityGate(Generic[V]):
         return self.zero
 
     def _expire(self, now_s: float) -> None:
-        if self._driver is not None and self.admission.driver(self, now_s) is None:
-            self.counts.expired += now_s >= self._driver.deadline_s
-            self._stop(min(now_s, self._driver.deadline_s))
+        if self.driver is not None and self.admission.driver(self, now_s) is None:
+            self.counts.expired += now_s >= self.driver.deadline_s
+            self._stop(min(now_s, self.driver.deadline_s))
 
     def _stop(self, at_s: float) -> None:
-        if self._driver is not None:
+        if self.driver is not None:
             self._stepped_at_s = max(self._stepped_at_s, at_s)
         self._end_lease()
         self.current = self.limits.step(self.current, self.zero, 0.0)  # zero, unless a deceleration is to be kept
-        self._target = self.zero
+        self.target = self.zero
         self._zeros = ZEROS
 
     def _end_lease(self) -> None:
         self.admission.end(self)
-        self._driver = None
-
-
-def _factor(value: float, limit: float | None) -> float:
-    """By how much a value must shrink to keep a limit; 1 at the most."""
-    return 1.0 if limit is None or value <= limit else limit / value
+        self.driver = None
 
 
 def _times(rate: float | None, seconds: float) -> float:

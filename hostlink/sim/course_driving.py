@@ -10,7 +10,7 @@ import numpy as np
 
 from hostlink.robot.course import CourseFollower, Leg
 from hostlink.robot.kinematics import Pose, placed
-from hostlink.robot.odometry_correction import OdometryCorrection
+from hostlink.robot.odometry import OdometryCorrection
 from hostlink.sim.firmware_world import COMMAND_S, FirmwareWorld
 
 LONGEST_S = 1800.0  # of a course: a robot that needs longer does not move

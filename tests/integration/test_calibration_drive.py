@@ -13,7 +13,7 @@ from hostlink.errors import HostlinkError
 from hostlink.robot.calibration import WheelGeometry
 from hostlink.robot.course import STUCK_S, Leg, Speed, square, straight
 from hostlink.robot.kinematics import Pose
-from hostlink.robot.odometry_correction import OdometryCorrection
+from hostlink.robot.odometry import OdometryCorrection
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import fake_device, pose, robot_topics
 from tests.support.simulated import simulated_robot

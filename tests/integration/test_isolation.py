@@ -62,7 +62,7 @@ async def test_a_crash_in_a_link_stops_its_robot_and_no_other(
     ):
         await expect(lambda: len([robot for robot in host.hub.robots.all() if robot.link]) == 2)
         await is_driven(host, "a", one)
-        host.hub.links._device_events._reactions[events.DeviceLogged] = crash
+        host.hub.links._reactions[events.DeviceLogged] = crash
         await one.send(encode(Id.LOG, b"\x01\x02\x00\x00\x00hi"))
         await receives_zero_and_is_cut(one)
         await is_driven(host, "b", other)
@@ -191,7 +191,7 @@ async def test_names_requested_in_vain_are_not_kept(logged: list[dict[str, objec
             name = f"/{number}/{'x' * 200}".encode()
             await device.send(encode(Id.PARAMETER, len(name).to_bytes(4, "little") + name))
         await expect(lambda: host.hub.links.all()[0].session.counts.frames_from_device > 2000)
-        assert len(host.hub.links._device_events._receivers.parameters._unknown) == 256
+        assert len(host.hub.links._parameters._unknown) == 256
         host.hub.parameters["/there"] = 3
         name = b"/there"
         await device.send(encode(Id.PARAMETER, len(name).to_bytes(4, "little") + name))

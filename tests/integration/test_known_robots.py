@@ -12,13 +12,13 @@ from hostlink.config import Config, LinkConfig, RobotConfig
 from hostlink.errors import CommandRefused, UnknownTopic
 from hostlink.hub.hub import Hub
 from hostlink.hub.node import Node
+from hostlink.hub.robots import MAX_AWAY
 from hostlink.hub.topic import Subscriber
 from hostlink.hub.topic_graph import TopicGraph
 from hostlink.messages.catalog import Catalog
 from hostlink.messages.message_type import MessageType
 from hostlink.protocol.control import TopicInfo
 from hostlink.protocol.frame import Id
-from hostlink.robot.away import MAX_AWAY
 from hostlink.robot.velocity import PlanarVelocity
 from tests.support.fake_device import CATALOG, robot_topics, topic
 from tests.support.gates import drive_gate

@@ -19,8 +19,8 @@ from structlog.testing import capture_logs
 from hostlink.api import recording_metrics
 from hostlink.api.owners import MAX_OWNERS
 from hostlink.config import BlackBoxConfig, Config, RecordingConfig
-from hostlink.hub.deliveries import MAX_WAITING
 from hostlink.hub.message import Message
+from hostlink.hub.topic import MAX_WAITING
 from hostlink.protocol.frame import Id, encode
 from hostlink.recording.folder import DiskUsage, Folder
 from tests.support.daemon import Daemon, daemon

@@ -256,7 +256,7 @@ def test_what_a_device_commanded_before_it_was_known_who_it_is_is_not_obeyed_lat
         made.hub.join("driver").drive(made.hub.robots.find(ROBOT), PlanarVelocity(0.2))
         device = ScriptedDevice(made.hub, [*robot_topics(ROBOT), drives], address="10.0.0.1")
         await asyncio.sleep(0.1)
-        early = made.hub.links._identities.devices[device.link.number].early
+        early = made.hub.robots.devices[device.link.number].early
         sent_at_s = asyncio.get_running_loop().time()
         await device.send(126, SPEED + bytes(40))
         for _ in range(10):

@@ -133,7 +133,7 @@ class Faults(RuleBasedStateMachine):
         more, less = delivered - intact, intact - delivered
         assert more.total() == invented  # a damaged frame that passes the checksum: measured, not excluded
         waiting = (
-            sum(len(device.early) for device in self.world.hub.links._identities.devices.values())
+            sum(len(device.early) for device in self.world.hub.robots.devices.values())
             + self.world.hub.links.undelivered
         )
         assert less.total() <= unknown + invented + waiting  # and frames that such a damaged frame overlaps

@@ -14,19 +14,11 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 from structlog.testing import capture_logs
 
-from hostlink.config import LinkConfig, RobotConfig
+from hostlink.config import Config, LinkConfig, RobotConfig
 from hostlink.errors import CommandRefused, RefusalKind
 from hostlink.hub.device import Device, check_type
-from hostlink.hub.diagnoses import Diagnoses
-from hostlink.hub.gates import TICK_S, Gates
-from hostlink.hub.graph_changes import GraphChanges
-from hostlink.hub.graph_view import GraphViews
-from hostlink.hub.isolation import Isolation
-from hostlink.hub.node import Node
-from hostlink.hub.participant import Parts
-from hostlink.hub.robots import Robots
-from hostlink.hub.services import Services
-from hostlink.hub.topic_graph import TopicGraph
+from hostlink.hub.gates import TICK_S
+from hostlink.hub.hub import Hub
 from hostlink.link.link import Link, LinkEnd
 from hostlink.messages.catalog import Catalog
 from hostlink.protocol.control import encode_topic_info
@@ -84,13 +76,8 @@ class Drivers(RuleBasedStateMachine):
         self.runner.run(self.build(config))
 
     async def build(self, config: RobotConfig) -> None:
-        isolation = Isolation(reraises=True)
-        self.gates = Gates(isolation)
-        self.robots = Robots({NAME: config}, self.gates)
-        topics, services, changes = TopicGraph(CATALOG), Services(CATALOG), GraphChanges()
-        views = GraphViews(topics, services, changes)
-        self.parts = Parts(CATALOG, topics, services, self.gates, isolation, changes, views)
-        self.diagnoses = Diagnoses(isolation)
+        self.hub = Hub(Config(robots={NAME: config}), CATALOG, reraises=True)
+        self.gates, self.robots, self.diagnoses = self.hub.gates, self.hub.robots, self.hub.diagnoses
         self.tasks = [asyncio.get_running_loop().create_task(self.gates.run())]
         await self.connect()
 
@@ -99,7 +86,7 @@ class Drivers(RuleBasedStateMachine):
         host_end, device_end = memory_pair()
         session = Session(check=lambda info: check_type(CATALOG, info), uart_bytes_s=self.uart_bytes_s)
         self.link = Link(host_end, session, LinkConfig(), number=self.sessions, on_event=self.react)
-        device = Device(self.link, self.diagnoses.begin(self.link), self.parts, Node("hostlink", is_daemon=True))
+        device = Device(self.link, self.diagnoses.begin(self.link), self.hub)
         self.robots.devices[self.link.number] = device
         loop = asyncio.get_running_loop()
         self.tasks.append(loop.create_task(self.serve(self.link)))

@@ -14,7 +14,7 @@ from hostlink.graphs.ros1.services import ForeignService, ServiceOffer, find_typ
 from hostlink.graphs.ros1.tcpros import ANY, BadHeader, decode_header
 from hostlink.graphs.ros1.wire import Wire
 from hostlink.graphs.ros1.xml_rpc import Refused, Unreachable
-from hostlink.hub.graph import Graph, GraphTopic
+from hostlink.hub.graph_view import Graph, GraphTopic
 from hostlink.logs import printable
 from hostlink.messages.message_type import MessageType, ServiceType
 from hostlink.mirror.mirror import Mirror, Served

@@ -13,7 +13,7 @@ from hostlink.graphs.ros1.parts import GROUP, Parts
 from hostlink.graphs.ros1.registrar import Registrar
 from hostlink.graphs.ros1.tcpros import ANY
 from hostlink.graphs.ros1.wire import Wire
-from hostlink.hub.graph import Graph
+from hostlink.hub.graph_view import Graph
 from hostlink.hub.hub import Hub
 from hostlink.hub.message import Message
 from hostlink.hub.participant import Participant

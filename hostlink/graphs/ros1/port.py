@@ -16,7 +16,7 @@ from typing import Any, Protocol
 
 from hostlink.acceptor import Acceptor, bind
 from hostlink.graphs.ros1.parts import Counts
-from hostlink.hub.spawn import Spawn
+from hostlink.hub.isolation import Spawn
 from hostlink.listening import close_all
 
 

@@ -14,7 +14,7 @@ from hostlink.graphs.refusal_log import RefusalLog
 from hostlink.graphs.ros1.parts import TIMEOUT_S, Parts
 from hostlink.graphs.ros1.tcpros import ANY, BadHeader, Header, decode_header
 from hostlink.graphs.ros1.wire import Wire
-from hostlink.hub.graph import GraphTopic
+from hostlink.hub.graph_view import GraphTopic
 from hostlink.hub.participant import Participant
 from hostlink.logs import printable
 from hostlink.messages.message_type import MessageType

@@ -9,7 +9,7 @@ import msgspec
 
 from hostlink.errors import BadPayload
 from hostlink.robot.kinematics import Pose
-from hostlink.robot.odometry_estimator import OdometrySnapshot
+from hostlink.robot.odometry import OdometrySnapshot
 from hostlink.robot.state import Priority, RobotName, RobotState, Text, TopicName, TypeName
 from hostlink.robot.velocity import PlanarVelocity, Twist
 

@@ -14,7 +14,7 @@ from hostlink.graphs.zenoh.fleet_post import GROUP, Post
 from hostlink.graphs.zenoh.fleet_states import fleet_name, is_shareable
 from hostlink.graphs.zenoh.roster import Neighbour, Roster
 from hostlink.graphs.zenoh.session import Declaration, Query, Sample
-from hostlink.hub.graph import GraphTopic
+from hostlink.hub.graph_view import GraphTopic
 from hostlink.hub.hub import Hub
 from hostlink.hub.message import Message
 from hostlink.hub.node import Role

@@ -26,7 +26,7 @@ from hostlink.graphs.zenoh.rmw_graph import RemoteGraph
 from hostlink.graphs.zenoh.rmw_protocol import OWN_ENCLAVE, SPACE, EndpointToken, Kind, NodeToken, is_hidden, is_name
 from hostlink.graphs.zenoh.rmw_publishers import Publishers, Subscription, Wanted
 from hostlink.graphs.zenoh.session import Session, Token
-from hostlink.hub.graph import GraphService, GraphTopic
+from hostlink.hub.graph_view import GraphService, GraphTopic
 from hostlink.hub.hub import Hub
 from hostlink.mirror.log_once import LogOnce
 from hostlink.mirror.mirror import Mirror

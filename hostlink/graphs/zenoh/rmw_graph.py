@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from hostlink.graphs.zenoh.rmw_protocol import EndpointToken, Kind, NodeToken, gid_of, parse_token
-from hostlink.robot.freshness import Freshness
+from hostlink.robot.admission import Freshness
 
 _NS_PER_S: Final = 1_000_000_000
 MAX_TOKENS: Final = 8192

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import msgspec
 
 from hostlink.graphs.zenoh.fleet_messages import Live, RobotMessage, Sender, State
-from hostlink.robot.freshness import Freshness
+from hostlink.robot.admission import Freshness
 
 MAX_DAEMONS = 256
 MAX_GONE = 64  # daemons that are gone, whose robots are still shown

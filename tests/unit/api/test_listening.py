@@ -8,7 +8,7 @@ import pytest
 from hostlink.api.listening import listening_view
 from hostlink.cli.addresses import parse_address
 from hostlink.config import Config, SerialConfig, TcpConfig, UdpConfig
-from hostlink.hub.listening import Listening
+from hostlink.hub.hub import Listening
 
 KEY = Path("key")
 

@@ -21,7 +21,7 @@ from hostlink.errors import ConfigError, HostlinkError
 from hostlink.robot.calibration import WheelGeometry, calibrated
 from hostlink.robot.course import CourseFollower, Leg, Speed
 from hostlink.robot.kinematics import Pose
-from hostlink.robot.odometry_correction import OdometryCorrection
+from hostlink.robot.odometry import OdometryCorrection
 from tests.unit.robot.drives import ExactRobot, relative
 
 TRUE = WheelGeometry(0.0448, 0.0453, 0.2142)

@@ -18,7 +18,7 @@ from hostlink.errors import HostlinkError
 from hostlink.robot.calibration import Calibration, WheelGeometry
 from hostlink.robot.course import CourseFollower, Leg, Speed
 from hostlink.robot.kinematics import Pose
-from hostlink.robot.odometry_correction import OdometryCorrection
+from hostlink.robot.odometry import OdometryCorrection
 from tests.unit.robot.drives import ExactRobot, relative
 
 NOMINAL = WheelGeometry()

@@ -4,9 +4,7 @@ import pytest
 
 from hostlink.errors import BadRequest
 from hostlink.hub.byte_budget import OWN_LATCHED_BYTES, OWN_QUEUE_BYTES, SHARES, ByteBudget, Share
-from hostlink.hub.message import Message
 from hostlink.hub.queue import Queue
-from hostlink.hub.throttle import Throttle
 from hostlink.hub.topic import Topic
 
 PIECE = bytes(1024 * 1024)
@@ -112,16 +110,3 @@ def test_a_client_whose_answers_pile_up_over_the_share_is_too_slow_earlier() -> 
     assert not other.is_too_slow
     queue.put_result(PIECE)
     assert queue.is_too_slow
-
-
-def test_what_subscriptions_hold_back_is_within_their_share() -> None:
-    share = Share(3 * len(PIECE))
-    throttle = Throttle(interval_s=60.0, queue_length=256, share=share)
-    for number in range(10):
-        throttle.offer(Message("/image", "", None, PIECE, source=None, stamp_ns=number, at_s=0.0), 0.0)
-    assert share.held_bytes == 3 * len(PIECE)
-    last = throttle.pop(60.0)
-    assert last is not None
-    assert last.stamp_ns == 7
-    throttle.clear()
-    assert share.held_bytes == 0

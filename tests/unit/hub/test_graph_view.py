@@ -4,9 +4,8 @@ import random
 from collections.abc import Callable
 
 from hostlink.errors import HostlinkError
-from hostlink.hub.graph import GraphTopic
 from hostlink.hub.graph_changes import GraphChanges
-from hostlink.hub.graph_view import GraphView
+from hostlink.hub.graph_view import GraphTopic, GraphView
 from hostlink.hub.node import Node
 from hostlink.hub.services import Provider, Services
 from hostlink.hub.topic import DeviceSubscription, Subscriber

@@ -21,7 +21,7 @@ from hostlink.recording.channel import (
 from hostlink.recording.history import MAX_SAMPLES, RobotHistory, thinned
 from hostlink.recording.ring import Entry
 from hostlink.robot.kinematics import Pose
-from hostlink.robot.odometry_estimator import OdometryEstimator
+from hostlink.robot.odometry import OdometryEstimator
 from hostlink.robot.velocity import TWIST_TYPE
 
 POSE_TYPE, TOPIC = "geometry_msgs/Pose2D", "/robot_0/odometry"

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from hostlink.robot.directory import (
     ANSWER_S,
+    SURE_S,
     Accepted,
     Directory,
     RobotTopicNames,
@@ -18,7 +19,6 @@ from hostlink.robot.directory import (
     Undecided,
     find_robot,
 )
-from hostlink.robot.presence import SURE_S
 from hostlink.robot.velocity import TWIST_TYPE
 
 TWIST, POSE, ODOMETRY, EMPTY = "geometry_msgs/Twist", "geometry_msgs/Pose2D", "nav_msgs/Odometry", "std_msgs/Empty"

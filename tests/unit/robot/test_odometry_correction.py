@@ -7,8 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hostlink.robot.kinematics import DifferentialDrive, Pose, wrap_angle
-from hostlink.robot.odometry_correction import OdometryCorrection, wheel_way
-from hostlink.robot.odometry_estimator import OdometryEstimator, OdometrySnapshot
+from hostlink.robot.odometry import OdometryCorrection, OdometryEstimator, OdometrySnapshot, wheel_way
 from hostlink.robot.velocity import PlanarVelocity
 
 PERIOD_S = 0.1

@@ -10,8 +10,7 @@ from hypothesis import strategies as st
 from hostlink.errors import BadPayload
 from hostlink.messages.message_type import MessageType
 from hostlink.robot.kinematics import Pose
-from hostlink.robot.odometry_estimator import OdometryEstimator
-from hostlink.robot.odometry_reader import ODOMETRY_TYPE, POSE_TYPE, READERS, OdometryReading
+from hostlink.robot.odometry import ODOMETRY_TYPE, POSE_TYPE, READERS, OdometryEstimator, OdometryReading
 from hostlink.robot.velocity import PlanarVelocity
 from tests.support.fake_device import CATALOG
 

@@ -10,7 +10,7 @@ from hostlink.api.views import RobotView
 from hostlink.client import RobotState as ClientRobotState
 from hostlink.graphs.zenoh.fleet_messages import RobotMessage, State, decode, encode
 from hostlink.robot.kinematics import Pose
-from hostlink.robot.odometry_estimator import OdometrySnapshot
+from hostlink.robot.odometry import OdometrySnapshot
 from hostlink.robot.state import BATTERY_TYPE, DEVICE_AWAY, BatteryReading, RobotState, read_battery
 from hostlink.robot.velocity import Kinematics, PlanarVelocity
 from tests.support.fake_device import CATALOG

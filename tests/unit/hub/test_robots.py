@@ -1,10 +1,10 @@
-"""Away: who has left, and is forgotten."""
+"""RetentionPolicy: who has left, and is forgotten."""
 
-from hostlink.robot.away import Away
+from hostlink.hub.robots import RetentionPolicy
 
 
 def test_who_left_is_forgotten_after_a_while() -> None:
-    away = Away(10.0)
+    away = RetentionPolicy(10.0)
     away.put("a", 0.0)
     away.put("b", 5.0)
     assert away.next_s() == 10.0
@@ -15,7 +15,7 @@ def test_who_left_is_forgotten_after_a_while() -> None:
 
 
 def test_who_left_first_is_forgotten_for_those_who_left_later() -> None:
-    away = Away(max_away=2)
+    away = RetentionPolicy(max_away=2)
     for name in "abac":
         away.put(name, 0.0)
     assert away.pop_forgotten(0.0) == ["b"]
@@ -24,7 +24,7 @@ def test_who_left_first_is_forgotten_for_those_who_left_later() -> None:
 
 
 def test_who_is_back_is_not_forgotten() -> None:
-    away = Away(10.0)
+    away = RetentionPolicy(10.0)
     away.put("a", 0.0)
     away.remove("a")
     away.remove("a")

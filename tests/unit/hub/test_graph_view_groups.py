@@ -6,8 +6,8 @@ from collections.abc import Mapping
 import pytest
 
 from hostlink.errors import BadRequest
-from hostlink.hub.graph import OBSERVERS, Graph, GraphTopic
 from hostlink.hub.graph_changes import NOTIFY_AFTER_S
+from hostlink.hub.graph_view import OBSERVERS, Graph, GraphTopic
 from hostlink.hub.message import Message
 from hostlink.hub.participant import Participant
 from tests.support.fake_device import robot_topics

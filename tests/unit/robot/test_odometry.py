@@ -8,7 +8,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from hostlink.robot.kinematics import DifferentialDrive, Pose, wrap_angle
-from hostlink.robot.odometry_estimator import (
+from hostlink.robot.odometry import (
     CLOSEST_S,
     SHAKE_M,
     SHAKE_RAD,

@@ -2,14 +2,122 @@
 
 import itertools
 import math
+import struct
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum, auto
 from typing import NamedTuple
 
+from hostlink.errors import BadPayload
 from hostlink.robot.kinematics import Pose, chord_per_arc, frame_of, placed, wrap_angle
-from hostlink.robot.odometry_correction import OdometryCorrection
 from hostlink.robot.velocity import PlanarVelocity
+
+
+class WheelWay(NamedTuple):
+    """How far each wheel rolled between two poses, by the robot's own numbers."""
+
+    left_m: float
+    right_m: float
+    sideways_m: float  # of the chord: what no arc explains, because the robot bent between the two poses
+
+
+class OdometryCorrection(NamedTuple):
+    """Of one robot: factors of its wheels' radii, and the separation that it believes and has."""
+
+    left_factor: float = 1.0
+    right_factor: float = 1.0
+    nominal_separation_m: float = 0.210  # with which the robot integrates
+    separation_m: float = 0.210  # the true one
+
+    def advance(self, pose: Pose, before: Pose, after: Pose) -> Pose:
+        """Where the robot is that was truly at `pose` when its own odometry went from `before` to `after`."""
+        way = wheel_way(before, after, self.nominal_separation_m)
+        left_m, right_m = way.left_m * self.left_factor, way.right_m * self.right_factor
+        turned_rad = (right_m - left_m) / self.separation_m
+        chord_m = (left_m + right_m) / 2 * chord_per_arc(turned_rad)
+        heading_rad = pose.theta_rad + turned_rad / 2
+        cos, sin = math.cos(heading_rad), math.sin(heading_rad)
+        return Pose(
+            pose.x_m + chord_m * cos - way.sideways_m * sin,
+            pose.y_m + chord_m * sin + way.sideways_m * cos,
+            wrap_angle(pose.theta_rad + turned_rad),
+        )
+
+    def velocity(self, measured: PlanarVelocity) -> PlanarVelocity:
+        """The true motion of a robot that measures this one. Wheels say nothing of a sideways motion: it is kept."""
+        turning_m_s = measured.yaw_rad_s * self.nominal_separation_m / 2
+        left_m_s = (measured.x_m_s - turning_m_s) * self.left_factor
+        right_m_s = (measured.x_m_s + turning_m_s) * self.right_factor
+        yaw_rad_s = (right_m_s - left_m_s) / self.separation_m
+        return PlanarVelocity((left_m_s + right_m_s) / 2, measured.y_m_s, yaw_rad_s)
+
+
+def wheel_way(before: Pose, after: Pose, separation_m: float) -> WheelWay:
+    """How far each wheel rolled along the arc between two poses."""
+    turned_rad = wrap_angle(after.theta_rad - before.theta_rad)
+    heading_rad = before.theta_rad + turned_rad / 2  # of the arc's chord
+    cos, sin = math.cos(heading_rad), math.sin(heading_rad)
+    dx_m, dy_m = after.x_m - before.x_m, after.y_m - before.y_m
+    arc_m = (dx_m * cos + dy_m * sin) / chord_per_arc(turned_rad)
+    turning_m = turned_rad * separation_m / 2
+    return WheelWay(arc_m - turning_m, arc_m + turning_m, dy_m * cos - dx_m * sin)
+
+
+POSE_TYPE, ODOMETRY_TYPE = "geometry_msgs/Pose2D", "nav_msgs/Odometry"
+_POSE = struct.Struct("<3d")
+_HEADER = struct.Struct("<4xIII")  # seq, secs, nsecs, length of frame_id
+_LENGTH = struct.Struct("<I")  # of child_frame_id
+_BODY = struct.Struct("<2d8x4d288x2d24xd288x")  # x, y, orientation; linear x, y; angular z; covariances between
+_NS_PER_S = 1_000_000_000
+
+
+class OdometryReading(NamedTuple):
+    """Pose and twist as the device has them; None for what it does not publish."""
+
+    pose: Pose
+    twist: PlanarVelocity | None = None
+    stamp_ns: int | None = None  # by the device's own clock
+
+
+def read_pose(payload: bytes) -> OdometryReading:
+    """From a geometry_msgs/Pose2D.
+
+    Raises:
+        BadPayload: it is none.
+    """
+    if len(payload) != _POSE.size:
+        raise BadPayload(POSE_TYPE, f"{len(payload)} bytes instead of {_POSE.size}")
+    x_m, y_m, theta_rad = _POSE.unpack(payload)
+    return OdometryReading(Pose(x_m, y_m, wrap_angle(theta_rad)))
+
+
+def read_odometry(payload: bytes) -> OdometryReading:
+    """From a nav_msgs/Odometry.
+
+    Raises:
+        BadPayload: it is none.
+    """
+    try:
+        secs, nsecs, frame_bytes = _HEADER.unpack_from(payload)
+        (child_bytes,) = _LENGTH.unpack_from(payload, _HEADER.size + frame_bytes)
+        body_at = _HEADER.size + frame_bytes + _LENGTH.size + child_bytes
+        x_m, y_m, *orientation, forward_m_s, left_m_s, yaw_rad_s = _BODY.unpack_from(payload, body_at)
+    except struct.error as error:
+        raise BadPayload(ODOMETRY_TYPE, f"{len(payload)} bytes are too few: {error}") from error
+    if len(payload) != body_at + _BODY.size:
+        raise BadPayload(ODOMETRY_TYPE, f"{len(payload)} bytes instead of {body_at + _BODY.size}")
+    pose = Pose(x_m, y_m, _yaw(*orientation))
+    return OdometryReading(pose, PlanarVelocity(forward_m_s, left_m_s, yaw_rad_s), secs * _NS_PER_S + nsecs)
+
+
+READERS: dict[str, Callable[[bytes], OdometryReading]] = {POSE_TYPE: read_pose, ODOMETRY_TYPE: read_odometry}
+
+
+def _yaw(x: float, y: float, z: float, w: float) -> float:
+    """Of a quaternion of any length: some devices do not normalise."""
+    return wrap_angle(math.atan2(2 * (w * z + x * y), w * w + x * x - y * y - z * z))
+
 
 WINDOW_S = 0.4  # four poses of the paper's robot: steady enough, and not late
 CLOSEST_S = 0.005  # of those that are kept of a device that publishes faster

@@ -6,10 +6,9 @@ import struct
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hostlink.hub.deliveries import MAX_WAITING
 from hostlink.hub.message import Message
 from hostlink.hub.participant import Participant
-from hostlink.hub.topic import Subscriber
+from hostlink.hub.topic import MAX_WAITING, Subscriber
 from hostlink.hub.topic_graph import TopicGraph
 from hostlink.protocol.frame import Id
 from hostlink.robot.velocity import PlanarVelocity
