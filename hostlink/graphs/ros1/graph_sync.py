@@ -6,13 +6,12 @@ from operator import itemgetter
 from typing import NamedTuple
 
 from hostlink.errors import HostlinkError, ServiceFailed
+from hostlink.graphs.ros1.connections import Wire
+from hostlink.graphs.ros1.local_node import Kind, LocalNode
 from hostlink.graphs.ros1.names import NameMap, Names, is_legal
-from hostlink.graphs.ros1.parts import Kind, Parts
-from hostlink.graphs.ros1.publication import Publication
-from hostlink.graphs.ros1.publisher import Publisher
 from hostlink.graphs.ros1.services import ForeignService, ServiceOffer, find_type
 from hostlink.graphs.ros1.tcpros import ANY, BadHeader, decode_header
-from hostlink.graphs.ros1.wire import Wire
+from hostlink.graphs.ros1.topics import Publication, Publisher
 from hostlink.graphs.ros1.xml_rpc import Refused, Unreachable
 from hostlink.hub.graph import Graph, GraphTopic
 from hostlink.logs import printable
@@ -57,23 +56,23 @@ class _Subscription:
 class GraphSync:
     """What hostlink publishes, subscribes to and provides in ROS, by its names there; and ROS's services here."""
 
-    def __init__(self, parts: Parts) -> None:
+    def __init__(self, node: LocalNode) -> None:
         self.subscriptions: dict[str, _Subscription] = {}
-        self._parts = parts
+        self._node = node
         self._named: dict[str, list[str]] = {}  # publishers as the master named them last, of what is subscribed to
         self._room = asyncio.Semaphore(AT_ONCE)
         self._publications = Mirror[str, _Published, Publication](
-            lambda name, wanted: Publication(parts, wanted.topic, name, wanted.type, is_latched=wanted.is_latched),
+            lambda name, wanted: Publication(node, wanted.topic, name, wanted.type, is_latched=wanted.is_latched),
             self._fail,
         )
         self._offers = Mirror[str, _Offered, ServiceOffer](
-            lambda name, wanted: ServiceOffer(parts, wanted.service, name, wanted.type), self._fail
+            lambda name, wanted: ServiceOffer(node, wanted.service, name, wanted.type), self._fail
         )
         self._connections: Mirror[tuple[str, str], Publisher, Served[tuple[str, str]]] = Mirror.of_tasks(
             lambda _, publisher: publisher.receive(),
-            lambda work: parts.spawn(work, name="ROS 1 publisher"),
+            lambda work: node.spawn(work, name="ROS 1 publisher"),
             self._fail_publisher,
-            limit=parts.max_publishers,
+            limit=node.config.max_connections,
             group_of=itemgetter(0),
             group_limit=MAX_PUBLISHERS,
             retry_s=FIRST_RETRY_S,
@@ -82,7 +81,7 @@ class GraphSync:
         )
         self._services: Mirror[tuple[str, str], str, Served[tuple[str, str]]] = Mirror.of_tasks(
             self._provide,
-            lambda work: parts.spawn(work, name="ROS 1 service"),
+            lambda work: node.spawn(work, name="ROS 1 service"),
             self._fail_service,
             limit=MAX_SERVICES,
             retry_s=SERVICE_RETRY_S,
@@ -107,7 +106,7 @@ class GraphSync:
 
     def update_services(self, nodes: dict[str, str], names: NameMap) -> None:
         """The services of ROS have changed. `nodes`: who provides each; another node's is another service."""
-        found = {(name, node) for name, node in nodes.items() if node != self._parts.node}
+        found = {(name, node) for name, node in nodes.items() if node != self._node.name}
         self._services.want({key: names.to_hub(key[0]) for key in sorted(found) if not key[0].endswith(OF_EVERY_NODE)})
 
     def set_publishers(self, topic: str, uris: list[str], *, is_answer: bool) -> None:
@@ -118,7 +117,7 @@ class GraphSync:
         subscription = self.subscriptions.get(topic)
         if subscription is None:
             return
-        self._parts.counts.crowded_out += max(0, len(uris) - MAX_NAMED)
+        self._node.counts.crowded_out += max(0, len(uris) - MAX_NAMED)
         known = self._named.get(topic, []) if is_answer else []
         named = self._named[topic] = merge_publishers(known, uris)
         for uri in subscription.publishers.keys() - set(named):
@@ -144,7 +143,7 @@ class GraphSync:
         kind, name = ("topic", header["topic"]) if "topic" in header else ("service", header.get("service", ""))
         found = (self.publications if kind == "topic" else self.offers).get(name)
         if found is None:
-            self._refuse(wire, f"{self._parts.node} has no {kind} {printable(name)}")
+            self._refuse(wire, f"{self._node.name} has no {kind} {printable(name)}")
         else:
             found.accept(wire, header)
             if messages[1:] and not wire.is_closed:
@@ -157,7 +156,7 @@ class GraphSync:
             mirror.close()
 
     def _refuse(self, wire: Wire, reason: str) -> None:
-        self._parts.counts.refused_headers += 1
+        self._node.counts.refused_headers += 1
         wire.refuse(reason)
 
     # -- what is wanted -----------------------------------------------------------------------------------------------
@@ -166,7 +165,7 @@ class GraphSync:
         found: dict[str, _Published] = {}
         for topic in topics:
             if topic.is_published and topic.type is None:
-                self._parts.log_once("ros1.topic_unknown", topic=topic.name, type=topic.type_name)
+                self._node.log_once("ros1.topic_unknown", topic=topic.name, type=topic.type_name)
             elif topic.is_published and topic.type is not None:
                 name = self._legal(names.to_ros(topic.name))
                 if name:
@@ -185,10 +184,10 @@ class GraphSync:
     def _offered(self, graph: Graph, names: NameMap) -> dict[str, _Offered]:
         found: dict[str, _Offered] = {}
         for service in graph.services:
-            type_ = self._parts.hub.catalog.service(service.type_name)
+            type_ = self._node.hub.catalog.service(service.type_name)
             name = self._legal(names.to_ros(service.name))
             if type_ is None:
-                self._parts.log_once("ros1.service_unknown", service=name, type=service.type_name)
+                self._node.log_once("ros1.service_unknown", service=name, type=service.type_name)
             elif name:
                 found.setdefault(name, _Offered(service.name, type_))
         return found
@@ -196,7 +195,7 @@ class GraphSync:
     def _legal(self, name: str) -> str:
         if is_legal(name):
             return name
-        self._parts.log_once("ros1.name_refused", name=name)
+        self._node.log_once("ros1.name_refused", name=name)
         return ""
 
     # -- publishers of other nodes ------------------------------------------------------------------------------------
@@ -218,8 +217,8 @@ class GraphSync:
     def _connect(self, name: str, subscription: _Subscription, uris: Iterable[str], *, is_new: bool) -> None:
         """`is_new`: they came after the subscription, so what they publish first is new."""
         for uri in uris:
-            if uri != self._parts.uri and uri not in subscription.publishers:
-                publisher = Publisher(self._parts, subscription.topic, name, uri, is_new=is_new)
+            if uri != self._node.uri and uri not in subscription.publishers:
+                publisher = Publisher(self._node, subscription.topic, name, uri, is_new=is_new)
                 subscription.publishers[uri] = publisher
                 self._connections.put((name, uri), publisher)
 
@@ -233,11 +232,11 @@ class GraphSync:
         """Find the type of a service, and provide it here until this is cancelled."""
         name, _ = key
         async with self._room:
-            type_name, md5 = await find_type(self._parts, name)
-        type_ = self._parts.hub.catalog.service(type_name)
+            type_name, md5 = await find_type(self._node, name)
+        type_ = self._node.hub.catalog.service(type_name)
         if type_ is None or type_.md5 != md5:
             raise ServiceFailed(name, f"no definition of {type_name} with md5 {md5}")
-        provided = ForeignService(self._parts, service, name, type_)
+        provided = ForeignService(self._node, service, name, type_)
         try:
             await asyncio.Event().wait()
         finally:
@@ -246,11 +245,11 @@ class GraphSync:
     # -- bounds and failures ------------------------------------------------------------------------------------------
 
     def _count_crowded(self, _: object) -> None:
-        self._parts.counts.crowded_out += 1
+        self._node.counts.crowded_out += 1
 
     def _fail(self, key: str, error: Exception) -> None:
         """A publication or an offer only waits for connections: what it raises is a fault of hostlink."""
-        self._parts.hub.isolation.crashed("ros1", error, name=printable(key))
+        self._node.hub.isolation.crashed("ros1", error, name=printable(key))
 
     def _fail_publisher(self, key: tuple[str, str], error: Exception) -> None:
         self._log_failure("ros1.publisher_failed", error, topic=key[0], uri=key[1])
@@ -260,9 +259,9 @@ class GraphSync:
 
     def _log_failure(self, event: str, error: Exception, **facts: str) -> None:
         if isinstance(error, _FAILURES):
-            self._parts.log_once(event, **facts, reason=str(error) or type(error).__name__)
+            self._node.log_once(event, **facts, reason=str(error) or type(error).__name__)
         else:
-            self._parts.hub.isolation.crashed("ros1", error, **{name: printable(text) for name, text in facts.items()})
+            self._node.hub.isolation.crashed("ros1", error, **{name: printable(text) for name, text in facts.items()})
 
 
 def merge_publishers(known: list[str], answered: list[str]) -> list[str]:

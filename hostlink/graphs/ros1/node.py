@@ -5,9 +5,8 @@ import contextlib
 import ipaddress
 import socket
 import urllib.parse
-from collections.abc import AsyncIterator, Callable, Coroutine
+from collections.abc import AsyncIterator, Callable
 from functools import partial
-from typing import Any
 
 import structlog
 
@@ -15,12 +14,10 @@ from hostlink.acceptor import why
 from hostlink.cancellation import raise_if_cancelled
 from hostlink.config import Ros1Config
 from hostlink.errors import ConfigError
-from hostlink.graphs.ros1.member import CRASHED, Member
+from hostlink.graphs.ros1.connections import Port
+from hostlink.graphs.ros1.local_node import LocalNode
+from hostlink.graphs.ros1.member import CRASHED, Member, SlaveApi
 from hostlink.graphs.ros1.names import Names, joined
-from hostlink.graphs.ros1.parts import Counts, Parts, Spawn
-from hostlink.graphs.ros1.port import Port
-from hostlink.graphs.ros1.rpc import Master, Rpc
-from hostlink.graphs.ros1.slave import serving_slave_api
 from hostlink.graphs.ros1.xml_rpc import MASTER_PORT
 from hostlink.hub.hub import Hub
 
@@ -30,10 +27,9 @@ RETRY_S = 2.0  # until the master's name has an address
 
 
 class Ros1Node:
-    """`run` serves until somebody shuts the node down; the daemon does not end with it."""
+    """The daemon as one node of a ROS 1 graph. `run` serves until the node is shut down; the daemon continues."""
 
     def __init__(self, hub: Hub, config: Ros1Config) -> None:
-        self.counts = Counts()
         plain = Names(joined(config.namespace, config.name))
         remappings = {plain.resolve(old): plain.resolve(new) for old, new in config.remappings.items()}
         self._names = Names(plain.node, remappings)
@@ -43,48 +39,38 @@ class Ros1Node:
         """Take part in the graph; returns why the node was shut down."""
         host = await self._find_host()
         async with asyncio.TaskGroup() as tasks:
-            spawned = _Spawned(self._hub, tasks)
+            node = LocalNode(self._hub, self._config, self._names.node, tasks)
             try:
-                async with self._serving(host, spawned.spawn) as member:
-                    registering = spawned.spawn(member.keep_registered(), name="ROS 1 registrar")
+                async with self._serving(node, host) as member:
+                    registering = node.spawn(member.keep_registered(), name="ROS 1 registrar")
                     try:
                         return await member.ended
                     finally:
                         registering.cancel()  # before everything is unregistered
             finally:
-                spawned.cancel()
+                await node.aclose()
 
     @contextlib.asynccontextmanager
-    async def _serving(self, host: str, spawn: Spawn) -> AsyncIterator[Member]:
-        """All that listens, for the length of the block; at its end nothing of this node is left in either graph."""
-        config, rpc = self._config, Rpc()
-        make_port = partial(Port, self.counts, allow=config.allow, max_connections=config.max_connections)
+    async def _serving(self, node: LocalNode, host: str) -> AsyncIterator[Member]:
+        """Listen for the length of the block. At its end no graph contains a part of this node."""
+        config = self._config
+        make_port = partial(Port, node.counts, allow=config.allow, max_connections=config.max_connections)
         api, tcpros = make_port(), make_port()
         listen = _listening_address(host)
         try:
             api_port = await _bound(api, listen, config.port, "ros1.port")
             tcpros_port = await _bound(tcpros, listen, config.tcpros_port, "ros1.tcpros_port")
-            parts = Parts(
-                self._hub,
-                rpc,
-                Master(rpc, config.master, self._names.node),
-                self._names.node,
-                f"http://{_spelled(host)}:{api_port}/",
-                self.counts,
-                spawn,
-                config.max_message_bytes,
-                config.max_connections,
-            )
-            member = Member(parts, self._names, (host, tcpros_port), f"rosrpc://{_spelled(host)}:{tcpros_port}")
-            async with member.taking_part(), serving_slave_api(member, parts) as connect:
-                api.accept(connect, spawn)
-                tcpros.accept(member.make_wire, spawn)
-                log.info("ros1.started", node=parts.node, master=config.master, uri=parts.uri)
+            node.uri = f"http://{_spelled(host)}:{api_port}/"
+            member = Member(node, self._names, f"rosrpc://{_spelled(host)}:{tcpros_port}")
+            slave_api = SlaveApi(member, node, (host, tcpros_port))
+            async with member.taking_part(), slave_api.serving() as connect:
+                api.accept(connect, node.spawn)
+                tcpros.accept(member.make_wire, node.spawn)
+                log.info("ros1.started", node=node.name, master=config.master, uri=node.uri)
                 yield member
         finally:
             api.close()
             tcpros.close()
-            await rpc.aclose()
 
     async def _find_host(self) -> str:
         """By which name or address others reach this node; tried until the master's name has an address."""
@@ -125,29 +111,6 @@ async def _serve(hub: Hub, config: Ros1Config, on_end: Callable[[str], None]) ->
     raise_if_cancelled()
     log.warning("ros1.ended", reason=reason, advice="robots are served on; start hostlink again to be in the graph")
     on_end(reason)
-
-
-class _Spawned:
-    """The tasks of one node; the crash of one ends nothing else."""
-
-    def __init__(self, hub: Hub, tasks: asyncio.TaskGroup) -> None:
-        self._hub, self._group = hub, tasks
-        self._tasks: set[asyncio.Task[None]] = set()
-
-    def spawn(self, work: Coroutine[Any, Any, object], *, name: str) -> asyncio.Task[None]:
-        task = self._group.create_task(self._isolated(work, name), name=name)
-        self._tasks.add(task)
-        task.add_done_callback(self._tasks.discard)
-        task.add_done_callback(lambda _: work.close())  # it may be cancelled before it begins
-        return task
-
-    def cancel(self) -> None:
-        for task in self._tasks:
-            task.cancel()
-
-    async def _isolated(self, work: Coroutine[Any, Any, object], name: str) -> None:
-        with self._hub.isolation.around("task", task=name):
-            await work
 
 
 async def _bound(port: Port, host: str, number: int, setting: str) -> int:

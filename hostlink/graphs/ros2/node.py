@@ -16,9 +16,7 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 from rclpy.signals import SignalHandlerOptions
 
 from hostlink.errors import ConfigError, HostlinkError
-from hostlink.graphs.ros2.names import ros2_name
-from hostlink.graphs.ros2.plan import Publisher, Ros2Graph
-from hostlink.graphs.ros2.qos import Qos
+from hostlink.graphs.ros2.plan import Publisher, Qos, Ros2Graph, ros2_name
 
 NODE_NAME = "hostlink"
 END_TIMEOUT_S = 2.0  # of the executor's thread

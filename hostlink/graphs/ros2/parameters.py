@@ -12,8 +12,8 @@ from rclpy.parameter import Parameter
 
 from hostlink.client import Host
 from hostlink.errors import HostlinkError
-from hostlink.graphs.ros2.names import parameter_name
 from hostlink.graphs.ros2.node import Ros2Node
+from hostlink.graphs.ros2.plan import parameter_name
 
 INTERVAL_S = 2.0  # the daemon has no event for a parameter
 ANSWER_TIMEOUT_S = 0.4  # of the daemon; rclpy's thread waits for it, and a lease is 0.5 s

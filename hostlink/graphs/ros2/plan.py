@@ -1,11 +1,77 @@
-"""The routes between two graphs: what the daemon has and what ROS 2 has decide them. Pure."""
+"""Plan of the routes between two graphs: names, types, quality of service, and what each graph has decide it. Pure."""
 
+import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
-from hostlink.graphs.ros2.names import is_ros2_name, ros1_type, ros2_type
-from hostlink.graphs.ros2.qos import Qos, subscription_qos
+GLOBAL = frozenset({"/tf", "/tf_static", "/clock", "/diagnostics"})  # one for all namespaces, as in ROS 2
+_TOKENS = re.compile(r"(/?[A-Za-z_][A-Za-z0-9_]*)(/[A-Za-z_][A-Za-z0-9_]*)*")
+_MOVED = {  # ROS 1's messages that have another name in ROS 2
+    "std_msgs/Duration": "builtin_interfaces/msg/Duration",
+    "std_msgs/Time": "builtin_interfaces/msg/Time",
+    "tf/tfMessage": "tf2_msgs/msg/TFMessage",
+}
+_PARTS = 3  # package, msg or srv, name
+
+
+def ros2_name(name: str) -> str:
+    """The name of a topic or service for rclpy: relative, so that the node's namespace and remappings count."""
+    return name if name in GLOBAL else name.removeprefix("/")
+
+
+def is_ros2_name(name: str) -> bool:
+    """Whether ROS 2 allows it: rosserial also allows parts that begin with a digit, ROS 2 does not."""
+    return _TOKENS.fullmatch(name) is not None
+
+
+def ros2_type(type_name: str, kind: str = "msg") -> str:
+    """`geometry_msgs/Twist` as `geometry_msgs/msg/Twist`; `kind` is `msg` or `srv`."""
+    package, _, name = type_name.rpartition("/")
+    return _MOVED.get(type_name, f"{package}/{kind}/{name}")
+
+
+def ros1_type(type_name: str) -> str:
+    """`geometry_msgs/msg/Twist` as `geometry_msgs/Twist`."""
+    moved = next((old for old, new in _MOVED.items() if new == type_name and old.startswith("std_msgs")), None)
+    parts = type_name.split("/")
+    return moved or (f"{parts[0]}/{parts[2]}" if len(parts) == _PARTS else type_name)
+
+
+def parameter_name(name: str) -> str:
+    """`/robot_0/gain` as a parameter of the node: `robot_0.gain`."""
+    return name.strip("/").replace("/", ".")
+
+
+DEPTH = 10  # as `ros2 topic pub` and rclpy's examples have it
+COMMAND_DEPTH = 1  # an older velocity means nothing beside a newer one
+STATIC_DEPTH = 100  # transforms of other nodes that never change: each is sent once
+
+
+class Qos(NamedTuple):
+    """The policies that decide whether two ends match."""
+
+    is_reliable: bool
+    is_latched: bool  # TRANSIENT_LOCAL
+    depth: int = DEPTH
+
+
+COMMAND = Qos(is_reliable=False, is_latched=False, depth=COMMAND_DEPTH)  # every publisher matches it
+
+
+def publisher_qos(topic: str, *, is_latched: bool) -> Qos:
+    """Reliable: a best-effort publisher reaches no subscription with default policies, and only a warning says so."""
+    is_static = topic == "/tf_static"
+    return Qos(is_reliable=True, is_latched=is_latched or is_static, depth=STATIC_DEPTH if is_static else DEPTH)
+
+
+def subscription_qos(offers: Iterable[Qos]) -> Qos:
+    """What matches every publisher of the topic, and loses no more than they allow."""
+    offers = list(offers)
+    is_latched = bool(offers) and all(offer.is_latched for offer in offers)
+    is_reliable = bool(offers) and all(offer.is_reliable for offer in offers)
+    return Qos(is_reliable, is_latched, STATIC_DEPTH if is_latched else DEPTH)
+
 
 TWIST, TWIST_STAMPED = "geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"
 _OWN_SERVICE_TYPES = ("rcl_interfaces/", "type_description_interfaces/", "lifecycle_msgs/", "composition_interfaces/")

@@ -11,20 +11,18 @@ from structlog.contextvars import bound_contextvars
 
 from hostlink.config import ZenohConfig
 from hostlink.errors import BadPayload
-from hostlink.graphs.zenoh.fleet_drivers import FleetDrivers
+from hostlink.graphs.zenoh.fleet_commands import FleetDrivers, FleetRequests
 from hostlink.graphs.zenoh.fleet_messages import (
     MAX_REQUEST_BYTES,
     MAX_STATE_BYTES,
     Keys,
     Live,
+    Post,
     Sender,
     State,
     decode,
 )
-from hostlink.graphs.zenoh.fleet_post import Post
-from hostlink.graphs.zenoh.fleet_requests import FleetRequests
-from hostlink.graphs.zenoh.fleet_robots import FleetRobots
-from hostlink.graphs.zenoh.fleet_states import FleetStates
+from hostlink.graphs.zenoh.fleet_robots import FleetRobots, FleetStates
 from hostlink.graphs.zenoh.fleet_topics import MAX_MESSAGE_BYTES, FleetTopics
 from hostlink.graphs.zenoh.roster import Neighbour, Roster
 from hostlink.graphs.zenoh.session import Declaration, Sample, Session, Token

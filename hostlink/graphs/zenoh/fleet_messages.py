@@ -1,13 +1,20 @@
-"""What daemons of a fleet send to each other, as JSON; and the keys on which they do. Pure.
+"""Messages between the daemons of a fleet, as JSON, and the keys that carry them.
 
-The verb comes first in a key and the sender's name stands in it, so that Zenoh's access rules can name who may do what.
+A key begins with the verb and holds the sender's name, so that Zenoh's access rules can say who may do what.
 """
 
+import asyncio
+import re
+from collections import Counter
+from dataclasses import dataclass
 from typing import Annotated, NamedTuple, TypeVar
 
 import msgspec
 
 from hostlink.errors import BadPayload
+from hostlink.graphs.zenoh.session import Session
+from hostlink.hub.robot import LocalRobot
+from hostlink.logs import printable
 from hostlink.robot.kinematics import Pose
 from hostlink.robot.odometry_estimator import OdometrySnapshot
 from hostlink.robot.state import Priority, RobotName, RobotState, Text, TopicName, TypeName
@@ -18,6 +25,7 @@ MAX_TOPICS = 4096  # of one daemon
 MAX_STATE_BYTES = 256 * 1024
 MAX_REQUEST_BYTES = 4096
 _DIGITS = 6  # micrometres
+_TEXT_CHARS = 200
 
 
 class Sender(NamedTuple):
@@ -284,3 +292,44 @@ def _decode(decoder: "msgspec.json.Decoder[_Kind]", payload: bytes) -> _Kind:
         return decoder.decode(payload)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise BadPayload("fleet", str(error)) from error
+
+
+GROUP = "fleet"  # of its participants in the hub
+
+
+@dataclass(frozen=True, slots=True)
+class Post:
+    """`me`: as others know this daemon; `counts`: of what was refused or dropped, by cause."""
+
+    session: Session
+    keys: Keys
+    me: Sender
+    counts: Counter[str]
+    may_drive: tuple[str, ...] = ("*",)  # patterns of the names of daemons whose programs may drive robots here
+
+
+def is_shareable(robot: LocalRobot) -> bool:
+    """Whether other daemons can know it by its name."""
+    return re.fullmatch(r"\w{1,64}", robot.name, re.ASCII) is not None
+
+
+def fleet_name(robot: LocalRobot, topic: str) -> str:
+    """A topic of a robot as other daemons know it: below the robot's name."""
+    return topic if topic.startswith(f"/{robot.name}/") else f"/{robot.name}{topic}"
+
+
+def state_of(robot: LocalRobot) -> RobotMessage:
+    """A robot as other daemons receive it: its topics below its name, without what concerns this daemon alone."""
+    state = robot.state(asyncio.get_running_loop().time())
+    shared = msgspec.structs.replace(
+        state,
+        also_at=(),
+        frames=None,
+        velocity_topic=fleet_name(robot, state.velocity_topic),
+        odometry_topic=fleet_name(robot, state.odometry_topic),
+        reset_topic=None if state.reset_topic is None else fleet_name(robot, state.reset_topic),
+        holder=None if state.holder is None else printable(state.holder, _TEXT_CHARS),
+        holder_address=None,
+        unreachable=None if state.unreachable is None else printable(state.unreachable, _TEXT_CHARS),
+    )
+    return RobotMessage.of(shared)

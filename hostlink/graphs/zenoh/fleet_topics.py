@@ -8,10 +8,18 @@ import asyncio
 from collections.abc import Iterable
 
 from hostlink.errors import BadPayload, HostlinkError
-from hostlink.graphs.zenoh.fleet_drivers import FleetDrivers
-from hostlink.graphs.zenoh.fleet_messages import MAX_TOPICS, Topics, TopicState, decode, encode
-from hostlink.graphs.zenoh.fleet_post import GROUP, Post
-from hostlink.graphs.zenoh.fleet_states import fleet_name, is_shareable
+from hostlink.graphs.zenoh.fleet_commands import FleetDrivers
+from hostlink.graphs.zenoh.fleet_messages import (
+    GROUP,
+    MAX_TOPICS,
+    Post,
+    Topics,
+    TopicState,
+    decode,
+    encode,
+    fleet_name,
+    is_shareable,
+)
 from hostlink.graphs.zenoh.roster import Neighbour, Roster
 from hostlink.graphs.zenoh.session import Declaration, Query, Sample
 from hostlink.hub.graph import GraphTopic

@@ -4,8 +4,7 @@ from collections import Counter
 
 import pytest
 
-from hostlink.graphs.zenoh import rmw_graph
-from hostlink.graphs.zenoh.rmw_graph import RemoteGraph, SourceClock
+from hostlink.graphs.zenoh import rmw_protocol
 from hostlink.graphs.zenoh.rmw_protocol import (
     OWN_ENCLAVE,
     TELEMETRY,
@@ -13,6 +12,8 @@ from hostlink.graphs.zenoh.rmw_protocol import (
     EndpointToken,
     Kind,
     NodeToken,
+    RemoteGraph,
+    SourceClock,
     gid_of,
 )
 
@@ -117,8 +118,8 @@ def test_nodes_of_other_hosts_of_hostlink_are_left_out() -> None:
 
 
 def test_tokens_are_bounded_for_each_session_and_for_all(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(rmw_graph, "MAX_TOKENS_OF_SESSION", 3)
-    monkeypatch.setattr(rmw_graph, "MAX_TOKENS", 5)
+    monkeypatch.setattr(rmw_protocol, "MAX_TOKENS_OF_SESSION", 3)
+    monkeypatch.setattr(rmw_protocol, "MAX_TOKENS", 5)
     graph = RemoteGraph(0, Counter())
     for number in range(6):
         graph.add(key_of("aa", topic=f"/topic_{number}"))

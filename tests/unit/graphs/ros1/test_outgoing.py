@@ -3,7 +3,7 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hostlink.graphs.ros1.wire import BATCH_BYTES, MAX_BYTES, MAX_MESSAGES, Outgoing
+from hostlink.graphs.ros1.connections import BATCH_BYTES, MAX_BYTES, MAX_MESSAGES, Outgoing
 
 
 def filled(*messages: bytes) -> Outgoing:

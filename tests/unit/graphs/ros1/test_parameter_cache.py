@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hostlink.graphs.ros1.parameters import MAX_CHARS, MAX_ITEMS, MAX_PARTS, ParameterCache
+from hostlink.graphs.ros1.master import MAX_CHARS, MAX_ITEMS, MAX_PARTS, ParameterCache
 
 
 def cache() -> ParameterCache:

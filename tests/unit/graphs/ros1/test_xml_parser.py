@@ -6,11 +6,11 @@ import time
 
 import pytest
 
-from hostlink.graphs.ros1.xml_parser import THREAD_BYTES, XmlParser
+from hostlink.graphs.ros1.local_node import THREAD_BYTES, Rpc
 
 
 async def test_a_small_body_is_parsed_at_once() -> None:
-    assert await XmlParser().parse(lambda _: threading.get_ident(), bytes(THREAD_BYTES)) == threading.get_ident()
+    assert await Rpc().parse(lambda _: threading.get_ident(), bytes(THREAD_BYTES)) == threading.get_ident()
 
 
 async def test_large_bodies_are_parsed_beside_the_loop_one_at_a_time() -> None:
@@ -25,7 +25,7 @@ async def test_large_bodies_are_parsed_beside_the_loop_one_at_a_time() -> None:
         running -= 1
         return len(body)
 
-    parser = XmlParser()
+    parser = Rpc()
     async with asyncio.TaskGroup() as tasks:
         parsing = [tasks.create_task(parser.parse(decode, bytes(THREAD_BYTES + size))) for size in range(1, 6)]
     assert [each.result() for each in parsing] == [THREAD_BYTES + size for size in range(1, 6)]
@@ -38,4 +38,4 @@ async def test_what_the_decoder_raises_is_raised() -> None:
         raise ValueError("none")
 
     with pytest.raises(ValueError, match="none"):
-        await XmlParser().parse(decode, bytes(2 * THREAD_BYTES))
+        await Rpc().parse(decode, bytes(2 * THREAD_BYTES))

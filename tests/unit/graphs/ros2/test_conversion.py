@@ -10,8 +10,8 @@ from rosbags.typesys import Stores, get_typestore
 
 from hostlink.api.typedefs import describe
 from hostlink.errors import BadPayload, HostlinkError
-from hostlink.graphs.ros2.conversion import Conversion, stamped
-from hostlink.graphs.ros2.layout import (
+from hostlink.graphs.ros2.conversion import (
+    Conversion,
     Fields,
     Layout,
     added_bytes,
@@ -19,8 +19,9 @@ from hostlink.graphs.ros2.layout import (
     ros1_layout,
     ros2_fields,
     ros2_layout,
+    stamped,
 )
-from hostlink.graphs.ros2.names import ros2_type
+from hostlink.graphs.ros2.plan import ros2_type
 from hostlink.messages.catalog import Catalog
 
 CATALOG, KILTED = Catalog(), get_typestore(Stores.ROS2_KILTED)

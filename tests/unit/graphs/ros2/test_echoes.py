@@ -3,7 +3,7 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hostlink.graphs.ros2.echoes import MAX_REMEMBERED, Echoes
+from hostlink.graphs.ros2.conversion import MAX_REMEMBERED, Echoes
 
 
 def test_a_message_is_an_echo_once_for_each_time_it_was_published() -> None:

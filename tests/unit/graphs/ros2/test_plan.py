@@ -9,6 +9,7 @@ from hostlink.graphs.ros2.plan import (
     Feed,
     Publication,
     Publisher,
+    Qos,
     Reception,
     Ros2Graph,
     Server,
@@ -16,7 +17,6 @@ from hostlink.graphs.ros2.plan import (
     planned,
     watched_topics,
 )
-from hostlink.graphs.ros2.qos import Qos
 
 RELIABLE, LATCHED = Qos(is_reliable=True, is_latched=False), Qos(is_reliable=True, is_latched=True)
 

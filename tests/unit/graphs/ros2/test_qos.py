@@ -3,7 +3,7 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hostlink.graphs.ros2.qos import COMMAND, Qos, publisher_qos, subscription_qos
+from hostlink.graphs.ros2.plan import COMMAND, Qos, publisher_qos, subscription_qos
 
 offers = st.lists(st.builds(Qos, st.booleans(), st.booleans()), max_size=4)
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hostlink.errors import HostlinkError
-from hostlink.graphs.ros2.values import fill, to_json
+from hostlink.graphs.ros2.conversion import fill, to_json
 
 
 class Message:

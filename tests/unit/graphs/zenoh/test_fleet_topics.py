@@ -5,8 +5,7 @@ from collections import Counter
 from typing import cast
 
 from hostlink.config import Config
-from hostlink.graphs.zenoh.fleet_messages import Keys, Sender, TopicState
-from hostlink.graphs.zenoh.fleet_post import Post
+from hostlink.graphs.zenoh.fleet_messages import Keys, Post, Sender, TopicState
 from hostlink.graphs.zenoh.fleet_topics import FIRST_RETRY_S, FleetImports
 from hostlink.graphs.zenoh.roster import Neighbour
 from hostlink.graphs.zenoh.session import Session
