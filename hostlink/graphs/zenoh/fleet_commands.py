@@ -145,6 +145,8 @@ class FleetDrivers:
         try:
             match request:
                 case Drive():
+                    if not request.wanted.is_zero:
+                        self._check_role(neighbour, request.robot)
                     source = functools.partial(self._participant, neighbour, request.owner, request.owner_name)
                     robot = self._hub.robots.find_here(request.robot, driver=None if request.wanted.is_zero else source)
                     return self._drive(neighbour, robot, request)
@@ -166,10 +168,8 @@ class FleetDrivers:
 
     def _drive(self, neighbour: Neighbour, robot: LocalRobot, request: Drive) -> Answer:
         velocity = request.wanted
-        if not velocity.is_zero:
-            self._check_role(neighbour, robot.name)
-            if robot.also_at:
-                raise DeviceGone(robot.name, f"several robots have this name, also at {', '.join(robot.also_at)}")
+        if robot.also_at and not velocity.is_zero:
+            raise DeviceGone(robot.name, f"several robots have this name, also at {', '.join(robot.also_at)}")
         if neighbour.is_silent:  # it has sent nothing by which its clock is known
             raise DeviceGone(robot.name, "the daemons have just met; try again")
         received_s = _now_s() - neighbour.freshness.late_s(request.sent_s, _now_s())

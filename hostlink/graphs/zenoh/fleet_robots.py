@@ -149,7 +149,7 @@ class FleetRobots:
                     robot.admission = before.admission
                 self._hub.robots.put_remote(robot)
             if place.also_at and not robot.also_at:
-                _log_twice(name, (sender.name, *place.also_at))
+                _log_duplicate(name, (sender.name, *place.also_at))
             robot.also_at = place.also_at
             self._update(robot, place)
 
@@ -206,7 +206,7 @@ class FleetRobots:
             return
         also_at = self._roster.connected_at(name) if robot.link is not None else ()
         if also_at and not robot.also_at:
-            _log_twice(name, (self._post.me.name, *also_at))
+            _log_duplicate(name, (self._post.me.name, *also_at))
         robot.also_at = also_at
         if robot.link is not None and self._known_links.get(name) != robot.link.number:
             self._known_links[name] = robot.link.number
@@ -248,7 +248,7 @@ class FleetRobots:
             robot.also_at = ()
 
 
-def _log_twice(name: str, hosts: Iterable[str]) -> None:
+def _log_duplicate(name: str, hosts: Iterable[str]) -> None:
     with_budget = of_peer("fleet names")
     with structlog.contextvars.bound_contextvars(**with_budget):
-        log.warning("fleet.name_twice", robot=name, hosts=[printable(host) for host in hosts])
+        log.warning("fleet.duplicate_name_found", robot=name, hosts=[printable(host) for host in hosts])
