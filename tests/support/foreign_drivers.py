@@ -123,7 +123,7 @@ class FleetDriver:
 
     @property
     def participant(self) -> Participant:
-        return self._drivers._drivers[self._there.zid].of[1].participant
+        return self._drivers._drivers[self._there.zid][1].participant
 
     def drive(
         self,

@@ -1,7 +1,7 @@
 """GraphSync: the topics and services that pass between hub and ROS, as both graphs change."""
 
 import asyncio
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from operator import itemgetter
 from typing import NamedTuple
 
@@ -45,19 +45,29 @@ class _Offered(NamedTuple):
 
 
 class _Subscription:
-    """A topic that somebody here subscribes to, and the nodes that publish it, by where their slave API answers."""
+    """Endpoint for a topic that the hub subscribes to: connections to the nodes that publish it, by their addresses."""
 
-    def __init__(self, topic: GraphTopic) -> None:
+    def __init__(self, topic: GraphTopic, disconnect: Callable[[str], None]) -> None:
         self.topic = topic
         self.publishers: dict[str, Publisher] = {}
         self.is_registered = False  # the master has answered
+        self._disconnect = disconnect
+
+    def drop(self, uri: str) -> None:
+        """Disconnect a publisher. What it drives stops at once, before its task ends."""
+        self.publishers.pop(uri).close()
+        self._disconnect(uri)
+
+    def close(self) -> None:
+        """Disconnect all publishers."""
+        for uri in list(self.publishers):
+            self.drop(uri)
 
 
 class GraphSync:
     """What hostlink publishes, subscribes to and provides in ROS, by its names there; and ROS's services here."""
 
     def __init__(self, node: LocalNode) -> None:
-        self.subscriptions: dict[str, _Subscription] = {}
         self._node = node
         self._named: dict[str, list[str]] = {}  # publishers as the master named them last, of what is subscribed to
         self._room = asyncio.Semaphore(AT_ONCE)
@@ -68,6 +78,7 @@ class GraphSync:
         self._offers = Mirror[str, _Offered, ServiceOffer](
             lambda name, wanted: ServiceOffer(node, wanted.service, name, wanted.type), self._fail
         )
+        self._subscriptions = Mirror[str, GraphTopic, _Subscription](self._subscribe, self._fail, is_same=_is_same)
         self._connections: Mirror[tuple[str, str], Publisher, Served[tuple[str, str]]] = Mirror.of_tasks(
             lambda _, publisher: publisher.receive(),
             lambda work: node.spawn(work, name="ROS 1 publisher"),
@@ -89,6 +100,11 @@ class GraphSync:
         )
 
     @property
+    def subscriptions(self) -> dict[str, _Subscription]:
+        """By their names in ROS."""
+        return self._subscriptions.endpoints
+
+    @property
     def publications(self) -> dict[str, Publication]:
         """By their names in ROS."""
         return self._publications.endpoints
@@ -101,7 +117,9 @@ class GraphSync:
     def update(self, graph: Graph, names: NameMap) -> None:
         """The hub has changed: add what has come, close what has gone or is another now."""
         self._publications.want(self._published(graph.topics, names))
-        self._subscribe(self._subscribed(graph.topics, names))
+        subscribed = self._subscribed(graph.topics, names)
+        self._named = {name: uris for name, uris in self._named.items() if name in subscribed}
+        self._subscriptions.want(subscribed)
         self._offers.want(self._offered(graph, names))
 
     def update_services(self, nodes: dict[str, str], names: NameMap) -> None:
@@ -121,7 +139,7 @@ class GraphSync:
         known = self._named.get(topic, []) if is_answer else []
         named = self._named[topic] = merge_publishers(known, uris)
         for uri in subscription.publishers.keys() - set(named):
-            self._disconnect(topic, subscription, uri)
+            subscription.drop(uri)
         self._connect(topic, subscription, named, is_new=subscription.is_registered)
         subscription.is_registered = subscription.is_registered or is_answer
 
@@ -200,19 +218,12 @@ class GraphSync:
 
     # -- publishers of other nodes ------------------------------------------------------------------------------------
 
-    def _subscribe(self, wanted: dict[str, GraphTopic]) -> None:
-        for name, subscription in list(self.subscriptions.items()):
-            if not _is_same(subscription.topic, wanted.get(name)):
-                for uri in list(subscription.publishers):
-                    self._disconnect(name, subscription, uri)
-                del self.subscriptions[name]
-        self._named = {name: uris for name, uris in self._named.items() if name in wanted}
-        for name, topic in wanted.items():
-            if name not in self.subscriptions:
-                subscription = self.subscriptions[name] = _Subscription(topic)
-                if name in self._named:  # the master knows of this subscription, and does not repeat them
-                    self._connect(name, subscription, self._named[name], is_new=False)
-                    subscription.is_registered = True
+    def _subscribe(self, name: str, topic: GraphTopic) -> _Subscription:
+        subscription = _Subscription(topic, lambda uri: self._connections.put((name, uri), None))
+        if name in self._named:  # the master knows of an earlier subscription, and does not repeat its publishers
+            self._connect(name, subscription, self._named[name], is_new=False)
+            subscription.is_registered = True
+        return subscription
 
     def _connect(self, name: str, subscription: _Subscription, uris: Iterable[str], *, is_new: bool) -> None:
         """`is_new`: they came after the subscription, so what they publish first is new."""
@@ -221,10 +232,6 @@ class GraphSync:
                 publisher = Publisher(self._node, subscription.topic, name, uri, is_new=is_new)
                 subscription.publishers[uri] = publisher
                 self._connections.put((name, uri), publisher)
-
-    def _disconnect(self, name: str, subscription: _Subscription, uri: str) -> None:
-        subscription.publishers.pop(uri).close()  # what it drives stops at once, before its task ends
-        self._connections.put((name, uri), None)
 
     # -- services of other nodes --------------------------------------------------------------------------------------
 
@@ -269,8 +276,7 @@ def merge_publishers(known: list[str], answered: list[str]) -> list[str]:
     return list(dict.fromkeys((*answered, *known)))[:MAX_NAMED]
 
 
-def _is_same(before: GraphTopic, now: GraphTopic | None) -> bool:
-    """Whether connections to its publishers may stay; a type that nobody had named may have been learned from them."""
-    if now is None or (now.name, now.is_velocity) != (before.name, before.is_velocity):
-        return False
-    return before.type is None or now.type is before.type
+def _is_same(before: GraphTopic, now: GraphTopic) -> bool:
+    """Whether connections to publishers may stay. An unknown type may have been learned from them."""
+    is_known = before.type is None or now.type is before.type
+    return is_known and (now.name, now.is_velocity) == (before.name, before.is_velocity)

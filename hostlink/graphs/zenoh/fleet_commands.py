@@ -56,19 +56,12 @@ class _Driver:
     commanded_at_s: float
 
 
-@dataclass(slots=True, eq=False)
-class _Drivers:
-    """Of one daemon, by their numbers there."""
-
-    of: dict[int, _Driver] = field(default_factory=dict)
-
-
 class FleetDrivers:
     """Answers the requests of other daemons."""
 
     def __init__(self, hub: Hub, post: Post, roster: Roster) -> None:
         self._hub, self._post, self._roster = hub, post, roster
-        self._drivers: dict[str, _Drivers] = {}
+        self._drivers: dict[str, dict[int, _Driver]] = {}  # by daemon, and by their numbers there
 
     # -- requests -----------------------------------------------------------------------------------------------------
 
@@ -113,7 +106,7 @@ class FleetDrivers:
 
     def leave(self, zid: str) -> None:
         """A daemon is gone, or cannot be reached: what its drivers drive stops."""
-        for driver in self._drivers.pop(zid, _Drivers()).of.values():
+        for driver in self._drivers.pop(zid, {}).values():
             driver.participant.leave()
 
     def leave_all(self) -> None:
@@ -124,11 +117,11 @@ class FleetDrivers:
     def tick(self, now_s: float) -> None:
         """Let those leave who have long ceased to command."""
         for zid, drivers in list(self._drivers.items()):
-            for number, driver in list(drivers.of.items()):
+            for number, driver in list(drivers.items()):
                 if now_s > driver.commanded_at_s + IDLE_S:
-                    del drivers.of[number]
+                    del drivers[number]
                     driver.participant.leave()
-            if not drivers.of:
+            if not drivers:
                 del self._drivers[zid]
 
     # -- its parts ----------------------------------------------------------------------------------------------------
@@ -151,7 +144,7 @@ class FleetDrivers:
                     robot = self._hub.robots.find_here(request.robot, driver=None if request.wanted.is_zero else source)
                     return self._drive(neighbour, robot, request)
                 case Release():
-                    driver = self._drivers.get(neighbour.sender.zid, _Drivers()).of.pop(request.owner, None)
+                    driver = self._drivers.get(neighbour.sender.zid, {}).pop(request.owner, None)
                     if driver is not None:
                         driver.participant.leave()
                     return Answer(number=request.number)
@@ -200,7 +193,7 @@ class FleetDrivers:
             raise BadRequest(f"{what}: {printable(name)} may only read at {self._post.me.name} (zenoh.drivers there)")
 
     def _participant(self, neighbour: Neighbour, number: int, name: str) -> Participant:
-        drivers = self._drivers.setdefault(neighbour.sender.zid, _Drivers()).of
+        drivers = self._drivers.setdefault(neighbour.sender.zid, {})
         driver = drivers.pop(number, None)
         if driver is None or driver.participant.has_left:
             who = f"{printable(name)} at {printable(neighbour.sender.name)}"
