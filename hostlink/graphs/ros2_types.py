@@ -16,6 +16,7 @@ from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.base import normalize_fieldname
 
 from hostlink.errors import BadPayload
+from hostlink.graphs.ros2_names import is_renamed, ros2_type
 from hostlink.messages.catalog import Catalog
 from hostlink.messages.fields import FLOATS, SCALAR, SIZES, VARIABLE, Field
 from hostlink.messages.message_type import MessageType
@@ -32,13 +33,6 @@ _STORES: Final[Mapping[Distribution, Stores]] = {
     "kilted": Stores.ROS2_KILTED,
     "lyrical": Stores.LATEST,
 }
-_RENAMED: Final = {  # ROS 1's name -> ROS 2's, where it is not "pkg/msg/Type"
-    "tf/tfMessage": "tf2_msgs/msg/TFMessage",
-    "std_msgs/Time": "builtin_interfaces/msg/Time",
-    "std_msgs/Duration": "builtin_interfaces/msg/Duration",
-    "rosgraph_msgs/Log": "rcl_interfaces/msg/Log",
-}
-_ROS1_NAMES: Final = {ros2: ros1 for ros1, ros2 in _RENAMED.items() if ros2 != "tf2_msgs/msg/TFMessage"}
 _LOG: Final = "rcl_interfaces/msg/Log"
 _LOG_LEVELS: Final = {1: 10, 2: 20, 4: 30, 8: 40, 16: 50}  # ROS 1's are bits
 _NESTED: Final = {"time": "builtin_interfaces/msg/Time", "duration": "builtin_interfaces/msg/Duration"}
@@ -50,18 +44,6 @@ _MALFORMED: Final = (SerdeError, ArithmeticError, AssertionError, LookupError, T
 
 Convert = Callable[[bytes], bytes]
 _Desc = Any  # rosbags' description of a field, a nested tuple
-
-
-def ros2_type(type_name: str, kind: Literal["msg", "srv"] = "msg") -> str:
-    """ "std_msgs/String" -> "std_msgs/msg/String"; some have other names in ROS 2."""
-    package, _, name = type_name.partition("/")
-    return _RENAMED.get(type_name, f"{package}/{kind}/{name}")
-
-
-def ros1_type(type_name: str) -> str:
-    """ "std_msgs/msg/String" -> "std_msgs/String"; also of services."""
-    package, _, rest = type_name.partition("/")
-    return _ROS1_NAMES.get(type_name, f"{package}/{rest.rpartition('/')[2]}")
 
 
 class Ros2Message:
@@ -197,7 +179,7 @@ class Ros2Types:
         if name == "std_msgs/msg/Header":
             return known.name == "std_msgs/Header"
         if name in _NESTED.values():
-            return known.name in _RENAMED  # std_msgs/Time is a message around the time that it is in ROS 2
+            return is_renamed(known.name)  # std_msgs/Time is a message around the time that it is in ROS 2
         descs = [desc for field, desc in self._store.fielddefs[name][1] if field != _EMPTY[0]]
         return len(descs) == len(known.fields) and all(
             self._is_same_field(known, field, desc) for field, desc in zip(known.fields, descs, strict=True)

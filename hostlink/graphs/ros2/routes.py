@@ -34,10 +34,9 @@ from hostlink.graphs.ros2.plan import (
     Server,
     VelocityInput,
     publisher_qos,
-    ros1_type,
-    ros2_type,
 )
 from hostlink.graphs.ros2.velocity import VelocityDriver
+from hostlink.graphs.ros2_names import ros1_type, ros2_type
 from hostlink.mirror.inbox import Inbox
 from hostlink.robot.velocity import Twist
 

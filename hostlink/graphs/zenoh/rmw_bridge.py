@@ -16,7 +16,8 @@ import structlog
 from hostlink.config import ZenohConfig
 from hostlink.errors import BadPayload, BadRequest, CommandRefused, HostlinkError, RefusalKind, ServiceFailed, WrongType
 from hostlink.graphs.refusal_log import RefusalLog
-from hostlink.graphs.ros2_types import Ros2Message, Ros2Service, Ros2Types, ros1_type
+from hostlink.graphs.ros2_names import ros1_type
+from hostlink.graphs.ros2_types import Ros2Message, Ros2Service, Ros2Types
 from hostlink.graphs.zenoh.rmw_protocol import (
     COMMANDS,
     GID_BYTES,

@@ -8,7 +8,8 @@ import pytest
 from rosbags.typesys import Stores, get_typestore
 
 from hostlink.errors import BadPayload
-from hostlink.graphs.ros2_types import NO_HASH, Distribution, Ros2Message, Ros2Types, ros1_type, ros2_type
+from hostlink.graphs.ros2_names import ros1_type, ros2_type
+from hostlink.graphs.ros2_types import NO_HASH, Distribution, Ros2Message, Ros2Types
 from hostlink.messages.catalog import Catalog
 from tests.support.fake_device import CATALOG
 

@@ -21,7 +21,7 @@ from hostlink.graphs.ros2.conversion import (
     ros2_layout,
     stamped,
 )
-from hostlink.graphs.ros2.plan import ros2_type
+from hostlink.graphs.ros2_names import ros2_type
 from hostlink.messages.catalog import Catalog
 
 CATALOG, KILTED = Catalog(), get_typestore(Stores.ROS2_KILTED)
