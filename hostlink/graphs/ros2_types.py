@@ -1,7 +1,7 @@
-"""Types of ROS 2: the names, hashes and payloads there of what the catalog knows by its ROS 1 definition.
+"""Types of ROS 2: names, hashes and payloads of the types that the catalog has by their ROS 1 definitions.
 
-A distribution's own definition goes before the catalog's: its fields may be others (Range has one more). A type that it
-does not have, as a user's own, has the catalog's fields there, with names in lower case as ROS 2 demands.
+A distribution's own definition has precedence: its fields may differ (Range has one more). A type that it does not
+have, such as a user's own, has the catalog's fields, with names in lower case as ROS 2 demands.
 """
 
 import struct
@@ -50,7 +50,7 @@ class Ros2Message:
     """One message type, as ROS 2 has it."""
 
     def __init__(self, name: str, type_hash: str, to_cdr: Convert, from_cdr: Convert, *, is_flat: bool) -> None:
-        """`to_cdr` and `from_cdr` may raise whatever a malformed payload leads to.
+        """`to_cdr` and `from_cdr` may raise any of _MALFORMED for a malformed payload.
 
         `is_flat`: it has no list of messages or texts, so that a long one costs little more than a short one.
         """
@@ -58,18 +58,18 @@ class Ros2Message:
         self._to_cdr, self._from_cdr = to_cdr, from_cdr
 
     def to_cdr(self, payload: bytes) -> bytes:
-        """A payload of ROS 1 and rosserial as one of ROS 2.
+        """Convert a payload of ROS 1 and rosserial to CDR.
 
         Raises:
-            BadPayload: it is no message of this type.
+            BadPayload: it is not a message of this type.
         """
         return self._converted(self._to_cdr, payload)
 
     def from_cdr(self, data: bytes) -> bytes:
-        """A payload of ROS 2 as one of ROS 1; what only ROS 2 has is lost.
+        """Convert CDR to a payload of ROS 1, without fields that only ROS 2 has.
 
         Raises:
-            BadPayload: it is no message of this type.
+            BadPayload: it is not a message of this type.
         """
         return self._converted(self._from_cdr, data)
 
@@ -175,7 +175,7 @@ class Ros2Types:
         self._store.register({name: ([], fields)})
 
     def _is_same_on_wire(self, known: MessageType, name: str) -> bool:
-        """Whether the fields of both are the same, whatever their names."""
+        """Whether both types have the same fields, regardless of their names."""
         if name == "std_msgs/msg/Header":
             return known.name == "std_msgs/Header"
         if name in _NESTED.values():

@@ -19,7 +19,7 @@ from hostlink.graphs.ros1.topics import _Connection
 from hostlink.graphs.ros2_types import Ros2Types
 from hostlink.graphs.zenoh.fleet import fleet_running
 from hostlink.graphs.zenoh.fleet_commands import FleetDrivers
-from hostlink.graphs.zenoh.fleet_messages import Answer, Drive, Keys, Post, Sender, State, decode, encode
+from hostlink.graphs.zenoh.fleet_messages import Answer, Drive, FleetTransport, Keys, Sender, State, decode, encode
 from hostlink.graphs.zenoh.rmw_bridge import Publishers, RmwNode
 from hostlink.graphs.zenoh.rmw_protocol import (
     TELEMETRY,
@@ -116,8 +116,8 @@ class FleetDriver:
         self._keys, self._here, self._there = Keys("hostlink"), Sender("lab", "1a"), Sender("desk", "2b")
         self._answers, self._numbers = _Answers(), itertools.count(1)
         roster = self._roster = Roster(Counter())
-        post = Post(cast("Session", self._answers), self._keys, self._here, Counter())
-        self._drivers = FleetDrivers(scene.hub, post, roster)
+        transport = FleetTransport(cast("Session", self._answers), self._keys, self._here, Counter())
+        self._drivers = FleetDrivers(scene.hub, transport, roster)
         roster.appear(self._there, _now_s())
         roster.receive(self._there, State(sent_s=_now_s(), topics=0, robots=()), _now_s())
 

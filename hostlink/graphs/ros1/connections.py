@@ -30,10 +30,10 @@ MakeProtocol = Callable[[], Admitted]
 
 
 class Port:
-    """Owns the listening sockets, and accepted ones until their protocols have them. First `bind`, then `accept`."""
+    """Listening port: admits a bounded number of connections from allowed networks. Call `bind`, then `accept`."""
 
     def __init__(self, counts: Counts, *, allow: Sequence[str], max_connections: int) -> None:
-        """`allow`: networks from which somebody may connect; none named: all."""
+        """`allow`: networks that may connect; all if empty."""
         self._counts = counts
         self._networks = [ipaddress.ip_network(network) for network in allow]
         self._max_connections = max_connections
@@ -46,7 +46,7 @@ class Port:
         """Listen; returns the number of the port.
 
         Raises:
-            OSError: nobody can listen there.
+            OSError: the port is not free, or the address is not of this host.
         """
         self._listening = await bind(host, port)
         return int(self._listening[0].getsockname()[1])
@@ -65,7 +65,7 @@ class Port:
         self._acceptor = Acceptor(self._listening, accepted, on_exhausted=self._note_refused)
 
     def close(self) -> None:
-        """End the connections, too."""
+        """Stop listening, and close all connections."""
         if self._acceptor is not None:
             self._acceptor.close()
         close_all(self._listening)
@@ -115,7 +115,7 @@ Receive = Callable[[list[bytes]], None]
 
 
 class Outgoing:
-    """What waits for one subscriber, in order; of too much the oldest is dropped and counted. The newest stays."""
+    """Bounded send queue of one subscriber. When it is full, the oldest message is dropped and counted."""
 
     def __init__(self) -> None:
         self.dropped = 0
@@ -126,7 +126,7 @@ class Outgoing:
         return bool(self._waiting)
 
     def put(self, data: bytes) -> None:
-        """One more message."""
+        """Add a message."""
         self._waiting.append(data)
         self._bytes += len(data)
         while len(self._waiting) > MAX_MESSAGES or (self._bytes > MAX_BYTES and len(self._waiting) > 1):
@@ -134,7 +134,7 @@ class Outgoing:
             self.dropped += 1
 
     def pop_batch(self) -> bytes:
-        """The oldest messages, BATCH_BYTES or a little more of them."""
+        """Remove and return the oldest messages: BATCH_BYTES, or a little more."""
         batch: list[bytes] = []
         size = 0
         while self._waiting and size < BATCH_BYTES:
@@ -145,7 +145,7 @@ class Outgoing:
 
 
 class Wire(Connection):
-    """The owner of one connection; `receive` is called with the messages of each piece, `on_end` once."""
+    """TCPROS connection. Calls `receive` with the messages of each read, and `on_end` once."""
 
     def __init__(self, hub: Hub, receive: Receive, on_end: Callable[[], None] = lambda: None) -> None:
         super().__init__()
@@ -161,7 +161,7 @@ class Wire(Connection):
         self.on_readable = self._reader.receive
 
     def close(self) -> None:
-        """End it, after what was sent has left, if that is soon."""
+        """Close the connection when sent data has left, after CLOSE_TIMEOUT_S at the latest."""
         if self.is_closed:
             return
         self.is_closed = True
@@ -174,7 +174,7 @@ class Wire(Connection):
     # -- to the peer --------------------------------------------------------------------------------------------------
 
     def send_header(self, fields: Header) -> None:
-        """The first that leaves."""
+        """Send the connection header."""
         self.transport.write(encode_header(fields))
 
     def refuse(self, reason: str) -> None:
@@ -190,7 +190,7 @@ class Wire(Connection):
             asyncio.get_running_loop().call_soon(self._flush)
 
     def _flush(self) -> None:
-        """What came in one turn of the loop leaves in one write."""
+        """Write the messages of one turn of the loop at once."""
         self._is_flush_due = False
         while self.outgoing and not self.is_writing_paused and not self.is_closed:
             self.transport.write(self.outgoing.pop_batch())
@@ -198,7 +198,7 @@ class Wire(Connection):
     # -- from the peer ------------------------------------------------------------------------------------------------
 
     def _read(self) -> None:
-        """One piece; of a large message all that is there."""
+        """Read one piece; of a large message all available bytes."""
         began_s = asyncio.get_running_loop().time()
         is_done = False
         with self._isolation.around("ros1", peer=self.peer):

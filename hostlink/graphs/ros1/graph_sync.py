@@ -1,4 +1,4 @@
-"""GraphSync: the topics and services that pass between hub and ROS, as both graphs change."""
+"""GraphSync: the adapter that mirrors topics and services between the hub and ROS 1."""
 
 import asyncio
 from collections.abc import Callable, Iterable
@@ -22,7 +22,7 @@ MAX_NAMED = 1000  # publishers of one topic that the master names
 MAX_PUBLISHERS = 64  # of one topic, to which this node connects
 MAX_SERVICES = 512  # of other nodes
 AT_ONCE = 4  # nodes whose services' types are requested
-OF_EVERY_NODE = ("/get_loggers", "/set_logger_level")  # nobody calls them from here
+OF_EVERY_NODE = ("/get_loggers", "/set_logger_level")  # services for ROS tools, never called by hostlink
 FIRST_RETRY_S, LONGEST_RETRY_S = 0.1, 8.0  # until a publisher is connected again
 SERVICE_RETRY_S = 10.0  # until a node that did not announce the type of its service is asked again
 MAX_REASON = 200  # characters in the log
@@ -65,7 +65,7 @@ class _Subscription:
 
 
 class GraphSync:
-    """What hostlink publishes, subscribes to and provides in ROS, by its names there; and ROS's services here."""
+    """Mirrors the hub's topics and services into ROS by their names there, and ROS's services into the hub."""
 
     def __init__(self, node: LocalNode) -> None:
         self._node = node
@@ -101,21 +101,21 @@ class GraphSync:
 
     @property
     def subscriptions(self) -> dict[str, _Subscription]:
-        """By their names in ROS."""
+        """Endpoints by their names in ROS."""
         return self._subscriptions.endpoints
 
     @property
     def publications(self) -> dict[str, Publication]:
-        """By their names in ROS."""
+        """Endpoints by their names in ROS."""
         return self._publications.endpoints
 
     @property
     def offers(self) -> dict[str, ServiceOffer]:
-        """By their names in ROS."""
+        """Endpoints by their names in ROS."""
         return self._offers.endpoints
 
     def update(self, graph: Graph, names: NameMap) -> None:
-        """The hub has changed: add what has come, close what has gone or is another now."""
+        """Follow a change of the hub's graph."""
         self._publications.want(self._published(graph.topics, names))
         subscribed = self._subscribed(graph.topics, names)
         self._named = {name: uris for name, uris in self._named.items() if name in subscribed}
@@ -123,14 +123,14 @@ class GraphSync:
         self._offers.want(self._offered(graph, names))
 
     def update_services(self, nodes: dict[str, str], names: NameMap) -> None:
-        """The services of ROS have changed. `nodes`: who provides each; another node's is another service."""
+        """Follow a change of the services in ROS. `nodes`: the provider of each; a new provider is a new service."""
         found = {(name, node) for name, node in nodes.items() if node != self._node.name}
         self._services.want({key: names.to_hub(key[0]) for key in sorted(found) if not key[0].endswith(OF_EVERY_NODE)})
 
     def set_publishers(self, topic: str, uris: list[str], *, is_answer: bool) -> None:
-        """Who publishes a topic: as the answer to its registration, or as a change.
+        """Update the publishers of a topic, from the answer to its registration or from a change.
 
-        A master that has begun anew knows few of them, so an answer takes none away.
+        A restarted master knows few publishers, so an answer removes none.
         """
         subscription = self.subscriptions.get(topic)
         if subscription is None:
@@ -144,14 +144,14 @@ class GraphSync:
         subscription.is_registered = subscription.is_registered or is_answer
 
     def wanted(self) -> dict[tuple[Kind, str], str]:
-        """What the master is to know: the type of each name. Services come first: a node that is there answers."""
+        """Return the type of each name to register. Services are first: once the node is listed, it answers calls."""
         found = {(Kind.SERVICE, name): each.type.name for name, each in self.offers.items()}
         found |= {(Kind.PUBLISHER, name): each.type.name for name, each in self.publications.items()}
         found |= {(Kind.SUBSCRIBER, name): each.topic.type_name or ANY for name, each in self.subscriptions.items()}
         return found
 
     def accept(self, wire: Wire, messages: list[bytes]) -> None:
-        """The first message of a node that connects is its header."""
+        """Read the header of a node that connects, which is its first message."""
         wire.is_replaceable = False
         try:
             header = decode_header(messages[0])
@@ -168,7 +168,7 @@ class GraphSync:
                 wire.receive(messages[1:])
 
     def close(self) -> None:
-        """Nothing passes any more."""
+        """Close all endpoints."""
         self.update(Graph((), ()), NameMap(Names()))
         for mirror in (self._publications, self._offers, self._connections, self._services):
             mirror.close()
@@ -272,7 +272,7 @@ class GraphSync:
 
 
 def merge_publishers(known: list[str], answered: list[str]) -> list[str]:
-    """Those that a master has named now, and those that one before it has named; the newest are kept."""
+    """Merge the publishers that a master names now with those that an earlier one named, the newest first."""
     return list(dict.fromkeys((*answered, *known)))[:MAX_NAMED]
 
 

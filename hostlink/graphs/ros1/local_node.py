@@ -1,4 +1,4 @@
-"""This node of the ROS 1 graph, as its topics and services use it: name, calls of other nodes, tasks and counts."""
+"""LocalNode: the daemon as a node of ROS 1, with its calls of other nodes, its tasks and its counts."""
 
 import asyncio
 import os
@@ -35,7 +35,7 @@ TIMEOUT_S = 5.0  # to connect to another node, and for its header
 
 
 class Kind(StrEnum):
-    """What can be registered; the value is the master's word for it."""
+    """Kind of a registration; the value is the master's word for it."""
 
     PUBLISHER = "Publisher"
     SUBSCRIBER = "Subscriber"
@@ -46,7 +46,7 @@ class Kind(StrEnum):
 
 @dataclass(slots=True)
 class Counts:
-    """Since the start. What a limit or a policy has cost has a name here."""
+    """Counts since the start: messages, and what each limit or policy refused."""
 
     messages_from_ros: int = 0
     messages_to_ros: int = 0
@@ -55,15 +55,15 @@ class Counts:
     refused_messages: int = 0  # by a robot, a gate or a lock
     malformed_messages: int = 0  # bytes that are not of the type that was agreed upon
     too_large_messages: int = 0
-    refused_connections: int = 0  # too many, or from where nobody may connect
-    refused_headers: int = 0  # no header, or one for what is not here
+    refused_connections: int = 0  # too many, or from a network that is not allowed
+    refused_headers: int = 0  # no header, or for an unknown topic or service
     refused_calls: int = 0  # of the slave API: no XML-RPC, or unknown
     failed_services: int = 0
     re_registrations: int = 0  # the master had forgotten this node
     crowded_out: int = 0  # publishers and services of the graph over a bound
 
     def as_dict(self) -> dict[str, int]:
-        """By name."""
+        """Return the counts by name."""
         return {name: getattr(self, name) for name in Counts.__slots__}
 
 
@@ -82,10 +82,10 @@ class Rpc:
             await self._session.close()
 
     async def call(self, uri: str, method: str, *arguments: object) -> Any:
-        """The value of the answer.
+        """Return the value of the answer.
 
         Raises:
-            Unreachable: there is none.
+            Unreachable: the call was not answered.
             Refused: the other side could not do it.
             BadXml: an argument has no form in XML-RPC.
         """
@@ -123,7 +123,7 @@ class Rpc:
 
 
 def _why(error: Exception) -> str:
-    """For people."""
+    """Return a reason that a person can read."""
     if isinstance(error, aiohttp.ClientConnectorError) and error.os_error.errno is not None:
         is_lookup = isinstance(error.os_error, socket.gaierror)  # its numbers are not the system's
         return error.os_error.strerror or str(error) if is_lookup else os.strerror(error.os_error.errno)
@@ -131,7 +131,7 @@ def _why(error: Exception) -> str:
 
 
 class LocalNode:
-    """This node: its name and address, the calls that it makes, its tasks, its counts. `aclose` ends all of them."""
+    """Name and address of this node, its calls, tasks and counts. `aclose` ends calls and tasks."""
 
     def __init__(self, hub: Hub, config: Ros1Config, name: str, tasks: asyncio.TaskGroup) -> None:
         """`name`: the full name in ROS."""

@@ -22,16 +22,16 @@ MAX_KEYS = 256  # devices may request any names
 MAX_ITEMS = 1024  # values below one key; rosserial's own parameters are a few numbers
 MAX_CHARS = 65536  # of texts, keys included, below one key
 MAX_PARTS = 64  # of the name of a parameter
-_TOO_LARGE = object()  # somebody has set what no device can receive; it is not kept
+_TOO_LARGE = object()  # marks a value that no device can receive; the value itself is not kept
 
 
 class ParameterCache:
     """Parameters of the master that this node has subscribed to, and their updates.
 
-    Values by the key that was subscribed to; one that is not set is None. Of too many the oldest goes.
+    Values by the key that was subscribed to; one that is not set is None. The number is bounded: the oldest is dropped.
 
-    Whoever reaches the slave API can send updates, so what is below one key has a bound. Over it the key reads as not
-    set, and parameters below it as unknown: each can be subscribed to by itself.
+    Any node that reaches the slave API can send updates, so the values below one key have a bound. Over it the
+    key reads as not set, and parameters below it as unknown: each can be subscribed to by itself.
     """
 
     def __init__(self, max_keys: int = MAX_KEYS) -> None:
@@ -40,21 +40,21 @@ class ParameterCache:
 
     @property
     def keys(self) -> tuple[str, ...]:
-        """All that are subscribed to."""
+        """Keys that are subscribed to."""
         return tuple(self._values)
 
     def put(self, key: str, value: Any) -> str | None:
-        """The master has answered a subscription; returns the key that has to go, if there are too many."""
+        """Note the answer to a subscription. Return the key to unsubscribe when there are too many."""
         self._values[key] = _kept(value)
         self._values.move_to_end(key)
         return self._values.popitem(last=False)[0] if len(self._values) > self._max_keys else None
 
     def clear(self) -> None:
-        """The master has forgotten the subscriptions."""
+        """Forget all subscriptions, as the master has."""
         self._values.clear()
 
     def update(self, key: str, value: Any) -> None:
-        """The master reports a change, of a key or of something below it; {} is a parameter that was deleted."""
+        """Apply a change that the master reports, of a key or below it; {} is a deleted parameter."""
         key = key.rstrip("/")
         for subscribed in self._values:
             if key == subscribed:
@@ -66,7 +66,7 @@ class ParameterCache:
                 self._values[subscribed] = _TOO_LARGE if is_deep else _kept(_with(before, path, value))
 
     def find(self, name: str) -> tuple[bool, Any]:
-        """(whether it is known, its value; None: it is not set)."""
+        """Return whether a parameter is known, and its value; None if it is not set."""
         if name in self._values:
             value = self._values[name]
             return True, None if value is _TOO_LARGE else value
@@ -81,7 +81,7 @@ def _kept(value: Any) -> Any:
 
 
 def _is_small(value: Any) -> bool:
-    """Whether it is within the bounds; it may be nested as deep as it likes."""
+    """Whether a value is within the bounds, however deeply it is nested."""
     items, chars, waiting = 0, 0, [value]
     while waiting and items + len(waiting) <= MAX_ITEMS and chars <= MAX_CHARS:
         each = waiting.pop()
@@ -97,7 +97,7 @@ def _is_small(value: Any) -> bool:
 
 
 def _with(tree: Any, path: list[str], value: Any) -> Any:
-    """The tree with another value at that place."""
+    """Return the tree with another value at a path."""
     branch = dict(tree) if isinstance(tree, dict) else {}
     if len(path) > 1:
         branch[path[0]] = _with(branch.get(path[0]), path[1:], value)
@@ -115,7 +115,7 @@ def _below(tree: Any, path: list[str]) -> Any:
 
 
 class MasterParameters:
-    """What has been requested once is subscribed to, and answered at once from then on, also without the master."""
+    """Parameters for devices. One that was requested once is subscribed to, and then answered without the master."""
 
     def __init__(self, node: LocalNode, names: Names, on_change: Callable[[], None]) -> None:
         self._node, self._names, self._on_change = node, names, on_change
@@ -128,7 +128,7 @@ class MasterParameters:
         return isinstance(value, int) and bool(value)
 
     async def get(self, name: str) -> ParameterValue | None:
-        """The parameter that a device names so; None: there is none, or none that a device can receive."""
+        """Return a parameter by the name that a device uses; None if it is not set, or unusable for devices."""
         key = self._names.resolve(name)
         is_known, value = self._cache.find(key)
         if not is_known:
@@ -144,12 +144,12 @@ class MasterParameters:
         return usable
 
     def update(self, key: str, value: Any) -> None:
-        """The master reports a change."""
+        """Apply a change that the master reports."""
         self._cache.update(key, value)
         self._on_change()
 
     async def renew(self) -> None:
-        """Subscribe again to all that was, and to what every node needs; another master knows nothing of it.
+        """Subscribe again to all earlier keys and to those that every node needs, for a new master.
 
         Raises:
             Unreachable: the master does not answer.
@@ -159,7 +159,7 @@ class MasterParameters:
         self._on_change()
 
     async def end(self) -> None:
-        """Subscribe to none any more: the master would keep the node for them.
+        """Cancel all subscriptions: the master would keep the node for them.
 
         Raises:
             Unreachable: the master does not answer.
@@ -177,7 +177,7 @@ class MasterParameters:
 
 
 def _usable(value: Any) -> ParameterValue | None:
-    """What rosserial has a form for: numbers, texts, lists of one of them."""
+    """Return a value that rosserial can send: numbers, texts, lists of one of them; otherwise None."""
     items = value if isinstance(value, list) else [value]
     return value if all(isinstance(item, bool | int | float | str) for item in items) else None
 
@@ -190,7 +190,7 @@ END_TIMEOUT_S = 1.0  # to unregister everything
 
 
 class Registrar:
-    """Compares what is wanted with what the master knows, and calls it for each difference."""
+    """Compares the wanted registrations with those of the master, and calls it for each difference."""
 
     def __init__(
         self,
@@ -211,11 +211,11 @@ class Registrar:
         self._state_at_s = float("-inf")
 
     def note_change(self) -> None:
-        """Something else is wanted."""
+        """Note that the wanted registrations may have changed."""
         self._changed.set()
 
     async def run(self) -> None:
-        """Until it is cancelled."""
+        """Keep the node registered until cancelled."""
         while True:
             self._changed.clear()
             try:
@@ -230,7 +230,7 @@ class Registrar:
                     await self._changed.wait()
 
     async def end(self) -> None:
-        """Unregister all, as far as there is time."""
+        """Unregister all names, within END_TIMEOUT_S."""
         with contextlib.suppress(TimeoutError, Unreachable):
             async with asyncio.timeout(END_TIMEOUT_S):
                 for key in self._registrations.open:
@@ -238,7 +238,7 @@ class Registrar:
                 await self._parameters.end()
 
     async def _check_node(self) -> None:
-        """The master knows nothing of this node when it began anew, another address when another has its name."""
+        """Check the address that the master has: none after its restart, another one after a name collision."""
         found = await self._node.find_own_uri()
         known = self._registrations.open
         if found is None:
@@ -251,7 +251,7 @@ class Registrar:
             self._on_collision(f"another node named {self._node.name} answers at {printable(found)}")
 
     async def _register(self) -> None:
-        """One call after another: when the master does not answer, the same call is the next one."""
+        """Register one name after another. After a call without an answer, the next attempt repeats it."""
         registrations, now_s = self._registrations, asyncio.get_running_loop().time
         registrations.want(self._sync.wanted())
         while (action := registrations.next(now_s())) is not None:
@@ -275,11 +275,11 @@ class Registrar:
 
     async def _unregister(self, kind: Kind, name: str) -> None:
         uri = self._service_uri if kind is Kind.SERVICE else self._node.uri
-        with contextlib.suppress(Refused):  # the master does not know it any more
+        with contextlib.suppress(Refused):  # the master has forgotten it
             await self._node.call_master(f"unregister{kind.value}", name, uri)
 
     async def _read_state(self) -> None:
-        """Which services there are, and what of this node is still registered."""
+        """Read the services of the graph, and which names of this node are still registered."""
         now_s = asyncio.get_running_loop().time()
         if now_s < self._state_at_s + STATE_INTERVAL_S:
             return
@@ -294,7 +294,7 @@ class Registrar:
         self._on_services({name: nodes[-1] for name, nodes in state[Kind.SERVICE].items() if nodes})
 
     def _note_master(self, *, is_reachable: bool, reason: str = "") -> None:
-        """One line when it is lost, one when it is found."""
+        """Log a line when the master is lost, and one when it is found."""
         if is_reachable is self._is_reachable:
             return
         self._is_reachable = is_reachable
@@ -305,13 +305,13 @@ class Registrar:
 
 
 def _nodes_by_name(state: Any) -> dict[Kind, dict[str, list[str]]]:
-    """The answer to getSystemState: publishers, subscribers, services.
+    """Sort the answer to getSystemState: publishers, subscribers, services.
 
     Raises:
-        Unreachable: it is none.
+        Unreachable: the answer has another form.
     """
     try:
         parts = [{str(name): [str(node) for node in nodes] for name, nodes in part} for part in state]
         return dict(zip((Kind.PUBLISHER, Kind.SUBSCRIBER, Kind.SERVICE), parts, strict=True))
     except (TypeError, ValueError) as error:
-        raise Unreachable("its state of the graph is none") from error
+        raise Unreachable("the answer to getSystemState is malformed") from error

@@ -128,9 +128,9 @@ def _own_names(hub: Hub) -> list[str]:
 
 
 class SimTime:
-    """The time of /clock for devices, while /use_sim_time is true.
+    """Time of /clock for devices, while /use_sim_time is true.
 
-    It subscribes as a program of the hub does, so that it comes from wherever it is published.
+    The hub subscribes, so that /clock may be published in any graph.
     """
 
     def __init__(self, hub: Hub) -> None:
@@ -139,7 +139,7 @@ class SimTime:
         self._now_ns = 0  # as every node of ROS has it before the first message
 
     def update(self, *, is_wanted: bool) -> None:
-        """Begin or end, if that is a change."""
+        """Start or stop following /clock."""
         if is_wanted == (self._participant is not None):
             return
         if self._participant is not None:
@@ -269,7 +269,7 @@ def _refuse(*_: object) -> _Answer:
 
 
 class _Aged(ForwardingProtocol):
-    """A connection that is closed after a while: whoever only connects keeps no place."""
+    """Connection to the slave API that is closed after MAX_AGE_S, so that idle connections free their places."""
 
     is_replaceable = True  # a call is over within milliseconds, and who calls again connects again
 

@@ -73,7 +73,7 @@ class Ros1Node:
             tcpros.close()
 
     async def _find_host(self) -> str:
-        """By which name or address others reach this node; tried until the master's name has an address."""
+        """Find the name or address of this node for others. Repeat until the master's name has an address."""
         is_logged = False
         while True:
             try:
@@ -87,10 +87,9 @@ class Ros1Node:
 
 @contextlib.asynccontextmanager
 async def ros1_running(hub: Hub, config: Ros1Config, on_end: Callable[[str], None]) -> AsyncIterator[None]:
-    """A part of the graph for the length of the block, or until it is shut down from there.
+    """Take part in the graph for the length of the block, or until the node is shut down.
 
-    Then `on_end` is called with the reason. The daemon goes on without the graph, also where a fault of hostlink ends
-    it.
+    Then `on_end` is called with the reason. The daemon continues without the graph, also after a fault of hostlink.
     """
     async with asyncio.TaskGroup() as tasks:
         node = tasks.create_task(_serve(hub, config, on_end), name="ROS 1")
@@ -114,10 +113,10 @@ async def _serve(hub: Hub, config: Ros1Config, on_end: Callable[[str], None]) ->
 
 
 async def _bound(port: Port, host: str, number: int, setting: str) -> int:
-    """The number of the port on which it listens from now on.
+    """Listen, and return the number of the port.
 
     Raises:
-        ConfigError: nobody can listen there; `setting` names it.
+        ConfigError: the port is not available; `setting` names it.
     """
     try:
         return await port.bind(host, number)
@@ -126,10 +125,10 @@ async def _bound(port: Port, host: str, number: int, setting: str) -> int:
 
 
 async def _own_address(master_uri: str) -> str:
-    """The address of this host on the way to the master.
+    """Return the address of this host on the route to the master.
 
     Raises:
-        OSError: the master's name has no address, or there is no way.
+        OSError: the master's name has no address, or there is no route.
     """
     where = urllib.parse.urlsplit(master_uri)
     loop = asyncio.get_running_loop()
@@ -141,7 +140,7 @@ async def _own_address(master_uri: str) -> str:
 
 
 def _listening_address(host: str) -> str:
-    """Where to listen, so that nodes reach this one as `host`: on loopback alone if it is that."""
+    """Return the address to listen on, so that nodes reach this one as `host`: loopback only for a loopback host."""
     everywhere = "::" if ":" in host else "0.0.0.0"  # noqa: S104 - nodes of ROS are on other hosts, too
     try:
         return host if ipaddress.ip_address(host).is_loopback else everywhere

@@ -1,4 +1,4 @@
-"""Services both ways: those that somebody here provides, and those of other nodes of ROS."""
+"""Services in both directions: services of the hub for ROS, and services of ROS nodes for the hub."""
 
 import asyncio
 import urllib.parse
@@ -33,7 +33,7 @@ _FAILURES = (Unreachable, Refused, BadHeader, OSError, EOFError)  # a TimeoutErr
 
 
 class ServiceOffer:
-    """Each connection is a participant of its own: when it ends, its calls do."""
+    """Service of the hub that ROS nodes call. Each connection is a participant, so its calls end with it."""
 
     def __init__(self, node: LocalNode, service: str, name: str, type_: ServiceType) -> None:
         """`service`: its name in the hub, `name` in ROS."""
@@ -66,7 +66,7 @@ class ServiceOffer:
         wire.receive, wire.on_end = caller.receive, caller.end
 
     def close(self) -> None:
-        """It is provided no more."""
+        """Close all callers."""
         for wire in list(self.callers):
             wire.close()
 
@@ -78,7 +78,7 @@ class ServiceOffer:
         return reason
 
     def _make_room(self) -> bool:
-        """Close the oldest that waits for no answer; returns whether there is one."""
+        """Close the oldest idle caller. Return whether one was idle."""
         idle = next((wire for wire, caller in self.callers.items() if not caller.is_working), None)
         if idle is not None:
             self._node.counts.crowded_out += 1
@@ -87,7 +87,7 @@ class ServiceOffer:
 
 
 class _Caller:
-    """One connection that calls, one call after another."""
+    """Connection that calls the service, one call after another."""
 
     def __init__(self, offer: ServiceOffer, wire: Wire, node: LocalNode, header: Header) -> None:
         self._offer, self._wire, self._node = offer, wire, node
@@ -127,7 +127,7 @@ class _Caller:
 
 
 class ForeignService:
-    """A participant that provides it, until it is withdrawn."""
+    """Service of a ROS node, which a participant provides in the hub."""
 
     def __init__(self, node: LocalNode, service: str, name: str, type_: ServiceType) -> None:
         """`service`: its name in the hub, `name` in ROS.
@@ -144,7 +144,7 @@ class ForeignService:
             raise
 
     def close(self) -> None:
-        """Nobody provides it in ROS any more."""
+        """Withdraw the service from the hub."""
         self._participant.leave()
 
     async def _answer(self, request: Mapping[str, object]) -> Mapping[str, object]:
@@ -160,7 +160,7 @@ class ForeignService:
         return self._type.response.decode(answer)
 
     async def _call(self, payload: bytes) -> bytes:
-        """The payload of the answer; Provider.call sets the deadline."""
+        """Return the payload of the answer. Provider.call sets the deadline."""
         fields = {"md5sum": self._type.md5, "type": self._type.name}
         reader, writer, _ = await connect(self._node, self.name, fields)
         try:
@@ -175,10 +175,10 @@ class ForeignService:
 
 
 async def find_type(node: LocalNode, name: str) -> tuple[str, str]:
-    """(type, md5 sum) of a service of ROS, as its node announces it.
+    """Return type and md5 sum of a service, as its node announces them.
 
     Raises:
-        Unreachable, Refused, BadHeader, OSError, EOFError: nobody answers for it.
+        Unreachable, Refused, BadHeader, OSError, EOFError: the node does not answer.
     """
     _, writer, header = await connect(node, name, {"md5sum": ANY, "probe": "1"})
     writer.transport.abort()
@@ -188,15 +188,15 @@ async def find_type(node: LocalNode, name: str) -> tuple[str, str]:
 async def connect(
     node: LocalNode, name: str, fields: Header
 ) -> tuple[asyncio.StreamReader, asyncio.StreamWriter, dict[str, str]]:
-    """A connection to the service, and the header of its answer.
+    """Connect to a service; return the streams and the header of its answer.
 
     Raises:
-        Unreachable, Refused, BadHeader, OSError, EOFError: nobody answers for it.
+        Unreachable, Refused, BadHeader, OSError, EOFError: the node does not answer.
     """
     async with asyncio.timeout(TIMEOUT_S):
         where = urllib.parse.urlsplit(str(await node.call_master("lookupService", name)))
         if where.scheme != "rosrpc" or not where.hostname or not where.port:
-            raise BadHeader("its address is no rosrpc://HOST:PORT")
+            raise BadHeader("its address is not of the form rosrpc://HOST:PORT")
         reader, writer = await asyncio.open_connection(where.hostname, where.port)
         try:
             writer.write(encode_header({"callerid": node.name, "service": name, **fields}))

@@ -22,12 +22,12 @@ MAX_SUBSCRIBERS = 64  # of one topic
 
 
 class Publication:
-    """It subscribes in the hub while a node of ROS does. Payloads pass as they are."""
+    """Topic of the hub for ROS nodes. It subscribes in the hub while a node is connected, and forwards payloads."""
 
     def __init__(self, node: LocalNode, topic: str, name: str, type_: MessageType, *, is_latched: bool) -> None:
         """`topic`: its name in the hub, `name` in ROS."""
         self.topic, self.name, self.type, self.is_latched = topic, name, type_, is_latched
-        self.subscribers: dict[Wire, str] = {}  # and who each is
+        self.subscribers: dict[Wire, str] = {}  # name of the node
         self._node = node
         self._participant: Participant | None = None
         self._header = {
@@ -41,7 +41,7 @@ class Publication:
         }
 
     def accept(self, wire: Wire, header: Header) -> None:
-        """A node subscribes, and receives what was latched and all that comes from now on."""
+        """Accept a subscriber: it receives the latched message and all later ones."""
         reason = self._refusal(header)
         if reason is not None:
             self._node.counts.refused_headers += 1
@@ -55,7 +55,7 @@ class Publication:
         self._subscribe()
 
     def close(self) -> None:
-        """It is published no more."""
+        """Disconnect every subscriber."""
         for wire in list(self.subscribers):
             wire.close()
 
@@ -84,7 +84,7 @@ class Publication:
             self._participant = None
 
     def _send_latched(self, wire: Wire) -> None:
-        """To a subscriber that comes beside others; the first one receives it with the subscription in the hub."""
+        """Send the latched message to a later subscriber; the first gets it from the hub."""
         if self.is_latched and self._participant is not None:
             visitor = self._node.join(self.name)
             visitor.subscribe(self.topic, lambda message: wire.send(encode_message(message.payload)))
@@ -105,10 +105,10 @@ MAX_PORT = 0xFFFF
 
 
 class Publisher:
-    """`receive` connects once; whoever calls it again connects again. `close` comes before its end."""
+    """Node of ROS that publishes a topic. Each call of `receive` connects once; `close` disconnects."""
 
     def __init__(self, node: LocalNode, topic: GraphTopic, name: str, uri: str, *, is_new: bool) -> None:
-        """`name`: of the topic in ROS; `is_new`: it came after the subscription, so what it publishes first is new."""
+        """`name`: of the topic in ROS; `is_new`: it appeared after the subscription, so its first message is new."""
         self.uri = uri
         self._node, self._topic, self._name = node, topic, name
         self._new_until_s = asyncio.get_running_loop().time() + NEW_S if is_new else 0.0
@@ -117,11 +117,11 @@ class Publisher:
 
     @property
     def is_connected(self) -> bool:
-        """Whether its messages come."""
+        """Whether the publisher's header was accepted."""
         return self._connection is not None and self._connection.is_accepted
 
     def close(self) -> None:
-        """What it drives stops."""
+        """Disconnect: what the publisher drives stops."""
         if self._connection is not None:
             self._connection.wire.close()
 
@@ -129,7 +129,7 @@ class Publisher:
         """Hold one connection, from the request for it to its end.
 
         Raises:
-            Unreachable, Refused, BadHeader, HostlinkError, OSError: there is none; a TimeoutError is an OSError.
+            Unreachable, Refused, BadHeader, HostlinkError, OSError: no connection; a TimeoutError is an OSError.
         """
         is_new = asyncio.get_running_loop().time() < self._new_until_s
         self._new_until_s = 0.0  # tried again, it may be in the middle of what it did before
@@ -287,10 +287,10 @@ def _request(node: LocalNode, topic: GraphTopic, name: str) -> Header:
 
 
 def _address(found: Any) -> tuple[str, int]:
-    """Of the answer to requestTopic.
+    """Read host and port from the answer to requestTopic.
 
     Raises:
-        BadHeader: it is none.
+        BadHeader: the answer has no TCPROS address.
     """
     match found:
         case ["TCPROS", str(host), int(port)] if 0 < port <= MAX_PORT:

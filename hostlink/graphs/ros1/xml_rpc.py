@@ -15,19 +15,19 @@ _NOT_IN_XML_RPC = ("\0", "<!")  # UTF-16, and what defines or hides something: n
 
 
 class BadXml(Exception):
-    """A body that is no call, or no answer of ROS."""
+    """Body that is not a call or an answer of ROS."""
 
 
 class Refused(Exception):
-    """The other side answered that it could not do it."""
+    """Answer with another status than success."""
 
 
 class Unreachable(Exception):
-    """Nobody answers there, or not in time, or not in XML-RPC."""
+    """No answer, a late one, or one that is not XML-RPC."""
 
 
 def encode_call(method: str, arguments: tuple[Any, ...]) -> bytes:
-    """The body of a request.
+    """Encode the body of a request.
 
     Raises:
         BadXml: an argument has no form in XML-RPC.
@@ -39,10 +39,10 @@ def encode_call(method: str, arguments: tuple[Any, ...]) -> bytes:
 
 
 def decode_call(body: bytes) -> tuple[str, tuple[Any, ...]]:
-    """(method, arguments) of a request.
+    """Decode method and arguments of a request.
 
     Raises:
-        BadXml: it is none.
+        BadXml: the body is not a call.
     """
     arguments, method = _loads(body)
     if method is None:
@@ -51,7 +51,7 @@ def decode_call(body: bytes) -> tuple[str, tuple[Any, ...]]:
 
 
 def encode_answer(status: int, text: str, value: object) -> bytes:
-    """The body of an answer.
+    """Encode the body of an answer.
 
     Raises:
         BadXml: the value has no form in XML-RPC.
@@ -63,16 +63,16 @@ def encode_answer(status: int, text: str, value: object) -> bytes:
 
 
 def encode_fault(text: str) -> bytes:
-    """The body of the answer to what is no call."""
+    """Encode the answer to a malformed call."""
     return xmlrpc.client.dumps(xmlrpc.client.Fault(ERROR, text), methodresponse=True).encode()
 
 
 def decode_answer(body: bytes) -> Any:
-    """The value of an answer.
+    """Decode the value of an answer.
 
     Raises:
         Refused: its status is not success, or it is a fault.
-        BadXml: it is no answer.
+        BadXml: the body is not an answer.
     """
     try:
         found, _ = _loads(body)
@@ -87,7 +87,7 @@ def decode_answer(body: bytes) -> Any:
 
 
 def _loads(body: bytes) -> tuple[tuple[Any, ...], str | None]:
-    """What the body contains; entities could make a body of a kilobyte one of a gigabyte."""
+    """Parse a body. Entities are refused: they could turn a kilobyte into a gigabyte."""
     try:
         text = body.decode()
     except UnicodeDecodeError as error:
@@ -98,12 +98,12 @@ def _loads(body: bytes) -> tuple[tuple[Any, ...], str | None]:
         return xmlrpc.client.loads(text, use_builtin_types=True)
     except xmlrpc.client.Fault:
         raise
-    except Exception as error:  # expat and the unmarshaller raise a dozen kinds for a body that is none
+    except Exception as error:  # expat and the unmarshaller raise a dozen kinds for a malformed body
         raise BadXml(f"{type(error).__name__}: {error}") from error
 
 
 class EarlyMaster:
-    """One connection, which is opened again when the master has closed it."""
+    """Blocking calls of the master before the daemon runs, without the HTTP client that takes long to import."""
 
     def __init__(self, uri: str, node: str) -> None:
         where = urllib.parse.urlsplit(uri)
@@ -112,14 +112,14 @@ class EarlyMaster:
         self._path, self._node = where.path or "/", node
 
     def close(self) -> None:
-        """End the connection."""
+        """Close the connection."""
         self._connection.close()
 
     def call(self, method: str, *arguments: object) -> Any:
-        """The value of the answer.
+        """Return the value of the answer.
 
         Raises:
-            Unreachable: there is none.
+            Unreachable: the master did not answer.
             Refused: the master could not do it.
             BadXml: an argument has no form in XML-RPC.
         """
@@ -144,7 +144,7 @@ class EarlyMaster:
 
 
 def _why(error: Exception) -> str:
-    """For people."""
+    """Return a reason that a person can read."""
     if isinstance(error, TimeoutError):
         return f"no answer within {TIMEOUT_S:g} s"
     return (error.strerror if isinstance(error, OSError) else None) or str(error) or type(error).__name__

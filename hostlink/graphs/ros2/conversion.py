@@ -70,7 +70,7 @@ Layout = tuple[object, ...]
 
 
 def ros2_layout(types: Mapping[str, Fields], name: str) -> Layout:
-    """What is on the wire of this type, number by number, in a form that is equal where ROS 1 has the same."""
+    """Return the values on the wire of a type of ROS 2, in a form that is equal for the same layout in ROS 1."""
     return _joined(_layout_of(types, desc) for field, desc in types[name].items() if field != _PLACEHOLDER)
 
 
@@ -86,7 +86,7 @@ def _layout_of(types: Mapping[str, Fields], desc: FieldDesc) -> Layout:
 
 
 def ros1_layout(typedefs: Iterable[Mapping[str, Any]], name: str) -> Layout:
-    """The same of a type of the daemon, from the `typedefs` of /rosapi/message_details."""
+    """Return the layout of a type of the daemon, from the `typedefs` of /rosapi/message_details."""
     return _ros1_layout({each["type"]: each for each in typedefs}, name)
 
 
@@ -109,7 +109,7 @@ def _ros1_field(typedefs: Mapping[str, Mapping[str, Any]], type_name: str, count
 
 
 def added_bytes(ros1: Layout, ros2: Layout) -> int | None:
-    """How many bytes ROS 2 has behind ROS 1's, as sensor_msgs/Range has its variance; None: they differ otherwise."""
+    """Return the bytes that ROS 2 appends, as the variance of sensor_msgs/Range; None for any other difference."""
     added = ros2[len(ros1) :]
     if ros2[: len(ros1)] != ros1 or not all(isinstance(item, str) and item in _SIZES for item in added):
         return None
@@ -124,12 +124,12 @@ def _base(name: str) -> str:
     return "byte" if name in _BYTES else name
 
 
-_STAMP = slice(4, 12)  # behind the head of CDR: the seconds and nanoseconds of a header that comes first
+_STAMP = slice(4, 12)  # after the head of CDR: the seconds and nanoseconds of a leading header
 HEADER = "std_msgs/msg/Header"
 
 
 class Conversion:
-    """Of the types that were added, by their ROS 2 names."""
+    """Conversion of serialised messages of known types, by their ROS 2 names."""
 
     def __init__(self) -> None:
         self._store = get_typestore(Stores.EMPTY)
@@ -145,10 +145,10 @@ class Conversion:
             self._store.register(new)
 
     def to_cdr(self, payload: bytes, type_name: str) -> bytes:
-        """ROS 1's bytes as CDR.
+        """Convert ROS 1's bytes to CDR.
 
         Raises:
-            BadPayload: they are no message of the type.
+            BadPayload: the bytes are not a message of the type.
         """
         try:
             return bytes(self._store.ros1_to_cdr(payload + self._added.get(type_name, b""), type_name))
@@ -156,10 +156,10 @@ class Conversion:
             raise BadPayload(type_name, str(error)) from error
 
     def to_ros1(self, data: bytes, type_name: str) -> bytes:
-        """CDR as ROS 1's bytes; a header's `seq` is 0.
+        """Convert CDR to ROS 1's bytes; a header's `seq` is 0.
 
         Raises:
-            BadPayload: it is no message of the type.
+            BadPayload: the bytes are not a message of the type.
         """
         try:
             payload = bytes(self._store.cdr_to_ros1(data, type_name))
@@ -217,7 +217,7 @@ def fill(message: Any, values: Mapping[str, Any]) -> None:
             try:
                 setattr(message, name, _value_of(getattr(message, name), type_name, values[key]))
             except (AssertionError, TypeError, ValueError, KeyError) as error:  # rclpy asserts the types of fields
-                raise HostlinkError(f"{name}: {values[key]!r} is no {type_name}") from error
+                raise HostlinkError(f"{name}: {values[key]!r} is not a {type_name}") from error
 
 
 def _value_of(before: Any, type_name: str, value: Any) -> Any:
@@ -247,21 +247,21 @@ def _items(before: Any, type_name: str, value: Any) -> Sequence[Any]:
     return list(value)
 
 
-MAX_REMEMBERED = 64  # messages of a topic; an echo comes within milliseconds
+MAX_REMEMBERED = 64  # messages of a topic; an echo arrives within milliseconds
 
 
 class Echoes:
-    """Of one topic. A message is an echo once for each time that it was published."""
+    """Messages of one topic that the bridge published, and that ROS 2 delivers to it again as echoes."""
 
     def __init__(self) -> None:
         self._published: deque[bytes] = deque(maxlen=MAX_REMEMBERED)
 
     def publish(self, data: bytes) -> None:
-        """The bridge publishes it."""
+        """Note a message that the bridge publishes."""
         self._published.append(data)
 
     def is_echo(self, data: bytes) -> bool:
-        """Whether a message that came is the bridge's own."""
+        """Whether a received message is the bridge's own. Each published message is one echo."""
         try:
             self._published.remove(data)
         except ValueError:

@@ -27,7 +27,7 @@ def parameter_name(name: str) -> str:
 
 
 DEPTH = 10  # as `ros2 topic pub` and rclpy's examples have it
-COMMAND_DEPTH = 1  # an older velocity means nothing beside a newer one
+COMMAND_DEPTH = 1  # a newer velocity replaces an older one
 STATIC_DEPTH = 100  # transforms of other nodes that never change: each is sent once
 
 
@@ -49,7 +49,7 @@ def publisher_qos(topic: str, *, is_latched: bool) -> Qos:
 
 
 def subscription_qos(offers: Iterable[Qos]) -> Qos:
-    """What matches every publisher of the topic, and loses no more than they allow."""
+    """Return the policies that match every publisher of the topic, and lose no more than they allow."""
     offers = list(offers)
     is_latched = bool(offers) and all(offer.is_latched for offer in offers)
     is_reliable = bool(offers) and all(offer.is_reliable for offer in offers)
@@ -71,14 +71,14 @@ class Publication:
 
 @dataclass(frozen=True, slots=True)
 class Feed:
-    """The messages of a publication: requested from the daemon only while ROS 2 has somebody who reads them."""
+    """The messages of a publication: requested from the daemon only while ROS 2 has a subscriber."""
 
     publication: Publication
 
 
 @dataclass(frozen=True, slots=True)
 class Reception:
-    """A topic of ROS 2, published to the daemon, where somebody subscribes to it."""
+    """Topic of ROS 2, published to the daemon while it has subscribers there."""
 
     topic: str
     ros2_type: str
@@ -116,7 +116,7 @@ Route = Publication | Feed | Reception | VelocityInput | Server | Caller
 
 @dataclass(frozen=True, slots=True)
 class Publisher:
-    """Of a topic in ROS 2, by another node."""
+    """Publisher of a topic in ROS 2, in another node."""
 
     type_name: str
     qos: Qos
@@ -125,16 +125,16 @@ class Publisher:
 
 @dataclass(frozen=True, slots=True)
 class Ros2Graph:
-    """What other nodes than the bridge have in ROS 2, by the names that the daemon would give it."""
+    """Graph of ROS 2 without the bridge's own node, by names of the daemon."""
 
     publishers: Mapping[str, tuple[Publisher, ...]] = field(default_factory=dict)  # by topic
-    readers: frozenset[str] = frozenset()  # topics of the bridge that somebody subscribes to
+    readers: frozenset[str] = frozenset()  # topics of the bridge that have subscribers
     services: Mapping[str, str] = field(default_factory=dict)  # types by name
 
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """The routes, and what stays out: one line for each cause."""
+    """Routes, and one line for each topic or service that is not mirrored."""
 
     routes: frozenset[Route]
     problems: tuple[str, ...]

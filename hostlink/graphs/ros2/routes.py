@@ -42,7 +42,7 @@ from hostlink.robot.velocity import Twist
 
 
 class Types:
-    """What is known of them stays known while the bridge runs."""
+    """Message classes of rclpy, each checked against the daemon's definition before its first use."""
 
     def __init__(self) -> None:
         self.conversion = Conversion()
@@ -90,7 +90,7 @@ CALL_TIMEOUT_S = 60.0  # of a service of ROS 2; as the daemon's for a program's
 
 
 class Routes:
-    """Runs one route at a time for whoever calls `run`; all share the node, the connection and the types."""
+    """Coroutines of the routes, with the node, the connection and the types that they share."""
 
     def __init__(self, node: Ros2Node, host: Host, velocity: VelocityDriver) -> None:
         self._node, self._host, self._velocity = node, host, velocity
@@ -238,7 +238,7 @@ class Routes:
 
 
 def sender(route: VelocityInput, info: Mapping[str, Any]) -> bytes | str:
-    """Who has published a message: its gid where rclpy says it (since Kilted), else all of the topic are one."""
+    """Return the publisher of a message: its gid where rclpy knows it (since Kilted), else the topic."""
     gid = info.get("publisher_gid")
     return route.topic if gid is None else bytes(gid["data"])
 
@@ -249,6 +249,6 @@ def _twist(message: Any) -> Twist:
 
 
 def _fill_response(response: Any, values: Mapping[str, Any]) -> None:
-    """What does not fit is left out: an error here would end rclpy's thread."""
+    """Fill a response without the values that do not fit: an error here would end rclpy's thread."""
     with contextlib.suppress(HostlinkError):
         fill(response, values)

@@ -24,8 +24,8 @@ from hostlink.graphs.zenoh.fleet_messages import (
     GROUP,
     Answer,
     Drive,
+    FleetTransport,
     Lock,
-    Post,
     Release,
     Request,
     Stop,
@@ -45,8 +45,8 @@ from hostlink.hub.robot import LocalRobot, RemoteRobot
 from hostlink.logs import of_peer, printable
 from hostlink.robot.velocity import PlanarVelocity, Twist
 
-MAX_DRIVERS = 64  # of one daemon; over it the one goes that commanded the longest ago
-IDLE_S = 10.0  # a driver that has not commanded for so long has nothing to release
+MAX_DRIVERS = 64  # of one daemon; over it the driver leaves whose last command is the oldest
+IDLE_S = 10.0  # a driver without a command for so long holds no lease
 _PUBLISHER = 0  # the number of the one who publishes; drivers begin at 1
 
 
@@ -57,47 +57,47 @@ class _Driver:
 
 
 class FleetDrivers:
-    """Answers the requests of other daemons."""
+    """Drivers at other daemons: each is a participant here, where the gates and their leases are."""
 
-    def __init__(self, hub: Hub, post: Post, roster: Roster) -> None:
-        self._hub, self._post, self._roster = hub, post, roster
+    def __init__(self, hub: Hub, transport: FleetTransport, roster: Roster) -> None:
+        self._hub, self._transport, self._roster = hub, transport, roster
         self._drivers: dict[str, dict[int, _Driver]] = {}  # by daemon, and by their numbers there
 
     # -- requests -----------------------------------------------------------------------------------------------------
 
     def receive(self, sample: Sample) -> None:
-        """A request to this daemon alone."""
+        """Answer a request to this daemon alone."""
         neighbour = self._neighbour(sample, is_addressed=True)
         if neighbour is None:
             return
         try:
             request = decode_request(sample.payload)
         except BadPayload:
-            self._post.counts["malformed"] += 1
+            self._transport.counts["malformed"] += 1
             return
         with bound_contextvars(**of_peer(f"fleet {neighbour.sender.name}")):
             answer = self._answer(neighbour, request)
         self._send(neighbour, answer)
 
     def receive_stop(self, sample: Sample) -> None:
-        """A request to all daemons. Whoever may read may stop."""
+        """Answer a request to all daemons. Reading is enough to stop."""
         neighbour = self._neighbour(sample)
         if neighbour is None:
             return
         try:
             request = decode_stop(sample.payload)
         except BadPayload:
-            self._post.counts["malformed"] += 1
+            self._transport.counts["malformed"] += 1
             return
         with bound_contextvars(**of_peer(f"fleet {neighbour.sender.name}")):
             answer = self._stop(neighbour, request)
         self._send(neighbour, answer)
 
     def publish(self, neighbour: Neighbour, topic: str, payload: bytes) -> None:
-        """What a program of another daemon publishes to a device here.
+        """Publish a message of another daemon's program to a device here.
 
         Raises:
-            HostlinkError: it may not, or it does not fit the device.
+            HostlinkError: the daemon may not publish, or the message does not fit the device.
         """
         self._check_role(neighbour, topic)
         self._participant(neighbour, _PUBLISHER, "programs").publish(topic, payload)
@@ -105,7 +105,7 @@ class FleetDrivers:
     # -- whose --------------------------------------------------------------------------------------------------------
 
     def leave(self, zid: str) -> None:
-        """A daemon is gone, or cannot be reached: what its drivers drive stops."""
+        """Follow the loss of a daemon: what its drivers drive stops."""
         for driver in self._drivers.pop(zid, {}).values():
             driver.participant.leave()
 
@@ -115,7 +115,7 @@ class FleetDrivers:
             self.leave(zid)
 
     def tick(self, now_s: float) -> None:
-        """Let those leave who have long ceased to command."""
+        """Let drivers leave after IDLE_S without a command."""
         for zid, drivers in list(self._drivers.items()):
             for number, driver in list(drivers.items()):
                 if now_s > driver.commanded_at_s + IDLE_S:
@@ -127,10 +127,10 @@ class FleetDrivers:
     # -- its parts ----------------------------------------------------------------------------------------------------
 
     def _neighbour(self, sample: Sample, *, is_addressed: bool = False) -> Neighbour | None:
-        sender = self._post.keys.sender(sample.key, is_addressed=is_addressed)
+        sender = self._transport.keys.sender(sample.key, is_addressed=is_addressed)
         neighbour = None if sender is None else self._roster.find(sender)
         if neighbour is None:
-            self._post.counts["unannounced"] += 1
+            self._transport.counts["unannounced"] += 1
         return neighbour
 
     def _answer(self, neighbour: Neighbour, request: Request) -> Answer:
@@ -156,7 +156,7 @@ class FleetDrivers:
                 case _:
                     assert_never(request)
         except HostlinkError as error:
-            self._post.counts["refused"] += 1
+            self._transport.counts["refused"] += 1
             return _refusal(request.number, error, robot)
 
     def _drive(self, neighbour: Neighbour, robot: LocalRobot, request: Drive) -> Answer:
@@ -189,8 +189,10 @@ class FleetDrivers:
 
     def _check_role(self, neighbour: Neighbour, what: str) -> None:
         name = neighbour.sender.name
-        if not any(fnmatch.fnmatchcase(name, pattern) for pattern in self._post.may_drive):
-            raise BadRequest(f"{what}: {printable(name)} may only read at {self._post.me.name} (zenoh.drivers there)")
+        if not any(fnmatch.fnmatchcase(name, pattern) for pattern in self._transport.may_drive):
+            raise BadRequest(
+                f"{what}: {printable(name)} may only read at {self._transport.me.name} (zenoh.drivers there)"
+            )
 
     def _participant(self, neighbour: Neighbour, number: int, name: str) -> Participant:
         drivers = self._drivers.setdefault(neighbour.sender.zid, {})
@@ -201,13 +203,13 @@ class FleetDrivers:
         driver.commanded_at_s = _now_s()
         drivers[number] = driver
         if len(drivers) > MAX_DRIVERS:
-            self._post.counts["excess_drivers"] += 1
+            self._transport.counts["excess_drivers"] += 1
             drivers.pop(next(iter(drivers))).participant.leave()
         return driver.participant
 
     def _send(self, neighbour: Neighbour, answer: Answer) -> None:
-        key = self._post.keys.key("answer", self._post.me, to=neighbour.sender.zid)
-        self._post.session.put(key, encode(answer), is_urgent=True)
+        key = self._transport.keys.key("answer", self._transport.me, to=neighbour.sender.zid)
+        self._transport.session.put(key, encode(answer), is_urgent=True)
 
 
 def _refusal(number: int, error: HostlinkError, robot: LocalRobot | None = None) -> Answer:
@@ -255,7 +257,7 @@ class _Command:
 
 @dataclass(slots=True, eq=False)
 class _Unsettled:
-    """A stop, a lock or an unlock that not everybody has answered."""
+    """Stop, lock or unlock that some daemons have not answered."""
 
     payload: bytes
     key: str
@@ -267,10 +269,10 @@ class _Unsettled:
 
 
 class FleetRequests:
-    """Implements RobotHosts. A command goes to the one daemon that has the robot, a stop or a lock to all."""
+    """Implementation of RobotHosts. A command is sent to the daemon of the robot, a stop or a lock to all."""
 
-    def __init__(self, post: Post, roster: Roster) -> None:
-        self._post, self._roster = post, roster
+    def __init__(self, transport: FleetTransport, roster: Roster) -> None:
+        self._transport, self._roster = transport, roster
         self._numbers = itertools.count(1)
         self._owner_numbers = itertools.count(1)
         self._owners: dict[Hashable, int] = {}
@@ -286,7 +288,7 @@ class FleetRequests:
         """Send a command of an owner.
 
         Raises:
-            HostlinkError: why the command before this one was refused, if nobody has learned it yet.
+            HostlinkError: the previous command was refused, and its sender does not know it yet.
         """
         neighbour, now_s = self._neighbour(robot), _now_s()
         before = self._newest.pop((owner, robot.name), None)
@@ -312,10 +314,10 @@ class FleetRequests:
         self._request(neighbour, request)
 
     async def answer(self, robot: RemoteRobot, owner: Hashable) -> PlanarVelocity:
-        """The answer to the newest command of an owner: the velocity after the limits.
+        """Return the answer to the newest command of an owner: the velocity after the limits.
 
         Raises:
-            HostlinkError: it was refused, or nobody has answered.
+            HostlinkError: it was refused, or not answered.
         """
         command = self._newest.get((owner, robot.name))
         if command is None:
@@ -328,7 +330,7 @@ class FleetRequests:
         return command.result()
 
     def release(self, owner: Hashable) -> None:
-        """A source of commands is gone: what it drives elsewhere stops."""
+        """Release what a source drives at other daemons: it stops."""
         number = self._owners.pop(owner, None)
         if number is None:
             return
@@ -337,12 +339,12 @@ class FleetRequests:
             self._request(neighbour, Release(number=next(self._numbers), owner=number))
 
     def stop(self, name: str | None) -> None:
-        """Stop whatever has this name, wherever it is; None: every robot."""
+        """Stop all robots of this name at all daemons; None: every robot."""
         number = next(self._numbers)
         self._send_to_all(number, Stop(number=number, robot=name), name, "stop")
 
     def lock(self, name: str, reason: str) -> None:
-        """Lock whatever has this name, wherever it is."""
+        """Lock all robots of this name at all daemons."""
         number = next(self._numbers)
         self._send_to_all(number, Lock(number=number, robot=name, reason=reason), name, "lock")
 
@@ -354,9 +356,9 @@ class FleetRequests:
         """
         neighbour, number = self._neighbour(robot), next(self._numbers)
         payload = encode(Unlock(number=number, robot=robot.name))
-        key = self._post.keys.key("drive", self._post.me, to=neighbour.sender.zid)
+        key = self._transport.keys.key("drive", self._transport.me, to=neighbour.sender.zid)
         self._expect(number, _Unsettled(payload, key, {neighbour.sender.zid: robot.host}, _now_s(), "unlock"))
-        self._post.session.put(key, payload, is_urgent=True)
+        self._transport.session.put(key, payload, is_urgent=True)
 
     async def settled(self) -> None:
         """Wait until every daemon has answered the stops, locks and unlocks so far.
@@ -380,15 +382,15 @@ class FleetRequests:
                     hosts or each.what, each.refusal or f"has not answered the {each.what}; what is here has"
                 )
 
-    # -- what comes back ----------------------------------------------------------------------------------------------
+    # -- answers ------------------------------------------------------------------------------------------------------
 
     def receive(self, sample: Sample) -> Answer | None:
         """An answer of another daemon; returned if it is one to a stop, a lock or an unlock."""
-        sender = self._post.keys.sender(sample.key, is_addressed=True)
+        sender = self._transport.keys.sender(sample.key, is_addressed=True)
         try:
             answer = decode(sample.payload, Answer)
         except BadPayload:
-            self._post.counts["malformed"] += 1
+            self._transport.counts["malformed"] += 1
             return None
         command = self._waiting.get(answer.number)
         if command is not None and sender == command.neighbour.sender:
@@ -407,7 +409,7 @@ class FleetRequests:
         return answer
 
     def tick(self) -> None:
-        """Repeat what was not answered, and forget what nobody waits for any more."""
+        """Repeat requests without an answer, and forget those that are too old."""
         now_s = _now_s()
         for number, each in list(self._unsettled.items()):
             if now_s > each.since_s + 2 * ANSWER_TIMEOUT_S:
@@ -415,7 +417,7 @@ class FleetRequests:
                 if each.missing:
                     self._log_unanswered(each)
             elif each.missing:
-                self._post.session.put(each.key, each.payload, is_urgent=True)
+                self._transport.session.put(each.key, each.payload, is_urgent=True)
         for number, command in list(self._waiting.items()):
             if now_s < command.sent_at_s + 2 * ANSWER_TIMEOUT_S:
                 break
@@ -430,19 +432,21 @@ class FleetRequests:
         return place.neighbour
 
     def _raise_refusal(self, before: _Command, now_s: float) -> None:
-        """What nobody has waited for: the command before was refused, or not answered in a whole lease."""
+        """Raise the refusal of the previous command, or that it was not answered within a lease."""
         is_late = before.answer is None and now_s > before.sent_at_s + ANSWER_TIMEOUT_S
         is_refused = before.answer is not None and before.answer.error
         if is_refused or (is_late and now_s < before.sent_at_s + 2 * ANSWER_TIMEOUT_S):
             before.result()
 
     def _request(self, neighbour: Neighbour, request: Request) -> None:
-        self._post.session.put(
-            self._post.keys.key("drive", self._post.me, to=neighbour.sender.zid), encode(request), is_urgent=True
+        self._transport.session.put(
+            self._transport.keys.key("drive", self._transport.me, to=neighbour.sender.zid),
+            encode(request),
+            is_urgent=True,
         )
 
     def _send_to_all(self, number: int, request: StopRequest, name: str | None, what: str) -> None:
-        payload, key = encode(request), self._post.keys.key("stop", self._post.me)
+        payload, key = encode(request), self._transport.keys.key("stop", self._transport.me)
         missing = {
             each.sender.zid: each.sender.name
             for each in self._roster.all()
@@ -450,7 +454,7 @@ class FleetRequests:
         }
         if missing:
             self._expect(number, _Unsettled(payload, key, missing, _now_s(), what))
-        self._post.session.put(key, payload, is_urgent=True)
+        self._transport.session.put(key, payload, is_urgent=True)
 
     def _expect(self, number: int, unsettled: _Unsettled) -> None:
         self._unsettled[number] = unsettled
@@ -458,13 +462,13 @@ class FleetRequests:
             del self._unsettled[next(iter(self._unsettled))]
 
     def _log_unanswered(self, unsettled: _Unsettled) -> None:
-        self._post.counts["unanswered"] += 1
+        self._transport.counts["unanswered"] += 1
         hosts = [printable(host) for host in unsettled.missing.values()]
         log.warning("fleet.unanswered", what=unsettled.what, hosts=hosts)
 
 
 def _error_of(robot: str, answer: Answer) -> HostlinkError:
-    """The error that was raised there."""
+    """Return the error that the other daemon raised."""
     reason = printable(answer.reason, _TEXT)
     if answer.error in set(RefusalKind):
         return CommandRefused(robot, RefusalKind(answer.error), reason, holder=answer.owner)

@@ -13,9 +13,9 @@ from hostlink.errors import HostlinkError
 from hostlink.graphs.zenoh.fleet_messages import (
     MAX_ROBOTS,
     MAX_STATE_BYTES,
+    FleetTransport,
     Live,
     Motion,
-    Post,
     RobotMessage,
     Sender,
     State,
@@ -42,12 +42,12 @@ _UNSTEADY: dict[str, Any] = {  # no reason to send a state before its time
 
 
 class FleetStates:
-    """Poses go with every state; as they come only while somebody reads them, by another key."""
+    """States of the robots here, sent each second and after each change; poses by another key while they are read."""
 
-    def __init__(self, hub: Hub, post: Post) -> None:
-        self._hub, self._post = hub, post
-        self._states = post.session.declare_publisher(post.keys.key("state", post.me), is_urgent=True)
-        self._live = post.session.declare_publisher(post.keys.key("live", post.me))
+    def __init__(self, hub: Hub, transport: FleetTransport) -> None:
+        self._hub, self._transport = hub, transport
+        self._states = transport.session.declare_publisher(transport.keys.key("state", transport.me), is_urgent=True)
+        self._live = transport.session.declare_publisher(transport.keys.key("live", transport.me))
         self._is_live = False
         self._live.watch(self._note_readers)
         self._due_s = 0.0
@@ -56,7 +56,7 @@ class FleetStates:
         self._marks: dict[str, object] = {}  # by which a motion that was sent is known
 
     def greet(self) -> None:
-        """Somebody has appeared: send the state again and again for a moment."""
+        """Send the state repeatedly for a moment, because another daemon has appeared."""
         self._greeting_until_s = _now_s() + GREETING_S
 
     def tick(self, topics: int) -> None:
@@ -71,7 +71,7 @@ class FleetStates:
             self._send_motions(states)
 
     def _send_motions(self, states: tuple[RobotMessage, ...]) -> None:
-        """Of the robots that have moved, or whose velocity is another."""
+        """Send the motions of robots that moved or have another velocity."""
         motions = {state.name: Motion(state.name, state.velocity, state.pose, state.linear_y_m_s) for state in states}
         marks: dict[str, object] = {
             name: (each.velocity, each.linear_y_m_s, each.pose and each.pose.count) for name, each in motions.items()
@@ -82,10 +82,10 @@ class FleetStates:
             self._live.put(encode(Live(robots=moved)))
 
     def states(self) -> tuple[RobotMessage, ...]:
-        """Of every robot here whose name can be a part of a key."""
+        """Return the state of every robot here whose name a key may contain."""
         robots = [robot for robot in self._hub.robots.here() if is_shareable(robot)]
         if len(robots) > MAX_ROBOTS:
-            self._post.counts["unshared_robots"] += len(robots) - MAX_ROBOTS
+            self._transport.counts["unshared_robots"] += len(robots) - MAX_ROBOTS
             robots = sorted(robots, key=lambda robot: robot.link is None)[:MAX_ROBOTS]
         return tuple(map(state_of, robots))
 
@@ -104,32 +104,32 @@ def _now_s() -> float:
 
 log = structlog.get_logger()
 
-READ_S = 2.0  # poses come as they are made for so long after somebody has read one
+READ_S = 2.0  # poses are sent at their own rate for so long after one was read
 MAX_WAITING = 4  # states of one daemon; the newest counts
 
 
 class FleetRobots:
-    """One name at several daemons: the robot here is driven by programs here, and of others none is driven."""
+    """Robots of other daemons. Of several with one name none is driven from here, except the one that is here."""
 
     def __init__(
         self,
         hub: Hub,
-        post: Post,
+        transport: FleetTransport,
         roster: Roster,
         requests: RobotHosts,
         topics: FleetTopics,
         *,
         receive: Callable[[Sample], None],
     ) -> None:
-        """`receive`: how the robots of one daemon move, while somebody reads it."""
-        self._hub, self._post, self._roster = hub, post, roster
+        """`receive`: is called with the motions of one daemon's robots, while they are read."""
+        self._hub, self._transport, self._roster = hub, transport, roster
         self._requests, self._topics, self._receive = requests, topics, receive
         self._live = Mirror[str, Sender, Declaration](
-            self._subscribe, lambda zid, error: note_failure(hub, post, "failed_topics", zid, error)
+            self._subscribe, lambda zid, error: note_failure(hub, transport, "failed_topics", zid, error)
         )
         self._due: OrderedDict[str, None] = OrderedDict()  # names
         self._is_due = False
-        self._known_links: dict[str, int] = {}  # of robots here that have a namesake elsewhere
+        self._known_links: dict[str, int] = {}  # of robots here whose name another daemon has too
 
     def apply(self, names: Iterable[str]) -> None:
         """Show the robots of these names as they are known now."""
@@ -145,7 +145,7 @@ class FleetRobots:
             if robot is None or robot.place != sender.zid:
                 self._topics.hide(name)
                 before, robot = robot, self._remote_robot(place)
-                if before is not None:  # who commanded it there goes on here
+                if before is not None:  # its drivers continue here
                     robot.admission = before.admission
                 self._hub.robots.put_remote(robot)
             if place.also_at and not robot.also_at:
@@ -154,7 +154,7 @@ class FleetRobots:
             self._update(robot, place)
 
     def apply_soon(self, names: Iterable[str]) -> None:
-        """As `apply`, a slice in each turn of the loop: another daemon decides how many they are."""
+        """Apply in slices, one in each turn of the loop: another daemon decides how many names there are."""
         self._due |= dict.fromkeys(names)
         if not self._is_due:
             self._is_due = True
@@ -184,7 +184,7 @@ class FleetRobots:
     def _update(self, robot: RemoteRobot, place: Place) -> None:
         state, epoch = place.state.state, place.state.epoch
         robot.connect(state.link if place.is_connected else None, epoch, self._hub.robots.new_number)
-        holder = state.holder and state.holder.removesuffix(f" at {self._post.me.name}")  # one who is here
+        holder = state.holder and state.holder.removesuffix(f" at {self._transport.me.name}")  # one who is here
         robot.update(msgspec.structs.replace(state, holder=holder), epoch=epoch)
         is_driven_here = not robot.also_at and self._is_free(robot.name)
         if place.is_connected and is_driven_here:
@@ -200,28 +200,28 @@ class FleetRobots:
         return robot is None or robot.link is None
 
     def _note_namesakes(self, name: str) -> None:
-        """One name here and elsewhere: programs here drive the one here, and others neither."""
+        """Note a name that another daemon has too: programs here drive the robot here, other programs neither."""
         robot = self._hub.robots.get_here(name)
         if robot is None:
             return
         also_at = self._roster.connected_at(name) if robot.link is not None else ()
         if also_at and not robot.also_at:
-            _log_duplicate(name, (self._post.me.name, *also_at))
+            _log_duplicate(name, (self._transport.me.name, *also_at))
         robot.also_at = also_at
         if robot.link is not None and self._known_links.get(name) != robot.link.number:
             self._known_links[name] = robot.link.number
             self._lock_likewise(robot)
 
     def _lock_likewise(self, robot: LocalRobot) -> None:
-        """A robot that was locked at another daemon may have come here: its lock comes with it."""
+        """Lock a robot that another daemon had locked before it connected here."""
         for neighbour in self._roster.all():
             state = neighbour.robots.get(robot.name)
             if state is not None and state.lock_reason is not None and robot.gate.lock_reason is None:
-                with contextlib.suppress(HostlinkError):  # it is locked; a device that refuses a zero obeys nobody
+                with contextlib.suppress(HostlinkError):  # it is locked, although its device refused the zero
                     robot.lock_here(f"locked at {neighbour.sender.name}: {state.lock_reason}")
 
     def follow(self, now_s: float) -> None:
-        """Subscribe the poses of those daemons of which somebody reads one."""
+        """Subscribe to the poses of daemons whose robots are read here."""
         wanted = {
             str(robot.place)
             for robot in self._hub.robots.remote.values()
@@ -235,11 +235,11 @@ class FleetRobots:
         self._live.put(zid, None)
 
     def _subscribe(self, _: str, sender: Sender) -> Declaration:
-        key = self._post.keys.key("live", sender)
-        return self._post.session.subscribe(key, self._receive, max_bytes=MAX_STATE_BYTES, max_waiting=MAX_WAITING)
+        key = self._transport.keys.key("live", sender)
+        return self._transport.session.subscribe(key, self._receive, max_bytes=MAX_STATE_BYTES, max_waiting=MAX_WAITING)
 
     def end(self) -> None:
-        """Show none any more."""
+        """Remove all robots of other daemons."""
         self._due.clear()
         self._live.close()
         for name in list(self._hub.robots.remote):

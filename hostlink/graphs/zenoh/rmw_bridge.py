@@ -79,7 +79,7 @@ class Endpoint:
 
 @dataclass(slots=True)
 class RmwNode:
-    """What every part of the bridge uses. `counts`: what was lost, by cause."""
+    """Node of this daemon in ROS 2, which its endpoints share. `counts`: losses by cause."""
 
     hub: Hub
     session: Session
@@ -100,7 +100,7 @@ class RmwNode:
 
 @dataclass(frozen=True, slots=True)
 class Published:
-    """What is to be published: two that are equal are one publication."""
+    """Specification of a publication."""
 
     topic: str
     type_name: str  # in the hub
@@ -166,7 +166,7 @@ class Publication:
 
 @dataclass(frozen=True, slots=True)
 class Offered:
-    """A service that is to be offered: two that are equal are one."""
+    """Specification of an offered service."""
 
     name: str
     known: ServiceType
@@ -217,7 +217,7 @@ class OfferedService:
                 del self._calls[attachment.gid]
 
     async def _call(self, data: bytes) -> bytes | None:
-        """The answer; None: the request is none, or the answer has no field for a failure. ROS 2 has no other way."""
+        """Return the answer; None for a malformed request, or a failure that the response type cannot express."""
         try:
             request = self._known.request.decode(self._type.request.from_cdr(data))
             answer = await self._participant.call(self._name, request)
@@ -272,7 +272,7 @@ class CalledService:
             if signed is not None and signed.sequence_number == number:
                 self._node.counts["calls_to_ros2"] += 1
                 return self._known.response.decode(self._type.response.from_cdr(sample.payload))
-        raise ServiceFailed(self._name, "nobody in ROS 2 has answered")
+        raise ServiceFailed(self._name, "no answer from ROS 2")
 
 
 MAX_PUBLISHERS = 1024  # participants
@@ -309,7 +309,7 @@ class Publisher:
 
         Raises:
             WrongType: the topic has another type here.
-            BadRequest: nobody knows the type here.
+            BadRequest: the type is unknown here.
         """
         if not self._is_advertised:
             token = self.token
@@ -437,7 +437,7 @@ class Publishers:
 
 @dataclass(frozen=True, slots=True)
 class Wanted:
-    """What is to be subscribed, and what becomes of it: two that are equal are one subscription."""
+    """Specification of a subscription."""
 
     name: str  # of the topic in ROS 2
     type: Ros2Message
@@ -448,7 +448,7 @@ class Wanted:
 
     @property
     def qos(self) -> Qos:
-        """As the tools of ROS 2 show it."""
+        """Quality of service, as tools of ROS 2 show it."""
         if self.is_velocity:
             return COMMANDS
         return Qos(is_transient_local=self.has_history, depth=TELEMETRY.depth)
@@ -520,7 +520,7 @@ TROUBLE: Final = frozenset(  # counts of what was lost, by cause
         "malformed_from_ros2", "malformed_to_ros2", "malformed_tokens", "other_type", "unidentified", "unsigned",
     }
 )  # fmt: skip
-UNKNOWN: Final = "ros2.type_unknown"  # of most types of a large graph: they are no robot's here
+UNKNOWN: Final = "ros2.type_unknown"  # of most types of a large graph: robots here do not use them
 REFUSED_NAME: Final = "ROS 2 allows letters, digits and _ in names"
 OWN_PACKAGES: Final = ("rcl_interfaces/", "type_description_interfaces/")  # services that every node of ROS 2 has
 
@@ -677,7 +677,7 @@ class RmwBridge:
         return wanted
 
     def _type(self, topic: GraphTopic) -> Ros2Message | None:
-        """What the topic is in ROS 2; None: it cannot be there, which is logged once."""
+        """Return the type of a topic in ROS 2; None if it cannot exist there, which is logged once."""
         if not topic.type_name or is_hidden(topic.name) or self._is_elsewhere(topic.name):
             return None
         if not is_name(topic.name):

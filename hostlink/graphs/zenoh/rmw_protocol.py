@@ -56,17 +56,17 @@ def to_dds_type(type_name: str) -> str:
     """ "std_msgs/msg/String" -> "std_msgs::msg::dds_::String_".
 
     Raises:
-        ValueError: it is no type name of ROS 2.
+        ValueError: it is not a type name of ROS 2.
     """
     match = _TYPE.fullmatch(type_name)
     if match is None:
-        raise ValueError(f"{type_name!r} is no type of ROS 2, as std_msgs/msg/String is")
+        raise ValueError(f"{type_name!r} is not a type name of ROS 2, such as std_msgs/msg/String")
     package, kind, name = match.groups()
     return f"{package}::{kind}::dds_::{name}_"
 
 
 def from_dds_type(dds_type: str) -> str | None:
-    """ "std_msgs::msg::dds_::String_" -> "std_msgs/msg/String"; None: it is none."""
+    """ "std_msgs::msg::dds_::String_" -> "std_msgs/msg/String"; None if it is malformed."""
     match = _DDS_TYPE.fullmatch(dds_type)
     return None if match is None else "/".join(match.groups())
 
@@ -85,7 +85,7 @@ def data_key(domain: int, name: str, type_name: str, type_hash: str) -> str:
     """The key on which the messages of a topic, or the requests of a service, are sent.
 
     Raises:
-        ValueError: `type_name` is no type name of ROS 2.
+        ValueError: `type_name` is not a type name of ROS 2.
     """
     return f"{domain}/{name.strip('/')}/{to_dds_type(type_name)}/{type_hash}"
 
@@ -111,7 +111,7 @@ class Qos:
 
     @classmethod
     def decode(cls, text: str) -> "Qos | None":
-        """From the text in a token; None: it is none."""
+        """Decode the text in a token; None if it is malformed."""
         parts = text.split(":")
         if len(parts) < _PARTS:
             return None
@@ -148,7 +148,7 @@ class Attachment(NamedTuple):
 
     @classmethod
     def decode(cls, data: bytes) -> "Attachment | None":
-        """None: it is none, as that of a release of rmw_zenoh before April 2025."""
+        """Decode an attachment; None if it is malformed, as that of rmw_zenoh before April 2025."""
         if len(data) != _LAYOUT.size:
             return None
         sequence_number, source_ns, gid_bytes, gid = _LAYOUT.unpack(data)
@@ -159,7 +159,7 @@ class Attachment(NamedTuple):
 
 
 class Kind(StrEnum):
-    """What a token stands for."""
+    """Kind of a token."""
 
     NODE = "NN"
     PUBLISHER = "MP"
@@ -212,17 +212,17 @@ class EndpointToken:
     qos: Qos
 
     def encode(self) -> str:
-        """The key.
+        """Return the key.
 
         Raises:
-            ValueError: the type name is none of ROS 2.
+            ValueError: the type name is not one of ROS 2.
         """
         parts = (mangle(self.name), to_dds_type(self.type_name), self.type_hash, self.qos.encode())
         return "/".join((self.node.key(self.kind, self.number), *parts))
 
 
 def parse_token(text: str) -> NodeToken | EndpointToken | None:
-    """What a key stands for; None: it is no token, or one that ROS 2 would not declare."""
+    """Parse a token; None for a malformed one, or one that ROS 2 would not declare."""
     parts = text.split("/") if len(text) <= TOKEN_CHARS_MAX else []
     if len(parts) < _NODE_PARTS or parts[0] != SPACE or not all(parts):
         return None
@@ -275,7 +275,7 @@ class RemotePublisher:
 
     @property
     def subject(self) -> Subject:
-        """What it publishes."""
+        """Topic and type of its messages."""
         return self.token.name, self.token.type_name
 
 
@@ -340,12 +340,12 @@ class RemoteGraph:
         return Removed(token, publisher, self._unbind(publisher))
 
     def clear(self) -> None:
-        """Nobody is there any more."""
+        """Remove all tokens."""
         for key in list(self._tokens):
             self.remove(key)
 
     def publisher(self, gid: bytes, subject: Subject) -> RemotePublisher | None:
-        """Who has signed a message of this subject; None: nobody in the graph."""
+        """Return the publisher that signed a message of this subject; None if it is unknown."""
         found = self._by_gid.get(gid)
         if found is not None and found.subject == subject:
             if gid == found.gid and not found.has_signed:
@@ -370,7 +370,7 @@ class RemoteGraph:
         return len(self._tokens)
 
     def _bind(self, gid: bytes, subject: Subject) -> RemotePublisher | None:
-        """Bind a gid that somebody drew to a publisher that has signed nothing."""
+        """Bind a drawn gid to a publisher that has signed nothing."""
         for publisher in self._of_subject.get(subject, {}).values():
             if not publisher.has_signed and publisher.drawn_gid is None:
                 publisher.drawn_gid = gid
@@ -379,7 +379,7 @@ class RemoteGraph:
         return None
 
     def _unbind(self, gone: RemotePublisher) -> tuple[RemotePublisher, ...]:
-        """Which of those that drew their gids is gone is not known, unless it has signed by its token's."""
+        """Return the publishers with drawn gids that may be the one that is gone, unless it signed by its token's."""
         if gone.has_signed:
             return ()
         unsure = tuple(each for each in self.publishers(gone.subject) if each.drawn_gid is not None)
@@ -402,9 +402,9 @@ class RemoteGraph:
 
 
 class SourceClock:
-    """How late the messages of one publisher are, by the wall clock of who sent them.
+    """Delay of a publisher's messages, by the wall clock of their sender.
 
-    A wall clock that is set back is no delay: a message that waits never has an earlier time.
+    A clock that is set back causes no delay: a message that waits never has an earlier time.
     """
 
     def __init__(self) -> None:

@@ -63,7 +63,7 @@ class FakeNode:
 
 @dataclass
 class Sync:
-    """What is wanted."""
+    """Wanted registrations."""
 
     topics: Wanted = field(default_factory=dict)
 

@@ -1,4 +1,4 @@
-"""Large bodies are parsed beside the loop, one at a time; small ones at once."""
+"""Large bodies are parsed in a thread, one at a time; small ones at once."""
 
 import asyncio
 import threading
@@ -33,7 +33,7 @@ async def test_large_bodies_are_parsed_beside_the_loop_one_at_a_time() -> None:
     assert most == 1
 
 
-async def test_what_the_decoder_raises_is_raised() -> None:
+async def test_error_of_the_decoder_is_raised() -> None:
     def decode(_: bytes) -> None:
         raise ValueError("none")
 

@@ -157,7 +157,7 @@ def test_another_stamp_changes_nothing_else() -> None:
     assert (stamp.sec, stamp.nanosec, message.header.frame_id, message.variance) == (5, 6, "a", 2.0)
 
 
-def test_what_ros_2_has_behind_ros_1_s_fields_is_zero_and_is_left_out_on_the_way_back() -> None:
+def test_trailing_fields_of_ros_2_are_zero_and_dropped_on_the_way_back() -> None:
     range_ = CATALOG.message("sensor_msgs/Range")
     assert range_ is not None
     types, name = definitions("sensor_msgs/msg/Range"), "sensor_msgs/msg/Range"
