@@ -9,8 +9,7 @@ from aiohttp import web
 from hostlink.api.replies import reply
 from hostlink.api.routes import Route
 from hostlink.errors import BadRequest
-from hostlink.recording.drive_log import DriveLog
-from hostlink.recording.drives import Drive
+from hostlink.recording.drives import Drive, DriveLog
 
 MAX_DIGITS = 6  # of a limit
 

@@ -12,8 +12,8 @@ import typer
 from hostlink.cli.output import megabytes, show_progress, table, write, write_error
 from hostlink.errors import ConfigError, HostlinkError, LibraryMissing
 from hostlink.recording.channel import NS_PER_S
-from hostlink.recording.contents import Contents, TopicContents, contents_of
 from hostlink.recording.definitions import why_unknown
+from hostlink.recording.reader import Contents, TopicContents, contents_of
 
 # -- export -----------------------------------------------------------------------------------------------------------
 
@@ -85,14 +85,14 @@ def export(
 
 
 def _export(file: Path, target: Path, format_: Format, topics: list[str], *, skips_unknown: bool) -> "Exported":
-    from hostlink.recording.source import open_source  # noqa: PLC0415 - numpy and the codec, when they are used
+    from hostlink.recording.reader import open_source  # noqa: PLC0415 - numpy and the codec, when they are used
 
     source = open_source(file)
     if format_ is Format.CSV:
-        from hostlink.recording.export_csv import export_csv  # noqa: PLC0415 - as above
+        from hostlink.recording.export import export_csv  # noqa: PLC0415 - as above
 
         return export_csv(source, target, topics=topics, skips_unknown=skips_unknown)[0]
-    from hostlink.recording.export_ros import RosFormat, export_ros  # noqa: PLC0415 - as above
+    from hostlink.recording.export import RosFormat, export_ros  # noqa: PLC0415 - as above
 
     return export_ros(source, target, RosFormat(format_.value), topics=topics, skips_unknown=skips_unknown)
 
@@ -119,7 +119,7 @@ def plot(
         raise LibraryMissing("plot", "matplotlib", "plot")
     # matplotlib and the codec, after what can be refused at once
     from hostlink.recording.plot import draw_fields, draw_map, read_lines, read_paths  # noqa: PLC0415
-    from hostlink.recording.source import open_source  # noqa: PLC0415
+    from hostlink.recording.reader import open_source  # noqa: PLC0415
 
     source = open_source(file)
     show_progress(f"reading {file}")

@@ -9,9 +9,8 @@ from hostlink.cli.output import write_error
 from hostlink.cli.serve_command import open_device_port
 from hostlink.config import Ros1Config, TcpConfig
 from hostlink.errors import ConfigError
-from hostlink.graphs.ros1.early_master import EarlyMaster
 from hostlink.graphs.ros1.names import Names, joined
-from hostlink.graphs.ros1.xml_rpc import BadXml, Refused, Unreachable
+from hostlink.graphs.ros1.xml_rpc import BadXml, EarlyMaster, Refused, Unreachable
 from hostlink.listening import close_all
 
 GLOBAL_TCP_PORT = "/rosserial_embeddedlinux/tcp_port"  # read where the node has none of its own

@@ -1,7 +1,7 @@
-"""Types of ROS 2: the names, hashes and payloads there of what the catalog knows by its ROS 1 definition.
+"""Types of ROS 2: names, hashes and payloads of the types that the catalog has by their ROS 1 definitions.
 
-A distribution's own definition goes before the catalog's: its fields may be others (Range has one more). A type that it
-does not have, as a user's own, has the catalog's fields there, with names in lower case as ROS 2 demands.
+A distribution's own definition has precedence: its fields may differ (Range has one more). A type that it does not
+have, such as a user's own, has the catalog's fields, with names in lower case as ROS 2 demands.
 """
 
 import struct
@@ -16,6 +16,7 @@ from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.base import normalize_fieldname
 
 from hostlink.errors import BadPayload
+from hostlink.graphs.ros2_names import is_renamed, ros2_type
 from hostlink.messages.catalog import Catalog
 from hostlink.messages.fields import FLOATS, SCALAR, SIZES, VARIABLE, Field
 from hostlink.messages.message_type import MessageType
@@ -32,13 +33,6 @@ _STORES: Final[Mapping[Distribution, Stores]] = {
     "kilted": Stores.ROS2_KILTED,
     "lyrical": Stores.LATEST,
 }
-_RENAMED: Final = {  # ROS 1's name -> ROS 2's, where it is not "pkg/msg/Type"
-    "tf/tfMessage": "tf2_msgs/msg/TFMessage",
-    "std_msgs/Time": "builtin_interfaces/msg/Time",
-    "std_msgs/Duration": "builtin_interfaces/msg/Duration",
-    "rosgraph_msgs/Log": "rcl_interfaces/msg/Log",
-}
-_ROS1_NAMES: Final = {ros2: ros1 for ros1, ros2 in _RENAMED.items() if ros2 != "tf2_msgs/msg/TFMessage"}
 _LOG: Final = "rcl_interfaces/msg/Log"
 _LOG_LEVELS: Final = {1: 10, 2: 20, 4: 30, 8: 40, 16: 50}  # ROS 1's are bits
 _NESTED: Final = {"time": "builtin_interfaces/msg/Time", "duration": "builtin_interfaces/msg/Duration"}
@@ -52,23 +46,11 @@ Convert = Callable[[bytes], bytes]
 _Desc = Any  # rosbags' description of a field, a nested tuple
 
 
-def ros2_type(type_name: str, kind: Literal["msg", "srv"] = "msg") -> str:
-    """ "std_msgs/String" -> "std_msgs/msg/String"; some have other names in ROS 2."""
-    package, _, name = type_name.partition("/")
-    return _RENAMED.get(type_name, f"{package}/{kind}/{name}")
-
-
-def ros1_type(type_name: str) -> str:
-    """ "std_msgs/msg/String" -> "std_msgs/String"; also of services."""
-    package, _, rest = type_name.partition("/")
-    return _ROS1_NAMES.get(type_name, f"{package}/{rest.rpartition('/')[2]}")
-
-
 class Ros2Message:
     """One message type, as ROS 2 has it."""
 
     def __init__(self, name: str, type_hash: str, to_cdr: Convert, from_cdr: Convert, *, is_flat: bool) -> None:
-        """`to_cdr` and `from_cdr` may raise whatever a malformed payload leads to.
+        """`to_cdr` and `from_cdr` may raise any of _MALFORMED for a malformed payload.
 
         `is_flat`: it has no list of messages or texts, so that a long one costs little more than a short one.
         """
@@ -76,18 +58,18 @@ class Ros2Message:
         self._to_cdr, self._from_cdr = to_cdr, from_cdr
 
     def to_cdr(self, payload: bytes) -> bytes:
-        """A payload of ROS 1 and rosserial as one of ROS 2.
+        """Convert a payload of ROS 1 and rosserial to CDR.
 
         Raises:
-            BadPayload: it is no message of this type.
+            BadPayload: it is not a message of this type.
         """
         return self._converted(self._to_cdr, payload)
 
     def from_cdr(self, data: bytes) -> bytes:
-        """A payload of ROS 2 as one of ROS 1; what only ROS 2 has is lost.
+        """Convert CDR to a payload of ROS 1, without fields that only ROS 2 has.
 
         Raises:
-            BadPayload: it is no message of this type.
+            BadPayload: it is not a message of this type.
         """
         return self._converted(self._from_cdr, data)
 
@@ -193,11 +175,11 @@ class Ros2Types:
         self._store.register({name: ([], fields)})
 
     def _is_same_on_wire(self, known: MessageType, name: str) -> bool:
-        """Whether the fields of both are the same, whatever their names."""
+        """Whether both types have the same fields, regardless of their names."""
         if name == "std_msgs/msg/Header":
             return known.name == "std_msgs/Header"
         if name in _NESTED.values():
-            return known.name in _RENAMED  # std_msgs/Time is a message around the time that it is in ROS 2
+            return is_renamed(known.name)  # std_msgs/Time is a message around the time that it is in ROS 2
         descs = [desc for field, desc in self._store.fielddefs[name][1] if field != _EMPTY[0]]
         return len(descs) == len(known.fields) and all(
             self._is_same_field(known, field, desc) for field, desc in zip(known.fields, descs, strict=True)

@@ -10,10 +10,10 @@ from typing import Generic, TypeVar
 
 Item = TypeVar("Item")
 
-MAX_WAITING = 256  # items of one source; the oldest goes
+MAX_WAITING = 256  # items of one source; the oldest is dropped
 MAX_SOURCES = 512  # with items that wait; an item of one more is dropped
 MAX_WAITING_BYTES = 16 * 1024 * 1024  # of all sources; an item that would be more is dropped
-SLICE_S = 0.0005  # of one turn of the loop; a stop that comes by another way waits no longer
+SLICE_S = 0.0005  # of one turn of the loop; a stop that arrives otherwise waits no longer
 
 
 class Inbox(Generic[Item]):
@@ -111,5 +111,5 @@ class Inbox(Generic[Item]):
 
 
 def _size_bytes(item: object) -> int:
-    """Of what somebody else has chosen the size."""
+    """Return the size of the part whose size a peer chooses."""
     return len(getattr(item, "payload", b""))

@@ -14,12 +14,12 @@ log = structlog.get_logger()
 
 
 class LogOnce:
-    """What is tried again and again fails in the same way. Over MAX_LINES lines are counted, and not written."""
+    """Log of repeated failures: each line is written once. Lines over MAX_LINES are counted, and not written."""
 
     def __init__(
         self, counts: Counter[str] | None = None, *, at_info: Collection[str] = (), by: Collection[str] | None = None
     ) -> None:
-        """`counts`: `unlogged`; `at_info`: events that are no warning; `by`: facts that make another line, else all."""
+        """`counts`: `unlogged`; `at_info`: events of level info; `by`: facts that make another line, else all."""
         self.counts: Counter[str] = Counter() if counts is None else counts
         self._at_info, self._by = at_info, by
         self._logged: set[tuple[str, ...]] = set()

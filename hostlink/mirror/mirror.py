@@ -9,14 +9,14 @@ from hostlink.mirror.reconciler import Close, Key, Open, Reconciler, Spec
 
 
 class Endpoint(Protocol):
-    """What is open, until it is closed."""
+    """Open endpoint."""
 
     def close(self) -> None:
         """Close it, without waiting."""
 
 
 class Cancellable(Protocol):
-    """A task, or what stands for one."""
+    """Task, or an object that can be cancelled like one."""
 
     def cancel(self) -> object:
         """End it soon."""
@@ -77,7 +77,7 @@ class Mirror(Generic[Key, Spec, Made]):
 
     @property
     def wanted(self) -> Mapping[Key, Spec]:
-        """What is wanted, also where it has failed or has no room."""
+        """Wanted specifications, including those that failed or have no room."""
         return self._reconciler.wanted
 
     def want(self, wanted: Mapping[Key, Spec]) -> None:
@@ -86,7 +86,7 @@ class Mirror(Generic[Key, Spec, Made]):
         self._work()
 
     def put(self, key: Key, spec: Spec | None) -> None:
-        """Want a key with this specification; None: not any more."""
+        """Want a key with this specification; None: no longer."""
         self._reconciler.put(key, spec)
         self._work()
 
@@ -106,7 +106,7 @@ class Mirror(Generic[Key, Spec, Made]):
         self._on_failure(key, error)
 
     def close(self) -> None:
-        """Close everything, and open nothing any more."""
+        """Close everything, and never open an endpoint again."""
         self._is_closed, self._slice_s = True, math.inf
         self._reconciler.want({})
         self._work(is_due=True)
@@ -148,7 +148,7 @@ class Mirror(Generic[Key, Spec, Made]):
             else:
                 self.endpoints[key] = self._open(key, action.spec)
                 self._reconciler.done(action, is_settled=self._is_settled)
-        except Exception as error:  # noqa: BLE001 - of whatever kind, it is this endpoint's alone
+        except Exception as error:  # noqa: BLE001 - any failure concerns this endpoint alone
             if isinstance(action, Open):
                 self._reconciler.failed(action, _now_s())
             self._on_failure(key, error)
@@ -171,7 +171,7 @@ class Served(Generic[Key]):
         failure: Exception | None = None
         try:
             await serve()
-        except Exception as error:  # noqa: BLE001 - of whatever kind, it is this endpoint's alone
+        except Exception as error:  # noqa: BLE001 - any failure concerns this endpoint alone
             failure = error
         if self._mirror.endpoints.get(self._key) is self:
             self._mirror.ended(self._key, failure)

@@ -31,7 +31,7 @@ class Close(Generic[Key, Spec]):
 
 @dataclass(slots=True)
 class _Failure(Generic[Spec]):
-    """Of the newest attempts to open an endpoint, since it was wanted with this specification."""
+    """Newest failure of an endpoint since it was wanted with this specification."""
 
     spec: Spec
     delay_s: float
@@ -50,9 +50,8 @@ class Reconciler(Generic[Key, Spec]):
     | waiting        | wanted, has failed       | to open (in time, by `retry`, with another specification)       |
     | crowded        | wanted, but over a bound | open (another endpoint was closed)                              |
 
-    A key that is not wanted any more and not open is forgotten. Everything to close comes before anything to open; what
-    is to be opened comes in the order in which it was wanted. What is tried again keeps its place within the bounds, so
-    these are bounds of attempts, too.
+    A key that is neither wanted nor open is forgotten. Closing precedes opening. Endpoints are opened in the order in
+    which they were wanted. A failed endpoint that is tried again keeps its place, so the bounds limit attempts, too.
     """
 
     def __init__(
@@ -107,7 +106,7 @@ class Reconciler(Generic[Key, Spec]):
                 self._judge(key)
 
     def put(self, key: Key, spec: Spec | None) -> None:
-        """Want a key with this specification; None: not any more."""
+        """Want a key with this specification; None: no longer."""
         if spec is None:
             self.wanted.pop(key, None)
         else:
@@ -124,7 +123,7 @@ class Reconciler(Generic[Key, Spec]):
     # -- what is done -------------------------------------------------------------------------------------------------
 
     def next(self, now_s: float) -> Open[Key, Spec] | Close[Key, Spec] | None:
-        """What is to be done now; the same until it is reported. None: nothing."""
+        """Return the next action, the same one until it is reported; None when nothing is to be done."""
         while self._due and self._due[0][0] <= now_s:
             due_s, _, key = heapq.heappop(self._due)
             failure = self._failures.get(key)
@@ -150,7 +149,7 @@ class Reconciler(Generic[Key, Spec]):
 
     @property
     def due_s(self) -> float:
-        """When `next` has something to do again at the latest, if nothing else happens; infinite: never."""
+        """Time at which `next` has a new action if nothing else happens; infinite: never."""
         return self._due[0][0] if self._due else math.inf
 
     def done(self, action: Open[Key, Spec] | Close[Key, Spec], *, is_settled: bool = True) -> None:
@@ -179,7 +178,7 @@ class Reconciler(Generic[Key, Spec]):
         self._judge(key)
 
     def forget(self, keys: Iterable[Key]) -> None:
-        """The other side has no such endpoints any more: they are not open, and are opened again at once."""
+        """Note that the other side has lost these endpoints: they are opened again at once."""
         for key in [key for key in keys if key in self.open]:
             del self.open[key]
             self._failures.pop(key, None)

@@ -23,7 +23,7 @@ from hostlink.errors import RecordingBusy
 from hostlink.hub.hub import Hub
 from hostlink.hub.robot_events import EventKind, RobotEvent
 from hostlink.recording.channel import Channel, note_newest
-from hostlink.recording.drive_log import LastCommand
+from hostlink.recording.drives import LastCommand
 from hostlink.recording.folder import MEGABYTE, Folder
 from hostlink.recording.incident import Incident, IncidentRules, OutOfTime, write_incident
 from hostlink.recording.recorder import Recorder, Selection

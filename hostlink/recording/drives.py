@@ -1,10 +1,20 @@
-"""Drives: who drove which robot, from when to when. A pause of a few seconds does not end a drive."""
+"""Drives: from the first velocity of a robot to its stop; how they are found in messages, and the log of them."""
 
+import asyncio
+import contextlib
+import os
+import time
+from collections import deque
 from collections.abc import Iterator
+from itertools import islice
+from pathlib import Path
 from typing import NamedTuple
 
 import msgspec
+import structlog
 
+from hostlink.detached import DetachedThread
+from hostlink.hub.hub import Hub
 from hostlink.hub.robot_events import EventKind, RobotEvent
 from hostlink.robot.velocity import PlanarVelocity, Twist
 
@@ -123,3 +133,180 @@ class Drives:
     def _lasts_until(self, drive: Drive, event: RobotEvent) -> None:
         drive.ended_ns = event.stamp_ns
         drive.seconds = event.at_s - self._began_s[_Key(drive.robot, drive.owner)]
+
+
+# -- drive file -------------------------------------------------------------------------------------------------------
+
+MAX_RECENT = 1000
+MAX_FILE_BYTES = 1_000_000  # about 2,000 drives with two lines each; one earlier file is kept
+NAME = "drives.jsonl"
+NAME_BEFORE = "drives.before.jsonl"
+DIED = "the daemon died"  # end of a drive that has only a start line
+
+
+class LastCommand(NamedTuple):
+    """Last driver of a robot when the daemon was killed, with the time of the last command."""
+
+    robot: str
+    owner: str
+    stamp_ns: int
+
+
+def append_drives(folder: Path, drives: list[Drive]) -> None:
+    """Append drives, one line each. Start a new file above MAX_FILE_BYTES. Blocks on the disk.
+
+    Raises:
+        OSError: the disk failed.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    file = folder / NAME
+    if file.exists() and file.stat().st_size > MAX_FILE_BYTES:
+        file.replace(folder / NAME_BEFORE)
+    with file.open("ab+") as stream:
+        stream.seek(-min(1, stream.tell()), os.SEEK_END)
+        # The last line was cut by a full disk or a power failure; start a new line.
+        is_cut = stream.read() not in (b"", b"\n")
+        stream.write(b"\n" * is_cut + b"".join(msgspec.json.encode(drive) + b"\n" for drive in drives))
+
+
+def read_drives(folder: Path) -> list[Drive]:
+    """Read the last MAX_RECENT drives, ordered by their ends. Skip damaged and cut lines.
+
+    A drive without an end has ended with its daemon.
+    """
+    found: dict[tuple[str, str, int], Drive] = {}
+    for name in (NAME_BEFORE, NAME):
+        try:
+            lines = (folder / name).read_bytes()[-2 * MAX_FILE_BYTES :].splitlines()
+        except OSError:  # there is no file yet
+            continue
+        for drive in map(_read, lines):
+            if drive is not None:
+                key = (drive.robot, drive.owner, drive.began_ns)
+                found.pop(key, None)
+                found[key] = drive
+    drives = list(found.values())[-MAX_RECENT:]
+    for drive in drives:
+        drive.end = drive.end or DIED
+    return drives
+
+
+def finish_drives(folder: Path, commands: list[LastCommand]) -> None:
+    """Write the ends of drives that a killed daemon could not write.
+
+    Raises:
+        OSError: the disk failed.
+    """
+    changed = [drive for drive in read_drives(folder) if corrected(drive, commands)]
+    if changed:
+        append_drives(folder, changed)
+
+
+def corrected(drive: Drive, commands: list[LastCommand]) -> bool:
+    """Set the end of a drive that has only a start line to its last command. Return whether it was changed."""
+    is_unknown = drive.end == DIED and drive.ended_ns == drive.began_ns
+    last_ns = max((each.stamp_ns for each in commands if each[:2] == (drive.robot, drive.owner)), default=0)
+    if not is_unknown or last_ns <= drive.ended_ns:
+        return False
+    drive.ended_ns, drive.seconds = last_ns, None  # the steady clock of its daemon is lost
+    return True
+
+
+def _read(line: bytes) -> Drive | None:
+    try:
+        return msgspec.json.decode(line, type=Drive)
+    except (msgspec.DecodeError, UnicodeDecodeError):
+        return None
+
+
+# -- drive log --------------------------------------------------------------------------------------------------------
+
+log = structlog.get_logger()
+
+END_S = 1.0  # to write the last drives
+
+
+class DriveLog:
+    """Log of all drives, from the events of commands."""
+
+    def __init__(self, hub: Hub, folder: Path, *, is_kept: bool) -> None:
+        """`folder` is that of the recordings. `is_kept`: also write a file there."""
+        self.lost = 0  # drives that could not be written
+        self._hub, self._folder, self._is_kept = hub, folder, is_kept
+        self._drives = Drives()
+        self._recent: deque[Drive] = deque(maxlen=MAX_RECENT)
+        self._observer = hub.join_daemon()
+        self._is_open = asyncio.Event()  # set while a drive lasts, and shortly afterwards
+        self._has_begun = asyncio.Event()
+        self._turn = asyncio.Lock()  # for access to the file
+        self._thread = DetachedThread("drives")
+        self._is_failing = False
+
+    async def start(self) -> None:
+        """Log every drive from now on, after the drives in the file."""
+        if self._is_kept:
+            self._recent.extend(await asyncio.to_thread(read_drives, self._folder))
+        self._observer.observe(self._receive)
+        self._hub.spawn(self._begin(), name="drives that begin")
+        self._hub.spawn(self._finish(), name="drives")
+
+    def correct(self, commands: list[LastCommand]) -> None:
+        """Set the ends of drives that an earlier daemon did not end. The file has them already."""
+        for drive in self._recent:
+            corrected(drive, commands)
+
+    async def aclose(self) -> None:
+        """End all drives, because the daemon ends."""
+        self._observer.leave()
+        for drive in self._drives.under_way():
+            drive.end = drive.end or "hostlink stopped"
+        with contextlib.suppress(TimeoutError):  # a dead disk
+            async with asyncio.timeout(END_S):
+                await self._write_last()
+
+    async def _write_last(self) -> None:
+        await self._write(self._drives.pop_begun())
+        await self._keep(self._drives.pop_finished(time.time_ns() + 2 * PAUSE_NS))
+
+    def newest_first(self, *, robot: str | None = None, limit: int | None = None) -> list[Drive]:
+        """Return the last MAX_RECENT drives and the current ones, newest first, at most `limit`."""
+        found = [*self._recent, *self._drives.under_way()]
+        return list(islice((drive for drive in reversed(found) if robot in (None, drive.robot)), limit))
+
+    def _receive(self, event: RobotEvent) -> None:
+        self._drives.observe(event)
+        if self._drives and not self._is_open.is_set():
+            self._is_open.set()
+        if self._drives.has_begun:
+            self._has_begun.set()
+
+    async def _begin(self) -> None:
+        """Write the start line of each drive, so that a killed daemon leaves it."""
+        while True:
+            await self._has_begun.wait()
+            self._has_begun.clear()
+            await self._write(self._drives.pop_begun())
+
+    async def _finish(self) -> None:
+        while True:
+            await self._is_open.wait()
+            await asyncio.sleep(PAUSE_NS / 1e9)
+            await self._keep(self._drives.pop_finished(time.time_ns()))
+            if not self._drives:
+                self._is_open.clear()
+
+    async def _keep(self, drives: list[Drive]) -> None:
+        self._recent.extend(drives)
+        await self._write(drives)
+
+    async def _write(self, drives: list[Drive]) -> None:
+        if not (drives and self._is_kept):
+            return
+        try:
+            async with self._turn:
+                await self._thread.run(lambda: append_drives(self._folder, drives))
+        except OSError as error:
+            if not self._is_failing:
+                log.warning("drives.lost", file=str(self._folder / NAME), reason=error.strerror or str(error))
+            self._is_failing = True
+            self.lost += sum(bool(drive.end) for drive in drives)  # a later line has the complete data of the others

@@ -1,8 +1,8 @@
-"""RobotHistory: bounded samples of a robot's last minutes, from the black box or an incident's file. Pure."""
+"""History of robots from the black box, with a bounded number of samples at equal steps. Pure."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import Any, Literal, TypeVar
+from typing import Any, Generic, Literal, TypeVar
 
 import msgspec
 
@@ -10,10 +10,37 @@ from hostlink.errors import BadPayload
 from hostlink.hub.robot_events import EventKind
 from hostlink.recording.channel import DEVICE, EVENT, NS_PER_S, VELOCITY, Channel, json_of
 from hostlink.recording.ring import Entry
-from hostlink.recording.thinning import Thinned
 from hostlink.robot.kinematics import Pose, frame_of, placed
 from hostlink.robot.odometry import READERS, OdometryEstimator
 from hostlink.robot.velocity import TWIST_TYPE, PlanarVelocity
+
+Sample = TypeVar("Sample")
+
+
+class Thinned(Generic[Sample]):
+    """Samples at equal steps, at most twice `most`, and always the last one."""
+
+    def __init__(self, most: int) -> None:
+        self._most, self._step, self._count = most, 1, 0
+        self._kept: list[Sample] = []
+        self._last: Sample | None = None
+
+    def add(self, sample: Sample) -> None:
+        """Add the next sample. Without room, drop every second kept sample."""
+        if self._count % self._step == 0:
+            self._kept.append(sample)
+            self._last = None
+            if len(self._kept) > 2 * self._most:
+                self._kept = self._kept[::2]
+                self._step *= 2
+        else:
+            self._last = sample
+        self._count += 1
+
+    def samples(self) -> list[Sample]:
+        """Return the kept samples in order."""
+        return self._kept if self._last is None else [*self._kept, self._last]
+
 
 MAX_SAMPLES = 6000  # of one topic: two and a half minutes at 40 Hz; above it every second, third, ... sample is kept
 MAX_TOPICS = 16  # of odometry, and of velocities; a robot has one of each
@@ -21,7 +48,6 @@ PLOT_LEAF = "plot_data"
 FREQUENT = (EventKind.COMMANDED.value, EventKind.REFUSED.value)
 
 Decode = Callable[[bytes], dict[str, Any]]
-Sample = TypeVar("Sample")
 Part = Literal["odometry", "velocity", "plot", "events"]
 Rest = Callable[[], None]
 

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from hostlink.errors import RecordingFailed
 from hostlink.recording.channel import NS_PER_S, Channel
-from hostlink.recording.source import Source
+from hostlink.recording.history import Thinned
+from hostlink.recording.reader import Source
 from hostlink.recording.tables import Decoders, flat
-from hostlink.recording.thinning import Thinned
 
 MAX_POINTS = 4000  # of a line, up to twice as many at a time; a picture has 1200 pixels, and each point costs memory
 _POINTS_AT_ONCE = 1000  # of a line that matplotlib draws at once: it keeps every pixel that these cross

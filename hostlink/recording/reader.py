@@ -1,13 +1,18 @@
-"""Reader of MCAP files, including unfinished ones of a killed daemon, a full disk or a power failure."""
+"""Readers of recordings: an MCAP file with its index, a ROS 1 bag, a folder or file of rosbag2; and their contents."""
 
 import bisect
+import contextlib
+import io
 import itertools
+import os
 import struct
 import zlib
+from array import array
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
-from typing import IO, NamedTuple
+from typing import IO, Any, NamedTuple, Protocol
 
 import lz4.frame
 import zstandard
@@ -19,8 +24,140 @@ from mcap.records import Chunk, Header, McapRecord, Metadata, Schema
 from mcap.stream_reader import StreamReader
 
 from hostlink.errors import RecordingFailed
-from hostlink.recording.channel import LIBRARY, LIBRARY_STEADY, NS_PER_S, SCHEMA_ENCODINGS, Channel
-from hostlink.recording.mcap_index import MAGIC, MAX_RECORD_BYTES, RECORD_HEAD, Index, read_index
+from hostlink.recording.channel import CDR, LIBRARY, LIBRARY_STEADY, NS_PER_S, ROS1, SCHEMA_ENCODINGS, Channel
+
+MAGIC = b"\x89MCAP0\r\n"
+RECORD_HEAD = struct.Struct("<BQ")  # opcode, length
+MAX_RECORD_BYTES = 256 * 1024 * 1024  # a larger length is damage and is not read into memory
+_FOOTER = struct.Struct("<BQQQI")  # opcode, length, start of the summary, start of its offsets, checksum
+_FOOTER_BYTES = 20
+_CHUNK_INDEX = struct.Struct("<QQQQI")  # first and last time, start, length, bytes of the channel list
+_CHANNEL_OFFSET = struct.Struct("<HQ")
+_STATISTICS = struct.Struct("<QHIIII")  # messages, schemas, channels, attachments, metadata, chunks
+_LENGTH = struct.Struct("<Q")
+_PIECE_BYTES = 64 * 1024
+_DAMAGES = (McapError, ValueError, struct.error, OverflowError, MemoryError)
+
+
+class Index:
+    """Chunks of a file in its order, stored as columns: a file of two gigabytes has a hundred thousand chunks."""
+
+    def __init__(self) -> None:
+        self.begins = array("Q")  # start of the chunk's record
+        self.ends = array("Q")  # start of the record after the chunk and its message indexes
+        self.first_ns = array("Q")  # lowest and highest time of its messages; both 0 without messages
+        self.last_ns = array("Q")
+        self.is_wanted = bytearray()
+
+    def __len__(self) -> int:
+        return len(self.begins)
+
+    def add(self, begin: int, end: int, first_ns: int, last_ns: int, *, is_wanted: bool) -> None:
+        """Add a chunk, in the order of the file.
+
+        Raises:
+            ValueError: it overlaps the chunk before.
+        """
+        if self.ends and begin < self.ends[-1]:
+            raise ValueError("the chunks of the index overlap")
+        self.begins.append(begin)
+        self.ends.append(end)
+        self.first_ns.append(first_ns)
+        self.last_ns.append(last_ns)
+        self.is_wanted.append(is_wanted)
+
+
+def read_index(
+    file: IO[bytes], note: Callable[[Schema | McapChannel], None], is_wanted: Callable[[int], bool]
+) -> Index | None:
+    """Read the index of a file; None if it has none, or a damaged one.
+
+    `note` is called with each definition, before its channel's number is passed to `is_wanted`.
+    """
+    try:
+        summary = _find_summary(file)
+        if summary is None:
+            return None
+        begin, end = summary
+        chunk_count = _read_definitions(file, begin, end, note)
+        index = Index()
+        for opcode, body in _records(file, begin, end, (Opcode.CHUNK_INDEX,)):
+            del opcode
+            _add_chunk(index, body, begin, is_wanted)
+    except _DAMAGES:
+        return None
+    return index if len(index) and chunk_count in (None, len(index)) else None
+
+
+def _find_summary(file: IO[bytes]) -> tuple[int, int] | None:
+    """Return start and end of the summary; None if the file was not finished or the summary is damaged."""
+    tail_bytes = RECORD_HEAD.size + _FOOTER_BYTES + len(MAGIC)
+    size = file.seek(0, os.SEEK_END)
+    if size < tail_bytes + len(MAGIC):
+        return None
+    end = file.seek(size - tail_bytes)
+    tail = file.read(tail_bytes)
+    opcode, length, begin, _, checksum = _FOOTER.unpack_from(tail)
+    is_footer = opcode == Opcode.FOOTER and length == _FOOTER_BYTES and tail.endswith(MAGIC)
+    if not (is_footer and len(MAGIC) <= begin < end):
+        return None
+    if checksum and checksum != _checksum(file, begin, end + RECORD_HEAD.size + 2 * _LENGTH.size):
+        return None
+    return begin, end
+
+
+def _checksum(file: IO[bytes], begin: int, end: int) -> int:
+    file.seek(begin)
+    found = 0
+    for at in range(begin, end, _PIECE_BYTES):
+        found = zlib.crc32(file.read(min(_PIECE_BYTES, end - at)), found)
+    return found
+
+
+def _records(file: IO[bytes], begin: int, end: int, wanted: tuple[Opcode, ...]) -> Iterator[tuple[int, bytes]]:
+    """Yield (opcode, content) of the records of these kinds.
+
+    Raises:
+        ValueError: a length is too large.
+        struct.error: a record is cut.
+    """
+    at = begin
+    while at < end:
+        file.seek(at)
+        opcode, length = RECORD_HEAD.unpack(file.read(RECORD_HEAD.size))
+        at += RECORD_HEAD.size + length
+        if length > MAX_RECORD_BYTES or at > end:
+            raise ValueError(f"a record of {length} bytes")
+        if opcode in wanted:
+            yield opcode, file.read(length)
+
+
+def _read_definitions(
+    file: IO[bytes], begin: int, end: int, note: Callable[[Schema | McapChannel], None]
+) -> int | None:
+    """Note schemas before channels. Return the number of chunks that the file states, or None."""
+    for _, body in _records(file, begin, end, (Opcode.SCHEMA,)):
+        note(Schema.read(ReadDataStream(io.BytesIO(body))))
+    chunk_count = None
+    for opcode, body in _records(file, begin, end, (Opcode.CHANNEL, Opcode.STATISTICS)):
+        if opcode == Opcode.CHANNEL:
+            note(McapChannel.read(ReadDataStream(io.BytesIO(body))))
+        else:
+            chunk_count = _STATISTICS.unpack_from(body)[-1]
+    return chunk_count
+
+
+def _add_chunk(index: Index, body: bytes, summary_begin: int, is_wanted: Callable[[int], bool]) -> None:
+    first_ns, last_ns, begin, length, listed_bytes = _CHUNK_INDEX.unpack_from(body)
+    listed_end = _CHUNK_INDEX.size + listed_bytes
+    channels = [number for number, _ in _CHANNEL_OFFSET.iter_unpack(body[_CHUNK_INDEX.size : listed_end])]
+    (indexes_bytes,) = _LENGTH.unpack_from(body, listed_end)
+    end = begin + length + indexes_bytes
+    if begin < len(MAGIC) or end > summary_begin or length < RECORD_HEAD.size:
+        raise ValueError("a chunk of the index is outside the file")
+    # A writer may omit the list of channels. Then the chunk may contain any channel.
+    index.add(begin, end, first_ns, last_ns, is_wanted=not channels or any(map(is_wanted, channels)))
+
 
 MAX_CHUNK_BYTES = 64 * 1024 * 1024  # unpacked; chunks of other writers have a few MB
 MAX_DEFINITIONS_BYTES = 64 * 1024 * 1024  # of schemas and channels, which stay in memory; a large one has a few kB
@@ -28,7 +165,6 @@ MAX_NAMED = 10  # damaged chunks that are described; the others are counted
 MAX_REASON = 200  # characters of a library's error text
 # Between two messages of a file without steady times; a larger gap means that the clock was set.
 LONGEST_GAP_NS = 3600 * NS_PER_S
-_DAMAGES = (McapError, ValueError, OverflowError, MemoryError, struct.error)  # of an invalid length
 _MESSAGE = struct.Struct("<HIQQ")  # channel, number, log time, publish time; the payload follows
 _NEVER = 2**64
 
@@ -396,3 +532,217 @@ def _channel(record: McapChannel, schema: tuple[str, str, str]) -> Channel:
     is_usual = language == SCHEMA_ENCODINGS.get(record.message_encoding, "")
     metadata = tuple(record.metadata.items())
     return Channel(record.topic, record.message_encoding, name, text, metadata, "" if is_usual else language)
+
+
+ROS1_SUFFIX, ROS2_SUFFIX = ".bag", ".db3"
+
+
+class Source(Protocol):
+    """Recording that can be read once."""
+
+    path: Path
+    metadata: dict[str, str]
+
+    def messages(self, wanted: Wanted | None = None, *, after_s: float = 0.0) -> Iterator[StoredMessage]:
+        """See `Reader.messages`."""
+        ...
+
+    def read_channels(self) -> list[Channel]:
+        """See `Reader.read_channels`."""
+        ...
+
+    @property
+    def channels(self) -> list[Channel]:
+        """See `Reader.channels`."""
+        ...
+
+    @property
+    def damage(self) -> list[str]:
+        """See `Reader.damage`."""
+        ...
+
+    @property
+    def begin_ns(self) -> int:
+        """See `Reader.begin_ns`."""
+        ...
+
+    @property
+    def size_bytes(self) -> int:
+        """Size of all files of the recording."""
+        ...
+
+
+def open_source(path: Path) -> Source:
+    """Choose the reader by name. The file itself is opened when it is read."""
+    is_bag = path.is_dir() or path.suffix in (ROS1_SUFFIX, ROS2_SUFFIX)
+    return BagReader(path) if is_bag else Reader(path)
+
+
+class BagReader:
+    """Reader of a ROS 1 or ROS 2 bag, by rosbags."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.metadata: dict[str, str] = {}
+        self.damage: list[str] = []
+        self.channels: list[Channel] = []
+        self._begin_ns = _NEVER
+
+    @property
+    def begin_ns(self) -> int:
+        """Time of the bag's first message; 0 before it was read."""
+        return 0 if self._begin_ns == _NEVER else self._begin_ns
+
+    @property
+    def size_bytes(self) -> int:
+        """Size of all files of the recording."""
+        files = self.path.iterdir() if self.path.is_dir() else [self.path]
+        return sum(file.stat().st_size for file in files if file.is_file())
+
+    def read_channels(self) -> list[Channel]:
+        """Return the channels that the bag lists.
+
+        Raises:
+            RecordingFailed: the bag cannot be read, or is not a bag.
+        """
+        with self._opened() as bag:
+            self.channels = list(dict.fromkeys(map(_bag_channel, bag.connections)))
+        return self.channels
+
+    def messages(self, wanted: Wanted | None = None, *, after_s: float = 0.0) -> Iterator[StoredMessage]:
+        """Yield the messages ordered by time.
+
+        Raises:
+            RecordingFailed: the bag cannot be read, or is not a bag.
+        """
+        with self._opened() as bag:
+            channels = {connection.id: _bag_channel(connection) for connection in bag.connections}
+            self.channels = list(dict.fromkeys(channels.values()))
+            if bag.message_count:
+                self._begin_ns = bag.start_time
+            chosen = [each for each in bag.connections if wanted is None or wanted(channels[each.id])]
+            start_ns = bag.start_time + int(after_s * NS_PER_S) if after_s else None
+            found = bag.messages(chosen, start=start_ns) if chosen else iter(())
+            try:
+                for connection, stamp_ns, payload in found:
+                    yield StoredMessage(channels[connection.id], stamp_ns, bytes(payload), stamp_ns)
+            except Exception as error:  # noqa: BLE001 - rosbags' readers raise any exception for damaged bytes
+                self.damage.append(f"unreadable after a part: {type(error).__name__}: {error}"[:MAX_REASON])
+
+    def _opened(self) -> contextlib.AbstractContextManager[Any]:
+        """Open the bag.
+
+        Raises:
+            RecordingFailed: the bag cannot be read, or is not a bag.
+        """
+        from rosbags.rosbag1 import Reader as Ros1Reader  # noqa: PLC0415 - most recordings are MCAP files
+        from rosbags.rosbag2 import Reader as Ros2Reader  # noqa: PLC0415
+
+        try:
+            bag: Any = (Ros1Reader if self.path.suffix == ROS1_SUFFIX else Ros2Reader)(self.path)
+            bag.open()
+        except OSError as error:
+            raise RecordingFailed(f"{self.path}: {error.strerror or error}") from error
+        except Exception as error:
+            raise RecordingFailed(f"{self.path} cannot be read: {error}"[:MAX_REASON]) from error
+        return contextlib.closing(bag)
+
+
+def _bag_channel(connection: Any) -> Channel:
+    from rosbags.interfaces import ConnectionExtRosbag1, MessageDefinitionFormat  # noqa: PLC0415 - as above
+    from rosbags.rosbag2.metadata import dump_qos_v8  # noqa: PLC0415
+
+    definition, extra = connection.msgdef, connection.ext
+    if isinstance(extra, ConnectionExtRosbag1):
+        package, _, base = connection.msgtype.partition("/msg/")
+        facts = {"callerid": extra.callerid or "", "md5sum": connection.digest, "latching": str(extra.latching or 0)}
+        return Channel(connection.topic, ROS1, f"{package}/{base}", definition.data, tuple(facts.items()))
+    language = "ros2idl" if definition.format == MessageDefinitionFormat.IDL else ""
+    qos = (("offered_qos_profiles", dump_qos_v8(extra.offered_qos_profiles)),) if extra.offered_qos_profiles else ()
+    encoding = CDR if extra.serialization_format == "cdr" else extra.serialization_format
+    return Channel(connection.topic, encoding, connection.msgtype, definition.data, qos, language)
+
+
+CLOCK_STEP_NS = NS_PER_S  # a smaller step is the delay of a message, or a slewed clock
+MAX_STEPS = 10  # listed clock steps
+
+
+@dataclass(slots=True)
+class TopicContents:
+    """Contents of one channel."""
+
+    channel: Channel
+    messages: int = 0
+    payload_bytes: int = 0
+    first_ns: int = 0  # steady time, as is last_ns
+    last_ns: int = 0
+
+    @property
+    def rate_hz(self) -> float | None:
+        """Messages per second; None with fewer than two messages."""
+        seconds = (self.last_ns - self.first_ns) / NS_PER_S
+        return (self.messages - 1) / seconds if seconds > 0 else None
+
+
+class ClockStep(NamedTuple):
+    """Step of the wall clock: its time and size."""
+
+    at_s: float  # since the beginning of the recording
+    step_s: float
+
+
+@dataclass(slots=True)
+class Contents:
+    """Contents of a recording."""
+
+    path: Path
+    size_bytes: int
+    metadata: dict[str, str]
+    damage: list[str]
+    topics: list[TopicContents] = field(default_factory=list)
+    begin_ns: int = 0  # wall time of the first message; 0 without messages
+    clock_steps: list[ClockStep] = field(default_factory=list)  # the first MAX_STEPS
+
+    @property
+    def messages(self) -> int:
+        """Number of messages of all topics."""
+        return sum(topic.messages for topic in self.topics)
+
+    @property
+    def seconds(self) -> float:
+        """Time from the first to the last message, by a clock that is never set."""
+        met = [topic for topic in self.topics if topic.messages]
+        last_ns = max((topic.last_ns for topic in met), default=0)
+        return (last_ns - min((topic.first_ns for topic in met), default=0)) / NS_PER_S
+
+
+def contents_of(path: Path) -> Contents:
+    """Read the contents of a file.
+
+    Raises:
+        RecordingFailed: the file cannot be read, or is not a recording.
+    """
+    source = open_source(path)
+    found = Contents(path, 0, {}, [])
+    topics: dict[Channel, TopicContents] = {}
+    ahead_ns: int | None = None  # wall time minus steady time
+    for message in source.messages():
+        topic = topics.get(message.channel)
+        if topic is None:
+            topic = topics[message.channel] = TopicContents(message.channel)
+            topic.first_ns = topic.last_ns = message.steady_ns
+        topic.messages += 1
+        topic.payload_bytes += len(message.payload)
+        topic.first_ns, topic.last_ns = min(topic.first_ns, message.steady_ns), max(topic.last_ns, message.steady_ns)
+        if ahead_ns is None:
+            found.begin_ns, ahead_ns = message.stamp_ns, message.stamp_ns - message.steady_ns
+        step_ns = message.stamp_ns - message.steady_ns - ahead_ns
+        ahead_ns += step_ns
+        if abs(step_ns) > CLOCK_STEP_NS and len(found.clock_steps) < MAX_STEPS:
+            at_s = (message.steady_ns - source.begin_ns) / NS_PER_S
+            found.clock_steps.append(ClockStep(at_s, step_ns / NS_PER_S))
+    for channel in source.channels:
+        topics.setdefault(channel, TopicContents(channel))
+    found.topics = sorted(topics.values(), key=lambda topic: topic.channel.topic)
+    found.size_bytes, found.metadata, found.damage = source.size_bytes, source.metadata, source.damage
+    return found

@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 from hostlink.errors import BadPayload, UnknownFormat
 from hostlink.recording.channel import JSON, NS_PER_S, ROS1, Channel, json_of
 from hostlink.recording.definitions import ros1_type, ros2_type
-from hostlink.recording.reader import StoredMessage
-from hostlink.recording.source import Source, open_source
+from hostlink.recording.reader import Source, StoredMessage, open_source
 
 Column = NDArray[Any]
 Decode = Callable[[bytes], dict[str, Any]]

@@ -415,12 +415,12 @@ SITES: dict[str, tuple[type[EntryPoint], ...]] = {
     "client/blocking_calls.py: self._robot.command": (entry_points.ClientCommand,),
     "client/blocking_calls.py: self._host.publish": (entry_points.RosbridgePublish,),
     "graphs/ros2/velocity.py: robot.command": (entry_points.RclpyBridge,),
-    "graphs/ros1/publisher.py: self.participant.publish": (entry_points.Ros1Publisher,),
-    "graphs/zenoh/rmw_publishers.py: self.participant.publish": (entry_points.RmwPublisher,),
-    "graphs/zenoh/rmw_publishers.py: publisher.publish": (entry_points.RmwPublisher,),
-    "graphs/zenoh/rmw_publishers.py: self._publishers.publish": (entry_points.RmwPublisher,),
-    "graphs/zenoh/fleet_drivers.py: participant.drive": (entry_points.Fleet,),
-    "graphs/zenoh/fleet_drivers.py: self._participant(neighbour, _PUBLISHER, 'programs').publish": (
+    "graphs/ros1/topics.py: participant.publish": (entry_points.Ros1Publisher,),
+    "graphs/zenoh/rmw_bridge.py: self.participant.publish": (entry_points.RmwPublisher,),
+    "graphs/zenoh/rmw_bridge.py: publisher.publish": (entry_points.RmwPublisher,),
+    "graphs/zenoh/rmw_bridge.py: self._publishers.publish": (entry_points.RmwPublisher,),
+    "graphs/zenoh/fleet_commands.py: participant.drive": (entry_points.Fleet,),
+    "graphs/zenoh/fleet_commands.py: self._participant(neighbour, _PUBLISHER, 'programs').publish": (
         entry_points.FleetPublisher,
     ),
     "graphs/zenoh/fleet_topics.py: self._drivers.publish": (entry_points.FleetPublisher,),

@@ -9,8 +9,7 @@ from structlog.testing import capture_logs
 
 from hostlink.client import connect
 from hostlink.config import Config, RecordingConfig
-from hostlink.recording.drive_log import MAX_FILE_BYTES, MAX_RECENT, NAME, NAME_BEFORE, append_drives, read_drives
-from hostlink.recording.drives import Drive
+from hostlink.recording.drives import MAX_FILE_BYTES, MAX_RECENT, NAME, NAME_BEFORE, Drive, append_drives, read_drives
 from tests.support.daemon import daemon
 from tests.support.fake_device import fake_device, robot_topics
 from tests.support.process import run

@@ -10,11 +10,17 @@ import pytest
 from structlog.testing import capture_logs
 
 from hostlink.graphs.ros2_types import Ros2Types
-from hostlink.graphs.zenoh import rmw_publishers
-from hostlink.graphs.zenoh.rmw_endpoints import RmwNode
-from hostlink.graphs.zenoh.rmw_graph import RemoteGraph
-from hostlink.graphs.zenoh.rmw_protocol import TELEMETRY, Attachment, EndpointToken, Kind, NodeToken, gid_of
-from hostlink.graphs.zenoh.rmw_publishers import Publishers
+from hostlink.graphs.zenoh import rmw_bridge
+from hostlink.graphs.zenoh.rmw_bridge import Publishers, RmwNode
+from hostlink.graphs.zenoh.rmw_protocol import (
+    TELEMETRY,
+    Attachment,
+    EndpointToken,
+    Kind,
+    NodeToken,
+    RemoteGraph,
+    gid_of,
+)
 from hostlink.graphs.zenoh.session import Session
 from hostlink.hub.hub import Hub
 from hostlink.mirror.log_once import LogOnce
@@ -93,7 +99,7 @@ def test_each_publisher_is_a_driver_of_its_own_and_leaves_with_its_token() -> No
 def test_a_driver_that_drew_its_gid_stops_with_any_of_its_kind() -> None:
     async def test(scene: Scene) -> None:
         remote = Remote(scene.hub)
-        await asyncio.sleep(rmw_publishers.MATCH_S)
+        await asyncio.sleep(rmw_bridge.MATCH_S)
         keys = [remote.come(session) for session in ("aa", "bb")]
         remote.drive(b"1" * 16, 0.3)
         remote.drive(b"2" * 16, 0.0)
@@ -114,7 +120,7 @@ def test_stream_through_the_loss_of_its_token_drives_after_a_zero(away_s: float)
 
     async def test(scene: Scene) -> None:
         remote = Remote(scene.hub)
-        await asyncio.sleep(rmw_publishers.MATCH_S)
+        await asyncio.sleep(rmw_bridge.MATCH_S)
         key = remote.come("aa")
         remote.drive(gid_of(key), 0.3)
         assert remote.owner() == "ros2 /driver_aa"
@@ -134,9 +140,9 @@ def test_stream_through_the_loss_of_its_token_drives_after_a_zero(away_s: float)
 
 def test_tokens_that_are_gone_are_remembered_up_to_a_bound(monkeypatch: pytest.MonkeyPatch) -> None:
     async def test(scene: Scene) -> None:
-        monkeypatch.setattr(rmw_publishers, "MAX_GONE", 2)
+        monkeypatch.setattr(rmw_bridge, "MAX_GONE", 2)
         remote = Remote(scene.hub)
-        await asyncio.sleep(rmw_publishers.MATCH_S)
+        await asyncio.sleep(rmw_bridge.MATCH_S)
         keys = [remote.come(session) for session in ("aa", "bb", "cc")]
         for key in keys:
             remote.go(key)
@@ -175,12 +181,12 @@ def test_stream_from_before_drives_after_a_zero(what_began: str) -> None:
     async def test(scene: Scene) -> None:
         remote = Remote(scene.hub)
         if what_began == "subscription":
-            await asyncio.sleep(rmw_publishers.MATCH_S)
+            await asyncio.sleep(rmw_bridge.MATCH_S)
         gid = gid_of(remote.come("aa"))
         remote.sent = 100
         if what_began == "subscription":
             remote.publishers.join((CMD_VEL, TWIST))
-        await asyncio.sleep(rmw_publishers.MATCH_S - 0.1)
+        await asyncio.sleep(rmw_bridge.MATCH_S - 0.1)
         for _ in range(20):
             remote.drive(gid, 0.3)
             assert remote.owner() is None
@@ -202,7 +208,7 @@ def test_publisher_of_before_whose_motion_begins_now_drives(*, is_first: bool) -
         remote.publishers.join((CMD_VEL, TWIST))
         if not is_first:
             remote.sent = 100
-            await asyncio.sleep(rmw_publishers.MATCH_S + 0.1)
+            await asyncio.sleep(rmw_bridge.MATCH_S + 0.1)
         remote.drive(gid, 0.3)
         assert remote.owner() == "ros2 /driver_aa"
 
@@ -251,7 +257,7 @@ def test_a_refused_velocity_is_counted_and_in_both_logs_now_and_then() -> None:
 
 
 def test_publishers_of_one_process_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(rmw_publishers, "MAX_PUBLISHERS_OF_SESSION", 3)
+    monkeypatch.setattr(rmw_bridge, "MAX_PUBLISHERS_OF_SESSION", 3)
 
     async def test(scene: Scene) -> None:
         remote = Remote(scene.hub)
@@ -270,14 +276,14 @@ def test_publishers_of_one_process_are_bounded(monkeypatch: pytest.MonkeyPatch) 
 
 def test_publisher_that_waited_for_room_drives_after_a_zero(monkeypatch: pytest.MonkeyPatch) -> None:
     """It may have streamed for long."""
-    monkeypatch.setattr(rmw_publishers, "MAX_PUBLISHERS_OF_SESSION", 1)
+    monkeypatch.setattr(rmw_bridge, "MAX_PUBLISHERS_OF_SESSION", 1)
 
     async def test(scene: Scene) -> None:
         remote = Remote(scene.hub)
-        await asyncio.sleep(rmw_publishers.MATCH_S)
+        await asyncio.sleep(rmw_bridge.MATCH_S)
         first, driver = remote.come("aa", topic="/topic"), remote.come("aa")
         remote.sent = 100
-        await asyncio.sleep(rmw_publishers.NEW_S + 0.1)
+        await asyncio.sleep(rmw_bridge.NEW_S + 0.1)
         remote.drive(gid_of(driver), 0.3)
         assert remote.counts["unidentified"] == 1
         remote.go(first)

@@ -18,7 +18,7 @@ from hostlink.cli.serve import SWITCH_INTERVAL_S
 from hostlink.config import Config, ZenohConfig
 from hostlink.errors import ServiceFailed
 from hostlink.graphs.ros2_types import Ros2Types
-from hostlink.graphs.zenoh import rmw_publishers
+from hostlink.graphs.zenoh import rmw_bridge
 from hostlink.graphs.zenoh.rmw_protocol import parse_token
 from hostlink.graphs.zenoh.session import MAX_PAYLOAD_BYTES, Token
 from hostlink.hub.message import Message
@@ -481,7 +481,7 @@ async def test_a_router_that_is_killed_ends_what_came_through_it_until_it_is_bac
         async with router(address):  # a node that is still there drives again once it has let go
             await expect(lambda: publishers(world))
             await peer.request("end_stream", "ended", topic="/robot_0/cmd_vel")
-            await asyncio.sleep(rmw_publishers.MATCH_S + LEASE_S)  # what streams until then may have begun before
+            await asyncio.sleep(rmw_bridge.MATCH_S + LEASE_S)  # what streams until then may have begun before
             await peer.request("stream", "streaming", topic="/robot_0/cmd_vel", type=TWIST, fields=fields, hz=20)
             await expect(lambda: world.daemon.hub.robots.find("robot_0").gate.owner is not None)
             await device.velocity_of((0.2, 0.0))

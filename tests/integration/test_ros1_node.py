@@ -10,7 +10,7 @@ import pytest
 from structlog.testing import capture_logs
 
 from hostlink.errors import HostlinkError
-from hostlink.graphs.ros1 import graph_sync, publisher
+from hostlink.graphs.ros1 import graph_sync, topics
 from hostlink.graphs.ros1.tcpros import encode_answer, encode_failure, encode_message
 from hostlink.protocol.frame import Id
 from hostlink.robot.admission import LEASE_S
@@ -158,7 +158,7 @@ async def test_publisher_that_waited_for_room_is_connected_and_drives_after_a_ze
         await made.update(VELOCITY, first.uri, second.uri)
         await first.connected()
         assert made.counts["crowded_out"] == 1
-        await asyncio.sleep(publisher.NEW_S)
+        await asyncio.sleep(topics.NEW_S)
         await made.update(VELOCITY, second.uri)
         await second.connected()
         await drives_after_a_zero(made, speeds_m_s)

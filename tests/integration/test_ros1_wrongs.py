@@ -14,9 +14,9 @@ import pytest
 from structlog.testing import capture_logs
 
 from hostlink.config import Config, Ros1Config
-from hostlink.graphs.ros1 import graph_sync, member, publication, services
-from hostlink.graphs.ros1.rpc import Rpc
-from hostlink.graphs.ros1.wire import MAX_MESSAGES
+from hostlink.graphs.ros1 import graph_sync, member, services, topics
+from hostlink.graphs.ros1.connections import MAX_MESSAGES
+from hostlink.graphs.ros1.local_node import Rpc
 from hostlink.graphs.ros1.xml_rpc import Refused, Unreachable, decode_answer, encode_answer, encode_call
 from hostlink.protocol.frame import Id, encode
 from hostlink.robot.velocity import TWIST_TYPE
@@ -136,7 +136,7 @@ async def test_who_comes_from_elsewhere_than_it_is_allowed_is_closed() -> None:
 
 
 async def test_subscribers_of_one_topic_have_a_bound(made: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(publication, "MAX_SUBSCRIBERS", 1)
+    monkeypatch.setattr(topics, "MAX_SUBSCRIBERS", 1)
     address = await made.tcpros()
     async with connection(address, **SUBSCRIBER) as first, connection(address, **SUBSCRIBER) as second:
         headers = [await first.read_header(), await second.read_header()]

@@ -9,8 +9,15 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, ru
 
 from hostlink.errors import BadPayload
 from hostlink.graphs.ros2_types import Ros2Types
-from hostlink.graphs.zenoh.rmw_graph import RemoteGraph
-from hostlink.graphs.zenoh.rmw_protocol import TELEMETRY, Attachment, EndpointToken, Kind, NodeToken, gid_of
+from hostlink.graphs.zenoh.rmw_protocol import (
+    TELEMETRY,
+    Attachment,
+    EndpointToken,
+    Kind,
+    NodeToken,
+    RemoteGraph,
+    gid_of,
+)
 from tests.support.fake_device import CATALOG
 
 TYPES = Ros2Types(CATALOG)

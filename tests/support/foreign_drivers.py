@@ -8,25 +8,28 @@ import contextlib
 import itertools
 import socket
 from collections import Counter
-from collections.abc import Coroutine
 from typing import Any, cast
 
-from hostlink.config import Config, ZenohConfig
+from hostlink.config import Config, Ros1Config, ZenohConfig
 from hostlink.errors import CommandRefused, HostlinkError, RefusalKind
 from hostlink.graphs.refusal_log import RefusalLog
-from hostlink.graphs.ros1.parts import Counts, Parts, Spawned
-from hostlink.graphs.ros1.publisher import _Connection
-from hostlink.graphs.ros1.rpc import Master, Rpc
+from hostlink.graphs.ros1.local_node import LocalNode
 from hostlink.graphs.ros1.tcpros import encode_header, encode_message
+from hostlink.graphs.ros1.topics import _Connection
 from hostlink.graphs.ros2_types import Ros2Types
 from hostlink.graphs.zenoh.fleet import fleet_running
-from hostlink.graphs.zenoh.fleet_drivers import FleetDrivers
-from hostlink.graphs.zenoh.fleet_messages import Answer, Drive, Keys, Sender, State, decode, encode
-from hostlink.graphs.zenoh.fleet_post import Post
-from hostlink.graphs.zenoh.rmw_endpoints import RmwNode
-from hostlink.graphs.zenoh.rmw_graph import RemoteGraph
-from hostlink.graphs.zenoh.rmw_protocol import TELEMETRY, Attachment, EndpointToken, Kind, NodeToken, gid_of
-from hostlink.graphs.zenoh.rmw_publishers import Publishers
+from hostlink.graphs.zenoh.fleet_commands import FleetDrivers
+from hostlink.graphs.zenoh.fleet_messages import Answer, Drive, FleetTransport, Keys, Sender, State, decode, encode
+from hostlink.graphs.zenoh.rmw_bridge import Publishers, RmwNode
+from hostlink.graphs.zenoh.rmw_protocol import (
+    TELEMETRY,
+    Attachment,
+    EndpointToken,
+    Kind,
+    NodeToken,
+    RemoteGraph,
+    gid_of,
+)
 from hostlink.graphs.zenoh.roster import Roster
 from hostlink.graphs.zenoh.session import Sample, Session
 from hostlink.hub.hub import Hub
@@ -69,10 +72,10 @@ class Ros1Driver:
     def __init__(self, scene: Scene) -> None:
         twist = CATALOG.message(TWIST_TYPE)
         assert twist is not None
-        self._parts = _parts(scene.hub)
+        self._node = LocalNode(scene.hub, Ros1Config(master="http://master:1/"), "/hostlink", scene.tasks)
         name = scene.hub.robots.find(ROBOT).shown.velocity
         topic = next(each for each in scene.neighbour.graph().topics if each.name == name)
-        self._connection = _Connection(self._parts, topic, RefusalLog(), is_new=True)
+        self._connection = _Connection(self._node, topic, RefusalLog(), is_new=True)
         with socket.socket() as connection:
             self._connection.wire.connection_made(_Wireless(connection))
         fields = {"callerid": "/joystick", "type": TWIST_TYPE, "md5sum": twist.md5, "topic": name}
@@ -80,27 +83,19 @@ class Ros1Driver:
 
     @property
     def participant(self) -> Participant:
-        assert self._connection._source is not None
-        return self._connection._source.participant
+        assert self._connection.participant is not None
+        return self._connection.participant
 
     def drive(self, robot: str, speed_m_s: float, hub: Hub, *, left_m_s: float = 0.0) -> None:
         assert hub.robots.find(robot).shown.velocity == self._connection._topic.name
-        before = self._parts.counts.refused_messages
+        before = self._node.counts.refused_messages
         self._connection.wire.data_received(encode_message(PlanarVelocity(speed_m_s, left_m_s).encode()))
-        if self._parts.counts.refused_messages > before:
+        if self._node.counts.refused_messages > before:
             raise CommandRefused(robot, RefusalKind.HELD, f"{robot}: another source was first")
 
     def vanish(self) -> None:
         """Its connection is lost."""
         self._connection.wire.connection_lost(ConnectionResetError())
-
-
-def _parts(hub: Hub) -> Parts:
-    def spawn(work: Coroutine[Any, Any, object], *, name: str) -> Spawned:
-        raise AssertionError(f"{name} needs no task")
-
-    rpc = cast("Rpc", None)
-    return Parts(hub, rpc, cast("Master", None), "/hostlink", "http://here/", Counts(), spawn, 1 << 16, 8)
 
 
 class _Answers:
@@ -121,14 +116,14 @@ class FleetDriver:
         self._keys, self._here, self._there = Keys("hostlink"), Sender("lab", "1a"), Sender("desk", "2b")
         self._answers, self._numbers = _Answers(), itertools.count(1)
         roster = self._roster = Roster(Counter())
-        post = Post(cast("Session", self._answers), self._keys, self._here, Counter())
-        self._drivers = FleetDrivers(scene.hub, post, roster)
+        transport = FleetTransport(cast("Session", self._answers), self._keys, self._here, Counter())
+        self._drivers = FleetDrivers(scene.hub, transport, roster)
         roster.appear(self._there, _now_s())
         roster.receive(self._there, State(sent_s=_now_s(), topics=0, robots=()), _now_s())
 
     @property
     def participant(self) -> Participant:
-        return self._drivers._drivers[self._there.zid].of[1].participant
+        return self._drivers._drivers[self._there.zid][1].participant
 
     def drive(
         self,

@@ -1,18 +1,17 @@
-"""GraphSync: the topics and services that pass between hub and ROS, as both graphs change."""
+"""GraphSync: the adapter that mirrors topics and services between the hub and ROS 1."""
 
 import asyncio
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from operator import itemgetter
 from typing import NamedTuple
 
 from hostlink.errors import HostlinkError, ServiceFailed
+from hostlink.graphs.ros1.connections import Wire
+from hostlink.graphs.ros1.local_node import Kind, LocalNode
 from hostlink.graphs.ros1.names import NameMap, Names, is_legal
-from hostlink.graphs.ros1.parts import Kind, Parts
-from hostlink.graphs.ros1.publication import Publication
-from hostlink.graphs.ros1.publisher import Publisher
 from hostlink.graphs.ros1.services import ForeignService, ServiceOffer, find_type
 from hostlink.graphs.ros1.tcpros import ANY, BadHeader, decode_header
-from hostlink.graphs.ros1.wire import Wire
+from hostlink.graphs.ros1.topics import Publication, Publisher
 from hostlink.graphs.ros1.xml_rpc import Refused, Unreachable
 from hostlink.hub.graph_view import Graph, GraphTopic
 from hostlink.logs import printable
@@ -23,7 +22,7 @@ MAX_NAMED = 1000  # publishers of one topic that the master names
 MAX_PUBLISHERS = 64  # of one topic, to which this node connects
 MAX_SERVICES = 512  # of other nodes
 AT_ONCE = 4  # nodes whose services' types are requested
-OF_EVERY_NODE = ("/get_loggers", "/set_logger_level")  # nobody calls them from here
+OF_EVERY_NODE = ("/get_loggers", "/set_logger_level")  # services for ROS tools, never called by hostlink
 FIRST_RETRY_S, LONGEST_RETRY_S = 0.1, 8.0  # until a publisher is connected again
 SERVICE_RETRY_S = 10.0  # until a node that did not announce the type of its service is asked again
 MAX_REASON = 200  # characters in the log
@@ -46,34 +45,45 @@ class _Offered(NamedTuple):
 
 
 class _Subscription:
-    """A topic that somebody here subscribes to, and the nodes that publish it, by where their slave API answers."""
+    """Endpoint for a topic that the hub subscribes to: connections to the nodes that publish it, by their addresses."""
 
-    def __init__(self, topic: GraphTopic) -> None:
+    def __init__(self, topic: GraphTopic, disconnect: Callable[[str], None]) -> None:
         self.topic = topic
         self.publishers: dict[str, Publisher] = {}
         self.is_registered = False  # the master has answered
+        self._disconnect = disconnect
+
+    def drop(self, uri: str) -> None:
+        """Disconnect a publisher. What it drives stops at once, before its task ends."""
+        self.publishers.pop(uri).close()
+        self._disconnect(uri)
+
+    def close(self) -> None:
+        """Disconnect all publishers."""
+        for uri in list(self.publishers):
+            self.drop(uri)
 
 
 class GraphSync:
-    """What hostlink publishes, subscribes to and provides in ROS, by its names there; and ROS's services here."""
+    """Mirrors the hub's topics and services into ROS by their names there, and ROS's services into the hub."""
 
-    def __init__(self, parts: Parts) -> None:
-        self.subscriptions: dict[str, _Subscription] = {}
-        self._parts = parts
+    def __init__(self, node: LocalNode) -> None:
+        self._node = node
         self._named: dict[str, list[str]] = {}  # publishers as the master named them last, of what is subscribed to
         self._room = asyncio.Semaphore(AT_ONCE)
         self._publications = Mirror[str, _Published, Publication](
-            lambda name, wanted: Publication(parts, wanted.topic, name, wanted.type, is_latched=wanted.is_latched),
+            lambda name, wanted: Publication(node, wanted.topic, name, wanted.type, is_latched=wanted.is_latched),
             self._fail,
         )
         self._offers = Mirror[str, _Offered, ServiceOffer](
-            lambda name, wanted: ServiceOffer(parts, wanted.service, name, wanted.type), self._fail
+            lambda name, wanted: ServiceOffer(node, wanted.service, name, wanted.type), self._fail
         )
+        self._subscriptions = Mirror[str, GraphTopic, _Subscription](self._subscribe, self._fail, is_same=_is_same)
         self._connections: Mirror[tuple[str, str], Publisher, Served[tuple[str, str]]] = Mirror.of_tasks(
             lambda _, publisher: publisher.receive(),
-            lambda work: parts.spawn(work, name="ROS 1 publisher"),
+            lambda work: node.spawn(work, name="ROS 1 publisher"),
             self._fail_publisher,
-            limit=parts.max_publishers,
+            limit=node.config.max_connections,
             group_of=itemgetter(0),
             group_limit=MAX_PUBLISHERS,
             retry_s=FIRST_RETRY_S,
@@ -82,7 +92,7 @@ class GraphSync:
         )
         self._services: Mirror[tuple[str, str], str, Served[tuple[str, str]]] = Mirror.of_tasks(
             self._provide,
-            lambda work: parts.spawn(work, name="ROS 1 service"),
+            lambda work: node.spawn(work, name="ROS 1 service"),
             self._fail_service,
             limit=MAX_SERVICES,
             retry_s=SERVICE_RETRY_S,
@@ -90,51 +100,58 @@ class GraphSync:
         )
 
     @property
+    def subscriptions(self) -> dict[str, _Subscription]:
+        """Endpoints by their names in ROS."""
+        return self._subscriptions.endpoints
+
+    @property
     def publications(self) -> dict[str, Publication]:
-        """By their names in ROS."""
+        """Endpoints by their names in ROS."""
         return self._publications.endpoints
 
     @property
     def offers(self) -> dict[str, ServiceOffer]:
-        """By their names in ROS."""
+        """Endpoints by their names in ROS."""
         return self._offers.endpoints
 
     def update(self, graph: Graph, names: NameMap) -> None:
-        """The hub has changed: add what has come, close what has gone or is another now."""
+        """Follow a change of the hub's graph."""
         self._publications.want(self._published(graph.topics, names))
-        self._subscribe(self._subscribed(graph.topics, names))
+        subscribed = self._subscribed(graph.topics, names)
+        self._named = {name: uris for name, uris in self._named.items() if name in subscribed}
+        self._subscriptions.want(subscribed)
         self._offers.want(self._offered(graph, names))
 
     def update_services(self, nodes: dict[str, str], names: NameMap) -> None:
-        """The services of ROS have changed. `nodes`: who provides each; another node's is another service."""
-        found = {(name, node) for name, node in nodes.items() if node != self._parts.node}
+        """Follow a change of the services in ROS. `nodes`: the provider of each; a new provider is a new service."""
+        found = {(name, node) for name, node in nodes.items() if node != self._node.name}
         self._services.want({key: names.to_hub(key[0]) for key in sorted(found) if not key[0].endswith(OF_EVERY_NODE)})
 
     def set_publishers(self, topic: str, uris: list[str], *, is_answer: bool) -> None:
-        """Who publishes a topic: as the answer to its registration, or as a change.
+        """Update the publishers of a topic, from the answer to its registration or from a change.
 
-        A master that has begun anew knows few of them, so an answer takes none away.
+        A restarted master knows few publishers, so an answer removes none.
         """
         subscription = self.subscriptions.get(topic)
         if subscription is None:
             return
-        self._parts.counts.crowded_out += max(0, len(uris) - MAX_NAMED)
+        self._node.counts.crowded_out += max(0, len(uris) - MAX_NAMED)
         known = self._named.get(topic, []) if is_answer else []
         named = self._named[topic] = merge_publishers(known, uris)
         for uri in subscription.publishers.keys() - set(named):
-            self._disconnect(topic, subscription, uri)
+            subscription.drop(uri)
         self._connect(topic, subscription, named, is_new=subscription.is_registered)
         subscription.is_registered = subscription.is_registered or is_answer
 
     def wanted(self) -> dict[tuple[Kind, str], str]:
-        """What the master is to know: the type of each name. Services come first: a node that is there answers."""
+        """Return the type of each name to register. Services are first: once the node is listed, it answers calls."""
         found = {(Kind.SERVICE, name): each.type.name for name, each in self.offers.items()}
         found |= {(Kind.PUBLISHER, name): each.type.name for name, each in self.publications.items()}
         found |= {(Kind.SUBSCRIBER, name): each.topic.type_name or ANY for name, each in self.subscriptions.items()}
         return found
 
     def accept(self, wire: Wire, messages: list[bytes]) -> None:
-        """The first message of a node that connects is its header."""
+        """Read the header of a node that connects, which is its first message."""
         wire.is_replaceable = False
         try:
             header = decode_header(messages[0])
@@ -144,20 +161,20 @@ class GraphSync:
         kind, name = ("topic", header["topic"]) if "topic" in header else ("service", header.get("service", ""))
         found = (self.publications if kind == "topic" else self.offers).get(name)
         if found is None:
-            self._refuse(wire, f"{self._parts.node} has no {kind} {printable(name)}")
+            self._refuse(wire, f"{self._node.name} has no {kind} {printable(name)}")
         else:
             found.accept(wire, header)
             if messages[1:] and not wire.is_closed:
                 wire.receive(messages[1:])
 
     def close(self) -> None:
-        """Nothing passes any more."""
+        """Close all endpoints."""
         self.update(Graph((), ()), NameMap(Names()))
         for mirror in (self._publications, self._offers, self._connections, self._services):
             mirror.close()
 
     def _refuse(self, wire: Wire, reason: str) -> None:
-        self._parts.counts.refused_headers += 1
+        self._node.counts.refused_headers += 1
         wire.refuse(reason)
 
     # -- what is wanted -----------------------------------------------------------------------------------------------
@@ -166,7 +183,7 @@ class GraphSync:
         found: dict[str, _Published] = {}
         for topic in topics:
             if topic.is_published and topic.type is None:
-                self._parts.log_once("ros1.topic_unknown", topic=topic.name, type=topic.type_name)
+                self._node.log_once("ros1.topic_unknown", topic=topic.name, type=topic.type_name)
             elif topic.is_published and topic.type is not None:
                 name = self._legal(names.to_ros(topic.name))
                 if name:
@@ -185,10 +202,10 @@ class GraphSync:
     def _offered(self, graph: Graph, names: NameMap) -> dict[str, _Offered]:
         found: dict[str, _Offered] = {}
         for service in graph.services:
-            type_ = self._parts.hub.catalog.service(service.type_name)
+            type_ = self._node.hub.catalog.service(service.type_name)
             name = self._legal(names.to_ros(service.name))
             if type_ is None:
-                self._parts.log_once("ros1.service_unknown", service=name, type=service.type_name)
+                self._node.log_once("ros1.service_unknown", service=name, type=service.type_name)
             elif name:
                 found.setdefault(name, _Offered(service.name, type_))
         return found
@@ -196,36 +213,25 @@ class GraphSync:
     def _legal(self, name: str) -> str:
         if is_legal(name):
             return name
-        self._parts.log_once("ros1.name_refused", name=name)
+        self._node.log_once("ros1.name_refused", name=name)
         return ""
 
     # -- publishers of other nodes ------------------------------------------------------------------------------------
 
-    def _subscribe(self, wanted: dict[str, GraphTopic]) -> None:
-        for name, subscription in list(self.subscriptions.items()):
-            if not _is_same(subscription.topic, wanted.get(name)):
-                for uri in list(subscription.publishers):
-                    self._disconnect(name, subscription, uri)
-                del self.subscriptions[name]
-        self._named = {name: uris for name, uris in self._named.items() if name in wanted}
-        for name, topic in wanted.items():
-            if name not in self.subscriptions:
-                subscription = self.subscriptions[name] = _Subscription(topic)
-                if name in self._named:  # the master knows of this subscription, and does not repeat them
-                    self._connect(name, subscription, self._named[name], is_new=False)
-                    subscription.is_registered = True
+    def _subscribe(self, name: str, topic: GraphTopic) -> _Subscription:
+        subscription = _Subscription(topic, lambda uri: self._connections.put((name, uri), None))
+        if name in self._named:  # the master knows of an earlier subscription, and does not repeat its publishers
+            self._connect(name, subscription, self._named[name], is_new=False)
+            subscription.is_registered = True
+        return subscription
 
     def _connect(self, name: str, subscription: _Subscription, uris: Iterable[str], *, is_new: bool) -> None:
         """`is_new`: they came after the subscription, so what they publish first is new."""
         for uri in uris:
-            if uri != self._parts.uri and uri not in subscription.publishers:
-                publisher = Publisher(self._parts, subscription.topic, name, uri, is_new=is_new)
+            if uri != self._node.uri and uri not in subscription.publishers:
+                publisher = Publisher(self._node, subscription.topic, name, uri, is_new=is_new)
                 subscription.publishers[uri] = publisher
                 self._connections.put((name, uri), publisher)
-
-    def _disconnect(self, name: str, subscription: _Subscription, uri: str) -> None:
-        subscription.publishers.pop(uri).close()  # what it drives stops at once, before its task ends
-        self._connections.put((name, uri), None)
 
     # -- services of other nodes --------------------------------------------------------------------------------------
 
@@ -233,11 +239,11 @@ class GraphSync:
         """Find the type of a service, and provide it here until this is cancelled."""
         name, _ = key
         async with self._room:
-            type_name, md5 = await find_type(self._parts, name)
-        type_ = self._parts.hub.catalog.service(type_name)
+            type_name, md5 = await find_type(self._node, name)
+        type_ = self._node.hub.catalog.service(type_name)
         if type_ is None or type_.md5 != md5:
             raise ServiceFailed(name, f"no definition of {type_name} with md5 {md5}")
-        provided = ForeignService(self._parts, service, name, type_)
+        provided = ForeignService(self._node, service, name, type_)
         try:
             await asyncio.Event().wait()
         finally:
@@ -246,11 +252,11 @@ class GraphSync:
     # -- bounds and failures ------------------------------------------------------------------------------------------
 
     def _count_crowded(self, _: object) -> None:
-        self._parts.counts.crowded_out += 1
+        self._node.counts.crowded_out += 1
 
     def _fail(self, key: str, error: Exception) -> None:
         """A publication or an offer only waits for connections: what it raises is a fault of hostlink."""
-        self._parts.hub.isolation.crashed("ros1", error, name=printable(key))
+        self._node.hub.isolation.crashed("ros1", error, name=printable(key))
 
     def _fail_publisher(self, key: tuple[str, str], error: Exception) -> None:
         self._log_failure("ros1.publisher_failed", error, topic=key[0], uri=key[1])
@@ -260,18 +266,17 @@ class GraphSync:
 
     def _log_failure(self, event: str, error: Exception, **facts: str) -> None:
         if isinstance(error, _FAILURES):
-            self._parts.log_once(event, **facts, reason=str(error) or type(error).__name__)
+            self._node.log_once(event, **facts, reason=str(error) or type(error).__name__)
         else:
-            self._parts.hub.isolation.crashed("ros1", error, **{name: printable(text) for name, text in facts.items()})
+            self._node.hub.isolation.crashed("ros1", error, **{name: printable(text) for name, text in facts.items()})
 
 
 def merge_publishers(known: list[str], answered: list[str]) -> list[str]:
-    """Those that a master has named now, and those that one before it has named; the newest are kept."""
+    """Merge the publishers that a master names now with those that an earlier one named, the newest first."""
     return list(dict.fromkeys((*answered, *known)))[:MAX_NAMED]
 
 
-def _is_same(before: GraphTopic, now: GraphTopic | None) -> bool:
-    """Whether connections to its publishers may stay; a type that nobody had named may have been learned from them."""
-    if now is None or (now.name, now.is_velocity) != (before.name, before.is_velocity):
-        return False
-    return before.type is None or now.type is before.type
+def _is_same(before: GraphTopic, now: GraphTopic) -> bool:
+    """Whether connections to publishers may stay. An unknown type may have been learned from them."""
+    is_known = before.type is None or now.type is before.type
+    return is_known and (now.name, now.is_velocity) == (before.name, before.is_velocity)

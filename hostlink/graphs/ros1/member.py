@@ -1,96 +1,113 @@
-"""Member: this node in the graph: its parts, and what the master and other nodes may call of it."""
+"""Membership of this node in both graphs, and the slave API by which the master and other nodes call it."""
 
 import asyncio
 import contextlib
+import os
 import time
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from typing import Any
 
+from aiohttp import web
+
+from hostlink.forwarding_protocol import ForwardingProtocol
+from hostlink.graphs.ros1.connections import MakeProtocol, Wire
 from hostlink.graphs.ros1.graph_sync import GraphSync
+from hostlink.graphs.ros1.local_node import GROUP, LocalNode
+from hostlink.graphs.ros1.master import MasterParameters, Registrar
 from hostlink.graphs.ros1.names import NameMap, Names
-from hostlink.graphs.ros1.parameters import MasterParameters
-from hostlink.graphs.ros1.parts import GROUP, Parts
-from hostlink.graphs.ros1.registrar import Registrar
 from hostlink.graphs.ros1.tcpros import ANY
-from hostlink.graphs.ros1.wire import Wire
+from hostlink.graphs.ros1.xml_rpc import ERROR, SUCCESS, BadXml, decode_call, encode_answer, encode_fault
 from hostlink.hub.graph_view import Graph
 from hostlink.hub.hub import Hub
 from hostlink.hub.message import Message
 from hostlink.hub.participant import Participant
 from hostlink.hub.robot_topic_publisher import own_topics
 from hostlink.hub.stops import own_services
+from hostlink.logs import printable
 from hostlink.messages.catalog import CLOCK, CLOCK_TYPE, decode_clock
 
-HEADER_TIMEOUT_S = 5.0  # for whoever connects
+HEADER_TIMEOUT_S = 5.0  # for a node that connects
 CRASHED = "a fault of hostlink"
+MAX_BODY_BYTES = 256 * 1024  # a list of a thousand publishers, or the parameters of one node
+CALL_S = 0.0005  # what a call costs
+MAX_AGE_S = 60.0  # of a connection to the slave API; a later call connects again
+KEEPALIVE_S = 10.0  # between two calls
+END_TIMEOUT_S = 0.3  # for calls that are under way
+READ_TIMEOUT_S = 5.0  # for the body of a call
+
+_Answer = tuple[int, str, object]
 
 
 class Member:
-    """`ended` has the reason once somebody has shut it down."""
+    """Membership of a node in the hub's graph and in ROS. `ended` gets the reason of a shutdown."""
 
-    def __init__(self, parts: Parts, names: Names, tcpros_address: tuple[str, int], service_uri: str) -> None:
-        """`tcpros_address` and `service_uri`: where other nodes connect for topics and for services."""
-        self.tcpros_address = tcpros_address
+    def __init__(self, node: LocalNode, names: Names, service_uri: str) -> None:
+        """`service_uri`: the address at which other nodes connect to services."""
         self.ended: asyncio.Future[str] = asyncio.get_running_loop().create_future()
-        self._parts, self._names = parts, names
-        self._sync = GraphSync(parts)
-        self._parameters = MasterParameters(parts, names, self._follow_parameters)
-        self._sim_time = SimTime(parts.hub)
+        self.sync = GraphSync(node)
+        self.parameters = MasterParameters(node, names, self._follow_parameters)
+        self._node, self._names = node, names
+        self._sim_time = SimTime(node.hub)
         self._registrar = Registrar(
-            parts,
-            self._sync,
-            self._parameters,
+            node,
+            self.sync,
+            self.parameters,
             service_uri,
-            on_services=lambda found: self._sync.update_services(found, self._name_map()),
+            on_services=lambda found: self.sync.update_services(found, self._name_map()),
             on_collision=self.shut_down,
         )
 
     @contextlib.asynccontextmanager
     async def taking_part(self) -> AsyncIterator[None]:
-        """In the hub and in ROS, for the length of the block."""
-        hub = self._parts.hub
+        """Take part in the hub and in ROS for the length of the block."""
+        hub = self._node.hub
         watcher = hub.join(GROUP, group=GROUP, on_end=lambda: self.shut_down(CRASHED))
         watcher.watch_graph(lambda: self._update(watcher.graph()))
-        hub.links.parameter_source = self._parameters
-        hub.counts.graphs[GROUP] = self._parts.counts.as_dict
+        hub.links.parameter_source = self.parameters
+        hub.counts.graphs[GROUP] = self._node.counts.as_dict
         try:
             yield
         finally:
             hub.links.parameter_source = None
             self._sim_time.update(is_wanted=False)
             watcher.leave()
-            self._sync.close()
+            self.sync.close()
             await self._registrar.end()
 
     async def keep_registered(self) -> None:
-        """Until it is cancelled."""
+        """Keep the node registered until cancelled."""
         try:
             await self._registrar.run()
         finally:
             self.shut_down(CRASHED)  # where it ends by itself
 
     def make_wire(self) -> Wire:
-        """For a node that connects; it is cut if it does not send its header."""
+        """Make the connection of a node that connects. It is closed when its header does not arrive in time."""
 
         def receive(messages: list[bytes]) -> None:
-            self._sync.accept(wire, messages)
+            self.sync.accept(wire, messages)
 
         def cut_silent() -> None:
             if wire.receive is receive and not wire.is_closed:
-                self._parts.counts.refused_headers += 1
+                self._node.counts.refused_headers += 1
                 wire.close()
 
-        wire = Wire(self._parts.hub, receive)
+        wire = Wire(self._node.hub, receive)
         asyncio.get_running_loop().call_later(HEADER_TIMEOUT_S, cut_silent)
         return wire
 
+    def shut_down(self, reason: str) -> None:
+        """End the node, and nothing else."""
+        if not self.ended.done():
+            self.ended.set_result(reason)
+
     def _update(self, graph: Graph) -> None:
-        """The hub has changed."""
-        self._sync.update(graph, self._name_map())
+        """Follow a change of the hub's graph."""
+        self.sync.update(graph, self._name_map())
         self._registrar.note_change()
 
     def _name_map(self) -> NameMap:
-        hub = self._parts.hub
+        hub = self._node.hub
         links = hub.links
         away = (robot for robot in hub.robots.here() if robot.link is None)
         announced = [(name, shown) for robot in away for shown, name in robot.velocities.items()]
@@ -98,51 +115,11 @@ class Member:
         return NameMap(self._names, announced, _own_names(hub))
 
     def _follow_parameters(self) -> None:
-        self._sim_time.update(is_wanted=self._parameters.is_sim_time)
-
-    # -- what others call ---------------------------------------------------------------------------------------------
-
-    @property
-    def master_uri(self) -> str:
-        return self._parts.master.uri
-
-    def shut_down(self, reason: str) -> None:
-        """End the node, and nothing else."""
-        if not self.ended.done():
-            self.ended.set_result(reason)
-
-    def publications(self) -> list[list[str]]:
-        """(topic, type) of each."""
-        return [[name, each.type.name] for name, each in self._sync.publications.items()]
-
-    def subscriptions(self) -> list[list[str]]:
-        """(topic, type) of each."""
-        return [[name, each.topic.type_name or ANY] for name, each in self._sync.subscriptions.items()]
-
-    def bus_info(self) -> list[list[object]]:
-        """Number, the other node, direction, protocol, topic, whether it is connected."""
-        found: list[tuple[str, str, str, bool]] = []
-        for name, publication in self._sync.publications.items():
-            found += [(node, "o", name, True) for node in publication.subscribers.values()]
-        for name, subscription in self._sync.subscriptions.items():
-            found += [(each.uri, "i", name, each.is_connected) for each in subscription.publishers.values()]
-        return [[number, other, way, "TCPROS", name, ok] for number, (other, way, name, ok) in enumerate(found)]
-
-    def has_publication(self, topic: str) -> bool:
-        """Whether this node publishes it."""
-        return topic in self._sync.publications
-
-    def update_publishers(self, topic: str, uris: list[str]) -> None:
-        """The master names all who publish it."""
-        self._sync.set_publishers(topic, uris, is_answer=False)
-
-    def update_parameter(self, key: str, value: Any) -> None:
-        """The master reports a change."""
-        self._parameters.update(key, value)
+        self._sim_time.update(is_wanted=self.parameters.is_sim_time)
 
 
 def _own_names(hub: Hub) -> list[str]:
-    """What hostlink itself names after its robots; of those of other daemons all that is below their names."""
+    """Names that hostlink itself gives for its robots; of robots of other daemons all names below theirs."""
     found = [name for robot in hub.robots.here() for name in (*own_topics(robot), *own_services(robot.name))]
     found += [name for robot in hub.robots.remote for name in own_services(robot)]
     if hub.robots.remote:
@@ -151,9 +128,9 @@ def _own_names(hub: Hub) -> list[str]:
 
 
 class SimTime:
-    """The time of /clock for devices, while /use_sim_time is true.
+    """Time of /clock for devices, while /use_sim_time is true.
 
-    It subscribes as a program of the hub does, so that it comes from wherever it is published.
+    The hub subscribes, so that /clock may be published in any graph.
     """
 
     def __init__(self, hub: Hub) -> None:
@@ -162,7 +139,7 @@ class SimTime:
         self._now_ns = 0  # as every node of ROS has it before the first message
 
     def update(self, *, is_wanted: bool) -> None:
-        """Begin or end, if that is a change."""
+        """Start or stop following /clock."""
         if is_wanted == (self._participant is not None):
             return
         if self._participant is not None:
@@ -182,3 +159,129 @@ class SimTime:
         now_ns = decode_clock(message.payload)
         if now_ns is not None:
             self._now_ns = now_ns
+
+
+class SlaveApi:
+    """Answers of this node to calls by XML-RPC. A malformed or unknown call is counted."""
+
+    def __init__(self, member: Member, node: LocalNode, tcpros_address: tuple[str, int]) -> None:
+        """`tcpros_address`: where other nodes connect for topics."""
+        self._member, self._node, self._tcpros_address = member, node, tcpros_address
+        self._turns = node.hub.turns()
+        self._methods: dict[str, Callable[..., _Answer]] = {
+            "getBusStats": lambda _: (SUCCESS, "bus stats", [[], [], []]),
+            "getBusInfo": lambda _: (SUCCESS, "bus info", self._bus_info()),
+            "getMasterUri": lambda _: (SUCCESS, node.master_uri, node.master_uri),
+            "getPid": lambda _: (SUCCESS, "", os.getpid()),
+            "getSubscriptions": lambda _: (SUCCESS, "subscriptions", self._subscriptions()),
+            "getPublications": lambda _: (SUCCESS, "publications", self._publications()),
+            "shutdown": self._shut_down,
+            "paramUpdate": self._update_parameter,
+            "publisherUpdate": self._update_publishers,
+            "requestTopic": self._request_topic,
+        }
+
+    @contextlib.asynccontextmanager
+    async def serving(self) -> AsyncIterator[MakeProtocol]:
+        """Answer for the length of the block; yields what makes the protocol of a connection."""
+        application = web.Application(client_max_size=MAX_BODY_BYTES)
+        application.router.add_post("/{path:.*}", self.receive)
+        runner = web.AppRunner(
+            application,
+            access_log=None,
+            keepalive_timeout=KEEPALIVE_S,
+            shutdown_timeout=END_TIMEOUT_S,
+            auto_decompress=False,  # a kilobyte of a body is at most a kilobyte
+        )
+        await runner.setup()
+        server = runner.server
+        try:
+            if server is not None:  # as it is after `setup`
+                yield lambda: _Aged(server())
+        finally:
+            await runner.cleanup()
+
+    async def receive(self, request: web.Request) -> web.Response:
+        """Answer a request, in its turn."""
+        try:
+            async with asyncio.timeout(READ_TIMEOUT_S):
+                body = await request.read()
+        except TimeoutError:
+            return web.Response(status=408)
+        await self._turns.wait(CALL_S)
+        answer = encode_fault("a fault of hostlink")
+        with self._node.hub.isolation.around("ros1", peer=request.remote):
+            answer = await self.answer(body)
+        return web.Response(body=answer, content_type="text/xml")
+
+    async def answer(self, body: bytes) -> bytes:
+        """Return the answer to one call."""
+        try:
+            method, arguments = await self._node.rpc.parse(decode_call, body)
+            return encode_answer(*self._methods.get(method, _refuse)(*arguments))
+        except (BadXml, TypeError) as error:  # of arguments that do not fit
+            self._node.counts.refused_calls += 1
+            return encode_fault(str(error))
+
+    def _publications(self) -> list[list[str]]:
+        return [[name, each.type.name] for name, each in self._member.sync.publications.items()]
+
+    def _subscriptions(self) -> list[list[str]]:
+        return [[name, each.topic.type_name or ANY] for name, each in self._member.sync.subscriptions.items()]
+
+    def _bus_info(self) -> list[list[object]]:
+        """List number, other node, direction, protocol, topic and whether it is connected of each connection."""
+        sync = self._member.sync
+        found: list[tuple[str, str, str, bool]] = []
+        for name, publication in sync.publications.items():
+            found += [(node, "o", name, True) for node in publication.subscribers.values()]
+        for name, subscription in sync.subscriptions.items():
+            found += [(each.uri, "i", name, each.is_connected) for each in subscription.publishers.values()]
+        return [[number, other, way, "TCPROS", name, ok] for number, (other, way, name, ok) in enumerate(found)]
+
+    def _shut_down(self, caller: str, reason: str = "") -> _Answer:
+        self._member.shut_down(f"{printable(str(caller))}: {printable(str(reason), 200) or 'shutdown'}")
+        return SUCCESS, "shutdown", 0
+
+    def _update_parameter(self, _: object, key: str, value: Any) -> _Answer:
+        if not isinstance(key, str):
+            raise BadXml("a key is a text")
+        self._member.parameters.update(key, value)
+        return SUCCESS, "", 0
+
+    def _update_publishers(self, _: object, topic: str, uris: list[str]) -> _Answer:
+        if not isinstance(topic, str) or not isinstance(uris, list) or not all(isinstance(uri, str) for uri in uris):
+            raise BadXml("a topic and a list of addresses")
+        self._member.sync.set_publishers(topic, uris, is_answer=False)
+        return SUCCESS, "", 0
+
+    def _request_topic(self, _: object, topic: str, protocols: list[list[object]]) -> _Answer:
+        if not isinstance(topic, str) or topic not in self._member.sync.publications:
+            return ERROR, f"not a publisher of {printable(str(topic))}", 0
+        if not any(isinstance(each, list) and each and each[0] == "TCPROS" for each in protocols):
+            return 0, "no supported protocol implementations", []
+        host, port = self._tcpros_address
+        return SUCCESS, f"ready on {host}:{port}", ["TCPROS", host, port]
+
+
+def _refuse(*_: object) -> _Answer:
+    raise BadXml("unknown method")
+
+
+class _Aged(ForwardingProtocol):
+    """Connection to the slave API that is closed after MAX_AGE_S, so that idle connections free their places."""
+
+    is_replaceable = True  # a call is over within milliseconds, and who calls again connects again
+
+    def __init__(self, inner: asyncio.Protocol) -> None:
+        super().__init__(inner)
+        self._timer: asyncio.TimerHandle | None = None
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        self._timer = asyncio.get_running_loop().call_later(MAX_AGE_S, transport.close)
+        super().connection_made(transport)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        if self._timer is not None:
+            self._timer.cancel()
+        super().connection_lost(exc)

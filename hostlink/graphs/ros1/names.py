@@ -20,24 +20,24 @@ def is_legal(name: str) -> bool:
 
 @functools.lru_cache(MAX_REMEMBERED)
 def joined(namespace: str, name: str) -> str:
-    """The full name of a relative one, without doubled or trailing slashes."""
+    """Return the full name of a relative name, without doubled or trailing slashes."""
     return "/" + "/".join(part for part in f"{namespace}/{name}".split("/") if part)
 
 
 @dataclass(frozen=True, slots=True)
 class Names:
-    """What names mean to one node: `~` is its own, without a slash its namespace's, and remappings go before all."""
+    """Name resolution of one node: `~` is private, a name without a slash is in the namespace."""
 
     node: str = "/hostlink"
     remappings: Mapping[str, str] = field(default_factory=dict)  # by full names
 
     @property
     def namespace(self) -> str:
-        """In which the node is."""
+        """Namespace of the node."""
         return self.node.rpartition("/")[0] or "/"
 
     def resolve(self, name: str) -> str:
-        """The full name, after the remappings."""
+        """Return the full name, after the remappings."""
         full = self._full(name)
         return self.remappings.get(full, full)
 
@@ -49,7 +49,7 @@ class Names:
 
 @dataclass(frozen=True, slots=True)
 class NodeArguments:
-    """What roslaunch and rosrun give every node: `__name:=`, `_parameter:=`, `from:=to`; and what is left."""
+    """Arguments that roslaunch and rosrun give every node: `__name:=`, `_parameter:=`, `from:=to`; and the others."""
 
     specials: Mapping[str, str]  # name, ns, master, ip, hostname, log
     parameters: Mapping[str, str]  # of the node's own
@@ -57,19 +57,20 @@ class NodeArguments:
     others: tuple[str, ...]
 
     def names(self, default_node: str, default_namespace: str = "/") -> Names:
-        """The node's, with its remappings by full names.
+        """Return the name resolution of the node, with remappings by full names.
 
         Raises:
-            ConfigError: a name is none.
+            ConfigError: a name is invalid.
         """
         name = self.specials.get("name", default_node)
         if not is_legal(name) or "/" in name.strip("/") or name.startswith("~"):
             raise ConfigError(
-                "__name", f"{name!r} is no name of a node: letters, digits and _, no slash; __ns:= is for those"
+                "__name",
+                f"{name!r} is not a node name; use letters, digits and _, without a slash, and __ns:= for a namespace",
             )
         namespace = self.specials.get("ns", default_namespace)
         if namespace.strip("/") and not is_legal(namespace):
-            raise ConfigError("__ns", f"{namespace!r} is no namespace")
+            raise ConfigError("__ns", f"{namespace!r} is not a namespace")
         plain = Names(joined(namespace, name))
         remappings = {plain.resolve(old): plain.resolve(new) for old, new in self.remappings.items()}
         return Names(plain.node, remappings)
@@ -79,7 +80,7 @@ def parse_arguments(words: Iterable[str]) -> NodeArguments:
     """Sort the words of a node's command line.
 
     Raises:
-        ConfigError: one of them assigns nothing, or to no name.
+        ConfigError: an assignment lacks a name or a value.
     """
     specials: dict[str, str] = {}
     parameters: dict[str, str] = {}
@@ -103,7 +104,7 @@ def parse_arguments(words: Iterable[str]) -> NodeArguments:
 
 
 class NameMap:
-    """The hub has full names alone. By whom a name was made decides what it is in ROS.
+    """Names of the hub, which are full names, and their names in ROS. The author of a name decides:
 
     | the name                                      | in ROS                                                           |
     |-----------------------------------------------|------------------------------------------------------------------|
@@ -129,11 +130,11 @@ class NameMap:
             self._note(shown, names.resolve(shown.lstrip("/") if is_renamed else name))
 
     def to_ros(self, name: str) -> str:
-        """The name in ROS of what is so called in the hub."""
+        """Convert a name of the hub to the name in ROS."""
         return self._to_ros.get(name) or self._names.resolve(name)
 
     def to_hub(self, name: str) -> str:
-        """The name in the hub of what is so called in ROS."""
+        """Convert a name in ROS to the name in the hub."""
         return self._to_hub.get(name, name)
 
     def _note(self, shown: str, name: str) -> None:

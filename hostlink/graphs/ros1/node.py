@@ -5,9 +5,8 @@ import contextlib
 import ipaddress
 import socket
 import urllib.parse
-from collections.abc import AsyncIterator, Callable, Coroutine
+from collections.abc import AsyncIterator, Callable
 from functools import partial
-from typing import Any
 
 import structlog
 
@@ -15,12 +14,10 @@ from hostlink.acceptor import why
 from hostlink.cancellation import raise_if_cancelled
 from hostlink.config import Ros1Config
 from hostlink.errors import ConfigError
-from hostlink.graphs.ros1.member import CRASHED, Member
+from hostlink.graphs.ros1.connections import Port
+from hostlink.graphs.ros1.local_node import LocalNode
+from hostlink.graphs.ros1.member import CRASHED, Member, SlaveApi
 from hostlink.graphs.ros1.names import Names, joined
-from hostlink.graphs.ros1.parts import Counts, Parts, Spawn
-from hostlink.graphs.ros1.port import Port
-from hostlink.graphs.ros1.rpc import Master, Rpc
-from hostlink.graphs.ros1.slave import serving_slave_api
 from hostlink.graphs.ros1.xml_rpc import MASTER_PORT
 from hostlink.hub.hub import Hub
 
@@ -30,10 +27,9 @@ RETRY_S = 2.0  # until the master's name has an address
 
 
 class Ros1Node:
-    """`run` serves until somebody shuts the node down; the daemon does not end with it."""
+    """The daemon as one node of a ROS 1 graph. `run` serves until the node is shut down; the daemon continues."""
 
     def __init__(self, hub: Hub, config: Ros1Config) -> None:
-        self.counts = Counts()
         plain = Names(joined(config.namespace, config.name))
         remappings = {plain.resolve(old): plain.resolve(new) for old, new in config.remappings.items()}
         self._names = Names(plain.node, remappings)
@@ -43,51 +39,41 @@ class Ros1Node:
         """Take part in the graph; returns why the node was shut down."""
         host = await self._find_host()
         async with asyncio.TaskGroup() as tasks:
-            spawned = _Spawned(self._hub, tasks)
+            node = LocalNode(self._hub, self._config, self._names.node, tasks)
             try:
-                async with self._serving(host, spawned.spawn) as member:
-                    registering = spawned.spawn(member.keep_registered(), name="ROS 1 registrar")
+                async with self._serving(node, host) as member:
+                    registering = node.spawn(member.keep_registered(), name="ROS 1 registrar")
                     try:
                         return await member.ended
                     finally:
                         registering.cancel()  # before everything is unregistered
             finally:
-                spawned.cancel()
+                await node.aclose()
 
     @contextlib.asynccontextmanager
-    async def _serving(self, host: str, spawn: Spawn) -> AsyncIterator[Member]:
-        """All that listens, for the length of the block; at its end nothing of this node is left in either graph."""
-        config, rpc = self._config, Rpc()
-        make_port = partial(Port, self.counts, allow=config.allow, max_connections=config.max_connections)
+    async def _serving(self, node: LocalNode, host: str) -> AsyncIterator[Member]:
+        """Listen for the length of the block. At its end no graph contains a part of this node."""
+        config = self._config
+        make_port = partial(Port, node.counts, allow=config.allow, max_connections=config.max_connections)
         api, tcpros = make_port(), make_port()
         listen = _listening_address(host)
         try:
             api_port = await _bound(api, listen, config.port, "ros1.port")
             tcpros_port = await _bound(tcpros, listen, config.tcpros_port, "ros1.tcpros_port")
-            parts = Parts(
-                self._hub,
-                rpc,
-                Master(rpc, config.master, self._names.node),
-                self._names.node,
-                f"http://{_spelled(host)}:{api_port}/",
-                self.counts,
-                spawn,
-                config.max_message_bytes,
-                config.max_connections,
-            )
-            member = Member(parts, self._names, (host, tcpros_port), f"rosrpc://{_spelled(host)}:{tcpros_port}")
-            async with member.taking_part(), serving_slave_api(member, parts) as connect:
-                api.accept(connect, spawn)
-                tcpros.accept(member.make_wire, spawn)
-                log.info("ros1.started", node=parts.node, master=config.master, uri=parts.uri)
+            node.uri = f"http://{_spelled(host)}:{api_port}/"
+            member = Member(node, self._names, f"rosrpc://{_spelled(host)}:{tcpros_port}")
+            slave_api = SlaveApi(member, node, (host, tcpros_port))
+            async with member.taking_part(), slave_api.serving() as connect:
+                api.accept(connect, node.spawn)
+                tcpros.accept(member.make_wire, node.spawn)
+                log.info("ros1.started", node=node.name, master=config.master, uri=node.uri)
                 yield member
         finally:
             api.close()
             tcpros.close()
-            await rpc.aclose()
 
     async def _find_host(self) -> str:
-        """By which name or address others reach this node; tried until the master's name has an address."""
+        """Find the name or address of this node for others. Repeat until the master's name has an address."""
         is_logged = False
         while True:
             try:
@@ -101,10 +87,9 @@ class Ros1Node:
 
 @contextlib.asynccontextmanager
 async def ros1_running(hub: Hub, config: Ros1Config, on_end: Callable[[str], None]) -> AsyncIterator[None]:
-    """A part of the graph for the length of the block, or until it is shut down from there.
+    """Take part in the graph for the length of the block, or until the node is shut down.
 
-    Then `on_end` is called with the reason. The daemon goes on without the graph, also where a fault of hostlink ends
-    it.
+    Then `on_end` is called with the reason. The daemon continues without the graph, also after a fault of hostlink.
     """
     async with asyncio.TaskGroup() as tasks:
         node = tasks.create_task(_serve(hub, config, on_end), name="ROS 1")
@@ -127,34 +112,11 @@ async def _serve(hub: Hub, config: Ros1Config, on_end: Callable[[str], None]) ->
     on_end(reason)
 
 
-class _Spawned:
-    """The tasks of one node; the crash of one ends nothing else."""
-
-    def __init__(self, hub: Hub, tasks: asyncio.TaskGroup) -> None:
-        self._hub, self._group = hub, tasks
-        self._tasks: set[asyncio.Task[None]] = set()
-
-    def spawn(self, work: Coroutine[Any, Any, object], *, name: str) -> asyncio.Task[None]:
-        task = self._group.create_task(self._isolated(work, name), name=name)
-        self._tasks.add(task)
-        task.add_done_callback(self._tasks.discard)
-        task.add_done_callback(lambda _: work.close())  # it may be cancelled before it begins
-        return task
-
-    def cancel(self) -> None:
-        for task in self._tasks:
-            task.cancel()
-
-    async def _isolated(self, work: Coroutine[Any, Any, object], name: str) -> None:
-        with self._hub.isolation.around("task", task=name):
-            await work
-
-
 async def _bound(port: Port, host: str, number: int, setting: str) -> int:
-    """The number of the port on which it listens from now on.
+    """Listen, and return the number of the port.
 
     Raises:
-        ConfigError: nobody can listen there; `setting` names it.
+        ConfigError: the port is not available; `setting` names it.
     """
     try:
         return await port.bind(host, number)
@@ -163,10 +125,10 @@ async def _bound(port: Port, host: str, number: int, setting: str) -> int:
 
 
 async def _own_address(master_uri: str) -> str:
-    """The address of this host on the way to the master.
+    """Return the address of this host on the route to the master.
 
     Raises:
-        OSError: the master's name has no address, or there is no way.
+        OSError: the master's name has no address, or there is no route.
     """
     where = urllib.parse.urlsplit(master_uri)
     loop = asyncio.get_running_loop()
@@ -178,7 +140,7 @@ async def _own_address(master_uri: str) -> str:
 
 
 def _listening_address(host: str) -> str:
-    """Where to listen, so that nodes reach this one as `host`: on loopback alone if it is that."""
+    """Return the address to listen on, so that nodes reach this one as `host`: loopback only for a loopback host."""
     everywhere = "::" if ":" in host else "0.0.0.0"  # noqa: S104 - nodes of ROS are on other hosts, too
     try:
         return host if ipaddress.ip_address(host).is_loopback else everywhere

@@ -1,4 +1,4 @@
-"""Services both ways: those that somebody here provides, and those of other nodes of ROS."""
+"""Services in both directions: services of the hub for ROS, and services of ROS nodes for the hub."""
 
 import asyncio
 import urllib.parse
@@ -6,7 +6,8 @@ from collections.abc import Mapping
 from struct import Struct
 
 from hostlink.errors import HostlinkError, ServiceFailed
-from hostlink.graphs.ros1.parts import TIMEOUT_S, Parts
+from hostlink.graphs.ros1.connections import Wire
+from hostlink.graphs.ros1.local_node import TIMEOUT_S, LocalNode
 from hostlink.graphs.ros1.tcpros import (
     ANY,
     LENGTH_BYTES,
@@ -20,7 +21,6 @@ from hostlink.graphs.ros1.tcpros import (
     encode_message,
     refusal,
 )
-from hostlink.graphs.ros1.wire import Wire
 from hostlink.graphs.ros1.xml_rpc import Refused, Unreachable
 from hostlink.hub.participant import Participant
 from hostlink.logs import printable
@@ -33,24 +33,24 @@ _FAILURES = (Unreachable, Refused, BadHeader, OSError, EOFError)  # a TimeoutErr
 
 
 class ServiceOffer:
-    """Each connection is a participant of its own: when it ends, its calls do."""
+    """Service of the hub that ROS nodes call. Each connection is a participant, so its calls end with it."""
 
-    def __init__(self, parts: Parts, service: str, name: str, type_: ServiceType) -> None:
+    def __init__(self, node: LocalNode, service: str, name: str, type_: ServiceType) -> None:
         """`service`: its name in the hub, `name` in ROS."""
         self.service, self.name, self.type = service, name, type_
         self.callers: dict[Wire, _Caller] = {}  # oldest first
-        self._parts = parts
+        self._node = node
 
     def accept(self, wire: Wire, header: Header) -> None:
         """A node requests the type of the service, or calls it."""
         reason = self._refusal(header)
         if reason is not None:
-            self._parts.counts.refused_headers += 1
+            self._node.counts.refused_headers += 1
             wire.refuse(reason)
             return
         wire.send_header(
             {
-                "callerid": self._parts.node,
+                "callerid": self._node.name,
                 "service": self.name,
                 "type": self.type.name,
                 "md5sum": self.type.md5,
@@ -61,12 +61,12 @@ class ServiceOffer:
         if header.get("probe") == "1":
             wire.close()
             return
-        caller = self.callers[wire] = _Caller(self, wire, self._parts, header)
-        wire.stream.max_bytes = self._parts.max_message_bytes
+        caller = self.callers[wire] = _Caller(self, wire, self._node, header)
+        wire.stream.max_bytes = self._node.config.max_message_bytes
         wire.receive, wire.on_end = caller.receive, caller.end
 
     def close(self) -> None:
-        """It is provided no more."""
+        """Close all callers."""
         for wire in list(self.callers):
             wire.close()
 
@@ -78,31 +78,31 @@ class ServiceOffer:
         return reason
 
     def _make_room(self) -> bool:
-        """Close the oldest that waits for no answer; returns whether there is one."""
+        """Close the oldest idle caller. Return whether one was idle."""
         idle = next((wire for wire, caller in self.callers.items() if not caller.is_working), None)
         if idle is not None:
-            self._parts.counts.crowded_out += 1
+            self._node.counts.crowded_out += 1
             idle.close()
         return idle is not None
 
 
 class _Caller:
-    """One connection that calls, one call after another."""
+    """Connection that calls the service, one call after another."""
 
-    def __init__(self, offer: ServiceOffer, wire: Wire, parts: Parts, header: Header) -> None:
-        self._offer, self._wire, self._parts = offer, wire, parts
-        self._participant: Participant = parts.join(printable(header["callerid"]), wire.close)
+    def __init__(self, offer: ServiceOffer, wire: Wire, node: LocalNode, header: Header) -> None:
+        self._offer, self._wire, self._node = offer, wire, node
+        self._participant: Participant = node.join(printable(header["callerid"]), wire.close)
         self._waiting: list[bytes] = []
         self.is_working = False
 
     def receive(self, requests: list[bytes]) -> None:
         self._waiting += requests
         if len(self._waiting) > MAX_WAITING:
-            self._parts.counts.failed_services += 1
+            self._node.counts.failed_services += 1
             self._wire.close()
         elif not self.is_working:
             self.is_working = True
-            self._parts.spawn(self._work(), name=f"ROS 1 call of {printable(self._offer.name)}")
+            self._node.spawn(self._work(), name=f"ROS 1 call of {printable(self._offer.name)}")
 
     def end(self) -> None:
         self._offer.callers.pop(self._wire, None)
@@ -122,21 +122,21 @@ class _Caller:
             answer = await self._participant.call(self._offer.service, type_.request.decode(request))
             return encode_answer(type_.response.encode(answer))
         except HostlinkError as error:
-            self._parts.counts.failed_services += 1
+            self._node.counts.failed_services += 1
             return encode_failure(str(error))
 
 
 class ForeignService:
-    """A participant that provides it, until it is withdrawn."""
+    """Service of a ROS node, which a participant provides in the hub."""
 
-    def __init__(self, parts: Parts, service: str, name: str, type_: ServiceType) -> None:
+    def __init__(self, node: LocalNode, service: str, name: str, type_: ServiceType) -> None:
         """`service`: its name in the hub, `name` in ROS.
 
         Raises:
             BadRequest: hostlink has a service of that name itself.
         """
-        self.name, self._parts, self._type = name, parts, type_
-        self._participant: Participant = parts.join(name)
+        self.name, self._node, self._type = name, node, type_
+        self._participant: Participant = node.join(name)
         try:
             self._participant.provide(service, type_.name, self._answer)
         except HostlinkError:
@@ -144,7 +144,7 @@ class ForeignService:
             raise
 
     def close(self) -> None:
-        """Nobody provides it in ROS any more."""
+        """Withdraw the service from the hub."""
         self._participant.leave()
 
     async def _answer(self, request: Mapping[str, object]) -> Mapping[str, object]:
@@ -152,21 +152,21 @@ class ForeignService:
         try:
             answer = await self._call(payload)
         except _FAILURES as error:
-            self._parts.counts.failed_services += 1
+            self._node.counts.failed_services += 1
             raise ServiceFailed(self.name, printable(str(error) or type(error).__name__, 200)) from error
         except HostlinkError:
-            self._parts.counts.failed_services += 1
+            self._node.counts.failed_services += 1
             raise
         return self._type.response.decode(answer)
 
     async def _call(self, payload: bytes) -> bytes:
-        """The payload of the answer; Provider.call sets the deadline."""
+        """Return the payload of the answer. Provider.call sets the deadline."""
         fields = {"md5sum": self._type.md5, "type": self._type.name}
-        reader, writer, _ = await connect(self._parts, self.name, fields)
+        reader, writer, _ = await connect(self._node, self.name, fields)
         try:
             writer.write(encode_message(payload))
             is_done = await reader.readexactly(1) == b"\x01"
-            answer = await _read_message(reader, self._parts.max_message_bytes)
+            answer = await _read_message(reader, self._node.config.max_message_bytes)
         finally:
             writer.transport.abort()
         if not is_done:
@@ -174,32 +174,32 @@ class ForeignService:
         return answer
 
 
-async def find_type(parts: Parts, name: str) -> tuple[str, str]:
-    """(type, md5 sum) of a service of ROS, as its node announces it.
+async def find_type(node: LocalNode, name: str) -> tuple[str, str]:
+    """Return type and md5 sum of a service, as its node announces them.
 
     Raises:
-        Unreachable, Refused, BadHeader, OSError, EOFError: nobody answers for it.
+        Unreachable, Refused, BadHeader, OSError, EOFError: the node does not answer.
     """
-    _, writer, header = await connect(parts, name, {"md5sum": ANY, "probe": "1"})
+    _, writer, header = await connect(node, name, {"md5sum": ANY, "probe": "1"})
     writer.transport.abort()
     return header.get("type", ""), header.get("md5sum", "")
 
 
 async def connect(
-    parts: Parts, name: str, fields: Header
+    node: LocalNode, name: str, fields: Header
 ) -> tuple[asyncio.StreamReader, asyncio.StreamWriter, dict[str, str]]:
-    """A connection to the service, and the header of its answer.
+    """Connect to a service; return the streams and the header of its answer.
 
     Raises:
-        Unreachable, Refused, BadHeader, OSError, EOFError: nobody answers for it.
+        Unreachable, Refused, BadHeader, OSError, EOFError: the node does not answer.
     """
     async with asyncio.timeout(TIMEOUT_S):
-        where = urllib.parse.urlsplit(str(await parts.master.call("lookupService", name)))
+        where = urllib.parse.urlsplit(str(await node.call_master("lookupService", name)))
         if where.scheme != "rosrpc" or not where.hostname or not where.port:
-            raise BadHeader("its address is no rosrpc://HOST:PORT")
+            raise BadHeader("its address is not of the form rosrpc://HOST:PORT")
         reader, writer = await asyncio.open_connection(where.hostname, where.port)
         try:
-            writer.write(encode_header({"callerid": parts.node, "service": name, **fields}))
+            writer.write(encode_header({"callerid": node.name, "service": name, **fields}))
             header = _accepted(decode_header(await _read_message(reader, MAX_HEADER_BYTES)))
         except BaseException:
             writer.transport.abort()

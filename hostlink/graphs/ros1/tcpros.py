@@ -9,11 +9,11 @@ from struct import Struct
 from hostlink.logs import printable
 from hostlink.messages.message_type import MessageType, ServiceType
 
-MAX_HEADER_BYTES = 256 * 1024  # the definition of a message with all that it contains stands in it
+MAX_HEADER_BYTES = 256 * 1024  # it contains the full definition of a message
 MAX_FIELDS = 64
 LENGTH_BYTES = 4
-ANY = "*"  # the type and the md5 sum of whoever wants to learn them
-REQUIRED = ("callerid", "md5sum")  # fields of the header of whoever connects
+ANY = "*"  # type and md5 sum in a request that wants to learn them
+REQUIRED = ("callerid", "md5sum")  # header fields of a node that connects
 
 _LENGTH = Struct("<I")
 
@@ -21,21 +21,21 @@ Header = Mapping[str, str]
 
 
 class BadHeader(Exception):
-    """Bytes that are no connection header, or one over the bounds."""
+    """Malformed connection header, or one over the bounds."""
 
 
 def encode_header(fields: Header) -> bytes:
-    """With its length."""
+    """Encode with a leading length."""
     parts = [f"{key}={value}".encode() for key, value in fields.items()]
     body = b"".join(_LENGTH.pack(len(part)) + part for part in parts)
     return _LENGTH.pack(len(body)) + body
 
 
 def decode_header(body: bytes) -> dict[str, str]:
-    """The fields of a header, given without its length.
+    """Decode the fields of a header, given without its length.
 
     Raises:
-        BadHeader: it is none.
+        BadHeader: it is malformed.
     """
     fields: dict[str, str] = {}
     at = 0
@@ -47,13 +47,13 @@ def decode_header(body: bytes) -> dict[str, str]:
         part = body[begin:at]
         key, equals, value = part.partition(b"=")
         if at > len(body) or not equals or not key:
-            raise BadHeader("a field is no key=value")
+            raise BadHeader("a field is not of the form key=value")
         fields[key.decode(errors="replace")] = value.decode(errors="replace")
     return fields
 
 
 def refusal(header: Header, name: str, type_: MessageType | ServiceType) -> str | None:
-    """The error that it is answered; None: the header is right for the topic or service `name`."""
+    """Return the error to answer; None if the header fits the topic or service `name`."""
     for field in REQUIRED:
         if field not in header:
             return f"missing field {field}"
@@ -63,17 +63,17 @@ def refusal(header: Header, name: str, type_: MessageType | ServiceType) -> str 
 
 
 def encode_message(payload: bytes) -> bytes:
-    """With its length."""
+    """Encode with a leading length."""
     return _LENGTH.pack(len(payload)) + payload
 
 
 def encode_answer(payload: bytes) -> bytes:
-    """Of a service that has done it."""
+    """Encode the answer of a service call that succeeded."""
     return b"\x01" + encode_message(payload)
 
 
 def encode_failure(reason: str) -> bytes:
-    """Of a service that has not."""
+    """Encode the answer of a service call that failed."""
     return b"\x00" + encode_message(reason.encode())
 
 
@@ -91,7 +91,7 @@ class MessageStream:
 
     @property
     def missing_bytes(self) -> int:
-        """How many bytes complete the message that has begun; 0: none has, or its length is not known."""
+        """Bytes that complete the current message; 0 without a message or before its length is known."""
         if self._skipping_bytes:
             return self._skipping_bytes
         if len(self._buffer) < LENGTH_BYTES:
@@ -111,7 +111,7 @@ class MessageStream:
             del self._buffer[:begin]
 
     def _skip(self, begin: int) -> int:
-        """Where the next message begins that is not too large, as far as that is known."""
+        """Return the start of the next message that is not too large, as far as it is known."""
         while self._skipping_bytes or self._is_too_large(begin):
             if not self._skipping_bytes:
                 self.too_large += 1
@@ -130,7 +130,7 @@ class MessageStream:
         return int(_LENGTH.unpack_from(self._buffer, begin)[0])
 
     def _end(self, begin: int) -> int | None:
-        """Where the message ends that begins there; None: it is incomplete."""
+        """Return the end of the message at `begin`; None while it is incomplete."""
         if len(self._buffer) < begin + LENGTH_BYTES:
             return None
         end = begin + LENGTH_BYTES + self._size(begin)

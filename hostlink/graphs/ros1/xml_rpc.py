@@ -1,5 +1,7 @@
-"""XML-RPC as ROS 1 has it: calls, and answers of a status, a text and a value. Pure, on the standard library's."""
+"""XML-RPC as ROS 1 has it: calls, and answers of a status, a text and a value; blocking calls of the master."""
 
+import http.client
+import urllib.parse
 import xmlrpc.client
 from typing import Any
 
@@ -13,19 +15,19 @@ _NOT_IN_XML_RPC = ("\0", "<!")  # UTF-16, and what defines or hides something: n
 
 
 class BadXml(Exception):
-    """A body that is no call, or no answer of ROS."""
+    """Body that is not a call or an answer of ROS."""
 
 
 class Refused(Exception):
-    """The other side answered that it could not do it."""
+    """Answer with another status than success."""
 
 
 class Unreachable(Exception):
-    """Nobody answers there, or not in time, or not in XML-RPC."""
+    """No answer, a late one, or one that is not XML-RPC."""
 
 
 def encode_call(method: str, arguments: tuple[Any, ...]) -> bytes:
-    """The body of a request.
+    """Encode the body of a request.
 
     Raises:
         BadXml: an argument has no form in XML-RPC.
@@ -37,10 +39,10 @@ def encode_call(method: str, arguments: tuple[Any, ...]) -> bytes:
 
 
 def decode_call(body: bytes) -> tuple[str, tuple[Any, ...]]:
-    """(method, arguments) of a request.
+    """Decode method and arguments of a request.
 
     Raises:
-        BadXml: it is none.
+        BadXml: the body is not a call.
     """
     arguments, method = _loads(body)
     if method is None:
@@ -49,7 +51,7 @@ def decode_call(body: bytes) -> tuple[str, tuple[Any, ...]]:
 
 
 def encode_answer(status: int, text: str, value: object) -> bytes:
-    """The body of an answer.
+    """Encode the body of an answer.
 
     Raises:
         BadXml: the value has no form in XML-RPC.
@@ -61,16 +63,16 @@ def encode_answer(status: int, text: str, value: object) -> bytes:
 
 
 def encode_fault(text: str) -> bytes:
-    """The body of the answer to what is no call."""
+    """Encode the answer to a malformed call."""
     return xmlrpc.client.dumps(xmlrpc.client.Fault(ERROR, text), methodresponse=True).encode()
 
 
 def decode_answer(body: bytes) -> Any:
-    """The value of an answer.
+    """Decode the value of an answer.
 
     Raises:
         Refused: its status is not success, or it is a fault.
-        BadXml: it is no answer.
+        BadXml: the body is not an answer.
     """
     try:
         found, _ = _loads(body)
@@ -85,7 +87,7 @@ def decode_answer(body: bytes) -> Any:
 
 
 def _loads(body: bytes) -> tuple[tuple[Any, ...], str | None]:
-    """What the body contains; entities could make a body of a kilobyte one of a gigabyte."""
+    """Parse a body. Entities are refused: they could turn a kilobyte into a gigabyte."""
     try:
         text = body.decode()
     except UnicodeDecodeError as error:
@@ -96,5 +98,53 @@ def _loads(body: bytes) -> tuple[tuple[Any, ...], str | None]:
         return xmlrpc.client.loads(text, use_builtin_types=True)
     except xmlrpc.client.Fault:
         raise
-    except Exception as error:  # expat and the unmarshaller raise a dozen kinds for a body that is none
+    except Exception as error:  # expat and the unmarshaller raise a dozen kinds for a malformed body
         raise BadXml(f"{type(error).__name__}: {error}") from error
+
+
+class EarlyMaster:
+    """Blocking calls of the master before the daemon runs, without the HTTP client that takes long to import."""
+
+    def __init__(self, uri: str, node: str) -> None:
+        where = urllib.parse.urlsplit(uri)
+        host, port = where.hostname or "", where.port or MASTER_PORT
+        self._connection = http.client.HTTPConnection(host, port, timeout=TIMEOUT_S)
+        self._path, self._node = where.path or "/", node
+
+    def close(self) -> None:
+        """Close the connection."""
+        self._connection.close()
+
+    def call(self, method: str, *arguments: object) -> Any:
+        """Return the value of the answer.
+
+        Raises:
+            Unreachable: the master did not answer.
+            Refused: the master could not do it.
+            BadXml: an argument has no form in XML-RPC.
+        """
+        body = encode_call(method, (self._node, *arguments))
+        try:
+            try:
+                answer = self._post(body)
+            except (http.client.RemoteDisconnected, ConnectionResetError, BrokenPipeError):  # closed after the last one
+                self._connection.close()
+                answer = self._post(body)
+            return decode_answer(answer)
+        except (http.client.HTTPException, OSError, BadXml, ValueError) as error:
+            self._connection.close()
+            raise Unreachable(_why(error)) from error
+
+    def _post(self, body: bytes) -> bytes:
+        self._connection.request("POST", self._path, body, HEADERS)
+        answer = self._connection.getresponse().read(MAX_ANSWER_BYTES + 1)
+        if len(answer) > MAX_ANSWER_BYTES:
+            raise BadXml(f"an answer of more than {MAX_ANSWER_BYTES} bytes")
+        return answer
+
+
+def _why(error: Exception) -> str:
+    """Return a reason that a person can read."""
+    if isinstance(error, TimeoutError):
+        return f"no answer within {TIMEOUT_S:g} s"
+    return (error.strerror if isinstance(error, OSError) else None) or str(error) or type(error).__name__

@@ -1,1 +1,1 @@
-"""A bridge to ROS 2: a process of its own beside the daemon. Only `node` and `routes` need rclpy."""
+"""A bridge to ROS 2: a process of its own. Only `node`, `routes` and `parameters` need rclpy."""

@@ -1,4 +1,4 @@
-"""The bridge: runs a route for whatever one graph has and the other is to have."""
+"""Bridge between the daemon and ROS 2: the adapter that runs a route for each topic and service to mirror."""
 
 import asyncio
 import contextlib
@@ -27,7 +27,7 @@ _INFO, _WARN, _ERROR, _FATAL = 2, 4, 8, 16  # of rosgraph_msgs/Log
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BridgeConfig:
-    """What the user chose."""
+    """Settings of the bridge."""
 
     url: str
     token: str | None
@@ -36,7 +36,7 @@ class BridgeConfig:
 
 
 async def run_bridge(config: BridgeConfig, report: Report) -> None:
-    """Bridge until cancelled; `report` is called with one line for whatever a user should know.
+    """Bridge until cancelled; `report` is called with lines for the user.
 
     Raises:
         ConfigError: the arguments for ROS 2 are wrong.
@@ -65,7 +65,7 @@ def _connect(config: BridgeConfig) -> contextlib.AbstractAsyncContextManager[Hos
 
 
 async def _connected(stack: contextlib.AsyncExitStack, config: BridgeConfig, report: Report) -> Host:
-    """The first connection; the client makes later ones by itself."""
+    """Return the first connection. The client restores it by itself."""
     reported = ""
     for wait_s in waits():
         try:
@@ -73,13 +73,13 @@ async def _connected(stack: contextlib.AsyncExitStack, config: BridgeConfig, rep
         except HostlinkError as error:
             if str(error) != reported:
                 reported = str(error)
-                report(f"{reported}; it is tried again")
+                report(f"{reported}; trying again")
         await asyncio.sleep(wait_s)
     raise AssertionError("the waits have no end")
 
 
 class Bridge:
-    """One daemon and one ROS 2 graph. `run` it."""
+    """Bridge of one daemon and one ROS 2 graph."""
 
     def __init__(self, host: Host, node: Ros2Node, velocity: VelocityDriver, report: Report) -> None:
         self._host, self._node, self._velocity, self._report = host, node, velocity, report
@@ -87,7 +87,7 @@ class Bridge:
         self._log_once = LogOnce()
 
     async def run(self) -> None:
-        """Until cancelled."""
+        """Bridge until cancelled."""
         async with self._velocity.running(), self._routes.running(), asyncio.TaskGroup() as tasks:
             mirror: Mirror[Route, Route, Served[Route]] = Mirror.of_tasks(
                 lambda _, route: self._routes.run(route),
@@ -107,7 +107,7 @@ class Bridge:
                 await asyncio.sleep(TICK_S)
 
     async def _routes_of(self, graph: Mapping[str, Any]) -> dict[Route, Route]:
-        """The routes that both graphs need; a feed comes after its publication."""
+        """Return the routes that both graphs need, publications before their feeds."""
         ros2 = await self._node.graph(watched_topics(graph))
         self._velocity.update((robot["name"] for robot in graph["robots"]), publisher_keys(ros2))
         plan = planned(graph, ros2)
@@ -122,7 +122,7 @@ class Bridge:
             self._report_once(str(error))
 
     async def _follow_connection(self, mirror: Mirror[Route, Route, Served[Route]]) -> None:
-        """What has failed without a connection is tried again with the next one."""
+        """Retry failed routes after each new connection."""
         async for change in self._host.connection():
             self._report(change.reason or f"connected to hostlink at {self._host.url} again")
             if not change.reason:

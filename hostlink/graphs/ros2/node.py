@@ -16,9 +16,7 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 from rclpy.signals import SignalHandlerOptions
 
 from hostlink.errors import ConfigError, HostlinkError
-from hostlink.graphs.ros2.names import ros2_name
-from hostlink.graphs.ros2.plan import Publisher, Ros2Graph
-from hostlink.graphs.ros2.qos import Qos
+from hostlink.graphs.ros2.plan import Publisher, Qos, Ros2Graph, ros2_name
 
 NODE_NAME = "hostlink"
 END_TIMEOUT_S = 2.0  # of the executor's thread
@@ -27,7 +25,7 @@ Result = TypeVar("Result")
 
 
 class Ros2Node:
-    """Get one from `ros2_node`."""
+    """Node of rclpy, made by `ros2_node`. Publishers, subscriptions, services and clients are made in its thread."""
 
     def __init__(self, node: Any, executor: Any) -> None:
         self.node = node
@@ -129,7 +127,7 @@ class Ros2Node:
     # -- the graph ----------------------------------------------------------------------------------------------------
 
     async def graph(self, topics: Iterable[str]) -> Ros2Graph:
-        """What other nodes have; the publishers of these topics alone."""
+        """Return the graph of the other nodes, with publishers only of the given topics."""
         wanted = tuple(topics)
         return await self.run(lambda: self._graph(wanted))
 
@@ -148,9 +146,9 @@ class Ros2Node:
                 yield Publisher(end.topic_type, _offered(end.qos_profile), bytes(end.endpoint_gid))
 
     def _services(self) -> dict[str, str]:
-        """By the names that the daemon would give them: those of the node's namespace, without it.
+        """Return the services in the node's namespace by their names in the daemon.
 
-        Node by node: the list of the whole graph has services, too, that have clients and nobody who serves them.
+        The nodes are listed one by one, because the list of the whole graph includes services that only have clients.
         """
         prefix = self.node.get_namespace().rstrip("/") + "/"
         return {
@@ -203,7 +201,7 @@ def _spin(executor: Any, node: Ros2Node, fail: Callable[[BaseException], None]) 
 
 
 def profile(qos: Qos) -> Any:
-    """As rclpy has it."""
+    """Convert to rclpy's class."""
     return QoSProfile(
         history=HistoryPolicy.KEEP_LAST,
         depth=qos.depth,

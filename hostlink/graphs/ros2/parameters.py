@@ -12,8 +12,8 @@ from rclpy.parameter import Parameter
 
 from hostlink.client import Host
 from hostlink.errors import HostlinkError
-from hostlink.graphs.ros2.names import parameter_name
 from hostlink.graphs.ros2.node import Ros2Node
+from hostlink.graphs.ros2.plan import parameter_name
 
 INTERVAL_S = 2.0  # the daemon has no event for a parameter
 ANSWER_TIMEOUT_S = 0.4  # of the daemon; rclpy's thread waits for it, and a lease is 0.5 s
@@ -21,7 +21,7 @@ MAX_WAITING = 16  # changes
 
 
 class _Change(NamedTuple):
-    """What somebody in ROS 2 sets: values by the node's names, None deletes; `reason`: why it is not set, or empty."""
+    """Change by a node of ROS 2: values by the node's names, None deletes; `reason`: of a refusal, else empty."""
 
     values: dict[str, Any]
     reason: "concurrent.futures.Future[str]"
@@ -40,7 +40,7 @@ class ParameterMirror:
         self._is_mirroring = False  # in rclpy's thread: what is set is what the daemon has
 
     async def run(self) -> None:
-        """Until cancelled."""
+        """Mirror until cancelled."""
         self._own = await self._node.run(self._begin)
         async with asyncio.TaskGroup() as tasks:
             tasks.create_task(self._follow_node())
@@ -89,7 +89,7 @@ class ParameterMirror:
             self._is_mirroring = False
 
     def _accept(self, parameters: list[Any]) -> Any:
-        """In rclpy's thread: somebody sets parameters of the node."""
+        """Answer a change of the node's parameters, in rclpy's thread."""
         if self._is_mirroring:
             return SetParametersResult(successful=True)
         values = {each.name: plain(each.value) for each in parameters if each.name not in self._own}
@@ -104,7 +104,7 @@ class ParameterMirror:
                 node.set_descriptor(each.name, ParameterDescriptor(dynamic_typing=True))
 
     def _request(self, values: dict[str, Any]) -> str:
-        """Have the daemon set these; returns why not."""
+        """Have the daemon set these. Return the reason of a refusal, else an empty text."""
         change = _Change(values, concurrent.futures.Future())
         self._node.post(self._put, change)
         try:
@@ -122,7 +122,7 @@ class ParameterMirror:
     async def _follow_node(self) -> None:
         while True:
             change = await self._changes.get()
-            if not change.reason.set_running_or_notify_cancel():  # nobody waits for it any more
+            if not change.reason.set_running_or_notify_cancel():  # the caller no longer waits
                 continue
             before = {name: self._known.get(name) for name in change.values}
             done: list[str] = []
@@ -163,12 +163,12 @@ class ParameterMirror:
 
 
 def plain(value: Any) -> Any:
-    """A value of rclpy's as JSON has it."""
+    """Convert a value of rclpy to JSON."""
     return list(value) if hasattr(value, "tolist") or isinstance(value, tuple) else value
 
 
 def leaves(tree: Any, name: str = "") -> Iterator[tuple[str, Any]]:
-    """The parameters of a tree, with their full names; what ROS 2 has no type for is left out."""
+    """Yield the parameters of a tree with their full names, without those that ROS 2 has no type for."""
     if isinstance(tree, dict):
         for key, inner in tree.items():
             yield from leaves(inner, f"{name}/{key}")

@@ -1,11 +1,60 @@
-"""The routes between two graphs: what the daemon has and what ROS 2 has decide them. Pure."""
+"""Plan of the routes between two graphs: names, types, quality of service, and what each graph has decide it. Pure."""
 
+import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
-from hostlink.graphs.ros2.names import is_ros2_name, ros1_type, ros2_type
-from hostlink.graphs.ros2.qos import Qos, subscription_qos
+from hostlink.graphs.ros2_names import ros1_type, ros2_type
+
+GLOBAL = frozenset({"/tf", "/tf_static", "/clock", "/diagnostics"})  # one for all namespaces, as in ROS 2
+_TOKENS = re.compile(r"(/?[A-Za-z_][A-Za-z0-9_]*)(/[A-Za-z_][A-Za-z0-9_]*)*")
+
+
+def ros2_name(name: str) -> str:
+    """The name of a topic or service for rclpy: relative, so that the node's namespace and remappings count."""
+    return name if name in GLOBAL else name.removeprefix("/")
+
+
+def is_ros2_name(name: str) -> bool:
+    """Whether ROS 2 allows it: rosserial also allows parts that begin with a digit, ROS 2 does not."""
+    return _TOKENS.fullmatch(name) is not None
+
+
+def parameter_name(name: str) -> str:
+    """`/robot_0/gain` as a parameter of the node: `robot_0.gain`."""
+    return name.strip("/").replace("/", ".")
+
+
+DEPTH = 10  # as `ros2 topic pub` and rclpy's examples have it
+COMMAND_DEPTH = 1  # a newer velocity replaces an older one
+STATIC_DEPTH = 100  # transforms of other nodes that never change: each is sent once
+
+
+class Qos(NamedTuple):
+    """The policies that decide whether two ends match."""
+
+    is_reliable: bool
+    is_latched: bool  # TRANSIENT_LOCAL
+    depth: int = DEPTH
+
+
+COMMAND = Qos(is_reliable=False, is_latched=False, depth=COMMAND_DEPTH)  # every publisher matches it
+
+
+def publisher_qos(topic: str, *, is_latched: bool) -> Qos:
+    """Reliable: a best-effort publisher reaches no subscription with default policies, and only a warning says so."""
+    is_static = topic == "/tf_static"
+    return Qos(is_reliable=True, is_latched=is_latched or is_static, depth=STATIC_DEPTH if is_static else DEPTH)
+
+
+def subscription_qos(offers: Iterable[Qos]) -> Qos:
+    """Return the policies that match every publisher of the topic, and lose no more than they allow."""
+    offers = list(offers)
+    is_latched = bool(offers) and all(offer.is_latched for offer in offers)
+    is_reliable = bool(offers) and all(offer.is_reliable for offer in offers)
+    return Qos(is_reliable, is_latched, STATIC_DEPTH if is_latched else DEPTH)
+
 
 TWIST, TWIST_STAMPED = "geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"
 _OWN_SERVICE_TYPES = ("rcl_interfaces/", "type_description_interfaces/", "lifecycle_msgs/", "composition_interfaces/")
@@ -22,14 +71,14 @@ class Publication:
 
 @dataclass(frozen=True, slots=True)
 class Feed:
-    """The messages of a publication: requested from the daemon only while ROS 2 has somebody who reads them."""
+    """The messages of a publication: requested from the daemon only while ROS 2 has a subscriber."""
 
     publication: Publication
 
 
 @dataclass(frozen=True, slots=True)
 class Reception:
-    """A topic of ROS 2, published to the daemon, where somebody subscribes to it."""
+    """Topic of ROS 2, published to the daemon while it has subscribers there."""
 
     topic: str
     ros2_type: str
@@ -67,7 +116,7 @@ Route = Publication | Feed | Reception | VelocityInput | Server | Caller
 
 @dataclass(frozen=True, slots=True)
 class Publisher:
-    """Of a topic in ROS 2, by another node."""
+    """Publisher of a topic in ROS 2, in another node."""
 
     type_name: str
     qos: Qos
@@ -76,16 +125,16 @@ class Publisher:
 
 @dataclass(frozen=True, slots=True)
 class Ros2Graph:
-    """What other nodes than the bridge have in ROS 2, by the names that the daemon would give it."""
+    """Graph of ROS 2 without the bridge's own node, by names of the daemon."""
 
     publishers: Mapping[str, tuple[Publisher, ...]] = field(default_factory=dict)  # by topic
-    readers: frozenset[str] = frozenset()  # topics of the bridge that somebody subscribes to
+    readers: frozenset[str] = frozenset()  # topics of the bridge that have subscribers
     services: Mapping[str, str] = field(default_factory=dict)  # types by name
 
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """The routes, and what stays out: one line for each cause."""
+    """Routes, and one line for each topic or service that is not mirrored."""
 
     routes: frozenset[Route]
     problems: tuple[str, ...]

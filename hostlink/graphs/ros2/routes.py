@@ -1,4 +1,4 @@
-"""Routes: what runs for each route of the plan, as long as the plan has it."""
+"""Routes: one coroutine for each route of the plan, which runs as long as the plan has the route."""
 
 import asyncio
 import contextlib
@@ -9,11 +9,22 @@ from typing import Any, assert_never
 
 from hostlink.client import Host
 from hostlink.errors import BadPayload, HostlinkError
-from hostlink.graphs.ros2.conversion import stamped
-from hostlink.graphs.ros2.echoes import Echoes
-from hostlink.graphs.ros2.names import ros1_type, ros2_type
+from hostlink.graphs.ros2.conversion import (
+    Conversion,
+    Echoes,
+    Fields,
+    added_bytes,
+    fill,
+    nested_types,
+    ros1_layout,
+    ros2_fields,
+    ros2_layout,
+    stamped,
+    to_json,
+)
 from hostlink.graphs.ros2.node import Ros2Node, load_type
 from hostlink.graphs.ros2.plan import (
+    COMMAND,
     TWIST_STAMPED,
     Caller,
     Feed,
@@ -22,13 +33,56 @@ from hostlink.graphs.ros2.plan import (
     Route,
     Server,
     VelocityInput,
+    publisher_qos,
 )
-from hostlink.graphs.ros2.qos import COMMAND, publisher_qos
-from hostlink.graphs.ros2.types import Types
-from hostlink.graphs.ros2.values import fill, to_json
 from hostlink.graphs.ros2.velocity import VelocityDriver
+from hostlink.graphs.ros2_names import ros1_type, ros2_type
 from hostlink.mirror.inbox import Inbox
 from hostlink.robot.velocity import Twist
+
+
+class Types:
+    """Message classes of rclpy, each checked against the daemon's definition before its first use."""
+
+    def __init__(self) -> None:
+        self.conversion = Conversion()
+        self._classes: dict[tuple[str, str], Any] = {}  # by the daemon's type and ROS 2's
+
+    async def message(self, host: Host, type_name: str, ros2: str = "") -> Any:
+        """The class for a message type of the daemon, which `conversion` knows from now on.
+
+        Raises:
+            HostlinkError: it is not installed, or another message has this name in ROS 2.
+        """
+        ros2 = ros2 or ros2_type(type_name)
+        key = (type_name, ros2)
+        if key not in self._classes:
+            cls = load_type(ros2)
+            types = definitions(ros2)
+            answer = await host.call("/rosapi/message_details", {"type": type_name})
+            added = added_bytes(ros1_layout(answer["typedefs"], type_name), ros2_layout(types, ros2))
+            if added is None:
+                raise HostlinkError(f"{ros2} has other fields in ROS 2 than {type_name} here: it is not converted")
+            self.conversion.add(types, ros2, added_bytes=added)
+            self._classes[key] = cls
+        return self._classes[key]
+
+
+def definitions(type_name: str) -> dict[str, Fields]:
+    """The fields of a message type and of all types in it, as the installed classes have them.
+
+    Raises:
+        HostlinkError: one is not installed, or ROS 1 has nothing like one of its fields.
+    """
+    found: dict[str, Fields] = {}
+    wanted = [type_name]
+    while wanted:
+        name = wanted.pop()
+        if name not in found:
+            found[name] = ros2_fields(load_type(name).get_fields_and_field_types())
+            wanted += nested_types(found[name])
+    return found
+
 
 INBOX_DEPTH = 64  # messages of a topic from ROS 2 that wait to be sent
 COMMAND_INBOX_DEPTH = 8  # of all publishers of a velocity topic
@@ -36,7 +90,7 @@ CALL_TIMEOUT_S = 60.0  # of a service of ROS 2; as the daemon's for a program's
 
 
 class Routes:
-    """Runs one route at a time for whoever calls `run`; all share the node, the connection and the types."""
+    """Coroutines of the routes, with the node, the connection and the types that they share."""
 
     def __init__(self, node: Ros2Node, host: Host, velocity: VelocityDriver) -> None:
         self._node, self._host, self._velocity = node, host, velocity
@@ -184,7 +238,7 @@ class Routes:
 
 
 def sender(route: VelocityInput, info: Mapping[str, Any]) -> bytes | str:
-    """Who has published a message: its gid where rclpy says it (since Kilted), else all of the topic are one."""
+    """Return the publisher of a message: its gid where rclpy knows it (since Kilted), else the topic."""
     gid = info.get("publisher_gid")
     return route.topic if gid is None else bytes(gid["data"])
 
@@ -195,6 +249,6 @@ def _twist(message: Any) -> Twist:
 
 
 def _fill_response(response: Any, values: Mapping[str, Any]) -> None:
-    """What does not fit is left out: an error here would end rclpy's thread."""
+    """Fill a response without the values that do not fit: an error here would end rclpy's thread."""
     with contextlib.suppress(HostlinkError):
         fill(response, values)

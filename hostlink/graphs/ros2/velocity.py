@@ -17,7 +17,7 @@ from hostlink.robot.admission import LEASE_S, NOT_PLANAR, EarlierMotion
 from hostlink.robot.velocity import ZERO, PlanarVelocity, Twist
 
 HEARTBEAT_S = 0.05
-STALL_S = LEASE_S  # this process did not run for longer than a velocity holds: what comes next may have waited
+STALL_S = LEASE_S  # after a longer pause of this process, later velocities may be old
 MAX_COMMANDS_S = 600.0  # of an owner; the daemon closes a connection that sends 1000 messages a second
 MAX_OWNERS = 32
 MATCH_S = 3.0  # until ROS 2 has connected a publisher and a subscription that know of each other
@@ -28,7 +28,7 @@ Key = bytes | str  # of a publisher: its gid, or its topic where rclpy does not 
 
 
 class VelocityDriver:
-    """All velocity topics together. `running`, beside the routes."""
+    """Velocities of all topics, sent by one connection for each publisher."""
 
     def __init__(self, connect: Connect, priority: int, report: Report, warn: Report) -> None:
         """`warn` is called with a line for each kind of refusal, at a limited rate."""
@@ -97,7 +97,7 @@ class VelocityDriver:
             await asyncio.sleep(HEARTBEAT_S)
 
     def _note_time(self) -> None:
-        """This process runs now; where it did not run for too long, what comes next may have waited."""
+        """Note that this process runs. After a pause over STALL_S, velocities that follow may be old."""
         now_s = asyncio.get_running_loop().time()
         if now_s > self._beat_s + STALL_S:
             self._report(f"this program did not run for {now_s - self._beat_s:.1f} s: velocities of then are void")
@@ -142,7 +142,7 @@ class _Owner:
         twist: Twist,
         older_until_s: float | None,
     ) -> None:
-        """It has published a velocity; `older_until_s`: what it streams until then, it may have begun before."""
+        """Take a velocity of the publisher. `older_until_s`: until then a stream may have started earlier."""
         if not twist.is_planar:  # a command of the client has x, y and yaw alone
             self._explain(route.robot, RefusalKind.UNSUPPORTED, NOT_PLANAR)
             return
@@ -162,7 +162,7 @@ class _Owner:
         return not is_there and (was_there or not is_new)
 
     def interrupt(self) -> None:
-        """What waits or comes next may be old, or was meant for another daemon."""
+        """Discard waiting velocities: they may be old, or for another daemon."""
         self._waiting.clear()
         now_s = asyncio.get_running_loop().time()
         self._motions = {route: EarlierMotion.within_a_lease(now_s) for route in self._motions}
@@ -180,7 +180,7 @@ class _Owner:
             self.task.cancel()
 
     async def run(self) -> None:
-        """Send what comes, until cancelled."""
+        """Send velocities until cancelled."""
         for wait_s in waits():
             try:
                 async with self._connect() as host:

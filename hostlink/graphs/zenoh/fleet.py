@@ -11,20 +11,18 @@ from structlog.contextvars import bound_contextvars
 
 from hostlink.config import ZenohConfig
 from hostlink.errors import BadPayload
-from hostlink.graphs.zenoh.fleet_drivers import FleetDrivers
+from hostlink.graphs.zenoh.fleet_commands import FleetDrivers, FleetRequests
 from hostlink.graphs.zenoh.fleet_messages import (
     MAX_REQUEST_BYTES,
     MAX_STATE_BYTES,
+    FleetTransport,
     Keys,
     Live,
     Sender,
     State,
     decode,
 )
-from hostlink.graphs.zenoh.fleet_post import Post
-from hostlink.graphs.zenoh.fleet_requests import FleetRequests
-from hostlink.graphs.zenoh.fleet_robots import FleetRobots
-from hostlink.graphs.zenoh.fleet_states import FleetStates
+from hostlink.graphs.zenoh.fleet_robots import FleetRobots, FleetStates
 from hostlink.graphs.zenoh.fleet_topics import MAX_MESSAGE_BYTES, FleetTopics
 from hostlink.graphs.zenoh.roster import Neighbour, Roster
 from hostlink.graphs.zenoh.session import Declaration, Sample, Session, Token
@@ -44,32 +42,32 @@ class Fleet:
         counts: Counter[str] = Counter()
         hub.counts.graphs["fleet"] = lambda: counts
         me = Sender(config.name or _host_name(), session.zid)
-        self._hub, self._post = hub, Post(session, Keys(config.fleet_name), me, counts, config.drivers)
+        self._hub, self._transport = hub, FleetTransport(session, Keys(config.fleet_name), me, counts, config.drivers)
         self._roster = Roster(counts, forget_after_s=hub.config.link.forget_robot_after_s)
-        self._states = FleetStates(hub, self._post)
-        self._drivers = FleetDrivers(hub, self._post, self._roster)
-        self._requests = FleetRequests(self._post, self._roster)
-        self._topics = FleetTopics(hub, self._post, self._drivers, self._roster)
+        self._states = FleetStates(hub, self._transport)
+        self._drivers = FleetDrivers(hub, self._transport, self._roster)
+        self._requests = FleetRequests(self._transport, self._roster)
+        self._topics = FleetTopics(hub, self._transport, self._drivers, self._roster)
         self._robots = FleetRobots(
-            hub, self._post, self._roster, self._requests, self._topics, receive=self._receive_motions
+            hub, self._transport, self._roster, self._requests, self._topics, receive=self._receive_motions
         )
         self._declarations: list[Declaration] = []
-        self._tokens = FleetTokens(self._post, self._receive_token)
+        self._tokens = FleetTokens(self._transport, self._receive_token)
         self._has_ended = False
 
     # -- its life -----------------------------------------------------------------------------------------------------
 
     def begin(self) -> None:
         """Be a part of the fleet from now on."""
-        post, fleet, zid = self._post, self._post.keys.fleet, self._post.me.zid
+        transport, fleet, zid = self._transport, self._transport.keys.fleet, self._transport.me.zid
         self._declarations += [
             self._subscribe(f"{fleet}/stop/*/*", self._drivers.receive_stop, MAX_REQUEST_BYTES, 64),
             self._subscribe(f"{fleet}/drive/{zid}/*/*", self._drivers.receive, MAX_REQUEST_BYTES, 64),
             self._subscribe(f"{fleet}/answer/{zid}/*/*", self._receive_answer, MAX_STATE_BYTES, 64),
             self._subscribe(f"{fleet}/publish/{zid}/*/*/**", self._topics.exports.receive, MAX_MESSAGE_BYTES, 64),
             self._subscribe(f"{fleet}/state/*/*", self._receive_state, MAX_STATE_BYTES, 1),  # the newest counts
-            post.session.serve(post.keys.key("topics", post.me), self._topics.exports.answer),
-            post.session.declare_token(post.keys.key("alive", post.me)),
+            transport.session.serve(transport.keys.key("topics", transport.me), self._topics.exports.answer),
+            transport.session.declare_token(transport.keys.key("alive", transport.me)),
         ]
         self._tokens.find(_now_s())
         self._topics.begin()
@@ -95,14 +93,14 @@ class Fleet:
         self._drivers.leave_all()
 
     def _subscribe(self, keys: str, receive: Callable[[Sample], None], max_bytes: int, max_waiting: int) -> Declaration:
-        """What others send to this daemon (with its id in the key), or to all: a queue for each daemon."""
-        is_addressed = self._post.me.zid in keys
+        """Subscribe to messages for this daemon (its id is in the key), or for all, with a queue for each daemon."""
+        is_addressed = self._transport.me.zid in keys
 
         def source(key: str) -> str:
-            sender = self._post.keys.sender(key, is_addressed=is_addressed)
+            sender = self._transport.keys.sender(key, is_addressed=is_addressed)
             return "" if sender is None or self._roster.find(sender) is None else sender.zid
 
-        session = self._post.session
+        session = self._transport.session
         return session.subscribe(keys, receive, source_of=source, max_bytes=max_bytes, max_waiting=max_waiting)
 
     def _tick(self) -> None:
@@ -116,14 +114,14 @@ class Fleet:
         self._tokens.tick(now_s)
 
     def _names_here(self) -> set[str]:
-        """Robots here that have a namesake elsewhere: one of them may have come or left."""
+        """Return robots here whose name another daemon has too: one of them may have connected or left."""
         return {robot.name for robot in self._hub.robots.here()} & self._hub.robots.remote.keys()
 
     # -- who there is -------------------------------------------------------------------------------------------------
 
     def _receive_token(self, token: Token) -> None:
-        sender = self._post.keys.sender(token.key)
-        if sender is None or sender == self._post.me:
+        sender = self._transport.keys.sender(token.key)
+        if sender is None or sender == self._transport.me:
             return
         with bound_contextvars(**of_peer("fleet")):
             if not token.is_alive:
@@ -134,8 +132,8 @@ class Fleet:
                 self._compare_name(sender)
 
     def _compare_name(self, sender: Sender) -> None:
-        """Access rules go by the certificate: who has another name than that may not drive where names are drivers'."""
-        certificate = self._post.session.certificate_of(sender.zid)
+        """Warn of a daemon whose name is not that of its certificate: access rules use the certificate."""
+        certificate = self._transport.session.certificate_of(sender.zid)
         if certificate not in ("", sender.name):
             log.warning("fleet.name_differs", host=printable(sender.name), certificate=printable(certificate))
 
@@ -150,15 +148,15 @@ class Fleet:
         self._robots.apply_soon(self._roster.leave(sender.zid, _now_s()))
 
     def _receive_state(self, sample: Sample) -> None:
-        sender = self._post.keys.sender(sample.key)
+        sender = self._transport.keys.sender(sample.key)
         neighbour = None if sender is None else self._roster.find(sender)
         if sender is None or neighbour is None:
-            self._post.counts["unannounced"] += 1
+            self._transport.counts["unannounced"] += 1
             return
         try:
             state = decode(sample.payload, State)
         except BadPayload:
-            self._post.counts["malformed"] += 1
+            self._transport.counts["malformed"] += 1
             return
         now_s = _now_s()
         neighbour.freshness.late_s(state.sent_s, now_s)
@@ -174,18 +172,18 @@ class Fleet:
             self._topics.demand()
 
     def _receive_motions(self, sample: Sample) -> None:
-        sender = self._post.keys.sender(sample.key)
+        sender = self._transport.keys.sender(sample.key)
         try:
             live = decode(sample.payload, Live)
         except BadPayload:
-            self._post.counts["malformed"] += 1
+            self._transport.counts["malformed"] += 1
             return
         if sender is not None:
             self._robots.apply_soon(self._roster.receive_motions(sender, live, _now_s()))
 
     def _receive_answer(self, sample: Sample) -> None:
         """Stops and locks are answered with the robots as they are now."""
-        sender, answer = self._post.keys.sender(sample.key, is_addressed=True), self._requests.receive(sample)
+        sender, answer = self._transport.keys.sender(sample.key, is_addressed=True), self._requests.receive(sample)
         neighbour = None if sender is None else self._roster.find(sender)
         if answer is None or neighbour is None:
             return
@@ -196,27 +194,29 @@ class Fleet:
 
 
 class FleetTokens:
-    """Which other daemons have a liveliness token; found anew after something was dropped."""
+    """Liveliness tokens of other daemons. They are searched again after Zenoh dropped something."""
 
-    def __init__(self, post: Post, receive: Callable[[Token], None]) -> None:
-        self._post, self._receive = post, receive
+    def __init__(self, transport: FleetTransport, receive: Callable[[Token], None]) -> None:
+        self._transport, self._receive = transport, receive
         self._subscription: Declaration | None = None
         self._dropped = 0
         self._found_at_s = 0.0
 
     def find(self, now_s: float) -> None:
-        """Learn of all daemons that live, and follow who comes and goes."""
+        """Find all living daemons, and follow later changes."""
         self.close()
-        self._dropped, self._found_at_s = self._post.session.counts["dropped"], now_s
-        self._subscription = self._post.session.subscribe_tokens(f"{self._post.keys.fleet}/alive/*/*", self._receive)
+        self._dropped, self._found_at_s = self._transport.session.counts["dropped"], now_s
+        self._subscription = self._transport.session.subscribe_tokens(
+            f"{self._transport.keys.fleet}/alive/*/*", self._receive
+        )
 
     def tick(self, now_s: float) -> None:
-        """Find them again if something was dropped: it may have been a token."""
-        if self._dropped != self._post.session.counts["dropped"] and now_s >= self._found_at_s + FIND_INTERVAL_S:
+        """Search again if something was dropped: it may have been a token."""
+        if self._dropped != self._transport.session.counts["dropped"] and now_s >= self._found_at_s + FIND_INTERVAL_S:
             self.find(now_s)
 
     def close(self) -> None:
-        """Follow nobody any more."""
+        """Follow no tokens."""
         if self._subscription is not None:
             self._subscription.close()
 
@@ -234,7 +234,7 @@ async def fleet_running(hub: Hub, session: Session, config: ZenohConfig) -> Asyn
 
 
 def _host_name() -> str:
-    """As a part of a key."""
+    """Return the host's name in a form that a key may contain."""
     return "".join(char if char.isalnum() or char in "._-" else "-" for char in socket.gethostname())[:64] or "host"
 
 

@@ -1,13 +1,20 @@
-"""What daemons of a fleet send to each other, as JSON; and the keys on which they do. Pure.
+"""Messages between the daemons of a fleet, as JSON, and the keys that carry them.
 
-The verb comes first in a key and the sender's name stands in it, so that Zenoh's access rules can name who may do what.
+A key begins with the verb and holds the sender's name, so that Zenoh's access rules can say who may do what.
 """
 
+import asyncio
+import re
+from collections import Counter
+from dataclasses import dataclass
 from typing import Annotated, NamedTuple, TypeVar
 
 import msgspec
 
 from hostlink.errors import BadPayload
+from hostlink.graphs.zenoh.session import Session
+from hostlink.hub.robot import LocalRobot
+from hostlink.logs import printable
 from hostlink.robot.kinematics import Pose
 from hostlink.robot.odometry import OdometrySnapshot
 from hostlink.robot.state import Priority, RobotName, RobotState, Text, TopicName, TypeName
@@ -18,10 +25,11 @@ MAX_TOPICS = 4096  # of one daemon
 MAX_STATE_BYTES = 256 * 1024
 MAX_REQUEST_BYTES = 4096
 _DIGITS = 6  # micrometres
+_TEXT_CHARS = 200
 
 
 class Sender(NamedTuple):
-    """Who sends: a daemon's name, and the id of its session; another one after each start."""
+    """Sender of a message: the daemon's name, and the id of its session, which is new after each start."""
 
     name: str
     zid: str
@@ -34,11 +42,11 @@ class Keys:
         self.fleet = fleet
 
     def key(self, verb: str, sender: Sender, *rest: str, to: str = "") -> str:
-        """Of `alive`, `state`, `live`, `topics`, `out`, `stop`; and of `drive`, `publish`, `answer`, with `to`."""
+        """Return a key. The verbs `drive`, `publish` and `answer` are addressed `to` a daemon, by its id."""
         return "/".join((self.fleet, verb, *((to,) if to else ()), *sender, *rest))
 
     def sender(self, key: str, *, is_addressed: bool = False) -> Sender | None:
-        """Who has sent on a key; None: it is no key of this fleet."""
+        """Return the sender in a key; None for a key outside of this fleet."""
         parts = key.removeprefix(f"{self.fleet}/").split("/")
         first = 2 if is_addressed else 1
         if not key.startswith(f"{self.fleet}/") or len(parts) < first + 2:
@@ -52,7 +60,7 @@ class Keys:
 
 
 class PoseState(msgspec.Struct, frozen=True, kw_only=True, array_like=True):
-    """The newest pose, and the motion. It comes ten times a second, so its fields have no names.
+    """Newest pose and motion. It is sent ten times a second, so its fields have no names.
 
     An older daemon does not send the last one.
     """
@@ -72,7 +80,7 @@ class PoseState(msgspec.Struct, frozen=True, kw_only=True, array_like=True):
 
     @classmethod
     def of(cls, known: OdometrySnapshot) -> "PoseState":
-        """The message that says this."""
+        """Convert to the message."""
         return cls(
             x_m=round(known.pose.x_m, _DIGITS),
             y_m=round(known.pose.y_m, _DIGITS),
@@ -90,7 +98,7 @@ class PoseState(msgspec.Struct, frozen=True, kw_only=True, array_like=True):
 
     @property
     def odometry(self) -> OdometrySnapshot:
-        """What it says."""
+        """Convert from the message."""
         return OdometrySnapshot(
             pose=Pose(self.x_m, self.y_m, self.theta_rad),
             twist=PlanarVelocity(self.linear_m_s, self.linear_y_m_s, self.angular_rad_s),
@@ -113,7 +121,7 @@ class RobotMessage(RobotState, frozen=True, kw_only=True, omit_defaults=True):
 
     @classmethod
     def of(cls, state: RobotState) -> "RobotMessage":
-        """The message that says this."""
+        """Convert to the message."""
         facts = {name: getattr(state, name) for name in _FIELDS}
         velocity, odometry = state.velocity, state.odometry
         facts["velocity"], facts["linear_y_m_s"] = (velocity.x_m_s, velocity.yaw_rad_s), velocity.y_m_s
@@ -122,7 +130,7 @@ class RobotMessage(RobotState, frozen=True, kw_only=True, omit_defaults=True):
 
     @property
     def state(self) -> RobotState:
-        """What it says."""
+        """Convert from the message."""
         facts = {name: getattr(self, name) for name in _FIELDS}
         facts["velocity"] = PlanarVelocity(self.velocity[0], self.linear_y_m_s, self.velocity[1])
         facts["odometry"] = None if self.pose is None else self.pose.odometry
@@ -148,7 +156,7 @@ class State(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Motion(msgspec.Struct, frozen=True, array_like=True):
-    """What of a robot changes all the time."""
+    """Motion of a robot, which changes all the time."""
 
     name: RobotName
     velocity: tuple[float, float]
@@ -157,7 +165,7 @@ class Motion(msgspec.Struct, frozen=True, array_like=True):
 
 
 class Live(msgspec.Struct, frozen=True, kw_only=True):
-    """How the robots of a daemon move, for as long as somebody reads it."""
+    """Motions of a daemon's robots, sent while another daemon subscribes."""
 
     robots: Annotated[tuple[Motion, ...], msgspec.Meta(max_length=MAX_ROBOTS)]
 
@@ -213,14 +221,14 @@ class Unlock(msgspec.Struct, frozen=True, kw_only=True, tag="unlock"):
 
 
 class Stop(msgspec.Struct, frozen=True, kw_only=True, tag="stop"):
-    """Stop a robot, whoever has it; None: every robot."""
+    """Stop all robots of a name at all daemons; None: every robot."""
 
     number: int
     robot: RobotName | None = None
 
 
 class Lock(msgspec.Struct, frozen=True, kw_only=True, tag="lock"):
-    """Zero at once, and no command until it is unlocked; whoever has the robot."""
+    """Stop all robots of a name, and refuse commands until they are unlocked."""
 
     number: int
     robot: RobotName
@@ -228,7 +236,7 @@ class Lock(msgspec.Struct, frozen=True, kw_only=True, tag="lock"):
 
 
 class Answer(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """To the request of this number: the velocity after the limits, or the robots that it was for; or why not.
+    """Answer to the request of a number: the velocity after the limits, the robots concerned, or a refusal.
 
     `epoch`: how often the robot was interrupted.
     """
@@ -253,28 +261,28 @@ encode = msgspec.json.Encoder().encode
 
 
 def decode(payload: bytes, kind: type[_Kind]) -> _Kind:
-    """A State, Live, Topics or Answer.
+    """Decode a State, Live, Topics or Answer.
 
     Raises:
-        BadPayload: it is none, or something in it is over a bound.
+        BadPayload: it is malformed, or over a bound.
     """
     return _decode(_DECODERS[kind], payload)  # type: ignore[index,return-value]
 
 
 def decode_request(payload: bytes) -> Request:
-    """What one daemon requests of another.
+    """Decode a request to one daemon.
 
     Raises:
-        BadPayload: it is none.
+        BadPayload: it is malformed.
     """
     return _decode(_REQUESTS, payload)
 
 
 def decode_stop(payload: bytes) -> StopRequest:
-    """What one daemon requests of all.
+    """Decode a request to all daemons.
 
     Raises:
-        BadPayload: it is none.
+        BadPayload: it is malformed.
     """
     return _decode(_STOPS, payload)
 
@@ -284,3 +292,47 @@ def _decode(decoder: "msgspec.json.Decoder[_Kind]", payload: bytes) -> _Kind:
         return decoder.decode(payload)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise BadPayload("fleet", str(error)) from error
+
+
+GROUP = "fleet"  # of its participants in the hub
+
+
+@dataclass(frozen=True, slots=True)
+class FleetTransport:
+    """Session and keys of this daemon in its fleet.
+
+    `me`: name and id of this daemon; `counts`: refused and dropped messages, by cause.
+    """
+
+    session: Session
+    keys: Keys
+    me: Sender
+    counts: Counter[str]
+    may_drive: tuple[str, ...] = ("*",)  # patterns of the names of daemons whose programs may drive robots here
+
+
+def is_shareable(robot: LocalRobot) -> bool:
+    """Whether other daemons can know it by its name."""
+    return re.fullmatch(r"\w{1,64}", robot.name, re.ASCII) is not None
+
+
+def fleet_name(robot: LocalRobot, topic: str) -> str:
+    """A topic of a robot as other daemons know it: below the robot's name."""
+    return topic if topic.startswith(f"/{robot.name}/") else f"/{robot.name}{topic}"
+
+
+def state_of(robot: LocalRobot) -> RobotMessage:
+    """A robot as other daemons receive it: its topics below its name, without what concerns this daemon alone."""
+    state = robot.state(asyncio.get_running_loop().time())
+    shared = msgspec.structs.replace(
+        state,
+        also_at=(),
+        frames=None,
+        velocity_topic=fleet_name(robot, state.velocity_topic),
+        odometry_topic=fleet_name(robot, state.odometry_topic),
+        reset_topic=None if state.reset_topic is None else fleet_name(robot, state.reset_topic),
+        holder=None if state.holder is None else printable(state.holder, _TEXT_CHARS),
+        holder_address=None,
+        unreachable=None if state.unreachable is None else printable(state.unreachable, _TEXT_CHARS),
+    )
+    return RobotMessage.of(shared)

@@ -1,17 +1,25 @@
-"""Topics of robots, both ways: those here for other daemons, and theirs in the graph here.
+"""Topics of robots between daemons: those here for other daemons, and theirs in the graph here.
 
-A message travels while somebody subscribes to it at the other end. Robots' topics are shared below their names: a topic
-of a robot that is elsewhere in the graph gets a place there.
+A message is sent while the other end subscribes to it. Topics are shared below the name of their robot; a topic with
+another name gets one below it.
 """
 
 import asyncio
 from collections.abc import Iterable
 
 from hostlink.errors import BadPayload, HostlinkError
-from hostlink.graphs.zenoh.fleet_drivers import FleetDrivers
-from hostlink.graphs.zenoh.fleet_messages import MAX_TOPICS, Topics, TopicState, decode, encode
-from hostlink.graphs.zenoh.fleet_post import GROUP, Post
-from hostlink.graphs.zenoh.fleet_states import fleet_name, is_shareable
+from hostlink.graphs.zenoh.fleet_commands import FleetDrivers
+from hostlink.graphs.zenoh.fleet_messages import (
+    GROUP,
+    MAX_TOPICS,
+    FleetTransport,
+    Topics,
+    TopicState,
+    decode,
+    encode,
+    fleet_name,
+    is_shareable,
+)
 from hostlink.graphs.zenoh.roster import Neighbour, Roster
 from hostlink.graphs.zenoh.session import Declaration, Query, Sample
 from hostlink.hub.graph_view import GraphTopic
@@ -27,24 +35,24 @@ from hostlink.mirror.mirror import Mirror
 TOPICS_TIMEOUT_S = 2.0
 SLICE_S = 0.003  # of declarations: a hundred robots that come at once cost a second of Zenoh's
 FIRST_RETRY_S, LONGEST_RETRY_S = 2.0, 60.0  # of a topic that has another type here
-MAX_WAITING = 64  # messages of one topic; the oldest goes
+MAX_WAITING = 64  # messages of one topic; the oldest is dropped
 MAX_MESSAGE_BYTES = 64 * 1024  # what a device sends is much smaller
 
 
 class _Export:
     """A topic here that others may subscribe to."""
 
-    def __init__(self, hub: Hub, post: Post, name: str, exported: tuple[str, str]) -> None:
+    def __init__(self, hub: Hub, transport: FleetTransport, name: str, exported: tuple[str, str]) -> None:
         """`name`: as others know it; `exported`: the robot, and the topic's name here.
 
         Raises:
             ConfigError: the session is closed.
         """
-        self._hub, self._post = hub, post
+        self._hub, self._transport = hub, transport
         self._robot, self._topic = exported
         self._participant: Participant | None = None
-        key = post.keys.key("out", post.me, *name.strip("/").split("/"))
-        self._publisher = post.session.declare_publisher(key)
+        key = transport.keys.key("out", transport.me, *name.strip("/").split("/"))
+        self._publisher = transport.session.declare_publisher(key)
         self._publisher.watch(self._demand)
 
     def close(self) -> None:
@@ -53,7 +61,7 @@ class _Export:
         self._publisher.close()
 
     def _demand(self, is_wanted: bool) -> None:
-        """Somebody elsewhere subscribes now, or nobody any more."""
+        """Follow whether another daemon subscribes."""
         if self._participant is not None and not is_wanted:
             self._participant.leave()
             self._participant = None
@@ -62,26 +70,26 @@ class _Export:
             try:
                 self._participant.subscribe(self._topic, lambda message: self._publisher.put(message.payload))
             except HostlinkError:
-                self._post.counts["refused"] += 1
+                self._transport.counts["refused"] += 1
 
 
 class FleetExports:
     """The topics of the robots here."""
 
-    def __init__(self, hub: Hub, post: Post, drivers: FleetDrivers, roster: Roster) -> None:
+    def __init__(self, hub: Hub, transport: FleetTransport, drivers: FleetDrivers, roster: Roster) -> None:
         self.number = 0  # of the list, another one after each change
-        self._hub, self._post, self._drivers, self._roster = hub, post, drivers, roster
+        self._hub, self._transport, self._drivers, self._roster = hub, transport, drivers, roster
         self._exports = Mirror[str, tuple[str, str], _Export](
-            lambda name, exported: _Export(hub, post, name, exported), self._fail, slice_s=SLICE_S
+            lambda name, exported: _Export(hub, transport, name, exported), self._fail, slice_s=SLICE_S
         )
-        self._list: bytes | None = None  # as it is answered; None: nobody has requested it since the last change
+        self._list: bytes | None = None  # encoded answer; None: not requested since the last change
         self._topics: dict[str, tuple[TopicState, str]] = {}  # with their names here, by the name that others know
 
     def update(self, topics: tuple[GraphTopic, ...]) -> None:
         """The graph has changed."""
         found = self._find(topics)
         if len(found) > MAX_TOPICS:
-            self._post.counts["unshared_topics"] += len(found) - MAX_TOPICS
+            self._transport.counts["unshared_topics"] += len(found) - MAX_TOPICS
             found = dict(list(found.items())[:MAX_TOPICS])
         if found == self._topics:
             return
@@ -95,7 +103,7 @@ class FleetExports:
         )
 
     def answer(self, query: Query) -> None:
-        """Somebody wants the list."""
+        """Answer a request for the list."""
         if self._list is None:
             states = tuple(state for state, _ in self._topics.values())
             self._list = encode(Topics(number=self.number, topics=states))
@@ -104,23 +112,23 @@ class FleetExports:
 
     def receive(self, sample: Sample) -> None:
         """A program of another daemon publishes to a device here."""
-        sender = self._post.keys.sender(sample.key, is_addressed=True)
+        sender = self._transport.keys.sender(sample.key, is_addressed=True)
         neighbour = None if sender is None else self._roster.find(sender)
-        known = self._topics.get(self._post.keys.topic(sample.key, is_addressed=True))
+        known = self._topics.get(self._transport.keys.topic(sample.key, is_addressed=True))
         if neighbour is None or known is None or not known[0].is_subscribed or known[0].is_velocity:
-            self._post.counts["unannounced"] += 1
+            self._transport.counts["unannounced"] += 1
             return
         try:
             self._drivers.publish(neighbour, known[1], sample.payload)
         except HostlinkError:
-            self._post.counts["refused"] += 1
+            self._transport.counts["refused"] += 1
 
     def close(self) -> None:
-        """Share nothing any more."""
+        """Withdraw everything."""
         self._exports.close()
 
     def _fail(self, name: str, error: Exception) -> None:
-        note_failure(self._hub, self._post, "failed_topics", name, error)
+        note_failure(self._hub, self._transport, "failed_topics", name, error)
 
     def _find(self, topics: tuple[GraphTopic, ...]) -> dict[str, tuple[TopicState, str]]:
         robots = {robot.name: robot for robot in self._hub.robots.here() if is_shareable(robot)}
@@ -152,13 +160,15 @@ class FleetExports:
 class _Import:
     """A topic of a robot of another daemon, in the graph here."""
 
-    def __init__(self, post: Post, neighbour: Neighbour, participant: Participant, topic: TopicState) -> None:
+    def __init__(
+        self, transport: FleetTransport, neighbour: Neighbour, participant: Participant, topic: TopicState
+    ) -> None:
         """Show it.
 
         Raises:
-            WrongType, BadRequest: the topic has another type here, or nobody knows it.
+            WrongType, BadRequest: the topic has another type here, or an unknown one.
         """
-        self._post, self._neighbour, self._participant, self._name = post, neighbour, participant, topic.name
+        self._transport, self._neighbour, self._participant, self._name = transport, neighbour, participant, topic.name
         self._to_device: Subscription | None = None  # what programs here publish
         if topic.is_published:
             participant.advertise(topic.name, topic.type)
@@ -177,20 +187,24 @@ class _Import:
 
     def _publish(self, message: Message) -> None:
         """A program here publishes what a device over there subscribes."""
-        parts, post = message.topic.strip("/").split("/"), self._post
-        post.session.put(post.keys.key("publish", post.me, *parts, to=self._neighbour.sender.zid), message.payload)
+        parts, transport = message.topic.strip("/").split("/"), self._transport
+        transport.session.put(
+            transport.keys.key("publish", transport.me, *parts, to=self._neighbour.sender.zid), message.payload
+        )
 
 
 class _RemoteTopics:
     """The topics of one robot of another daemon."""
 
-    def __init__(self, hub: Hub, post: Post, log_once: LogOnce, robot: str, neighbour: Neighbour) -> None:
+    def __init__(
+        self, hub: Hub, transport: FleetTransport, log_once: LogOnce, robot: str, neighbour: Neighbour
+    ) -> None:
         self.listed: list[TopicState] = []
-        self._hub, self._post, self._log_once, self._neighbour = hub, post, log_once, neighbour
+        self._hub, self._transport, self._log_once, self._neighbour = hub, transport, log_once, neighbour
         self._participant = hub.join(f"{robot} at {neighbour.sender.name}", group=GROUP)
         self._shown: dict[str, TopicState] = {}
         self._imports = Mirror[str, TopicState, _Import](
-            lambda _, topic: _Import(post, neighbour, self._participant, topic),
+            lambda _, topic: _Import(transport, neighbour, self._participant, topic),
             self._refuse,
             retry_s=FIRST_RETRY_S,
             longest_s=LONGEST_RETRY_S,
@@ -198,7 +212,7 @@ class _RemoteTopics:
         self._subscriptions = Mirror[str, TopicState, Declaration](self._subscribe, self._fail)
 
     def show(self, topics: dict[str, TopicState]) -> None:
-        """These, and no others; a subscription at the other daemon ends with its topic."""
+        """Show exactly these topics. A subscription at the other daemon ends with its topic."""
         self._shown = topics
         self._imports.want({name: topic for name, topic in topics.items() if not topic.is_velocity})
         self._subscriptions.want(
@@ -216,15 +230,15 @@ class _RemoteTopics:
         )
 
     def close(self) -> None:
-        """Show none any more."""
+        """Withdraw all topics."""
         self._subscriptions.close()
         self._imports.close()
         self._participant.leave()
 
     def _subscribe(self, name: str, topic: TopicState) -> Declaration:
-        key = self._post.keys.key("out", self._neighbour.sender, *name.strip("/").split("/"))
+        key = self._transport.keys.key("out", self._neighbour.sender, *name.strip("/").split("/"))
         deliver = self._deliver_velocity if topic.is_velocity else self._deliver
-        return self._post.session.subscribe(
+        return self._transport.session.subscribe(
             key,
             lambda sample: deliver(name, sample.payload),
             max_bytes=MAX_MESSAGE_BYTES,
@@ -232,7 +246,7 @@ class _RemoteTopics:
         )
 
     def _is_read(self, topic: str) -> bool:
-        """Whether anybody here subscribes to a velocity topic of a robot elsewhere, apart from the robot itself."""
+        """Whether a velocity topic of another daemon's robot has subscribers here, apart from the robot itself."""
         known = self._hub.topics.find_or_none(topic)
         return known is not None and bool(known.subscribers)
 
@@ -246,25 +260,25 @@ class _RemoteTopics:
         try:
             self._participant.publish(topic, payload)
         except HostlinkError:
-            self._post.counts["refused"] += 1
+            self._transport.counts["refused"] += 1
 
     def _refuse(self, topic: str, error: Exception) -> None:
-        note_failure(self._hub, self._post, "refused_topics", topic, error)
+        note_failure(self._hub, self._transport, "refused_topics", topic, error)
         if isinstance(error, HostlinkError):
             self._log_once("fleet.topic_refused", topic=topic, reason=str(error))
 
     def _fail(self, topic: str, error: Exception) -> None:
-        note_failure(self._hub, self._post, "failed_topics", topic, error)
+        note_failure(self._hub, self._transport, "failed_topics", topic, error)
 
 
 class FleetImports:
-    """The topics of robots of other daemons, below their names whatever these send; no other name is used."""
+    """Topics of robots of other daemons. Only names below that of the robot are used."""
 
-    def __init__(self, hub: Hub, post: Post) -> None:
-        self._hub, self._post = hub, post
+    def __init__(self, hub: Hub, transport: FleetTransport) -> None:
+        self._hub, self._transport = hub, transport
         log_once = LogOnce(by=("topic",))
         self._robots = Mirror[str, Neighbour, _RemoteTopics](
-            lambda robot, neighbour: _RemoteTopics(hub, post, log_once, robot, neighbour), self._fail
+            lambda robot, neighbour: _RemoteTopics(hub, transport, log_once, robot, neighbour), self._fail
         )
 
     def show(self, robot: RemoteRobot, neighbour: Neighbour, topics: list[TopicState]) -> None:
@@ -275,13 +289,13 @@ class FleetImports:
             return
         shown.listed = topics
         own = {topic.name: topic for topic in topics if topic.name.startswith(f"/{robot.name}/")}
-        self._post.counts["foreign_topics"] += len(topics) - len(own)
+        self._transport.counts["foreign_topics"] += len(topics) - len(own)
         wanted = dict(list(own.items())[:MAX_ADVERTISED])
         robot.offer((each.name, each.type) for each in wanted.values() if each.is_velocity)
         shown.show(wanted)
 
     def hide(self, robot: str) -> None:
-        """It is gone, or known from another daemon."""
+        """Withdraw the topics of a robot that is gone, or known from another daemon."""
         self._robots.put(robot, None)
 
     def hide_all(self) -> None:
@@ -289,30 +303,30 @@ class FleetImports:
         self._robots.close()
 
     def update(self, topics: Iterable[GraphTopic]) -> None:
-        """The graph has changed: subscribe elsewhere what is subscribed here."""
+        """Subscribe at other daemons to what is subscribed here, after a change of the graph."""
         subscribed = {topic.name for topic in topics if topic.is_subscribed and not topic.is_velocity}
         for shown in self._robots.endpoints.values():
             shown.demand(subscribed)
 
     def _fail(self, robot: str, error: Exception) -> None:
-        note_failure(self._hub, self._post, "failed_topics", robot, error)
+        note_failure(self._hub, self._transport, "failed_topics", robot, error)
 
 
-def note_failure(hub: Hub, post: Post, cause: str, name: str, error: Exception) -> None:
-    """Count what is refused; what is no refusal is a fault of hostlink."""
+def note_failure(hub: Hub, transport: FleetTransport, cause: str, name: str, error: Exception) -> None:
+    """Count a refusal; any other error is a fault of hostlink."""
     if isinstance(error, HostlinkError):
-        post.counts[cause] += 1
+        transport.counts[cause] += 1
     else:
         hub.isolation.crashed("graph", error, graph="fleet", name=name)
 
 
 class FleetTopics:
-    """A daemon's list of topics has a number, which comes with its state; the list is fetched when that changes."""
+    """Topics in both directions. A daemon's list is fetched again when the number in its state has changed."""
 
-    def __init__(self, hub: Hub, post: Post, drivers: FleetDrivers, roster: Roster) -> None:
-        self.exports = FleetExports(hub, post, drivers, roster)
-        self._hub, self._post, self._roster = hub, post, roster
-        self._imports = FleetImports(hub, post)
+    def __init__(self, hub: Hub, transport: FleetTransport, drivers: FleetDrivers, roster: Roster) -> None:
+        self.exports = FleetExports(hub, transport, drivers, roster)
+        self._hub, self._transport, self._roster = hub, transport, roster
+        self._imports = FleetImports(hub, transport)
         self._participant = hub.join("fleet", role=Role.READ, group=GROUP)
         self._lists: dict[str, dict[str, list[TopicState]]] = {}  # by daemon and robot
         self._fetching: set[str] = set()
@@ -322,7 +336,7 @@ class FleetTopics:
         self._participant.watch_graph(self._update)
 
     def end(self) -> None:
-        """Share nothing any more."""
+        """Withdraw everything."""
         self._participant.leave()
         self._imports.hide_all()
         self.exports.close()
@@ -334,11 +348,11 @@ class FleetTopics:
             self._imports.show(robot, neighbour, topics)
 
     def hide(self, name: str) -> None:
-        """A robot's topics are no more."""
+        """Withdraw the topics of a robot."""
         self._imports.hide(name)
 
     def lose(self, zid: str) -> None:
-        """A daemon is gone."""
+        """Forget the list of a daemon that is gone."""
         self._lists.pop(zid, None)
 
     async def fetch(self, neighbour: Neighbour, number: int) -> bool:
@@ -348,7 +362,9 @@ class FleetTopics:
             return False
         self._fetching.add(sender.zid)
         try:
-            answers = await self._post.session.get(self._post.keys.key("topics", sender), timeout_s=TOPICS_TIMEOUT_S)
+            answers = await self._transport.session.get(
+                self._transport.keys.key("topics", sender), timeout_s=TOPICS_TIMEOUT_S
+            )
         finally:
             self._fetching.discard(sender.zid)
         if not answers or self._roster.find(sender) is not neighbour:
@@ -356,7 +372,7 @@ class FleetTopics:
         try:
             listed = decode(answers[0].payload, Topics)
         except BadPayload:
-            self._post.counts["malformed"] += 1
+            self._transport.counts["malformed"] += 1
             return False
         neighbour.topics = number
         by_robot: dict[str, list[TopicState]] = {name: [] for name in neighbour.robots}
@@ -366,7 +382,7 @@ class FleetTopics:
         return True
 
     def demand(self) -> None:
-        """Subscribe elsewhere what is subscribed here."""
+        """Subscribe at other daemons to what is subscribed here."""
         self._imports.update(self._participant.graph().topics)
 
     def _update(self) -> None:

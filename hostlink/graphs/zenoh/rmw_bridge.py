@@ -1,36 +1,514 @@
-"""The bridge to ROS 2 by rmw_zenoh's protocol: what is in the hub is in that graph, and the other way round."""
+"""Bridge to ROS 2 by rmw_zenoh's protocol: mirrors topics and services of the hub and of ROS 2 into each other."""
 
 import asyncio
 import contextlib
+import itertools
 import re
 import socket
+import time
 from collections import Counter
-from collections.abc import AsyncIterator, Container
-from typing import Final
+from collections.abc import AsyncIterator, Callable, Container, Mapping
+from dataclasses import dataclass, field
+from typing import Final, NamedTuple
 
 import structlog
 
 from hostlink.config import ZenohConfig
-from hostlink.errors import HostlinkError
-from hostlink.graphs.ros2_types import Ros2Message, Ros2Types, ros1_type
-from hostlink.graphs.zenoh.rmw_endpoints import (
-    GROUP,
-    CalledService,
-    Offered,
-    OfferedService,
-    Publication,
-    Published,
-    RmwNode,
+from hostlink.errors import BadPayload, BadRequest, CommandRefused, HostlinkError, RefusalKind, ServiceFailed, WrongType
+from hostlink.graphs.refusal_log import RefusalLog
+from hostlink.graphs.ros2_names import ros1_type
+from hostlink.graphs.ros2_types import Ros2Message, Ros2Service, Ros2Types
+from hostlink.graphs.zenoh.rmw_protocol import (
+    COMMANDS,
+    GID_BYTES,
+    LATCHED,
+    OWN_ENCLAVE,
+    SERVICE,
+    SPACE,
+    TELEMETRY,
+    Attachment,
+    EndpointToken,
+    Kind,
+    NodeToken,
+    Qos,
+    RemoteGraph,
+    Removed,
+    SourceClock,
+    Subject,
+    data_key,
+    gid_of,
+    is_hidden,
+    is_name,
 )
-from hostlink.graphs.zenoh.rmw_graph import RemoteGraph
-from hostlink.graphs.zenoh.rmw_protocol import OWN_ENCLAVE, SPACE, EndpointToken, Kind, NodeToken, is_hidden, is_name
-from hostlink.graphs.zenoh.rmw_publishers import Publishers, Subscription, Wanted
-from hostlink.graphs.zenoh.session import Session, Token
+from hostlink.graphs.zenoh.session import Declaration, Query, Sample, Session, Token
 from hostlink.hub.graph_view import GraphService, GraphTopic
 from hostlink.hub.hub import Hub
+from hostlink.hub.message import Message
+from hostlink.hub.participant import Participant
+from hostlink.logs import printable
+from hostlink.messages.message_type import ServiceType
 from hostlink.mirror.log_once import LogOnce
 from hostlink.mirror.mirror import Mirror
+from hostlink.robot.admission import EarlierMotion
 from hostlink.robot.velocity import TWIST_STAMPED_TYPE, TWIST_TYPE
+
+GROUP = "rmw_zenoh"  # of all participants that stand for this graph
+MAX_CALLS_OF_CLIENT = 8  # under way at once, of one client and one service
+CALL_TIMEOUT_S = 30.0  # of a service of ROS 2
+
+
+class Endpoint:
+    """One end of a topic or service in ROS 2: its token, and the gid by which it signs."""
+
+    def __init__(self, session: Session, token: EndpointToken, key: str) -> None:
+        """`key`: of its data."""
+        text = token.encode()
+        self.key, self.gid = key, gid_of(text)
+        self._numbers = itertools.count(1)
+        self._declaration: Declaration = session.declare_token(text)
+
+    def signed(self, source_ns: int | None = None) -> tuple[int, bytes]:
+        """The number of its next message or request, and the attachment with it."""
+        number = next(self._numbers)
+        return number, Attachment(number, time.time_ns() if source_ns is None else source_ns, self.gid).encode()
+
+    def close(self) -> None:
+        """Leave the graph."""
+        self._declaration.close()
+
+
+@dataclass(slots=True)
+class RmwNode:
+    """Node of this daemon in ROS 2, which its endpoints share. `counts`: losses by cause."""
+
+    hub: Hub
+    session: Session
+    types: Ros2Types
+    token: NodeToken
+    counts: Counter[str] = field(default_factory=Counter)
+    _numbers: "itertools.count[int]" = field(default_factory=lambda: itertools.count(1))
+
+    def endpoint(self, kind: Kind, name: str, type_name: str, type_hash: str, qos: Qos) -> Endpoint:
+        """Declare an endpoint of this node.
+
+        Raises:
+            ConfigError: the session is closed.
+        """
+        token = EndpointToken(kind, self.token, next(self._numbers), name, type_name, type_hash, qos)
+        return Endpoint(self.session, token, data_key(self.token.domain, name, type_name, type_hash))
+
+
+@dataclass(frozen=True, slots=True)
+class Published:
+    """Specification of a publication."""
+
+    topic: str
+    type_name: str  # in the hub
+    type: Ros2Message
+    is_latched: bool
+
+
+class Publication:
+    """`close` ends it. What is latched is kept for those who come later, as ROS 2's transient local."""
+
+    def __init__(self, node: RmwNode, topic: Published) -> None:
+        """Declare it.
+
+        Raises:
+            ConfigError: the session is closed.
+        """
+        qos, type_ = LATCHED if topic.is_latched else TELEMETRY, topic.type
+        self._node, self._topic = node, topic
+        self._endpoint = node.endpoint(Kind.PUBLISHER, topic.topic, type_.name, type_.type_hash, qos)
+        self._publisher = node.session.declare_publisher(self._endpoint.key, kept=1 if topic.is_latched else 0)
+        self._participant: Participant | None = None
+        if topic.is_latched:
+            self._subscribe()
+        else:
+            self._publisher.watch(self._match)
+            self._match(self._publisher.is_subscribed)
+
+    def close(self) -> None:
+        """Publish no more."""
+        self._unsubscribe()
+        self._endpoint.close()
+        self._publisher.close()
+
+    def _match(self, is_subscribed: bool) -> None:
+        if is_subscribed:
+            self._subscribe()
+        else:
+            self._unsubscribe()
+
+    def _subscribe(self) -> None:
+        if self._participant is None:
+            self._participant = self._node.hub.join(f"ros2 {self._topic.topic}", group=GROUP)
+            self._participant.subscribe(self._topic.topic, self._receive)
+
+    def _unsubscribe(self) -> None:
+        if self._participant is not None:
+            self._participant.leave()
+            self._participant = None
+
+    def _receive(self, message: Message) -> None:
+        if message.type_name != self._topic.type_name:
+            self._node.counts["other_type"] += 1
+            return
+        try:
+            data = self._topic.type.to_cdr(message.payload)
+        except BadPayload:
+            self._node.counts["malformed_to_ros2"] += 1
+            return
+        _, attachment = self._endpoint.signed(message.stamp_ns)
+        self._publisher.put(data, attachment=attachment)
+        self._node.counts["to_ros2"] += 1
+
+
+@dataclass(frozen=True, slots=True)
+class Offered:
+    """Specification of an offered service."""
+
+    name: str
+    known: ServiceType
+    type: Ros2Service
+
+
+class OfferedService:
+    """A service of the hub, which ROS 2 can call."""
+
+    def __init__(self, node: RmwNode, offered: Offered) -> None:
+        """Declare it.
+
+        Raises:
+            ConfigError: the session is closed.
+        """
+        self._node, self._name, self._known, self._type = node, offered.name, offered.known, offered.type
+        self._calls: Counter[bytes] = Counter()
+        self._participant = node.hub.join(f"ros2 {self._name}", group=GROUP)
+        self._endpoint = node.endpoint(Kind.SERVER, self._name, self._type.name, self._type.type_hash, SERVICE)
+        self._queryable = node.session.serve(self._endpoint.key, self._receive)
+
+    def close(self) -> None:
+        """Answer no more."""
+        self._endpoint.close()
+        self._queryable.close()
+        self._participant.leave()
+
+    def _receive(self, query: Query) -> None:
+        attachment = Attachment.decode(query.attachment)
+        if attachment is None or self._calls[attachment.gid] >= MAX_CALLS_OF_CLIENT:
+            self._node.counts["unsigned" if attachment is None else "crowded_calls"] += 1
+            query.close()
+            return
+        self._calls[attachment.gid] += 1
+        self._node.hub.spawn(self._answer(query, attachment), name=f"ros2 {self._name}")
+
+    async def _answer(self, query: Query, attachment: Attachment) -> None:
+        try:
+            answer = await self._call(query.payload)
+            if answer is not None:
+                signed = attachment._replace(source_ns=time.time_ns()).encode()
+                query.reply(answer, key=self._endpoint.key, attachment=signed)
+                self._node.counts["calls_from_ros2"] += 1
+        finally:
+            query.close()
+            self._calls[attachment.gid] -= 1
+            if not self._calls[attachment.gid]:
+                del self._calls[attachment.gid]
+
+    async def _call(self, data: bytes) -> bytes | None:
+        """Return the answer; None for a malformed request, or a failure that the response type cannot express."""
+        try:
+            request = self._known.request.decode(self._type.request.from_cdr(data))
+            answer = await self._participant.call(self._name, request)
+            return self._type.response.to_cdr(self._known.response.encode(answer))
+        except BadPayload:
+            self._node.counts["malformed_from_ros2"] += 1
+            return None
+        except HostlinkError as error:
+            self._node.counts["failed_calls"] += 1
+            return self._failure(str(error))
+
+    def _failure(self, reason: str) -> bytes | None:
+        fields = {field.name: field.type for field in self._known.response.fields}
+        if fields.get("success") != "bool":
+            return None
+        message = {"message": reason} if fields.get("message") == "string" else {}
+        return self._type.response.to_cdr(self._known.response.encode({"success": False, **message}))
+
+
+class CalledService:
+    """A service of ROS 2, which the hub's devices and programs can call."""
+
+    def __init__(self, node: RmwNode, token: EndpointToken, known: ServiceType, type_: Ros2Service) -> None:
+        """Provide it.
+
+        Raises:
+            ConfigError: the session is closed.
+            BadRequest: the name is the daemon's own.
+        """
+        self._node, self._name, self._known, self._type = node, token.name, known, type_
+        self._participant: Participant = node.hub.join(f"ros2 {token.node.full_name}", group=GROUP)
+        self._endpoint = node.endpoint(Kind.CLIENT, token.name, type_.name, type_.type_hash, SERVICE)
+        try:
+            self._participant.provide(token.name, known.name, self._answer)
+        except BadRequest:
+            self.close()
+            raise
+
+    def close(self) -> None:
+        """Provide it no more."""
+        self._participant.leave()
+        self._endpoint.close()
+
+    async def _answer(self, request: Mapping[str, object]) -> Mapping[str, object]:
+        data = self._type.request.to_cdr(self._known.request.encode(request))
+        number, attachment = self._endpoint.signed()
+        samples = await self._node.session.get(
+            self._endpoint.key, data, attachment=attachment, timeout_s=CALL_TIMEOUT_S
+        )
+        for sample in samples:
+            signed = Attachment.decode(sample.attachment)
+            if signed is not None and signed.sequence_number == number:
+                self._node.counts["calls_to_ros2"] += 1
+                return self._known.response.decode(self._type.response.from_cdr(sample.payload))
+        raise ServiceFailed(self._name, "no answer from ROS 2")
+
+
+MAX_PUBLISHERS = 1024  # participants
+MAX_PUBLISHERS_OF_SESSION = 128  # of one process
+MAX_GONE = MAX_PUBLISHERS  # tokens that are remembered; the one that left first is forgotten first
+NEW_S = 1.0  # after its token a publisher is new; later it may be in the middle of a motion
+MATCH_S = 3.0  # until Zenoh has connected a publisher and a subscription that know of each other
+FIRST_NUMBER = 1  # of the messages of a publisher
+OWN_TOPICS = frozenset({"/rosout", "/parameter_events"})  # that every node of ROS 2 publishes, for its own tools
+
+MAX_NESTED_BYTES = 32 * 1024  # of a message with lists of messages or texts, each of which costs time
+MAX_FLAT_BYTES = 1024 * 1024
+MAX_WAITING = 64  # messages of one publisher
+TWIST_BYTES = 48  # at the end of a TwistStamped
+
+log = structlog.get_logger()
+
+
+class Publisher:
+    """One publisher of ROS 2."""
+
+    def __init__(self, node: RmwNode, token: EndpointToken, leave: Callable[[], None]) -> None:
+        """`leave` is called when a failure of its own ends its participant."""
+        self.token = token
+        self.clock = SourceClock()
+        self.motion = EarlierMotion()
+        self.participant: Participant = node.hub.join(f"ros2 {token.node.full_name}", group=GROUP, on_end=leave)
+        self._node = node
+        self._is_advertised = False
+        self._refusals = RefusalLog()
+
+    def advertise(self) -> None:
+        """Show its topic in the hub.
+
+        Raises:
+            WrongType: the topic has another type here.
+            BadRequest: the type is unknown here.
+        """
+        if not self._is_advertised:
+            token = self.token
+            self.participant.advertise(token.name, ros1_type(token.type_name), is_latched=token.qos.is_transient_local)
+            self._is_advertised = True
+
+    def close(self) -> None:
+        """Leave: what it drives stops."""
+        self.participant.leave()
+
+    def publish(self, topic: str, payload: bytes, *, received_s: float, epoch: int | None = None) -> None:
+        """Pass a payload on; what the hub refuses is counted, and now and then in both logs: here and in ROS 2."""
+        try:
+            self.participant.publish(topic, payload, at_s=received_s, epoch=epoch)
+            self._node.counts["from_ros2"] += 1
+        except HostlinkError as error:
+            is_late = isinstance(error, CommandRefused) and error.kind is RefusalKind.LATE
+            self._node.counts["late" if is_late else "refused"] += 1
+            count = self._refusals.count(error.kind, asyncio.get_running_loop().time())
+            if count:
+                by, reason = printable(self.participant.name), printable(str(error), 200)
+                log.warning("ros2.refused", topic=topic, by=by, kind=error.kind, reason=reason, count=count)
+                node = self._node.token.full_name
+                self._node.hub.rosout.warn(node, f"{topic} of {by} is refused ({error.kind}): {reason}")
+
+
+class _Token(NamedTuple):
+    """A publisher's token, and when it came."""
+
+    token: EndpointToken
+    came_s: float
+
+
+class Publishers:
+    """All publishers of ROS 2, by their tokens."""
+
+    def __init__(self, node: RmwNode, remote: RemoteGraph, log_once: LogOnce) -> None:
+        self._node, self._remote, self._log_once = node, remote, log_once
+        self._gone: dict[str, None] = {}  # tokens that may be back after a cut
+        self._began_s = asyncio.get_running_loop().time()
+        self._publishers = Mirror[str, _Token, Publisher](
+            self._open,
+            lambda _, error: node.hub.isolation.crashed("graph", error, graph="ros2"),
+            limit=MAX_PUBLISHERS,
+            group_of=session_of,
+            group_limit=MAX_PUBLISHERS_OF_SESSION,
+            is_same=lambda before, now: before.token == now.token,
+            on_crowded=lambda _: node.counts.update(("crowded_publishers",)),
+        )
+
+    def add(self, token: EndpointToken, key: str) -> None:
+        """A publisher has come."""
+        if token.name not in OWN_TOPICS and not is_hidden(token.name):
+            self._publishers.put(key, _Token(token, asyncio.get_running_loop().time()))
+
+    def remove(self, removed: Removed) -> None:
+        """A publisher has gone: what it drives stops. So does what those drive who cannot be distinguished from it."""
+        if removed.publisher is None:
+            return
+        self._publishers.put(removed.publisher.key, None)
+        self._gone[removed.publisher.key] = None
+        if len(self._gone) > MAX_GONE:
+            del self._gone[next(iter(self._gone))]
+        for each in removed.unsure:
+            self._publishers.put(each.key, None)
+            if each.key != removed.publisher.key:
+                self.add(each.token, each.key)
+
+    def advertise_all(self) -> None:
+        """The hub's graph has changed: types that were wrong may be right."""
+        for each in self._publishers.endpoints.values():
+            self._advertise(each)
+
+    def join(self, subject: Subject) -> None:
+        """A velocity is subscribed from now on: publishers that are there may be in the middle of a motion."""
+        for each in self._publishers.endpoints.values():
+            if (each.token.name, each.token.type_name) == subject:
+                self._expect_earlier(each)
+
+    def has_signed(self, gid: bytes) -> bool:
+        """Whether a publisher has signed by it; in any thread."""
+        return self._remote.is_known(gid)
+
+    def clear(self) -> None:
+        """All leave."""
+        self._publishers.close()
+
+    def publish(self, attachment: Attachment, subject: Subject, payload: bytes, *, topic: str) -> None:
+        """Publish as the publisher that has signed the message, with the time that it waited on its way."""
+        remote = self._remote.publisher(attachment.gid, subject)
+        publisher = None if remote is None else self._publishers.endpoints.get(remote.key)
+        if publisher is None:
+            self._node.counts["unidentified"] += 1
+            return
+        now_s = asyncio.get_running_loop().time()
+        late_s = publisher.clock.late_s(attachment.sequence_number, attachment.source_ns, now_s)
+        epoch = publisher.motion.pop_epoch(self._node.hub.gates.came_s(now_s))
+        if attachment.sequence_number <= FIRST_NUMBER:
+            epoch = None  # it is the first that it has ever sent
+        publisher.publish(topic, payload, received_s=now_s - late_s, epoch=epoch)
+
+    def _open(self, key: str, spec: _Token) -> Publisher:
+        made = Publisher(self._node, spec.token, lambda: self._publishers.put(key, None))
+        now_s, is_back = asyncio.get_running_loop().time(), key in self._gone
+        self._gone.pop(key, None)
+        has_waited = now_s > spec.came_s + NEW_S  # for room
+        if is_back or has_waited or now_s < self._began_s + MATCH_S:  # it was there before this daemon
+            self._expect_earlier(made)
+        self._advertise(made)
+        return made
+
+    @staticmethod
+    def _expect_earlier(publisher: Publisher) -> None:
+        publisher.motion = EarlierMotion(asyncio.get_running_loop().time() + MATCH_S)
+
+    def _advertise(self, publisher: Publisher) -> None:
+        token = publisher.token
+        try:
+            publisher.advertise()
+        except WrongType as error:
+            self._log_once("ros2.topic_refused", name=token.name, type=token.type_name, reason=str(error))
+        except BadRequest as error:
+            self._log_once("ros2.type_unknown", name=token.type_name, topic=token.name, reason=str(error))
+
+
+@dataclass(frozen=True, slots=True)
+class Wanted:
+    """Specification of a subscription."""
+
+    name: str  # of the topic in ROS 2
+    type: Ros2Message
+    topic: str  # in the hub
+    is_velocity: bool = False
+    is_stripped: bool = False  # of a TwistStamped the Twist alone is published
+    has_history: bool = False  # what publishers keep for those who come later is requested
+
+    @property
+    def qos(self) -> Qos:
+        """Quality of service, as tools of ROS 2 show it."""
+        if self.is_velocity:
+            return COMMANDS
+        return Qos(is_transient_local=self.has_history, depth=TELEMETRY.depth)
+
+
+class Subscription:
+    """`close` ends it."""
+
+    def __init__(self, node: RmwNode, wanted: Wanted, publishers: Publishers) -> None:
+        """Declare it.
+
+        Raises:
+            ConfigError: the session is closed.
+        """
+        self._node, self._wanted, self._publishers = node, wanted, publishers
+        type_ = wanted.type
+        self._endpoint = node.endpoint(Kind.SUBSCRIPTION, wanted.name, type_.name, type_.type_hash, wanted.qos)
+        if wanted.is_velocity:
+            publishers.join((wanted.name, type_.name))
+        self._subscription = node.session.subscribe(
+            self._endpoint.key,
+            self._receive,
+            signer_of=self._signer_of,
+            max_bytes=MAX_FLAT_BYTES if type_.is_flat else MAX_NESTED_BYTES,
+            max_waiting=1 if wanted.is_velocity else MAX_WAITING,
+            has_history=wanted.has_history,
+        )
+
+    def close(self) -> None:
+        """Subscribe no more."""
+        self._endpoint.close()
+        self._subscription.close()
+
+    def _signer_of(self, attachment: bytes) -> str:
+        """In a thread of Zenoh's: those who are not known share one queue."""
+        gid = attachment[-GID_BYTES:]
+        return gid.hex() if self._publishers.has_signed(gid) else ""
+
+    def _receive(self, sample: Sample) -> None:
+        attachment = Attachment.decode(sample.attachment)
+        if attachment is None:
+            self._node.counts["unsigned"] += 1
+            return
+        try:
+            payload = self._wanted.type.from_cdr(sample.payload)
+        except BadPayload:
+            self._node.counts["malformed_from_ros2"] += 1
+            return
+        self._publishers.publish(
+            attachment,
+            (self._wanted.name, self._wanted.type.name),
+            payload[-TWIST_BYTES:] if self._wanted.is_stripped else payload,
+            topic=self._wanted.topic,
+        )
+
+
+def session_of(key: str) -> str:
+    """The process whose token has this key."""
+    return key.split("/")[2]
+
 
 MAX_CALLED_SERVICES: Final = 256
 TROUBLE_INTERVAL_S: Final = 10.0
@@ -42,11 +520,10 @@ TROUBLE: Final = frozenset(  # counts of what was lost, by cause
         "malformed_from_ros2", "malformed_to_ros2", "malformed_tokens", "other_type", "unidentified", "unsigned",
     }
 )  # fmt: skip
-UNKNOWN: Final = "ros2.type_unknown"  # of most types of a large graph: they are no robot's here
+UNKNOWN: Final = "ros2.type_unknown"  # of most types of a large graph: robots here do not use them
 REFUSED_NAME: Final = "ROS 2 allows letters, digits and _ in names"
 OWN_PACKAGES: Final = ("rcl_interfaces/", "type_description_interfaces/")  # services that every node of ROS 2 has
 
-log = structlog.get_logger()
 
 _Declared = Wanted | Published | Offered
 _Endpoint = Subscription | Publication | OfferedService
@@ -200,7 +677,7 @@ class RmwBridge:
         return wanted
 
     def _type(self, topic: GraphTopic) -> Ros2Message | None:
-        """What the topic is in ROS 2; None: it cannot be there, which is logged once."""
+        """Return the type of a topic in ROS 2; None if it cannot exist there, which is logged once."""
         if not topic.type_name or is_hidden(topic.name) or self._is_elsewhere(topic.name):
             return None
         if not is_name(topic.name):

@@ -1,16 +1,19 @@
-"""The protocol of rmw_zenoh: names, keys, qualities of service, signatures and tokens. Pure.
+"""The protocol of rmw_zenoh: names, keys, qualities of service, signatures, tokens, and the graph that they form. Pure.
 
-The formats are those of docs/ros2-zenoh.md#on-the-wire. What somebody else declares is untrusted text: what cannot be
-read is None, never an exception.
+The formats are those of docs/ros2-zenoh.md#on-the-wire. Declarations of other programs are untrusted text:
+unreadable text gives None, never an exception.
 """
 
 import re
 import struct
-from dataclasses import dataclass
+from collections import Counter
+from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Final, NamedTuple
 
 import xxhash
+
+from hostlink.robot.admission import Freshness
 
 NAME_CHARS_MAX: Final = 255
 DOMAIN_MAX: Final = 232
@@ -53,17 +56,17 @@ def to_dds_type(type_name: str) -> str:
     """ "std_msgs/msg/String" -> "std_msgs::msg::dds_::String_".
 
     Raises:
-        ValueError: it is no type name of ROS 2.
+        ValueError: it is not a type name of ROS 2.
     """
     match = _TYPE.fullmatch(type_name)
     if match is None:
-        raise ValueError(f"{type_name!r} is no type of ROS 2, as std_msgs/msg/String is")
+        raise ValueError(f"{type_name!r} is not a type name of ROS 2, such as std_msgs/msg/String")
     package, kind, name = match.groups()
     return f"{package}::{kind}::dds_::{name}_"
 
 
 def from_dds_type(dds_type: str) -> str | None:
-    """ "std_msgs::msg::dds_::String_" -> "std_msgs/msg/String"; None: it is none."""
+    """ "std_msgs::msg::dds_::String_" -> "std_msgs/msg/String"; None if it is malformed."""
     match = _DDS_TYPE.fullmatch(dds_type)
     return None if match is None else "/".join(match.groups())
 
@@ -82,7 +85,7 @@ def data_key(domain: int, name: str, type_name: str, type_hash: str) -> str:
     """The key on which the messages of a topic, or the requests of a service, are sent.
 
     Raises:
-        ValueError: `type_name` is no type name of ROS 2.
+        ValueError: `type_name` is not a type name of ROS 2.
     """
     return f"{domain}/{name.strip('/')}/{to_dds_type(type_name)}/{type_hash}"
 
@@ -108,7 +111,7 @@ class Qos:
 
     @classmethod
     def decode(cls, text: str) -> "Qos | None":
-        """From the text in a token; None: it is none."""
+        """Decode the text in a token; None if it is malformed."""
         parts = text.split(":")
         if len(parts) < _PARTS:
             return None
@@ -145,7 +148,7 @@ class Attachment(NamedTuple):
 
     @classmethod
     def decode(cls, data: bytes) -> "Attachment | None":
-        """None: it is none, as that of a release of rmw_zenoh before April 2025."""
+        """Decode an attachment; None if it is malformed, as that of rmw_zenoh before April 2025."""
         if len(data) != _LAYOUT.size:
             return None
         sequence_number, source_ns, gid_bytes, gid = _LAYOUT.unpack(data)
@@ -156,7 +159,7 @@ class Attachment(NamedTuple):
 
 
 class Kind(StrEnum):
-    """What a token stands for."""
+    """Kind of a token."""
 
     NODE = "NN"
     PUBLISHER = "MP"
@@ -209,17 +212,17 @@ class EndpointToken:
     qos: Qos
 
     def encode(self) -> str:
-        """The key.
+        """Return the key.
 
         Raises:
-            ValueError: the type name is none of ROS 2.
+            ValueError: the type name is not one of ROS 2.
         """
         parts = (mangle(self.name), to_dds_type(self.type_name), self.type_hash, self.qos.encode())
         return "/".join((self.node.key(self.kind, self.number), *parts))
 
 
 def parse_token(text: str) -> NodeToken | EndpointToken | None:
-    """What a key stands for; None: it is no token, or one that ROS 2 would not declare."""
+    """Parse a token; None for a malformed one, or one that ROS 2 would not declare."""
     parts = text.split("/") if len(text) <= TOKEN_CHARS_MAX else []
     if len(parts) < _NODE_PARTS or parts[0] != SPACE or not all(parts):
         return None
@@ -251,3 +254,167 @@ def _parse_endpoint(kind: Kind, node: NodeToken, number: int, parts: list[str]) 
 
 def _number(text: str) -> int | None:
     return int(text) if text.isascii() and text.isdigit() and len(text) <= 20 else None  # noqa: PLR2004 - a uint64's digits
+
+
+_NS_PER_S: Final = 1_000_000_000
+MAX_TOKENS: Final = 8192
+MAX_TOKENS_OF_SESSION: Final = 2048  # of one process; a node of ROS 2 has ten or more
+
+Subject = tuple[str, str]  # of messages: the topic, and its type
+
+
+@dataclass(slots=True)
+class RemotePublisher:
+    """A publisher and its token; `drawn_gid`: by which it signs, if not by that of its token."""
+
+    token: EndpointToken
+    key: str
+    gid: bytes
+    drawn_gid: bytes | None = None
+    has_signed: bool = False  # by the gid of its token
+
+    @property
+    def subject(self) -> Subject:
+        """Topic and type of its messages."""
+        return self.token.name, self.token.type_name
+
+
+@dataclass(frozen=True, slots=True)
+class Removed:
+    """A token that is gone. `unsure`: publishers who drew their gids, any of whom may be the one that is gone."""
+
+    token: NodeToken | EndpointToken
+    publisher: RemotePublisher | None = None
+    unsure: tuple[RemotePublisher, ...] = ()
+
+
+@dataclass(slots=True)
+class RemoteGraph:
+    """Tokens of one domain, without those of hostlink's own nodes. `counts`: `malformed_tokens`, `crowded_tokens`."""
+
+    domain: int
+    counts: Counter[str]
+    _tokens: dict[str, NodeToken | EndpointToken] = field(default_factory=dict)
+    _of_session: Counter[str] = field(default_factory=Counter)
+    _by_gid: dict[bytes, RemotePublisher] = field(default_factory=dict)
+    _of_subject: dict[Subject, dict[str, RemotePublisher]] = field(default_factory=dict)
+
+    def add(self, key: str) -> NodeToken | EndpointToken | None:
+        """A token has come; None: it is known, no token of this graph, or one too many."""
+        if key in self._tokens:
+            return None
+        token = parse_token(key)
+        node = token.node if isinstance(token, EndpointToken) else token
+        if token is None or node is None or node.domain != self.domain:
+            self.counts["malformed_tokens"] += 1
+            return None
+        if node.is_hostlink:
+            return None
+        if len(self._tokens) >= MAX_TOKENS or self._of_session[node.session] >= MAX_TOKENS_OF_SESSION:
+            self.counts["crowded_tokens"] += 1
+            return None
+        self._tokens[key] = token
+        self._of_session[node.session] += 1
+        if isinstance(token, EndpointToken) and token.kind is Kind.PUBLISHER:
+            publisher = RemotePublisher(token, key, gid_of(key))
+            mistaken = self._by_gid.get(publisher.gid)
+            if mistaken is not None:  # it signed before its token came, and passed for one that draws its gids
+                self._free(mistaken)
+            self._by_gid[publisher.gid] = publisher
+            self._of_subject.setdefault(publisher.subject, {})[key] = publisher
+        return token
+
+    def remove(self, key: str) -> Removed | None:
+        """A token has gone; None: it was not known."""
+        token = self._tokens.pop(key, None)
+        if token is None:
+            return None
+        session = token.node.session if isinstance(token, EndpointToken) else token.session
+        self._of_session[session] -= 1
+        if not self._of_session[session]:
+            del self._of_session[session]
+        if not isinstance(token, EndpointToken) or token.kind is not Kind.PUBLISHER:
+            return Removed(token)
+        publisher = self._by_gid[gid_of(key)]
+        self._forget(publisher)
+        return Removed(token, publisher, self._unbind(publisher))
+
+    def clear(self) -> None:
+        """Remove all tokens."""
+        for key in list(self._tokens):
+            self.remove(key)
+
+    def publisher(self, gid: bytes, subject: Subject) -> RemotePublisher | None:
+        """Return the publisher that signed a message of this subject; None if it is unknown."""
+        found = self._by_gid.get(gid)
+        if found is not None and found.subject == subject:
+            if gid == found.gid and not found.has_signed:
+                found.has_signed = True
+                self._free(found)
+            return found
+        return None if found is not None else self._bind(gid, subject)
+
+    def is_known(self, gid: bytes) -> bool:
+        """Whether it is the gid of a token, or bound to one."""
+        return gid in self._by_gid
+
+    def publishers(self, subject: Subject) -> list[RemotePublisher]:
+        """All of a subject."""
+        return list(self._of_subject.get(subject, {}).values())
+
+    def endpoints(self, kind: Kind) -> list[EndpointToken]:
+        """All of a kind."""
+        return [each for each in self._tokens.values() if isinstance(each, EndpointToken) and each.kind is kind]
+
+    def __len__(self) -> int:
+        return len(self._tokens)
+
+    def _bind(self, gid: bytes, subject: Subject) -> RemotePublisher | None:
+        """Bind a drawn gid to a publisher that has signed nothing."""
+        for publisher in self._of_subject.get(subject, {}).values():
+            if not publisher.has_signed and publisher.drawn_gid is None:
+                publisher.drawn_gid = gid
+                self._by_gid[gid] = publisher
+                return publisher
+        return None
+
+    def _unbind(self, gone: RemotePublisher) -> tuple[RemotePublisher, ...]:
+        """Return the publishers with drawn gids that may be the one that is gone, unless it signed by its token's."""
+        if gone.has_signed:
+            return ()
+        unsure = tuple(each for each in self.publishers(gone.subject) if each.drawn_gid is not None)
+        for each in unsure:
+            self._free(each)
+        return unsure
+
+    def _free(self, publisher: RemotePublisher) -> None:
+        if publisher.drawn_gid is not None:
+            self._by_gid.pop(publisher.drawn_gid, None)
+            publisher.drawn_gid = None
+
+    def _forget(self, publisher: RemotePublisher) -> None:
+        self._free(publisher)
+        del self._by_gid[publisher.gid]
+        of_subject = self._of_subject[publisher.subject]
+        del of_subject[publisher.key]
+        if not of_subject:
+            del self._of_subject[publisher.subject]
+
+
+class SourceClock:
+    """Delay of a publisher's messages, by the wall clock of their sender.
+
+    A clock that is set back causes no delay: a message that waits never has an earlier time.
+    """
+
+    def __init__(self) -> None:
+        self._freshness = Freshness()
+        self._newest = (0, 0)  # number and time of the newest message
+
+    def late_s(self, sequence_number: int, source_ns: int, now_s: float) -> float:
+        """Seconds that a message waited longer on its way than the quickest before it."""
+        number, time_ns = self._newest
+        if sequence_number > number and source_ns < time_ns:
+            self._freshness = Freshness()
+        self._newest = max(self._newest, (sequence_number, source_ns))
+        return self._freshness.late_s(source_ns / _NS_PER_S, now_s)

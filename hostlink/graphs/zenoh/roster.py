@@ -13,7 +13,7 @@ from hostlink.robot.admission import Freshness
 MAX_DAEMONS = 256
 MAX_GONE = 64  # daemons that are gone, whose robots are still shown
 MAX_REMOTE_ROBOTS = 1024  # names; each change of so many keeps the loop for 40 ms
-MAX_NAMESAKES = 4  # daemons that have a robot of one name; from two on nobody elsewhere drives it
+MAX_NAMESAKES = 4  # daemons that have a robot of one name; from two on other daemons drive neither
 SILENT_S = 3.0  # a daemon sends its state each second; one whose token lives but which sends nothing has stopped
 
 
@@ -40,7 +40,7 @@ class Neighbour:
 
 
 class Place(NamedTuple):
-    """Where a robot is, as far as it is known. `also_at`: other daemons at which it is connected."""
+    """Last known place of a robot. `also_at`: other daemons at which it is connected."""
 
     neighbour: Neighbour
     state: RobotMessage
@@ -66,7 +66,7 @@ class Roster:
         return list(self._neighbours.values())
 
     def names(self) -> list[str]:
-        """Of all robots."""
+        """Names of all robots."""
         return list(self._by_name)
 
     def find(self, sender: Sender) -> Neighbour | None:
@@ -90,7 +90,7 @@ class Roster:
         return True
 
     def leave(self, zid: str, now_s: float) -> set[str]:
-        """Its token is gone: its robots are known, and not connected."""
+        """Follow the loss of a daemon's token: its robots stay known, and are not connected."""
         neighbour = self._neighbours.pop(zid, None)
         if neighbour is None:
             return set()
@@ -156,7 +156,7 @@ class Roster:
         return {name for neighbour in silent for name in neighbour.robots}
 
     def place(self, name: str) -> Place | None:
-        """Where a robot is: where it is connected, else where it was last. None: nobody has it."""
+        """Return the daemon at which a robot is connected, or was last; None for an unknown robot."""
         known = self._by_name.get(name)
         if not known:
             return None

@@ -1,4 +1,4 @@
-"""What [zenoh] switches on, on one session."""
+"""Start of the graphs that [zenoh] enables, on one session."""
 
 import contextlib
 from collections.abc import AsyncIterator

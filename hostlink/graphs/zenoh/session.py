@@ -1,4 +1,4 @@
-"""Session: one Zenoh session on the event loop. What Zenoh's threads deliver comes to callbacks in the loop."""
+"""Session: one Zenoh session on the event loop. Callbacks in the loop receive what Zenoh's threads deliver."""
 
 import asyncio
 import contextlib
@@ -29,7 +29,7 @@ HEARTBEAT_S = 0.5  # while something is kept for later subscribers: a subscriber
 
 
 class Sample(NamedTuple):
-    """What was put on a key."""
+    """Message on a key."""
 
     key: str
     payload: bytes
@@ -37,7 +37,7 @@ class Sample(NamedTuple):
 
 
 class Token(NamedTuple):
-    """A liveliness token: whoever declared it lives, or not any more."""
+    """Liveliness token: its owner lives, or has ended."""
 
     key: str
     is_alive: bool
@@ -45,7 +45,7 @@ class Token(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Query:
-    """A question of somebody; `reply` may be called later, and at most once for each key. `close` ends it."""
+    """Query; `reply` may be called later, and at most once for each key. `close` ends it."""
 
     key: str
     payload: bytes
@@ -68,7 +68,7 @@ class Declaration:
 
 
 class Publisher:
-    """A key on which this daemon publishes. Nothing is sent while nobody subscribes."""
+    """A key on which this daemon publishes. Nothing is sent without a subscriber."""
 
     def __init__(self, session: "Session", publisher: Any) -> None:
         self._session, self._publisher = session, publisher
@@ -81,13 +81,13 @@ class Publisher:
 
     @property
     def is_subscribed(self) -> bool:
-        """Whether anybody elsewhere subscribes."""
+        """Whether another session subscribes."""
         with self._session.guarded("match"):
             return bool(self._publisher.matching_status.matching)
         return False
 
     def watch(self, on_change: Callable[[bool], None]) -> None:
-        """Call `on_change` in the loop, with whether anybody elsewhere subscribes, when that changes."""
+        """Call `on_change` in the loop, with whether another session subscribes, when that changes."""
         inbox = self._session.inbox(on_change)
         with self._session.guarded("match"):
             notice = self._session.callback(lambda status: inbox.put("", status.matching))
@@ -113,7 +113,7 @@ class Background:
         self._thread = ThreadPoolExecutor(1, "zenoh")
 
     def replies(self, query: Any) -> tuple[Callable[..., None], Callable[[], None]]:
-        """How a query is answered, and how it is ended."""
+        """Return functions that answer a query, and end it."""
 
         def reply(payload: bytes, *, key: str = "", attachment: bytes | None = None) -> None:
             self._run(lambda: query.reply(key or str(query.key_expr), payload, attachment=attachment))
@@ -124,7 +124,7 @@ class Background:
         return reply, close
 
     def close(self) -> None:
-        """Do nothing more; it waits for nobody."""
+        """Stop without waiting."""
         self._thread.shutdown(wait=False, cancel_futures=True)
 
     def _run(self, work: Callable[[], None]) -> None:
@@ -139,8 +139,8 @@ class Background:
 class Session:
     """One Zenoh session. Its methods are called in the loop, wait for nothing, and do not raise what Zenoh raises.
 
-    `counts`: `dropped` and `oversized` of what came, `failed` calls of Zenoh; what `receive` callbacks raise goes to
-    the hub's isolation.
+    `counts`: `dropped` and `oversized` of what came, `failed` calls of Zenoh; what `receive` callbacks raise is passed
+    to the hub's isolation.
     """
 
     def __init__(self, zenoh: Any, session: Any, isolation: Isolation) -> None:
@@ -162,7 +162,7 @@ class Session:
         """Publish on a key again and again. `kept`: as many of the newest are sent to those who subscribe later.
 
         Raises:
-            ConfigError: the session is closed, or the key is none.
+            ConfigError: the session is closed, or the key is invalid.
         """
         declare = (
             functools.partial(_declare_keeping_publisher, self._session, kept)
@@ -175,12 +175,12 @@ class Session:
         """Show that this daemon lives, or has something, until the declaration or the session is closed.
 
         Raises:
-            ConfigError: the session is closed, or the key is none.
+            ConfigError: the session is closed, or the key is invalid.
         """
         token = self._declare(self._session.liveliness().declare_token, key)
         return Declaration(lambda: self._undeclare(token))
 
-    # -- what comes ---------------------------------------------------------------------------------------------------
+    # -- receiving ----------------------------------------------------------------------------------------------------
 
     def subscribe(
         self,
@@ -196,10 +196,10 @@ class Session:
         """Call `receive` for each sample of others that fits in `max_bytes`; not for those of this session.
 
         `source_of`: of a key, and `signer_of`: of an attachment, whose queue its sample waits in, called in a thread;
-        `max_waiting`: samples in each queue, the oldest goes; `has_history`: what publishers keep comes first.
+        `max_waiting`: samples in each queue, the oldest is dropped; `has_history`: kept messages arrive first.
 
         Raises:
-            ConfigError: the session is closed, or the key expression is none.
+            ConfigError: the session is closed, or the key expression is invalid.
         """
         inbox = self.inbox(receive, max_waiting=max_waiting)
 
@@ -217,10 +217,10 @@ class Session:
         return Declaration(inbox.close, lambda: self._undeclare(subscriber))
 
     def subscribe_tokens(self, key_expr: str, receive: Callable[[Token], None]) -> Declaration:
-        """Call `receive` for each liveliness token that is there, comes or goes, of this session too.
+        """Call `receive` for each liveliness token that exists, appears or ends, of this session too.
 
         Raises:
-            ConfigError: the session is closed, or the key expression is none.
+            ConfigError: the session is closed, or the key expression is invalid.
         """
         inbox = self.inbox(receive, max_waiting=MAX_WAITING * 64)
 
@@ -239,7 +239,7 @@ class Session:
         """Call `answer` for each query.
 
         Raises:
-            ConfigError: the session is closed, or the key expression is none.
+            ConfigError: the session is closed, or the key expression is invalid.
         """
         inbox = self.inbox(answer)
 
@@ -256,7 +256,7 @@ class Session:
     async def get(
         self, selector: str, payload: bytes | None = None, *, attachment: bytes | None = None, timeout_s: float
     ) -> list[Sample]:
-        """Every answer to a query that came in time; none when nobody answers."""
+        """Return the answers to a query that arrived in time."""
         loop, answers = asyncio.get_running_loop(), list[Sample]()
         done = asyncio.Event()
 
@@ -309,7 +309,7 @@ class Session:
 
     @contextlib.contextmanager
     def guarded(self, what: str) -> Any:
-        """Keep what Zenoh raises from whoever called; in Zenoh's threads, too."""
+        """Count and log an error of Zenoh instead of raising it, also in Zenoh's threads."""
         try:
             yield
         except self._zenoh.ZError as error:
@@ -361,7 +361,7 @@ class Session:
 
 
 def _declare_keeping_publisher(session: Any, kept: int, key: str, **quality: Any) -> Any:
-    """Declare a publisher that sends the newest messages, as many as are `kept`, to each who comes."""
+    """Declare a publisher that sends the newest messages, as many as are `kept`, to each later subscriber."""
     from zenoh import ext  # noqa: PLC0415 - an optional dependency
 
     return ext.declare_advanced_publisher(

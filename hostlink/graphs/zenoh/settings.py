@@ -1,8 +1,9 @@
-"""What Zenoh is given: the settings of [zenoh] over those of its file, and who can reach a session that has them.
+"""Settings for Zenoh: those of [zenoh] over those of its file; access rules; and who can reach the session.
 
 Zenoh's own defaults trust the network: a peer listens on every address in plain TCP, answers and follows multicast,
-connects to whatever its neighbours name, and asks nobody for a certificate. Without certificates a fleet lives on
-that, and everybody who reaches it can drive. With an authority (`ca`) TLS is the only protocol, in both directions.
+connects to all addresses that its neighbours name, and requests no certificate. A fleet without certificates keeps
+these defaults, and every program that reaches it can drive. With an authority (`ca`) TLS is
+the only protocol, in both directions.
 """
 
 import json
@@ -13,8 +14,72 @@ from typing import Any, NamedTuple
 
 from hostlink.config import ZenohConfig
 from hostlink.errors import ConfigError, LibraryMissing
-from hostlink.graphs.zenoh.access_rules import PREFIX, access_rules
 from hostlink.logs import printable
+
+PREFIX = "hostlink "  # of the ids of these rules
+_SHOWS = ("alive", "state", "live", "out", "stop", "answer")  # what every member of the fleet puts
+_MOVES = ("drive", "publish")
+_PUT = ("put", "delete")
+_DECLARES = (
+    "declare_subscriber",
+    "declare_queryable",
+    "reply",
+    "liveliness_token",
+    "liveliness_query",
+    "declare_liveliness_subscriber",
+)
+_MESSAGES = (*_PUT, "query", *_DECLARES)
+_EVERY_KEY = ("**", "@ros2_lv/**", "**/@adv/**")  # `**` alone matches no part that begins with @
+
+
+def access_rules(config: ZenohConfig) -> dict[str, Any]:
+    """Return the access rules: what a driver's certificate may send, and what other certificates may.
+
+    A driver sends velocities and messages for devices under its own name alone. Other daemons read, stop and
+    lock. In a ROS 2 graph they only read and call no service, because its keys do not name the sender.
+
+    Raises:
+        ConfigError: a driver is a pattern.
+    """
+    patterns = [name for name in config.drivers if set(name) & set("*?[")]
+    if patterns:
+        raise ConfigError(
+            "zenoh.drivers", f'{patterns[0]}: with certificates each name is written out, or "*" is all of them'
+        )
+    fleet, domain = config.fleet_name, config.ros_domain_id
+    rules = [
+        _rule("send", _MESSAGES, _EVERY_KEY, flow="egress"),
+        _rule("declare", _DECLARES, _EVERY_KEY),
+        _rule("show", _PUT, [f"{fleet}/{verb}/**" for verb in _SHOWS]),
+        _rule("ask", ["query"], [f"{fleet}/topics/**", "**/@adv/**"]),
+        _rule("drive in ROS 2", [*_PUT, "query"], [f"{domain}/**"]),
+    ]
+    subjects: list[dict[str, Any]] = [{"id": "everybody"}]
+    policies = [{"rules": [rule["id"] for rule in rules[:4]], "subjects": ["everybody"]}]
+    for name in config.drivers:
+        own = _rule(f"drive as {name}", _PUT, [f"{fleet}/{verb}/*/{name}/**" for verb in _MOVES])
+        rules.append(own)
+        subjects.append({"id": name, "cert_common_names": [name]})
+        driven = [own["id"], *[rules[4]["id"]] * config.ros2]
+        policies.append({"rules": driven, "subjects": [name]})
+    return {
+        "enabled": True,
+        "default_permission": "deny",
+        "rules": rules,
+        "subjects": subjects,
+        "policies": policies,
+    }
+
+
+def _rule(name: str, messages: Any, keys: Any, *, flow: str = "ingress") -> dict[str, Any]:
+    return {
+        "id": f"{PREFIX}{name}",
+        "permission": "allow",
+        "flows": [flow],
+        "messages": list(messages),
+        "key_exprs": list(keys),
+    }
+
 
 DEFAULTS: dict[str, object] = {
     "transport/link/tx/lease": 1000,  # ms; a neighbour that is silent for so long is gone, and its tokens with it
@@ -24,7 +89,7 @@ DEFAULTS: dict[str, object] = {
 BLOCKED_US = 100_000  # a neighbour for whom a declaration or a query has to wait longer is cut off; a fifth of a lease
 TLS = "transport/link/tls"
 TLS_ONLY: dict[str, object] = {  # with an authority; a file that says otherwise is refused
-    "transport/link/protocols": ["tls"],  # Zenoh itself refuses every other one, whoever opens the link
+    "transport/link/protocols": ["tls"],  # Zenoh itself refuses every other one, in both directions
     "scouting/multicast/enabled": False,
     f"{TLS}/enable_mtls": True,  # who connects here shows a certificate, too
 }
@@ -32,7 +97,7 @@ GOSSIP, EXPIRATION = "scouting/gossip/enabled", f"{TLS}/close_link_on_expiration
 
 
 class Reach(NamedTuple):
-    """Who can reach a session. `lines`: where it listens and who gets in; `warnings`: what nobody may have meant."""
+    """Access to a session. `lines`: addresses and who gets in; `warnings`: settings that may not be intended."""
 
     lines: tuple[str, ...]
     warnings: tuple[str, ...]
@@ -74,7 +139,7 @@ def settings_of(config: ZenohConfig) -> Any:
 
 
 def reason_of(error: Exception) -> str:
-    """What of Zenoh's text concerns the user: not the places in its sources."""
+    """Return the part of Zenoh's text that concerns the user, without the places in its sources."""
     text = str(error)
     found = re.search(r'msg: "(.*)"', text)
     return printable((found[1] if found else text).split(" at /")[0], 300)
@@ -86,7 +151,7 @@ def is_secured(settings: Any) -> bool:
 
 
 def reach_of(settings: Any, config: ZenohConfig) -> Reach:
-    """Who can reach a session with these settings, and drive by it."""
+    """Return who can reach a session with these settings, and drive by it."""
     return Reach(tuple(_lines(settings, config)), tuple(_warnings(settings, config)))
 
 
@@ -121,7 +186,7 @@ def _warnings(settings: Any, config: ZenohConfig) -> Iterator[str]:
 
 
 def _secure(settings: Any, usual: Any, config: ZenohConfig) -> None:
-    """Close whatever is no TLS.
+    """Allow TLS only.
 
     Raises:
         ConfigError: a setting wants it open.
@@ -182,7 +247,7 @@ def _values(config: ZenohConfig) -> dict[str, Any]:
 
 
 def _endpoints(settings: Any, part: str) -> list[str]:
-    """Where it listens, or what it connects to, in its mode."""
+    """Return the addresses that Zenoh listens on, or connects to, in its mode."""
     if part == "listen" and _value(settings, "mode") == "client":
         return []
     found = _value(settings, f"{part}/endpoints")

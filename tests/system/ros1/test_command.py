@@ -262,7 +262,7 @@ async def test_it_waits_for_the_master_that_may_know_its_port(ros: Graph) -> Non
         (("tcp", "x"), "TCP port"),
         (("/dev/a", "/dev/b"), "a serial port, or tcp and a TCP port"),
         (("_port:=",), "a name and a value"),
-        (("__name:=a/b",), "no name of a node"),
+        (("__name:=a/b",), "is not a node name"),
         (("__master:=localhost",), "http://localhost:11311"),
         (("__master:=http://localhost:99999",), "Port out of range"),
         (("--master", ""), "no address of a master"),

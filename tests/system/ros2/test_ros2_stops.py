@@ -220,10 +220,10 @@ async def test_a_bridge_that_is_started_before_the_daemon_waits_for_it(environme
     api_port = free_port()
     url = f"http://127.0.0.1:{api_port}"
 
-    async with bridge(environment, url, until="it is tried again") as process:
+    async with bridge(environment, url, until="trying again") as process:
         async with serve("--api", f"127.0.0.1:{api_port}"):
             await expect(lambda: process.has_reported("connected to hostlink"), timeout_s=DISCOVERY_S)
-        assert len([line for line in process.reports if "is tried again" in line]) == 1
+        assert len([line for line in process.reports if "trying again" in line]) == 1
 
 
 async def test_each_publisher_is_an_owner_of_its_own_so_that_an_idle_one_stops_nobody(

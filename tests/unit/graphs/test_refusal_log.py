@@ -1,4 +1,4 @@
-"""When a log has a line about refused velocities."""
+"""Rate limit of log lines about refusals."""
 
 from hostlink.graphs.refusal_log import INTERVAL_S, RefusalLog
 

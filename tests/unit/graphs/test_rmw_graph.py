@@ -1,11 +1,10 @@
-"""Who has signed a message, and who is gone with a token."""
+"""Publishers by signature, and their removal by token."""
 
 from collections import Counter
 
 import pytest
 
-from hostlink.graphs.zenoh import rmw_graph
-from hostlink.graphs.zenoh.rmw_graph import RemoteGraph, SourceClock
+from hostlink.graphs.zenoh import rmw_protocol
 from hostlink.graphs.zenoh.rmw_protocol import (
     OWN_ENCLAVE,
     TELEMETRY,
@@ -13,6 +12,8 @@ from hostlink.graphs.zenoh.rmw_protocol import (
     EndpointToken,
     Kind,
     NodeToken,
+    RemoteGraph,
+    SourceClock,
     gid_of,
 )
 
@@ -46,7 +47,7 @@ def test_a_gid_counts_for_its_own_topic_only() -> None:
     assert graph.publisher(gid_of(key_of("bb", topic="/other")), SUBJECT) is None
 
 
-def test_nobody_has_signed_without_a_token() -> None:
+def test_signature_without_a_token_is_unknown() -> None:
     graph = graph_of(key_of("aa", topic="/other"), key_of("bb", kind=Kind.SUBSCRIPTION))
     assert graph.publisher(DRAWN, SUBJECT) is None
 
@@ -61,7 +62,7 @@ def test_a_drawn_gid_is_bound_to_a_publisher_that_has_signed_nothing() -> None:
     assert graph.publisher(OTHER, SUBJECT) is None
 
 
-def test_who_signs_by_his_token_takes_it_back_from_a_drawn_gid() -> None:
+def test_signature_by_a_token_takes_it_back_from_a_drawn_gid() -> None:
     graph = graph_of(key_of("aa"))
     assert graph.publisher(DRAWN, SUBJECT) is not None
     assert graph.publisher(gid_of(key_of("aa")), SUBJECT) is not None
@@ -69,7 +70,7 @@ def test_who_signs_by_his_token_takes_it_back_from_a_drawn_gid() -> None:
     assert not graph.is_known(DRAWN)
 
 
-def test_a_publisher_that_is_gone_has_signed_nothing_any_more() -> None:
+def test_signature_of_a_publisher_that_left_is_unknown() -> None:
     graph = graph_of(key_of("aa"))
     removed = graph.remove(key_of("aa"))
     assert removed is not None
@@ -103,7 +104,7 @@ def test_one_that_signed_by_its_token_leaves_the_others_alone() -> None:
 
 
 @pytest.mark.parametrize("key", ["x", key_of("aa", domain=1)])
-def test_what_is_not_of_this_graph_is_counted(key: str) -> None:
+def test_token_of_another_graph_is_counted(key: str) -> None:
     graph = graph_of()
     assert graph.add(key) is None
     assert graph.counts == {"malformed_tokens": 1}
@@ -117,8 +118,8 @@ def test_nodes_of_other_hosts_of_hostlink_are_left_out() -> None:
 
 
 def test_tokens_are_bounded_for_each_session_and_for_all(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(rmw_graph, "MAX_TOKENS_OF_SESSION", 3)
-    monkeypatch.setattr(rmw_graph, "MAX_TOKENS", 5)
+    monkeypatch.setattr(rmw_protocol, "MAX_TOKENS_OF_SESSION", 3)
+    monkeypatch.setattr(rmw_protocol, "MAX_TOKENS", 5)
     graph = RemoteGraph(0, Counter())
     for number in range(6):
         graph.add(key_of("aa", topic=f"/topic_{number}"))
@@ -142,7 +143,7 @@ def test_an_attachment_is_33_bytes() -> None:
 
 
 @pytest.mark.parametrize("data", [b"", bytes(32), bytes(33), bytes(34), b"\x0fsequence_number" + bytes(60)])
-def test_what_is_no_attachment_is_none(data: bytes) -> None:
+def test_malformed_attachment_is_refused(data: bytes) -> None:
     assert Attachment.decode(data) is None
 
 

@@ -70,7 +70,9 @@ def test_the_documented_examples_are_written_as_they_were_read(text: str) -> Non
     enclave=st.sampled_from(["", OWN_ENCLAVE]),
     number=st.integers(0, 2**64 - 1),
 )
-def test_what_is_written_is_read(kind: Kind, name: str, namespace: str, qos: Qos, enclave: str, number: int) -> None:
+def test_encoded_token_is_decoded_to_itself(
+    kind: Kind, name: str, namespace: str, qos: Qos, enclave: str, number: int
+) -> None:
     node = NodeToken(42, "8b20917502ee955ac4476e0266340d5c", 3, namespace, "node_1", enclave)
     token = EndpointToken(kind, node, number, name, "std_srvs/srv/SetBool", "RIHS01_00", qos)
     assert parse_token(token.encode()) == token
@@ -101,7 +103,7 @@ def test_what_is_written_is_read(kind: Kind, name: str, namespace: str, qos: Qos
         "@ros2_lv/" + "9" * 30 + "/aa/0/0/NN/%/%/listener",
     ],
 )
-def test_what_is_no_token_is_none(text: str) -> None:
+def test_malformed_token_is_refused(text: str) -> None:
     assert parse_token(text) is None
 
 
@@ -173,8 +175,8 @@ def test_type_names_of_dds(type_name: str) -> None:
 @pytest.mark.parametrize(
     "type_name", ["String", "std_msgs/String", "std_msgs/msg/", "Std/msg/String", "std_msgs/msg/Str/ing"]
 )
-def test_what_is_no_type_name_of_ros_2_is_refused(type_name: str) -> None:
-    with pytest.raises(ValueError, match="no type of ROS 2"):
+def test_malformed_type_name_of_ros_2_is_refused(type_name: str) -> None:
+    with pytest.raises(ValueError, match="not a type name of ROS 2"):
         to_dds_type(type_name)
     assert from_dds_type(type_name) is None
 

@@ -8,7 +8,8 @@ import pytest
 from rosbags.typesys import Stores, get_typestore
 
 from hostlink.errors import BadPayload
-from hostlink.graphs.ros2_types import NO_HASH, Distribution, Ros2Message, Ros2Types, ros1_type, ros2_type
+from hostlink.graphs.ros2_names import ros1_type, ros2_type
+from hostlink.graphs.ros2_types import NO_HASH, Distribution, Ros2Message, Ros2Types
 from hostlink.messages.catalog import Catalog
 from tests.support.fake_device import CATALOG
 
@@ -80,7 +81,7 @@ def test_the_robots_types_have_one_hash_in_all_distributions(distribution: Distr
         assert message(name, types).type_hash == message(name).type_hash
 
 
-def test_a_type_that_nobody_knows_is_none() -> None:
+def test_unknown_type_has_no_definition() -> None:
     assert TYPES.message("nobody/Knows") is None
     assert TYPES.service("nobody/Knows") is None
 
@@ -111,7 +112,7 @@ def test_a_header_loses_its_number_on_the_way_to_ros_2() -> None:
 
 
 @pytest.mark.parametrize("is_back", [False, True])
-def test_every_type_of_ros_1_goes_there_and_back(is_back: bool) -> None:
+def test_every_type_of_ros_1_is_converted_there_and_back(is_back: bool) -> None:
     """A message of zeros: what is equal in both is the same bytes again."""
     names = [name for name in sorted(CATALOG._store) if "/" in name]
     assert len(names) > 150
@@ -138,7 +139,7 @@ def test_a_range_has_one_field_more_in_ros_2() -> None:
 
 
 @pytest.mark.parametrize(("name", "type_code"), [("std_msgs/Time", "<II"), ("std_msgs/Duration", "<ii")])
-def test_a_time_is_no_message_around_one_in_ros_2(name: str, type_code: str) -> None:
+def test_time_of_ros_2_has_no_message_around_it(name: str, type_code: str) -> None:
     payload = struct.pack(type_code, 5, 6)
     data = message(name).to_cdr(payload)
     made = in_ros2(message(name).name, data)

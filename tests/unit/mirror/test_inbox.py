@@ -27,7 +27,7 @@ async def test_items_arrive_in_the_loop_in_order() -> None:
     assert received == list(range(100))
 
 
-async def test_who_floods_loses_his_own_oldest_items_only() -> None:
+async def test_flooding_source_loses_only_its_own_oldest_items() -> None:
     received: list[tuple[str, int]] = []
     counts: Counter[str] = Counter()
     inbox = Inbox(received.append, counts=counts, max_waiting=10)
@@ -75,7 +75,7 @@ async def test_the_bytes_that_wait_are_bounded() -> None:
     assert counts["dropped"] == 4
 
 
-async def test_a_callback_that_fails_is_counted_and_the_next_item_comes() -> None:
+async def test_failing_callback_is_counted_and_the_next_item_is_delivered() -> None:
     received: list[int] = []
 
     def deliver(number: int) -> None:
@@ -92,7 +92,7 @@ async def test_a_callback_that_fails_is_counted_and_the_next_item_comes() -> Non
     assert isolation.crashes["graph"] == 1
 
 
-async def test_nothing_arrives_once_it_is_closed() -> None:
+async def test_closed_inbox_delivers_nothing() -> None:
     received: list[int] = []
     inbox = Inbox(received.append)
     inbox.put("a", 1)
@@ -146,7 +146,7 @@ async def test_an_item_that_would_be_too_much_leaves_the_one_that_it_would_repla
     assert received[-1].key == "later"
 
 
-async def test_what_a_thread_puts_in_is_read_in_order() -> None:
+async def test_items_of_a_thread_are_read_in_order() -> None:
     inbox: Inbox[int] = Inbox(max_waiting=1000)
     thread = threading.Thread(target=lambda: [inbox.put("", number) for number in range(1000)])
     thread.start()

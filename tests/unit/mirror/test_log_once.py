@@ -1,4 +1,4 @@
-"""What peers cause again and again is written once, and so many lines in all."""
+"""Repeated failures are logged once, and the number of lines is bounded."""
 
 from hypothesis import given
 from hypothesis import strategies as st

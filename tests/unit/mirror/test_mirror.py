@@ -120,7 +120,7 @@ def test_a_slice_ends_in_time_and_the_next_leaves_as_much_to_others() -> None:
     run_virtual(test())
 
 
-def test_what_was_wanted_during_a_pause_only_is_never_opened() -> None:
+def test_endpoint_wanted_only_during_a_pause_is_never_opened() -> None:
     async def test() -> None:
         peer = Peer()
         mirror = mirror_to(peer, slice_s=COST_S / 2)
@@ -189,7 +189,7 @@ def test_a_report_that_raises_stops_the_rest_for_a_turn_of_the_loop_only() -> No
     run_virtual(test())
 
 
-def test_an_endpoint_that_changes_what_is_wanted_while_it_is_opened_is_no_loop_in_a_loop() -> None:
+def test_endpoint_that_changes_the_wanted_ones_while_it_is_opened_starts_no_nested_loop() -> None:
     async def test() -> None:
         peer = Peer()
 
@@ -321,7 +321,7 @@ def test_a_task_that_fails_while_it_is_closed_leaves_the_next_one_of_its_key_alo
     run_virtual(test())
 
 
-def test_what_has_no_room_is_counted() -> None:
+def test_endpoint_without_room_is_counted() -> None:
     async def test() -> None:
         peer, crowded = Peer(), list[str]()
         mirror: Mirror[str, str, Endpoint] = Mirror(peer.open, peer.fail, limit=2, on_crowded=crowded.append)

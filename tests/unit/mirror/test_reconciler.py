@@ -1,4 +1,4 @@
-"""Whatever is wanted, forgotten and refused, what is open becomes what is wanted, within its bounds."""
+"""Any history of wanted, forgotten and refused endpoints ends with the wanted ones open, within the bounds."""
 
 import math
 from collections import Counter
@@ -107,7 +107,7 @@ class Histories(RuleBasedStateMachine):
 
     @rule()
     def settle(self) -> None:
-        """When everything is accepted, the end depends on what is wanted alone."""
+        """Final state when every endpoint is accepted: it depends only on the wanted ones."""
         self.peer.refused.clear()
         self.reconciler.retry()
         for _ in range(100):
@@ -214,7 +214,7 @@ def test_a_success_makes_the_next_failure_the_first() -> None:
     assert reconciler.due_s == 3.0
 
 
-def test_what_the_peer_has_forgotten_is_opened_at_once_and_its_next_failure_is_the_first() -> None:
+def test_endpoint_that_the_peer_forgot_is_opened_at_once_and_its_next_failure_is_the_first() -> None:
     reconciler: Reconciler[str, str] = Reconciler(retry_s=1.0, longest_s=8.0)
     reconciler.want(wanted("a"))
     assert opened(reconciler, 0.0, refused="a") == ["a"]
@@ -226,7 +226,9 @@ def test_what_the_peer_has_forgotten_is_opened_at_once_and_its_next_failure_is_t
 
 
 @pytest.mark.parametrize(("has_failed", "expected_s"), [(True, 5.0), (False, 4.0)])
-def test_an_end_begins_anew_and_a_failure_goes_on(*, has_failed: bool, expected_s: float) -> None:
+def test_end_of_an_endpoint_restarts_the_delay_and_a_failure_continues_it(
+    *, has_failed: bool, expected_s: float
+) -> None:
     reconciler: Reconciler[str, str] = Reconciler(retry_s=1.0, longest_s=8.0)
     reconciler.want(wanted("a"))
     assert opened(reconciler, 0.0, refused="a") == ["a"]
@@ -238,7 +240,7 @@ def test_an_end_begins_anew_and_a_failure_goes_on(*, has_failed: bool, expected_
     assert opened(reconciler, expected_s) == ["a"]
 
 
-def test_what_has_no_room_comes_when_something_leaves_and_is_counted_once() -> None:
+def test_endpoint_without_room_is_opened_after_another_leaves_and_is_counted_once() -> None:
     crowded: list[str] = []
     reconciler: Reconciler[str, str] = Reconciler(limit=2, on_crowded=crowded.append)
     for _ in range(3):
@@ -309,7 +311,7 @@ def test_failure_of_a_specification_that_was_not_wanted_meanwhile_is_forgotten()
         assert opened(reconciler) == []
 
 
-def test_what_is_not_replaced_stays() -> None:
+def test_endpoint_that_is_not_replaced_stays() -> None:
     reconciler: Reconciler[str, str] = Reconciler(replaces=True)
     reconciler.want({"a": "x"})
     assert opened(reconciler) == ["a"]

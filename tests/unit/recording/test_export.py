@@ -21,12 +21,10 @@ from rosbags.typesys import Stores, get_typestore
 from hostlink.errors import RecordingFailed
 from hostlink.messages.catalog import Catalog
 from hostlink.recording.channel import EVENTS, as_text, ros_channel
-from hostlink.recording.contents import contents_of
-from hostlink.recording.export_csv import export_csv, file_name
-from hostlink.recording.export_ros import RosFormat, export_ros
-from hostlink.recording.mcap_writer import McapWriter
+from hostlink.recording.export import RosFormat, export_csv, export_ros, file_name
+from hostlink.recording.file_thread import McapWriter
 from hostlink.recording.plot import Line, draw_fields, draw_map, read_lines, read_paths
-from hostlink.recording.reader import Reader
+from hostlink.recording.reader import Reader, contents_of
 
 BEGIN_NS = 1_700_000_000_000_000_000
 STEP_NS = 100_000_000

@@ -8,8 +8,14 @@ import pytest
 
 from hostlink.recording import file_thread
 from hostlink.recording.channel import EVENTS, Channel
-from hostlink.recording.file_thread import MAX_EXPECTED, MAX_WAITING_BYTES, MESSAGE_BYTES, FileThread, Splitting
-from hostlink.recording.mcap_writer import MAX_CHANNELS
+from hostlink.recording.file_thread import (
+    MAX_CHANNELS,
+    MAX_EXPECTED,
+    MAX_WAITING_BYTES,
+    MESSAGE_BYTES,
+    FileThread,
+    Splitting,
+)
 from hostlink.recording.reader import Reader
 from tests.support.waiting import expect
 

@@ -11,10 +11,8 @@ import pytest
 import zstandard
 
 from hostlink.errors import RecordingFailed
-from hostlink.recording.contents import contents_of
-from hostlink.recording.export_csv import export_csv
-from hostlink.recording.export_ros import RosFormat, export_ros
-from hostlink.recording.reader import MAX_CHUNK_BYTES, MAX_NAMED, Reader
+from hostlink.recording.export import RosFormat, export_csv, export_ros
+from hostlink.recording.reader import MAX_CHUNK_BYTES, MAX_NAMED, Reader, contents_of
 from hostlink.recording.tables import MAX_COLUMNS, read
 
 MAGIC = b"\x89MCAP0\r\n"

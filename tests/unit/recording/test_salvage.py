@@ -9,8 +9,7 @@ import pytest
 
 from hostlink import remains
 from hostlink.recording.channel import EVENTS, Channel, as_text
-from hostlink.recording.drive_log import DIED, append_drives, read_drives
-from hostlink.recording.drives import Drive
+from hostlink.recording.drives import DIED, Drive, append_drives, read_drives
 from hostlink.recording.incident import Incident, OutOfTime
 from hostlink.recording.reader import Reader
 from hostlink.recording.ring import BLOCK_BYTES, RING, RingMemory, Rings

@@ -12,13 +12,11 @@ from hostlink.messages.catalog import Catalog
 from hostlink.recording import file_thread
 from hostlink.recording.black_box import write_incident
 from hostlink.recording.channel import DEVICE, EVENTS, NS_PER_S, Channel, as_text, ros_channel
-from hostlink.recording.contents import contents_of
-from hostlink.recording.file_thread import FileThread, Splitting
+from hostlink.recording.file_thread import FileThread, McapWriter, Splitting
 from hostlink.recording.folder import Folder
 from hostlink.recording.incident import Incident
-from hostlink.recording.mcap_writer import McapWriter
 from hostlink.recording.playing import schedule
-from hostlink.recording.reader import Reader
+from hostlink.recording.reader import Reader, contents_of
 from hostlink.recording.ring import Entry
 from hostlink.recording.salvage import repair
 from hostlink.recording.tables import read

@@ -1,4 +1,4 @@
-"""Who publishes a topic, as one master after another names them."""
+"""Publishers of a topic, named by one master after another."""
 
 from hypothesis import given
 from hypothesis import strategies as st

@@ -1,4 +1,4 @@
-"""Which name of the graph a name means to a node."""
+"""Name resolution of a node, and names of the hub in ROS."""
 
 import pytest
 
@@ -52,7 +52,7 @@ def test_the_namespace_of_the_environment_is_a_default() -> None:
 
 
 @pytest.mark.parametrize("word", [":=a", "a:=", "_port:=", "a b:=c", "a:=1c", "__name:=a/b", "__name:=~a", "__ns:=1 2"])
-def test_an_assignment_that_is_none_is_an_error_that_names_it(word: str) -> None:
+def test_malformed_assignment_is_refused_and_named(word: str) -> None:
     with pytest.raises(ConfigError):
         parse_arguments([word]).names("serial_node")
 

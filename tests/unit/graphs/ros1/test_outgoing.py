@@ -1,9 +1,9 @@
-"""What waits for a subscriber that does not keep up."""
+"""Send queue of a slow subscriber."""
 
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hostlink.graphs.ros1.wire import BATCH_BYTES, MAX_BYTES, MAX_MESSAGES, Outgoing
+from hostlink.graphs.ros1.connections import BATCH_BYTES, MAX_BYTES, MAX_MESSAGES, Outgoing
 
 
 def filled(*messages: bytes) -> Outgoing:
@@ -14,7 +14,7 @@ def filled(*messages: bytes) -> Outgoing:
 
 
 @given(st.lists(st.binary(min_size=1, max_size=9), max_size=MAX_MESSAGES))
-def test_what_fits_leaves_in_its_order(messages: list[bytes]) -> None:
+def test_messages_within_the_bounds_leave_in_their_order(messages: list[bytes]) -> None:
     made = filled(*messages)
     assert bool(made) is bool(messages)
     assert made.pop_batch() == b"".join(messages)
@@ -22,7 +22,7 @@ def test_what_fits_leaves_in_its_order(messages: list[bytes]) -> None:
     assert made.dropped == 0
 
 
-def test_of_too_many_the_oldest_goes() -> None:
+def test_full_queue_drops_the_oldest() -> None:
     made = filled(*(bytes([number % 256]) for number in range(MAX_MESSAGES + 3)))
     assert made.dropped == 3
     assert made.pop_batch()[:2] == b"\x03\x04"

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hostlink.graphs.ros1.parameters import MAX_CHARS, MAX_ITEMS, MAX_PARTS, ParameterCache
+from hostlink.graphs.ros1.master import MAX_CHARS, MAX_ITEMS, MAX_PARTS, ParameterCache
 
 
 def cache() -> ParameterCache:
@@ -17,13 +17,13 @@ def cache() -> ParameterCache:
     return made
 
 
-def test_what_was_subscribed_to_is_known_also_when_it_is_not_set() -> None:
+def test_subscribed_key_is_known_when_it_is_not_set() -> None:
     assert cache().find("/rate") == (True, 10)
     assert cache().find("/missing") == (True, None)
     assert cache().find("/other") == (False, None)
 
 
-def test_what_is_below_a_key_is_known_too() -> None:
+def test_parameter_below_a_subscribed_key_is_known() -> None:
     assert cache().find("/node/arm/joints") == (True, [1, 2])
     assert cache().find("/node/leg") == (True, None)
     assert cache().find("/node/speed/deeper") == (True, None)
@@ -54,7 +54,7 @@ def test_a_parameter_that_was_deleted_is_not_set() -> None:
     assert made.find("/rate") == made.find("/node/speed") == (True, None)
 
 
-def test_of_too_many_the_oldest_goes_and_is_named() -> None:
+def test_excess_key_drops_the_oldest_and_names_it() -> None:
     made = ParameterCache(max_keys=2)
     assert made.put("/a", 1) is made.put("/b", 2) is made.put("/a", 3) is None
     assert made.put("/c", 4) == "/b"
@@ -94,7 +94,7 @@ def _nested(depth: int) -> Any:
     ["x" * (MAX_CHARS + 1), list(range(MAX_ITEMS)), _nested(50_000), {"k" * (MAX_CHARS + 1): 1}],
     ids=["long", "many", "deep", "a long key"],
 )
-def test_what_no_device_can_receive_is_not_kept(value: Any) -> None:
+def test_value_over_the_bounds_is_not_kept(value: Any) -> None:
     made = cache()
     made.put("/big", value)
     made.update("/rate", value)

@@ -9,11 +9,10 @@ from hypothesis import strategies as st
 from structlog.testing import capture_logs
 
 from hostlink.graphs.ros1.graph_sync import GraphSync
-from hostlink.graphs.ros1.parameters import MasterParameters
-from hostlink.graphs.ros1.parts import Counts, Kind, Parts
-from hostlink.graphs.ros1.registrar import CHECK_INTERVAL_S, STATE_INTERVAL_S, Registrar
-from hostlink.graphs.ros1.rpc import Master
+from hostlink.graphs.ros1.local_node import Counts, Kind, LocalNode
+from hostlink.graphs.ros1.master import CHECK_INTERVAL_S, STATE_INTERVAL_S, MasterParameters, Registrar
 from hostlink.graphs.ros1.xml_rpc import Refused, Unreachable
+from hostlink.mirror.log_once import LogOnce
 from tests.support.virtual_loop import run_virtual
 
 NODE, URI, SERVICE_URI = "/hostlink", "http://here:1/", "rosrpc://here:2"
@@ -23,21 +22,25 @@ Wanted = dict[tuple[Kind, str], str]
 
 
 @dataclass
-class FakeMaster:
-    """What it knows of this node: the third argument of each registration."""
+class FakeNode:
+    """A node with a master that keeps the third argument of each registration in `known`."""
 
-    uri: str = "http://master/"
+    name: str = NODE
+    uri: str = URI
+    master_uri: str = "http://master/"
+    counts: Counts = field(default_factory=Counts)
+    log_once: LogOnce = field(default_factory=LogOnce)
     known: Wanted = field(default_factory=dict)
     refused: set[str] = field(default_factory=set)
     calls: list[str] = field(default_factory=list)
     is_reachable: bool = True
     dies_after: int = 1000  # calls
 
-    async def find_node(self, _: str) -> str | None:
+    async def find_own_uri(self) -> str | None:
         self._check()
         return URI if self.known else None
 
-    async def call(self, method: str, *arguments: Any) -> object:
+    async def call_master(self, method: str, *arguments: Any) -> object:
         self._check()
         await asyncio.sleep(0.001)
         if method == "getSystemState":
@@ -60,7 +63,7 @@ class FakeMaster:
 
 @dataclass
 class Sync:
-    """What is wanted."""
+    """Wanted registrations."""
 
     topics: Wanted = field(default_factory=dict)
 
@@ -80,11 +83,9 @@ class Parameters:
 
 class World:
     def __init__(self) -> None:
-        self.master, self.sync, self.counts = FakeMaster(), Sync(), Counts()
-        nothing: Any = None
-        parts = Parts(nothing, nothing, cast("Master", self.master), NODE, URI, self.counts, nothing, 1, 1)
+        self.master, self.sync = FakeNode(), Sync()
         self.registrar = Registrar(
-            parts,
+            cast("LocalNode", self.master),
             cast("GraphSync", self.sync),
             cast("MasterParameters", Parameters()),
             SERVICE_URI,
@@ -166,7 +167,7 @@ def test_name_that_the_master_refuses_is_logged_once_and_tried_again_and_affects
         assert list(world.master.known) == [(Kind.PUBLISHER, "/b")]
         assert 8 <= len(world.master.calls) <= 12
         assert [log["name"] for log in logs if log["event"] == "ros1.name_refused"] == ["/a"]
-        assert world.counts.re_registrations == 0
+        assert world.master.counts.re_registrations == 0
         running.cancel()
 
     run_virtual(test())

@@ -1,4 +1,4 @@
-"""TCPROS as bytes: headers, messages, what is no header, and what is too large."""
+"""TCPROS as bytes: headers, messages, malformed headers, and messages over the bound."""
 
 import contextlib
 import struct
@@ -22,7 +22,7 @@ TEXT = st.text(st.characters(codec="utf-8"), max_size=20)
 
 
 def test_the_layout_of_a_header() -> None:
-    """Of http://wiki.ros.org/ROS/TCPROS: a length, then the fields with a length each."""
+    """Example of http://wiki.ros.org/ROS/TCPROS: a length, then the fields with a length each."""
     field = b"callerid=/talker"
     body = struct.pack("<I", len(field)) + field + struct.pack("<I", 10) + b"latching=0"
     assert decode_header(body) == {"callerid": "/talker", "latching": "0"}
@@ -44,7 +44,7 @@ def test_any_bytes_are_a_header_or_a_bad_one(body: bytes) -> None:
     "body",
     [b"\x01", struct.pack("<I", 5) + b"a=b", struct.pack("<I", 1) + b"a", struct.pack("<I", 2) + b"=b", b"\xff" * 8],
 )
-def test_what_is_no_header(body: bytes) -> None:
+def test_malformed_header_is_refused(body: bytes) -> None:
     with pytest.raises(BadHeader):
         decode_header(body)
 

@@ -1,4 +1,4 @@
-"""Large bodies are parsed beside the loop, one at a time; small ones at once."""
+"""Large bodies are parsed in a thread, one at a time; small ones at once."""
 
 import asyncio
 import threading
@@ -6,11 +6,11 @@ import time
 
 import pytest
 
-from hostlink.graphs.ros1.xml_parser import THREAD_BYTES, XmlParser
+from hostlink.graphs.ros1.local_node import THREAD_BYTES, Rpc
 
 
 async def test_a_small_body_is_parsed_at_once() -> None:
-    assert await XmlParser().parse(lambda _: threading.get_ident(), bytes(THREAD_BYTES)) == threading.get_ident()
+    assert await Rpc().parse(lambda _: threading.get_ident(), bytes(THREAD_BYTES)) == threading.get_ident()
 
 
 async def test_large_bodies_are_parsed_beside_the_loop_one_at_a_time() -> None:
@@ -25,7 +25,7 @@ async def test_large_bodies_are_parsed_beside_the_loop_one_at_a_time() -> None:
         running -= 1
         return len(body)
 
-    parser = XmlParser()
+    parser = Rpc()
     async with asyncio.TaskGroup() as tasks:
         parsing = [tasks.create_task(parser.parse(decode, bytes(THREAD_BYTES + size))) for size in range(1, 6)]
     assert [each.result() for each in parsing] == [THREAD_BYTES + size for size in range(1, 6)]
@@ -33,9 +33,9 @@ async def test_large_bodies_are_parsed_beside_the_loop_one_at_a_time() -> None:
     assert most == 1
 
 
-async def test_what_the_decoder_raises_is_raised() -> None:
+async def test_error_of_the_decoder_is_raised() -> None:
     def decode(_: bytes) -> None:
         raise ValueError("none")
 
     with pytest.raises(ValueError, match="none"):
-        await XmlParser().parse(decode, bytes(2 * THREAD_BYTES))
+        await Rpc().parse(decode, bytes(2 * THREAD_BYTES))

@@ -57,19 +57,19 @@ def test_a_fault_is_a_refusal_with_its_text() -> None:
         xmlrpc.client.dumps((1,), methodresponse=True).encode(),
     ],
 )
-def test_what_is_no_call(body: bytes) -> None:
+def test_malformed_call_is_refused(body: bytes) -> None:
     with pytest.raises(BadXml):
         decode_call(body)
 
 
 @given(st.binary(max_size=300))
-def test_any_bytes_are_no_call(body: bytes) -> None:
+def test_random_bytes_are_refused_as_a_call(body: bytes) -> None:
     with pytest.raises(BadXml):
         decode_call(body)
 
 
 @pytest.mark.parametrize("found", [(1,), ([1, "two"],), (["1", "", 0],), ({"status": 1},)])
-def test_what_is_no_answer_of_ros(found: tuple[object, ...]) -> None:
+def test_malformed_answer_is_refused(found: tuple[object, ...]) -> None:
     with pytest.raises(BadXml):
         decode_answer(xmlrpc.client.dumps(found, methodresponse=True).encode())
 

@@ -10,8 +10,8 @@ from rosbags.typesys import Stores, get_typestore
 
 from hostlink.api.typedefs import describe
 from hostlink.errors import BadPayload, HostlinkError
-from hostlink.graphs.ros2.conversion import Conversion, stamped
-from hostlink.graphs.ros2.layout import (
+from hostlink.graphs.ros2.conversion import (
+    Conversion,
     Fields,
     Layout,
     added_bytes,
@@ -19,8 +19,9 @@ from hostlink.graphs.ros2.layout import (
     ros1_layout,
     ros2_fields,
     ros2_layout,
+    stamped,
 )
-from hostlink.graphs.ros2.names import ros2_type
+from hostlink.graphs.ros2_names import ros2_type
 from hostlink.messages.catalog import Catalog
 
 CATALOG, KILTED = Catalog(), get_typestore(Stores.ROS2_KILTED)
@@ -156,7 +157,7 @@ def test_another_stamp_changes_nothing_else() -> None:
     assert (stamp.sec, stamp.nanosec, message.header.frame_id, message.variance) == (5, 6, "a", 2.0)
 
 
-def test_what_ros_2_has_behind_ros_1_s_fields_is_zero_and_is_left_out_on_the_way_back() -> None:
+def test_trailing_fields_of_ros_2_are_zero_and_dropped_on_the_way_back() -> None:
     range_ = CATALOG.message("sensor_msgs/Range")
     assert range_ is not None
     types, name = definitions("sensor_msgs/msg/Range"), "sensor_msgs/msg/Range"

@@ -1,9 +1,9 @@
-"""What the bridge has published itself does not come back to the daemon."""
+"""Echoes of the bridge's own messages are not sent back to the daemon."""
 
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hostlink.graphs.ros2.echoes import MAX_REMEMBERED, Echoes
+from hostlink.graphs.ros2.conversion import MAX_REMEMBERED, Echoes
 
 
 def test_a_message_is_an_echo_once_for_each_time_it_was_published() -> None:
@@ -14,7 +14,7 @@ def test_a_message_is_an_echo_once_for_each_time_it_was_published() -> None:
 
 
 @given(st.lists(st.binary(max_size=2), max_size=MAX_REMEMBERED), st.lists(st.binary(max_size=2), max_size=20))
-def test_what_others_publish_passes(own: list[bytes], others: list[bytes]) -> None:
+def test_message_of_another_publisher_passes(own: list[bytes], others: list[bytes]) -> None:
     echoes = Echoes()
     for data in own:
         echoes.publish(data)
@@ -22,7 +22,7 @@ def test_what_others_publish_passes(own: list[bytes], others: list[bytes]) -> No
     assert not any(echoes.is_echo(data) for data in others)
 
 
-def test_what_is_remembered_is_bounded() -> None:
+def test_remembered_messages_are_bounded() -> None:
     echoes = Echoes()
     for number in range(10 * MAX_REMEMBERED):
         echoes.publish(b"%d" % number)

@@ -2,7 +2,8 @@
 
 import pytest
 
-from hostlink.graphs.ros2.names import is_ros2_name, parameter_name, ros1_type, ros2_name, ros2_type
+from hostlink.graphs.ros2.plan import is_ros2_name, parameter_name, ros2_name
+from hostlink.graphs.ros2_names import ros1_type, ros2_type
 
 
 @pytest.mark.parametrize(

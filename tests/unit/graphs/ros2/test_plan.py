@@ -1,4 +1,4 @@
-"""Which routes two graphs need."""
+"""Routes that two graphs need."""
 
 from typing import Any
 
@@ -9,6 +9,7 @@ from hostlink.graphs.ros2.plan import (
     Feed,
     Publication,
     Publisher,
+    Qos,
     Reception,
     Ros2Graph,
     Server,
@@ -16,7 +17,6 @@ from hostlink.graphs.ros2.plan import (
     planned,
     watched_topics,
 )
-from hostlink.graphs.ros2.qos import Qos
 
 RELIABLE, LATCHED = Qos(is_reliable=True, is_latched=False), Qos(is_reliable=True, is_latched=True)
 
@@ -35,7 +35,7 @@ def robot(name: str = "robot_0", **velocity_topics: str) -> dict[str, Any]:
     return {"name": name, "link": 1, "velocity_topics": topics}
 
 
-def test_what_the_daemon_publishes_is_published_and_fed_only_while_somebody_reads_it() -> None:
+def test_topic_of_the_daemon_is_fed_only_while_it_has_a_reader() -> None:
     daemon = graph(topic("/robot_0/odom", "nav_msgs/Odometry", published=True))
     publication = Publication("/robot_0/odom", "nav_msgs/Odometry", is_latched=False)
     assert planned(daemon, Ros2Graph()).routes == {publication}
@@ -48,7 +48,7 @@ def test_a_latched_topic_is_fed_before_anybody_reads_it() -> None:
     assert Feed(Publication("/map", "nav_msgs/OccupancyGrid", is_latched=True)) in planned(daemon, Ros2Graph()).routes
 
 
-def test_what_somebody_here_subscribes_to_is_received_with_what_its_publishers_offer() -> None:
+def test_subscribed_topic_is_received_with_the_qos_of_its_publishers() -> None:
     ros2 = Ros2Graph(publishers={"/map": (Publisher("nav_msgs/msg/OccupancyGrid", LATCHED),)})
     found = planned(graph(topic("/map", "", subscribed=True)), ros2).routes
     assert [(each.ros2_type, each.type_name, each.qos.is_latched) for each in found if isinstance(each, Reception)] == [
@@ -56,7 +56,7 @@ def test_what_somebody_here_subscribes_to_is_received_with_what_its_publishers_o
     ]
 
 
-def test_nothing_is_received_that_nobody_publishes_or_nobody_subscribes_to() -> None:
+def test_topic_without_publisher_or_subscriber_is_not_received() -> None:
     ros2 = Ros2Graph(publishers={"/a": (), "/b": (Publisher("std_msgs/msg/String", RELIABLE),)})
     daemon = graph(topic("/a", subscribed=True), topic("/b", published=True))
     assert not [each for each in planned(daemon, ros2).routes if isinstance(each, Reception)]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hostlink.errors import HostlinkError
-from hostlink.graphs.ros2.values import fill, to_json
+from hostlink.graphs.ros2.conversion import fill, to_json
 
 
 class Message:
@@ -96,13 +96,13 @@ def test_json_fills_a_message_and_seq_is_left_out() -> None:
     assert (list(message.data), message.ratio, message.octet) == ([255], 2.0, b"\x07")
 
 
-def test_what_is_missing_stays() -> None:
+def test_missing_value_leaves_the_field() -> None:
     message: Any = everything()
     fill(message, {"success": False})
     assert (message.success, message.count) == (False, 2**60)
 
 
 @pytest.mark.parametrize("given", [{"success": "yes"}, {"count": "x"}, {"ratio": "x"}, {"octet": 256}, {"names": 3}])
-def test_what_does_not_fit_is_named(given: dict[str, Any]) -> None:
+def test_value_of_another_type_is_named(given: dict[str, Any]) -> None:
     with pytest.raises(HostlinkError, match=next(iter(given))):
         fill(everything(), given)

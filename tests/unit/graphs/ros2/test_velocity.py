@@ -1,4 +1,4 @@
-"""Which velocities of ROS 2 reach the daemon, by whose connection, and when that ends; in virtual time."""
+"""Velocities of ROS 2 at the daemon, their connections and the ends of these, in virtual time."""
 
 import asyncio
 import contextlib
@@ -21,14 +21,14 @@ FORWARD, STANDING = Twist(0.2), Twist()
 
 
 def burn(seconds: float) -> None:
-    """As if this process did not run."""
+    """Simulate a pause of this process."""
     loop = asyncio.get_running_loop()
     assert isinstance(loop, VirtualLoop)
     loop.burn(seconds)
 
 
 class FakeRobot:
-    """What the client has of a robot: it notes what is commanded."""
+    """Robot of a fake client, which notes commands."""
 
     def __init__(self, name: str, daemon: "FakeDaemon") -> None:
         self.name, self.daemon = name, daemon
@@ -96,7 +96,7 @@ class World:
             self.driver.update(["robot_0"], frozenset())
 
     def epochs(self, begin: int = 0) -> list[int | None]:
-        """Those of the commands from this one on."""
+        """Epochs of the commands from this one on."""
         return [epoch for _, _, epoch in self.daemon.commands[begin:]]
 
     async def stream(self, velocity: Twist, *, key: bytes = b"a", for_s: float = 1.0) -> None:
@@ -176,7 +176,7 @@ def test_the_end_of_a_topic_is_a_zero() -> None:
     run_virtual(check())
 
 
-def test_stream_through_a_loss_of_the_connection_goes_on_with_an_earlier_epoch() -> None:
+def test_stream_through_a_loss_of_the_connection_continues_with_an_earlier_epoch() -> None:
     async def check() -> None:
         world = World()
         async with world.driver.running():
@@ -266,7 +266,7 @@ def test_stream_of_before_begins_with_an_earlier_epoch_however_late_ros_2_connec
 
 @pytest.mark.parametrize("is_first", [False, True])
 def test_publisher_of_before_whose_motion_begins_now_has_no_earlier_epoch(*, is_first: bool) -> None:
-    """It says that this is its first message, or it was silent until every stream of before would have come."""
+    """Two ways to be new: a first sequence number, or silence until every earlier stream would have arrived."""
 
     async def check() -> None:
         world = World()

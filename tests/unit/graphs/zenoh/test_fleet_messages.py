@@ -1,4 +1,4 @@
-"""What daemons of a fleet send to each other: nothing in it is longer, larger or named otherwise than agreed."""
+"""Messages between daemons of a fleet, and the bounds on their lengths and names."""
 
 import msgspec
 import pytest
@@ -85,7 +85,7 @@ def test_a_state_with_too_many_robots_is_refused() -> None:
 
 
 @pytest.mark.parametrize("number", ["1e999", "NaN", '"1"', "null"])
-def test_a_velocity_that_is_no_number_is_refused(number: str) -> None:
+def test_velocity_that_is_not_finite_is_refused(number: str) -> None:
     fields = '"type":"drive","number":1,"sent_s":0.5,"robot":"r","owner":1,"owner_name":"x","priority":50,"velocity":'
     decode_request(b"{%b[0,0,0,0,0,0.5]}" % fields.encode())
     with pytest.raises(BadPayload):

@@ -5,8 +5,7 @@ from collections import Counter
 from typing import cast
 
 from hostlink.config import Config
-from hostlink.graphs.zenoh.fleet_messages import Keys, Sender, TopicState
-from hostlink.graphs.zenoh.fleet_post import Post
+from hostlink.graphs.zenoh.fleet_messages import FleetTransport, Keys, Sender, TopicState
 from hostlink.graphs.zenoh.fleet_topics import FIRST_RETRY_S, FleetImports
 from hostlink.graphs.zenoh.roster import Neighbour
 from hostlink.graphs.zenoh.session import Session
@@ -25,7 +24,7 @@ class World:
     def __init__(self) -> None:
         self.hub, self.counts, self.network = Hub(Config(), CATALOG, reraises=True), Counter[str](), MemoryNetwork()
         session = cast("Session", MemorySession(self.network, "1a"))
-        self.imports = FleetImports(self.hub, Post(session, Keys("fleet"), Sender("lab", "1a"), self.counts))
+        self.imports = FleetImports(self.hub, FleetTransport(session, Keys("fleet"), Sender("lab", "1a"), self.counts))
         self.robot = remote_robot(self.hub, ROBOT)
         self.neighbour = Neighbour(Sender("desk", "2b"), 0.0)
 
@@ -57,7 +56,7 @@ def test_topic_with_another_type_here_is_refused_alone_and_shown_once_it_fits() 
     run_virtual(test())
 
 
-def test_topic_is_subscribed_elsewhere_while_it_is_subscribed_here() -> None:
+def test_topic_is_subscribed_at_its_daemon_while_it_is_subscribed_here() -> None:
     async def test() -> None:
         world = World()
         world.show(PLAN, SCAN)

@@ -1,4 +1,4 @@
-"""Which daemons there are, which robots they have, and where one name is."""
+"""Daemons of the fleet, their robots, and the place of a name."""
 
 from collections import Counter
 

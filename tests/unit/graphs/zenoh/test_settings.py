@@ -1,4 +1,4 @@
-"""What [zenoh] says, and what of it Zenoh gets."""
+"""Settings of [zenoh], and the ones passed to Zenoh."""
 
 import json
 from pathlib import Path
@@ -17,7 +17,7 @@ def write(folder: Path, text: str) -> Path:
     return path
 
 
-def test_without_the_table_there_is_no_zenoh(tmp_path: Path) -> None:
+def test_configuration_without_the_table_starts_no_zenoh(tmp_path: Path) -> None:
     assert load(write(tmp_path, "")).zenoh is None
     assert load(write(tmp_path, "[zenoh]\n")).zenoh == ZenohConfig()
 
@@ -40,7 +40,7 @@ def test_paths_are_beside_the_file(tmp_path: Path) -> None:
         ('mode = "broker"', "broker"),
     ],
 )
-def test_what_is_wrong_is_refused(tmp_path: Path, line: str, problem: str) -> None:
+def test_wrong_setting_is_refused(tmp_path: Path, line: str, problem: str) -> None:
     with pytest.raises(ConfigError, match=problem.replace("*", r"\*")):
         load(write(tmp_path, f"[zenoh]\n{line}\n"))
 
@@ -185,7 +185,7 @@ def test_an_administration_that_writes_is_a_warning(tmp_path: Path) -> None:
     assert "adminspace lets whoever is connected change" in reach_of(settings_of(config), config).warnings[0]
 
 
-def test_a_file_of_zenoh_comes_before_the_defaults_of_hostlink(tmp_path: Path) -> None:
+def test_file_of_zenoh_precedes_the_defaults_of_hostlink(tmp_path: Path) -> None:
     file = tmp_path / "zenoh.json5"
     file.write_text("{transport: {link: {tx: {lease: 4000}}}, mode: 'router'}")
     settings = settings_of(ZenohConfig(file=file))

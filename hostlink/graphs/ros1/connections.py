@@ -1,13 +1,107 @@
-"""Wire: one TCPROS connection. What comes is read in its turns; what leaves waits in a bounded queue."""
+"""Connections of this node: listening ports, and TCPROS wires that read in turns and send from a bounded queue."""
 
 import asyncio
+import contextlib
+import ipaddress
+import socket
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from typing import Any, Protocol
 
+from hostlink.acceptor import Acceptor, bind
+from hostlink.graphs.ros1.local_node import Counts
 from hostlink.graphs.ros1.tcpros import MAX_HEADER_BYTES, Header, MessageStream, encode_header
 from hostlink.hub.hub import Hub
+from hostlink.hub.isolation import Spawn
+from hostlink.listening import close_all
 from hostlink.transport.connection import Connection
 from hostlink.transport.socket_options import set_options
+
+
+class Admitted(Protocol):
+    """The protocol of a connection."""
+
+    @property
+    def is_replaceable(self) -> bool:
+        """Whether another one may have its place."""
+
+
+MakeProtocol = Callable[[], Admitted]
+
+
+class Port:
+    """Listening port: admits a bounded number of connections from allowed networks. Call `bind`, then `accept`."""
+
+    def __init__(self, counts: Counts, *, allow: Sequence[str], max_connections: int) -> None:
+        """`allow`: networks that may connect; all if empty."""
+        self._counts = counts
+        self._networks = [ipaddress.ip_network(network) for network in allow]
+        self._max_connections = max_connections
+        self._opening = 0
+        self._open: dict[asyncio.Transport, Admitted] = {}  # oldest first
+        self._listening: list[socket.socket] = []
+        self._acceptor: Acceptor | None = None
+
+    async def bind(self, host: str, port: int) -> int:
+        """Listen; returns the number of the port.
+
+        Raises:
+            OSError: the port is not free, or the address is not of this host.
+        """
+        self._listening = await bind(host, port)
+        return int(self._listening[0].getsockname()[1])
+
+    def accept(self, make_protocol: MakeProtocol, spawn: Spawn) -> None:
+        """Serve connections from now on."""
+
+        def accepted(connection: socket.socket, address: str, _since_s: float) -> None:
+            if not self._admits(address):
+                self._counts.refused_connections += 1
+                connection.close()
+                return
+            self._opening += 1
+            spawn(self._begin(connection, make_protocol), name=f"ROS 1 connection of {address}")
+
+        self._acceptor = Acceptor(self._listening, accepted, on_exhausted=self._note_refused)
+
+    def close(self) -> None:
+        """Stop listening, and close all connections."""
+        if self._acceptor is not None:
+            self._acceptor.close()
+        close_all(self._listening)
+        for transport in self._open:
+            transport.close()
+
+    def _admits(self, address: str) -> bool:
+        if self._networks and not any(ipaddress.ip_address(address) in each for each in self._networks):
+            return False
+        self._open = {each: protocol for each, protocol in self._open.items() if not each.is_closing()}
+        if len(self._open) + self._opening < self._max_connections:
+            return True
+        oldest = next((each for each, protocol in self._open.items() if protocol.is_replaceable), None)
+        if oldest is None:
+            return False
+        self._note_refused()
+        oldest.abort()
+        del self._open[oldest]
+        return True
+
+    async def _begin(self, connection: socket.socket, make_protocol: MakeProtocol) -> None:
+        is_open = False
+        make: Any = make_protocol
+        try:
+            with contextlib.suppress(OSError):  # it has reset the connection already
+                transport, protocol = await asyncio.get_running_loop().connect_accepted_socket(make, connection)
+                self._open[transport] = protocol
+                is_open = True
+        finally:
+            self._opening -= 1
+            if not is_open:
+                connection.close()
+
+    def _note_refused(self) -> None:
+        self._counts.refused_connections += 1
+
 
 MAX_MESSAGES = 256
 MAX_BYTES = 8 * 1024 * 1024
@@ -21,7 +115,7 @@ Receive = Callable[[list[bytes]], None]
 
 
 class Outgoing:
-    """What waits for one subscriber, in order; of too much the oldest is dropped and counted. The newest stays."""
+    """Bounded send queue of one subscriber. When it is full, the oldest message is dropped and counted."""
 
     def __init__(self) -> None:
         self.dropped = 0
@@ -32,7 +126,7 @@ class Outgoing:
         return bool(self._waiting)
 
     def put(self, data: bytes) -> None:
-        """One more message."""
+        """Add a message."""
         self._waiting.append(data)
         self._bytes += len(data)
         while len(self._waiting) > MAX_MESSAGES or (self._bytes > MAX_BYTES and len(self._waiting) > 1):
@@ -40,7 +134,7 @@ class Outgoing:
             self.dropped += 1
 
     def pop_batch(self) -> bytes:
-        """The oldest messages, BATCH_BYTES or a little more of them."""
+        """Remove and return the oldest messages: BATCH_BYTES, or a little more."""
         batch: list[bytes] = []
         size = 0
         while self._waiting and size < BATCH_BYTES:
@@ -51,7 +145,7 @@ class Outgoing:
 
 
 class Wire(Connection):
-    """The owner of one connection; `receive` is called with the messages of each piece, `on_end` once."""
+    """TCPROS connection. Calls `receive` with the messages of each read, and `on_end` once."""
 
     def __init__(self, hub: Hub, receive: Receive, on_end: Callable[[], None] = lambda: None) -> None:
         super().__init__()
@@ -67,7 +161,7 @@ class Wire(Connection):
         self.on_readable = self._reader.receive
 
     def close(self) -> None:
-        """End it, after what was sent has left, if that is soon."""
+        """Close the connection when sent data has left, after CLOSE_TIMEOUT_S at the latest."""
         if self.is_closed:
             return
         self.is_closed = True
@@ -80,7 +174,7 @@ class Wire(Connection):
     # -- to the peer --------------------------------------------------------------------------------------------------
 
     def send_header(self, fields: Header) -> None:
-        """The first that leaves."""
+        """Send the connection header."""
         self.transport.write(encode_header(fields))
 
     def refuse(self, reason: str) -> None:
@@ -96,7 +190,7 @@ class Wire(Connection):
             asyncio.get_running_loop().call_soon(self._flush)
 
     def _flush(self) -> None:
-        """What came in one turn of the loop leaves in one write."""
+        """Write the messages of one turn of the loop at once."""
         self._is_flush_due = False
         while self.outgoing and not self.is_writing_paused and not self.is_closed:
             self.transport.write(self.outgoing.pop_batch())
@@ -104,7 +198,7 @@ class Wire(Connection):
     # -- from the peer ------------------------------------------------------------------------------------------------
 
     def _read(self) -> None:
-        """One piece; of a large message all that is there."""
+        """Read one piece; of a large message all available bytes."""
         began_s = asyncio.get_running_loop().time()
         is_done = False
         with self._isolation.around("ros1", peer=self.peer):

@@ -1,0 +1,477 @@
+"""Velocities, stops and locks between daemons: requests of this daemon to others, and of others to this one."""
+
+import asyncio
+import contextlib
+import fnmatch
+import functools
+import itertools
+from collections.abc import Hashable
+from dataclasses import dataclass, field
+from typing import assert_never
+
+import structlog
+from structlog.contextvars import bound_contextvars
+
+from hostlink.errors import (
+    BadPayload,
+    BadRequest,
+    CommandRefused,
+    DeviceGone,
+    HostlinkError,
+    RefusalKind,
+)
+from hostlink.graphs.zenoh.fleet_messages import (
+    GROUP,
+    Answer,
+    Drive,
+    FleetTransport,
+    Lock,
+    Release,
+    Request,
+    Stop,
+    StopRequest,
+    Unlock,
+    decode,
+    decode_request,
+    decode_stop,
+    encode,
+    state_of,
+)
+from hostlink.graphs.zenoh.roster import Neighbour, Roster
+from hostlink.graphs.zenoh.session import Sample
+from hostlink.hub.hub import Hub
+from hostlink.hub.participant import Participant
+from hostlink.hub.robot import LocalRobot, RemoteRobot
+from hostlink.logs import of_peer, printable
+from hostlink.robot.velocity import PlanarVelocity, Twist
+
+MAX_DRIVERS = 64  # of one daemon; over it the driver leaves whose last command is the oldest
+IDLE_S = 10.0  # a driver without a command for so long holds no lease
+_PUBLISHER = 0  # the number of the one who publishes; drivers begin at 1
+
+
+@dataclass(slots=True, eq=False)
+class _Driver:
+    participant: Participant
+    commanded_at_s: float
+
+
+class FleetDrivers:
+    """Drivers at other daemons: each is a participant here, where the gates and their leases are."""
+
+    def __init__(self, hub: Hub, transport: FleetTransport, roster: Roster) -> None:
+        self._hub, self._transport, self._roster = hub, transport, roster
+        self._drivers: dict[str, dict[int, _Driver]] = {}  # by daemon, and by their numbers there
+
+    # -- requests -----------------------------------------------------------------------------------------------------
+
+    def receive(self, sample: Sample) -> None:
+        """Answer a request to this daemon alone."""
+        neighbour = self._neighbour(sample, is_addressed=True)
+        if neighbour is None:
+            return
+        try:
+            request = decode_request(sample.payload)
+        except BadPayload:
+            self._transport.counts["malformed"] += 1
+            return
+        with bound_contextvars(**of_peer(f"fleet {neighbour.sender.name}")):
+            answer = self._answer(neighbour, request)
+        self._send(neighbour, answer)
+
+    def receive_stop(self, sample: Sample) -> None:
+        """Answer a request to all daemons. Reading is enough to stop."""
+        neighbour = self._neighbour(sample)
+        if neighbour is None:
+            return
+        try:
+            request = decode_stop(sample.payload)
+        except BadPayload:
+            self._transport.counts["malformed"] += 1
+            return
+        with bound_contextvars(**of_peer(f"fleet {neighbour.sender.name}")):
+            answer = self._stop(neighbour, request)
+        self._send(neighbour, answer)
+
+    def publish(self, neighbour: Neighbour, topic: str, payload: bytes) -> None:
+        """Publish a message of another daemon's program to a device here.
+
+        Raises:
+            HostlinkError: the daemon may not publish, or the message does not fit the device.
+        """
+        self._check_role(neighbour, topic)
+        self._participant(neighbour, _PUBLISHER, "programs").publish(topic, payload)
+
+    # -- whose --------------------------------------------------------------------------------------------------------
+
+    def leave(self, zid: str) -> None:
+        """Follow the loss of a daemon: what its drivers drive stops."""
+        for driver in self._drivers.pop(zid, {}).values():
+            driver.participant.leave()
+
+    def leave_all(self) -> None:
+        """The fleet ends here."""
+        for zid in list(self._drivers):
+            self.leave(zid)
+
+    def tick(self, now_s: float) -> None:
+        """Let drivers leave after IDLE_S without a command."""
+        for zid, drivers in list(self._drivers.items()):
+            for number, driver in list(drivers.items()):
+                if now_s > driver.commanded_at_s + IDLE_S:
+                    del drivers[number]
+                    driver.participant.leave()
+            if not drivers:
+                del self._drivers[zid]
+
+    # -- its parts ----------------------------------------------------------------------------------------------------
+
+    def _neighbour(self, sample: Sample, *, is_addressed: bool = False) -> Neighbour | None:
+        sender = self._transport.keys.sender(sample.key, is_addressed=is_addressed)
+        neighbour = None if sender is None else self._roster.find(sender)
+        if neighbour is None:
+            self._transport.counts["unannounced"] += 1
+        return neighbour
+
+    def _answer(self, neighbour: Neighbour, request: Request) -> Answer:
+        robot = None
+        try:
+            match request:
+                case Drive():
+                    if not request.wanted.is_zero:
+                        self._check_role(neighbour, request.robot)
+                    source = functools.partial(self._participant, neighbour, request.owner, request.owner_name)
+                    robot = self._hub.robots.find_here(request.robot, driver=None if request.wanted.is_zero else source)
+                    return self._drive(neighbour, robot, request)
+                case Release():
+                    driver = self._drivers.get(neighbour.sender.zid, {}).pop(request.owner, None)
+                    if driver is not None:
+                        driver.participant.leave()
+                    return Answer(number=request.number)
+                case Unlock():
+                    self._check_role(neighbour, request.robot)
+                    robot = self._hub.robots.find_here(request.robot)
+                    robot.unlock()
+                    return Answer(number=request.number, robots=(state_of(robot),))
+                case _:
+                    assert_never(request)
+        except HostlinkError as error:
+            self._transport.counts["refused"] += 1
+            return _refusal(request.number, error, robot)
+
+    def _drive(self, neighbour: Neighbour, robot: LocalRobot, request: Drive) -> Answer:
+        velocity = request.wanted
+        if robot.also_at and not velocity.is_zero:
+            raise DeviceGone(robot.name, f"several robots have this name, also at {', '.join(robot.also_at)}")
+        if neighbour.is_silent:  # it has sent nothing by which its clock is known
+            raise DeviceGone(robot.name, "the daemons have just met; try again")
+        received_s = _now_s() - neighbour.freshness.late_s(request.sent_s, _now_s())
+        participant = self._participant(neighbour, request.owner, request.owner_name)
+        limited = participant.drive(
+            robot, velocity, priority=request.priority, received_s=received_s, epoch=request.epoch
+        )
+        return Answer(number=request.number, velocity=limited.twist, epoch=robot.admission.epoch)
+
+    def _stop(self, neighbour: Neighbour, request: StopRequest) -> Answer:
+        name = request.robot
+        robots = [robot for robot in self._hub.robots.here() if name in (None, robot.name)]
+        try:
+            if name is None:
+                self._hub.robots.stop_all_here()
+            for robot in robots if name is not None else ():
+                if isinstance(request, Lock):
+                    robot.lock_here(f"{request.reason} ({neighbour.sender.name})")
+                else:
+                    robot.stop_here()
+        except HostlinkError as error:
+            return _refusal(request.number, error)
+        return Answer(number=request.number, robots=tuple(map(state_of, robots)))
+
+    def _check_role(self, neighbour: Neighbour, what: str) -> None:
+        name = neighbour.sender.name
+        if not any(fnmatch.fnmatchcase(name, pattern) for pattern in self._transport.may_drive):
+            raise BadRequest(
+                f"{what}: {printable(name)} may only read at {self._transport.me.name} (zenoh.drivers there)"
+            )
+
+    def _participant(self, neighbour: Neighbour, number: int, name: str) -> Participant:
+        drivers = self._drivers.setdefault(neighbour.sender.zid, {})
+        driver = drivers.pop(number, None)
+        if driver is None or driver.participant.has_left:
+            who = f"{printable(name)} at {printable(neighbour.sender.name)}"
+            driver = _Driver(self._hub.join(who, group=GROUP), 0.0)
+        driver.commanded_at_s = _now_s()
+        drivers[number] = driver
+        if len(drivers) > MAX_DRIVERS:
+            self._transport.counts["excess_drivers"] += 1
+            drivers.pop(next(iter(drivers))).participant.leave()
+        return driver.participant
+
+    def _send(self, neighbour: Neighbour, answer: Answer) -> None:
+        key = self._transport.keys.key("answer", self._transport.me, to=neighbour.sender.zid)
+        self._transport.session.put(key, encode(answer), is_urgent=True)
+
+
+def _refusal(number: int, error: HostlinkError, robot: LocalRobot | None = None) -> Answer:
+    holder = error.holder if isinstance(error, CommandRefused) else None
+    owner = None if holder is None else str(holder)
+    epoch = None if robot is None else robot.admission.epoch
+    return Answer(number=number, error=error.kind, reason=str(error)[:512], owner=owner, epoch=epoch)
+
+
+def _now_s() -> float:
+    return asyncio.get_running_loop().time()
+
+
+log = structlog.get_logger()
+
+ANSWER_TIMEOUT_S = 0.5  # as long as a command lasts
+MAX_WAITING = 4096  # commands without an answer; the oldest is forgotten
+MAX_UNSETTLED = 64  # stops and locks
+_TEXT = 200
+
+
+@dataclass(slots=True, eq=False)
+class _Command:
+    """The newest command of an owner to a robot."""
+
+    number: int
+    neighbour: Neighbour
+    robot: RemoteRobot
+    sent_at_s: float
+    answer: Answer | None = None
+    is_answered: asyncio.Event = field(default_factory=asyncio.Event)
+
+    def result(self) -> PlanarVelocity:
+        """The velocity after the limits.
+
+        Raises:
+            HostlinkError: why not.
+        """
+        if self.answer is None:
+            raise DeviceGone(self.robot.name, f"{self.neighbour.sender.name} does not answer")
+        if self.answer.error:
+            raise _error_of(self.robot.name, self.answer)
+        return Twist(*(self.answer.velocity or ())).planar
+
+
+@dataclass(slots=True, eq=False)
+class _Unsettled:
+    """Stop, lock or unlock that some daemons have not answered."""
+
+    payload: bytes
+    key: str
+    missing: dict[str, str]  # the names of daemons, by id
+    since_s: float
+    what: str
+    refusal: str = ""
+    is_settled: asyncio.Event = field(default_factory=asyncio.Event)
+
+
+class FleetRequests:
+    """Implementation of RobotHosts. A command is sent to the daemon of the robot, a stop or a lock to all."""
+
+    def __init__(self, transport: FleetTransport, roster: Roster) -> None:
+        self._transport, self._roster = transport, roster
+        self._numbers = itertools.count(1)
+        self._owner_numbers = itertools.count(1)
+        self._owners: dict[Hashable, int] = {}
+        self._newest: dict[tuple[Hashable, str], _Command] = {}
+        self._waiting: dict[int, _Command] = {}
+        self._unsettled: dict[int, _Unsettled] = {}
+
+    # -- RobotHosts ---------------------------------------------------------------------------------------------------
+
+    def drive(
+        self, robot: RemoteRobot, velocity: PlanarVelocity, *, owner: Hashable, priority: int, epoch: int | None
+    ) -> None:
+        """Send a command of an owner.
+
+        Raises:
+            HostlinkError: the previous command was refused, and its sender does not know it yet.
+        """
+        neighbour, now_s = self._neighbour(robot), _now_s()
+        before = self._newest.pop((owner, robot.name), None)
+        if before is not None and not velocity.is_zero:
+            self._raise_refusal(before, now_s)
+        if owner not in self._owners:
+            self._owners[owner] = next(self._owner_numbers)
+        command = _Command(next(self._numbers), neighbour, robot, now_s)
+        self._newest[owner, robot.name] = command
+        self._waiting[command.number] = command
+        if len(self._waiting) > MAX_WAITING:
+            del self._waiting[next(iter(self._waiting))]
+        request = Drive(
+            number=command.number,
+            sent_s=now_s,
+            robot=robot.name,
+            owner=self._owners[owner],
+            owner_name=printable(str(owner)),
+            velocity=velocity.twist,
+            priority=priority,
+            epoch=epoch,
+        )
+        self._request(neighbour, request)
+
+    async def answer(self, robot: RemoteRobot, owner: Hashable) -> PlanarVelocity:
+        """Return the answer to the newest command of an owner: the velocity after the limits.
+
+        Raises:
+            HostlinkError: it was refused, or not answered.
+        """
+        command = self._newest.get((owner, robot.name))
+        if command is None:
+            raise DeviceGone(robot.name, "the command was withdrawn")
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout_at(command.sent_at_s + ANSWER_TIMEOUT_S):
+                await command.is_answered.wait()
+        if self._newest.get((owner, robot.name)) is command and (command.answer is None or command.answer.error):
+            del self._newest[owner, robot.name]  # its owner learns of it here
+        return command.result()
+
+    def release(self, owner: Hashable) -> None:
+        """Release what a source drives at other daemons: it stops."""
+        number = self._owners.pop(owner, None)
+        if number is None:
+            return
+        commands = [self._newest.pop(key) for key in list(self._newest) if key[0] == owner]
+        for neighbour in {id(each.neighbour): each.neighbour for each in commands}.values():
+            self._request(neighbour, Release(number=next(self._numbers), owner=number))
+
+    def stop(self, name: str | None) -> None:
+        """Stop all robots of this name at all daemons; None: every robot."""
+        number = next(self._numbers)
+        self._send_to_all(number, Stop(number=number, robot=name), name, "stop")
+
+    def lock(self, name: str, reason: str) -> None:
+        """Lock all robots of this name at all daemons."""
+        number = next(self._numbers)
+        self._send_to_all(number, Lock(number=number, robot=name, reason=reason), name, "lock")
+
+    def unlock(self, robot: RemoteRobot) -> None:
+        """Let it be driven again.
+
+        Raises:
+            DeviceGone: the daemon that has it is gone.
+        """
+        neighbour, number = self._neighbour(robot), next(self._numbers)
+        payload = encode(Unlock(number=number, robot=robot.name))
+        key = self._transport.keys.key("drive", self._transport.me, to=neighbour.sender.zid)
+        self._expect(number, _Unsettled(payload, key, {neighbour.sender.zid: robot.host}, _now_s(), "unlock"))
+        self._transport.session.put(key, payload, is_urgent=True)
+
+    async def settled(self) -> None:
+        """Wait until every daemon has answered the stops, locks and unlocks so far.
+
+        Raises:
+            DeviceGone: one of them has not answered in time, or has refused.
+        """
+        waited_for = list(self._unsettled.items())
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(ANSWER_TIMEOUT_S):
+                for _, each in waited_for:
+                    await each.is_settled.wait()
+        for number, each in waited_for:
+            self._unsettled.pop(number, None)
+            if each.missing:
+                self._log_unanswered(each)
+        for _, each in waited_for:
+            if each.missing or each.refusal:
+                hosts = ", ".join(each.missing.values())
+                raise DeviceGone(
+                    hosts or each.what, each.refusal or f"has not answered the {each.what}; what is here has"
+                )
+
+    # -- answers ------------------------------------------------------------------------------------------------------
+
+    def receive(self, sample: Sample) -> Answer | None:
+        """An answer of another daemon; returned if it is one to a stop, a lock or an unlock."""
+        sender = self._transport.keys.sender(sample.key, is_addressed=True)
+        try:
+            answer = decode(sample.payload, Answer)
+        except BadPayload:
+            self._transport.counts["malformed"] += 1
+            return None
+        command = self._waiting.get(answer.number)
+        if command is not None and sender == command.neighbour.sender:
+            del self._waiting[answer.number]
+            command.answer = answer
+            command.robot.note_epoch(answer.epoch, lock_reason=command.robot.admission.lock_reason)
+            command.is_answered.set()
+            return None
+        unsettled = self._unsettled.get(answer.number)
+        if unsettled is None or sender is None:
+            return None
+        if unsettled.missing.pop(sender.zid, None) is not None and answer.error:
+            unsettled.refusal = printable(answer.reason, _TEXT)
+        if not unsettled.missing:
+            unsettled.is_settled.set()
+        return answer
+
+    def tick(self) -> None:
+        """Repeat requests without an answer, and forget those that are too old."""
+        now_s = _now_s()
+        for number, each in list(self._unsettled.items()):
+            if now_s > each.since_s + 2 * ANSWER_TIMEOUT_S:
+                del self._unsettled[number]
+                if each.missing:
+                    self._log_unanswered(each)
+            elif each.missing:
+                self._transport.session.put(each.key, each.payload, is_urgent=True)
+        for number, command in list(self._waiting.items()):
+            if now_s < command.sent_at_s + 2 * ANSWER_TIMEOUT_S:
+                break
+            del self._waiting[number]
+
+    # -- its parts ----------------------------------------------------------------------------------------------------
+
+    def _neighbour(self, robot: RemoteRobot) -> Neighbour:
+        place = self._roster.place(robot.name)
+        if place is None or place.neighbour.sender.zid != robot.place:
+            raise DeviceGone(robot.name, f"{robot.host} is gone")
+        return place.neighbour
+
+    def _raise_refusal(self, before: _Command, now_s: float) -> None:
+        """Raise the refusal of the previous command, or that it was not answered within a lease."""
+        is_late = before.answer is None and now_s > before.sent_at_s + ANSWER_TIMEOUT_S
+        is_refused = before.answer is not None and before.answer.error
+        if is_refused or (is_late and now_s < before.sent_at_s + 2 * ANSWER_TIMEOUT_S):
+            before.result()
+
+    def _request(self, neighbour: Neighbour, request: Request) -> None:
+        self._transport.session.put(
+            self._transport.keys.key("drive", self._transport.me, to=neighbour.sender.zid),
+            encode(request),
+            is_urgent=True,
+        )
+
+    def _send_to_all(self, number: int, request: StopRequest, name: str | None, what: str) -> None:
+        payload, key = encode(request), self._transport.keys.key("stop", self._transport.me)
+        missing = {
+            each.sender.zid: each.sender.name
+            for each in self._roster.all()
+            if any(each.is_connected(robot) for robot in each.robots if name in (None, robot))
+        }
+        if missing:
+            self._expect(number, _Unsettled(payload, key, missing, _now_s(), what))
+        self._transport.session.put(key, payload, is_urgent=True)
+
+    def _expect(self, number: int, unsettled: _Unsettled) -> None:
+        self._unsettled[number] = unsettled
+        if len(self._unsettled) > MAX_UNSETTLED:
+            del self._unsettled[next(iter(self._unsettled))]
+
+    def _log_unanswered(self, unsettled: _Unsettled) -> None:
+        self._transport.counts["unanswered"] += 1
+        hosts = [printable(host) for host in unsettled.missing.values()]
+        log.warning("fleet.unanswered", what=unsettled.what, hosts=hosts)
+
+
+def _error_of(robot: str, answer: Answer) -> HostlinkError:
+    """Return the error that the other daemon raised."""
+    reason = printable(answer.reason, _TEXT)
+    if answer.error in set(RefusalKind):
+        return CommandRefused(robot, RefusalKind(answer.error), reason, holder=answer.owner)
+    if answer.error == DeviceGone.__name__:
+        return DeviceGone(robot, reason.removeprefix(f"{robot}: "))
+    return BadRequest(reason)

@@ -1,0 +1,229 @@
+"""Topics of the hub for ROS nodes, and their velocities for robots, without sockets."""
+
+import asyncio
+
+import pytest
+from hostlink.hub.graph import GraphTopic
+
+from hostlink.graphs.ros1 import topics
+from hostlink.graphs.ros1.tcpros import encode_header, encode_message
+from hostlink.graphs.ros1.topics import Publication, Publisher
+from hostlink.graphs.ros1.xml_rpc import Unreachable
+from hostlink.robot.velocity import TWIST_TYPE, PlanarVelocity
+from tests.support.fake_device import CATALOG
+from tests.support.participants import ROBOT, TEXT, TEXT_TYPE, Scene, play
+from tests.support.ros1.wireless import FakeWire, local_node
+
+STRING, TWIST = CATALOG.message(TEXT_TYPE), CATALOG.message(TWIST_TYPE)
+assert STRING is not None
+assert TWIST is not None
+HEADER = {"callerid": "/listener", "md5sum": STRING.md5, "type": TEXT_TYPE, "topic": TEXT}
+
+
+def text(value: str) -> bytes:
+    assert STRING is not None
+    return STRING.encode({"data": value})
+
+
+def publication(scene: Scene, *, is_latched: bool = False) -> Publication:
+    assert STRING is not None
+    node, _ = local_node(scene.hub, scene.tasks)
+    return Publication(node, TEXT, "/ros_text", STRING, is_latched=is_latched)
+
+
+def test_publication_sends_messages_to_each_subscriber_and_counts_them() -> None:
+    async def test(scene: Scene) -> None:
+        made, first, second = publication(scene), FakeWire(), FakeWire()
+        made.accept(first.wire, HEADER)
+        made.accept(second.wire, HEADER | {"callerid": "/other"})
+        scene.neighbour.publish(TEXT, text("one"))
+        assert first.sent == second.sent == [encode_message(text("one"))]
+        assert made._node.counts.messages_to_ros == 2
+        assert sorted(made.subscribers.values()) == ["/listener", "/other"]
+        assert first.headers[0]["md5sum"] == HEADER["md5sum"]
+        assert (first.headers[0]["latching"], first.headers[0]["topic"]) == ("0", "/ros_text")
+        made.close()
+
+    play(test)
+
+
+def test_publication_leaves_the_hub_with_its_last_subscriber() -> None:
+    async def test(scene: Scene) -> None:
+        made, first, second = publication(scene), FakeWire(), FakeWire()
+        made.accept(first.wire, HEADER)
+        made.accept(second.wire, HEADER)
+        first.outgoing.dropped = 3
+        first.close()
+        assert made._node.counts.dropped_to_slow_subscribers == 3
+        scene.neighbour.publish(TEXT, text("one"))
+        assert (len(first.sent), len(second.sent)) == (0, 1)
+        second.close()
+        assert not [each for each in scene.hub.topics.find(TEXT).subscribers if "ros1" in str(each.key)]
+
+    play(test)
+
+
+@pytest.mark.parametrize(
+    ("header", "reason"),
+    [
+        ({"callerid": "/listener"}, "missing field md5sum"),
+        (HEADER | {"md5sum": "0"}, "not 0"),
+    ],
+)
+def test_subscriber_with_wrong_header_is_refused_and_counted(header: dict[str, str], reason: str) -> None:
+    async def test(scene: Scene) -> None:
+        made, wire = publication(scene), FakeWire()
+        made.accept(wire.wire, header)
+        assert reason in wire.refusals[0]
+        assert (made._node.counts.refused_headers, made.subscribers) == (1, {})
+
+    play(test)
+
+
+def test_subscribers_over_the_bound_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(topics, "MAX_SUBSCRIBERS", 1)
+
+    async def test(scene: Scene) -> None:
+        made, first, second = publication(scene), FakeWire(), FakeWire()
+        made.accept(first.wire, HEADER)
+        made.accept(second.wire, HEADER)
+        assert first.refusals == []
+        assert second.refusals == ["more than 1 subscribers of /ros_text"]
+        made.close()
+
+    play(test)
+
+
+@pytest.mark.parametrize("is_latched", [True, False])
+def test_later_subscriber_receives_the_latched_message_alone(is_latched: bool) -> None:
+    async def test(scene: Scene) -> None:
+        scene.neighbour.unadvertise(TEXT)
+        scene.neighbour.advertise(TEXT, TEXT_TYPE, is_latched=is_latched)
+        made, first, second = publication(scene, is_latched=is_latched), FakeWire(), FakeWire()
+        made.accept(first.wire, HEADER)
+        scene.neighbour.publish(TEXT, text("one"))
+        made.accept(second.wire, HEADER)
+        assert first.sent == [encode_message(text("one"))]
+        assert second.sent == first.sent * is_latched
+        made.close()
+        assert first.is_closed
+        assert second.is_closed
+
+    play(test)
+
+
+# -- publishers -------------------------------------------------------------------------------------------------------
+
+
+def velocity_topic(scene: Scene) -> GraphTopic:
+    name = scene.hub.robots.find(ROBOT).shown.velocity
+    return next(each for each in scene.neighbour.graph().topics if each.name == name)
+
+
+class Driver:
+    """Connection to a node that publishes the velocity of a robot."""
+
+    def __init__(self, scene: Scene, *, is_new: bool) -> None:
+        self.node, _ = local_node(scene.hub, scene.tasks)
+        self.topic = velocity_topic(scene)
+        self.connection = topics._Connection(self.node, self.topic, topics.RefusalLog(), is_new=is_new)
+
+    def begin(self, **fields: str) -> None:
+        assert TWIST is not None
+        header = {"callerid": "/joystick", "type": TWIST_TYPE, "md5sum": TWIST.md5} | fields
+        self.connection._begin([encode_header(header)[4:]])
+
+    def drive(self, *speeds_m_s: float) -> None:
+        self.connection.wire.receive([PlanarVelocity(speed).encode() for speed in speeds_m_s])
+
+
+def test_new_publisher_drives_and_only_its_newest_velocity_counts() -> None:
+    async def test(scene: Scene) -> None:
+        driver = Driver(scene, is_new=True)
+        driver.begin()
+        assert driver.connection.is_accepted
+        driver.drive(0.1, 0.2, 0.3)
+        await asyncio.sleep(0.05)
+        assert [speed for speed in scene.speeds() if speed] == [0.3]
+        counts = driver.node.counts
+        assert (counts.messages_from_ros, counts.superseded_velocities, counts.refused_messages) == (3, 2, 0)
+        driver.connection.wire.close()
+        await asyncio.sleep(0.05)
+        assert scene.speeds()[-1] == 0.0
+        assert not driver.connection.is_accepted
+
+    play(test)
+
+
+@pytest.mark.parametrize("latching", ["0", "1"])
+def test_publisher_that_was_there_before_is_refused_in_the_middle_of_a_motion(latching: str) -> None:
+    async def test(scene: Scene) -> None:
+        scene.hub.robots.find(ROBOT).stop()
+        driver = Driver(scene, is_new=False)
+        driver.begin(latching=latching)
+        driver.drive(0.2)
+        await asyncio.sleep(0.05)
+        assert 0.2 not in scene.speeds()
+        assert driver.node.counts.refused_messages == 1
+        driver.connection.wire.close()
+
+    play(test)
+
+
+def test_malformed_message_is_counted_and_not_sent_to_the_robot() -> None:
+    async def test(scene: Scene) -> None:
+        driver = Driver(scene, is_new=True)
+        driver.begin()
+        driver.connection.wire.receive([bytes(47)])
+        driver.connection.wire.receive([bytes(49)])
+        assert driver.node.counts.malformed_messages == 2
+        assert not any(scene.speeds())
+        driver.connection.wire.close()
+
+    play(test)
+
+
+@pytest.mark.parametrize(
+    ("fields", "reason"),
+    [
+        ({"error": "no such topic"}, "no such topic"),
+        ({"type": "lab_msgs/Unknown"}, "unknown type lab_msgs/Unknown"),
+        ({"md5sum": "0"}, "publishes geometry_msgs/Twist with md5 0"),
+    ],
+)
+def test_publisher_with_wrong_header_is_refused(fields: dict[str, str], reason: str) -> None:
+    async def test(scene: Scene) -> None:
+        driver = Driver(scene, is_new=True)
+        driver.begin(**fields)
+        with pytest.raises(topics.BadHeader, match=reason):
+            await driver.connection.accepted
+        assert driver.connection.participant is None
+        driver.connection.wire.close()
+
+    play(test)
+
+
+@pytest.mark.parametrize("found", [["UDPROS", "there", 1], ["TCPROS", "there", 0], ["TCPROS", "there", 65536], 5])
+def test_publisher_without_tcpros_address_is_refused(found: object) -> None:
+    async def test(scene: Scene) -> None:
+        node, rpc = local_node(scene.hub, scene.tasks)
+        rpc.answer = lambda _uri, _method: found
+        publisher = Publisher(node, velocity_topic(scene), "/cmd_vel", "http://there:2/", is_new=True)
+        with pytest.raises(topics.BadHeader, match="TCPROS"):
+            await publisher.receive()
+        assert not publisher.is_connected
+
+    play(test)
+
+
+def test_first_attempt_of_a_new_publisher_is_new_and_later_ones_are_not() -> None:
+    async def test(scene: Scene) -> None:
+        node, rpc = local_node(scene.hub, scene.tasks)
+        publisher = Publisher(node, velocity_topic(scene), "/cmd_vel", "http://there:2/", is_new=True)
+        assert publisher._new_until_s > asyncio.get_running_loop().time()
+        with pytest.raises(Unreachable):
+            await publisher.receive()
+        assert publisher._new_until_s == 0.0
+        assert [method for _, method, _ in rpc.calls] == ["requestTopic"]
+
+    play(test)
