@@ -30,9 +30,8 @@ class ParameterCache:
     set, and parameters below it as unknown: each can be subscribed to by itself.
     """
 
-    def __init__(self, max_keys: int = MAX_KEYS) -> None:
+    def __init__(self) -> None:
         self._values: OrderedDict[str, Any] = OrderedDict()
-        self._max_keys = max_keys
 
     @property
     def keys(self) -> tuple[str, ...]:
@@ -43,7 +42,7 @@ class ParameterCache:
         """The master has answered a subscription; returns the key that has to go, if there are too many."""
         self._values[key] = _kept(value)
         self._values.move_to_end(key)
-        return self._values.popitem(last=False)[0] if len(self._values) > self._max_keys else None
+        return self._values.popitem(last=False)[0] if len(self._values) > MAX_KEYS else None
 
     def clear(self) -> None:
         """The master has forgotten the subscriptions."""
