@@ -13,7 +13,7 @@ from hostlink.graphs.zenoh.rmw_graph import RemoteGraph
 from hostlink.graphs.zenoh.rmw_protocol import TELEMETRY, Attachment, EndpointToken, Kind, NodeToken, gid_of
 from tests.support.fake_device import CATALOG
 
-TYPES = Ros2Types(CATALOG)
+TYPES = Ros2Types(CATALOG, "kilted")
 NAMES = [
     "diagnostic_msgs/DiagnosticArray",
     "geometry_msgs/Twist",

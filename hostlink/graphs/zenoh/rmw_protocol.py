@@ -13,7 +13,6 @@ from typing import Final, NamedTuple
 import xxhash
 
 NAME_CHARS_MAX: Final = 255
-DOMAIN_MAX: Final = 232
 
 _NAME: Final = re.compile(r"(?:/[A-Za-z_][A-Za-z0-9_]*)+")
 _TYPE: Final = re.compile(r"([a-z][a-z0-9_]*)/(msg|srv|action)/([A-Za-z][A-Za-z0-9_]*)")
