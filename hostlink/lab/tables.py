@@ -56,9 +56,7 @@ class Table:
     columns: tuple[Column, ...]
 
 
-def tables(
-    world: WorldParameters, laboratory: Laboratory, *, runs: int, report: Callable[[str], None] = lambda _: None
-) -> list[Table]:
+def tables(world: WorldParameters, laboratory: Laboratory, *, runs: int, report: Callable[[str], None]) -> list[Table]:
     """Drive all of them.
 
     Raises:

@@ -4,7 +4,7 @@ It is what `hostlink calibrate --simulate` does.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -13,33 +13,30 @@ from hostlink.robot.kinematics import Pose, placed
 from hostlink.robot.odometry_correction import OdometryCorrection
 from hostlink.sim.firmware_world import COMMAND_S, FirmwareWorld
 
+READING_ERROR_M = 0.002  # standard deviation of a distance read off the tape measure
+READING_ERROR_RAD = math.radians(0.5)  # standard deviation of an angle, and of the mark's direction
 LONGEST_S = 1800.0  # of a course: a robot that needs longer does not move
 
 
 class Person:
     """Somebody with a tape measure; what is read off it is a little wrong, the same for the same seed."""
 
-    def __init__(self, seed: int, *, reads_m: float = 0.002, reads_rad: float = math.radians(0.5)) -> None:
-        """`reads_m`, `reads_rad`: standard deviations; the second is that of the mark's direction, too."""
+    def __init__(self, seed: int) -> None:
         self._random = np.random.default_rng(seed)
-        self._reads_m, self._reads_rad = reads_m, reads_rad
 
     def measure(self, end: Pose) -> Pose:
         """Where something is, from a mark."""
-        marked = placed(Pose(theta_rad=self._reads_rad * float(self._random.normal())), end)
-        x_m, y_m = (marked[axis] + self._reads_m * float(self._random.normal()) for axis in (0, 1))
-        return Pose(x_m, y_m, end.theta_rad + self._reads_rad * float(self._random.normal()))
+        marked = placed(Pose(theta_rad=READING_ERROR_RAD * float(self._random.normal())), end)
+        x_m, y_m = (marked[axis] + READING_ERROR_M * float(self._random.normal()) for axis in (0, 1))
+        return Pose(x_m, y_m, end.theta_rad + READING_ERROR_RAD * float(self._random.normal()))
 
 
 def follow(
     robot: FirmwareWorld,
     legs: Sequence[Leg],
     correction: OdometryCorrection | None = None,
-    show: Callable[[int], None] = lambda _: None,
 ) -> tuple[tuple[Pose, ...], Pose]:
     """Drive a course by its odometry, corrected if need be; returns its poses, and how far it truly came.
-
-    `show` is given the number of legs that are left.
 
     Raises:
         TimeoutError: it does not get there.
@@ -56,7 +53,6 @@ def follow(
         shown = correction.advance(shown, path[-1], robot.odometry)
         path.append(robot.odometry)
         now_s += COMMAND_S
-        show(follower.legs_left)
     return tuple(path), _from(start, robot.pose)
 
 

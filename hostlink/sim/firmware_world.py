@@ -120,10 +120,6 @@ class Wheel:
         """The hand lets it go."""
         self._world.instance.call("release", self._side)
 
-    def deafen(self, *, is_so: bool = True) -> None:
-        """Its encoder is dead."""
-        self._world.instance.call("deafen", self._side, int(is_so))
-
     def break_driver(self) -> None:
         """The motor runs on at full speed once it was driven, whatever it is given then."""
         self._world.instance.call("break_driver", self._side)

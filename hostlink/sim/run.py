@@ -93,16 +93,15 @@ async def run_over_udp(
     port: int,
     *,
     fault: Fault = HEALTHY,
-    local_host: str | None = None,
     log: Callable[[str], None] = lambda _: None,
 ) -> None:
-    """Send to the host (from `local_host`), whether it is there or not, until cancelled."""
+    """Send to the host, whether it is there or not, until cancelled."""
     last_error = ""
     async with _switched_on(robot, fault) as board:
         while True:
             try:
                 async with asyncio.timeout(fault.runs_s):
-                    await _talk_over_udp(board, host, port, local_host=local_host, log=log)
+                    await _talk_over_udp(board, host, port, log=log)
             except TimeoutError:
                 robot.firmware.reboot()
             except OSError as error:  # no such address, or no way there
@@ -212,14 +211,11 @@ async def _talk(board: _Board, reader: asyncio.StreamReader, writer: asyncio.Str
             await writer.wait_closed()
 
 
-async def _talk_over_udp(
-    board: _Board, host: str, port: int, *, local_host: str | None, log: Callable[[str], None]
-) -> None:
+async def _talk_over_udp(board: _Board, host: str, port: int, *, log: Callable[[str], None]) -> None:
     """Talk from a socket of its own until the host has been silent for so long that the robot is not configured."""
     robot = board.robot
-    local = None if local_host is None else (local_host, 0)
     transport, _ = await asyncio.get_running_loop().create_datagram_endpoint(
-        lambda: _FromHost(board), remote_addr=(host, port), local_addr=local
+        lambda: _FromHost(board), remote_addr=(host, port)
     )
 
     def send(data: bytes) -> None:

@@ -53,7 +53,7 @@ def column(table: Table, title: str) -> np.ndarray:
 
 
 def test_tables_stand_beside_the_paper_and_calibration_gains_threefold() -> None:
-    driven = {table.pattern: table for table in tables(CASTER_WORLD, LABORATORY, runs=RUNS)}
+    driven = {table.pattern: table for table in tables(CASTER_WORLD, LABORATORY, runs=RUNS, report=lambda _: None)}
     assert [table.pattern.table for table in driven.values()] == [2, 3, 4, 5]
     assert driven[LINE].columns[0].means_cm == pytest.approx([1.84])
     assert column(driven[LINE], REBUILT) == pytest.approx([1.84], abs=0.2)
