@@ -17,9 +17,8 @@ class _Bucket:
 class LogBudget:
     """Token bucket for each peer. Lines above the limit are counted."""
 
-    def __init__(self, *, burst_lines: int = BURST_LINES, rate_hz: float = RATE_HZ) -> None:
+    def __init__(self) -> None:
         self.left_out = 0  # lines of all peers since the start
-        self._burst_lines, self._rate_hz = burst_lines, rate_hz
         self._buckets: OrderedDict[str, _Bucket] = OrderedDict()
         self._left_out_of_forgotten = 0
 
@@ -27,7 +26,7 @@ class LogBudget:
         """Whether one more line of this peer may be written. A refused line is counted."""
         bucket = self._buckets.get(peer) or self._open(peer, now_s)
         self._buckets.move_to_end(peer)
-        bucket.left = min(bucket.left + (now_s - bucket.at_s) * self._rate_hz, self._burst_lines)
+        bucket.left = min(bucket.left + (now_s - bucket.at_s) * RATE_HZ, BURST_LINES)
         bucket.at_s = now_s
         if bucket.left >= 1:
             bucket.left -= 1
@@ -50,5 +49,5 @@ class LogBudget:
         if len(self._buckets) >= MAX_PEERS:
             _, forgotten = self._buckets.popitem(last=False)
             self._left_out_of_forgotten += forgotten.left_out
-        bucket = self._buckets[peer] = _Bucket(self._burst_lines, now_s)
+        bucket = self._buckets[peer] = _Bucket(BURST_LINES, now_s)
         return bucket

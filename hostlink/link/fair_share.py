@@ -24,9 +24,8 @@ class FairShare:
     quarter while calm readers wait.
     """
 
-    def __init__(self, turn_s: float = TURN_S) -> None:
+    def __init__(self) -> None:
         self.waits = 0  # number of waits so far
-        self._turn_s = turn_s
         self._spent_s = 0.0  # used time of this turn
         self._owed_s = 0.0  # time for calm readers, if they wait, before a flood has its next turn
         self._is_turn_due = False
@@ -67,7 +66,7 @@ class FairShare:
 
     @property
     def _is_used_up(self) -> bool:
-        return self._spent_s >= self._turn_s
+        return self._spent_s >= TURN_S
 
     def _is_first(self, *, is_flooding: bool) -> bool:
         return not self._calm and not (is_flooding and self._flooding)
@@ -81,10 +80,10 @@ class FairShare:
         """Start a turn: admit as many as are expected to fill it. Calm readers go first while they have time left."""
         self._is_turn_due = False
         self._spent_s = 0.0
-        left_s = self._turn_s
+        left_s = TURN_S
         if self._owed_s > 0 or not self._flooding:
             left_s = self._admit(self._calm, left_s)
-            self._owed_s -= self._turn_s - left_s
+            self._owed_s -= TURN_S - left_s
         if self._flooding and left_s > 0:
             self._owed_s = CALM_PARTS * (left_s - self._admit(self._flooding, left_s))
         if self._calm or self._flooding:
