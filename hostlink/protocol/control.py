@@ -73,11 +73,6 @@ def decode_topic_info(kind: Id, payload: bytes) -> TopicInfo | None:
     return _decode(payload, read)
 
 
-def encode_parameter_request(name: str) -> bytes:
-    """Encode the payload of a device's parameter request."""
-    return _encode_string(name)
-
-
 def decode_parameter_request(payload: bytes) -> str | None:
     """Decode the name of the parameter that the device requests; None if malformed."""
     return _decode(payload, lambda reader: reader.string().decode(errors="replace"))
@@ -103,11 +98,6 @@ def decode_parameter(payload: bytes) -> Parameter | None:
     return _decode(payload, read)
 
 
-def encode_log(log: Log) -> bytes:
-    """Encode the payload of a log line."""
-    return bytes([log.level]) + _encode_string(log.text)
-
-
 def decode_log(payload: bytes) -> Log | None:
     """Decode a log line; None if malformed. A level above fatal is read as fatal."""
 
@@ -122,16 +112,6 @@ def encode_time(wall_ns: int) -> bytes:
     """Encode a time answer: seconds and nanoseconds since 1970."""
     seconds, nanoseconds = divmod(wall_ns, _NS_PER_S)
     return _TIME.pack(seconds & 0xFFFFFFFF, nanoseconds)
-
-
-def decode_time(payload: bytes) -> int | None:
-    """Decode a time answer to nanoseconds since 1970; None if malformed."""
-
-    def read(reader: _Reader) -> int:
-        seconds, nanoseconds = reader.unpack(_TIME)
-        return int(seconds * _NS_PER_S + nanoseconds)
-
-    return _decode(payload, read)
 
 
 class _Reader:

@@ -15,9 +15,10 @@ from structlog.testing import capture_logs
 from hostlink.config import Config
 from hostlink.errors import FrameTooLarge, ServiceFailed
 from hostlink.hub.device import COMMAND_DEPTH
-from hostlink.protocol.control import decode_parameter, encode_parameter_request
+from hostlink.protocol.control import decode_parameter
 from hostlink.protocol.frame import Id, encode
 from tests.support.daemon import Daemon, daemon
+from tests.support.device_codec import encode_parameter_request
 from tests.support.fake_device import FakeDevice, fake_device, pose, robot_topics, topic
 from tests.support.participants import publish
 from tests.support.rosbridge import client

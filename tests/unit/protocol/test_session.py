@@ -8,11 +8,12 @@ import pytest
 
 from hostlink.errors import FrameTooLarge, UnknownTopic, WrongType
 from hostlink.protocol import events
-from hostlink.protocol.control import Log, Parameter, TopicInfo, encode_log, encode_parameter_request
+from hostlink.protocol.control import Log, Parameter, TopicInfo
 from hostlink.protocol.frame import TOPICS_REQUEST, Frame, Id, encode
 from hostlink.protocol.negotiation import MAX_PARTS, MAX_SAME_REQUESTS
 from hostlink.protocol.outbox import OutgoingFrame
 from hostlink.protocol.session import DEFAULT_BUFFER_BYTES, Session
+from tests.support.device_codec import encode_log, encode_parameter_request
 from tests.support.session_host import LED, ODOMETRY, TEXT, TIME, Host, check, wire
 
 
