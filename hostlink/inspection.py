@@ -173,9 +173,9 @@ class Inspection:
                 add(connection, item)
 
     def _finish(self, connection: "_Connection") -> None:
-        while connection.from_device.pending_bytes:
+        while connection.from_device.pending:
             self._add_items(connection, connection.from_device.give_up(), self._from_device)
-        while connection.to_device.pending_bytes:
+        while connection.to_device.pending:
             self._add_items(connection, connection.to_device.give_up(), self._from_host)
         for frame in connection.early:  # sent to the device before the recording shows the meaning of its id
             self._add_message(connection, frame, is_to_device=True)

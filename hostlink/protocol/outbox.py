@@ -53,8 +53,8 @@ class Outbox:
     """
 
     __slots__ = (
-        "_commands", "_is_request_due", "_is_stop_due", "_is_stopped", "_is_time_due", "_new", "_replies", "_uart",
-        "_urgent", "replaced", "robot_moves", "slowest_wait_s",
+        "_commands", "_is_request_due", "_is_stop_due", "_is_time_due", "_new", "_replies", "_uart", "_urgent",
+        "is_stopped", "prompt_bytes", "replaced", "robot_moves", "slowest_wait_s",
     )  # fmt: skip
 
     def __init__(self, *, uart_bytes_s: int | None = None) -> None:
@@ -62,21 +62,13 @@ class Outbox:
         self.slowest_wait_s = 0.0  # of all frames sent
         self.robot_moves = False
         self._uart = _Uart(uart_bytes_s)
-        self._is_time_due = self._is_request_due = self._is_stop_due = self._is_stopped = False
+        self.prompt_bytes = self._uart.prompt_bytes  # of the longest frame that may be sent while the robot moves
+        self.is_stopped = False  # only queued urgent commands and the stop are still sent
+        self._is_time_due = self._is_request_due = self._is_stop_due = False
         self._urgent: _Queues = {}
         self._replies: _Queues = {}
         self._commands: _Queues = {}
         self._new: list[_Waiting] = []  # frames whose age is not counted yet
-
-    @property
-    def is_stopped(self) -> bool:
-        """Whether only queued urgent commands and the stop are still sent."""
-        return self._is_stopped
-
-    @property
-    def prompt_bytes(self) -> float:
-        """Length of the longest frame that may be sent while the robot moves."""
-        return self._uart.prompt_bytes
 
     @property
     def has_waiting(self) -> bool:
@@ -96,14 +88,14 @@ class Outbox:
 
     def put_stop(self) -> None:
         """Queue the stop request after the urgent commands. No other frame is sent from now on."""
-        self._is_stop_due = self._is_stopped = True
+        self._is_stop_due = self.is_stopped = True
 
     def put_urgent(self, topic_id: int, frame: bytes, *, is_kept: bool = False) -> None:
         """Queue a velocity, ahead of everything but time answer and topic request. Ignore it after `put_stop`.
 
         `is_kept`: a newer command does not replace this frame, such as the zero velocity that starts a session.
         """
-        if not self._is_stopped:
+        if not self.is_stopped:
             kept = self._urgent.get(topic_id)
             depth = 2 if kept is not None and kept[0].is_kept else 1
             self._put(self._urgent, topic_id, _Waiting(frame, is_kept=is_kept), depth=depth)
@@ -151,7 +143,8 @@ class Outbox:
 
     def pop_frame(self, *, now_s: float, wall_ns: int) -> OutgoingFrame | None:
         """Remove and return the next frame. None: the queues are empty, or the UART is still busy."""
-        self.begin_waiting(now_s)
+        if self._new:
+            self.begin_waiting(now_s)
         if self.wait_s(now_s) != 0:
             return None
         outgoing = self._next(now_s, wall_ns)
@@ -163,7 +156,7 @@ class Outbox:
 
         None: no frame is queued that may be sent while the robot moves.
         """
-        if not self._is_stopped and (self._is_time_due or self._is_request_due):
+        if not self.is_stopped and (self._is_time_due or self._is_request_due):
             return self._uart.wait_s(TIME_BYTES, now_s)
         found = self._head()
         if found is not None:
@@ -199,7 +192,7 @@ class Outbox:
 
     def _head(self) -> tuple[_Queues, Hashable] | None:
         """Find the queue and key of the next frame."""
-        for queues in (self._urgent,) if self._is_stopped else (self._urgent, self._replies, self._commands):
+        for queues in (self._urgent,) if self.is_stopped else (self._urgent, self._replies, self._commands):
             for key, waiting in queues.items():
                 if queues is self._urgent or not self._is_delayed(waiting[0]):
                     return queues, key
@@ -209,10 +202,10 @@ class Outbox:
         return self.robot_moves and not waiting.is_awaited and len(waiting.frame) > self.prompt_bytes
 
     def _next(self, now_s: float, wall_ns: int) -> OutgoingFrame:
-        if self._is_time_due and not self._is_stopped:
+        if self._is_time_due and not self.is_stopped:
             self._is_time_due = False
             return OutgoingFrame(encode(Id.TIME, encode_time(wall_ns)))
-        if self._is_request_due and not self._is_stopped:
+        if self._is_request_due and not self.is_stopped:
             self._is_request_due = False
             return OutgoingFrame(TOPICS_REQUEST)
         found = self._head()

@@ -38,8 +38,8 @@ def stream(data: bytes) -> None:
     found = list(whole.feed(data))
     apart = [*pieces.feed(data[:cut]), *pieces.feed(data[cut:])]
     assert [item for item in found if isinstance(item, Frame)] == [item for item in apart if isinstance(item, Frame)]
-    assert whole.pending_bytes <= LIMIT_BYTES + OVERHEAD_BYTES
-    while whole.pending_bytes:
+    assert len(whole.pending) <= LIMIT_BYTES + OVERHEAD_BYTES
+    while whole.pending:
         found += whole.give_up()
     wires = (item.data if isinstance(item, Skipped) else encode(item.topic_id, item.payload) for item in found)
     assert b"".join(wires) == data

@@ -22,16 +22,16 @@ from tests.support.session_host import LED, ODOMETRY, TEXT, TIME, Host, wire
 def regular_device() -> Host:
     host = Host(ODOMETRY, LED)
     host.receive(TIME, after_s=2.5)
-    assert host.session.is_requesting_time
+    assert host.session.negotiation.is_regular
     return host
 
 
 @pytest.mark.parametrize("period_s", [1.0, 2.5, 3.9])
 def test_time_requests_at_their_period_are_regular(period_s: float) -> None:
     host = Host(ODOMETRY)
-    assert not host.session.is_requesting_time  # two at once are part of a negotiation
+    assert not host.session.negotiation.is_regular  # two at once are part of a negotiation
     host.receive(TIME, after_s=period_s)
-    assert host.session.is_requesting_time
+    assert host.session.negotiation.is_regular
 
 
 @pytest.mark.parametrize("period_s", [0.01, 0.9, 4.1, 60.0])
@@ -39,7 +39,7 @@ def test_time_requests_at_another_period_are_not_regular(period_s: float) -> Non
     host = Host(ODOMETRY)
     for _ in range(5):
         host.receive(TIME, after_s=period_s)
-    assert not host.session.is_requesting_time
+    assert not host.session.negotiation.is_regular
 
 
 def test_silent_regular_device_receives_a_request_before_its_link_ends() -> None:
