@@ -34,9 +34,8 @@ from hostlink.listeners.accepting import TcpAcceptor, UdpAcceptor, serve_serial
 from hostlink.listening import close_all
 from hostlink.messages.catalog import Catalog
 from hostlink.recording.recordings import Recordings
-from hostlink.transport.mdns import advertised
-from hostlink.transport.tcp import serve_tcp
-from hostlink.transport.udp_port import serve_udp
+from hostlink.transport.tcp import advertised, serve_tcp
+from hostlink.transport.udp import serve_udp
 
 # -- serve ------------------------------------------------------------------------------------------------------------
 

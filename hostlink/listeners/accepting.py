@@ -19,8 +19,7 @@ from hostlink.transport.base import Transport
 from hostlink.transport.keyed import HELLO, KeyProof, read_key
 from hostlink.transport.serial import SerialTransport, open_serial
 from hostlink.transport.tcp import spelled
-from hostlink.transport.udp import UdpTransport
-from hostlink.transport.udp_port import Datagram, UdpPort
+from hostlink.transport.udp import Datagram, UdpPort, UdpTransport
 
 # -- refusals ---------------------------------------------------------------------------------------------------------
 

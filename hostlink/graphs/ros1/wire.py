@@ -6,8 +6,7 @@ from collections.abc import Callable
 
 from hostlink.graphs.ros1.tcpros import MAX_HEADER_BYTES, Header, MessageStream, encode_header
 from hostlink.hub.hub import Hub
-from hostlink.transport.connection import Connection
-from hostlink.transport.socket_options import set_options
+from hostlink.transport.connection import Connection, set_options
 
 MAX_MESSAGES = 256
 MAX_BYTES = 8 * 1024 * 1024
