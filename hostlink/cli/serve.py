@@ -347,7 +347,7 @@ class Notifier:
             try:
                 channel.sendto("\n".join(assignments).encode(), self._address)
             except OSError as error:
-                log.debug("systemd.deaf", reason=error.strerror)
+                log.debug("systemd.notify_failed", reason=error.strerror)
 
     async def beat(self, status: Callable[[], str]) -> None:
         """Report that the event loop runs, and what it does, until cancelled."""
