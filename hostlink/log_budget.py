@@ -7,7 +7,7 @@ RATE_HZ = 10.0
 MAX_PEERS = 1024  # with a bucket each; a new peer replaces the one that was silent for longest
 
 
-class _Bucket:
+class _PeerBucket:
     __slots__ = ("at_s", "left", "left_out")
 
     def __init__(self, left: float, at_s: float) -> None:
@@ -19,7 +19,7 @@ class LogBudget:
 
     def __init__(self) -> None:
         self.left_out = 0  # lines of all peers since the start
-        self._buckets: OrderedDict[str, _Bucket] = OrderedDict()
+        self._buckets: OrderedDict[str, _PeerBucket] = OrderedDict()
         self._left_out_of_forgotten = 0
 
     def allows(self, peer: str, now_s: float) -> bool:
@@ -45,9 +45,9 @@ class LogBudget:
         self._left_out_of_forgotten = 0
         return found
 
-    def _open(self, peer: str, now_s: float) -> _Bucket:
+    def _open(self, peer: str, now_s: float) -> _PeerBucket:
         if len(self._buckets) >= MAX_PEERS:
             _, forgotten = self._buckets.popitem(last=False)
             self._left_out_of_forgotten += forgotten.left_out
-        bucket = self._buckets[peer] = _Bucket(BURST_LINES, now_s)
+        bucket = self._buckets[peer] = _PeerBucket(BURST_LINES, now_s)
         return bucket

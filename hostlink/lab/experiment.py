@@ -16,7 +16,7 @@ from hostlink.lab.operator import Habits, Practice, Run, drive, rehearse
 from hostlink.lab.paper_results import LINE_TABLE
 from hostlink.lab.paper_software import Mistakes
 from hostlink.lab.patterns import Pattern
-from hostlink.lab.robots import FirmwareRobot, PaperRobot, Robot
+from hostlink.lab.robots import FirmwareRobot, LabRobot, PaperRobot
 from hostlink.sim.world_parameters import WorldParameters
 
 # The paper: "between 0-700 nothing happens", and 700 is where a motor turns "consistently": it begins a little lower.
@@ -49,7 +49,7 @@ class Setup:
     habits: Habits = field(default_factory=Habits)
     first_seed: int = 1
 
-    def robot(self, seed: int) -> Robot:
+    def robot(self, seed: int) -> LabRobot:
         """A new one; equal seeds repeat.
 
         Raises:

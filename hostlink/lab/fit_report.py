@@ -5,12 +5,12 @@ from typing import Any
 
 from hostlink.lab.experiment import Laboratory
 from hostlink.lab.fit import FITTED, STARTS, Fit, fit
-from hostlink.lab.reports import Report, text_table
+from hostlink.lab.reports import LabReport, text_table
 
 FIT_RUNS = 6
 
 
-def report_fit(laboratory: Laboratory, progress: Callable[[str], None], *, runs: int = FIT_RUNS) -> Report:
+def report_fit(laboratory: Laboratory, progress: Callable[[str], None], *, runs: int = FIT_RUNS) -> LabReport:
     """Fit all tables at once.
 
     Raises:
@@ -50,7 +50,7 @@ def report_fit(laboratory: Laboratory, progress: Callable[[str], None], *, runs:
         "",
         *text_table([*(cause.name for cause in FITTED), "squared deviations"], optima),
     ]
-    return Report(lines, {"fit": _view(found), "optima": [_view(each) for each in fits]})
+    return LabReport(lines, {"fit": _view(found), "optima": [_view(each) for each in fits]})
 
 
 def _view(found: Fit) -> dict[str, Any]:

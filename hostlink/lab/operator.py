@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 from hostlink.lab.patterns import Pattern
 from hostlink.lab.random_numbers import RandomNumbers
-from hostlink.lab.robots import Robot
+from hostlink.lab.robots import LabRobot
 from hostlink.robot.kinematics import Pose, wrap_angle
 
 POLL_S = 0.1
@@ -36,7 +36,7 @@ class Habits:
     push_m: float = 0.0  # sideways, by his foot, after the first leg
 
 
-class Sample(NamedTuple):
+class PoseSample(NamedTuple):
     """Where the robot was and where it believed to be."""
 
     truth: Pose
@@ -48,7 +48,7 @@ class Run:
     """A pattern that was driven."""
 
     pattern: Pattern
-    samples: list[Sample] = field(repr=False)
+    samples: list[PoseSample] = field(repr=False)
 
     @property
     def error_cm(self) -> tuple[float, float]:
@@ -71,13 +71,13 @@ class Practice(NamedTuple):
     kick_rad: float  # farther than it stood, once it drives straight after a turn
 
 
-def rehearse(new_robot: Callable[[], Robot], habits: Habits) -> Practice:
+def rehearse(new_robot: Callable[[], LabRobot], habits: Habits) -> Practice:
     """Find by practice how far the robot rolls on and overturns."""
-    straight = _Driver(new_robot(), habits)
+    straight = _Operated(new_robot(), habits)
     straight.go(habits.linear_m_s, 0.0, _REHEARSED_S)
     begun_m = straight.robot.world.rolled_m
     straight.stop()
-    turning = _Driver(new_robot(), habits)
+    turning = _Operated(new_robot(), habits)
     turning.go(0.0, habits.angular_rad_s, _REHEARSED_S)
     begun_rad = turning.robot.world.theta_rad
     turning.stop()
@@ -87,10 +87,10 @@ def rehearse(new_robot: Callable[[], Robot], habits: Habits) -> Practice:
     return Practice(straight.robot.world.rolled_m - begun_m, stood_rad - begun_rad, kick_rad)
 
 
-def drive(robot: Robot, pattern: Pattern, *, run: int, practice: Practice, habits: Habits) -> Run:
+def drive(robot: LabRobot, pattern: Pattern, *, run: int, practice: Practice, habits: Habits) -> Run:
     """Drive one pattern. `run`: its number, from which lengths and the operator's inaccuracy follow."""
     noise = RandomNumbers(run, _STREAM)
-    driver = _Driver(robot, habits)
+    driver = _Operated(robot, habits)
     for number, mark in enumerate(pattern.marks_of(run)):
         if number > 0:
             driver.turn_to(mark, practice.turned_rad + practice.kick_rad, noise.normal() * habits.aim_noise_rad)
@@ -101,10 +101,10 @@ def drive(robot: Robot, pattern: Pattern, *, run: int, practice: Practice, habit
     return Run(pattern, driver.samples)
 
 
-class _Driver:
+class _Operated:
     """A robot at the operator's keyboard."""
 
-    def __init__(self, robot: Robot, habits: Habits) -> None:
+    def __init__(self, robot: LabRobot, habits: Habits) -> None:
         self.robot = robot
         self.samples = [_sample(robot)]
         self._habits = habits
@@ -175,6 +175,6 @@ class _Driver:
         self.samples.append(_sample(self.robot))
 
 
-def _sample(robot: Robot) -> Sample:
+def _sample(robot: LabRobot) -> PoseSample:
     world = robot.world
-    return Sample(Pose(world.x_m, world.y_m, world.theta_rad), robot.odometry)
+    return PoseSample(Pose(world.x_m, world.y_m, world.theta_rad), robot.odometry)

@@ -11,7 +11,7 @@ from hostlink.lab.causes import CAUSES, MISTAKES, Cause
 from hostlink.lab.experiment import PAPER_WORLD, Errors, Experiment, Laboratory, Setup, Software
 from hostlink.lab.paper_results import axes_of
 from hostlink.lab.patterns import PATTERNS, SQUARE_LEFT, SQUARE_RIGHT, Pattern
-from hostlink.lab.tables import Column, Table
+from hostlink.lab.tables import Column, ErrorTable
 from hostlink.lab.tables import tables as driven_tables
 from hostlink.lab.turns import (
     BestTurns,
@@ -34,14 +34,14 @@ Progress = Callable[[str], None]
 
 
 @dataclass(frozen=True, slots=True)
-class Report:
+class LabReport:
     """The same twice."""
 
     lines: list[str]
     view: dict[str, Any]
 
-    def __add__(self, other: "Report") -> "Report":
-        return Report([*self.lines, "", *other.lines], self.view | other.view)
+    def __add__(self, other: "LabReport") -> "LabReport":
+        return LabReport([*self.lines, "", *other.lines], self.view | other.view)
 
 
 def text_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
@@ -57,7 +57,7 @@ def text_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
 # -- causes -----------------------------------------------------------------------------------------------------------
 
 
-def causes(laboratory: Laboratory, runs: int, progress: Progress) -> Report:
+def causes(laboratory: Laboratory, runs: int, progress: Progress) -> LabReport:
     """What each cause alone does to each pattern: means of |x| / |y|, of the line |length|, in cm.
 
     Raises:
@@ -87,7 +87,7 @@ def causes(laboratory: Laboratory, runs: int, progress: Progress) -> Report:
         "",
         *_cause_table(MISTAKES, cells, "mistake", ("alone", "without")),
     ]
-    return Report(lines, {"runs": runs, "causes": [_cause_view(cause, cells[cause.name]) for cause in listed]})
+    return LabReport(lines, {"runs": runs, "causes": [_cause_view(cause, cells[cause.name]) for cause in listed]})
 
 
 def _cause_table(
@@ -127,7 +127,7 @@ def _errors_view(errors: Errors) -> dict[str, Any]:
 # -- tables -----------------------------------------------------------------------------------------------------------
 
 
-def tables(laboratory: Laboratory, world: WorldParameters, runs: int, progress: Progress) -> Report:
+def tables(laboratory: Laboratory, world: WorldParameters, runs: int, progress: Progress) -> LabReport:
     """Tables 2-5, side by side.
 
     Raises:
@@ -144,10 +144,10 @@ def tables(laboratory: Laboratory, world: WorldParameters, runs: int, progress: 
         "World: " + (", ".join(f"{name}={value:.6g}" for name, value in _changed(world)) or "without a flaw"),
     ]
     views = [_table_view(table) for table in driven]
-    return Report(lines, {"runs": runs, "world": dict(_changed(world)), "tables": views})
+    return LabReport(lines, {"runs": runs, "world": dict(_changed(world)), "tables": views})
 
 
-def _table_rows(table: Table) -> list[list[str]]:
+def _table_rows(table: ErrorTable) -> list[list[str]]:
     return [
         [str(table.pattern.table), table.pattern.title, axis, *(_mean(column, i) for column in table.columns)]
         for i, axis in enumerate(axes_of(table.pattern.table))
@@ -158,7 +158,7 @@ def _mean(column: Column, axis: int) -> str:
     return f"{column.means_cm[axis]:.1f} +- {column.errors_cm[axis]:.1f}"
 
 
-def _table_view(table: Table) -> dict[str, Any]:
+def _table_view(table: ErrorTable) -> dict[str, Any]:
     return {
         "table": table.pattern.table,
         "pattern": table.pattern.name,
@@ -183,7 +183,7 @@ def _changed(world: WorldParameters) -> list[tuple[str, float]]:
 # -- claims -----------------------------------------------------------------------------------------------------------
 
 
-def claims(laboratory: Laboratory, runs: int, progress: Progress) -> Report:
+def claims(laboratory: Laboratory, runs: int, progress: Progress) -> LabReport:
     """Which numbers the paper's tables need, whether one set of them can serve all, and what its software adds.
 
     Raises:
@@ -215,7 +215,7 @@ def claims(laboratory: Laboratory, runs: int, progress: Progress) -> Report:
         "",
         *text_table(["motors turn from", "pattern", "mean", "95 % of the mean"], [_alone_row(each) for each in alone]),
     ]
-    return Report(
+    return LabReport(
         lines,
         {
             "radius": _needed_view(radius),

@@ -8,13 +8,13 @@ from typing import Protocol
 
 from hostlink.lab.paper_software import LEFT_GAINS, LOOP_S, RIGHT_GAINS, Mistakes, PaperWheel
 from hostlink.robot.kinematics import DifferentialDrive, Pose
-from hostlink.sim.firmware_world import COMMAND_S, Firmware, FirmwareWorld, Wheel, World
+from hostlink.sim.firmware_world import COMMAND_S, Firmware, FirmwareWorld, SimulatedWheel, World
 from hostlink.sim.world_parameters import WorldParameters
 
 _SUBSTEPS = 4  # of the world in a turn of the paper's loop
 
 
-class Robot(Protocol):
+class LabRobot(Protocol):
     """What an operator drives, and what he measures."""
 
     @property
@@ -110,13 +110,13 @@ class PaperRobot:
         ]
         self.odometry = self._drive.integrate(self.odometry, metres[0], metres[1])
 
-    def _step(self, side: int, wheel: Wheel) -> float:
+    def _step(self, side: int, wheel: SimulatedWheel) -> float:
         edges = wheel.edges
         counted, self._edges[side] = edges - self._edges[side], edges
         sign = 1 if self._sign_is_the_pin_s else self._true_sign(side, wheel)
         return self._controllers[side].step(counted, sign, self._turns * LOOP_S)
 
-    def _true_sign(self, side: int, wheel: Wheel) -> int:
+    def _true_sign(self, side: int, wheel: SimulatedWheel) -> int:
         rolled_rad = wheel.rolled_rad
         way_rad, self._rolled_rad[side] = rolled_rad - self._rolled_rad[side], rolled_rad
         return -1 if way_rad < 0.0 else 1

@@ -49,14 +49,16 @@ class Column:
 
 
 @dataclass(frozen=True, slots=True)
-class Table:
+class ErrorTable:
     """One of the paper's."""
 
     pattern: Pattern
     columns: tuple[Column, ...]
 
 
-def tables(world: WorldParameters, laboratory: Laboratory, *, runs: int, report: Callable[[str], None]) -> list[Table]:
+def tables(
+    world: WorldParameters, laboratory: Laboratory, *, runs: int, report: Callable[[str], None]
+) -> list[ErrorTable]:
     """Drive all of them.
 
     Raises:
@@ -72,7 +74,7 @@ def tables(world: WorldParameters, laboratory: Laboratory, *, runs: int, report:
     experiments = [Experiment(setup, pattern, runs) for pattern in PATTERNS for setup in setups.values()]
     measured = _reported(laboratory.measure(experiments), len(experiments), report)
     return [
-        Table(
+        ErrorTable(
             pattern,
             (Column(PAPER, PAPER_CM[pattern.table]), *(Column(title, next(measured).sizes_cm) for title in setups)),
         )

@@ -119,7 +119,7 @@ class Turns:
         """Schedule a piece of work for its turn. It must not raise."""
         self.share.call(work, self._cost_s, is_flooding=is_flooding)
 
-    def reader(self, source: "Source", read: Callable[[], None], on_end: Callable[[], None]) -> "TurnReader":
+    def reader(self, source: "ReadSource", read: Callable[[], None], on_end: Callable[[], None]) -> "TurnReader":
         """Create a reader of `source` that reads in these turns."""
         return TurnReader(self, source, read, on_end)
 
@@ -136,7 +136,7 @@ class Turns:
         self.share.spend(cost_s)
 
 
-class Source(Protocol):
+class ReadSource(Protocol):
     """Received bytes of a connection: a Transport or a Connection."""
 
     @property
@@ -155,7 +155,7 @@ class TurnReader:
 
     __slots__ = ("_is_due", "_is_flooding", "_is_stopped", "_on_end", "_read", "_source", "_turns")
 
-    def __init__(self, turns: Turns, source: Source, read: Callable[[], None], on_end: Callable[[], None]) -> None:
+    def __init__(self, turns: Turns, source: ReadSource, read: Callable[[], None], on_end: Callable[[], None]) -> None:
         self._turns, self._source = turns, source
         self._read, self._on_end = read, on_end
         self._is_due = self._is_flooding = self._is_stopped = False
@@ -192,13 +192,13 @@ class TurnReader:
 
 
 class _Nothing:
-    """Source of a TurnReader after `stop`."""
+    """ReadSource of a TurnReader after `stop`."""
 
     unread_bytes = 0
     is_ended = True
 
 
-_NOTHING: Source = _Nothing()
+_NOTHING: ReadSource = _Nothing()
 
 
 def _read_nothing() -> None:

@@ -25,8 +25,8 @@ class SessionState(Enum):
     READY = auto()  # messages
 
 
-class Step(Enum):
-    """Step that changes the SessionState."""
+class NegotiationStep(Enum):
+    """NegotiationStep that changes the SessionState."""
 
     REQUESTED = auto()  # a topic request is queued
     TOPIC_INFO = auto()
@@ -35,16 +35,16 @@ class Step(Enum):
 
 TRANSITIONS: Final = {
     SessionState.REQUESTING: {
-        Step.REQUESTED: SessionState.REQUESTING,
-        Step.TOPIC_INFO: SessionState.NEGOTIATING,
+        NegotiationStep.REQUESTED: SessionState.REQUESTING,
+        NegotiationStep.TOPIC_INFO: SessionState.NEGOTIATING,
     },
     SessionState.NEGOTIATING: {
-        Step.TOPIC_INFO: SessionState.NEGOTIATING,
-        Step.FINISHED: SessionState.READY,
+        NegotiationStep.TOPIC_INFO: SessionState.NEGOTIATING,
+        NegotiationStep.FINISHED: SessionState.READY,
     },
     SessionState.READY: {
-        Step.REQUESTED: SessionState.REQUESTING,
-        Step.TOPIC_INFO: SessionState.NEGOTIATING,
+        NegotiationStep.REQUESTED: SessionState.REQUESTING,
+        NegotiationStep.TOPIC_INFO: SessionState.NEGOTIATING,
     },
 }
 
@@ -114,7 +114,7 @@ class NegotiationScheduler:
             self._parts = 1 if is_first else self._parts + 1
             self._is_unconfirmed &= not is_first
         self._topic_info_at_s = now_s
-        self._step(Step.TOPIC_INFO)
+        self._step(NegotiationStep.TOPIC_INFO)
         return is_first
 
     def mark_damaged(self) -> None:
@@ -137,7 +137,7 @@ class NegotiationScheduler:
 
     def finish(self, gap_at: int | None, *, is_short: bool = False, is_unconfirmed: bool = False) -> None:
         """End the negotiation. It satisfies earlier requests; a loss during it causes a new one."""
-        self._step(Step.FINISHED)
+        self._step(NegotiationStep.FINISHED)
         self.pending = None
         self._is_unconfirmed |= is_unconfirmed
         if gap_at is not None:
@@ -184,7 +184,7 @@ class NegotiationScheduler:
             return None
         reason, self.pending = self.pending, None
         self._requested_at_s = now_s
-        self._step(Step.REQUESTED)
+        self._step(NegotiationStep.REQUESTED)
         return reason
 
     def deadline_s(self) -> float:
@@ -199,7 +199,7 @@ class NegotiationScheduler:
             return min(self._confirm_at_s(), self._silent_at_s())
         return self._silent_at_s()
 
-    def _step(self, step: Step) -> None:
+    def _step(self, step: NegotiationStep) -> None:
         self.state = TRANSITIONS[self.state][step]
 
     def _confirm_at_s(self) -> float:

@@ -23,7 +23,7 @@ class OutgoingFrame(NamedTuple):
     waiting_since_s: float | None = None
 
 
-class _Waiting:
+class _QueuedFrame:
     """Queued frame and the time since when it waits."""
 
     __slots__ = ("frame", "is_awaited", "is_kept", "since_s")
@@ -36,7 +36,7 @@ class _Waiting:
         return 0.0 if self.since_s is None else now_s - self.since_s
 
 
-_Queues = dict[Hashable, deque[_Waiting]]  # round robin: the first key is next
+_Queues = dict[Hashable, deque[_QueuedFrame]]  # round robin: the first key is next
 
 
 class Outbox:
@@ -68,7 +68,7 @@ class Outbox:
         self._urgent: _Queues = {}
         self._replies: _Queues = {}
         self._commands: _Queues = {}
-        self._new: list[_Waiting] = []  # frames whose age is not counted yet
+        self._new: list[_QueuedFrame] = []  # frames whose age is not counted yet
 
     @property
     def has_waiting(self) -> bool:
@@ -98,7 +98,7 @@ class Outbox:
         if not self.is_stopped:
             kept = self._urgent.get(topic_id)
             depth = 2 if kept is not None and kept[0].is_kept else 1
-            self._put(self._urgent, topic_id, _Waiting(frame, is_kept=is_kept), depth=depth)
+            self._put(self._urgent, topic_id, _QueuedFrame(frame, is_kept=is_kept), depth=depth)
 
     def put_reply(self, name: str, frame: bytes) -> None:
         """Queue an answer to a request of the device.
@@ -106,7 +106,7 @@ class Outbox:
         Raises:
             DeviceBusy: too many requests and answers wait.
         """
-        self._put_reply(name, _Waiting(frame, is_awaited=True))
+        self._put_reply(name, _QueuedFrame(frame, is_awaited=True))
 
     def put_call(self, name: str, frame: bytes) -> None:
         """Queue a call of a service of the device.
@@ -114,11 +114,11 @@ class Outbox:
         Raises:
             DeviceBusy: too many requests and answers wait.
         """
-        self._put_reply(name, _Waiting(frame))
+        self._put_reply(name, _QueuedFrame(frame))
 
     def put_command(self, topic_id: int, frame: bytes, *, depth: int = 1) -> None:
         """Queue a message of a topic that keeps the newest `depth` messages. Topics are sent in turn."""
-        self._put(self._commands, topic_id, _Waiting(frame), depth=depth)
+        self._put(self._commands, topic_id, _QueuedFrame(frame), depth=depth)
 
     def drop_messages(self) -> None:
         """Drop every command, call and response, because topic ids may have changed their meaning.
@@ -169,12 +169,12 @@ class Outbox:
         """Age of the oldest queued frame in seconds; 0 when the queues are empty."""
         return max((waiting.age_s(now_s) for waiting in self._all()), default=0.0)
 
-    def _all(self) -> Iterator[_Waiting]:
+    def _all(self) -> Iterator[_QueuedFrame]:
         for queues in (self._urgent, self._replies, self._commands):
             for waiting in queues.values():
                 yield from waiting
 
-    def _put(self, queues: _Queues, key: Hashable, new: _Waiting, *, depth: int) -> None:
+    def _put(self, queues: _Queues, key: Hashable, new: _QueuedFrame, *, depth: int) -> None:
         waiting = queues.pop(key, None) or deque()
         while len(waiting) >= depth:
             del waiting[int(waiting[0].is_kept)]
@@ -183,7 +183,7 @@ class Outbox:
         queues[key] = waiting
         self._new.append(new)
 
-    def _put_reply(self, name: str, new: _Waiting) -> None:
+    def _put_reply(self, name: str, new: _QueuedFrame) -> None:
         count = sum(map(len, self._replies.values()))
         if count >= MAX_REPLIES:
             raise DeviceBusy(name, count)
@@ -198,7 +198,7 @@ class Outbox:
                     return queues, key
         return None
 
-    def _is_delayed(self, waiting: _Waiting) -> bool:
+    def _is_delayed(self, waiting: _QueuedFrame) -> bool:
         return self.robot_moves and not waiting.is_awaited and len(waiting.frame) > self.prompt_bytes
 
     def _next(self, now_s: float, wall_ns: int) -> OutgoingFrame:

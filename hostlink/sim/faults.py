@@ -7,7 +7,7 @@ from hostlink.protocol.control import decode_topic_info, encode_topic_info
 from hostlink.protocol.frame import Frame, Id, byte_sum, encode
 from hostlink.protocol.resampling import resample
 from hostlink.protocol.stream import FrameStream
-from hostlink.sim.firmware_world import Wheel
+from hostlink.sim.firmware_world import SimulatedWheel
 
 RUN_S = 3.0  # how long a board that starts anew again and again stays up
 _TEXT = b"left 12 right 13 battery 11.8 V\r\n"
@@ -70,7 +70,7 @@ class Fault:
     at_power_up: bytes = b""  # what comes before the first of them
     clock_rate: float = 1.0  # seconds of the device's in one of the world's
     runs_s: float | None = None  # it starts anew so often; None: never
-    break_wheel: Callable[[Wheel], None] = lambda _: None  # what is wrong with its left wheel
+    break_wheel: Callable[[SimulatedWheel], None] = lambda _: None  # what is wrong with its left wheel
 
 
 HEALTHY = Fault(text="none")

@@ -24,7 +24,7 @@ MOST_ROWS = 1 << 13
 MACHINES = ("x86_64", "AMD64", "aarch64", "arm64")  # for which wasmtime has a library
 
 
-class Bounds(NamedTuple):
+class ParameterRange(NamedTuple):
     """Of a number of a world."""
 
     default: float
@@ -151,7 +151,7 @@ def columns() -> tuple[str, ...]:
 
 
 @cache
-def bounds() -> Mapping[str, Bounds]:
+def bounds() -> Mapping[str, ParameterRange]:
     """Of each number of a world: its default and range, in their order.
 
     Raises:
@@ -160,7 +160,7 @@ def bounds() -> Mapping[str, Bounds]:
     module = Instance()
     _, defaults = module.read_parameters("")
     return {
-        module.read_text("parameter_name", index): Bounds(
+        module.read_text("parameter_name", index): ParameterRange(
             default, float(module.call("parameter_least", index)), float(module.call("parameter_most", index))
         )
         for index, default in enumerate(defaults)

@@ -75,7 +75,7 @@ def _at() -> Mapping[str, int]:
     return {name: index for index, name in enumerate(columns())}
 
 
-class Wheel:
+class SimulatedWheel:
     """One wheel of a World: 0 is the left one."""
 
     def __init__(self, world: "World", side: int) -> None:
@@ -137,7 +137,7 @@ class World:
 
     def __init__(self, parameters: WorldParameters, instance: Instance) -> None:
         self.instance = instance
-        self.left, self.right = Wheel(self, 0), Wheel(self, 1)
+        self.left, self.right = SimulatedWheel(self, 0), SimulatedWheel(self, 1)
         self.parameters = parameters
         self._row = (ctypes.c_double * len(columns())).from_address(instance.address("row"))
         self._control = Control.from_address(instance.address("control"))

@@ -3,7 +3,7 @@
 import math
 
 from hostlink.robot.kinematics import Pose
-from hostlink.sim.firmware_world import Firmware, RobotKind, Wheel, WheelControl, World
+from hostlink.sim.firmware_world import Firmware, RobotKind, SimulatedWheel, WheelControl, World
 from hostlink.sim.world_parameters import WorldParameters
 
 BAUD = 38400  # the paper's
@@ -43,7 +43,7 @@ class SimulatedRobot:
         return self.firmware.world
 
     @property
-    def wheels(self) -> tuple[Wheel, Wheel]:
+    def wheels(self) -> tuple[SimulatedWheel, SimulatedWheel]:
         """Left and right."""
         return self.world.left, self.world.right
 

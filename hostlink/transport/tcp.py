@@ -155,7 +155,7 @@ class TcpTransport(StreamTransport):
     def _open_socket(self) -> socket.socket | None:
         """Return the open socket. None when it is closed: uvloop's closed sockets raise on any call."""
         found = self._socket
-        return None if found is None or self.is_lost or found.fileno() < 0 else found
+        return None if found is None or self._lost.done() or found.fileno() < 0 else found
 
 
 @contextlib.asynccontextmanager

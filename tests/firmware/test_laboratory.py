@@ -15,7 +15,7 @@ from hostlink.lab.causes import CAUSES, Cause
 from hostlink.lab.experiment import PAPER_WORLD, Errors, Experiment, Laboratory, Setup, Software, measure
 from hostlink.lab.fit import FITTED, fit, world_of
 from hostlink.lab.patterns import BACK, LINE, SQUARE_LEFT, SQUARE_RIGHT, Pattern
-from hostlink.lab.tables import CALIBRATED, CASTER_WORLD, OURS, REBUILT, Table, tables
+from hostlink.lab.tables import CALIBRATED, CASTER_WORLD, OURS, REBUILT, ErrorTable, tables
 
 RUNS = int(os.environ.get("HOSTLINK_LAB_RUNS", "3"))
 LABORATORY = Laboratory(workers=1)
@@ -47,7 +47,7 @@ def test_a_caster_turns_squares_both_ways_and_leaves_lines() -> None:
     assert ours(NAMED["caster_twist"], LINE).means_cm < 0.2
 
 
-def column(table: Table, title: str) -> np.ndarray:
+def column(table: ErrorTable, title: str) -> np.ndarray:
     (found,) = [column.means_cm for column in table.columns if column.title == title]
     return found
 

@@ -12,8 +12,8 @@ from hostlink.protocol.negotiation import (
     LONGEST_CALL_S,
     TRANSITIONS,
     NegotiationScheduler,
+    NegotiationStep,
     SessionState,
-    Step,
 )
 from hostlink.protocol.topic_table import MAX_MISSED
 from tests.support.session_host import LED, ODOMETRY, TEXT, TIME, Host, wire
@@ -75,11 +75,11 @@ def test_device_that_never_requests_the_time_receives_a_request_after_five_secon
     assert host.requests() == ["no_time_requests"]
 
 
-def advance(scheduler: NegotiationScheduler, step: Step, now_s: float) -> None:
-    if step is Step.REQUESTED:
+def advance(scheduler: NegotiationScheduler, step: NegotiationStep, now_s: float) -> None:
+    if step is NegotiationStep.REQUESTED:
         scheduler.request("test")
         assert scheduler.pop_request(now_s) == "test"
-    elif step is Step.TOPIC_INFO:
+    elif step is NegotiationStep.TOPIC_INFO:
         scheduler.topic_info_received(now_s)
     else:
         scheduler.finish(None)
@@ -88,7 +88,7 @@ def advance(scheduler: NegotiationScheduler, step: Step, now_s: float) -> None:
 def test_session_follows_the_transition_table() -> None:
     """Check every path of four steps from the start."""
     paths = 0
-    for steps in itertools.product(Step, repeat=4):
+    for steps in itertools.product(NegotiationStep, repeat=4):
         scheduler, state = NegotiationScheduler(), SessionState.REQUESTING
         for number, step in enumerate(steps):
             if step not in TRANSITIONS[state]:
