@@ -18,8 +18,8 @@ from hostlink.cli.step import PAPER_GAINS, Stage, draw_picture, make_stage, risi
 from hostlink.errors import HostlinkError
 from hostlink.robot.motor_model import MotorModel, PidGains, identify_motor, simc_gains
 from hostlink.robot.step_response import Record, Sample, StepFigures, make_record, step_figures
+from hostlink.sim.firmware_module import WorldParameters, wheel
 from hostlink.sim.firmware_world import Feedback, FirmwareWorld, Trace
-from hostlink.sim.world_parameters import WorldParameters, wheel
 
 SEPARATION_M = 0.21
 BEFORE_S = 0.5

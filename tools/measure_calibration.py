@@ -14,9 +14,8 @@ import numpy as np
 
 from hostlink.robot.calibration import Kind, MeasuredRun, Measurement, WheelGeometry, calibrated, student_95
 from hostlink.robot.course import Leg, square, straight
-from hostlink.sim.course_driving import follow
-from hostlink.sim.firmware_world import FirmwareWorld
-from hostlink.sim.world_parameters import WorldParameters
+from hostlink.sim.firmware_module import WorldParameters
+from hostlink.sim.firmware_world import FirmwareWorld, follow
 
 SQUARES = 5  # each way, as UMBmark has them
 SIDE_M, LENGTH_M = 2.0, 3.0

@@ -15,8 +15,7 @@ from hostlink.errors import ConfigError, LibraryMissing
 from hostlink.lab import reports
 from hostlink.lab.experiment import Laboratory
 from hostlink.lab.tables import CASTER_WORLD
-from hostlink.sim.firmware_module import require_wasmtime
-from hostlink.sim.world_parameters import WorldParameters, read
+from hostlink.sim.firmware_module import WorldParameters, read, require_wasmtime
 
 
 class What(StrEnum):
@@ -94,7 +93,7 @@ def _draw(world: WorldParameters, runs: int, output: Path) -> reports.LabReport:
 
 
 def _fit(laboratory: Laboratory, runs: int | None) -> reports.LabReport:
-    from hostlink.lab.fit_report import FIT_RUNS, report_fit  # noqa: PLC0415 - needs scipy
+    from hostlink.lab.fit import FIT_RUNS, report_fit  # noqa: PLC0415 - needs scipy
 
     return report_fit(laboratory, show_progress, runs=runs or FIT_RUNS)
 

@@ -7,12 +7,9 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from hostlink.lab.calibrated import calibrated
-from hostlink.lab.experiment import Experiment, Setup, Software, conduct
-from hostlink.lab.operator import Run
-from hostlink.lab.patterns import PATTERNS, Pattern
+from hostlink.lab.experiment import PATTERNS, Experiment, Pattern, Run, Setup, Software, calibrated, conduct
 from hostlink.robot.kinematics import Pose
-from hostlink.sim.world_parameters import WorldParameters
+from hostlink.sim.firmware_module import WorldParameters
 
 _TRUE, _ODOMETRY, _MARK = "#1b6ca8", "#d1495b", "#777777"
 _DPI = 80

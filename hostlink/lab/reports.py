@@ -7,11 +7,20 @@ from typing import Any
 
 import numpy as np
 
-from hostlink.lab.causes import CAUSES, MISTAKES, Cause
-from hostlink.lab.experiment import PAPER_WORLD, Errors, Experiment, Laboratory, Setup, Software
-from hostlink.lab.paper_results import axes_of
-from hostlink.lab.patterns import PATTERNS, SQUARE_LEFT, SQUARE_RIGHT, Pattern
-from hostlink.lab.tables import Column, ErrorTable
+from hostlink.lab.experiment import (
+    PAPER_WORLD,
+    PATTERNS,
+    SQUARE_LEFT,
+    SQUARE_RIGHT,
+    Errors,
+    Experiment,
+    Laboratory,
+    Pattern,
+    Setup,
+    Software,
+    axes_of,
+)
+from hostlink.lab.tables import CAUSES, MISTAKES, Cause, Column, ErrorTable
 from hostlink.lab.tables import tables as driven_tables
 from hostlink.lab.turns import (
     BestTurns,
@@ -23,7 +32,7 @@ from hostlink.lab.turns import (
     needed_radius,
     needed_twists,
 )
-from hostlink.sim.world_parameters import WorldParameters
+from hostlink.sim.firmware_module import WorldParameters
 
 TABLE_RUNS = 12
 CAUSE_RUNS = 4

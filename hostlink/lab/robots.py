@@ -1,15 +1,204 @@
-"""The robots that the laboratory drives: the project's firmware, and the paper's software, each in a world of its own.
+"""The laboratory's robots: the project's firmware and the rebuilt software of the paper, each in its own world.
 
-Time is virtual; a minute of the robot takes a tenth of a second.
+Time is virtual: a minute of the robot takes a tenth of a second. The paper's software is rebuilt from the paper and its
+sketch: docs/robot.md#where-the-paper-and-its-code-are-wrong. RandomNumbers are those of the operator.
 """
 
+import math
+import struct
 from collections.abc import Mapping, Sequence
-from typing import Protocol
+from dataclasses import dataclass, fields, replace
+from typing import Protocol, Self
 
-from hostlink.lab.paper_software import LEFT_GAINS, LOOP_S, RIGHT_GAINS, Mistakes, PaperWheel
 from hostlink.robot.kinematics import DifferentialDrive, Pose
+from hostlink.sim.firmware_module import WorldParameters
 from hostlink.sim.firmware_world import COMMAND_S, Firmware, FirmwareWorld, SimulatedWheel, World
-from hostlink.sim.world_parameters import WorldParameters
+
+# -- random numbers ---------------------------------------------------------------------------------------------------
+
+_MULTIPLIER = 6364136223846793005
+_MASK_64 = (1 << 64) - 1
+_MASK_32 = (1 << 32) - 1
+
+
+class RandomNumbers:
+    """A sequence that its seed and its stream decide."""
+
+    def __init__(self, seed: int, stream: int) -> None:
+        self._state = 0
+        self._increment = ((stream << 1) | 1) & _MASK_64
+        self._next()
+        self._state = (self._state + seed) & _MASK_64
+        self._next()
+
+    def uniform(self) -> float:
+        """A number in (0, 1)."""
+        return (self._next() + 0.5) / 4294967296.0
+
+    def normal(self) -> float:
+        """A number with mean 0 and standard deviation 1."""
+        radius = math.sqrt(-2.0 * math.log(self.uniform()))
+        return radius * math.cos(math.tau * self.uniform())
+
+    def _next(self) -> int:
+        old = self._state
+        self._state = (old * _MULTIPLIER + self._increment) & _MASK_64
+        shifted = (((old >> 18) ^ old) >> 27) & _MASK_32
+        turn = old >> 59
+        return ((shifted >> turn) | (shifted << (-turn & 31))) & _MASK_32
+
+
+# -- software of the paper --------------------------------------------------------------------------------------------
+
+LOOP_S = 1 / 30
+FULL_PWM = 4095
+FULL_SPEED_TICKS_S = 280.0
+DEAD_BAND_PWM = 10
+LEAST_PWM = 700
+FILTER = 0.1  # weight of the newest speed
+S_PER_TICK_S = 0.018  # of minimum jerk, for a change of one tick/s
+_INTEGRAL_LIMIT = 4095.0  # of the sum of errors, before Ki: it limits nothing
+_WASHOUT_S = 1.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Mistakes:
+    """What the paper's software does wrong; each False is what is right."""
+
+    sign_by_direction_pin: bool = True  # else the true direction, as an encoder of two channels has it
+    drives_against: bool = True  # the PID's output may turn against the set-point; else it ends at zero
+    filtered_odometry: bool = True  # adds up the filtered speed; else ticks
+    rising_edges_only: bool = True  # else both edges, half a tick each
+    slow_stop: bool = True  # zero is approached along minimum jerk, 3.6 s from 200 ticks/s; else at once
+    steady_feedback: bool = True  # 5 % low for ever; else washed out
+    wrong_derivative: bool = True  # the sign
+    wound_integral: bool = True  # never reset, limited to 4095 before Ki; else reset at rest, stands at the limit
+    single_precision_time: bool = True  # microseconds in a float of 32 bits
+    never_brakes: bool = True  # BRAKE stays low: PWM 0 lets the motor run free
+
+    @classmethod
+    def none(cls) -> Self:
+        """All mended."""
+        return cls(**dict.fromkeys(names(), False))
+
+    def changed(self, name: str, *, is_made: bool) -> Self:
+        """The same with one made or mended."""
+        return replace(self, **{name: is_made})
+
+
+def names() -> list[str]:
+    """Of all mistakes."""
+    return [item.name for item in fields(Mistakes)]
+
+
+@dataclass(frozen=True, slots=True)
+class Gains:
+    """Of one wheel's PID with feedback; table 1 of the paper."""
+
+    kp: float
+    ki: float
+    kd: float
+    feedback: float = 0.05
+
+
+LEFT_GAINS = Gains(23.0, 36.0, 0.1)
+RIGHT_GAINS = Gains(24.0, 35.0, 0.1)
+
+
+class PaperWheel:
+    """Set-point, filter, PID, and what odometry adds up, of one wheel."""
+
+    def __init__(self, gains: Gains, mistakes: Mistakes) -> None:
+        self.gains, self.mistakes = gains, mistakes
+        self.pwm = 0
+        self.speed_ticks_s = 0.0  # filtered
+        self.set_point_ticks_s = 0.0
+        self._from = self._target = 0.0
+        self._begun_us = self._end_us = 0.0
+        self._edges = 0  # since the start: the level of the encoder's pin is their parity
+        self._integral = self._last_error = self._output = self._steady_ticks_s = 0.0
+
+    def aim(self, ticks_s: float, now_s: float) -> None:
+        """A command has come; it begins at the measured speed, not at the set-point."""
+        self._from, self._target = self.speed_ticks_s, ticks_s
+        self._begun_us = self._time(now_s)
+        length_s = abs(self._target - self._from) * S_PER_TICK_S
+        if ticks_s == 0.0 and not self.mistakes.slow_stop:
+            length_s = 0.0
+        self._end_us = self._time(now_s + length_s)
+
+    def step(self, edges: int, true_sign: int, now_s: float) -> float:
+        """A turn of the loop; returns the ticks that odometry adds. `edges` of both kinds, `true_sign` of their way."""
+        ticks = self._ticks(edges) * (self._pin_sign() if self.mistakes.sign_by_direction_pin else true_sign)
+        self.speed_ticks_s += FILTER * (ticks / LOOP_S - self.speed_ticks_s)
+        self._step_set_point(now_s)
+        self._output = self._regulate()
+        self.pwm = motor_output(self._output)
+        return self.speed_ticks_s * LOOP_S if self.mistakes.filtered_odometry else ticks
+
+    def _ticks(self, edges: int) -> float:
+        before = self._edges
+        self._edges += edges
+        if not self.mistakes.rising_edges_only:
+            return edges / 2
+        return float((self._edges + 1) // 2 - (before + 1) // 2)
+
+    def _pin_sign(self) -> int:
+        return -1 if self._output < 0.0 else 1
+
+    def _time(self, time_s: float) -> float:
+        microseconds = float(int(time_s * 1e6))
+        if not self.mistakes.single_precision_time:
+            return microseconds
+        single: float = struct.unpack("f", struct.pack("f", microseconds))[0]
+        return single
+
+    def _step_set_point(self, now_s: float) -> None:
+        length_us = self._end_us - self._begun_us
+        share = 1.0 if length_us <= 0.0 else min((self._time(now_s) - self._begun_us) / length_us, 1.0)
+        curve = 10 * share**3 - 15 * share**4 + 6 * share**5
+        self.set_point_ticks_s = self._from + (self._target - self._from) * curve
+
+    def _regulate(self) -> float:
+        if self.set_point_ticks_s == 0.0 and not self.mistakes.wound_integral:
+            self._integral = self._last_error = self._steady_ticks_s = 0.0
+            return 0.0
+        gains, mistakes = self.gains, self.mistakes
+        error = self.set_point_ticks_s - self.speed_ticks_s - gains.feedback * self._fed_back_ticks_s()
+        slope = (error - self._last_error) / LOOP_S * (-1.0 if mistakes.wrong_derivative else 1.0)
+        integral = max(-_INTEGRAL_LIMIT, min(_INTEGRAL_LIMIT, self._integral + error * LOOP_S))
+        free = gains.kp * error + gains.ki * integral + gains.kd * slope
+        low, high = self._limits()
+        output = max(low, min(high, free))
+        if mistakes.wound_integral or output == free or (free > 0) != (error > 0):
+            self._integral = integral
+        self._last_error = error
+        return output
+
+    def _limits(self) -> tuple[float, float]:
+        full = float(FULL_PWM)
+        if self.mistakes.drives_against:
+            return -full, full
+        return (0.0, full) if (self.set_point_ticks_s or self._from) >= 0.0 else (-full, 0.0)
+
+    def _fed_back_ticks_s(self) -> float:
+        last_ticks_s = self._output / FULL_PWM * FULL_SPEED_TICKS_S
+        if self.mistakes.steady_feedback:
+            return last_ticks_s
+        quick_ticks_s = last_ticks_s - self._steady_ticks_s
+        self._steady_ticks_s += quick_ticks_s * LOOP_S / (_WASHOUT_S + LOOP_S)
+        return quick_ticks_s
+
+
+def motor_output(wanted: float) -> int:
+    """The PWM with a sign: nothing up to 10, at least 700 above, 4095 at the most."""
+    size = min(abs(wanted), FULL_PWM)
+    if size <= DEAD_BAND_PWM:
+        return 0
+    return math.floor(max(size, LEAST_PWM) + 0.5) * (1 if wanted > 0 else -1)
+
+
+# -- robots -----------------------------------------------------------------------------------------------------------
 
 _SUBSTEPS = 4  # of the world in a turn of the paper's loop
 

@@ -1,4 +1,4 @@
-"""Tables 2-5: the paper, its software rebuilt, the project's firmware, and the same calibrated; side by side."""
+"""Causes of odometry errors, one at a time, and tables 2-5 of the paper beside those of simulated robots."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -6,12 +6,94 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from hostlink.lab.calibrated import calibrated
-from hostlink.lab.causes import RADIUS_M
-from hostlink.lab.experiment import PAPER_WORLD, Errors, Experiment, Laboratory, Setup, Software
-from hostlink.lab.paper_results import PAPER_CM
-from hostlink.lab.patterns import PATTERNS, Pattern
-from hostlink.sim.world_parameters import WorldParameters
+from hostlink.lab.experiment import (
+    PAPER_CM,
+    PAPER_WORLD,
+    PATTERNS,
+    Errors,
+    Experiment,
+    Habits,
+    Laboratory,
+    Pattern,
+    Setup,
+    Software,
+    calibrated,
+)
+from hostlink.lab.robots import Mistakes, names
+from hostlink.sim.firmware_module import WorldParameters
+
+# -- causes -----------------------------------------------------------------------------------------------------------
+
+RADIUS_M = 0.045
+TRACK_M = 0.21
+
+
+@dataclass(frozen=True, slots=True)
+class Cause:
+    """Something that differs from what the software believes."""
+
+    name: str
+    title: str
+    values: tuple[tuple[str, float], ...] = ()  # of the world
+    mistake: str = ""  # of the paper's software
+    push_m: float = 0.0  # by hand, sideways
+
+    def setup(self, software: Software) -> Setup:
+        """This cause alone with the firmware of the project; with the paper's software, besides its mistakes.
+
+        A mistake of the paper's software has two places: alone in software without any other, in the column of the
+        firmware; and mended while all others stay, in the column of the paper.
+        """
+        world = PAPER_WORLD.changed(dict(self.values))
+        habits = Habits(push_m=self.push_m)
+        if not self.mistake:
+            return Setup(software=software, world=world, habits=habits)
+        is_alone = software is Software.FIRMWARE
+        made = (Mistakes.none() if is_alone else Mistakes()).changed(self.mistake, is_made=is_alone)
+        return replace(Setup(software=Software.PAPER, world=world), mistakes=made)
+
+
+def _both(name: str, value: float) -> tuple[tuple[str, float], ...]:
+    return ((f"left.{name}", value), (f"right.{name}", value))
+
+
+CAUSES = (
+    Cause("none", "nothing"),
+    Cause("radius", "both wheels 0.5 % larger", _both("radius_m", RADIUS_M * 1.005)),
+    Cause("left_radius", "left wheel 0.5 % larger", (("left.radius_m", RADIUS_M * 1.005),)),
+    Cause("track", "track 1 % wider", (("track_m", TRACK_M * 1.01),)),
+    Cause("caster_twist", "caster twists 0.055 rad a turn", (("caster_twist_rad", 0.055),)),
+    Cause("caster_random", "the same +-40 %", (("caster_twist_rad", 0.055), ("caster_random", 0.4))),
+    Cause("caster_drag", "caster costs 200 of the PWM", (("caster_pwm", 200.0),)),
+    Cause("slip_noise", "slip, 3 mm after 1 m", _both("slip_noise_m", 0.003)),
+    Cause("slip_accelerating", "slip while speeding up, 1 % at 1 m/s2", _both("slip_accelerating_s2_m", 0.01)),
+    Cause("slip_braking", "slide while braking, 1 % at 1 m/s2", _both("slip_braking_s2_m", 0.01)),
+    Cause("carpet", "carpet, 200 of the PWM", (("floor_pwm", 200.0),)),
+    Cause(
+        "weak_motor", "left motor 10 % slower", (("left.full_speed_rad_s", 280.0 * 0.9 * 6.283185307179586 / 230.4),)
+    ),
+    Cause("battery", "battery at 10.5 V, sagging by 1 V", (("battery_v", 10.5), ("battery_sag_v", 1.0))),
+    Cause("low_threshold", "motors turn from a PWM of 550", _both("dead_zone_pwm", 550.0)),
+    Cause("high_threshold", "motors turn from a PWM of 690", _both("dead_zone_pwm", 690.0)),
+    Cause("jump", "motors start with a jump at 350", (*_both("dead_zone_pwm", 350.0), *_both("has_jump", 1.0))),
+    Cause("push", "pushed 5 cm by hand", push_m=0.05),
+)
+_TITLES = {
+    "sign_by_direction_pin": "sign by the DIR pin",
+    "drives_against": "torque against the set-point",
+    "filtered_odometry": "odometry of the filtered speed",
+    "rising_edges_only": "rising edges only",
+    "slow_stop": "minimum-jerk stop, 3.6 s",
+    "steady_feedback": "steady feedback term",
+    "wrong_derivative": "derivative's sign",
+    "wound_integral": "integral winds up",
+    "single_precision_time": "single-precision time",
+    "never_brakes": "never brakes",
+}
+MISTAKES = tuple(Cause(name, _TITLES[name], mistake=name) for name in names())
+
+
+# -- tables -----------------------------------------------------------------------------------------------------------
 
 _Array = NDArray[np.float64]
 

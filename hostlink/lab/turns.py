@@ -9,8 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hostlink.lab.paper_results import LINE_M, LINE_TABLE, PAPER_CM
-from hostlink.lab.patterns import BACK, SQUARE_LEFT, SQUARE_RIGHT, Pattern
+from hostlink.lab.experiment import BACK, LINE_M, LINE_TABLE, PAPER_CM, SQUARE_LEFT, SQUARE_RIGHT, Pattern
 
 _Array = NDArray[np.float64]
 

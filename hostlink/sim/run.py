@@ -10,10 +10,9 @@ import socket
 from collections.abc import AsyncIterator, Callable, Iterator
 
 from hostlink.protocol.frame import Id, encode
-from hostlink.sim.faults import HEALTHY, Fault, FaultyLine
+from hostlink.sim.firmware_module import WorldParameters
 from hostlink.sim.firmware_world import RobotKind
-from hostlink.sim.robot import SimulatedRobot
-from hostlink.sim.world_parameters import WorldParameters
+from hostlink.sim.robot import HEALTHY, Fault, FaultyLine, SimulatedRobot
 
 READ_BYTES = 4096
 RECONNECT_S = 0.5

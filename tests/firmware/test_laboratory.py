@@ -10,12 +10,23 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hostlink.cli.main import build_app
-from hostlink.lab.calibrated import calibrated
-from hostlink.lab.causes import CAUSES, Cause
-from hostlink.lab.experiment import PAPER_WORLD, Errors, Experiment, Laboratory, Setup, Software, measure
+from hostlink.lab.experiment import (
+    BACK,
+    LINE,
+    PAPER_WORLD,
+    SQUARE_LEFT,
+    SQUARE_RIGHT,
+    Errors,
+    Experiment,
+    Laboratory,
+    Pattern,
+    Setup,
+    Software,
+    calibrated,
+    measure,
+)
 from hostlink.lab.fit import FITTED, fit, world_of
-from hostlink.lab.patterns import BACK, LINE, SQUARE_LEFT, SQUARE_RIGHT, Pattern
-from hostlink.lab.tables import CALIBRATED, CASTER_WORLD, OURS, REBUILT, ErrorTable, tables
+from hostlink.lab.tables import CALIBRATED, CASTER_WORLD, CAUSES, OURS, REBUILT, Cause, ErrorTable, tables
 
 RUNS = int(os.environ.get("HOSTLINK_LAB_RUNS", "3"))
 LABORATORY = Laboratory(workers=1)

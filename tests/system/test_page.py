@@ -15,7 +15,7 @@ from hostlink.protocol.control import Log
 from hostlink.protocol.frame import Id, encode
 from hostlink.robot.admission import LEASE_S
 from hostlink.robot.kinematics import Pose
-from hostlink.sim.world_parameters import WorldParameters
+from hostlink.sim.firmware_module import WorldParameters
 from tests.support.browser import PHONE, Visit, visit
 from tests.support.daemon import Daemon, daemon
 from tests.support.device_codec import encode_log

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hostlink.lab.patterns import BACK, SQUARE_LEFT, SQUARE_RIGHT
+from hostlink.lab.experiment import BACK, SQUARE_LEFT, SQUARE_RIGHT
 from hostlink.lab.reports import apart
 from hostlink.lab.turns import TurnErrors, best_turns, chance_of_table_2, errors_cm, needed_radius, needed_twists
 

@@ -6,7 +6,7 @@ from hostlink.protocol.control import TopicInfo, decode_topic_info, encode_topic
 from hostlink.protocol.frame import Frame, Id, encode
 from hostlink.protocol.session import NonRosserialBytes
 from hostlink.protocol.stream import FrameStream
-from hostlink.sim.faults import FAULTS, HEALTHY, FaultyLine
+from hostlink.sim.robot import FAULTS, HEALTHY, FaultyLine
 
 POSE = TopicInfo(Id.PUBLISHER, 125, "/odometry", "geometry_msgs/Pose2D", "m" * 32, 512)
 TWIST = TopicInfo(Id.SUBSCRIBER, 100, "/velocity", "geometry_msgs/Twist", "m" * 32, 512)

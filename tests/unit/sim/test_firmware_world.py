@@ -7,9 +7,8 @@ import struct
 import numpy as np
 import pytest
 
-from hostlink.sim.firmware_module import columns
+from hostlink.sim.firmware_module import WorldParameters, columns
 from hostlink.sim.firmware_world import Feedback, FirmwareWorld, Retry
-from hostlink.sim.world_parameters import WorldParameters
 
 SLIPPERY = WorldParameters(
     {

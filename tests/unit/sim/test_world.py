@@ -6,9 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hostlink.sim.firmware_module import bounds
+from hostlink.sim.firmware_module import WorldParameters, bounds
 from hostlink.sim.firmware_world import Firmware, World
-from hostlink.sim.world_parameters import WorldParameters
 
 LEFT = 0
 WHOLE = {"seed", "pwm_bits"}

@@ -8,9 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hostlink.sim.firmware_module import ParameterRange, bounds
+from hostlink.sim.firmware_module import ParameterRange, WorldParameters, bounds, read, wheel
 from hostlink.sim.firmware_world import Firmware
-from hostlink.sim.world_parameters import WorldParameters, read, wheel
 
 NAMES = list(bounds())
 
