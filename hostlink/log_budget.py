@@ -1,4 +1,8 @@
-"""LogBudget: limit of log lines for each peer, so that no device fills a disk. Pure."""
+"""LogBudget: limit of log lines for each peer, so that no device fills a disk. Pure.
+
+Measured need: tests/system/test_log_budget.py, where one device causes a line with each of its frames. Neither structlog
+nor the standard library limits lines by peer.
+"""
 
 from collections import OrderedDict
 
