@@ -1,7 +1,7 @@
 """LogBudget: limit of log lines for each peer, so that no device fills a disk. Pure.
 
-Measured need: tests/system/test_log_budget.py, where one device causes a line with each of its frames. Neither structlog
-nor the standard library limits lines by peer.
+Measured need: tests/system/test_log_budget.py, where one device causes a line with each of its frames. Neither
+structlog nor the standard library limits lines by peer.
 """
 
 from collections import OrderedDict

@@ -1,4 +1,4 @@
-"""Reports: what the laboratory found, as lines for people and as one object for programs."""
+"""Reports of the laboratory: lines for people and one object for programs."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -44,7 +44,7 @@ Progress = Callable[[str], None]
 
 @dataclass(frozen=True, slots=True)
 class LabReport:
-    """The same twice."""
+    """Report as lines for people and as an object for programs."""
 
     lines: list[str]
     view: dict[str, Any]
@@ -54,7 +54,7 @@ class LabReport:
 
 
 def text_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
-    """As Markdown, so that it may be pasted."""
+    """Format a table as Markdown."""
     widths = [max(len(row[i]) for row in (head, *rows)) for i in range(len(head))]
     lines = [
         "| " + " | ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)) + " |" for row in rows
@@ -67,7 +67,7 @@ def text_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
 
 
 def causes(laboratory: Laboratory, runs: int, progress: Progress) -> LabReport:
-    """What each cause alone does to each pattern: means of |x| / |y|, of the line |length|, in cm.
+    """Report the effect of each cause alone on each pattern: means of |x| / |y|, of the line |length|, in cm.
 
     Raises:
         ConfigError: wasmtime is not installed, or has no library for this machine.
@@ -137,7 +137,7 @@ def _errors_view(errors: Errors) -> dict[str, Any]:
 
 
 def tables(laboratory: Laboratory, world: WorldParameters, runs: int, progress: Progress) -> LabReport:
-    """Tables 2-5, side by side.
+    """Report tables 2-5 for all software.
 
     Raises:
         ConfigError: wasmtime is not installed, or has no library for this machine.
@@ -193,7 +193,7 @@ def _changed(world: WorldParameters) -> list[tuple[str, float]]:
 
 
 def claims(laboratory: Laboratory, runs: int, progress: Progress) -> LabReport:
-    """Which numbers the paper's tables need, whether one set of them can serve all, and what its software adds.
+    """Report which numbers the paper's tables need, whether one set explains all, and the error of its software alone.
 
     Raises:
         ConfigError: wasmtime is not installed, or has no library for this machine.
@@ -241,7 +241,7 @@ def claims(laboratory: Laboratory, runs: int, progress: Progress) -> LabReport:
 
 @dataclass(frozen=True, slots=True)
 class SoftwareAlone:
-    """What the paper's software errs by in a world without a flaw."""
+    """Error of the paper's software in a world without defects."""
 
     threshold_pwm: float
     pattern: Pattern
@@ -249,7 +249,7 @@ class SoftwareAlone:
 
 
 def software_alone(laboratory: Laboratory, runs: int) -> list[SoftwareAlone]:
-    """The squares, with motors that begin to turn at different PWMs; 690 is what the Due's pin makes of 700.
+    """Drive the squares with motors that start at different PWMs; the Due's pin turns 700 into 690.
 
     Raises:
         ConfigError: wasmtime is not installed, or has no library for this machine.
@@ -278,7 +278,7 @@ def _best_view(found: BestTurns) -> dict[str, Any]:
 
 
 def apart(needed: Sequence[Needed]) -> list[tuple[str, str]]:
-    """The pairs whose intervals do not overlap."""
+    """Return the pairs whose intervals do not overlap."""
     return [(a.what, b.what) for a, b in combinations(needed, 2) if not a.overlaps(b)]
 
 

@@ -22,7 +22,7 @@ _MASK_32 = (1 << 32) - 1
 
 
 class RandomNumbers:
-    """A sequence that its seed and its stream decide."""
+    """Random numbers of a seed and a stream: PCG32 (O'Neill 2014, XSH-RR), normal numbers by Box and Muller."""
 
     def __init__(self, seed: int, stream: int) -> None:
         self._state = 0
@@ -32,11 +32,11 @@ class RandomNumbers:
         self._next()
 
     def uniform(self) -> float:
-        """A number in (0, 1)."""
+        """Return a number in (0, 1)."""
         return (self._next() + 0.5) / 4294967296.0
 
     def normal(self) -> float:
-        """A number with mean 0 and standard deviation 1."""
+        """Return a number with mean 0 and standard deviation 1."""
         radius = math.sqrt(-2.0 * math.log(self.uniform()))
         return radius * math.cos(math.tau * self.uniform())
 
@@ -56,44 +56,46 @@ FULL_SPEED_TICKS_S = 280.0
 DEAD_BAND_PWM = 10
 LEAST_PWM = 700
 FILTER = 0.1  # weight of the newest speed
-S_PER_TICK_S = 0.018  # of minimum jerk, for a change of one tick/s
-_INTEGRAL_LIMIT = 4095.0  # of the sum of errors, before Ki: it limits nothing
+S_PER_TICK_S = 0.018  # duration of a minimum-jerk curve, for each tick/s of its change
+_INTEGRAL_LIMIT = 4095.0  # of the sum of errors, before Ki: too high to have an effect
 _WASHOUT_S = 1.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Mistakes:
-    """What the paper's software does wrong; each False is what is right."""
+    """Mistakes of the paper's software. False is the correct behaviour."""
 
-    sign_by_direction_pin: bool = True  # else the true direction, as an encoder of two channels has it
+    sign_by_direction_pin: bool = True  # else the true direction, as a two-channel encoder measures it
     drives_against: bool = True  # the PID's output may turn against the set-point; else it ends at zero
-    filtered_odometry: bool = True  # adds up the filtered speed; else ticks
+    filtered_odometry: bool = True  # integrates the filtered speed; else ticks
     rising_edges_only: bool = True  # else both edges, half a tick each
-    slow_stop: bool = True  # zero is approached along minimum jerk, 3.6 s from 200 ticks/s; else at once
-    steady_feedback: bool = True  # 5 % low for ever; else washed out
-    wrong_derivative: bool = True  # the sign
-    wound_integral: bool = True  # never reset, limited to 4095 before Ki; else reset at rest, stands at the limit
-    single_precision_time: bool = True  # microseconds in a float of 32 bits
-    never_brakes: bool = True  # BRAKE stays low: PWM 0 lets the motor run free
+    slow_stop: bool = True  # zero is reached along a minimum-jerk curve, in 3.6 s from 200 ticks/s; else at once
+    steady_feedback: bool = True  # keeps the speed 5 % low; else washed out
+    wrong_derivative: bool = True  # wrong sign of the derivative
+    wound_integral: bool = (
+        True  # not reset, limited to 4095 before Ki; else reset at rest and held at the output's limit
+    )
+    single_precision_time: bool = True  # microseconds in a 32-bit float
+    never_brakes: bool = True  # BRAKE stays low: PWM 0 lets the motor coast
 
     @classmethod
     def none(cls) -> Self:
-        """All mended."""
+        """Return the software without mistakes."""
         return cls(**dict.fromkeys(names(), False))
 
     def changed(self, name: str, *, is_made: bool) -> Self:
-        """The same with one made or mended."""
+        """Return a copy with one mistake made or corrected."""
         return replace(self, **{name: is_made})
 
 
 def names() -> list[str]:
-    """Of all mistakes."""
+    """Names of all mistakes."""
     return [item.name for item in fields(Mistakes)]
 
 
 @dataclass(frozen=True, slots=True)
 class Gains:
-    """Of one wheel's PID with feedback; table 1 of the paper."""
+    """Gains of one wheel's PID with feedback; table 1 of the paper."""
 
     kp: float
     ki: float
@@ -106,7 +108,7 @@ RIGHT_GAINS = Gains(24.0, 35.0, 0.1)
 
 
 class PaperWheel:
-    """Set-point, filter, PID, and what odometry adds up, of one wheel."""
+    """One wheel of the paper's software: set-point, filter, PID and odometry."""
 
     def __init__(self, gains: Gains, mistakes: Mistakes) -> None:
         self.gains, self.mistakes = gains, mistakes
@@ -115,11 +117,11 @@ class PaperWheel:
         self.set_point_ticks_s = 0.0
         self._from = self._target = 0.0
         self._begun_us = self._end_us = 0.0
-        self._edges = 0  # since the start: the level of the encoder's pin is their parity
+        self._edges = 0  # since the start; their parity is the level of the encoder's pin
         self._integral = self._last_error = self._output = self._steady_ticks_s = 0.0
 
     def aim(self, ticks_s: float, now_s: float) -> None:
-        """A command has come; it begins at the measured speed, not at the set-point."""
+        """Start a new command at the measured speed, not at the set-point."""
         self._from, self._target = self.speed_ticks_s, ticks_s
         self._begun_us = self._time(now_s)
         length_s = abs(self._target - self._from) * S_PER_TICK_S
@@ -128,7 +130,7 @@ class PaperWheel:
         self._end_us = self._time(now_s + length_s)
 
     def step(self, edges: int, true_sign: int, now_s: float) -> float:
-        """A turn of the loop; returns the ticks that odometry adds. `edges` of both kinds, `true_sign` of their way."""
+        """Run one turn of the loop. Return the ticks for odometry. `edges`: rising and falling ones."""
         ticks = self._ticks(edges) * (self._pin_sign() if self.mistakes.sign_by_direction_pin else true_sign)
         self.speed_ticks_s += FILTER * (ticks / LOOP_S - self.speed_ticks_s)
         self._step_set_point(now_s)
@@ -191,7 +193,7 @@ class PaperWheel:
 
 
 def motor_output(wanted: float) -> int:
-    """The PWM with a sign: nothing up to 10, at least 700 above, 4095 at the most."""
+    """Return the signed PWM: 0 for sizes up to 10, otherwise 700 to 4095."""
     size = min(abs(wanted), FULL_PWM)
     if size <= DEAD_BAND_PWM:
         return 0
@@ -200,34 +202,34 @@ def motor_output(wanted: float) -> int:
 
 # -- robots -----------------------------------------------------------------------------------------------------------
 
-_SUBSTEPS = 4  # of the world in a turn of the paper's loop
+_SUBSTEPS = 4  # steps of the world in one turn of the paper's loop
 
 
 class LabRobot(Protocol):
-    """What an operator drives, and what he measures."""
+    """Robot that the operator drives and measures."""
 
     @property
     def world(self) -> World:
-        """The truth."""
+        """World with the true state."""
 
     @property
     def odometry(self) -> Pose:
-        """What the robot believes."""
+        """Pose by the robot's odometry."""
 
     def command(self, linear_m_s: float, angular_rad_s: float) -> None:
-        """Drive like this until the next command."""
+        """Drive at this velocity until the next command."""
 
     def advance(self, seconds: float) -> None:
-        """Let time pass."""
+        """Advance the time."""
 
 
 class FirmwareRobot:
-    """The firmware of the Due as the board executes it. The host repeats the command, as teleop does."""
+    """Robot with the firmware of the Due. The host repeats the command, as teleop does."""
 
     def __init__(
         self, parameters: WorldParameters, device_parameters: Mapping[str, Sequence[float]] | None = None
     ) -> None:
-        """`device_parameters`: what the host answers to the firmware's questions: `wheel_radius` and so on.
+        """Connect the firmware. `device_parameters`: answers to its parameter requests, such as `wheel_radius`.
 
         Raises:
             ConfigError: wasmtime is not installed, or has no library for this machine.
@@ -238,20 +240,20 @@ class FirmwareRobot:
 
     @property
     def world(self) -> World:
-        """The truth."""
+        """World with the true state."""
         return self._robot.world
 
     @property
     def odometry(self) -> Pose:
-        """What the firmware believes."""
+        """Pose by the firmware's odometry."""
         return self._robot.odometry
 
     def command(self, linear_m_s: float, angular_rad_s: float) -> None:
-        """Drive like this until the next command."""
+        """Drive at this velocity until the next command."""
         self._velocity = (linear_m_s, angular_rad_s)
 
     def advance(self, seconds: float) -> None:
-        """Let time pass."""
+        """Advance the time."""
         left_s = seconds
         while left_s > 0.0005:  # noqa: PLR2004 - time passes in milliseconds
             self._robot.command(*self._velocity)
@@ -260,7 +262,7 @@ class FirmwareRobot:
 
 
 class PaperRobot:
-    """The paper's software at thirty turns a second; some of its mistakes may be mended."""
+    """Robot with the paper's software at thirty turns a second, with all or some of its mistakes."""
 
     def __init__(self, parameters: WorldParameters, mistakes: Mistakes | None = None) -> None:
         made = Mistakes() if mistakes is None else mistakes
@@ -275,7 +277,7 @@ class PaperRobot:
         self._due_s = 0.0
 
     def command(self, linear_m_s: float, angular_rad_s: float) -> None:
-        """One message: the sketch drives like this until the next one."""
+        """Drive at this velocity until the next command."""
         now_s = self._turns * LOOP_S
         for wheel, speed_m_s in zip(
             self._controllers, self._drive.wheel_speeds(linear_m_s, angular_rad_s), strict=True
@@ -283,7 +285,7 @@ class PaperRobot:
             wheel.aim(speed_m_s / self._drive.metres_per_tick, now_s)
 
     def advance(self, seconds: float) -> None:
-        """Let time pass, in whole turns of the loop."""
+        """Advance the time in whole turns of the loop."""
         self._due_s += seconds
         while self._due_s >= LOOP_S / 2:
             self._due_s -= LOOP_S

@@ -1,4 +1,4 @@
-"""Causes of odometry errors, one at a time, and tables 2-5 of the paper beside those of simulated robots."""
+"""Causes of odometry errors, one at a time, and tables 2-5 of the paper and of simulated robots."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -30,19 +30,19 @@ TRACK_M = 0.21
 
 @dataclass(frozen=True, slots=True)
 class Cause:
-    """Something that differs from what the software believes."""
+    """Difference between the robot and the software's assumptions."""
 
     name: str
     title: str
-    values: tuple[tuple[str, float], ...] = ()  # of the world
-    mistake: str = ""  # of the paper's software
-    push_m: float = 0.0  # by hand, sideways
+    values: tuple[tuple[str, float], ...] = ()  # numbers of the world
+    mistake: str = ""  # mistake of the paper's software
+    push_m: float = 0.0  # sideways push by hand
 
     def setup(self, software: Software) -> Setup:
-        """This cause alone with the firmware of the project; with the paper's software, besides its mistakes.
+        """Return a setup with this cause alone; the paper's software also has its mistakes.
 
-        A mistake of the paper's software has two places: alone in software without any other, in the column of the
-        firmware; and mended while all others stay, in the column of the paper.
+        A mistake of the paper's software is tried twice: alone (column of the firmware), and with all mistakes but this
+        one (column of the paper).
         """
         world = PAPER_WORLD.changed(dict(self.values))
         habits = Habits(push_m=self.push_m)
@@ -99,7 +99,7 @@ _Array = NDArray[np.float64]
 
 PAPER, REBUILT, OURS, CALIBRATED = "paper", "its software", "ours", "ours calibrated"
 
-# Line and squares at once as near as a radius and a caster bring them: docs/laboratory.md#which-world
+# Radius and caster that bring line and squares together closest to the paper: docs/laboratory.md#which-world
 CASTER_WORLD = PAPER_WORLD.changed(
     {
         "left.radius_m": RADIUS_M * 1.005,
@@ -112,27 +112,27 @@ CASTER_WORLD = PAPER_WORLD.changed(
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """One of the columns of a table."""
+    """Column of a table."""
 
     title: str
-    sizes_cm: _Array  # a row each run: |x| and |y|, or |length|
+    sizes_cm: _Array  # one row for each run: |x| and |y|, or |length|
 
     @property
     def means_cm(self) -> _Array:
-        """The last line of the paper's table."""
+        """Means, as in the last line of the paper's table."""
         means: _Array = self.sizes_cm.mean(axis=0)
         return means
 
     @property
     def errors_cm(self) -> _Array:
-        """The standard errors of the means."""
+        """Standard errors of the means."""
         errors: _Array = self.sizes_cm.std(axis=0, ddof=1) / np.sqrt(len(self.sizes_cm))
         return errors
 
 
 @dataclass(frozen=True, slots=True)
 class ErrorTable:
-    """One of the paper's."""
+    """Table of the paper, with a column for each software."""
 
     pattern: Pattern
     columns: tuple[Column, ...]
@@ -141,7 +141,7 @@ class ErrorTable:
 def tables(
     world: WorldParameters, laboratory: Laboratory, *, runs: int, report: Callable[[str], None]
 ) -> list[ErrorTable]:
-    """Drive all of them.
+    """Drive all patterns with all software.
 
     Raises:
         ConfigError: wasmtime is not installed, or has no library for this machine.

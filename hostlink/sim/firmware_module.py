@@ -24,13 +24,13 @@ if TYPE_CHECKING:
     import wasmtime
 
 MODULE = Path(__file__).with_name("firmware.wasm")
-TEXT_BYTES = LINE_BYTES = 1 << 16  # of its buffers
+TEXT_BYTES = LINE_BYTES = 1 << 16  # size of each buffer
 MOST_ROWS = 1 << 13
-MACHINES = ("x86_64", "AMD64", "aarch64", "arm64")  # for which wasmtime has a library
+MACHINES = ("x86_64", "AMD64", "aarch64", "arm64")  # with a library of wasmtime
 
 
 class ParameterRange(NamedTuple):
-    """Of a number of a world."""
+    """Default and range of one number of a world."""
 
     default: float
     least: float
@@ -57,14 +57,14 @@ class Control(ctypes.Structure):
 
 
 class Instance:
-    """The module with a memory of its own, which never grows: an address in it holds as long as the instance."""
+    """Instance of the module with its own memory, which never grows, so that addresses in it stay valid."""
 
     def __init__(self) -> None:
         import wasmtime  # noqa: PLC0415 - an extra, which `_compiled` reports where it is missing
 
         engine, module = _compiled()
         self.store = wasmtime.Store(engine)
-        weakref.finalize(self, self.store.close)  # at the interpreter's end, too: later its own way fails
+        weakref.finalize(self, self.store.close)  # also when the interpreter ends: the store cannot be closed later
         self._exports = wasmtime.Instance(self.store, module, []).exports(self.store)
         self.call("_initialize")
         memory = self._exports["memory"]
@@ -72,40 +72,40 @@ class Instance:
         self._base = ctypes.addressof(memory.data_ptr(self.store).contents)
 
     def function(self, name: str) -> "wasmtime.Func":
-        """What the module exports."""
+        """Return an exported function of the module."""
         return self._exports[name]  # type: ignore[return-value]
 
     def call(self, name: str, *arguments: float) -> int | float:
-        """Call a function; 0 of one that returns nothing."""
+        """Call an exported function. Return 0 if it returns nothing."""
         return self.function(name)(self.store, *arguments) or 0
 
     def address(self, name: str) -> int:
-        """Of a buffer, by the function that returns it."""
+        """Address of a buffer; `name` is the exported function that returns it."""
         return self._base + int(self.call(name))
 
     def read_text(self, name: str, index: int) -> str:
-        """What a function returns as char*."""
+        """Read the text that an exported function returns as char*."""
         return ctypes.string_at(self._base + int(self.call(name, index))).decode()
 
     def write_text(self, text: bytes) -> None:
-        """Put it into the module's text().
+        """Write a text into the module's text().
 
         Raises:
-            ValueError: it is longer than TEXT_BYTES.
+            ValueError: the text is longer than TEXT_BYTES.
         """
         if len(text) >= TEXT_BYTES:
             raise ValueError(f"a text of {len(text)} bytes, the firmware takes {TEXT_BYTES - 1}")
         ctypes.memmove(self.address("text"), text + b"\0", len(text) + 1)
 
     def read_parameters(self, text: str) -> tuple[int, list[float]]:
-        """Of lines name=value: 0 or the number of the line that is wrong, and all numbers of the world."""
+        """Parse lines name=value. Return the number of the first invalid line, or 0, and all numbers of the world."""
         self.write_text(text.encode())
         wrong, count = int(self.call("read_parameters")), int(self.call("parameter_count"))
         return wrong, list((ctypes.c_double * count).from_address(self.address("parameter_numbers")))
 
 
 def require_wasmtime(command: str) -> None:
-    """Refuse before anything is started.
+    """Check that `command` can use wasmtime, before anything is started.
 
     Raises:
         ConfigError: wasmtime is not installed, or has no library for this machine.
@@ -121,17 +121,17 @@ def require_wasmtime(command: str) -> None:
 
 @cache
 def _compiled() -> "tuple[wasmtime.Engine, wasmtime.Module]":
-    """Compile the module: 0.1 s.
+    """Compile the module, which takes 0.1 s.
 
     Raises:
         ConfigError: wasmtime is not installed, or has no library for this machine.
     """
     require_wasmtime("a simulated robot")
-    import wasmtime  # noqa: PLC0415 - as there
+    import wasmtime  # noqa: PLC0415 - checked by require_wasmtime
 
     config = wasmtime.Config()
-    # A tenth slower than with signal handlers and four GiB of addresses for each robot; and without threads a process
-    # may fork.
+    # Without signal handlers and four GiB of addresses for each robot, it runs a tenth slower. Without threads, the
+    # process may fork.
     config.signals_based_traps = False
     config.memory_reservation = 0
     config.memory_reservation_for_growth = 0
@@ -146,7 +146,7 @@ def _compiled() -> "tuple[wasmtime.Engine, wasmtime.Module]":
 
 @cache
 def columns() -> tuple[str, ...]:
-    """The names of a row's numbers.
+    """Names of the numbers in a row.
 
     Raises:
         ConfigError: wasmtime is not installed, or has no library for this machine.
@@ -157,7 +157,7 @@ def columns() -> tuple[str, ...]:
 
 @cache
 def bounds() -> Mapping[str, ParameterRange]:
-    """Of each number of a world: its default and range, in their order.
+    """Default and range of each number of a world, in the order of the C++ struct.
 
     Raises:
         ConfigError: wasmtime is not installed, or has no library for this machine.
@@ -178,11 +178,11 @@ def _reader() -> Instance:
 
 
 def read_lines(text: str) -> tuple[int, dict[str, float]]:
-    """Of lines name=value: 0 or the number of the line that is wrong, and all numbers by name.
+    """Parse lines name=value. Return the number of the first invalid line, or 0, and all numbers by name.
 
     Raises:
         ConfigError: wasmtime is not installed, or has no library for this machine.
-        ValueError: it is too long.
+        ValueError: the text is too long.
     """
     wrong, values = _reader().read_parameters(text)
     return wrong, dict(zip(bounds(), values, strict=True))
@@ -197,17 +197,17 @@ class WorldParameters(Mapping[str, float]):
     """Every number of a world: `world["track_m"]`, `world["left.radius_m"]`.
 
     firmware/host/world_parameters.h has their names, units, defaults and sources. Names and ranges are checked when the
-    numbers are first used: a world may be written down without wasmtime.
+    numbers are first used, so that a world can be written without wasmtime.
     """
 
     __slots__ = ("_given",)
 
     def __init__(self, given: Mapping[str, float] | None = None) -> None:
-        """`given`: what is not as in a robot without a flaw."""
+        """`given`: the numbers that differ from a robot without defects."""
         self._given = {name: float(value) for name, value in (given or {}).items()}
 
     def changed(self, values: Mapping[str, float]) -> Self:
-        """The same world with other numbers."""
+        """Return the world with other numbers."""
         return type(self)({**self._given, **values})
 
     def checked_values(self) -> list[float]:
@@ -215,7 +215,7 @@ class WorldParameters(Mapping[str, float]):
 
         Raises:
             ConfigError: wasmtime is not installed, or has no library for this machine.
-            ValueError: a name is no parameter's, then the text names the nearest one; or a number is out of its range.
+            ValueError: a name is unknown, and the text names the nearest one; or a number is out of its range.
         """
         for name, value in self._given.items():
             complaint = _complaint(name, value)
@@ -224,7 +224,7 @@ class WorldParameters(Mapping[str, float]):
         return [self._given.get(name, known.default) for name, known in bounds().items()]
 
     def text(self) -> str:
-        """Lines `name=value`, as the boards on the PC and the emulated one read them; those that are given."""
+        """Return the given numbers as lines `name=value`, which the boards on the PC and the emulated board read."""
         return "".join(f"{name}={value!r}\n" for name, value in self._given.items())
 
     def __getitem__(self, name: str) -> float:
@@ -247,18 +247,18 @@ class WorldParameters(Mapping[str, float]):
 
 
 def wheel(side: str, **numbers: float) -> dict[str, float]:
-    """A wheel's numbers by their full names: `wheel("left", radius_m=0.0448)`."""
+    """Return the numbers of a wheel by their full names: `wheel("left", radius_m=0.0448)`."""
     return {f"{side}.{name}": value for name, value in numbers.items()}
 
 
 def read(text: str) -> WorldParameters:
-    """A world from lines `name=value`, without spaces; empty lines and those that begin with # are ignored.
+    """Parse a world from lines `name=value` without spaces. Empty lines and lines that begin with # are ignored.
 
     Raises:
         ConfigError: wasmtime is not installed, or has no library for this machine.
-        ValueError: a line is not of this form, names no parameter, or is out of range; the text has its number.
+        ValueError: a line has another form, an unknown name or a number out of range; the text has the line's number.
     """
-    text = text.replace("\0", "\ufffd")  # it would end the text in C++
+    text = text.replace("\0", "\ufffd")  # a NUL would end the text in C++
     wrong, values = read_lines(text)
     if not wrong:
         return WorldParameters({name: value for name, value in values.items() if value != bounds()[name].default})
@@ -271,7 +271,7 @@ def read(text: str) -> WorldParameters:
 
 
 def _complaint(name: str, value: float) -> str | None:
-    """What is wrong with a number, if anything."""
+    """Return why a number is invalid; None if it is valid."""
     known = bounds()
     if name not in known:
         near = get_close_matches(name, known, n=1)

@@ -15,13 +15,13 @@ from hostlink.sim.firmware_world import Firmware, RobotKind, SimulatedWheel, Whe
 # -- robot ------------------------------------------------------------------------------------------------------------
 
 BAUD = 38400  # the paper's
-PASS_MS = 1000  # so many milliseconds at once, where it was not asked for longer
+PASS_MS = 1000  # longest step of the firmware
 
 
 class SimulatedRobot:
-    """Call `advance` as often as bytes shall leave its UART; each time the firmware runs until then.
+    """Simulated robot. `advance` runs the firmware up to a time and returns the bytes that left its UART.
 
-    Between two calls `quiet_s` may pass where nothing is sent to it.
+    While nothing is sent to the robot, `quiet_s` may pass between two calls.
     """
 
     def __init__(
@@ -33,7 +33,7 @@ class SimulatedRobot:
         baud: int = BAUD,
         clock_rate: float = 1.0,
     ) -> None:
-        """`baud` 0: bytes are through at once. `clock_rate`: seconds that its clock counts in one.
+        """Switch the robot on. `baud` 0: bytes are transmitted at once. `clock_rate`: seconds of its clock per second.
 
         Raises:
             ConfigError: wasmtime is not installed, or has no library for this machine.
@@ -47,45 +47,45 @@ class SimulatedRobot:
 
     @property
     def world(self) -> World:
-        """Where it truly is, and what happens to it."""
+        """World with the true state of the robot."""
         return self.firmware.world
 
     @property
     def wheels(self) -> tuple[SimulatedWheel, SimulatedWheel]:
-        """Left and right."""
+        """Left and right wheel."""
         return self.world.left, self.world.right
 
     @property
     def speed_m_s(self) -> float:
-        """How fast the robot truly moves forward."""
+        """True forward speed."""
         return (self.world.left.speed_m_s + self.world.right.speed_m_s) / 2
 
     @property
     def pose(self) -> Pose:
-        """Where it believes that it is."""
+        """Pose that the firmware has estimated."""
         return self.world.odometry
 
     @property
     def controls(self) -> tuple[WheelControl, WheelControl]:
-        """Of its wheels, left and right."""
+        """Controls of the left and the right wheel."""
         return self.firmware.controls
 
     @property
     def is_configured(self) -> bool:
-        """Whether it has a host."""
+        """Whether the robot is connected to a host."""
         return self.firmware.is_configured
 
     @property
     def quiet_s(self) -> float:
-        """For how long nothing will leave its UART, unless it receives something; 0: bytes are on the line."""
+        """Time in which nothing leaves the UART unless the robot receives bytes; 0 while bytes are on the line."""
         return self.firmware.quiet_ms / 1000
 
     def receive(self, data: bytes) -> None:
-        """Put bytes on the line to it, at the time of the last `advance`."""
+        """Send bytes to the robot at the time of the last `advance`."""
         self.firmware.send(data)
 
     def advance(self, now_s: float) -> bytes:
-        """Let the firmware run until now; returns what has left its UART since the last call."""
+        """Run the firmware up to `now_s`. Return the bytes that left the UART since the last call."""
         if self._began_s is None:
             self._began_s = now_s
         due_ms = math.floor((now_s - self._began_s) * 1000) - self._passed_ms
@@ -100,10 +100,10 @@ class SimulatedRobot:
 
 # -- faults -----------------------------------------------------------------------------------------------------------
 
-RUN_S = 3.0  # how long a board that starts anew again and again stays up
+RUN_S = 3.0  # interval of the restarts of a faulty board
 _TEXT = b"left 12 right 13 battery 11.8 V\r\n"
-_SMALL_BUFFER_BYTES = 48  # a Twist has 48 of payload
-_READ_RATIO = 115200 / 57600  # the device at rosserial's usual speed, its reader at another
+_SMALL_BUFFER_BYTES = 48  # as long as the payload of a Twist, without the frame around it
+_READ_RATIO = 115200 / 57600  # the device at rosserial's usual rate, the reader at 115200
 _BOOT_RATIO = 115200 / 74880
 _BOOT_TEXT = (
     b"\r\n ets Jan  8 2013,rst cause:1, boot mode:(3,7)\r\n\r\nload 0x40100000, len 1384, room 16 \r\ntail 8\r\n"
@@ -154,14 +154,14 @@ def _with_small_buffers(frame: Frame) -> bytes:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Fault:
-    """What is wrong with a robot; the default is nothing."""
+    """Fault of a robot. The default is a healthy robot."""
 
     text: str
-    transform: Callable[[Frame], bytes] = _as_it_is  # of each frame to the host
-    at_power_up: bytes = b""  # what comes before the first of them
-    clock_rate: float = 1.0  # seconds of the device's in one of the world's
-    runs_s: float | None = None  # it starts anew so often; None: never
-    break_wheel: Callable[[SimulatedWheel], None] = lambda _: None  # what is wrong with its left wheel
+    transform: Callable[[Frame], bytes] = _as_it_is  # changes each frame to the host
+    at_power_up: bytes = b""  # bytes before the first frame
+    clock_rate: float = 1.0  # seconds of the device's clock per second
+    runs_s: float | None = None  # interval of its restarts; None: it does not restart
+    break_wheel: Callable[[SimulatedWheel], None] = lambda _: None  # fault of its left wheel
 
 
 HEALTHY = Fault(text="none")
@@ -183,7 +183,7 @@ FAULTS = {
 
 
 class FaultyLine:
-    """The bytes of one connection from a device to its host, changed by a fault."""
+    """Line from a device to its host that changes the bytes by a fault."""
 
     def __init__(self, fault: Fault) -> None:
         self._fault = fault
@@ -191,7 +191,7 @@ class FaultyLine:
         self._power_up = fault.at_power_up
 
     def pass_on(self, data: bytes) -> bytes:
-        """What the host gets for what the device sent."""
+        """Return the bytes that the host receives for `data` from the device."""
         if self._fault is HEALTHY:
             return data
         frames = [item for item in self._stream.feed(data) if isinstance(item, Frame)]

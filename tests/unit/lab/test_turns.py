@@ -1,4 +1,4 @@
-"""What turns and legs alone can give, and what the paper's tables need of them."""
+"""Errors that turns and legs alone can cause, and those that the paper's tables need."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""The world behind the firmware: its numbers stay numbers, whatever they are and however long its steps."""
+"""World of the firmware: its numbers stay finite for any parameters and steps."""
 
 import math
 
