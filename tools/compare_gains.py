@@ -174,7 +174,7 @@ def rows(compared: Iterator[Compared]) -> Iterator[str]:
 
 
 def _spread(values: Sequence[float | None], digits: int) -> str:
-    """What never happened counts as later than all."""
+    """Return the median, and the range of 90 % of the values. An event that did not happen counts as later than all."""
     found = np.array([float("inf") if value is None else value for value in values])
     low, middle, high = (_number(value, digits) for value in np.quantile(found, (0.05, 0.5, 0.95), method="nearest"))
     return middle if low == high else f"{middle} ({low} to {high})"

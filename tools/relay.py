@@ -1,4 +1,4 @@
-"""Relay: the shell of `faults`: it stands between devices and a host and changes their bytes as the script wants."""
+"""Relay: the shell of `faults`: it connects devices and a host, and changes their bytes as the script says."""
 
 import asyncio
 import contextlib
@@ -180,7 +180,7 @@ class _Passage:
                 self._changed[way].set()
 
     def inflict(self, fault: Fault, now_s: float) -> None:
-        """What the fault means for this connection."""
+        """Apply the fault to this connection."""
         if fault.kind in (Kind.LOSE, Kind.BLACKOUT):
             self.stand_still(now_s + fault.amount, fault.direction)
         elif fault.kind in OF_BYTES:

@@ -1,4 +1,4 @@
-"""Run the tests in groups. Every group runs, whatever another one came to; a table at the end says what each did.
+"""Run the tests in groups. Every group runs, also after another one failed; a table at the end says what each did.
 
 The groups are the pure packages with their branches counted, all other tests, those that a busy machine disturbs
 (marked `quiet`), and those that need the machine for themselves (marked `alone`).
@@ -18,7 +18,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-MOST = 6  # more than that is no accident
+MOST = 6  # more failures than that have a common cause
 TESTS_FAILED = 1  # pytest's exit code; others are errors of the call or of pytest itself
 LAST_FAILED = Path(".pytest_cache/v/cache/lastfailed")
 REPORTS = Path("build/tests")
@@ -29,7 +29,7 @@ Run = Callable[[list[str]], int]
 
 @dataclass(slots=True)
 class Result:
-    """What one group came to."""
+    """Result of one group."""
 
     name: str
     code: int  # 0: each test passed, at the latest when it was run again

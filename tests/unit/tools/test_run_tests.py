@@ -1,4 +1,4 @@
-"""Every group runs; a test that fails beside others has one more try alone; what fails again, or in numbers, fails."""
+"""Every group runs; a test that fails with others is repeated alone; a repeated failure or many failures count."""
 
 import json
 from pathlib import Path
@@ -38,7 +38,7 @@ def run_group(runs: Runs) -> run_tests.Result:
     return run_tests.run_group("some", ["-m", "pytest"], ["-n", "6"], runs)
 
 
-def test_what_failed_beside_others_is_run_alone_and_named() -> None:
+def test_test_that_failed_with_others_is_run_alone_and_named() -> None:
     runs = Runs((1, ["b", "a"]), (0, []))
     result = run_group(runs)
     assert (result.code, result.failed, result.passed_again) == (0, (), ("a", "b"))
@@ -47,7 +47,7 @@ def test_what_failed_beside_others_is_run_alone_and_named() -> None:
     assert "passed only when run again, to be looked at: a" in run_tests.table([result])
 
 
-def test_what_fails_again_is_a_failure() -> None:
+def test_test_that_fails_again_is_a_failure() -> None:
     result = run_group(Runs((1, ["a", "b"]), (1, ["a"])))
     assert (result.code, result.failed, result.passed_again) == (1, ("a",), ("b",))
     assert "failed: a" in run_tests.table([result])
@@ -64,7 +64,7 @@ def test_everything_else_is_reported_at_once(code: int, failed: list[str]) -> No
     assert len(runs.arguments) == 1
 
 
-def test_what_failed_the_day_before_is_not_run() -> None:
+def test_failure_of_an_earlier_run_is_not_repeated() -> None:
     Runs((1, ["old"]))([])
     runs = Runs((1, ["new"]), (0, []))
     assert run_group(runs).code == 0
