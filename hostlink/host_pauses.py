@@ -1,4 +1,8 @@
-"""HostPauses: times when this process did not run, so that no device is blamed for them. Pure; times are arguments."""
+"""HostPauses: times when this process did not run, so that no device is blamed for them. Pure; times are arguments.
+
+Measured need: without it, a pause of the host closed links, and doctor reported it as faults of the devices. No library
+knows when an event loop read late.
+"""
 
 from collections import deque
 

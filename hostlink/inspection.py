@@ -76,7 +76,7 @@ class ParameterRequest:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Report:
+class InspectionReport:
     """Content of a whole recording."""
 
     topics: tuple[TopicInfo, ...]
@@ -120,7 +120,7 @@ class Inspection:
 
     def __init__(self, catalog: Catalog) -> None:
         self._catalog = catalog
-        self._connections: dict[int, _Connection] = {}
+        self._connections: dict[int, _InspectedConnection] = {}
         self._topics: dict[tuple[Id, int, str], TopicInfo] = {}
         self._messages: dict[str, _Series] = {}
         self._to_device: dict[str, _Series] = {}
@@ -137,7 +137,7 @@ class Inspection:
         for read in reads:
             connection = self._connections.get(read.conn)
             if connection is None:
-                connection = self._connections[read.conn] = _Connection(self._fixed_bytes)
+                connection = self._connections[read.conn] = _InspectedConnection(self._fixed_bytes)
             connection.reads += 1
             if read.dir == "device":
                 self._add_items(connection, connection.from_device.feed(bytes.fromhex(read.hex)), self._from_device)
@@ -146,9 +146,9 @@ class Inspection:
         for connection in self._connections.values():
             self._finish(connection)
 
-    def report(self) -> Report:
+    def report(self) -> InspectionReport:
         """Return the sums."""
-        return Report(
+        return InspectionReport(
             topics=tuple(self._topics.values()),
             messages={name: series.sum() for name, series in self._messages.items()},
             to_device={name: series.sum() for name, series in self._to_device.items()},
@@ -162,9 +162,9 @@ class Inspection:
 
     def _add_items(
         self,
-        connection: "_Connection",
+        connection: "_InspectedConnection",
         items: Iterator[Frame | Skipped],
-        add: Callable[["_Connection", Frame], None],
+        add: Callable[["_InspectedConnection", Frame], None],
     ) -> None:
         for item in items:
             if isinstance(item, Skipped):
@@ -172,15 +172,15 @@ class Inspection:
             else:
                 add(connection, item)
 
-    def _finish(self, connection: "_Connection") -> None:
-        while connection.from_device.pending_bytes:
+    def _finish(self, connection: "_InspectedConnection") -> None:
+        while connection.from_device.pending:
             self._add_items(connection, connection.from_device.give_up(), self._from_device)
-        while connection.to_device.pending_bytes:
+        while connection.to_device.pending:
             self._add_items(connection, connection.to_device.give_up(), self._from_host)
         for frame in connection.early:  # sent to the device before the recording shows the meaning of its id
             self._add_message(connection, frame, is_to_device=True)
 
-    def _from_device(self, connection: "_Connection", frame: Frame) -> None:
+    def _from_device(self, connection: "_InspectedConnection", frame: Frame) -> None:
         match frame.topic_id:
             case Id.TIME:
                 self._time_requests += 1
@@ -194,12 +194,12 @@ class Inspection:
             case topic_id if topic_id >= FIRST_TOPIC_ID:
                 self._add_message(connection, frame, is_to_device=False)
 
-    def _add_topic_info(self, connection: "_Connection", info: TopicInfo | None) -> None:
+    def _add_topic_info(self, connection: "_InspectedConnection", info: TopicInfo | None) -> None:
         if info is not None:
             self._topics.setdefault((info.kind, info.topic_id, info.name), info)
             connection.add_topic(info)
 
-    def _add_message(self, connection: "_Connection", frame: Frame, *, is_to_device: bool) -> None:
+    def _add_message(self, connection: "_InspectedConnection", frame: Frame, *, is_to_device: bool) -> None:
         info = connection.topics.get(frame.topic_id)
         if info is None or info.is_to_device is not is_to_device:
             return
@@ -209,7 +209,7 @@ class Inspection:
         else:
             self._count(info.name, self._requests if info.kind in _REQUESTS else self._responses)
 
-    def _from_host(self, connection: "_Connection", frame: Frame) -> None:
+    def _from_host(self, connection: "_InspectedConnection", frame: Frame) -> None:
         if frame.topic_id == Id.PARAMETER:
             parameter = decode_parameter(frame.payload)
             if parameter is not None and connection.open_requests:
@@ -240,7 +240,7 @@ class _ParameterRequest:
     reply: Parameter | None = None
 
 
-class _Connection:
+class _InspectedConnection:
     """Streams and topics of one connection."""
 
     def __init__(self, fixed_bytes_of: Callable[[TopicInfo], int | None]) -> None:

@@ -1,4 +1,8 @@
-"""LogBudget: limit of log lines for each peer, so that no device fills a disk. Pure."""
+"""LogBudget: limit of log lines for each peer, so that no device fills a disk. Pure.
+
+Measured need: tests/system/test_log_budget.py, where one device causes a line with each of its frames. Neither
+structlog nor the standard library limits lines by peer.
+"""
 
 from collections import OrderedDict
 
@@ -7,7 +11,7 @@ RATE_HZ = 10.0
 MAX_PEERS = 1024  # with a bucket each; a new peer replaces the one that was silent for longest
 
 
-class _Bucket:
+class _PeerBucket:
     __slots__ = ("at_s", "left", "left_out")
 
     def __init__(self, left: float, at_s: float) -> None:
@@ -17,17 +21,16 @@ class _Bucket:
 class LogBudget:
     """Token bucket for each peer. Lines above the limit are counted."""
 
-    def __init__(self, *, burst_lines: int = BURST_LINES, rate_hz: float = RATE_HZ) -> None:
+    def __init__(self) -> None:
         self.left_out = 0  # lines of all peers since the start
-        self._burst_lines, self._rate_hz = burst_lines, rate_hz
-        self._buckets: OrderedDict[str, _Bucket] = OrderedDict()
+        self._buckets: OrderedDict[str, _PeerBucket] = OrderedDict()
         self._left_out_of_forgotten = 0
 
     def allows(self, peer: str, now_s: float) -> bool:
         """Whether one more line of this peer may be written. A refused line is counted."""
         bucket = self._buckets.get(peer) or self._open(peer, now_s)
         self._buckets.move_to_end(peer)
-        bucket.left = min(bucket.left + (now_s - bucket.at_s) * self._rate_hz, self._burst_lines)
+        bucket.left = min(bucket.left + (now_s - bucket.at_s) * RATE_HZ, BURST_LINES)
         bucket.at_s = now_s
         if bucket.left >= 1:
             bucket.left -= 1
@@ -46,9 +49,9 @@ class LogBudget:
         self._left_out_of_forgotten = 0
         return found
 
-    def _open(self, peer: str, now_s: float) -> _Bucket:
+    def _open(self, peer: str, now_s: float) -> _PeerBucket:
         if len(self._buckets) >= MAX_PEERS:
             _, forgotten = self._buckets.popitem(last=False)
             self._left_out_of_forgotten += forgotten.left_out
-        bucket = self._buckets[peer] = _Bucket(self._burst_lines, now_s)
+        bucket = self._buckets[peer] = _PeerBucket(BURST_LINES, now_s)
         return bucket

@@ -11,7 +11,7 @@ Clients          client.connected, client.closed, client.broken, client.too_slow
                  client.refused, client.unknown_op, client.crowded, client.malformed, client.origin_refused
 The daemon       daemon.started, daemon.stop_requested, daemon.stopping, daemon.stopped, daemon.failed, daemon.forced,
                  daemon.stalled,
-                 task.crashed, diagnosis.crashed, systemd.deaf, config.suspicious, config.reloaded,
+                 task.crashed, diagnosis.crashed, systemd.notify_failed, config.suspicious, config.reloaded,
                  config.refused, descriptors.exhausted, loop.error, library.complained
 Recordings       recording.started, recording.stopped, recording.failed, incident.begun, incident.saved, incident.lost,
                  incident.postponed, recording.channel_limit_reached, drives.lost, black_box.volatile

@@ -1,4 +1,4 @@
-"""The least that asyncio can do for a crowd of devices: read what comes, write what is due, nothing else.
+"""The least that asyncio can do for a crowd of devices: read the bytes, write due frames, nothing else.
 
     python tools/bare_server.py COUNT SECONDS RATE_HZ
 

@@ -1,4 +1,4 @@
-"""`make bench`, second part: what a device's frame costs on its way to many programs, beside a bare aiohttp server.
+"""`make bench`, second part: cost of a device's frame for many programs, compared with a bare aiohttp server.
 
 The daemon and the yardstick each run in a process of their own, one after the other; this process is the device and
 all the clients. Clients here take WebSocket frames off their sockets without decoding them, so that the server is
@@ -198,7 +198,7 @@ class Client(asyncio.Protocol):
 
 
 def _frame_end(buffer: bytearray, at: int) -> int:
-    """Where the frame that begins at `at` ends; beyond the buffer if that is not known yet."""
+    """Return the end of the frame that begins at `at`; beyond the buffer while its length is unknown."""
     if len(buffer) < at + 10:
         return at + 2 + buffer[at + 1] if len(buffer) > at + 1 and buffer[at + 1] < 126 else len(buffer) + 1
     size = buffer[at + 1]
@@ -338,7 +338,7 @@ def _time_in_bare(frame: bytes) -> float:
 
 
 async def memory() -> list[dict[str, Any]]:
-    """What a hundred clients that listen cost, each."""
+    """Measure the cost of one of a hundred listening clients."""
     async with daemon() as host, device(host):
         async with clients(host, 10):
             few = host.memory_kib()
@@ -376,7 +376,7 @@ async def beside_a_stuck_client(scale: float) -> list[dict[str, Any]]:
 
 
 async def beside_a_flood_to_many(scale: float) -> dict[str, Any]:
-    """How long an HTTP request takes while a device floods a hundred clients: what a stop over HTTP would wait."""
+    """Measure the duration of an HTTP request, such as a stop, while a device floods a hundred clients."""
     seconds = max(1.0, 8.0 * scale)
     async with daemon() as host, device(host) as writer, clients(host, 100):
         alone = await requests(host, seconds / 4)

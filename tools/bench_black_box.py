@@ -1,8 +1,8 @@
-"""What the black box costs a message, in one process and without sockets.
+"""Cost of the black box for each message, in one process and without sockets.
 
 Two hubs, one with a black box and one without, read poses of as many robots in turn, a few at a time, so that what
-else runs on the machine disturbs both alike. Prints the processor time of a pose, from the link to nobody, and what the
-black box adds: the median over all pairs of turns.
+else runs on the machine disturbs both alike. Prints the processor time of a pose, from the link to a topic without
+subscribers, and what the black box adds: the median over all pairs of turns.
 """
 
 import argparse
@@ -83,7 +83,7 @@ async def message_us(devices: list[ScriptedDevice]) -> float:
         for device in devices:
             device.write(wire)
         await asyncio.sleep(0)
-        while any(device.link.unread_bytes for device in devices):  # noqa: ASYNC110 - nobody tells
+        while any(device.link.unread_bytes for device in devices):  # noqa: ASYNC110 - there is no event
             await asyncio.sleep(0)
     return (time.process_time() - began_s) / (POSES * len(devices)) * 1e6
 

@@ -1,4 +1,4 @@
-"""`make bench`, third part: how one driven robot fares while a crowd comes. Daemon, crowd and robot are apart.
+"""`make bench`, third part: one driven robot while a crowd connects. Daemon, crowd and robot are separate processes.
 
 A program on the WebSocket drives the robot 50 times a second; the latency is from its send to the robot's read. Writes
 build/bench_crowd.json and prints a table; ends with status 1 when the 99th percentile or the memory is over its bound.
@@ -53,7 +53,7 @@ class Load:
 
 
 def loads(share: float) -> list[Load]:
-    """What docs/reliability.md tells; `share` 0.1 is a tenth of it."""
+    """Measure the figures of docs/reliability.md; `share` 0.1 measures a tenth of the crowd."""
     return [
         Load("nobody else", None, 0, 10 * share),
         Load("devices at once, 10 Hz each", "devices", round(1000 * share), 30 * share, MANY),
@@ -123,7 +123,7 @@ async def measure(load: Load) -> dict[str, Any]:
 
 
 async def read_away(daemon: Process) -> None:
-    """Its log must not fill the pipe."""
+    """Read the log, so that the pipe does not fill up."""
     stderr = daemon.child.stderr
     while stderr is not None and await stderr.read(1 << 16):
         pass
@@ -253,7 +253,7 @@ async def crowd(load: Load, daemon: Process) -> AsyncIterator[Callable[[], Await
 
 @contextlib.asynccontextmanager
 async def subscribed(load: Load, daemon: Process) -> AsyncIterator[None]:
-    """A program that takes whatever comes on the load's topic."""
+    """Program that receives every message of the load's topic."""
     if not load.subscribes:
         yield
         return
@@ -272,7 +272,7 @@ async def nobody() -> dict[str, int]:
 
 
 def cpu_s(daemon: Process) -> float:
-    """What the daemon has used of the processor."""
+    """Return the CPU time of the daemon."""
     fields = Path(f"/proc/{daemon.child.pid}/stat").read_text().rpartition(")")[2].split()
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 

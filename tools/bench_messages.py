@@ -107,7 +107,7 @@ async def measure(fleet: Fleet, loop: str) -> dict[str, Any]:
 
 
 async def bare_message_us(fleet: Fleet) -> float:
-    """What a read or a write costs a server that does nothing else."""
+    """Measure the cost of a read or a write in a server that does nothing else."""
     rate_hz = RATE_HZ if fleet.is_driven else 0
     server = await asyncio.create_subprocess_exec(
         sys.executable, ROOT / "tools" / "bare_server.py", str(fleet.count), str(fleet.seconds / 2), str(rate_hz),
@@ -173,7 +173,7 @@ async def drive(program: aiohttp.ClientWebSocketResponse, count: int) -> None:
 
 
 async def frames(daemon: Process, count: int) -> float:
-    """How many the daemon has received and sent; every robot must be connected."""
+    """Return how many messages the daemon received and sent. Every robot must be connected."""
     async with aiohttp.ClientSession() as session, session.get(f"{daemon.url}/metrics") as response:
         text = await response.text()
     if f"hostlink_links {count}.0" not in text.splitlines():

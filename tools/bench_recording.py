@@ -1,6 +1,6 @@
-"""`make bench`, fifth part: what recording costs, at 10,000 messages a second with and without a recording of them.
+"""`make bench`, fifth part: cost of a recording at 10,000 messages a second.
 
-A program drives a robot 50 times a second beside it. Writes build/bench_recording.json and prints a table; ends with
+Meanwhile, a program drives a robot 50 times a second. Writes build/bench_recording.json and prints a table; ends with
 status 1 when a message is dropped, the recording costs more than its bound, or commands are later with it.
 """
 
@@ -23,7 +23,7 @@ from tests.support.process import HOSTLINK, serve
 from tools.bench_crowd import MANY, ROOT, Load, cpu_s, crowd, driven, peak_memory_mib, read_away
 
 DEVICES = 10  # of 1,000 messages a second each
-TOPICS = "*/odometry"  # not what hostlink computes of each of them, if somebody wants it: odom and tf
+TOPICS = "*/odometry"  # without the topics that hostlink derives on demand: odom and tf
 CORE_BOUND = 0.15  # more than without
 P99_FACTOR, P99_SLACK_S = 1.5, 0.003
 

@@ -1,4 +1,4 @@
-"""`make bench`, last part: how long a message takes between a device and a rospy program, beside rospy to rospy.
+"""`make bench`, last part: how long a message takes between a device and a rospy program, compared with rospy to rospy.
 
 A master, the daemon, rospy programs of Debian's packages; this process is the device. All at 100 Hz, by the wall clock
 of one machine, in turns that alternate. Writes build/bench_ros1.json and prints a table; docs/performance.md holds a
@@ -128,7 +128,7 @@ class Device:
             time.sleep(1 / RATE_HZ)
 
     def receive_times(self, count: int) -> list[float]:
-        """Until all have come, or nothing more comes."""
+        """Wait until all have arrived, or no more arrive."""
         found: list[float] = []
         silent_at_s = time.monotonic() + 5 * SETTLE_S
         while len(found) < count and time.monotonic() < silent_at_s:

@@ -1,4 +1,4 @@
-"""`make bench`: a message between a device and rclpy by way of `hostlink ros2`, beside rclpy to rclpy in the same run.
+"""`make bench`: a message between a device and rclpy through `hostlink ros2`, and rclpy to rclpy in the same run.
 
 100 messages a second each way. Writes build/bench_ros2.json; docs/performance.md holds a copy of a run.
 """

@@ -87,7 +87,7 @@ def class_lines(name: str, text: str, original: ast.ClassDef, field: str) -> Ite
 
 
 def attributes(field: str) -> list[tuple[str, str, str]]:
-    """What the constructor sets."""
+    """Attributes that the constructor sets."""
     if field == "host":
         return [("url", "str", "Where the daemon is.")]
     return [("name", "str", "Without a slash."), ("priority", "int", "Of its commands.")]
@@ -104,7 +104,7 @@ def method_lines(method: Method, owner: str) -> Iterator[str]:
 
 
 def translated(method: Method, owner: str) -> tuple[str, str]:
-    """What it returns to a program without asyncio, and how that is made."""
+    """Return the type that the blocking method returns, and the expression of its value."""
     returned = "" if method.returns is None else ast.unparse(method.returns).strip("'\"")
     if is_property(method):
         return returned, f"{owner}.{method.name}"

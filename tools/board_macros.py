@@ -15,7 +15,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
-from tests.firmware.families import AVR_CORE  # noqa: E402 - the tests are beside this folder
+from tests.firmware.families import AVR_CORE  # noqa: E402 - the tests are in a sibling folder
 
 NAMES = ROOT / "hostlink" / "board" / "macros.txt"
 CHIPS = {
@@ -33,7 +33,7 @@ _PLAIN = re.compile(r"^#define ([A-Za-z]\w*) ", re.MULTILINE)
 
 
 def macros(compiler: tuple[str, ...], headers: tuple[str, ...]) -> set[str]:
-    """Those without arguments that a field or a constant can be named like."""
+    """Return the macros without arguments, whose names no field or constant may have."""
     source = "".join(f"#include <{header}.h>\n" for header in headers)
     command = [*compiler, "-x", "c++", "-std=gnu++11", "-dM", "-E", "-"]
     done = subprocess.run(command, input=source, capture_output=True, text=True, check=True)
@@ -41,7 +41,7 @@ def macros(compiler: tuple[str, ...], headers: tuple[str, ...]) -> set[str]:
 
 
 def of_chip(chip: str) -> set[str]:
-    """Of a sketch for an AVR."""
+    """Return the macros of a sketch for an AVR."""
     folders = ("cores/arduino", f"variants/{CHIPS[chip]}", *(f"libraries/{name}/src" for name in LIBRARIES))
     own = ("-DF_CPU=16000000L", "-DARDUINO=10819", "-DARDUINO_ARCH_AVR", "-DUSB_VID=1", "-DUSB_PID=1")
     return macros(("avr-g++", f"-mmcu={chip}", *own, *(f"-I{AVR_CORE / folder}" for folder in folders)), OF_ARDUINO)

@@ -15,7 +15,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
-from tests.firmware.examples import EXAMPLES, messages  # noqa: E402 - the tests are beside this folder
+from tests.firmware.examples import EXAMPLES, messages  # noqa: E402 - the tests are in a sibling folder
 from tests.firmware.families import BOARDS, COMPILERS, MEGA, UNO, Family, built, compiled, image_bytes  # noqa: E402
 from tests.firmware.sketches import MOVED  # noqa: E402
 
@@ -45,7 +45,7 @@ def main() -> int:
 
 
 def tables() -> str:
-    """Of the examples, and of the sketches for ros_lib on the AVRs.
+    """Return the tables of the examples, and of the sketches for ros_lib on the AVRs.
 
     Raises:
         AssertionError: a compiler fails or warns.

@@ -1,7 +1,7 @@
 """Builds hostlink/sim/firmware.wasm, the Due's firmware in its world, for `make world`.
 
 The same sources give the same bytes with the same clang: Debian 12's packages, see PACKAGES. `--output FILE` writes the
-module elsewhere, and no digest.
+module to another place, without a digest.
 """
 
 import argparse
@@ -41,7 +41,7 @@ _FLAGS = [
 
 
 def sources() -> list[Path]:
-    """What is compiled."""
+    """Return the compiled sources."""
     return [
         *(FIRMWARE / "host" / f"{name}.cpp" for name in _HOST),
         *sorted((FIRMWARE / "due" / "src").glob("*.cpp")),

@@ -1,4 +1,4 @@
-"""Checks whether what is built and kept in the repository is of the sources beside it, without Node or a compiler.
+"""Checks whether built files in the repository are of the present sources, without Node or a compiler.
 
 The page (`make web`) and the firmware in its world (`make world`) have a digest of every file that they are made of and
 of what was made; `make check` compares.
@@ -14,7 +14,7 @@ ROOT = Path(__file__).resolve().parents[1]
 
 @dataclass(frozen=True)
 class Built:
-    """What a target of make builds."""
+    """Built files of one target of make."""
 
     folder: Path
     made: str  # below it, as are the others
@@ -23,13 +23,13 @@ class Built:
     without: frozenset[str] = frozenset()
 
     def files(self) -> set[Path]:
-        """What it is made of, and what was made."""
+        """Return the sources and the built files."""
         patterns = (*self.patterns, self.made, f"{self.made}/**/*")
         found = {path for pattern in patterns for path in self.folder.glob(pattern) if path.is_file()}
         return found - {self.folder / name for name in (self.digest, *self.without)}
 
     def compute_digest(self) -> str:
-        """One line for all files, whatever their order on the disk and their ends of line."""
+        """Return one digest of all files, independent of their order on the disk and their line ends."""
         total = hashlib.sha256()
         for path in sorted(self.files()):
             content = path.read_bytes().replace(b"\r\n", b"\n")

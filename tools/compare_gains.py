@@ -18,8 +18,8 @@ from hostlink.cli.step import PAPER_GAINS, Stage, draw_picture, make_stage, risi
 from hostlink.errors import HostlinkError
 from hostlink.robot.motor_model import MotorModel, PidGains, identify_motor, simc_gains
 from hostlink.robot.step_response import Record, Sample, StepFigures, make_record, step_figures
+from hostlink.sim.firmware_module import WorldParameters, wheel
 from hostlink.sim.firmware_world import Feedback, FirmwareWorld, Trace
-from hostlink.sim.world_parameters import WorldParameters, wheel
 
 SEPARATION_M = 0.21
 BEFORE_S = 0.5
@@ -174,7 +174,7 @@ def rows(compared: Iterator[Compared]) -> Iterator[str]:
 
 
 def _spread(values: Sequence[float | None], digits: int) -> str:
-    """What never happened counts as later than all."""
+    """Return the median, and the range of 90 % of the values. An event that did not happen counts as later than all."""
     found = np.array([float("inf") if value is None else value for value in values])
     low, middle, high = (_number(value, digits) for value in np.quantile(found, (0.05, 0.5, 0.95), method="nearest"))
     return middle if low == high else f"{middle} ({low} to {high})"

@@ -72,7 +72,7 @@ class Device(asyncio.Protocol):
 
 
 def hello(name: str, *, has_battery: bool = False) -> bytes:
-    """What a robot of this name answers to a request for topics."""
+    """Return the answer of a robot of this name to a topic request."""
     topics = [
         (Id.PUBLISHER, 125, "odometry", "geometry_msgs/Pose2D"),
         (Id.PUBLISHER, 126, "battery", "std_msgs/Float32"),
@@ -166,7 +166,7 @@ async def vanish(count: int, host: str, port: int, seconds: float, counts: Count
 
 
 async def silent(count: int, host: str, port: int, seconds: float, counts: Counter[str]) -> None:
-    """As fast as they can; who is sent away stays away."""
+    """Connect as fast as possible. A refused device does not retry."""
     loop = asyncio.get_running_loop()
     turns = asyncio.Semaphore(AT_ONCE)
     end_s = loop.time() + seconds
@@ -197,7 +197,7 @@ async def flood(count: int, host: str, port: int, seconds: float, counts: Counte
 
 
 async def mixed(count: int, host: str, port: int, seconds: float, counts: Counter[str]) -> None:
-    """Each connection has one kind of frame, in turn: whatever costs the host something."""
+    """Send one kind of expensive frame on each connection, in turn."""
     await _flood([KINDS[number % len(KINDS)] for number in range(count)], host, port, seconds, counts)
 
 
@@ -207,7 +207,7 @@ async def _flood(kinds: list[bytes], host: str, port: int, seconds: float, count
 
     async def send(number: int, kind: bytes) -> None:
         block = kind * (FLOOD_BYTES // len(kind) + 1)
-        while loop.time() < end_s:  # whoever is sent away comes again
+        while loop.time() < end_s:  # a refused device connects again
             with contextlib.suppress(OSError, TimeoutError):
                 reader, writer = await asyncio.open_connection(host, port, local_addr=(source(number * 50), 0))
                 writer.write(hello(f"flood_{number}"))
@@ -236,7 +236,7 @@ async def _drain(reader: asyncio.StreamReader) -> None:
 
 
 def topic_infos(count: int) -> bytes:
-    """Of so many topics, with the sums of no type."""
+    """Return TopicInfos with md5 sums that no type has."""
     infos = (
         TopicInfo(Id.PUBLISHER, 125 + number, f"/flood/{number}", "geometry_msgs/Pose2D", "0" * 32, 512)
         for number in range(count)
@@ -245,7 +245,7 @@ def topic_infos(count: int) -> bytes:
 
 
 def parameters(count: int) -> bytes:
-    """Questions for so many parameters that nobody has."""
+    """Return requests for unknown parameters."""
     names = (f"/flood/{number}".encode() for number in range(count))
     return b"".join(encode(Id.PARAMETER, struct.pack("<I", len(name)) + name) for name in names)
 
@@ -288,7 +288,7 @@ KINDS = (
     logs(1),
     parameters(500),
     topic_infos(200),
-    encode(999, bytes(24)),  # an id of nobody
+    encode(999, bytes(24)),  # an unknown id
     TIME,
     encode(125, bytes(1000)),  # of a topic whose messages have 24 bytes
     bytes(range(256)),  # no frame at all

@@ -55,7 +55,7 @@ def commands() -> Iterator[str]:
 
 
 def page(name: str) -> str:
-    """A link to a page that somebody has written; its title is the text."""
+    """Return a link to a page whose title is the text."""
     return f"[](../{name}.md)"
 
 
@@ -84,13 +84,13 @@ def command(title: str, found: Any, level: int) -> Iterator[str]:
 
 
 def option(found: Any) -> str:
-    """Its names."""
+    """Return the names of an option, and its environment variable."""
     names = ", ".join(f"`{name}`" for name in (*found.opts, *found.secondary_opts))
     return f"{names}, `{found.envvar}` in the environment" if found.envvar else names
 
 
 def default(found: Any) -> str:
-    """What it is without the option; empty: nothing, or no."""
+    """Return the default of an option as text; empty if none is shown."""
     if isinstance(found.show_default, str):
         return f"`{found.show_default}`"
     is_shown = found.show_default and found.default not in (None, False, "", [], ())
@@ -125,7 +125,7 @@ def rest() -> Iterator[str]:
 
 
 def body(operation: dict[str, Any]) -> Iterator[str]:
-    """What is sent."""
+    """Yield a line about the body of a request."""
     for content in operation.get("requestBody", {}).get("content", {}).values():
         yield f"Body: {type_name(content['schema'])}.\n"
 
@@ -207,7 +207,7 @@ def sections(classes: dict[str, ast.ClassDef]) -> Iterator[tuple[str, str]]:
 
 
 def table_name(path: str, annotation: str) -> str:
-    """As TOML writes it."""
+    """Return the name of a table as TOML writes it."""
     path = f"{path}.NAME" if annotation.startswith("dict") else path
     return f"`[[{path}]]`" if annotation.startswith("tuple") else f"`[{path}]`"
 

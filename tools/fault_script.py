@@ -2,7 +2,7 @@
 
     delay 50±20ms          # everything arrives so much later, in order
     split 1-7              # in pieces of 1 to 7 bytes
-    merge 40ms             # what comes within it arrives as one
+    merge 40ms             # pieces within this time arrive as one
     rate 3840              # bytes a second
     at 10 cut              # once, seconds from the start
     every 120 lose 1s      # again and again; `every 30±5 ...` is never quite on time

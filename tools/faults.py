@@ -1,4 +1,4 @@
-"""What goes wrong on a line, decided by a script and a seed: bytes and a time in, bytes and a time out. Pure.
+"""Faults of a line, decided by a script and a seed: bytes and a time in, bytes and a time out. Pure.
 
 `FaultyLine` is one direction of one connection, `Schedule` has the faults that are due. `chaos.py` moves the bytes.
 """
@@ -14,7 +14,7 @@ BOOT_NOISE_BYTES = 400  # docs/protocol.md#what-real-devices-do-wrong: an ESP826
 
 
 class Direction(Enum):
-    """Which way bytes go."""
+    """Direction of bytes."""
 
     TO_DEVICE = "to-device"
     FROM_DEVICE = "from-device"
@@ -46,7 +46,7 @@ class Kind(Enum):
     CUT = "cut"  # every connection is reset at both ends
     CLOSE = "close"  # every connection is closed in good order
     HALF_OPEN = "half-open"  # the device's end is reset, the host never learns of it
-    REBOOT = "reboot"  # the device is away for so many seconds, and comes back with boot noise
+    REBOOT = "reboot"  # the device is away for so many seconds, and returns with boot noise
 
 
 NO_DELAY_S = Span(0.0, 0.0)
@@ -74,7 +74,7 @@ class Rule:
 
 @dataclass(frozen=True, slots=True)
 class Habits:
-    """What a line does to all that passes."""
+    """Properties of a line that affect all bytes."""
 
     split_bytes: Span | None = None
     merge_s: float = 0.0
@@ -111,11 +111,11 @@ class Schedule:
         ]
 
     def next_s(self) -> float | None:
-        """When the next fault is due; None: there will be none."""
+        """Time of the next fault; None if no fault follows."""
         return min((due_s for due_s in self._due_s if due_s is not None), default=None)
 
     def pop_due(self, now_s: float) -> list[Fault]:
-        """What is due by now, in order of time."""
+        """Remove and return the faults that are due, in order of time."""
         found: list[tuple[float, Fault]] = []
         for number, (rule, dice) in enumerate(zip(self._rules, self._dice, strict=True)):
             while (due_s := self._due_s[number]) is not None and due_s <= now_s:
@@ -126,7 +126,7 @@ class Schedule:
 
 
 class FaultyLine:
-    """One direction of a connection. What goes in comes out in order, later, in other pieces, and perhaps harmed."""
+    """One direction of a connection. Bytes arrive in order, later, in other pieces, and possibly damaged."""
 
     def __init__(self, habits: Habits, seed: str) -> None:
         self.waiting_bytes = 0
@@ -153,7 +153,7 @@ class FaultyLine:
             self.waiting_bytes += len(piece)
 
     def pop_due(self, now_s: float) -> list[bytes]:
-        """The pieces that come out by now; what stood still together comes as one."""
+        """Remove and return the pieces that arrive by now. Pieces that were held together arrive as one."""
         if now_s < self._still_until_s:
             return []
         pieces: list[bytes] = []
@@ -170,11 +170,11 @@ class FaultyLine:
         return pieces
 
     def next_s(self) -> float | None:
-        """When something comes out; None: nothing is on the line."""
+        """Time at which the next piece arrives; None if the line is empty."""
         return max(self._waiting[0][0], self._still_until_s) if self._waiting else None
 
     def stand_still(self, until_s: float) -> None:
-        """Nothing comes out before; nothing is lost."""
+        """Hold all pieces until then, without loss."""
         self._still_until_s = max(self._still_until_s, until_s)
 
     def harm(self, kind: Kind, count: int) -> None:
@@ -186,7 +186,7 @@ class FaultyLine:
         self._harm = dict.fromkeys(OF_BYTES, 0)
 
     def cut(self) -> None:
-        """What is on the line is gone."""
+        """Drop the pieces on the line."""
         self._waiting.clear()
         self.waiting_bytes = 0
 
@@ -224,5 +224,5 @@ class FaultyLine:
 
 
 def boot_noise(dice: random.Random) -> bytes:
-    """What the host reads while an ESP8266 prints its boot message: garbage, rich in FF."""
+    """Return the bytes that a host reads while an ESP8266 prints its boot message: garbage with many FF."""
     return bytes(0xFF if dice.random() < 1 / 4 else dice.randrange(256) for _ in range(BOOT_NOISE_BYTES))

@@ -1,10 +1,10 @@
-"""Coverage-guided fuzzing of what reads bytes of others, for a bounded time; part of `make fuzz`.
+"""Coverage-guided fuzzing of the readers of foreign bytes, for a bounded time; part of `make fuzz`.
 
 By atheris; the generated headers of the board library ("headers") by clang's libFuzzer.
 
 Each target starts from tests/corpus/TARGET and from what earlier runs on this machine have learned (build/fuzz/TARGET/
-corpus). What breaks a law is written to build/fuzz/TARGET, and goes into tests/corpus with the fix; of "headers", whose
-inputs number the types, into tests/property/test_board_headers.py.
+corpus). What breaks a law is written to build/fuzz/TARGET, and is added to tests/corpus with the fix; of
+"headers", whose inputs number the types, to tests/property/test_board_headers.py.
 """
 
 import argparse

@@ -10,7 +10,7 @@ class ImportRows(Contract):
     """Each row is "packages: what they may import", without the root package's name.
 
     A module belongs to the longest name of any row that it begins with, and is imported under that name: who may import
-    `cli` may not import `cli.serve` where that has a row of its own. What a row allows stands in it or above it.
+    `cli` may not import `cli.serve` where that has a row of its own. A row may allow itself and rows above it.
     """
 
     rows = fields.ListField(subfield=fields.StringField())
@@ -46,7 +46,7 @@ def parse(rows: list[str]) -> Table:
 
 
 def points_down(table: Table) -> list[str]:
-    """Rows that allow what stands below them."""
+    """Rows that allow an import of a row below them."""
     return [
         f"the row of {package} allows {name}, which has no row above"
         for package, (number, allowed) in table.items()
@@ -75,7 +75,7 @@ def row_of(table: Table, module: str) -> str:
 
 
 def _is_allowed(table: Table, module: str, allowed: tuple[str, ...]) -> bool:
-    """By a name that is at least as long as its row's."""
+    """Whether the module is allowed by a name at least as long as that of its row."""
     row = row_of(table, module)
     return any(
         name == EVERYTHING or (f"{module}.".startswith(f"{name}.") and len(name) >= len(row)) for name in allowed

@@ -1,4 +1,4 @@
-"""How old the velocities are that a device receives while somebody loads the API's port.
+"""Age of the velocities that a device receives while the API's port is under load.
 
     python tools/late_commands.py uploads --connections 200
     python tools/late_commands.py metrics --connections 6 --part 0.25

@@ -14,9 +14,8 @@ import numpy as np
 
 from hostlink.robot.calibration import Kind, MeasuredRun, Measurement, WheelGeometry, calibrated, student_95
 from hostlink.robot.course import Leg, square, straight
-from hostlink.sim.course_driving import follow
-from hostlink.sim.firmware_world import FirmwareWorld
-from hostlink.sim.world_parameters import WorldParameters
+from hostlink.sim.firmware_module import WorldParameters
+from hostlink.sim.firmware_world import FirmwareWorld, follow
 
 SQUARES = 5  # each way, as UMBmark has them
 SIDE_M, LENGTH_M = 2.0, 3.0
@@ -44,7 +43,7 @@ class Interval(NamedTuple):
 
 
 def noisy(seed: int) -> WorldParameters:
-    """The same robot on a floor where it slips, with a caster that twists it."""
+    """Return the robot on a floor where it slips, with a caster that twists it."""
     slip = {"left.slip_noise_m": SLIP_M, "right.slip_noise_m": SLIP_M}
     return WORLD.changed({"seed": seed, "caster_twist_rad": TWIST_RAD, "caster_random": TWIST_SHARE, **slip})
 
@@ -113,14 +112,14 @@ def _off(run: MeasuredRun) -> tuple[float, float]:
 
 
 def interval(values: Sequence[float]) -> Interval:
-    """Of the mean."""
+    """Return the mean and its 95 % interval."""
     middle = float(np.mean(values))
     half = student_95(max(len(values) - 1, 3)) * float(np.std(values, ddof=1)) / math.sqrt(len(values))
     return Interval(middle - half, middle, middle + half)
 
 
 def gain(errors: Sequence[Errors], after: Callable[[Errors], float]) -> Interval:
-    """How many times smaller the error is; the geometric mean."""
+    """Return the geometric mean of the factors by which the error is smaller, and its 95 % interval."""
     return Interval(
         *(math.exp(value) for value in interval([math.log(each.before_m / after(each)) for each in errors]))
     )

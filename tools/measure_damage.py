@@ -1,6 +1,6 @@
-"""How often a damaged frame is delivered as something that was never sent: hostlink beside the checksums alone.
+"""Share of damaged frames that are delivered as frames that were never sent: hostlink and the checksums alone.
 
-Each damaged frame stands between two intact ones. Hostlink knows the ids and the sizes of what the device announced;
+Each damaged frame is between two intact ones. Hostlink knows the ids and the sizes of what the device announced;
 the yardstick is the same reader that knows neither. `make soak` does ten million.
 """
 
@@ -51,7 +51,7 @@ KINDS: tuple[Damage, ...] = (one_bit, two_bytes, burst, lost_bytes, more_bytes)
 
 
 def measure(damage: Damage, count: int, seed: int = 1) -> dict[str, int]:
-    """How many of so many damaged frames were delivered as what was never sent, and intact ones lost to them."""
+    """Count damaged frames that were delivered as frames that were never sent, and intact frames that were lost."""
     dice = random.Random(f"{seed} {damage.__name__}")  # noqa: S311 - a measurement that can be repeated
     found = {"frames": count, "hostlink": 0, "intact_lost": 0, "checksums_alone": 0}
     for begin in range(0, count, BATCH):

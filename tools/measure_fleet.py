@@ -1,4 +1,4 @@
-"""What a fleet over Zenoh costs on one machine: traffic and CPU of each daemon, and how late a command arrives.
+"""Cost of a fleet over Zenoh on one machine: traffic and CPU of each daemon, and the delay of a command.
 
 Each daemon is a process, each robot a device that sends ten poses a second. A program at the first daemon drives a
 robot of the last one 50 times a second; the latency is from its send to the robot's read, and to the answer. `--pages`
@@ -114,14 +114,14 @@ async def fleet(count: int) -> AsyncIterator[list[Process]]:
 
 
 async def read_away(host: Process) -> None:
-    """Its log must not fill the pipe."""
+    """Read the log, so that the pipe does not fill up."""
     stderr = host.child.stderr
     while stderr is not None and await stderr.read(1 << 16):
         pass
 
 
 async def talk(device: Any) -> None:
-    """As every robot."""
+    """Publish poses and request the time, as every robot does."""
     count = 0
     while True:
         count += 1
@@ -152,7 +152,7 @@ async def until(session: aiohttp.ClientSession, host: Process, is_so: Callable[[
 
 
 async def robots_of(session: aiohttp.ClientSession, host: Process) -> list[dict[str, Any]]:
-    """As REST lists them."""
+    """Return the robots that REST lists."""
     async with session.get(f"{host.url}/api/robots") as answer:
         listed: list[dict[str, Any]] = (await answer.json())["robots"]
         return listed
@@ -180,13 +180,13 @@ async def costs(hosts: list[Process], seconds: float) -> dict[str, Any]:
 
 
 def cpu_s(pid: int) -> float:
-    """What a process has used of the processor."""
+    """Return the CPU time of a process."""
     fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 def memory_mib(pid: int) -> float:
-    """Its resident memory."""
+    """Return the resident memory of a process."""
     found = re.search(r"VmRSS:\s+(\d+)", Path(f"/proc/{pid}/status").read_text())
     return int(found[1]) / 1024 if found else 0.0
 

@@ -1,6 +1,6 @@
-"""What NodeHandle's three policies lose when the network pauses inside a frame: prints the table of firmware/README.md.
+"""Losses of NodeHandle's three policies when the network pauses inside a frame: the table of firmware/README.md.
 
-Each frame (a Twist, 56 bytes) comes in two pieces with a gap between, through a 38400 baud UART with the Due's ring.
+Each frame (a Twist, 56 bytes) arrives in two pieces with a gap between, through a 38400 baud UART with the Due's ring.
 The paper's loop turns 30 times a second; the default drains the UART on each pass, so it is measured in both.
 """
 
@@ -24,7 +24,7 @@ INTERVAL_S = 0.4  # longer than any gap and what follows it
 
 @dataclass
 class Policy:
-    """A way to read, and how often its loop comes round."""
+    """Policy of reading, and the period of the device's loop."""
 
     name: str
     retry: Retry

@@ -28,7 +28,7 @@ from cosmic_ray.plugins import get_operator, operator_names
 ROOT = Path(__file__).resolve().parent.parent
 COPIED = ("hostlink", "tests", "tools", "docs", "firmware", "pyproject.toml")
 TIMEOUT_S = 300.0  # an endless loop is noticed
-MORE_TESTS = {  # beside a package's unit tests
+MORE_TESTS = {  # in addition to a package's unit tests
     "hostlink/messages": ("tests/property/test_codec.py",),
     "hostlink/protocol": (
         "tests/property/test_replay.py",
@@ -52,7 +52,7 @@ MORE_TESTS = {  # beside a package's unit tests
 def tests_of(module: str) -> tuple[str, ...]:
     """The tests that judge a change of the module: the unit tests of its package, and what MORE_TESTS adds.
 
-    The test file of the module's name comes first, because it notices most.
+    The test file of the module's name is run first, because it notices most.
     """
     package = "/".join(module.split("/")[:2])
     unit = package.replace("hostlink", "tests/unit", 1)
@@ -74,7 +74,7 @@ class Mutant:
         return made
 
     def describe(self) -> str:
-        """Where it is, and the lines before and after."""
+        """Return the place of the change, and its lines before and after."""
         before, after = self._original().splitlines(), self.source().splitlines()
         _, _, where, *lines = unified_diff(before, after, n=0, lineterm="")
         return "\n  ".join([f"{self.module}:{where.split(',')[0].split()[1][1:]}", *lines])

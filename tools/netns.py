@@ -33,7 +33,7 @@ TUNSETIFF, IFF_TUN, IFF_NO_PI = 0x400454CA, 0x0001, 0x1000
 PACKET_BYTES = 2048
 SETTLE_S = 3.0
 TIMEOUT_S = 60.0
-READY_GAP_S = 0.5  # odometry has come back when it comes as often as this again
+READY_GAP_S = 0.5  # odometry has recovered when it arrives as often as this
 
 
 class Air:
@@ -104,7 +104,7 @@ async def running(*words: str) -> AsyncIterator[None]:
 
 
 class Watch:
-    """When odometry came."""
+    """Times at which odometry arrived."""
 
     def __init__(self) -> None:
         self.times_s: list[float] = []
@@ -122,7 +122,7 @@ class Watch:
         return max(after - before for before, after in itertools.pairwise(inside))
 
     async def back_s(self, since_s: float) -> float:
-        """Seconds from then until odometry comes regularly again."""
+        """Seconds from then until odometry arrives regularly again."""
         async with asyncio.timeout(TIMEOUT_S):
             while True:
                 self.came.clear()

@@ -1,4 +1,4 @@
-"""Relay: the shell of `faults`: it stands between devices and a host and changes their bytes as the script wants."""
+"""Relay: the shell of `faults`: it connects devices and a host, and changes their bytes as the script says."""
 
 import asyncio
 import contextlib
@@ -10,8 +10,7 @@ from collections.abc import Awaitable, Callable
 from typing import Any, Protocol
 
 from hostlink.transport.base import Transport
-from hostlink.transport.connection import Connection
-from hostlink.transport.tcp import StreamTransport
+from hostlink.transport.connection import StreamTransport
 from tools.faults import OF_BYTES, Direction, Fault, FaultyLine, Kind, Schedule, Script, boot_noise
 
 MAX_WAITING_BYTES = 1 << 20  # on a line; then the sender's TCP stops it
@@ -29,17 +28,23 @@ class End(Transport, Protocol):
 class TcpEnd(StreamTransport):
     """A TCP connection that can be reset."""
 
-    @classmethod
-    def over(cls, connection: Connection) -> "TcpEnd":
+    __slots__ = ("_on_made",)
+
+    def __init__(self, on_made: Callable[["TcpEnd"], None] = lambda _: None) -> None:
+        super().__init__()
+        self._on_made = on_made
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """Frames pass at once, as they come."""
-        transport = connection.transport
+        super().connection_made(transport)
         transport.get_extra_info("socket").setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        host, port = (transport.get_extra_info("peername") or ("gone", 0))[:2]
-        return cls(connection, peer=f"{host}:{port}", address=host)
+        self.address, port = (transport.get_extra_info("peername") or ("gone", 0))[:2]
+        self.peer = f"{self.address}:{port}"
+        self._on_made(self)
 
     def break_off(self) -> None:
-        """A reset: both ends get an error, what was not read is gone."""
-        transport = self._connection.transport
+        """Reset the connection: both ends get an error, and what was not read is gone."""
+        transport = self.transport
         if not transport.is_closing():
             linger = struct.pack("ii", 1, 0)
             transport.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, linger)
@@ -48,14 +53,13 @@ class TcpEnd(StreamTransport):
 
 async def connect_tcp(host: str, port: int) -> TcpEnd:
     """Open a connection."""
-    _, connection = await asyncio.get_running_loop().create_connection(Connection, host, port)
-    return TcpEnd.over(connection)
+    _, made = await asyncio.get_running_loop().create_connection(TcpEnd, host, port)
+    return made
 
 
 async def listen_tcp(on_connection: Callable[[TcpEnd], None], host: str, port: int) -> asyncio.Server:
     """Accept connections."""
-    loop = asyncio.get_running_loop()
-    return await loop.create_server(lambda: Connection(lambda made: on_connection(TcpEnd.over(made))), host, port)
+    return await asyncio.get_running_loop().create_server(lambda: TcpEnd(on_connection), host, port)
 
 
 class Relay:
@@ -176,7 +180,7 @@ class _Passage:
                 self._changed[way].set()
 
     def inflict(self, fault: Fault, now_s: float) -> None:
-        """What the fault means for this connection."""
+        """Apply the fault to this connection."""
         if fault.kind in (Kind.LOSE, Kind.BLACKOUT):
             self.stand_still(now_s + fault.amount, fault.direction)
         elif fault.kind in OF_BYTES:

@@ -1,8 +1,8 @@
-"""`make release`: the wheel and the source distribution, and whether a user who has only them can work.
+"""`make release`: the wheel and the source distribution, and whether a user can work with them alone.
 
 Builds both into build/release, checks what is in them, installs the wheel into an empty virtual environment for each
 Python that is found (and the source distribution for the first), and there runs the demo: a robot appears, drives,
-and stands when the daemon ends. Prints a table; ends with status 1 when something is wrong.
+and stops when the daemon ends. Prints a table; ends with status 1 when something is wrong.
 """
 
 import argparse
@@ -43,11 +43,11 @@ OF_SOURCES = ("pyproject.toml", "README.md", "LICENSE", "CHANGELOG.md", "Makefil
 
 
 class Unusable(Exception):
-    """What was installed does not work."""
+    """An installation does not work."""
 
 
 class Row(NamedTuple):
-    """What became of one installation."""
+    """Result of one installation."""
 
     python: str
     of: str
@@ -83,7 +83,7 @@ def main() -> int:
 
 
 def problems_of_wheel(wheel: Path) -> list[str]:
-    """What a user would miss, and what he should not get."""
+    """Return missing and unwanted files of a wheel, and an excessive size."""
     with zipfile.ZipFile(wheel) as archive:
         names = archive.namelist()
     size = wheel.stat().st_size
@@ -92,7 +92,7 @@ def problems_of_wheel(wheel: Path) -> list[str]:
 
 
 def problems_of_sources(sources: Path) -> list[str]:
-    """The same of the source distribution, which has the tests."""
+    """Return missing and superfluous files of the source distribution, which has the tests."""
     with tarfile.open(sources) as archive:
         names = [name.partition("/")[2] for name in archive.getnames()]
     wanted = (*OF_SOURCES, *NEEDED, "tests/conftest.py")

@@ -14,7 +14,7 @@ class _Waiting(NamedTuple):
 
 
 class SentCommands:
-    """Of one driver. A command is known by a number; 0 is the stop, which is sent again and again."""
+    """Commands of one driver by number. Number 0 is the stop, which is sent repeatedly."""
 
     def __init__(self) -> None:
         self.latencies_s: list[float] = []
@@ -23,7 +23,7 @@ class SentCommands:
         self._waiting: deque[_Waiting] = deque()
 
     def send(self, number: int, at_s: float) -> None:
-        """It leaves now."""
+        """Note that a command is sent now."""
         self._waiting.append(_Waiting(number, at_s))
 
     def receive(self, number: int, at_s: float) -> None:
@@ -36,5 +36,5 @@ class SentCommands:
 
     @property
     def lost(self) -> int:
-        """Those that have not come, nor one that was sent after them."""
+        """Number of commands that did not arrive, and were not followed by a later one that did."""
         return len(self._waiting)

@@ -1,7 +1,8 @@
 """The paper's link in real time: daemon, relay and simulated robot over TCP, every message counted (`make soak`).
 
-A lost segment every two minutes and one cut half-way, as in tests/integration/test_the_papers_link.py, or whatever the
-options name. Prints the row of docs/reliability.md; ends with status 1 when a message was lost outside the cuts.
+A lost segment every two minutes and one cut half-way, as in tests/integration/test_the_papers_link.py, or the faults
+that the options name. Prints the row of docs/reliability.md; ends with status 1 when a message was lost outside the
+cuts.
 """
 
 import argparse

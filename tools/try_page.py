@@ -1,6 +1,7 @@
 """Writes the page on which the firmware drives in the browser: docs/try.html with the module in it, for `make docs`.
 
-A page that was opened from a file may not fetch the module beside it, so it is in the page, in base64.
+A page that was opened from a file may not fetch the module from the same folder, so the module is in the page, in
+base64.
 """
 
 import base64

@@ -99,7 +99,7 @@ class PacedReading(asyncio.BufferedProtocol):
             self._hold(data)
         elif self._is_web_socket:
             self._receive(data)
-        elif nbytes < READ_BYTES and self._turns.is_free(is_flooding=False):
+        elif nbytes < READ_BYTES and self._turns.share.is_free(is_flooding=False):
             self._pass_on(data)
         else:
             self._hold(data)

@@ -118,7 +118,7 @@ def _global_names() -> frozenset[str]:
     return frozenset(_GLOBALS.split())
 
 
-class Names:
+class CppNames:
     """Unique C++ names of one class. A used or reserved name gets a _ appended."""
 
     def __init__(self, used: Iterable[str] = ()) -> None:
@@ -205,7 +205,7 @@ def message_header(message: MessageType) -> str:
 def service_header(service: ServiceType) -> str:
     """Write the file <package>/<Type>.h with the classes of request and response."""
     base = service.name.partition("/")[2]
-    name = Names(("Request", "Response", *METHODS)).add(base)
+    name = CppNames(("Request", "Response", *METHODS)).add(base)
     lines = [
         *_class(service.request, f"{base}Request", service.name),
         "",
@@ -246,7 +246,7 @@ def _file(name: str, included: set[str], body: list[str]) -> str:
 
 def _class(message: MessageType, base: str, type_name: str) -> Iterator[str]:
     name = class_identifier(base)
-    names = Names((*METHODS, name))
+    names = CppNames((*METHODS, name))
     members = list(_members(message, names))
     yield f"class {name} : public ::ros::Msg {{"
     yield " public:"
@@ -275,14 +275,14 @@ def _flash_texts(type_name: str, md5: str) -> Iterator[str]:
         yield "  }"
 
 
-def _members(message: MessageType, names: Names) -> Iterator[_Member]:
+def _members(message: MessageType, names: CppNames) -> Iterator[_Member]:
     fields = {field: names.add(field.name) for field in message.fields}
     for field, name in fields.items():
         length = names.add(f"{field.name}_length") if field.array_length == VARIABLE else ""
         yield _Member(field, name, length, message.layout.element_minimum_bytes(field))
 
 
-def _constants(constants: tuple[Constant, ...], names: Names) -> Iterator[str]:
+def _constants(constants: tuple[Constant, ...], names: CppNames) -> Iterator[str]:
     """Declare whole numbers as enumerators, which need no definition, and other constants as static members."""
     for type_name, group in groupby(constants, lambda constant: constant.type):
         if type_name == "string" or type_name in FLOATS:

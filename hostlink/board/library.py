@@ -44,7 +44,7 @@ T = TypeVar("T", MessageType, ServiceType)
 
 
 @dataclass(frozen=True, slots=True)
-class Selection:
+class TypeSelection:
     """Selected types, sorted by name, with all nested types."""
 
     messages: tuple[MessageType, ...]
@@ -67,7 +67,7 @@ def known_names(catalog: Catalog) -> list[str]:
     return sorted(types | {name.partition("/")[0] for name in types})
 
 
-def select(catalog: Catalog, wanted: Iterable[str] | None) -> Selection:
+def select(catalog: Catalog, wanted: Iterable[str] | None) -> TypeSelection:
     """Select the `wanted` packages and types, with all nested types; None selects all packages.
 
     Raises:
@@ -86,7 +86,7 @@ def select(catalog: Catalog, wanted: Iterable[str] | None) -> Selection:
                 for nested in part.nested.values():
                     _add(nested, messages)
     _check_names(messages, services)
-    return Selection(_sorted(messages), _sorted(services))
+    return TypeSelection(_sorted(messages), _sorted(services))
 
 
 def _is_chosen(name: str, chosen: frozenset[str] | None) -> bool:
@@ -152,13 +152,13 @@ def types_needed(texts: Mapping[str, bytes]) -> set[str]:
     return {name for name in included if f"src/{name}.h" not in texts}
 
 
-def headers(selection: Selection) -> dict[str, str]:
+def headers(selection: TypeSelection) -> dict[str, str]:
     """Write the header of each type, by its path: "std_msgs/String.h"."""
     made = {f"{each.name}.h": message_header(each) for each in selection.messages}
     return made | {f"{each.name}.h": service_header(each) for each in selection.services}
 
 
-def library(texts: Mapping[str, bytes], selection: Selection) -> dict[str, bytes]:
+def library(texts: Mapping[str, bytes], selection: TypeSelection) -> dict[str, bytes]:
     """Return all files of the library, by their paths in the ZIP.
 
     Raises:
@@ -221,7 +221,7 @@ def _platformio() -> str:
     return json.dumps(facts, indent=2) + "\n"
 
 
-def _keywords(selection: Selection) -> str:
+def _keywords(selection: TypeSelection) -> str:
     """Write keywords.txt for the Arduino IDE's highlighting. The separator is a tab."""
     classes = {name.partition("/")[2] for name in selection.names}
     rows = [f"{name}\tKEYWORD1" for name in sorted({*classes, *_CLASSES})]

@@ -170,8 +170,8 @@ SETTINGS: Final = {
 }  # fmt: skip
 
 
-class Answer(NamedTuple):
-    """Answer line of the board. `words` is the text between number and checksum."""
+class BoardAnswer(NamedTuple):
+    """BoardAnswer line of the board. `words` is the text between number and checksum."""
 
     number: int
     words: str
@@ -207,12 +207,12 @@ def request_line(number: int, words: str) -> bytes:
     return line + b" %08X\n" % zlib.crc32(line)
 
 
-def parse_answer(line: bytes) -> Answer | None:
+def parse_answer(line: bytes) -> BoardAnswer | None:
     """Decode the answer at the end of a line; None if it is the sketch's own text or damaged."""
     found = _ANSWER.fullmatch(line, max(line.rfind(MARK), 0))
     if found is None or zlib.crc32(line[found.start() : found.start(3) - 1]) != int(found[3], 16):
         return None
-    return Answer(int(found[1]), found[2].decode("ascii"))
+    return BoardAnswer(int(found[1]), found[2].decode("ascii"))
 
 
 def value_of(words: str) -> tuple[str, str] | None:
@@ -237,7 +237,7 @@ class AnswerReader:
         self.has_rosserial = False  # the start of a frame was received
         self._rest = b""
 
-    def feed(self, data: bytes) -> Iterator[Answer]:
+    def feed(self, data: bytes) -> Iterator[BoardAnswer]:
         """Add bytes and yield the complete answers."""
         self.received_bytes += len(data)
         self._rest += data

@@ -8,7 +8,7 @@ from typing import Annotated
 import msgspec
 import typer
 
-from hostlink.board.library import Selection, known_names, library, pack, select, sources, types_needed
+from hostlink.board.library import TypeSelection, known_names, library, pack, select, sources, types_needed
 from hostlink.cli.arguments import Json
 from hostlink.cli.files import check_new_file, replacing
 from hostlink.cli.names import LISTED, near
@@ -47,7 +47,7 @@ def command(
     _report(output, selection, len(packed), as_json=json)
 
 
-def _select(catalog: Catalog, only: list[str] | None, needed: Collection[str]) -> Selection:
+def _select(catalog: Catalog, only: list[str] | None, needed: Collection[str]) -> TypeSelection:
     """The types of --only, and those that the library's own sources need.
 
     Raises:
@@ -71,7 +71,7 @@ def _hint(name: str, known: Iterable[str]) -> str:
     return f"near it: {', '.join(found)}" if found else f"there is: {', '.join(packages[:LISTED])} ..."
 
 
-def _report(output: Path, selection: Selection, size_bytes: int, *, as_json: bool) -> None:
+def _report(output: Path, selection: TypeSelection, size_bytes: int, *, as_json: bool) -> None:
     if as_json:
         facts = {
             "output": os.fsencode(output).decode(errors="replace"),

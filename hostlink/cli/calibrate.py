@@ -28,8 +28,7 @@ from hostlink.robot.calibration_checks import (
 )
 from hostlink.robot.course import Speed
 from hostlink.robot.odometry import OdometryCorrection
-from hostlink.sim.firmware_module import require_wasmtime
-from hostlink.sim.world_parameters import read
+from hostlink.sim.firmware_module import read, require_wasmtime
 
 TARGETS = ("device", "hostlink")
 CASTER_SHARE = 0.01  # by which the separations of turns and squares differ before it is worth a line

@@ -15,9 +15,8 @@ from hostlink.robot.calibration import Kind, Measurement, WheelGeometry
 from hostlink.robot.course import Leg
 from hostlink.robot.kinematics import Pose
 from hostlink.robot.odometry import OdometryCorrection
-from hostlink.sim.course_driving import Person, follow
-from hostlink.sim.firmware_world import FirmwareWorld
-from hostlink.sim.world_parameters import WorldParameters
+from hostlink.sim.firmware_module import WorldParameters
+from hostlink.sim.firmware_world import FirmwareWorld, Person, follow
 
 MISTAKES = ("slip", "sides")
 _SLIP = 0.1

@@ -28,7 +28,7 @@ from hostlink.listening import close_all
 from hostlink.messages.catalog import Catalog
 from hostlink.protocol.control import encode_parameter
 from hostlink.transport.serial import find_port
-from hostlink.transport.udp_port import serve_udp
+from hostlink.transport.udp import serve_udp
 
 _ROS_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*(?:/[A-Za-z][A-Za-z0-9_]*)*")  # http://wiki.ros.org/Names
 _SENSIBLE = (  # setting, the least that works, and why

@@ -10,7 +10,7 @@ import typer
 
 from hostlink.cli.connecting import counted
 from hostlink.cli.output import table, write
-from hostlink.inspection import Inspection, Payload, Report, Series, load_reads
+from hostlink.inspection import Inspection, InspectionReport, Payload, Series, load_reads
 from hostlink.messages.catalog import Catalog
 from hostlink.protocol.control import Parameter, TopicInfo
 from hostlink.protocol.frame import Id
@@ -47,7 +47,7 @@ def command(
 # -- JSON -------------------------------------------------------------------------------------------------------------
 
 
-def report_view(report: Report) -> dict[str, Any]:
+def report_view(report: InspectionReport) -> dict[str, Any]:
     """The whole recording in one object for JSON."""
     return {
         "topics": [_topic_view(info) for info in report.topics],

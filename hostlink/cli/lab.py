@@ -15,8 +15,7 @@ from hostlink.errors import ConfigError, LibraryMissing
 from hostlink.lab import reports
 from hostlink.lab.experiment import Laboratory
 from hostlink.lab.tables import CASTER_WORLD
-from hostlink.sim.firmware_module import require_wasmtime
-from hostlink.sim.world_parameters import WorldParameters, read
+from hostlink.sim.firmware_module import WorldParameters, read, require_wasmtime
 
 
 class What(StrEnum):
@@ -67,7 +66,7 @@ def command(
 
 def _report(
     laboratory: Laboratory, what: What, runs: int | None, world: WorldParameters, output: Path
-) -> reports.Report:
+) -> reports.LabReport:
     match what:
         case What.CAUSES:
             return reports.causes(laboratory, runs or reports.CAUSE_RUNS, show_progress)
@@ -81,7 +80,7 @@ def _report(
             assert_never(what)
 
 
-def _draw(world: WorldParameters, runs: int, output: Path) -> reports.Report:
+def _draw(world: WorldParameters, runs: int, output: Path) -> reports.LabReport:
     from hostlink.lab.pictures import draw_software  # noqa: PLC0415 - needs matplotlib
 
     show_progress("drawing")
@@ -90,11 +89,11 @@ def _draw(world: WorldParameters, runs: int, output: Path) -> reports.Report:
     except OSError as error:
         raise ConfigError(str(output), error.strerror or str(error)) from None
     kibibytes = output.stat().st_size // 1024
-    return reports.Report([f"{output}: {kibibytes} KiB"], {"file": str(output), "kibibytes": kibibytes})
+    return reports.LabReport([f"{output}: {kibibytes} KiB"], {"file": str(output), "kibibytes": kibibytes})
 
 
-def _fit(laboratory: Laboratory, runs: int | None) -> reports.Report:
-    from hostlink.lab.fit_report import FIT_RUNS, report_fit  # noqa: PLC0415 - needs scipy
+def _fit(laboratory: Laboratory, runs: int | None) -> reports.LabReport:
+    from hostlink.lab.fit import FIT_RUNS, report_fit  # noqa: PLC0415 - needs scipy
 
     return report_fit(laboratory, show_progress, runs=runs or FIT_RUNS)
 

@@ -33,9 +33,8 @@ from hostlink.listeners.accepting import TcpAcceptor, UdpAcceptor, serve_serial
 from hostlink.listening import close_all
 from hostlink.messages.catalog import Catalog
 from hostlink.recording.recordings import Recordings
-from hostlink.transport.mdns import advertised
-from hostlink.transport.tcp import serve_tcp
-from hostlink.transport.udp_port import serve_udp
+from hostlink.transport.tcp import advertised, serve_tcp
+from hostlink.transport.udp import serve_udp
 
 # -- serve ------------------------------------------------------------------------------------------------------------
 
@@ -347,7 +346,7 @@ class Notifier:
             try:
                 channel.sendto("\n".join(assignments).encode(), self._address)
             except OSError as error:
-                log.debug("systemd.deaf", reason=error.strerror)
+                log.debug("systemd.notify_failed", reason=error.strerror)
 
     async def beat(self, status: Callable[[], str]) -> None:
         """Report that the event loop runs, and what it does, until cancelled."""

@@ -10,11 +10,10 @@ import typer
 from hostlink.cli.addresses import parse_address
 from hostlink.cli.output import write_error
 from hostlink.errors import ConfigError
-from hostlink.sim.faults import FAULTS, HEALTHY
-from hostlink.sim.firmware_module import require_wasmtime
+from hostlink.sim.firmware_module import WorldParameters, read, require_wasmtime
 from hostlink.sim.firmware_world import RobotKind
+from hostlink.sim.robot import FAULTS, HEALTHY
 from hostlink.sim.run import run_fleet
-from hostlink.sim.world_parameters import WorldParameters, read
 
 
 def command(

@@ -43,7 +43,7 @@ _BOOT_TEXT = (
 )
 
 
-class Speed(NamedTuple):
+class LineSpeed(NamedTuple):
     """Guess at the device's baud rate. 0 means faster than the reader, which is all that the bytes show."""
 
     baud: int
@@ -62,7 +62,7 @@ class Speed(NamedTuple):
         return f"sent at about {self.baud / BRIDGE_BAUD:.2g} times the reader's baud rate"
 
 
-def guess_speed(sample: bytes, baud: int | None) -> Speed | None:
+def guess_speed(sample: bytes, baud: int | None) -> LineSpeed | None:
     """Guess the device's baud rate; None if the bytes do not show it. `baud` is the reader's rate, None if unknown."""
     if len(sample) < MIN_SAMPLE_BYTES:
         return None
@@ -72,8 +72,8 @@ def guess_speed(sample: bytes, baud: int | None) -> Speed | None:
     if margin < MIN_MARGIN or best == reader_baud:
         return None
     if best > reader_baud:
-        return Speed(0, baud)
-    return Speed(best, baud)
+        return LineSpeed(0, baud)
+    return LineSpeed(best, baud)
 
 
 _Model = tuple[Counter[bytes], int]

@@ -91,7 +91,7 @@ class Ros2Service:
 class Ros2Types:
     """Types by their ROS 1 names, each built once."""
 
-    def __init__(self, catalog: Catalog, distribution: Distribution = "kilted") -> None:
+    def __init__(self, catalog: Catalog, distribution: Distribution) -> None:
         """`distribution`: whose definitions and hashes are used; most types have the same in all."""
         self._catalog = catalog
         self._has_hashes = distribution != "humble"

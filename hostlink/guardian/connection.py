@@ -15,7 +15,7 @@ DATAGRAM_BYTES = 1024  # of one write over UDP: no network fragments it
 _GONE = select.POLLERR | select.POLLHUP | select.POLLNVAL
 
 
-class Connection:
+class GuardedConnection:
     """Duplicate of a TCP, UDP or serial connection.
 
     Only the daemon reads and writes before the first `step`, except while it hangs.

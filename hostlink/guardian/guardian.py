@@ -18,7 +18,7 @@ from pathlib import Path
 import structlog
 
 from hostlink.guardian.records import ANSWER_BYTES, decode_answer, encode_beat, encode_goodbye, encode_ping
-from hostlink.guardian.roster import Roster, Watched
+from hostlink.guardian.roster import GuardedLinks, Watched
 
 log = structlog.get_logger()
 
@@ -79,7 +79,7 @@ class Guardian:
     def __init__(self, *, ping_s: float = PING_S, answer_s: float = ANSWER_S) -> None:
         self.restarts = 0
         self._ping_s, self._answer_s = ping_s, answer_s
-        self._roster = Roster()
+        self._roster = GuardedLinks()
         self._process: subprocess.Popen[bytes] | None = None
         self._channel: socket.socket | None = None
         self._timer: asyncio.TimerHandle | None = None

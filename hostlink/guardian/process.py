@@ -10,7 +10,7 @@ import select
 import sys
 import time
 
-from hostlink.guardian.connection import Connection
+from hostlink.guardian.connection import GuardedConnection
 from hostlink.guardian.frames import INTERVAL_S, ZEROS
 from hostlink.guardian.records import (
     BEAT,
@@ -41,7 +41,7 @@ def main(descriptor: int) -> None:
     prepare()
     daemon = os.getppid()
     channel = _socket.socket(fileno=descriptor)
-    connections: dict[int, Connection] = {}
+    connections: dict[int, GuardedConnection] = {}
     is_driven = listen(channel, connections)
     if is_driven is not None:
         stop(list(connections.values()))
@@ -92,7 +92,7 @@ def write(path: str, text: bytes) -> None:
         os.close(descriptor)
 
 
-def listen(channel: _socket.socket, connections: dict[int, Connection]) -> bool | None:
+def listen(channel: _socket.socket, connections: dict[int, GuardedConnection]) -> bool | None:
     """Guard connections until the channel closes. Return whether robots were driven then; None after a goodbye.
 
     While robots are driven and no beat arrives for HANG_S, they are sent zeros. The daemon may recover afterwards.
@@ -100,7 +100,7 @@ def listen(channel: _socket.socket, connections: dict[int, Connection]) -> bool 
     poll = select.poll()
     poll.register(channel.fileno(), select.POLLIN)
     driven: list[int] = []  # empty: no beat is expected
-    held: list[Connection] = []  # connections that are sent zeros
+    held: list[GuardedConnection] = []  # connections that are sent zeros
     is_driven, beat_s, stopped = False, 0.0, 0
     while True:
         now_s = time.monotonic()
@@ -137,10 +137,10 @@ def listen(channel: _socket.socket, connections: dict[int, Connection]) -> bool 
             old.close()
         if kind != RELEASE and ancillary:  # without a descriptor: this process has none left, which the answers show
             descriptor = int.from_bytes(ancillary[0][2][:DESCRIPTOR_BYTES], sys.byteorder)
-            connections[number] = Connection(descriptor, topic_ids, claim_bytes)
+            connections[number] = GuardedConnection(descriptor, topic_ids, claim_bytes)
 
 
-def hold(connections: list[Connection], now_s: float) -> tuple[list[Connection], float | None]:
+def hold(connections: list[GuardedConnection], now_s: float) -> tuple[list[GuardedConnection], float | None]:
     """Write the zeros that are due `now_s` after the hang began. Return the unfinished connections and the wait.
 
     A write of a few frames is one system call, so no bytes of a recovering daemon are between them.
@@ -163,7 +163,7 @@ def answer(channel: _socket.socket, count: int, stopped: int) -> None:
         return  # the next record or the end of the channel decides
 
 
-def stop(connections: list[Connection]) -> None:
+def stop(connections: list[GuardedConnection]) -> None:
     """Write every device's stop sequence in parallel. A device that does not read delays no other."""
     began_s = time.monotonic()
     events: dict[int, int] = {}
@@ -176,7 +176,7 @@ def stop(connections: list[Connection]) -> None:
         connection.abandon()
 
 
-def wait(connections: list[Connection], now_s: float) -> dict[int, int]:
+def wait(connections: list[GuardedConnection], now_s: float) -> dict[int, int]:
     """Wait until a connection is ready or due. Return the events by descriptor."""
     poll = select.poll()
     wait_s = POLL_S

@@ -1,4 +1,4 @@
-"""Roster: connections that the guardian should hold, and records still to be sent to it. Pure.
+"""GuardedLinks: connections that the guardian should hold, and records still to be sent to it. Pure.
 
 The size is bounded by the daemon's links: one entry for each, and one for each that the guardian still has to release.
 """
@@ -18,7 +18,7 @@ class Watched:
     claim_bytes: int
 
 
-class Roster:
+class GuardedLinks:
     """Wanted and guarded links by number. Two changes of a link before it is sent cause one record."""
 
     def __init__(self) -> None:

@@ -31,8 +31,8 @@ MAX_AWAY = 64  # more robots than people name without configuring them
 class RetentionPolicy:
     """Names in the order in which they left. Times are monotonic, in seconds."""
 
-    def __init__(self, forget_after_s: float = math.inf, max_away: int = MAX_AWAY) -> None:
-        self._forget_after_s, self._max_away = forget_after_s, max_away
+    def __init__(self, forget_after_s: float = math.inf) -> None:
+        self._forget_after_s = forget_after_s
         self._left_at_s: OrderedDict[str, float] = OrderedDict()
 
     def __len__(self) -> int:
@@ -50,7 +50,7 @@ class RetentionPolicy:
     def pop_forgotten(self, now_s: float) -> list[str]:
         """Those whose time has come."""
         popped: list[str] = []
-        while len(self._left_at_s) > self._max_away or now_s >= self.next_s():
+        while len(self._left_at_s) > MAX_AWAY or now_s >= self.next_s():
             popped.append(self._left_at_s.popitem(last=False)[0])
         return popped
 

@@ -1,35 +1,48 @@
-"""Fit: the causes that bring the paper's software nearest to the paper's tables, by least squares.
+"""Fit: the causes that bring the paper's software nearest to the paper's tables, by least squares; and its report.
 
 Needs scipy, which only this module imports.
 """
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from hostlink.lab.causes import RADIUS_M, TRACK_M
-from hostlink.lab.experiment import PAPER_WORLD, Experiment, Laboratory, Setup, Software, in_world
-from hostlink.lab.paper_results import PAPER_CM, axes_of
-from hostlink.lab.patterns import PATTERNS, Pattern
-from hostlink.sim.world_parameters import WorldParameters
+from hostlink.lab.experiment import (
+    PAPER_CM,
+    PAPER_WORLD,
+    PATTERNS,
+    Experiment,
+    Laboratory,
+    Pattern,
+    Setup,
+    Software,
+    axes_of,
+    in_world,
+)
+from hostlink.lab.reports import LabReport, text_table
+from hostlink.lab.tables import RADIUS_M, TRACK_M
+from hostlink.sim.firmware_module import WorldParameters
+
+# -- fit --------------------------------------------------------------------------------------------------------------
 
 _Array = NDArray[np.float64]
 
-_LEAST_ERROR_CM = 0.3  # of a mean of three readings to a centimetre
+_LEAST_ERROR_CM = 0.3  # error of a mean of three readings to a centimetre
 _NORMAL_95 = 1.959963985
 
 
 @dataclass(frozen=True, slots=True)
 class FittedCause:
-    """A number that the fit may change."""
+    """Number that the fit may change."""
 
     name: str
     unit: str
-    step: float  # for the derivative
-    prior: float  # standard deviation among robots built by hand, around zero: for what the tables leave open
+    step: float  # step of the derivative
+    prior: float  # standard deviation around zero among robots built by hand, where the tables do not decide
     low: float
     high: float
 
@@ -41,13 +54,13 @@ FITTED = (
     FittedCause("caster_twist", "rad", 0.01, 0.1, -0.2, 0.2),
     FittedCause("caster_random", "share", 0.2, 1.0, 0.0, 3.0),
 )
-# Sizes without signs have more than one optimum: the fit begins at each of these, in the order of FITTED.
+# Sizes without signs have several optima, so the fit starts from each of these, in the order of FITTED.
 STARTS = ((0.5, 0.0, 0.0, 0.05, 0.4), (0.5, 0.0, 0.0, 0.0, 0.4), (0.5, 1.0, 0.0, 0.03, 0.2))
 _PRIORS = np.array([cause.prior for cause in FITTED])
 
 
 def world_of(numbers: _Array) -> WorldParameters:
-    """The paper's world with these causes."""
+    """Return the paper's world with these causes."""
     radius, difference, track, twist, random = (float(number) for number in numbers)
     return PAPER_WORLD.changed(
         {
@@ -62,7 +75,7 @@ def world_of(numbers: _Array) -> WorldParameters:
 
 @dataclass(frozen=True, slots=True)
 class Residual:
-    """A mean of the paper's beside the fit's."""
+    """One mean of the paper and of the fit."""
 
     pattern: Pattern
     axis: str
@@ -72,28 +85,28 @@ class Residual:
 
     @property
     def deviations(self) -> float:
-        """How many standard errors lie between them."""
+        """Difference of the two means in standard errors."""
         return (self.fitted_cm - self.paper_cm) / self.uncertainty_cm
 
 
 @dataclass(frozen=True, slots=True)
 class Fit:
-    """What came out."""
+    """Result of a fit."""
 
-    tables: tuple[int, ...]  # of the paper, that were fitted
+    tables: tuple[int, ...]  # fitted tables of the paper
     numbers: _Array
-    intervals: _Array  # half of what contains the number with 95 %, were the model right
+    intervals: _Array  # half of the 95 % interval, if the model is right
     residuals: tuple[Residual, ...]
     evaluations: int
 
     @property
     def chi_square(self) -> float:
-        """The sum of the squared deviations, of the fitted tables."""
+        """Sum of the squared deviations of the fitted tables."""
         return sum(residual.deviations**2 for residual in self.residuals if residual.pattern.table in self.tables)
 
     @property
     def unreached(self) -> tuple[Residual, ...]:
-        """The means that lie outside of the 95 % of the paper's own scatter."""
+        """Means outside of the 95 % interval of the paper's scatter."""
         return tuple(residual for residual in self.residuals if abs(residual.deviations) > _NORMAL_95)
 
 
@@ -107,7 +120,7 @@ def fit(
     measured_cm: Mapping[int, _Array] = PAPER_CM,
     report: Callable[[str], None] = lambda _: None,
 ) -> Fit:
-    """Fit the causes to some of the tables; `measured_cm`: a row each run, by the table's number.
+    """Fit the causes to some of the tables. `measured_cm`: one row for each run, by the table's number.
 
     Raises:
         ConfigError: wasmtime is not installed, or has no library for this machine.
@@ -131,13 +144,13 @@ def fit(
 
 
 def uncertainty_cm(sizes_cm: _Array) -> _Array:
-    """The standard error of the mean of some runs."""
+    """Return the standard errors of the means of some runs."""
     errors: _Array = np.maximum(sizes_cm.std(axis=0, ddof=1) / np.sqrt(len(sizes_cm)), _LEAST_ERROR_CM)
     return errors
 
 
 class _Model:
-    """Means of the patterns as functions of the causes; the seeds are the same each time."""
+    """Means of the patterns as functions of the causes, always with the same seeds."""
 
     def __init__(
         self, laboratory: Laboratory, measured_cm: dict[Pattern, _Array], runs: int, report: Callable[[str], None]
@@ -151,15 +164,15 @@ class _Model:
         self._at: tuple[bytes, dict[Pattern, _Array]] = (b"", {})
 
     def fit_only(self, tables: tuple[int, ...]) -> None:
-        """Leave the other tables out of the deviations."""
+        """Exclude the other tables from the deviations."""
         self._fitted = [pattern for pattern in self._measured_cm if pattern.table in tables]
 
     def means(self, numbers: _Array) -> dict[Pattern, _Array]:
-        """The means of all patterns."""
+        """Return the means of all patterns."""
         return self._means_at([numbers], list(self._measured_cm))[0]
 
     def residuals(self, means: dict[Pattern, _Array]) -> list[Residual]:
-        """One for each mean."""
+        """Return a residual for each mean."""
         found = []
         for pattern, mean_cm in means.items():
             paper = self._measured_cm[pattern]
@@ -168,13 +181,13 @@ class _Model:
         return found
 
     def deviations(self, numbers: _Array) -> _Array:
-        """Of the fitted tables."""
+        """Return the deviations of the fitted tables, and of the numbers from their priors."""
         (means,) = self._means_at([numbers], self._fitted)
         self._at = (numbers.tobytes(), means)
         return np.concatenate([self._deviations(means), numbers / _PRIORS])
 
     def slopes(self, numbers: _Array) -> _Array:
-        """The derivatives of the deviations, by steps as large as their noise requires."""
+        """Return the derivatives of the deviations, by steps that exceed the noise."""
         if self._at[0] != numbers.tobytes():
             self.deviations(numbers)
         base = self._deviations(self._at[1])
@@ -197,11 +210,80 @@ class _Model:
 
 
 def _inward(cause: FittedCause, number: float) -> float:
-    """The step, away from the bound where it would pass it."""
+    """Return the step, reversed if it would pass the upper bound."""
     return cause.step if number + cause.step <= cause.high else -cause.step
 
 
 def _intervals(slopes: _Array) -> _Array:
-    """From the curvature at the optimum."""
+    """Return the half intervals from the curvature at the optimum."""
     half: _Array = _NORMAL_95 * np.sqrt(np.diag(np.linalg.inv(slopes.T @ slopes)))
     return half
+
+
+# -- report -----------------------------------------------------------------------------------------------------------
+
+FIT_RUNS = 6
+
+
+def report_fit(laboratory: Laboratory, progress: Callable[[str], None], *, runs: int = FIT_RUNS) -> LabReport:
+    """Fit all tables together, from each start. Return the report of the best fit.
+
+    Raises:
+        ConfigError: wasmtime is not installed, or has no library for this machine.
+    """
+    fits = [fit(laboratory, start=start, runs=runs, report=progress) for start in STARTS]
+    found = min(fits, key=lambda each: each.chi_square)
+    free = len(found.residuals) - len(FITTED)
+    causes = [
+        [cause.name, f"{number:.3f}", f"+- {half:.3f}", cause.unit]
+        for cause, number, half in zip(FITTED, found.numbers, found.intervals, strict=True)
+    ]
+    residuals = [
+        [
+            str(residual.pattern.table),
+            residual.axis,
+            f"{residual.paper_cm:.1f} +- {residual.uncertainty_cm:.1f}",
+            f"{residual.fitted_cm:.1f}",
+            f"{residual.deviations:+.1f}",
+        ]
+        for residual in found.residuals
+    ]
+    optima = [[*(f"{number:.2f}" for number in each.numbers), f"{each.chi_square:.0f}"] for each in fits]
+    unreached = ", ".join(f"table {residual.pattern.table} {residual.axis}" for residual in found.unreached)
+    driven = sum(each.evaluations for each in fits)
+    lines = [
+        f"The paper's software, fitted to tables 2-5; the best of {len(fits)} optima ({driven} worlds driven):",
+        "",
+        *text_table(["cause", "fitted", "95 %", "unit"], causes),
+        "",
+        *text_table(["table", "axis", "paper (cm)", "fitted (cm)", "deviations"], residuals),
+        "",
+        f"Sum of squared deviations: {found.chi_square:.0f}, with {free} degrees of freedom (95 %: below 6.0).",
+        f"Not reached: {unreached or 'nothing'}.",
+        "",
+        "Where the fit ended from each of its starts:",
+        "",
+        *text_table([*(cause.name for cause in FITTED), "squared deviations"], optima),
+    ]
+    return LabReport(lines, {"fit": _view(found), "optima": [_view(each) for each in fits]})
+
+
+def _view(found: Fit) -> dict[str, Any]:
+    return {
+        "causes": {
+            cause.name: {"value": float(number), "half_interval": float(half), "unit": cause.unit}
+            for cause, number, half in zip(FITTED, found.numbers, found.intervals, strict=True)
+        },
+        "residuals": [
+            {
+                "table": residual.pattern.table,
+                "axis": residual.axis,
+                "paper_cm": residual.paper_cm,
+                "uncertainty_cm": residual.uncertainty_cm,
+                "fitted_cm": residual.fitted_cm,
+            }
+            for residual in found.residuals
+        ],
+        "chi_square": found.chi_square,
+        "worlds": found.evaluations,
+    }

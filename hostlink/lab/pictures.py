@@ -1,4 +1,4 @@
-"""Pictures: each path that was driven, true and by odometry. Needs matplotlib, which only this module imports."""
+"""Pictures of driven paths, true and by odometry. Needs matplotlib, which only this module imports."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -7,20 +7,17 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from hostlink.lab.calibrated import calibrated
-from hostlink.lab.experiment import Experiment, Setup, Software, conduct
-from hostlink.lab.operator import Run
-from hostlink.lab.patterns import PATTERNS, Pattern
+from hostlink.lab.experiment import PATTERNS, Experiment, Pattern, Run, Setup, Software, calibrated, conduct
 from hostlink.robot.kinematics import Pose
-from hostlink.sim.world_parameters import WorldParameters
+from hostlink.sim.firmware_module import WorldParameters
 
 _TRUE, _ODOMETRY, _MARK = "#1b6ca8", "#d1495b", "#777777"
 _DPI = 80
-_SIDEWAYS_M = 0.75  # beside the line: stretched, else nothing could be seen
+_SIDEWAYS_M = 0.75  # range of y for a line, stretched so that deviations are visible
 
 
 def draw_software(world: WorldParameters, runs: int, file: Path) -> None:
-    """The paper's software and the project's firmware in one world.
+    """Draw the paper's software and the project's firmware in one world.
 
     Raises:
         ConfigError: wasmtime is not installed, or has no library for this machine.
@@ -32,7 +29,7 @@ def draw_software(world: WorldParameters, runs: int, file: Path) -> None:
 
 
 def draw(setups: dict[str, Setup], runs: int, file: Path) -> None:
-    """A row of pictures for each software, one for each pattern, into a PNG.
+    """Draw a row of pictures for each software, one for each pattern, into a PNG.
 
     Raises:
         ConfigError: wasmtime is not installed, or has no library for this machine.

@@ -1,4 +1,4 @@
-"""Reports: what the laboratory found, as lines for people and as one object for programs."""
+"""Reports of the laboratory: lines for people and one object for programs."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -7,11 +7,20 @@ from typing import Any
 
 import numpy as np
 
-from hostlink.lab.causes import CAUSES, MISTAKES, Cause
-from hostlink.lab.experiment import PAPER_WORLD, Errors, Experiment, Laboratory, Setup, Software
-from hostlink.lab.paper_results import axes_of
-from hostlink.lab.patterns import PATTERNS, SQUARE_LEFT, SQUARE_RIGHT, Pattern
-from hostlink.lab.tables import Column, Table
+from hostlink.lab.experiment import (
+    PAPER_WORLD,
+    PATTERNS,
+    SQUARE_LEFT,
+    SQUARE_RIGHT,
+    Errors,
+    Experiment,
+    Laboratory,
+    Pattern,
+    Setup,
+    Software,
+    axes_of,
+)
+from hostlink.lab.tables import CAUSES, MISTAKES, Cause, Column, ErrorTable
 from hostlink.lab.tables import tables as driven_tables
 from hostlink.lab.turns import (
     BestTurns,
@@ -23,7 +32,7 @@ from hostlink.lab.turns import (
     needed_radius,
     needed_twists,
 )
-from hostlink.sim.world_parameters import WorldParameters
+from hostlink.sim.firmware_module import WorldParameters
 
 TABLE_RUNS = 12
 CAUSE_RUNS = 4
@@ -34,18 +43,18 @@ Progress = Callable[[str], None]
 
 
 @dataclass(frozen=True, slots=True)
-class Report:
-    """The same twice."""
+class LabReport:
+    """Report as lines for people and as an object for programs."""
 
     lines: list[str]
     view: dict[str, Any]
 
-    def __add__(self, other: "Report") -> "Report":
-        return Report([*self.lines, "", *other.lines], self.view | other.view)
+    def __add__(self, other: "LabReport") -> "LabReport":
+        return LabReport([*self.lines, "", *other.lines], self.view | other.view)
 
 
 def text_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
-    """As Markdown, so that it may be pasted."""
+    """Format a table as Markdown."""
     widths = [max(len(row[i]) for row in (head, *rows)) for i in range(len(head))]
     lines = [
         "| " + " | ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)) + " |" for row in rows
@@ -57,8 +66,8 @@ def text_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
 # -- causes -----------------------------------------------------------------------------------------------------------
 
 
-def causes(laboratory: Laboratory, runs: int, progress: Progress) -> Report:
-    """What each cause alone does to each pattern: means of |x| / |y|, of the line |length|, in cm.
+def causes(laboratory: Laboratory, runs: int, progress: Progress) -> LabReport:
+    """Report the effect of each cause alone on each pattern: means of |x| / |y|, of the line |length|, in cm.
 
     Raises:
         ConfigError: wasmtime is not installed, or has no library for this machine.
@@ -87,7 +96,7 @@ def causes(laboratory: Laboratory, runs: int, progress: Progress) -> Report:
         "",
         *_cause_table(MISTAKES, cells, "mistake", ("alone", "without")),
     ]
-    return Report(lines, {"runs": runs, "causes": [_cause_view(cause, cells[cause.name]) for cause in listed]})
+    return LabReport(lines, {"runs": runs, "causes": [_cause_view(cause, cells[cause.name]) for cause in listed]})
 
 
 def _cause_table(
@@ -127,8 +136,8 @@ def _errors_view(errors: Errors) -> dict[str, Any]:
 # -- tables -----------------------------------------------------------------------------------------------------------
 
 
-def tables(laboratory: Laboratory, world: WorldParameters, runs: int, progress: Progress) -> Report:
-    """Tables 2-5, side by side.
+def tables(laboratory: Laboratory, world: WorldParameters, runs: int, progress: Progress) -> LabReport:
+    """Report tables 2-5 for all software.
 
     Raises:
         ConfigError: wasmtime is not installed, or has no library for this machine.
@@ -144,10 +153,10 @@ def tables(laboratory: Laboratory, world: WorldParameters, runs: int, progress: 
         "World: " + (", ".join(f"{name}={value:.6g}" for name, value in _changed(world)) or "without a flaw"),
     ]
     views = [_table_view(table) for table in driven]
-    return Report(lines, {"runs": runs, "world": dict(_changed(world)), "tables": views})
+    return LabReport(lines, {"runs": runs, "world": dict(_changed(world)), "tables": views})
 
 
-def _table_rows(table: Table) -> list[list[str]]:
+def _table_rows(table: ErrorTable) -> list[list[str]]:
     return [
         [str(table.pattern.table), table.pattern.title, axis, *(_mean(column, i) for column in table.columns)]
         for i, axis in enumerate(axes_of(table.pattern.table))
@@ -158,7 +167,7 @@ def _mean(column: Column, axis: int) -> str:
     return f"{column.means_cm[axis]:.1f} +- {column.errors_cm[axis]:.1f}"
 
 
-def _table_view(table: Table) -> dict[str, Any]:
+def _table_view(table: ErrorTable) -> dict[str, Any]:
     return {
         "table": table.pattern.table,
         "pattern": table.pattern.name,
@@ -183,8 +192,8 @@ def _changed(world: WorldParameters) -> list[tuple[str, float]]:
 # -- claims -----------------------------------------------------------------------------------------------------------
 
 
-def claims(laboratory: Laboratory, runs: int, progress: Progress) -> Report:
-    """Which numbers the paper's tables need, whether one set of them can serve all, and what its software adds.
+def claims(laboratory: Laboratory, runs: int, progress: Progress) -> LabReport:
+    """Report which numbers the paper's tables need, whether one set explains all, and the error of its software alone.
 
     Raises:
         ConfigError: wasmtime is not installed, or has no library for this machine.
@@ -215,7 +224,7 @@ def claims(laboratory: Laboratory, runs: int, progress: Progress) -> Report:
         "",
         *text_table(["motors turn from", "pattern", "mean", "95 % of the mean"], [_alone_row(each) for each in alone]),
     ]
-    return Report(
+    return LabReport(
         lines,
         {
             "radius": _needed_view(radius),
@@ -232,7 +241,7 @@ def claims(laboratory: Laboratory, runs: int, progress: Progress) -> Report:
 
 @dataclass(frozen=True, slots=True)
 class SoftwareAlone:
-    """What the paper's software errs by in a world without a flaw."""
+    """Error of the paper's software in a world without defects."""
 
     threshold_pwm: float
     pattern: Pattern
@@ -240,7 +249,7 @@ class SoftwareAlone:
 
 
 def software_alone(laboratory: Laboratory, runs: int) -> list[SoftwareAlone]:
-    """The squares, with motors that begin to turn at different PWMs; 690 is what the Due's pin makes of 700.
+    """Drive the squares with motors that start at different PWMs; the Due's pin turns 700 into 690.
 
     Raises:
         ConfigError: wasmtime is not installed, or has no library for this machine.
@@ -269,7 +278,7 @@ def _best_view(found: BestTurns) -> dict[str, Any]:
 
 
 def apart(needed: Sequence[Needed]) -> list[tuple[str, str]]:
-    """The pairs whose intervals do not overlap."""
+    """Return the pairs whose intervals do not overlap."""
     return [(a.what, b.what) for a, b in combinations(needed, 2) if not a.overlaps(b)]
 
 

@@ -1,7 +1,7 @@
-"""Turns: a square as legs and turns alone, without motors: quick enough to draw a hundred thousand runs. Pure.
+"""Model of a pattern as legs and turns without motors, fast enough for a hundred thousand drawn runs. Pure.
 
-Each turn leaves the odometry's heading off by an angle, each leg its length by a share, each leg after a turn by a
-length. What no such numbers can give, no caster, no slip and no radius can.
+Each turn adds an error to the heading, each leg an error in proportion to its length, and each leg after a turn a fixed
+length. An error that no such numbers explain is not explained by caster, slip or radius either.
 """
 
 from dataclasses import dataclass
@@ -9,13 +9,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hostlink.lab.paper_results import LINE_M, LINE_TABLE, PAPER_CM
-from hostlink.lab.patterns import BACK, SQUARE_LEFT, SQUARE_RIGHT, Pattern
+from hostlink.lab.experiment import BACK, LINE_M, LINE_TABLE, PAPER_CM, SQUARE_LEFT, SQUARE_RIGHT, Pattern
 
 _Array = NDArray[np.float64]
 
-_READING_CM = 0.5  # standard deviation of a tape measure on the floor, of a mean of three
-RUNS = 3  # of each of the paper's tables
+_READING_CM = 0.5  # standard deviation of a mean of three readings of a tape measure on the floor
+RUNS = 3  # runs of each of the paper's tables
 TURNING = (SQUARE_LEFT, SQUARE_RIGHT, BACK)
 T_95 = {
     1: 12.7062,
@@ -25,20 +24,20 @@ T_95 = {
     5: 2.570582,
     11: 2.200985,
 }  # Student's, by degrees of freedom
-_NORMAL_95 = 1.959963985  # of many
+_NORMAL_95 = 1.959963985  # for many degrees of freedom
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TurnErrors:
-    """How turns and legs go wrong."""
+    """Errors of turns and legs."""
 
-    mean_rad: float  # by which the robot turns farther than its odometry counts, at each turn
-    random_rad: float = 0.0  # standard deviation of that
-    loss_m: float = 0.0  # by which odometry runs ahead at the start of each leg after a turn: wheels that slip
+    mean_rad: float  # angle by which the robot turns farther than its odometry, at each turn
+    random_rad: float = 0.0  # standard deviation of that angle
+    loss_m: float = 0.0  # length that slipping wheels add to odometry at the start of each leg after a turn
 
 
 def errors_cm(pattern: Pattern, turns: TurnErrors, normal: _Array) -> _Array:
-    """Odometry less truth, x and y, a row each run; `normal`: random numbers, a row each run, a column each turn."""
+    """Return odometry minus truth, x and y, one row for each run. `normal`: random numbers, a column for each turn."""
     marks = np.array([(0.0, 0.0), *pattern.marks_of(0)])
     legs = np.diff(marks[:, 0] + 1j * marks[:, 1])
     sense = np.sign(np.angle(legs[1:] / legs[:-1]))
@@ -51,7 +50,7 @@ def errors_cm(pattern: Pattern, turns: TurnErrors, normal: _Array) -> _Array:
 
 @dataclass(frozen=True, slots=True)
 class Needed:
-    """The number that one column of the paper's tables needs, alone."""
+    """Number that one column of the paper's tables needs."""
 
     what: str
     mean: float
@@ -59,21 +58,21 @@ class Needed:
     high: float  # of the 95 % interval
 
     def overlaps(self, other: "Needed") -> bool:
-        """Whether one number may serve both."""
+        """Whether one number may explain both."""
         return self.low <= other.high and other.low <= self.high
 
 
 def needed_radius() -> Needed:
-    """By which share the wheels must be larger than 45 mm for table 4."""
+    """Return the share by which the wheels must be larger than 45 mm for table 4."""
     shares = PAPER_CM[LINE_TABLE][:, 0] / 100 / np.array(LINE_M)
     return mean_of("line", shares)
 
 
 def needed_twists() -> list[Needed]:
-    """By how much each turn must twist the robot for each column of tables 2, 3 and 5: solved run by run."""
+    """Return the twist of each turn that each column of tables 2, 3 and 5 needs, solved for each run."""
     found = []
     for pattern in TURNING:
-        axes = ("y",) if pattern is BACK else ("x", "y")  # a twist moves x of there and back by its square only
+        axes = ("y",) if pattern is BACK else ("x", "y")  # there and back, a twist changes x only by its square
         for axis in axes:
             sizes = PAPER_CM[pattern.table][:, "xy".index(axis)]
             twists = np.array([_twist_for(pattern, "xy".index(axis), size) for size in sizes])
@@ -83,16 +82,16 @@ def needed_twists() -> list[Needed]:
 
 @dataclass(frozen=True, slots=True)
 class BestTurns:
-    """The turn errors under which the paper's means are the most likely, and how likely worse ones are then."""
+    """Turn errors with the highest likelihood of the paper's means, and the probability of larger deviations."""
 
     turns: TurnErrors
     means_cm: _Array  # |x| and |y| of tables 2, 3, 5
     paper_cm: _Array
-    p_value: float  # share of drawn laboratories whose means lie farther out than the paper's
+    p_value: float  # share of drawn laboratories whose means deviate more than the paper's
 
 
 def best_turns(*, has_loss: bool, draws: int = 4000) -> BestTurns:
-    """Search a grid; equal random numbers at each of its points."""
+    """Search a grid, with equal random numbers at each point."""
     normal = np.random.default_rng(1).standard_normal((len(TURNING), draws * RUNS, RUNS))
     paper = np.concatenate([PAPER_CM[pattern.table].mean(axis=0) for pattern in TURNING])
     grid = [
@@ -108,7 +107,7 @@ def best_turns(*, has_loss: bool, draws: int = 4000) -> BestTurns:
 
 
 def chance_of_table_2(draws: int = 20000) -> tuple[float, TurnErrors]:
-    """The highest probability that any turn errors give three runs like table 2: |x| from 26, |y| up to 6 cm."""
+    """Return the highest probability of three runs like table 2 (|x| from 26, |y| up to 6 cm) and its turn errors."""
     normal = np.random.default_rng(2).standard_normal((draws, RUNS))
     grid = [TurnErrors(mean_rad=mean / 100, random_rad=random / 100) for mean in range(16) for random in range(19)]
 
@@ -121,13 +120,13 @@ def chance_of_table_2(draws: int = 20000) -> tuple[float, TurnErrors]:
 
 
 def _means(turns: TurnErrors, normal: _Array) -> _Array:
-    """The means of |x| and |y| of tables 2, 3, 5, a row each drawn laboratory."""
+    """Return the means of |x| and |y| of tables 2, 3, 5, one row for each drawn laboratory."""
     sizes = [np.abs(errors_cm(pattern, turns, normal[i])) for i, pattern in enumerate(TURNING)]
     return np.concatenate([size.reshape(-1, RUNS, 2).mean(axis=1) for size in sizes], axis=1)
 
 
 def _covariance(means: _Array) -> _Array:
-    """The covariance of the means, reading included."""
+    """Return the covariance of the means, including the readings' errors."""
     covariance: _Array = np.cov(means.T) + np.eye(means.shape[1]) * _READING_CM**2
     return covariance
 
@@ -150,7 +149,7 @@ def _twist_for(pattern: Pattern, axis: int, size_cm: float) -> float:
 
 
 def mean_of(what: str, values: _Array) -> Needed:
-    """A mean and its 95 % interval."""
+    """Return a mean and its 95 % interval."""
     mean, count = float(values.mean()), len(values)
     half = T_95.get(count - 1, _NORMAL_95) * float(values.std(ddof=1)) / count**0.5
     return Needed(what, mean, mean - half, mean + half)

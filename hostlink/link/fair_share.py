@@ -24,9 +24,8 @@ class FairShare:
     quarter while calm readers wait.
     """
 
-    def __init__(self, turn_s: float = TURN_S) -> None:
+    def __init__(self) -> None:
         self.waits = 0  # number of waits so far
-        self._turn_s = turn_s
         self._spent_s = 0.0  # used time of this turn
         self._owed_s = 0.0  # time for calm readers, if they wait, before a flood has its next turn
         self._is_turn_due = False
@@ -35,14 +34,14 @@ class FairShare:
 
     def is_free(self, *, is_flooding: bool = False) -> bool:
         """Whether `wait` would return at once: the turn is not used up, and no other reader waits before this one."""
-        return not self._is_used_up and self._is_first(is_flooding=is_flooding)
+        return self._spent_s < TURN_S and not self._calm and not (is_flooding and self._flooding)
 
     async def wait(self, expected_s: float, *, is_flooding: bool = False) -> None:
         """Wait until the caller may compute for about `expected_s`. Return at once while the turn is not used up."""
         queue = self._flooding if is_flooding else self._calm
-        is_admitted = self._is_first(is_flooding=is_flooding)
+        is_admitted = not self._calm and not (is_flooding and self._flooding)
         deferrals = 0
-        while not is_admitted or (self._is_used_up and deferrals < MAX_DEFERRALS):
+        while not is_admitted or (self._spent_s >= TURN_S and deferrals < MAX_DEFERRALS):
             deferrals += is_admitted  # the readers before it have cost more than expected
             turn = asyncio.get_running_loop().create_future()
             put = queue.appendleft if is_admitted else queue.append
@@ -62,15 +61,8 @@ class FairShare:
     def spend(self, seconds: float) -> None:
         """Subtract computing time from the turn. A turn ends only when it is used up."""
         self._spent_s += seconds
-        if self._is_used_up:
+        if self._spent_s >= TURN_S:
             self._expect_turn()
-
-    @property
-    def _is_used_up(self) -> bool:
-        return self._spent_s >= self._turn_s
-
-    def _is_first(self, *, is_flooding: bool) -> bool:
-        return not self._calm and not (is_flooding and self._flooding)
 
     def _expect_turn(self) -> None:
         if not self._is_turn_due:
@@ -81,10 +73,10 @@ class FairShare:
         """Start a turn: admit as many as are expected to fill it. Calm readers go first while they have time left."""
         self._is_turn_due = False
         self._spent_s = 0.0
-        left_s = self._turn_s
+        left_s = TURN_S
         if self._owed_s > 0 or not self._flooding:
             left_s = self._admit(self._calm, left_s)
-            self._owed_s -= self._turn_s - left_s
+            self._owed_s -= TURN_S - left_s
         if self._flooding and left_s > 0:
             self._owed_s = CALM_PARTS * (left_s - self._admit(self._flooding, left_s))
         if self._calm or self._flooding:
@@ -107,51 +99,44 @@ def _admit(turn: "asyncio.Future[None]") -> None:
 class Turns:
     """Share of one link or client in a FairShare, with the cost of its last piece of work."""
 
-    __slots__ = ("_cost_s", "_share")
+    __slots__ = ("_cost_s", "share")
 
     def __init__(self, share: FairShare) -> None:
-        self._share = share
+        self.share = share
         self._cost_s = TURN_S  # assumed cost of the first piece
 
     async def run(self, work: Callable[[], None], *, is_flooding: bool) -> None:
         """Run a piece of work in its turn."""
-        began_s = await self.begin(is_flooding=is_flooding)
+        if not self.share.is_free(is_flooding=is_flooding):
+            await self.share.wait(self._cost_s, is_flooding=is_flooding)
+        began_s = asyncio.get_running_loop().time()
         try:
             work()
         finally:
             self.end(began_s)
 
-    def is_free(self, *, is_flooding: bool) -> bool:
-        """Whether a piece of work may run without waiting."""
-        return self._share.is_free(is_flooding=is_flooding)
-
     def call(self, work: Callable[[], None], *, is_flooding: bool) -> None:
         """Schedule a piece of work for its turn. It must not raise."""
-        self._share.call(work, self._cost_s, is_flooding=is_flooding)
+        self.share.call(work, self._cost_s, is_flooding=is_flooding)
 
-    def reader(self, source: "Source", read: Callable[[], None], on_end: Callable[[], None]) -> "TurnReader":
+    def reader(self, source: "ReadSource", read: Callable[[], None], on_end: Callable[[], None]) -> "TurnReader":
         """Create a reader of `source` that reads in these turns."""
         return TurnReader(self, source, read, on_end)
-
-    async def begin(self, *, is_flooding: bool) -> float:
-        """Wait for the turn of a piece of work. Return the time at which it begins."""
-        await self._share.wait(self._cost_s, is_flooding=is_flooding)
-        return asyncio.get_running_loop().time()
 
     def end(self, began_s: float) -> float:
         """End the piece of work and charge its cost. Return the time."""
         now_s = asyncio.get_running_loop().time()
         self._cost_s = now_s - began_s
-        self._share.spend(self._cost_s)
+        self.share.spend(self._cost_s)
         return now_s
 
     async def wait(self, cost_s: float, *, is_flooding: bool = False) -> None:
         """Wait for a turn for work of about `cost_s` that is only started here."""
-        await self._share.wait(cost_s, is_flooding=is_flooding)
-        self._share.spend(cost_s)
+        await self.share.wait(cost_s, is_flooding=is_flooding)
+        self.share.spend(cost_s)
 
 
-class Source(Protocol):
+class ReadSource(Protocol):
     """Received bytes of a connection: a Transport or a Connection."""
 
     @property
@@ -170,7 +155,7 @@ class TurnReader:
 
     __slots__ = ("_is_due", "_is_flooding", "_is_stopped", "_on_end", "_read", "_source", "_turns")
 
-    def __init__(self, turns: Turns, source: Source, read: Callable[[], None], on_end: Callable[[], None]) -> None:
+    def __init__(self, turns: Turns, source: ReadSource, read: Callable[[], None], on_end: Callable[[], None]) -> None:
         self._turns, self._source = turns, source
         self._read, self._on_end = read, on_end
         self._is_due = self._is_flooding = self._is_stopped = False
@@ -189,7 +174,7 @@ class TurnReader:
         while (unread_bytes := source.unread_bytes) and not self._is_stopped:
             if unread_bytes >= READ_BYTES:
                 self._is_flooding = True
-            if not self._turns.is_free(is_flooding=self._is_flooding):
+            if not self._turns.share.is_free(is_flooding=self._is_flooding):
                 self._is_due = True
                 self._turns.call(self._read_due, is_flooding=self._is_flooding)
                 return
@@ -207,13 +192,13 @@ class TurnReader:
 
 
 class _Nothing:
-    """Source of a TurnReader after `stop`."""
+    """ReadSource of a TurnReader after `stop`."""
 
     unread_bytes = 0
     is_ended = True
 
 
-_NOTHING: Source = _Nothing()
+_NOTHING: ReadSource = _Nothing()
 
 
 def _read_nothing() -> None:

@@ -23,7 +23,6 @@ from hostlink.protocol.clock import ClockReading
 from hostlink.protocol.control import TopicInfo
 from hostlink.protocol.events import Event
 from hostlink.protocol.frame import HEADER, OVERHEAD_BYTES, SYNC, SYNC_WORD, TOPICS_REQUEST, byte_sum
-from hostlink.protocol.outbox import OutgoingFrame
 from hostlink.protocol.session import Session, SessionCounts
 from hostlink.transport.base import Transport
 
@@ -68,6 +67,12 @@ MOST_FRAMES = FIRST_BYTES // 8  # in one piece: as many as FIRST_BYTES hold, whi
 LARGE_PIECE_S = 0.0001
 
 
+def is_crowded(data: bytes) -> bool:
+    """Whether a piece must be read in parts, because it has many short frames after cheap long ones."""
+    # The first count costs a third of the exact one.
+    return data.count(SYNC[:1]) > MOST_FRAMES and data.count(SYNC) > MOST_FRAMES
+
+
 class PieceSize:
     """Size of the next piece of one link. It is halved after an expensive piece and doubled after a cheap one."""
 
@@ -75,12 +80,6 @@ class PieceSize:
 
     def __init__(self) -> None:
         self.size_bytes = FIRST_BYTES
-
-    def is_crowded(self, data: bytes) -> bool:
-        """Whether a piece must be read in parts, because it has many short frames after cheap long ones."""
-        # Costs a third of the exact count below.
-        is_likely = len(data) > FIRST_BYTES and data.count(SYNC[:1]) > MOST_FRAMES
-        return is_likely and data.count(SYNC) > MOST_FRAMES
 
     def update(self, cost_s: float) -> None:
         """Note the cost of the last piece."""
@@ -101,17 +100,15 @@ TROUBLE_INTERVAL_S = 10.0  # damage on the wire is counted and logged at this in
 class Trouble:
     """Logger of damage on the wire: at most one line per TROUBLE_INTERVAL_S, with the counts since the last one."""
 
-    __slots__ = ("_logged", "_logged_at_s")
+    __slots__ = ("_logged", "due_s")
 
     def __init__(self, now_s: float) -> None:
-        self._logged_at_s = now_s
+        self.due_s = now_s + TROUBLE_INTERVAL_S  # time of the next report
         self._logged: dict[str, int] = {}
 
     def report(self, session: Session, now_s: float) -> None:
-        """Log the new counts, if the last line is old enough."""
-        if now_s < self._logged_at_s + TROUBLE_INTERVAL_S:
-            return
-        self._logged_at_s = now_s
+        """Log the new counts, if there are any. Call it when it is due."""
+        self.due_s = now_s + TROUBLE_INTERVAL_S
         counts = session.counts
         total = {
             "skipped_bytes": counts.skipped_bytes,
@@ -274,7 +271,7 @@ class Link:
 
     async def _send_last(self) -> None:
         """Send the final zero velocity before closing. Give up after LAST_FRAME_TIMEOUT_S."""
-        if self.last_frame and not self.session.is_stopped:
+        if self.last_frame and not self.session.outbox.is_stopped:
             with contextlib.suppress(OSError):  # TimeoutError is an OSError
                 async with asyncio.timeout(LAST_FRAME_TIMEOUT_S):
                     await self._transport.send(self.last_frame)
@@ -291,7 +288,7 @@ class Link:
             return
         self._is_drained.clear()
         loop = asyncio.get_running_loop()
-        self.session.begin_waiting(loop.time())  # also while the device is behind
+        self.session.outbox.begin_waiting(loop.time())  # also while the device is behind
         if not self._is_write_due:
             self._is_write_due = True
             loop.call_soon(self._guarded, self._write_due, context=self._context)
@@ -320,10 +317,10 @@ class Link:
         return LinkFacts(
             seconds=now_s - self.opened_at_s,
             counts=dataclasses.replace(self.session.counts),
-            replaced=self.session.replaced,
+            replaced=self.session.outbox.replaced,
             rejected=dict(self.session.rejected),
-            slowest_wait_s=self.session.slowest_wait_s,
-            oldest_waiting_s=self.session.oldest_waiting_s(now_s),
+            slowest_wait_s=self.session.outbox.slowest_wait_s,
+            oldest_waiting_s=self.session.outbox.oldest_s(now_s),
             clock=self.session.device_clock.reading(self._transport.round_trip_s()),
         )
 
@@ -347,13 +344,14 @@ class Link:
         now_s = self.received_at_s = self._now_s()
         data = self._rest or self._transport.read(self._piece.size_bytes)
         self._rest = b""
-        if self._piece.is_crowded(data):
+        if len(data) > FIRST_BYTES and is_crowded(data):
             data, self._rest = data[:FIRST_BYTES], data[FIRST_BYTES:]
         self._from_device.add(data, now_s)
         self._dispatch(self.session.receive(data, now_s=now_s), now_s)
         ended_s = self._turns.end(now_s)
         self._piece.update(ended_s - now_s)
-        self._trouble.report(self.session, ended_s)
+        if ended_s >= self._trouble.due_s:
+            self._trouble.report(self.session, ended_s)
 
     @property
     def unread_bytes(self) -> int:
@@ -371,21 +369,17 @@ class Link:
 
     def _silent_at_s(self) -> float:
         """Time at which silence ends the link; earlier for a device that requests the time regularly."""
-        limit_s = self._regular_limit_s if self.session.is_requesting_time else self._idle_limit_s
+        limit_s = self._regular_limit_s if self.session.negotiation.is_regular else self._idle_limit_s
         return self.received_at_s + limit_s
 
     def _dispatch(self, found: list[Event], now_s: float) -> None:
         self._is_write_due = True  # answers to the events are written together
         for event in found:
             self._on_event(self, event)
-        if self.session.has_waiting or self._next_s() < self._timer_s:
+        if self.session.outbox.has_waiting or min(self.session.deadline_s(), self._silent_at_s()) < self._timer_s:
             self._write(now_s)
         else:
             self._is_write_due = False
-
-    def _next_s(self) -> float:
-        """Time at which something is due if no byte arrives."""
-        return min(self.session.deadline_s(), self._silent_at_s())
 
     def _guarded(self, work: Callable[[], None]) -> None:
         """Run a callback of the event loop. An exception ends the link, and `run` raises it."""
@@ -438,17 +432,21 @@ class Link:
         """Write the frames that may be sent now, do what is due, and set the timer."""
         self._is_write_due = False
         session = self.session
-        session.begin_waiting(now_s)
+        session.outbox.begin_waiting(now_s)
         while not self._is_behind.is_set():
             outgoing = session.pop_frame(now_s=now_s, wall_ns=self._wall_ns())
             if outgoing is not None:
-                self._send(outgoing, now_s)
+                if not self._transport.write(outgoing.frame):
+                    self._is_behind.set()
+                if outgoing.waiting_since_s is not None:
+                    self.command_latency.add(self._now_s() - outgoing.waiting_since_s)
+                self._to_device.add(outgoing.frame, now_s)
             elif session.deadline_s() <= now_s + SOON_S and self._is_settled(now_s):
                 for event in session.tick(now_s=now_s + SOON_S):
                     self._on_event(self, event)
             else:
                 break
-        if self._is_silent(now_s):
+        if self._silent_at_s() <= now_s + SOON_S and self._is_silent(now_s):
             self.end(LinkEnd.IDLE)
         else:
             self._expect(now_s)
@@ -461,24 +459,17 @@ class Link:
         return self._pauses(now_s).is_settled(now_s)
 
     def _is_silent(self, now_s: float) -> bool:
-        """Whether no byte arrived for too long while the host ran."""
-        if self._silent_at_s() > now_s + SOON_S or not self._is_settled(now_s) or self.unread_bytes:
+        """Whether the host ran during all of the silence, and no byte waits to be read."""
+        if not self._is_settled(now_s) or self.unread_bytes:
             return False
         limit_s = self._silent_at_s() - self.received_at_s
         return self._pauses(now_s).awake_s(self.received_at_s, now_s + SOON_S) >= limit_s
-
-    def _send(self, outgoing: OutgoingFrame, now_s: float) -> None:
-        if not self._transport.write(outgoing.frame):
-            self._is_behind.set()
-        if outgoing.waiting_since_s is not None:
-            self.command_latency.add(self._now_s() - outgoing.waiting_since_s)
-        self._to_device.add(outgoing.frame, now_s)
 
     def _expect(self, now_s: float) -> None:
         """Set the timer for the next `_write`."""
         next_s, wait_s = self._silent_at_s(), None
         if not self._is_behind.is_set():
-            wait_s = self.session.wait_s(now_s)
+            wait_s = self.session.outbox.wait_s(now_s)
             next_s = min(next_s, self.session.deadline_s())
             if wait_s is None:
                 self._is_drained.set()

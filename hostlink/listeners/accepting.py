@@ -19,8 +19,7 @@ from hostlink.transport.base import Transport
 from hostlink.transport.keyed import HELLO, KeyProof, read_key
 from hostlink.transport.serial import SerialTransport, open_serial
 from hostlink.transport.tcp import spelled
-from hostlink.transport.udp import UdpTransport
-from hostlink.transport.udp_port import Datagram, UdpPort
+from hostlink.transport.udp import Datagram, UdpPort, UdpTransport
 
 # -- refusals ---------------------------------------------------------------------------------------------------------
 
@@ -30,7 +29,7 @@ PAUSE_S = 5.0  # a refused device reconnects at once, when there is still no roo
 LOG_INTERVAL_S = 10.0  # a refused peer reconnects at once
 
 
-class Refusals:
+class RefusedPeers:
     """Counts and pauses of one acceptor's refused peers."""
 
     def __init__(self, hub: Hub) -> None:
@@ -84,7 +83,7 @@ class Verdict:
     evicts: int | None = None
 
 
-class Admission:
+class ConnectionAdmission:
     """Rules for a new connection.
 
     | new connection                    | decision                                                                 |
@@ -149,10 +148,10 @@ class TcpAcceptor:
             ConfigError: the key file cannot be used.
         """
         self._hub = hub
-        self._admission = Admission(config)
+        self._admission = ConnectionAdmission(config)
         self._key = None if config.key_file is None else read_key(config.key_file, "tcp.key_file")
         self._links: dict[int, Link] = {}  # oldest first
-        self._refusals = Refusals(hub)
+        self._refusals = RefusedPeers(hub)
 
     def accept(self, transport: Transport) -> None:
         """Accept or refuse a new connection."""
@@ -201,7 +200,7 @@ class _Session:
     transport: UdpTransport
 
     def as_connection(self) -> OpenConnection:
-        """Describe the session for Admission. A verified device counts as identified, so it is not evicted."""
+        """Describe the session for the admission. A verified device counts as identified, so it is not evicted."""
         is_identified = self.transport.is_verified or self.link.session.counts.negotiations > 0
         return OpenConnection(self.link.number, self.link.address, is_identified=is_identified)
 
@@ -216,12 +215,12 @@ class UdpAcceptor:
             ConfigError: the key file cannot be used.
         """
         self._hub, self._config = hub, config
-        self._admission = Admission(config)
+        self._admission = ConnectionAdmission(config)
         self._key = None if config.key_file is None else read_key(config.key_file, "udp.key_file")
         self._trusted = [ipaddress.ip_network(network) for network in config.trusted]
         self._devices = config.device_addresses()
         self._sessions: dict[tuple[str, int], _Session] = {}  # by source address, oldest first
-        self._refusals = Refusals(hub)
+        self._refusals = RefusedPeers(hub)
         self._rates = {is_verified: _Rate() for is_verified in (False, True)}
 
     def receive(self, port: UdpPort, datagram: Datagram) -> bool:

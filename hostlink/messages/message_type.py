@@ -27,7 +27,6 @@ class MessageType:
         layouts |= {"time": TIME, "duration": DURATION}
         self.layout: Layout = Layout(definition.name, definition.fields, layouts)
         self.nested: Mapping[str, MessageType] = nested
-        self.fallbacks = 0  # messages and payloads that the validating codec handled
 
     @property
     def fields(self) -> tuple[Field, ...]:
@@ -81,9 +80,8 @@ class MessageType:
             payload = encode(message)
         except UNCOMMON_LAYOUT:
             try:
-                payload = encode(_completed(message, self._zero))
+                payload = encode(completed(message, self._zero))
             except UNCOMMON_LAYOUT:
-                self.fallbacks += 1
                 return validating_codec.encode(self.layout, message)
         validating_codec.check_size(len(payload), self.name)
         return payload
@@ -101,7 +99,6 @@ class MessageType:
         try:
             return decode(data)
         except UNCOMMON_LAYOUT:
-            self.fallbacks += 1
             return validating_codec.decode(self.layout, data)
 
     @cached_property
@@ -131,16 +128,16 @@ class ServiceType:
         return _md5(self.request.md5_text + self.response.md5_text)
 
 
-def _completed(message: Mapping[str, object], zero: dict[str, object]) -> dict[str, object]:
+def completed(message: Mapping[str, object], zero: dict[str, object]) -> dict[str, object]:
     """Fill in zeros for missing fields. Raise one of UNCOMMON_LAYOUT if the message has unknown fields."""
-    completed = {**zero, **message}
-    if len(completed) != len(zero):
+    found = {**zero, **message}
+    if len(found) != len(zero):
         raise LookupError("an unknown field")
     for name, value in message.items():
         default = zero[name]
         if isinstance(default, dict):
-            completed[name] = _completed(value, default)  # type: ignore[arg-type]  # a TypeError if the value is not a mapping
-    return completed
+            found[name] = completed(value, default)  # type: ignore[arg-type]  # a TypeError if the value is not a mapping
+    return found
 
 
 def _collect_definitions(message: MessageType, definitions: dict[str, str]) -> None:

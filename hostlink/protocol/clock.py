@@ -20,7 +20,7 @@ _NS_PER_S = 1e9
 
 
 @dataclass(slots=True)
-class _Bucket:
+class _OffsetBucket:
     number: int
     at_s: float
     least_ns: int
@@ -42,7 +42,7 @@ class DeviceClock:
     def __init__(self) -> None:
         self.answer_s: float | None = None  # from a topic request to the first TopicInfo: network, UART and device loop
         self._requested_at_s: float | None = None
-        self._buckets: deque[_Bucket] = deque(maxlen=BUCKETS)
+        self._buckets: deque[_OffsetBucket] = deque(maxlen=BUCKETS)
         self._away_since_s: float | None = None
 
     def topics_requested(self, now_s: float) -> None:
@@ -69,9 +69,9 @@ class DeviceClock:
         self._away_since_s = None
         number = int(now_s // BUCKET_S)
         if not self._buckets or self._buckets[-1].number != number:
-            self._buckets.append(_Bucket(number, now_s, behind_ns))
+            self._buckets.append(_OffsetBucket(number, now_s, behind_ns))
         elif behind_ns < self._buckets[-1].least_ns:
-            self._buckets[-1] = _Bucket(number, now_s, behind_ns)
+            self._buckets[-1] = _OffsetBucket(number, now_s, behind_ns)
 
     def to_host_ns(self, stamp_ns: int, at_ns: int) -> int:
         """Return the host time at which a message was stamped, or `at_ns` when the stamp is implausible."""

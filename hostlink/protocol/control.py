@@ -64,18 +64,13 @@ def encode_topic_info(info: TopicInfo) -> bytes:
 def decode_topic_info(kind: Id, payload: bytes) -> TopicInfo | None:
     """Decode a TopicInfo; None if it is malformed or if a name, type or md5 is empty, too long or unprintable."""
 
-    def read(reader: _Reader) -> TopicInfo:
+    def read(reader: _PayloadReader) -> TopicInfo:
         (topic_id,) = reader.unpack(_TOPIC_ID)
         name, type_name, md5 = (_word(reader.string()) for _ in range(3))
         (buffer_bytes,) = reader.unpack(_I32)
         return TopicInfo(kind, topic_id, name, type_name, md5, buffer_bytes)
 
     return _decode(payload, read)
-
-
-def encode_parameter_request(name: str) -> bytes:
-    """Encode the payload of a device's parameter request."""
-    return _encode_string(name)
 
 
 def decode_parameter_request(payload: bytes) -> str | None:
@@ -94,7 +89,7 @@ def encode_parameter(parameter: Parameter) -> bytes:
 def decode_parameter(payload: bytes) -> Parameter | None:
     """Decode the answer to a parameter request, as a device does; None if malformed."""
 
-    def read(reader: _Reader) -> Parameter:
+    def read(reader: _PayloadReader) -> Parameter:
         ints = reader.unpack(Struct(f"<{reader.count(4)}i"))
         floats = reader.unpack(Struct(f"<{reader.count(4)}f"))
         strings = tuple(reader.string().decode(errors="replace") for _ in range(reader.count(4)))
@@ -103,15 +98,10 @@ def decode_parameter(payload: bytes) -> Parameter | None:
     return _decode(payload, read)
 
 
-def encode_log(log: Log) -> bytes:
-    """Encode the payload of a log line."""
-    return bytes([log.level]) + _encode_string(log.text)
-
-
 def decode_log(payload: bytes) -> Log | None:
     """Decode a log line; None if malformed. A level above fatal is read as fatal."""
 
-    def read(reader: _Reader) -> Log:
+    def read(reader: _PayloadReader) -> Log:
         level = reader.read(1)[0]
         return Log(min(level, len(LOG_LEVELS) - 1), reader.string().decode(errors="replace"))
 
@@ -124,17 +114,7 @@ def encode_time(wall_ns: int) -> bytes:
     return _TIME.pack(seconds & 0xFFFFFFFF, nanoseconds)
 
 
-def decode_time(payload: bytes) -> int | None:
-    """Decode a time answer to nanoseconds since 1970; None if malformed."""
-
-    def read(reader: _Reader) -> int:
-        seconds, nanoseconds = reader.unpack(_TIME)
-        return int(seconds * _NS_PER_S + nanoseconds)
-
-    return _decode(payload, read)
-
-
-class _Reader:
+class _PayloadReader:
     """Sequential reader of one payload.
 
     Raises:
@@ -169,8 +149,8 @@ class _Reader:
             raise ValueError("bytes after the end")
 
 
-def _decode(payload: bytes, read: Callable[[_Reader], Item]) -> Item | None:
-    reader = _Reader(payload)
+def _decode(payload: bytes, read: Callable[[_PayloadReader], Item]) -> Item | None:
+    reader = _PayloadReader(payload)
     try:
         item = read(reader)
         reader.expect_end()

@@ -25,8 +25,8 @@ class SessionState(Enum):
     READY = auto()  # messages
 
 
-class Step(Enum):
-    """Step that changes the SessionState."""
+class NegotiationStep(Enum):
+    """NegotiationStep that changes the SessionState."""
 
     REQUESTED = auto()  # a topic request is queued
     TOPIC_INFO = auto()
@@ -35,16 +35,16 @@ class Step(Enum):
 
 TRANSITIONS: Final = {
     SessionState.REQUESTING: {
-        Step.REQUESTED: SessionState.REQUESTING,
-        Step.TOPIC_INFO: SessionState.NEGOTIATING,
+        NegotiationStep.REQUESTED: SessionState.REQUESTING,
+        NegotiationStep.TOPIC_INFO: SessionState.NEGOTIATING,
     },
     SessionState.NEGOTIATING: {
-        Step.TOPIC_INFO: SessionState.NEGOTIATING,
-        Step.FINISHED: SessionState.READY,
+        NegotiationStep.TOPIC_INFO: SessionState.NEGOTIATING,
+        NegotiationStep.FINISHED: SessionState.READY,
     },
     SessionState.READY: {
-        Step.REQUESTED: SessionState.REQUESTING,
-        Step.TOPIC_INFO: SessionState.NEGOTIATING,
+        NegotiationStep.REQUESTED: SessionState.REQUESTING,
+        NegotiationStep.TOPIC_INFO: SessionState.NEGOTIATING,
     },
 }
 
@@ -64,9 +64,8 @@ class NegotiationScheduler:
     """
 
     __slots__ = (
-        "_calls_until_s", "_is_damaged", "_is_unconfirmed", "_last_time_request_s", "_parts", "_pending",
-        "_requested_at_s", "_same_requests", "_time_requested_at_s", "_topic_info_at_s", "is_regular", "received_at_s",
-        "state",
+        "_calls_until_s", "_is_damaged", "_is_unconfirmed", "_last_time_request_s", "_parts", "_requested_at_s",
+        "_same_requests", "_time_requested_at_s", "_topic_info_at_s", "is_regular", "pending", "received_at_s", "state",
     )  # fmt: skip
 
     def __init__(self) -> None:
@@ -81,13 +80,13 @@ class NegotiationScheduler:
         self._time_requested_at_s = 0.0  # last time request, or the topic request that replaced it
         self._last_time_request_s = float("-inf")
         self._requested_at_s = float("-inf")
-        self._pending: str | None = None  # reason of the next topic request
+        self.pending: str | None = None  # reason of the next topic request
         self._same_requests: Counter[object] = Counter()
 
     def open(self, now_s: float) -> None:
         """Start the timers and schedule the first topic request."""
         self.received_at_s = self._time_requested_at_s = now_s
-        self._pending = "connected"
+        self.pending = "connected"
 
     def time_requested(self, now_s: float) -> None:
         """Note a time request of the device."""
@@ -115,7 +114,7 @@ class NegotiationScheduler:
             self._parts = 1 if is_first else self._parts + 1
             self._is_unconfirmed &= not is_first
         self._topic_info_at_s = now_s
-        self._step(Step.TOPIC_INFO)
+        self._step(NegotiationStep.TOPIC_INFO)
         return is_first
 
     def mark_damaged(self) -> None:
@@ -124,13 +123,13 @@ class NegotiationScheduler:
 
     def request(self, reason: str) -> None:
         """Schedule a topic request, without a limit on repetitions."""
-        self._pending = self._pending or reason
+        self.pending = self.pending or reason
 
     def request_about(self, cause: object, reason: str) -> None:
         """Schedule a topic request, at most MAX_SAME_REQUESTS times for one cause."""
-        if self._pending is None and self._same_requests[cause] < MAX_SAME_REQUESTS:
+        if self.pending is None and self._same_requests[cause] < MAX_SAME_REQUESTS:
             self._same_requests[cause] += 1
-            self._pending = reason
+            self.pending = reason
 
     def forget_causes(self) -> None:
         """Reset the request counts of all causes, because the topics changed."""
@@ -138,8 +137,8 @@ class NegotiationScheduler:
 
     def finish(self, gap_at: int | None, *, is_short: bool = False, is_unconfirmed: bool = False) -> None:
         """End the negotiation. It satisfies earlier requests; a loss during it causes a new one."""
-        self._step(Step.FINISHED)
-        self._pending = None
+        self._step(NegotiationStep.FINISHED)
+        self.pending = None
         self._is_unconfirmed |= is_unconfirmed
         if gap_at is not None:
             self.request_about("loss", "gap")
@@ -155,12 +154,12 @@ class NegotiationScheduler:
 
     @property
     def may_finish(self) -> bool:
-        """Whether a frame of another kind ends the current negotiation.
+        """Whether a frame of another kind may end the current negotiation.
 
         Finishing a negotiation costs time in proportion to the number of topics. Without the limit MAX_PARTS, a device
         that sends a frame after each TopicInfo would keep the daemon busy with few bytes.
         """
-        return self.state is SessionState.NEGOTIATING and self._parts <= MAX_PARTS
+        return self._parts <= MAX_PARTS
 
     def is_quiet(self, now_s: float) -> bool:
         """Whether the negotiation ends because no TopicInfo arrived for NEGOTIATION_QUIET_S."""
@@ -179,20 +178,20 @@ class NegotiationScheduler:
 
     def pop_request(self, now_s: float) -> str | None:
         """Return the reason to request topics now. None: no request is scheduled, or the last one is too recent."""
-        if self._pending is None or self.state is SessionState.NEGOTIATING:
+        if self.pending is None or self.state is SessionState.NEGOTIATING:
             return None
         if now_s < self._requested_at_s + REQUEST_INTERVAL_S:
             return None
-        reason, self._pending = self._pending, None
+        reason, self.pending = self.pending, None
         self._requested_at_s = now_s
-        self._step(Step.REQUESTED)
+        self._step(NegotiationStep.REQUESTED)
         return reason
 
     def deadline_s(self) -> float:
         """Time at which `tick` must be called if no byte arrives before."""
         if self.state is SessionState.NEGOTIATING:
             return self._topic_info_at_s + NEGOTIATION_QUIET_S
-        if self._pending is not None:
+        if self.pending is not None:
             return self._requested_at_s + REQUEST_INTERVAL_S
         if self.state is SessionState.REQUESTING:
             return self._requested_at_s + ANSWER_TIMEOUT_S
@@ -200,7 +199,7 @@ class NegotiationScheduler:
             return min(self._confirm_at_s(), self._silent_at_s())
         return self._silent_at_s()
 
-    def _step(self, step: Step) -> None:
+    def _step(self, step: NegotiationStep) -> None:
         self.state = TRANSITIONS[self.state][step]
 
     def _confirm_at_s(self) -> float:

@@ -23,7 +23,7 @@ class OutgoingFrame(NamedTuple):
     waiting_since_s: float | None = None
 
 
-class _Waiting:
+class _QueuedFrame:
     """Queued frame and the time since when it waits."""
 
     __slots__ = ("frame", "is_awaited", "is_kept", "since_s")
@@ -36,7 +36,7 @@ class _Waiting:
         return 0.0 if self.since_s is None else now_s - self.since_s
 
 
-_Queues = dict[Hashable, deque[_Waiting]]  # round robin: the first key is next
+_Queues = dict[Hashable, deque[_QueuedFrame]]  # round robin: the first key is next
 
 
 class Outbox:
@@ -53,8 +53,8 @@ class Outbox:
     """
 
     __slots__ = (
-        "_commands", "_is_request_due", "_is_stop_due", "_is_stopped", "_is_time_due", "_new", "_replies", "_uart",
-        "_urgent", "replaced", "robot_moves", "slowest_wait_s",
+        "_commands", "_is_request_due", "_is_stop_due", "_is_time_due", "_new", "_replies", "_uart", "_urgent",
+        "is_stopped", "prompt_bytes", "replaced", "robot_moves", "slowest_wait_s",
     )  # fmt: skip
 
     def __init__(self, *, uart_bytes_s: int | None = None) -> None:
@@ -62,21 +62,13 @@ class Outbox:
         self.slowest_wait_s = 0.0  # of all frames sent
         self.robot_moves = False
         self._uart = _Uart(uart_bytes_s)
-        self._is_time_due = self._is_request_due = self._is_stop_due = self._is_stopped = False
+        self.prompt_bytes = self._uart.prompt_bytes  # of the longest frame that may be sent while the robot moves
+        self.is_stopped = False  # only queued urgent commands and the stop are still sent
+        self._is_time_due = self._is_request_due = self._is_stop_due = False
         self._urgent: _Queues = {}
         self._replies: _Queues = {}
         self._commands: _Queues = {}
-        self._new: list[_Waiting] = []  # frames whose age is not counted yet
-
-    @property
-    def is_stopped(self) -> bool:
-        """Whether only queued urgent commands and the stop are still sent."""
-        return self._is_stopped
-
-    @property
-    def prompt_bytes(self) -> float:
-        """Length of the longest frame that may be sent while the robot moves."""
-        return self._uart.prompt_bytes
+        self._new: list[_QueuedFrame] = []  # frames whose age is not counted yet
 
     @property
     def has_waiting(self) -> bool:
@@ -96,17 +88,17 @@ class Outbox:
 
     def put_stop(self) -> None:
         """Queue the stop request after the urgent commands. No other frame is sent from now on."""
-        self._is_stop_due = self._is_stopped = True
+        self._is_stop_due = self.is_stopped = True
 
     def put_urgent(self, topic_id: int, frame: bytes, *, is_kept: bool = False) -> None:
         """Queue a velocity, ahead of everything but time answer and topic request. Ignore it after `put_stop`.
 
         `is_kept`: a newer command does not replace this frame, such as the zero velocity that starts a session.
         """
-        if not self._is_stopped:
+        if not self.is_stopped:
             kept = self._urgent.get(topic_id)
             depth = 2 if kept is not None and kept[0].is_kept else 1
-            self._put(self._urgent, topic_id, _Waiting(frame, is_kept=is_kept), depth=depth)
+            self._put(self._urgent, topic_id, _QueuedFrame(frame, is_kept=is_kept), depth=depth)
 
     def put_reply(self, name: str, frame: bytes) -> None:
         """Queue an answer to a request of the device.
@@ -114,7 +106,7 @@ class Outbox:
         Raises:
             DeviceBusy: too many requests and answers wait.
         """
-        self._put_reply(name, _Waiting(frame, is_awaited=True))
+        self._put_reply(name, _QueuedFrame(frame, is_awaited=True))
 
     def put_call(self, name: str, frame: bytes) -> None:
         """Queue a call of a service of the device.
@@ -122,11 +114,11 @@ class Outbox:
         Raises:
             DeviceBusy: too many requests and answers wait.
         """
-        self._put_reply(name, _Waiting(frame))
+        self._put_reply(name, _QueuedFrame(frame))
 
     def put_command(self, topic_id: int, frame: bytes, *, depth: int = 1) -> None:
         """Queue a message of a topic that keeps the newest `depth` messages. Topics are sent in turn."""
-        self._put(self._commands, topic_id, _Waiting(frame), depth=depth)
+        self._put(self._commands, topic_id, _QueuedFrame(frame), depth=depth)
 
     def drop_messages(self) -> None:
         """Drop every command, call and response, because topic ids may have changed their meaning.
@@ -151,7 +143,8 @@ class Outbox:
 
     def pop_frame(self, *, now_s: float, wall_ns: int) -> OutgoingFrame | None:
         """Remove and return the next frame. None: the queues are empty, or the UART is still busy."""
-        self.begin_waiting(now_s)
+        if self._new:
+            self.begin_waiting(now_s)
         if self.wait_s(now_s) != 0:
             return None
         outgoing = self._next(now_s, wall_ns)
@@ -163,7 +156,7 @@ class Outbox:
 
         None: no frame is queued that may be sent while the robot moves.
         """
-        if not self._is_stopped and (self._is_time_due or self._is_request_due):
+        if not self.is_stopped and (self._is_time_due or self._is_request_due):
             return self._uart.wait_s(TIME_BYTES, now_s)
         found = self._head()
         if found is not None:
@@ -176,12 +169,12 @@ class Outbox:
         """Age of the oldest queued frame in seconds; 0 when the queues are empty."""
         return max((waiting.age_s(now_s) for waiting in self._all()), default=0.0)
 
-    def _all(self) -> Iterator[_Waiting]:
+    def _all(self) -> Iterator[_QueuedFrame]:
         for queues in (self._urgent, self._replies, self._commands):
             for waiting in queues.values():
                 yield from waiting
 
-    def _put(self, queues: _Queues, key: Hashable, new: _Waiting, *, depth: int) -> None:
+    def _put(self, queues: _Queues, key: Hashable, new: _QueuedFrame, *, depth: int) -> None:
         waiting = queues.pop(key, None) or deque()
         while len(waiting) >= depth:
             del waiting[int(waiting[0].is_kept)]
@@ -190,7 +183,7 @@ class Outbox:
         queues[key] = waiting
         self._new.append(new)
 
-    def _put_reply(self, name: str, new: _Waiting) -> None:
+    def _put_reply(self, name: str, new: _QueuedFrame) -> None:
         count = sum(map(len, self._replies.values()))
         if count >= MAX_REPLIES:
             raise DeviceBusy(name, count)
@@ -199,20 +192,20 @@ class Outbox:
 
     def _head(self) -> tuple[_Queues, Hashable] | None:
         """Find the queue and key of the next frame."""
-        for queues in (self._urgent,) if self._is_stopped else (self._urgent, self._replies, self._commands):
+        for queues in (self._urgent,) if self.is_stopped else (self._urgent, self._replies, self._commands):
             for key, waiting in queues.items():
                 if queues is self._urgent or not self._is_delayed(waiting[0]):
                     return queues, key
         return None
 
-    def _is_delayed(self, waiting: _Waiting) -> bool:
+    def _is_delayed(self, waiting: _QueuedFrame) -> bool:
         return self.robot_moves and not waiting.is_awaited and len(waiting.frame) > self.prompt_bytes
 
     def _next(self, now_s: float, wall_ns: int) -> OutgoingFrame:
-        if self._is_time_due and not self._is_stopped:
+        if self._is_time_due and not self.is_stopped:
             self._is_time_due = False
             return OutgoingFrame(encode(Id.TIME, encode_time(wall_ns)))
-        if self._is_request_due and not self._is_stopped:
+        if self._is_request_due and not self.is_stopped:
             self._is_request_due = False
             return OutgoingFrame(TOPICS_REQUEST)
         found = self._head()

@@ -30,7 +30,7 @@ from hostlink.protocol.frame import (
     contains_protocol_1,
     encode,
 )
-from hostlink.protocol.negotiation import NegotiationScheduler
+from hostlink.protocol.negotiation import NegotiationScheduler, SessionState
 from hostlink.protocol.outbox import Outbox, OutgoingFrame
 from hostlink.protocol.stream import DEFAULT_LIMIT_BYTES, FrameStream, Skipped
 from hostlink.protocol.topic_table import MAX_TOPICS, TopicTable
@@ -102,11 +102,11 @@ class Session:
         self.non_rosserial = NonRosserialBytes()
         self._check = check
         self._topics = TopicTable(max_topics)
-        self._outbox = Outbox(uart_bytes_s=uart_bytes_s)
+        self.outbox = Outbox(uart_bytes_s=uart_bytes_s)  # the link reads when its next frame may be sent
         self._refused: dict[int, HostlinkError] = {}
         self._known: tuple[TopicInfo, ...] = ()
         self._stream = FrameStream(fixed_bytes=self._topics.fixed_bytes)
-        self._negotiation = NegotiationScheduler()
+        self.negotiation = NegotiationScheduler()
         self._is_lossy = is_lossy
         self._has_dropped = False  # queued frames were dropped during this negotiation
 
@@ -114,7 +114,7 @@ class Session:
 
     def open(self, *, now_s: float) -> list[events.Event]:
         """Request the topics of a new connection."""
-        self._negotiation.open(now_s)
+        self.negotiation.open(now_s)
         found: list[events.Event] = []
         self._request_if_due(now_s, found)
         return found
@@ -122,21 +122,22 @@ class Session:
     def receive(self, data: bytes, *, now_s: float) -> list[events.Event]:
         """Process bytes from the device."""
         self.counts.bytes_from_device += len(data)
-        self._negotiation.received_at_s = now_s
+        self.negotiation.received_at_s = now_s
         found: list[events.Event] = []
         self._read(self._stream.feed(data), now_s, found)
-        self._request_if_due(now_s, found)
+        if self.negotiation.pending is not None:
+            self._request_if_due(now_s, found)
         return found
 
     def tick(self, *, now_s: float) -> list[events.Event]:
         """Do what is due by now. Call it at `deadline_s`."""
         found: list[events.Event] = []
-        negotiation = self._negotiation
-        if self._stream.pending_bytes and now_s >= negotiation.received_at_s + STALLED_FRAME_S:
+        negotiation = self.negotiation
+        if self._stream.pending and now_s >= negotiation.received_at_s + STALLED_FRAME_S:
             negotiation.received_at_s = now_s
             self._read(self._stream.give_up(), now_s, found)
         if negotiation.is_quiet(now_s):
-            if self._stream.pending_bytes:
+            if self._stream.pending:
                 negotiation.mark_damaged()
             found.append(self._finish_negotiation())
         negotiation.tick(now_s)
@@ -145,14 +146,14 @@ class Session:
 
     def deadline_s(self) -> float:
         """Time at which `tick` must be called if no byte arrives before."""
-        deadline_s = self._negotiation.deadline_s()
-        if self._stream.pending_bytes:
-            return min(deadline_s, self._negotiation.received_at_s + STALLED_FRAME_S)
+        deadline_s = self.negotiation.deadline_s()
+        if self._stream.pending:
+            return min(deadline_s, self.negotiation.received_at_s + STALLED_FRAME_S)
         return deadline_s
 
     def pop_frame(self, *, now_s: float, wall_ns: int) -> OutgoingFrame | None:
         """Remove and return the next frame. None: the queues are empty, or the device's UART is busy."""
-        outgoing = self._outbox.pop_frame(now_s=now_s, wall_ns=wall_ns)
+        outgoing = self.outbox.pop_frame(now_s=now_s, wall_ns=wall_ns)
         if outgoing is not None:
             if outgoing.frame is TOPICS_REQUEST:
                 self.device_clock.topics_requested(now_s)
@@ -164,22 +165,9 @@ class Session:
 
     def _note_response(self, frame: bytes, now_s: float) -> None:
         topic_id: int = HEADER.unpack_from(frame)[3]
-        info = self._topics.get(topic_id)
+        info = self._topics.by_id.get(topic_id)
         if info is not None and info.kind is Id.SERVICE_CLIENT_SUBSCRIBER:
-            self._negotiation.answered(now_s)
-
-    @property
-    def has_waiting(self) -> bool:
-        """Whether any frame is queued."""
-        return self._outbox.has_waiting
-
-    def wait_s(self, now_s: float) -> float | None:
-        """Seconds until `pop_frame` returns a frame; None when no frame can be sent."""
-        return self._outbox.wait_s(now_s)
-
-    def begin_waiting(self, now_s: float) -> None:
-        """Count the age of the frames queued since the last call from now on."""
-        self._outbox.begin_waiting(now_s)
+            self.negotiation.answered(now_s)
 
     # -- what the hub reads and requests ------------------------------------------------------------------------------
 
@@ -194,33 +182,9 @@ class Session:
         return max((_buffer_bytes(info) for info in self._known if info.is_to_device), default=DEFAULT_BUFFER_BYTES)
 
     @property
-    def replaced(self) -> int:
-        """Number of commands that a newer one replaced before they were sent."""
-        return self._outbox.replaced
-
-    @property
-    def slowest_wait_s(self) -> float:
-        """Longest time that a sent frame waited."""
-        return self._outbox.slowest_wait_s
-
-    @property
-    def is_stopped(self) -> bool:
-        """Whether `stop` was called."""
-        return self._outbox.is_stopped
-
-    def oldest_waiting_s(self, now_s: float) -> float:
-        """Age of the oldest queued frame; 0 when the queues are empty."""
-        return self._outbox.oldest_s(now_s)
-
-    @property
-    def is_requesting_time(self) -> bool:
-        """Whether the device requests the time at rosserial's period, so that its silence shows a fault."""
-        return self._negotiation.is_regular
-
-    @property
     def refusals(self) -> tuple[tuple[TopicInfo, HostlinkError], ...]:
         """Endpoints that cannot be used, with the reason."""
-        known = ((self._topics.get(topic_id), reason) for topic_id, reason in self._refused.items())
+        known = ((self._topics.by_id.get(topic_id), reason) for topic_id, reason in self._refused.items())
         return tuple((info, reason) for info, reason in known if info is not None)
 
     @property
@@ -235,13 +199,13 @@ class Session:
 
     def request_topics(self, reason: str) -> None:
         """Request the topics as soon as REQUEST_INTERVAL_S allows. A working device answers."""
-        self._negotiation.request(reason)
+        self.negotiation.request(reason)
 
     # -- what the hub sends -------------------------------------------------------------------------------------------
 
     def keep_clear(self, *, robot_moves: bool) -> None:
         """While the robot moves, hold back or refuse frames that would delay a stop on a slow line."""
-        self._outbox.robot_moves = robot_moves
+        self.outbox.robot_moves = robot_moves
 
     def publish(
         self, topic: str, payload: bytes, *, depth: int = 1, is_urgent: bool = False, is_kept: bool = False
@@ -256,15 +220,15 @@ class Session:
         info = self._endpoint("topic", topic, Id.SUBSCRIBER)
         frame = self._encode(info, payload)
         if is_urgent:
-            self._outbox.put_urgent(info.topic_id, frame, is_kept=is_kept)
+            self.outbox.put_urgent(info.topic_id, frame, is_kept=is_kept)
         else:
-            self._outbox.put_command(info.topic_id, self._prompt(info, frame), depth=depth)
+            self.outbox.put_command(info.topic_id, self._prompt(info, frame), depth=depth)
 
     def send_last(self, frame: bytes) -> None:
         """Queue a frame for an endpoint that the device may still have. Drop it if its id has a new meaning."""
         topic_id: int = HEADER.unpack_from(frame)[3]
-        if self._topics.get(topic_id) is None:
-            self._outbox.put_urgent(topic_id, frame)
+        if self._topics.by_id.get(topic_id) is None:
+            self.outbox.put_urgent(topic_id, frame)
 
     def frame_to(self, topic: str, payload: bytes) -> bytes:
         """Encode a message to the device, as `publish` would queue it.
@@ -293,7 +257,7 @@ class Session:
             DeviceBusy: too many requests and responses wait.
         """
         info = self._endpoint("service", service, Id.SERVICE_SERVER_SUBSCRIBER)
-        self._outbox.put_call(service, self._prompt(info, self._encode(info, payload)))
+        self.outbox.put_call(service, self._prompt(info, self._encode(info, payload)))
 
     def response_endpoint(self, request: TopicInfo) -> TopicInfo:
         """Return the endpoint at which the device receives the response to a request of this endpoint.
@@ -308,7 +272,7 @@ class Session:
 
     def has(self, info: TopicInfo) -> bool:
         """Whether the device still has this endpoint."""
-        return self._topics.get(info.topic_id) == info
+        return self._topics.by_id.get(info.topic_id) == info
 
     def is_refused(self, info: TopicInfo) -> bool:
         """Whether this endpoint was refused because of its type."""
@@ -328,7 +292,7 @@ class Session:
             room_bytes = min(_buffer_bytes(response), DEFAULT_BUFFER_BYTES) - OVERHEAD_BYTES
             payload = bytes(self._topics.fixed_bytes.get(response.topic_id, max(room_bytes, 0)))
         frame = self._fitting(response.name, response.topic_id, payload, _buffer_bytes(response))
-        self._outbox.put_reply(response.name, frame)
+        self.outbox.put_reply(response.name, frame)
 
     def answer_parameter(self, name: str, parameter: Parameter) -> None:
         """Queue the answer to a parameter request. An empty Parameter means that the parameter does not exist.
@@ -345,11 +309,11 @@ class Session:
             raise WrongType(what, "int32 or float32", str(error)) from error
         buffers_bytes = (_buffer_bytes(info) for info in self._known if info.is_to_device)
         limit_bytes = min(buffers_bytes, default=DEFAULT_BUFFER_BYTES)
-        self._outbox.put_reply(name, self._fitting(what, Id.PARAMETER, payload, limit_bytes))
+        self.outbox.put_reply(name, self._fitting(what, Id.PARAMETER, payload, limit_bytes))
 
     def stop(self) -> None:
         """Queue the request to stop sending, after the urgent commands. It is the last frame of the session."""
-        self._outbox.put_stop()
+        self.outbox.put_stop()
 
     def _endpoint(self, what: str, name: str, kind: Id) -> TopicInfo:
         info = self._topics.find(name, kind)
@@ -375,13 +339,15 @@ class Session:
 
     def _prompt(self, info: TopicInfo, frame: bytes) -> bytes:
         """Return the frame. Raise FrameTooLarge if it would delay a stop."""
-        if self._outbox.robot_moves and len(frame) > self._outbox.prompt_bytes:
-            raise FrameTooLarge(info.name, len(frame), int(self._outbox.prompt_bytes), when="while the robot moves")
+        if self.outbox.robot_moves and len(frame) > self.outbox.prompt_bytes:
+            raise FrameTooLarge(info.name, len(frame), int(self.outbox.prompt_bytes), when="while the robot moves")
         return frame
 
     # -- frames -------------------------------------------------------------------------------------------------------
 
     def _read(self, items: Iterator[Frame | Skipped], now_s: float, found: list[events.Event]) -> None:
+        """Derive the events of frames and skipped bytes."""
+        negotiation = self.negotiation
         for item in items:
             if isinstance(item, Skipped):
                 self._skip(item.data, found)
@@ -391,36 +357,31 @@ class Session:
             if topic_id <= Id.SERVICE_CLIENT_SUBSCRIBER:
                 self._add_topic_info(Id(topic_id), payload, now_s, found)
                 continue
-            if self._negotiation.may_finish and self._is_behind_topics(topic_id):
+            if negotiation.state is SessionState.NEGOTIATING and self._is_behind_topics(topic_id):
                 found.append(self._finish_negotiation())
-            if topic_id >= FIRST_TOPIC_ID:
-                self._dispatch(topic_id, payload, found)
-            else:
+            if topic_id < FIRST_TOPIC_ID:
                 self._answer(item, now_s, found)
-
-    def _dispatch(self, topic_id: int, payload: bytes, found: list[events.Event]) -> None:
-        info = self._topics.get(topic_id)
-        if info is None:
-            self.counts.unknown_ids += 1
-            self._negotiation.request_about(topic_id, "unknown_id")
-            found.append(events.UnknownTopicUsed(topic_id))
-            return
-        kind = info.kind
-        if kind is Id.SERVICE_CLIENT_PUBLISHER:  # also for a refused type, because the device waits for a response
-            self._negotiation.called(self._negotiation.received_at_s)
-            found.append(events.ServiceRequested(info, payload))
-        elif topic_id in self._refused or kind not in _KINDS_FROM_DEVICE:
-            self.counts.refused_frames += 1
-        elif kind is Id.PUBLISHER:
-            found.append(events.MessageReceived(info, payload))
-        else:
-            found.append(events.ServiceResponded(info, payload))
+                continue
+            info = self._topics.by_id.get(topic_id)
+            if info is None:
+                self.counts.unknown_ids += 1
+                negotiation.request_about(topic_id, "unknown_id")
+                found.append(events.UnknownTopicUsed(topic_id))
+            elif info.kind is Id.SERVICE_CLIENT_PUBLISHER:  # also of a refused type: the device waits for a response
+                negotiation.called(negotiation.received_at_s)
+                found.append(events.ServiceRequested(info, payload))
+            elif topic_id in self._refused or info.kind not in _KINDS_FROM_DEVICE:
+                self.counts.refused_frames += 1
+            elif info.kind is Id.PUBLISHER:
+                found.append(events.MessageReceived(info, payload))
+            else:
+                found.append(events.ServiceResponded(info, payload))
 
     def _answer(self, frame: Frame, now_s: float, found: list[events.Event]) -> None:
         """Handle a control frame. Answer time requests here; report the others to the hub."""
         if frame.topic_id == Id.TIME:
-            self._negotiation.time_requested(now_s)
-            self._outbox.put_time()
+            self.negotiation.time_requested(now_s)
+            self.outbox.put_time()
             found.append(events.TimeRequested())
         elif frame.topic_id == Id.LOG and (log := decode_log(frame.payload)) is not None:
             found.append(events.DeviceLogged(log.level, log.text))
@@ -431,7 +392,7 @@ class Session:
 
     def _skip(self, data: bytes, found: list[events.Event]) -> None:
         self.counts.skipped_bytes += len(data)
-        self._negotiation.mark_damaged()
+        self.negotiation.mark_damaged()
         if self.non_rosserial.add(data):
             found.append(events.Protocol1Recognised())
 
@@ -443,13 +404,13 @@ class Session:
             self.counts.malformed += 1
             return
         may_go_on = not self._topics.has_announced(info.topic_id)
-        if self._negotiation.topic_info_received(now_s, may_go_on=may_go_on):
+        if self.negotiation.topic_info_received(now_s, may_go_on=may_go_on):
             self._topics.begin()
         if not self._topics.is_room(info.topic_id):
             self._refuse_excess(info, found)
             return
-        if self._topics.get(info.topic_id) not in (None, info):  # frames wait for the old meaning
-            self._outbox.drop_messages()
+        if self._topics.by_id.get(info.topic_id) not in (None, info):  # frames wait for the old meaning
+            self.outbox.drop_messages()
             self._has_dropped = True
         self._refused.pop(info.topic_id, None)
         self.device_clock.topics_answered(now_s)
@@ -481,30 +442,31 @@ class Session:
         publish while it announces its topics again. Until it has announced as many as before, only a pause ends the
         negotiation.
         """
-        return topic_id == Id.TIME or (topic_id != Id.LOG and not self._topics.is_partial)
+        is_behind = topic_id == Id.TIME or (topic_id != Id.LOG and not self._topics.is_partial)
+        return is_behind and self.negotiation.may_finish
 
     def _finish_negotiation(self) -> events.TopicsNegotiated:
         self._topics.finish(refused=self._refused)
         self._stream.limit_bytes = max(DEFAULT_LIMIT_BYTES, self._topics.largest_from_device_bytes())
-        self._refused = {topic_id: why for topic_id, why in self._refused.items() if self._topics.get(topic_id)}
+        self._refused = {topic_id: why for topic_id, why in self._refused.items() if self._topics.by_id.get(topic_id)}
         self.counts.negotiations += 1
         known = tuple(info for info in self._topics.all() if info.topic_id not in self._refused)
         is_changed = known != self._known
         if is_changed:
-            self._outbox.drop_messages()
-            self._negotiation.forget_causes()
+            self.outbox.drop_messages()
+            self.negotiation.forget_causes()
         self._known = known
         has_dropped, self._has_dropped = self._has_dropped, False
         gap_at = self._topics.gap()
         is_unconfirmed = self._is_lossy and is_changed
-        self._negotiation.finish(gap_at, is_short=bool(self._topics.missing), is_unconfirmed=is_unconfirmed)
+        self.negotiation.finish(gap_at, is_short=bool(self._topics.missing), is_unconfirmed=is_unconfirmed)
         return events.TopicsNegotiated(known, is_changed or has_dropped, gap_at)
 
     def _request_if_due(self, now_s: float, found: list[events.Event]) -> None:
-        reason = self._negotiation.pop_request(now_s)
+        reason = self.negotiation.pop_request(now_s)
         if reason is not None:
             self.counts.topic_requests += 1
-            self._outbox.put_topics_request()
+            self.outbox.put_topics_request()
             found.append(events.TopicsRequested(reason))
 
 

@@ -55,8 +55,8 @@ class FrameStream:
     """
 
     __slots__ = (
-        "_base", "_buffer", "_candidates", "_claimed_bytes", "_ends", "_false_starts", "_fixed_bytes", "_searched",
-        "limit_bytes", "rejected",
+        "_base", "_candidates", "_claimed_bytes", "_ends", "_false_starts", "_fixed_bytes", "_searched", "limit_bytes",
+        "pending", "rejected",
     )  # fmt: skip
 
     def __init__(self, *, limit_bytes: int = DEFAULT_LIMIT_BYTES, fixed_bytes: Mapping[int, int] | None = None) -> None:
@@ -64,7 +64,7 @@ class FrameStream:
         self.limit_bytes = limit_bytes
         self.rejected: Counter[Rejection] = Counter()
         self._fixed_bytes: Mapping[int, int] = {} if fixed_bytes is None else fixed_bytes
-        self._buffer = bytearray()
+        self.pending = bytearray()  # bytes that are neither part of a frame nor skipped yet
         self._base = 0  # stream offset of the first buffered byte
         self._candidates: OrderedDict[int, int] = OrderedDict()  # start -> end of the undecided candidates, by start
         self._ends: list[tuple[int, int]] = []  # (end, start) of the same candidates, sorted by end
@@ -72,17 +72,12 @@ class FrameStream:
         self._false_starts: list[tuple[int, str]] = []  # heap of (start, Rejection) in the buffer
         self._searched = 0  # stream offset up to which every sync was checked
 
-    @property
-    def pending_bytes(self) -> int:
-        """Number of bytes that are neither part of a frame nor skipped yet."""
-        return len(self._buffer)
-
     def feed(self, data: bytes) -> Iterator[Frame | Skipped]:
         """Add bytes and yield what they complete.
 
         The iterator is lazy, so that a change of the limit or of the sizes after one frame applies to the next.
         """
-        buffer, unpack = self._buffer, HEADER.unpack_from
+        buffer, unpack = self.pending, HEADER.unpack_from
         is_short = len(data) < len(buffer)  # a copy of the buffer would cost more than linear work
         buffer += data
         source = buffer if is_short else bytes(buffer)  # slicing bytes is faster
@@ -117,7 +112,7 @@ class FrameStream:
 
     def give_up(self) -> Iterator[Frame | Skipped]:
         """Stop waiting for the frame at the head. Read again from the byte after it."""
-        if self._buffer:
+        if self.pending:
             self._reject(self._base, Rejection.INCOMPLETE)
             end = self._candidates.get(self._base)
             if end is not None:
@@ -132,7 +127,7 @@ class FrameStream:
         """
         while True:
             self._search()
-            if not self._ends or self._ends[0][0] > self._base + len(self._buffer):
+            if not self._ends or self._ends[0][0] > self._base + len(self.pending):
                 break
             end, start = self._remove_candidate(0)
             if not self._is_right(start - self._base, end - self._base):
@@ -141,8 +136,8 @@ class FrameStream:
                 self._forget_candidates()
                 self._add_candidate(start, end)
                 return self._skip(start)
-            payload = bytes(self._buffer[7 : end - self._base - 1])
-            frame = Frame(self._buffer[5] | self._buffer[6] << 8, payload)
+            payload = bytes(self.pending[7 : end - self._base - 1])
+            frame = Frame(self.pending[5] | self.pending[6] << 8, payload)
             self._drop(end - self._base)
             return frame
         first = next(iter(self._candidates), self._searched)
@@ -150,7 +145,7 @@ class FrameStream:
 
     def _search(self) -> None:
         """Search for candidates, up to the last start that could end before the known candidates."""
-        buffer, base = self._buffer, self._base
+        buffer, base = self.pending, self._base
         while True:
             at = buffer.find(SYNC, self._searched - base)
             if at < 0:
@@ -191,9 +186,9 @@ class FrameStream:
 
     def _is_right(self, start: int, end: int) -> bool:
         """Check a complete candidate. Note a wrong one as a false start."""
-        topic_id = self._buffer[start + 5] | self._buffer[start + 6] << 8
+        topic_id = self.pending[start + 5] | self.pending[start + 6] << 8
         size = end - start - OVERHEAD_BYTES
-        if byte_sum(self._buffer[start + 5 : end]) & 0xFF != _SUM_IS_RIGHT:
+        if byte_sum(self.pending[start + 5 : end]) & 0xFF != _SUM_IS_RIGHT:
             self._reject(self._base + start, Rejection.CHECKSUM)
         elif self._fixed_bytes.get(topic_id, size) != size:
             self._reject(self._base + start, Rejection.WRONG_SIZE)
@@ -210,14 +205,14 @@ class FrameStream:
         while false_starts and false_starts[0][0] < until:
             self.rejected[Rejection(heappop(false_starts)[1])] += 1
         size = until - self._base
-        skipped = Skipped(bytes(self._buffer[:size]))
-        del self._buffer[:size]
+        skipped = Skipped(bytes(self.pending[:size]))
+        del self.pending[:size]
         self._base = until
         return skipped
 
     def _drop(self, size: int) -> None:
         """Remove frames from the head, and the candidates that overlap them."""
-        del self._buffer[:size]
+        del self.pending[:size]
         self._base += size
         self._searched = self._base
         if self._ends:

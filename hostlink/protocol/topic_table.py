@@ -22,11 +22,12 @@ class TopicTable:
     """
 
     __slots__ = (
-        "_announced", "_by_name", "_complete", "_missed", "_missed_before", "_redefined", "_topics", "excess",
+        "_announced", "_by_name", "_complete", "_missed", "_missed_before", "_redefined", "by_id", "excess",
         "fixed_bytes", "max_topics",
     )  # fmt: skip
 
     def __init__(self, max_topics: int = MAX_TOPICS) -> None:
+        self.by_id: dict[int, TopicInfo] = {}  # announced so far, and those of the negotiation before
         self.fixed_bytes: dict[int, int] = {}
         self.max_topics = max_topics
         self.excess = 0
@@ -36,12 +37,11 @@ class TopicTable:
         self._redefined: set[int] = set()  # ids to which the current negotiation gave another meaning
         self._missed: Counter[int] = Counter()  # negotiations in a row that lacked the id
         self._missed_before = self._missed  # without the current negotiation, which may be finished in several parts
-        self._topics: dict[int, TopicInfo] = {}  # announced so far, and those of the negotiation before
 
     def begin(self) -> None:
         """Begin a negotiation, in which the device announces all of its endpoints again."""
         self.excess = 0
-        self._announced, self._complete, self._missed_before = {}, dict(self._topics), self._missed
+        self._announced, self._complete, self._missed_before = {}, dict(self.by_id), self._missed
         self._redefined.clear()
 
     def has_announced(self, topic_id: int) -> bool:
@@ -55,10 +55,10 @@ class TopicTable:
 
     def add(self, info: TopicInfo, fixed_bytes: int | None) -> None:
         """Add one TopicInfo of the current negotiation. Call it only if there `is_room`."""
-        before = self._topics.get(info.topic_id)
+        before = self.by_id.get(info.topic_id)
         if before is not None and self._by_name.get((before.name, before.kind)) == before:
             del self._by_name[before.name, before.kind]
-        self._announced[info.topic_id] = self._topics[info.topic_id] = info
+        self._announced[info.topic_id] = self.by_id[info.topic_id] = info
         known = self._by_name.get((info.name, info.kind))
         complete = self._complete.get(info.topic_id, info if known is None or known == info else known)
         (self._redefined.discard if complete == info else self._redefined.add)(info.topic_id)
@@ -82,19 +82,15 @@ class TopicTable:
         lacked = self._complete.keys() - self._announced.keys() if is_room and not self._redefined else ()
         self._missed = Counter({each: self._missed_before[each] + 1 for each in lacked if each not in refused})
         kept = {each: self._complete[each] for each in self.missing}
-        for gone in self._topics.keys() - self._announced.keys() - kept.keys():
+        for gone in self.by_id.keys() - self._announced.keys() - kept.keys():
             self.fixed_bytes.pop(gone, None)
-        self._topics = kept | self._announced
-        self._by_name = {(info.name, info.kind): info for info in reversed(self._topics.values())}
+        self.by_id = kept | self._announced
+        self._by_name = {(info.name, info.kind): info for info in reversed(self.by_id.values())}
 
     @property
     def missing(self) -> tuple[int, ...]:
         """Ids that the last negotiation lacked and that are kept for now."""
         return tuple(each for each, count in self._missed.items() if count < MAX_MISSED)
-
-    def get(self, topic_id: int) -> TopicInfo | None:
-        """Return the endpoint that the device announced under this id."""
-        return self._topics.get(topic_id)
 
     def find(self, name: str, kind: int) -> TopicInfo | None:
         """Return the endpoint with that name and kind."""
@@ -114,7 +110,7 @@ class TopicTable:
 
     def all(self) -> tuple[TopicInfo, ...]:
         """Return every endpoint, ordered by id."""
-        return tuple(self._topics[topic_id] for topic_id in sorted(self._topics))
+        return tuple(self.by_id[topic_id] for topic_id in sorted(self.by_id))
 
     def gap(self) -> int | None:
         """Return the lowest missing id, which means that a TopicInfo was lost; None if no id is missing.
@@ -129,7 +125,7 @@ class TopicTable:
 
     def largest_from_device_bytes(self) -> int:
         """Size of the largest buffer from which the device sends; 0 when none is known."""
-        return max((info.buffer_bytes for info in self._topics.values() if info.kind not in IS_TO_DEVICE), default=0)
+        return max((info.buffer_bytes for info in self.by_id.values() if info.kind not in IS_TO_DEVICE), default=0)
 
 
 def _missing(ids: list[int], first: int) -> int | None:

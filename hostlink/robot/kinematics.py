@@ -64,10 +64,6 @@ class DifferentialDrive:
         turning_m_s = angular_rad_s * self.wheel_separation_m / 2
         return linear_m_s - turning_m_s, linear_m_s + turning_m_s
 
-    def body_velocity(self, left_m_s: float, right_m_s: float) -> tuple[float, float]:
-        """(m/s, rad/s) of the body at these wheel speeds."""
-        return (left_m_s + right_m_s) / 2, (right_m_s - left_m_s) / self.wheel_separation_m
-
     def integrate(self, pose: Pose, left_m: float, right_m: float) -> Pose:
         """The pose after the wheels rolled this far: along the arc of a circle.
 

@@ -10,9 +10,9 @@ from hostlink.protocol.frame import FIRST_TOPIC_ID, MAX_PAYLOAD_BYTES, Frame, Id
 from hostlink.protocol.stream import FrameStream
 from hostlink.protocol.topic_table import MAX_TOPICS
 
-MAX_SUBSCRIBERS = 25  # of the original library: the ids of what a device publishes begin behind theirs
+MAX_SUBSCRIBERS = 25  # of the original library, whose published topics have the ids after those
 READ_BYTES = 4096
-TIME_INTERVAL_S = 2.5  # as every device of the original library: a host takes it for alive
+TIME_INTERVAL_S = 2.5  # as the original library: a host expects time requests of a working device
 RECONNECT_S = 0.5
 BUFFER_BYTES = 65535
 _PLAYED, _STRING = "played", "std_msgs/String"
@@ -21,36 +21,37 @@ _STRING_MD5 = "992ce8a1687cec8c8bd883ec73ca41d1"
 
 @dataclass(frozen=True, slots=True)
 class PlayedTopic:
-    """A topic as the recording has it."""
+    """Topic of a recording."""
 
     name: str
     type_name: str
     md5: str
-    is_velocity: bool  # the device subscribes to it, instead of publishing it
+    is_velocity: bool  # the device subscribes to the topic instead of publishing it
 
 
 @dataclass(slots=True)
 class PlayedDevice:
-    """One robot. `run` keeps it connected; whoever plays the recording calls `publish`.
+    """Device of one recorded robot. `run` keeps it connected; the player of the recording calls `publish`.
 
-    Beside the robot's topics it has `<robot>/played` (std_msgs/String, the recording's name): it is not the robot.
+    In addition to the robot's topics it publishes `<robot>/played` (std_msgs/String, the recording's name), which marks
+    the device as a recording.
     """
 
     robot: str
     source: str
     topics: list[PlayedTopic]
-    dropped: int = 0  # messages that came while it was not connected
-    left_out: int = 0  # messages that no device can send, or that are none of its topics
+    dropped: int = 0  # messages that were published while the device was not connected
+    left_out: int = 0  # messages that are too long for a frame, or of an unknown topic
     is_ready: asyncio.Event = field(default_factory=asyncio.Event)  # a host has requested its topics
     _mark: str = field(init=False)
     _writer: asyncio.StreamWriter | None = None
-    _ids: dict[str, int] = field(default_factory=dict)  # of what it publishes
+    _ids: dict[str, int] = field(default_factory=dict)  # of the published topics
     _infos: list[TopicInfo] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         self._mark = f"/{self.robot}/{_PLAYED}"
         mark = PlayedTopic(self._mark, _STRING, _STRING_MD5, is_velocity=False)
-        if not _is_taken(mark):  # a file has any names; without its mark a device may drive a robot
+        if not _is_taken(mark):  # a file may have any names; without the mark, a host may take the device for a robot
             self._mark = f"/{_PLAYED}"
             mark = replace(mark, name=self._mark)
         taken = [topic for topic in self.topics if _is_taken(topic)][:MAX_TOPICS]
@@ -66,7 +67,7 @@ class PlayedDevice:
             self._infos.append(TopicInfo(kind, topic_id, topic.name, topic.type_name, topic.md5, BUFFER_BYTES))
 
     def publish(self, topic: str, payload: bytes) -> None:
-        """Send a message of one of its topics now."""
+        """Send a message of one of the topics."""
         topic_id = self._ids.get(topic)
         if topic_id is None or len(payload) > MAX_PAYLOAD_BYTES:
             self.left_out += 1
@@ -76,16 +77,16 @@ class PlayedDevice:
             self._writer.write(encode(topic_id, payload))
 
     async def drained(self) -> None:
-        """Wait while the host reads more slowly than messages come."""
+        """Wait while the host reads more slowly than messages are published."""
         if self._writer is not None:
-            with contextlib.suppress(OSError):  # the host is gone: what comes is counted as dropped
+            with contextlib.suppress(OSError):  # the host is gone: further messages are counted as dropped
                 await self._writer.drain()
 
     async def run(self, host: str, port: int) -> None:
-        """Connect, talk, connect again, until cancelled.
+        """Keep the device connected until cancelled.
 
         Raises:
-            OSError: there is nobody at the first try.
+            OSError: the first connection failed.
         """
         has_connected = False
         while True:
@@ -127,7 +128,7 @@ class PlayedDevice:
                 self.is_ready.set()
 
     async def _beat(self, writer: asyncio.StreamWriter) -> None:
-        """Request the time, and say what this is, for whoever has come since."""
+        """Request the time and publish the mark periodically, also for later subscribers."""
         text = self.source.encode(errors="replace")  # a file's name may be anything
         while True:
             writer.write(encode(Id.TIME, bytes(8)))
@@ -138,6 +139,6 @@ class PlayedDevice:
 
 
 def _is_taken(topic: PlayedTopic) -> bool:
-    """Whether a host takes its announcement: a recording may have names that no device has."""
+    """Whether a host accepts the announcement of the topic. A recording may have names that no device has."""
     info = TopicInfo(Id.PUBLISHER, FIRST_TOPIC_ID, topic.name, topic.type_name, topic.md5, BUFFER_BYTES)
     return decode_topic_info(info.kind, encode_topic_info(info)) is not None

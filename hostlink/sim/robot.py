@@ -1,19 +1,27 @@
-"""SimulatedRobot: the firmware on a board of its own, in real time. Pure: time comes in."""
+"""SimulatedRobot: the firmware on its own board, in real time, and its faults. Pure: time is an argument."""
 
 import math
+from collections.abc import Callable
+from dataclasses import dataclass
 
+from hostlink.protocol.control import decode_topic_info, encode_topic_info
+from hostlink.protocol.frame import Frame, Id, byte_sum, encode
+from hostlink.protocol.resampling import resample
+from hostlink.protocol.stream import FrameStream
 from hostlink.robot.kinematics import Pose
-from hostlink.sim.firmware_world import Firmware, RobotKind, Wheel, WheelControl, World
-from hostlink.sim.world_parameters import WorldParameters
+from hostlink.sim.firmware_module import WorldParameters
+from hostlink.sim.firmware_world import Firmware, RobotKind, SimulatedWheel, WheelControl, World
+
+# -- robot ------------------------------------------------------------------------------------------------------------
 
 BAUD = 38400  # the paper's
-PASS_MS = 1000  # so many milliseconds at once, where it was not asked for longer
+PASS_MS = 1000  # longest step of the firmware
 
 
 class SimulatedRobot:
-    """Call `advance` as often as bytes shall leave its UART; each time the firmware runs until then.
+    """Simulated robot. `advance` runs the firmware up to a time and returns the bytes that left its UART.
 
-    Between two calls `quiet_s` may pass where nothing is sent to it.
+    While nothing is sent to the robot, `quiet_s` may pass between two calls.
     """
 
     def __init__(
@@ -25,7 +33,7 @@ class SimulatedRobot:
         baud: int = BAUD,
         clock_rate: float = 1.0,
     ) -> None:
-        """`baud` 0: bytes are through at once. `clock_rate`: seconds that its clock counts in one.
+        """Switch the robot on. `baud` 0: bytes are transmitted at once. `clock_rate`: seconds of its clock per second.
 
         Raises:
             ConfigError: wasmtime is not installed, or has no library for this machine.
@@ -39,45 +47,45 @@ class SimulatedRobot:
 
     @property
     def world(self) -> World:
-        """Where it truly is, and what happens to it."""
+        """World with the true state of the robot."""
         return self.firmware.world
 
     @property
-    def wheels(self) -> tuple[Wheel, Wheel]:
-        """Left and right."""
+    def wheels(self) -> tuple[SimulatedWheel, SimulatedWheel]:
+        """Left and right wheel."""
         return self.world.left, self.world.right
 
     @property
     def speed_m_s(self) -> float:
-        """How fast the robot truly moves forward."""
+        """True forward speed."""
         return (self.world.left.speed_m_s + self.world.right.speed_m_s) / 2
 
     @property
     def pose(self) -> Pose:
-        """Where it believes that it is."""
+        """Pose that the firmware has estimated."""
         return self.world.odometry
 
     @property
     def controls(self) -> tuple[WheelControl, WheelControl]:
-        """Of its wheels, left and right."""
+        """Controls of the left and the right wheel."""
         return self.firmware.controls
 
     @property
     def is_configured(self) -> bool:
-        """Whether it has a host."""
+        """Whether the robot is connected to a host."""
         return self.firmware.is_configured
 
     @property
     def quiet_s(self) -> float:
-        """For how long nothing will leave its UART, unless it receives something; 0: bytes are on the line."""
+        """Time in which nothing leaves the UART unless the robot receives bytes; 0 while bytes are on the line."""
         return self.firmware.quiet_ms / 1000
 
     def receive(self, data: bytes) -> None:
-        """Put bytes on the line to it, at the time of the last `advance`."""
+        """Send bytes to the robot at the time of the last `advance`."""
         self.firmware.send(data)
 
     def advance(self, now_s: float) -> bytes:
-        """Let the firmware run until now; returns what has left its UART since the last call."""
+        """Run the firmware up to `now_s`. Return the bytes that left the UART since the last call."""
         if self._began_s is None:
             self._began_s = now_s
         due_ms = math.floor((now_s - self._began_s) * 1000) - self._passed_ms
@@ -88,3 +96,104 @@ class SimulatedRobot:
             self._passed_ms += ms
             due_ms -= ms
         return sent
+
+
+# -- faults -----------------------------------------------------------------------------------------------------------
+
+RUN_S = 3.0  # interval of the restarts of a faulty board
+_TEXT = b"left 12 right 13 battery 11.8 V\r\n"
+_SMALL_BUFFER_BYTES = 48  # as long as the payload of a Twist, without the frame around it
+_READ_RATIO = 115200 / 57600  # the device at rosserial's usual rate, the reader at 115200
+_BOOT_RATIO = 115200 / 74880
+_BOOT_TEXT = (
+    b"\r\n ets Jan  8 2013,rst cause:1, boot mode:(3,7)\r\n\r\nload 0x40100000, len 1384, room 16 \r\ntail 8\r\n"
+    b"chksum 0x2d\r\ncsum 0x2d\r\nvbb28d4a3\r\n~ld\r\n"
+)
+
+
+def _as_it_is(frame: Frame) -> bytes:
+    return encode(*frame)
+
+
+def _nothing(_: Frame) -> bytes:
+    return b""
+
+
+def _at_another_speed(frame: Frame) -> bytes:
+    return resample(encode(*frame), ratio=_READ_RATIO)
+
+
+def _in_protocol_1(frame: Frame) -> bytes:
+    body = frame.topic_id.to_bytes(2, "little") + len(frame.payload).to_bytes(2, "little") + frame.payload
+    return b"\xff\xff" + body + bytes([~byte_sum(body) & 0xFF])
+
+
+def _with_text(frame: Frame) -> bytes:
+    return _TEXT + encode(*frame)
+
+
+def _without_topics(frame: Frame) -> bytes:
+    return b"" if frame.topic_id <= Id.SERVICE_CLIENT_SUBSCRIBER else encode(*frame)
+
+
+def _with_other_md5(frame: Frame) -> bytes:
+    info = decode_topic_info(Id.PUBLISHER, frame.payload) if frame.topic_id == Id.PUBLISHER else None
+    return encode(*frame) if info is None else encode(Id.PUBLISHER, encode_topic_info(info._replace(md5="0" * 32)))
+
+
+def _without_time_requests(frame: Frame) -> bytes:
+    return b"" if frame.topic_id == Id.TIME else encode(*frame)
+
+
+def _with_small_buffers(frame: Frame) -> bytes:
+    info = decode_topic_info(Id.SUBSCRIBER, frame.payload) if frame.topic_id == Id.SUBSCRIBER else None
+    if info is None:
+        return encode(*frame)
+    return encode(Id.SUBSCRIBER, encode_topic_info(info._replace(buffer_bytes=_SMALL_BUFFER_BYTES)))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Fault:
+    """Fault of a robot. The default is a healthy robot."""
+
+    text: str
+    transform: Callable[[Frame], bytes] = _as_it_is  # changes each frame to the host
+    at_power_up: bytes = b""  # bytes before the first frame
+    clock_rate: float = 1.0  # seconds of the device's clock per second
+    runs_s: float | None = None  # interval of its restarts; None: it does not restart
+    break_wheel: Callable[[SimulatedWheel], None] = lambda _: None  # fault of its left wheel
+
+
+HEALTHY = Fault(text="none")
+FAULTS = {
+    "silence": Fault(text="the device sends nothing", transform=_nothing),
+    "wrong_baud": Fault(text="its UART is slower than its reader", transform=_at_another_speed),
+    "protocol_1": Fault(text="a library of before 2013", transform=_in_protocol_1),
+    "text": Fault(text="Serial.print between the frames", transform=_with_text),
+    "no_topics": Fault(text="TopicInfos never come", transform=_without_topics),
+    "wrong_md5": Fault(text="an old definition of a message", transform=_with_other_md5),
+    "time_stops": Fault(text="requests for the time never come", transform=_without_time_requests),
+    "small_buffer": Fault(text="an input buffer smaller than a Twist", transform=_with_small_buffers),
+    "reboots": Fault(text=f"starts anew every {RUN_S:g} s", runs_s=RUN_S),
+    "boot_noise": Fault(text="an ESP8266's boot message", at_power_up=resample(_BOOT_TEXT, ratio=_BOOT_RATIO)),
+    "clock": Fault(text="its clock is a quarter too fast", clock_rate=1.25),
+    "stalled_wheel": Fault(text="its left wheel is blocked", break_wheel=lambda wheel: wheel.grip(0.0)),
+    "runaway_wheel": Fault(text="its left motor's driver is broken", break_wheel=lambda wheel: wheel.break_driver()),
+}
+
+
+class FaultyLine:
+    """Line from a device to its host that changes the bytes by a fault."""
+
+    def __init__(self, fault: Fault) -> None:
+        self._fault = fault
+        self._stream = FrameStream()
+        self._power_up = fault.at_power_up
+
+    def pass_on(self, data: bytes) -> bytes:
+        """Return the bytes that the host receives for `data` from the device."""
+        if self._fault is HEALTHY:
+            return data
+        frames = [item for item in self._stream.feed(data) if isinstance(item, Frame)]
+        changed, self._power_up = self._power_up + b"".join(map(self._fault.transform, frames)), b""
+        return changed

@@ -1,6 +1,6 @@
-"""Runs simulated robots in real time against a host: over TCP, as their ESP8266 would, UDP, or any pair of streams.
+"""Simulated robots in real time, connected to a host over TCP, UDP or a pair of streams.
 
-Over UDP a datagram has what the UART had sent, as a passthrough would send it.
+Over UDP, a datagram has the bytes that left the UART together, as a passthrough sends them.
 """
 
 import asyncio
@@ -10,19 +10,18 @@ import socket
 from collections.abc import AsyncIterator, Callable, Iterator
 
 from hostlink.protocol.frame import Id, encode
-from hostlink.sim.faults import HEALTHY, Fault, FaultyLine
+from hostlink.sim.firmware_module import WorldParameters
 from hostlink.sim.firmware_world import RobotKind
-from hostlink.sim.robot import SimulatedRobot
-from hostlink.sim.world_parameters import WorldParameters
+from hostlink.sim.robot import HEALTHY, Fault, FaultyLine, SimulatedRobot
 
 READ_BYTES = 4096
 RECONNECT_S = 0.5
-LINE_POLL_S = 0.004  # how often what has left the UART is passed on: as an ESP8266's loop does
-SEND_BYTES = 1 << 16  # that may wait for a host; more is lost
+LINE_POLL_S = 0.004  # interval at which bytes from the UART are sent, as in an ESP8266's loop
+SEND_BYTES = 1 << 16  # that may wait for a host; further bytes are lost
 CHECK_S = 0.05
 TIME_REQUEST = encode(Id.TIME, bytes(8))
-GREETING_S = 1.0  # over UDP a host knows nothing of a device that has sent nothing
-USER_TIMEOUT_MS = 5000  # sent and not acknowledged: the host is gone
+GREETING_S = 1.0  # interval of the first datagrams: a host over UDP does not know a silent device
+USER_TIMEOUT_MS = 5000  # the host is gone when sent data stays unacknowledged for longer
 
 
 async def run_fleet(
@@ -37,7 +36,7 @@ async def run_fleet(
     kind: RobotKind = RobotKind.PAPER,
     log: Callable[[str], None] = lambda _: None,
 ) -> None:
-    """Run robot_0, robot_1, ... until cancelled; each connects again when its connection ends."""
+    """Run robot_0, robot_1, ... until cancelled. Each robot reconnects when its connection ends."""
     async with asyncio.TaskGroup() as tasks:
         for number in range(first, first + robots):
             robot = SimulatedRobot(
@@ -48,7 +47,7 @@ async def run_fleet(
 
 
 def world_of(number: int, world: WorldParameters | None) -> WorldParameters:
-    """Each robot has its own random numbers."""
+    """Return the world of robot `number`, with its own random numbers."""
     parameters = WorldParameters() if world is None else world
     return parameters.changed({"seed": (parameters["seed"] + number) % 2**32})
 
@@ -62,7 +61,7 @@ async def run_over_tcp(
     local_host: str | None = None,
     log: Callable[[str], None] = lambda _: None,
 ) -> None:
-    """Connect (from `local_host`), talk, connect again, until cancelled; the robot's own loop never stops."""
+    """Keep the robot connected (from `local_host`) until cancelled. The firmware runs meanwhile."""
     local = None if local_host is None else (local_host, 0)
     last_error = ""
     async with _switched_on(robot, fault) as board:
@@ -93,19 +92,18 @@ async def run_over_udp(
     port: int,
     *,
     fault: Fault = HEALTHY,
-    local_host: str | None = None,
     log: Callable[[str], None] = lambda _: None,
 ) -> None:
-    """Send to the host (from `local_host`), whether it is there or not, until cancelled."""
+    """Keep the robot sending to the host until cancelled, also while the host does not answer."""
     last_error = ""
     async with _switched_on(robot, fault) as board:
         while True:
             try:
                 async with asyncio.timeout(fault.runs_s):
-                    await _talk_over_udp(board, host, port, local_host=local_host, log=log)
+                    await _talk_over_udp(board, host, port, log=log)
             except TimeoutError:
                 robot.firmware.reboot()
-            except OSError as error:  # no such address, or no way there
+            except OSError as error:  # the address does not exist, or cannot be reached
                 if last_error != str(error):
                     last_error = str(error)
                     log(f"{robot.name}: cannot send to {host}:{port}: {error.strerror or error}")
@@ -113,7 +111,7 @@ async def run_over_udp(
 
 
 def _give_up_soon(writer: asyncio.StreamWriter) -> None:
-    """A robot whose network has changed under it finds out; Linux alone would try for a quarter of an hour."""
+    """Detect a changed network early. By default, Linux retries for a quarter of an hour."""
     option = getattr(socket, "TCP_USER_TIMEOUT", None)  # not every system has it
     if option is not None:
         writer.get_extra_info("socket").setsockopt(socket.IPPROTO_TCP, option, USER_TIMEOUT_MS)
@@ -122,13 +120,13 @@ def _give_up_soon(writer: asyncio.StreamWriter) -> None:
 async def run_over_streams(
     robot: SimulatedRobot, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, *, fault: Fault = HEALTHY
 ) -> None:
-    """Run the robot on an open connection until that ends."""
+    """Run the robot on an open connection until the connection ends."""
     async with _switched_on(robot, fault) as board:
         await _talk(board, reader, writer)
 
 
 class _Board:
-    """A robot that is switched on: its firmware runs in real time, connected or not."""
+    """Switched-on robot whose firmware runs in real time, connected or not."""
 
     def __init__(self, robot: SimulatedRobot, fault: Fault) -> None:
         self.robot = robot
@@ -139,15 +137,15 @@ class _Board:
         self._timer = self._loop.call_soon(self._poll)
 
     async def run(self) -> None:
-        """Until cancelled; raises what ended the firmware."""
+        """Wait until cancelled. Raise the error that ended the firmware."""
         await self._failed
 
     def switch_off(self) -> None:
-        """The firmware runs no further."""
+        """Stop the firmware."""
         self._timer.cancel()
 
     def receive(self, data: bytes) -> None:
-        """Bytes from the host, now."""
+        """Pass bytes from the host to the robot."""
         self._advance()
         self.robot.receive(data)
         self._timer.cancel()
@@ -155,7 +153,7 @@ class _Board:
 
     @contextlib.contextmanager
     def connected(self, send: Callable[[bytes], None]) -> Iterator[None]:
-        """What leaves its UART is sent, changed by its fault; without a connection it is lost."""
+        """Send the UART's bytes, changed by the fault, within the block. Without a connection they are lost."""
         line = FaultyLine(self.fault)
         self._advance()
         self._send = lambda data: send(line.pass_on(data))
@@ -181,7 +179,7 @@ class _Board:
 
 @contextlib.asynccontextmanager
 async def _switched_on(robot: SimulatedRobot, fault: Fault) -> AsyncIterator[_Board]:
-    """The robot's firmware runs for the length of the block."""
+    """Run the robot's firmware within the block."""
     fault.break_wheel(robot.wheels[0])
     board = _Board(robot, fault)
     async with asyncio.TaskGroup() as tasks:
@@ -194,10 +192,10 @@ async def _switched_on(robot: SimulatedRobot, fault: Fault) -> AsyncIterator[_Bo
 
 
 async def _talk(board: _Board, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-    """Carry bytes between the robot's UART and the connection, until that ends."""
+    """Carry bytes between the robot's UART and the connection until the connection ends."""
 
     def send(data: bytes) -> None:
-        if data and writer.transport.get_write_buffer_size() < SEND_BYTES:  # else the host is not reading
+        if data and writer.transport.get_write_buffer_size() < SEND_BYTES:  # otherwise the host does not read
             writer.write(data)
 
     try:
@@ -205,21 +203,18 @@ async def _talk(board: _Board, reader: asyncio.StreamReader, writer: asyncio.Str
             while data := await reader.read(READ_BYTES):
                 board.receive(data)
     except OSError:
-        pass  # the host is gone; the caller decides what next
+        pass  # the host is gone; the caller decides whether to reconnect
     finally:
         writer.close()
         with contextlib.suppress(OSError):  # it would hide a cancellation
             await writer.wait_closed()
 
 
-async def _talk_over_udp(
-    board: _Board, host: str, port: int, *, local_host: str | None, log: Callable[[str], None]
-) -> None:
-    """Talk from a socket of its own until the host has been silent for so long that the robot is not configured."""
+async def _talk_over_udp(board: _Board, host: str, port: int, *, log: Callable[[str], None]) -> None:
+    """Exchange datagrams from an own socket until the robot has lost its host by silence."""
     robot = board.robot
-    local = None if local_host is None else (local_host, 0)
     transport, _ = await asyncio.get_running_loop().create_datagram_endpoint(
-        lambda: _FromHost(board), remote_addr=(host, port), local_addr=local
+        lambda: _FromHost(board), remote_addr=(host, port)
     )
 
     def send(data: bytes) -> None:
@@ -237,7 +232,7 @@ async def _talk_over_udp(
             await _until(lambda: not robot.is_configured)
     finally:
         transport.close()
-    log(f"{robot.name}: {host}:{port} does not answer any more")
+    log(f"{robot.name}: {host}:{port} no longer answers")
 
 
 async def _until(is_so: Callable[[], bool]) -> None:
@@ -246,7 +241,7 @@ async def _until(is_so: Callable[[], bool]) -> None:
 
 
 class _FromHost(asyncio.DatagramProtocol):
-    """What comes goes to the robot's UART; an ICMP error says no more than silence."""
+    """Receiver of datagrams for the robot's UART. ICMP errors are ignored: silence shows the same."""
 
     def __init__(self, board: _Board) -> None:
         self._board = board

@@ -17,8 +17,7 @@ from serial.tools import list_ports
 
 from hostlink.config import SerialConfig
 from hostlink.transport.base import READ_BYTES
-from hostlink.transport.connection import Connection
-from hostlink.transport.tcp import StreamTransport
+from hostlink.transport.connection import StreamTransport
 
 # -- ports ------------------------------------------------------------------------------------------------------------
 
@@ -98,9 +97,10 @@ async def open_serial(config: SerialConfig) -> "SerialTransport":
 
 async def _streams(port: "_Port", path: str, address: str) -> "SerialTransport":
     loop = asyncio.get_running_loop()
-    transport, connection = await serial_asyncio.connection_for_serial(loop, Connection, port)
-    connection.transport = transport  # asyncio sets it only in the next turn of the loop
-    return SerialTransport(port, connection, peer=path, address=address)
+    made = SerialTransport(port, peer=path, address=address)
+    transport, _ = await serial_asyncio.connection_for_serial(loop, lambda: made, port)
+    made.connection_made(transport)  # asyncio calls it only in the next turn of the loop
+    return made
 
 
 def _open(config: SerialConfig) -> tuple["_Port", str]:
@@ -146,10 +146,12 @@ async def pulse(port: DtrLine) -> None:
 class SerialTransport(StreamTransport):
     """Stream over a `_Port`, which reports write errors and unsent bytes."""
 
+    __slots__ = ("_port",)
+
     kind = "serial"
 
-    def __init__(self, port: "_Port", connection: Connection, *, peer: str, address: str) -> None:
-        super().__init__(connection, peer=peer, address=address)
+    def __init__(self, port: "_Port", *, peer: str, address: str) -> None:
+        super().__init__(peer=peer, address=address)
         self._port = port
 
     def set_baud(self, baud: int) -> None:
@@ -170,7 +172,7 @@ class SerialTransport(StreamTransport):
         return self._port.fileno() if self._port.is_open else None
 
     async def _leave(self) -> None:
-        await self._connection.drain()
+        await super().drain()
         while self._port.is_open and self._port.waiting_bytes():  # noqa: ASYNC110 - the kernel sends no event
             await asyncio.sleep(LEAVE_CHECK_S)
 

@@ -1,9 +1,10 @@
-"""StreamTransport and TcpTransport, and the listener for TCP devices."""
+"""TcpTransport, the listener for TCP devices, and its mDNS advertisement as `_rosserial._tcp` (Bonjour, Avahi)."""
 
 import asyncio
 import contextlib
 import errno
 import fcntl
+import ipaddress
 import os
 import socket
 import struct
@@ -14,106 +15,31 @@ from dataclasses import dataclass
 
 from hostlink.acceptor import bind
 from hostlink.config import TcpConfig
-from hostlink.errors import ConfigError
+from hostlink.errors import ConfigError, LibraryMissing
 from hostlink.listening import BACKLOG
-from hostlink.transport.base import CLOSE_TIMEOUT_S, READ_BYTES, Stall, Transport
-from hostlink.transport.connection import Connection, ignore
-from hostlink.transport.socket_options import set_options
+from hostlink.transport.base import Transport
+from hostlink.transport.connection import StreamTransport, set_options
 
-# -- stream -----------------------------------------------------------------------------------------------------------
+# -- stall ------------------------------------------------------------------------------------------------------------
+
+STALL_S = 0.4  # longer than a peer may delay an acknowledgement (lwIP on an ESP8266: 0.25 s)
 
 
-class StreamTransport:
-    """Transport over a Connection, for TCP and serial ports. The write buffer's high-water mark is 0."""
+class Stall:
+    """Detector of a stalled peer, from the number of sent and of unacknowledged bytes."""
 
-    kind = "stream"
+    def __init__(self) -> None:
+        self._is_waiting = False
+        self._acknowledged_bytes = 0
+        self._since_s = 0.0  # time of the last progress, or of the first unacknowledged byte
 
-    def __init__(self, connection: Connection, *, peer: str, address: str) -> None:
-        self.peer, self.address = peer, address
-        self._connection = connection
-        self._is_closed = False
-        connection.transport.set_write_buffer_limits(high=0)
-
-    def start(self, on_readable: Callable[[], None]) -> None:
-        """Call `on_readable` from now on whenever bytes arrived, and at the end."""
-        self._connection.on_readable = on_readable
-        if self.unread_bytes or self.is_ended:
-            on_readable()
-
-    @property
-    def unread_bytes(self) -> int:
-        """Number of received and unread bytes."""
-        return self._connection.unread_bytes
-
-    @property
-    def is_ended(self) -> bool:
-        """Whether the connection ended, so that no more bytes arrive."""
-        return self._connection.is_ended
-
-    def read(self, limit_bytes: int) -> bytes:
-        """Return received bytes; b"" when none are unread, and at the end."""
-        return self._connection.read(limit_bytes)
-
-    def write(self, data: bytes) -> bool:
-        """Write the data in one call, so that it is one segment where possible."""
-        connection = self._connection
-        if connection.transport.is_closing():
-            return False
-        connection.transport.write(data)
-        return not connection.is_writing_paused
-
-    async def drain(self) -> None:
-        """Wait until the system has accepted the written data."""
-        await self._connection.drain()
-
-    async def receive(self) -> bytes:
-        """Wait for bytes; b"" at the end."""
-        came = asyncio.Event()
-        self.start(came.set)
-        await came.wait()
-        return self.read(2 * READ_BYTES)
-
-    async def send(self, data: bytes) -> None:
-        """Write and drain."""
-        self.write(data)
-        await self.drain()
-
-    def round_trip_s(self) -> float | None:
-        """Return None: a stream has no measurement of its round trip."""
-        return None
-
-    def descriptor(self) -> int | None:
-        """File descriptor of the socket or port, until it is being closed."""
-        return None if self._is_closed or self._connection.transport.is_closing() else self._open_descriptor()
-
-    def _open_descriptor(self) -> int | None:
-        """Return the descriptor of the open socket or port; None if there is none."""
-        return None
-
-    async def aclose(self) -> None:
-        """Send what was written, then close. Abort after CLOSE_TIMEOUT_S or when cancelled."""
-        if self._is_closed:  # a cancelled close cannot be awaited again
-            return
-        self._is_closed = True
-        try:
-            async with asyncio.timeout(CLOSE_TIMEOUT_S):
-                with contextlib.suppress(OSError):  # a broken connection has nothing left to send
-                    await self._leave()
-                self._connection.transport.close()
-                await self._connection.wait_closed()
-        except TimeoutError:
-            self._abort()
-        except asyncio.CancelledError:
-            self._abort()
-            raise
-        finally:
-            self._connection.on_readable = ignore  # otherwise link and connection form a reference cycle
-
-    async def _leave(self) -> None:
-        """Wait before closing. A stream needs nothing: closing sends what was written."""
-
-    def _abort(self) -> None:
-        self._connection.transport.abort()
+    def is_stalled(self, *, sent_bytes: int, unacknowledged_bytes: int, now_s: float) -> bool:
+        """Whether bytes are unacknowledged and none was acknowledged for STALL_S."""
+        acknowledged_bytes = sent_bytes - unacknowledged_bytes
+        if not self._is_waiting or acknowledged_bytes > self._acknowledged_bytes:
+            self._acknowledged_bytes, self._since_s = acknowledged_bytes, now_s
+        self._is_waiting = unacknowledged_bytes > 0
+        return self._is_waiting and now_s >= self._since_s + STALL_S
 
 
 # -- tcp --------------------------------------------------------------------------------------------------------------
@@ -136,19 +62,44 @@ class Listener:
 class TcpTransport(StreamTransport):
     """TCP connection with a measured round trip. Nothing more is sent to it while the network stalls."""
 
+    __slots__ = ("_on_made", "_sent_bytes", "_socket", "_stall")
+
     kind = "tcp"
 
-    def __init__(self, connection: Connection, *, peer: str, address: str) -> None:
-        super().__init__(connection, peer=peer, address=address)
-        self._socket: socket.socket | None = connection.transport.get_extra_info("socket")
+    def __init__(self, on_made: Callable[["TcpTransport"], None]) -> None:
+        """`on_made` is called when the connection has its peer and its options."""
+        super().__init__()
+        self._on_made = on_made
+        self._socket: socket.socket | None = None
         self._sent_bytes = 0
         self._stall = Stall()
 
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        super().connection_made(transport)
+        made: socket.socket = transport.get_extra_info("socket")
+        peername = transport.get_extra_info("peername")
+        try:
+            set_options(
+                made,
+                send_bytes=SEND_BUFFER_BYTES,
+                receive_bytes=RECEIVE_BUFFER_BYTES,
+                user_timeout_ms=USER_TIMEOUT_MS,
+            )
+        except OSError:
+            peername = None
+        if peername is None:  # the peer has already reset the connection
+            self.transport.abort()
+            return
+        self._socket, self.address, self.peer = made, peername[0], spelled(*peername[:2])
+        self._on_made(self)
+
     def write(self, data: bytes) -> bool:
         """Write, and report False during a stall, so that the next frame is chosen as late as possible."""
-        is_through = super().write(data)
+        if self.transport.is_closing():
+            return False
+        self.transport.write(data)
         self._sent_bytes += len(data)
-        return is_through and not self._is_stalled()
+        return not self.is_writing_paused and not self._is_stalled()
 
     async def drain(self) -> None:
         """Wait until the peer acknowledges what was sent."""
@@ -157,19 +108,18 @@ class TcpTransport(StreamTransport):
             await asyncio.sleep(STALL_POLL_S)
 
     def _is_stalled(self) -> bool:
-        now_s = asyncio.get_running_loop().time()
-        waiting = self._unacknowledged_bytes()
-        return self._stall.is_stalled(sent_bytes=self._sent_bytes, unacknowledged_bytes=waiting, now_s=now_s)
-
-    def _unacknowledged_bytes(self) -> int:
-        """Number of unacknowledged bytes; 0 where the system has no such figure, or the connection is lost."""
-        connection = self._open_socket()
-        if connection is None or sys.platform != "linux":
-            return 0
-        return int(struct.unpack("=i", fcntl.ioctl(connection.fileno(), termios.TIOCOUTQ, bytes(4)))[0])
+        """Whether the peer acknowledges nothing; False where the system does not tell, or the connection is lost."""
+        unacknowledged_bytes, connection = 0, self._open_socket()
+        if connection is not None and sys.platform == "linux":
+            unacknowledged_bytes = struct.unpack("=i", fcntl.ioctl(connection.fileno(), termios.TIOCOUTQ, bytes(4)))[0]
+        return self._stall.is_stalled(
+            sent_bytes=self._sent_bytes,
+            unacknowledged_bytes=unacknowledged_bytes,
+            now_s=asyncio.get_running_loop().time(),
+        )
 
     async def _leave(self) -> None:
-        await self._connection.drain()
+        await super().drain()
         self._shut_down()
 
     def _abort(self) -> None:
@@ -178,7 +128,7 @@ class TcpTransport(StreamTransport):
 
     def _shut_down(self) -> None:
         """Shut the connection down. Closing alone would not end it while another process holds a duplicate."""
-        number = None if self._connection.transport.is_closing() else self._open_descriptor()
+        number = None if self.transport.is_closing() else self._open_descriptor()
         if number is None:
             return
         connection = socket.socket(fileno=number)
@@ -205,7 +155,7 @@ class TcpTransport(StreamTransport):
     def _open_socket(self) -> socket.socket | None:
         """Return the open socket. None when it is closed: uvloop's closed sockets raise on any call."""
         found = self._socket
-        return None if found is None or self._connection.is_lost or found.fileno() < 0 else found
+        return None if found is None or self._lost.done() or found.fileno() < 0 else found
 
 
 @contextlib.asynccontextmanager
@@ -218,23 +168,6 @@ async def serve_tcp(
         ConfigError: the address cannot be listened on.
     """
 
-    def accept(connection: Connection) -> None:
-        peername = connection.transport.get_extra_info("peername")
-        try:
-            set_options(
-                connection.transport.get_extra_info("socket"),
-                send_bytes=SEND_BUFFER_BYTES,
-                receive_bytes=RECEIVE_BUFFER_BYTES,
-                user_timeout_ms=USER_TIMEOUT_MS,
-            )
-        except OSError:
-            peername = None
-        if peername is None:  # the peer has already reset the connection
-            connection.transport.abort()
-            return
-        host, port = peername[:2]
-        on_connection(TcpTransport(connection, peer=spelled(host, port), address=host))
-
     loop = asyncio.get_running_loop()
     try:
         sockets = listening or await bind(config.host, config.port)
@@ -242,7 +175,8 @@ async def serve_tcp(
         raise ConfigError(f"TCP {spelled(config.host, config.port)}", explain(error, "--listen")) from error
     address = sockets[0].getsockname()[:2]
     servers = [
-        await loop.create_server(lambda: Connection(accept), sock=each, backlog=ACCEPTED_AT_ONCE) for each in sockets
+        await loop.create_server(lambda: TcpTransport(on_connection), sock=each, backlog=ACCEPTED_AT_ONCE)
+        for each in sockets
     ]
     for server in servers:
         for each in server.sockets:
@@ -269,3 +203,45 @@ def explain(error: OSError | OverflowError, option: str) -> str:
     is_lookup = isinstance(error, socket.gaierror)  # getaddrinfo has its own error numbers
     reason = error.strerror if is_lookup or error.errno is None else os.strerror(error.errno)
     return f"cannot be listened on: {reason or error}"  # Python 3.13 has only a text for an address of no interface
+
+
+# -- mDNS -------------------------------------------------------------------------------------------------------------
+
+SERVICE = "_rosserial._tcp.local."
+
+
+@contextlib.asynccontextmanager
+async def advertised(config: TcpConfig, address: tuple[str, int]) -> AsyncIterator[None]:
+    """Advertise the port until the block is left, if `config.mdns` is set."""
+    if not config.mdns:
+        yield
+        return
+    try:
+        import ifaddr  # noqa: PLC0415 - an optional dependency
+        import zeroconf  # noqa: PLC0415
+        from zeroconf.asyncio import AsyncZeroconf  # noqa: PLC0415
+    except ImportError as error:
+        raise LibraryMissing("tcp.mdns", "zeroconf", "mdns") from error
+    listens_on, port = address
+    is_any = ipaddress.ip_address(listens_on).is_unspecified
+    addresses = (
+        _reachable([str(ip.ip) for adapter in ifaddr.get_adapters() for ip in adapter.ips if ip.is_IPv4])
+        if is_any
+        else [listens_on]
+    )
+    host = socket.gethostname().split(".")[0]
+    info = zeroconf.ServiceInfo(
+        SERVICE, f"hostlink on {host}.{SERVICE}", port=port, parsed_addresses=addresses, server=f"{host}.local."
+    )
+    network = AsyncZeroconf(interfaces=zeroconf.InterfaceChoice.All if is_any else addresses)
+    try:
+        await (await network.async_register_service(info, allow_name_change=True))  # another host may use the name
+        yield
+    finally:
+        await network.async_unregister_all_services()
+        await network.async_close()
+
+
+def _reachable(addresses: list[str]) -> list[str]:
+    """Return the addresses that another computer can reach; all addresses if none is reachable."""
+    return [address for address in addresses if not ipaddress.ip_address(address).is_loopback] or addresses

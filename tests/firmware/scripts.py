@@ -6,9 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from hostlink.sim.firmware_module import columns
+from hostlink.sim.firmware_module import WorldParameters, columns, wheel
 from hostlink.sim.firmware_world import Firmware
-from hostlink.sim.world_parameters import WorldParameters, wheel
 from tests.firmware.boards import TEXT_AT, build_m3
 from tests.firmware.worlds import Trace, wheel_speeds
 

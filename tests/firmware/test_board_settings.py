@@ -17,7 +17,7 @@ from typer.testing import CliRunner
 from hostlink.board.settings import (
     LINE_BYTES_MAX,
     SETTINGS,
-    Answer,
+    BoardAnswer,
     assignment,
     check_value,
     parse_answer,
@@ -350,7 +350,7 @@ def test_board_after_any_bytes_answers_the_next_request(sent: list[bytes]) -> No
     assert done.returncode == 0, done.stderr.decode()
     answers = [parse_answer(line) for line in done.stdout.splitlines()]
     assert None not in answers
-    assert answers[-1] == Answer(9, "ok")
+    assert answers[-1] == BoardAnswer(9, "ok")
     assert [answer.words.partition("=")[0].split()[1] for answer in answers[-8:-1] if answer] == list(SETTINGS)
 
 

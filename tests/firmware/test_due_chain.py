@@ -13,7 +13,7 @@ from typing import Any
 import aiohttp
 import pytest
 
-from hostlink.sim.world_parameters import WorldParameters
+from hostlink.sim.firmware_module import WorldParameters
 from tests.firmware import esp8266
 from tests.firmware.boards import Board, board, chain, drive
 from tests.support.process import serve

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hostlink.lab.paper_software import S_PER_TICK_S
+from hostlink.lab.robots import S_PER_TICK_S
 from hostlink.robot.kinematics import DifferentialDrive, Pose
 from hostlink.sim.firmware_world import Feedback, Firmware
 from tests.firmware.due import library, made

@@ -8,9 +8,9 @@ from functools import cache
 import numpy as np
 import pytest
 
-from hostlink.lab.paper_software import S_PER_TICK_S
+from hostlink.lab.robots import S_PER_TICK_S
+from hostlink.sim.firmware_module import WorldParameters
 from hostlink.sim.firmware_world import COMMAND_S, FirmwareWorld, Trace
-from hostlink.sim.world_parameters import WorldParameters
 from tests.firmware.scripts import CONNECT_MS, ROW_MS, Script, column, draw, draw_reversals, run_module
 from tests.firmware.worlds import METRES_PER_TICK
 

@@ -10,12 +10,23 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hostlink.cli.main import build_app
-from hostlink.lab.calibrated import calibrated
-from hostlink.lab.causes import CAUSES, Cause
-from hostlink.lab.experiment import PAPER_WORLD, Errors, Experiment, Laboratory, Setup, Software, measure
+from hostlink.lab.experiment import (
+    BACK,
+    LINE,
+    PAPER_WORLD,
+    SQUARE_LEFT,
+    SQUARE_RIGHT,
+    Errors,
+    Experiment,
+    Laboratory,
+    Pattern,
+    Setup,
+    Software,
+    calibrated,
+    measure,
+)
 from hostlink.lab.fit import FITTED, fit, world_of
-from hostlink.lab.patterns import BACK, LINE, SQUARE_LEFT, SQUARE_RIGHT, Pattern
-from hostlink.lab.tables import CALIBRATED, CASTER_WORLD, OURS, REBUILT, Table, tables
+from hostlink.lab.tables import CALIBRATED, CASTER_WORLD, CAUSES, OURS, REBUILT, Cause, ErrorTable, tables
 
 RUNS = int(os.environ.get("HOSTLINK_LAB_RUNS", "3"))
 LABORATORY = Laboratory(workers=1)
@@ -47,13 +58,13 @@ def test_caster_twists_squares_in_both_directions_but_not_lines() -> None:
     assert ours(NAMED["caster_twist"], LINE).means_cm < 0.2
 
 
-def column(table: Table, title: str) -> np.ndarray:
+def column(table: ErrorTable, title: str) -> np.ndarray:
     (found,) = [column.means_cm for column in table.columns if column.title == title]
     return found
 
 
 def test_tables_have_the_paper_s_values_and_calibration_gains_threefold() -> None:
-    driven = {table.pattern: table for table in tables(CASTER_WORLD, LABORATORY, runs=RUNS)}
+    driven = {table.pattern: table for table in tables(CASTER_WORLD, LABORATORY, runs=RUNS, report=lambda _: None)}
     assert [table.pattern.table for table in driven.values()] == [2, 3, 4, 5]
     assert driven[LINE].columns[0].means_cm == pytest.approx([1.84])
     assert column(driven[LINE], REBUILT) == pytest.approx([1.84], abs=0.2)

@@ -13,7 +13,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from hostlink.lab.paper_software import S_PER_TICK_S
+from hostlink.lab.robots import S_PER_TICK_S
 from hostlink.sim.firmware_world import COMMAND_S, Feedback, FirmwareWorld
 from tests.firmware.due import library, made
 

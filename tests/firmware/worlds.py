@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from hostlink.protocol.control import decode_log
 from hostlink.protocol.frame import TOPICS_REQUEST, Frame, Id, encode
 from hostlink.protocol.stream import FrameStream
-from hostlink.sim.world_parameters import WorldParameters, wheel
+from hostlink.sim.firmware_module import WorldParameters, wheel
 from tests.firmware.due import FLAGS, LIBRARY, OUT_BYTES, ROOT, ROSSERIAL
 from tests.support.compilers import UNDEFINED, run
 from tests.support.once import once_a_run

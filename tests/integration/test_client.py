@@ -16,12 +16,13 @@ from hostlink.client.http_client import CLOSE_TIMEOUT_S
 from hostlink.config import ApiConfig, Config, TokenConfig
 from hostlink.errors import HostlinkError
 from hostlink.hub.gates import RemoteHosts
-from hostlink.protocol.control import Log, encode_log
+from hostlink.protocol.control import Log
 from hostlink.protocol.frame import Id, encode
 from hostlink.robot.admission import LEASE_S
 from hostlink.robot.velocity import PlanarVelocity
 from tests.support.background import meanwhile
 from tests.support.daemon import Daemon, daemon
+from tests.support.device_codec import encode_log
 from tests.support.fake_device import fake_device, pose, robot_topics, topic
 from tests.support.gates import drive_gate
 from tests.support.waiting import TIMEOUT_S, expect

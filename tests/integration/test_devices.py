@@ -11,9 +11,10 @@ from structlog.testing import capture_logs
 from hostlink.config import Config, LinkConfig
 from hostlink.errors import FrameTooLarge, UnknownTopic
 from hostlink.hub.message import Message
-from hostlink.protocol.control import Log, decode_parameter, encode_log, encode_parameter_request
+from hostlink.protocol.control import Log, decode_parameter
 from hostlink.protocol.frame import Id, encode
 from tests.support.daemon import daemon
+from tests.support.device_codec import encode_log, encode_parameter_request
 from tests.support.fake_device import fake_device, pose, robot_topics, topic
 from tests.support.participants import publish, subscribe
 from tests.support.waiting import expect

@@ -15,9 +15,10 @@ from structlog.testing import capture_logs
 from hostlink.api.state_feed import TICK_S
 from hostlink.api.unread import CHECK_S
 from hostlink.config import Config, LinkConfig
-from hostlink.protocol.control import Log, encode_log
+from hostlink.protocol.control import Log
 from hostlink.protocol.frame import Id, encode
 from tests.support.daemon import Daemon, daemon
+from tests.support.device_codec import encode_log
 from tests.support.fake_device import CATALOG, fake_device, pose, robot_topics, topic
 from tests.support.participants import publish
 from tests.support.waiting import TIMEOUT_S, expect

@@ -11,12 +11,13 @@ import pytest
 from hostlink.config import Config, LinkConfig, RobotConfig
 from hostlink.errors import CommandRefused
 from hostlink.hub.message import Message
-from hostlink.protocol.control import decode_parameter, encode_parameter_request
+from hostlink.protocol.control import decode_parameter
 from hostlink.protocol.frame import Id, encode
 from hostlink.protocol.topic_table import MAX_MISSED
 from hostlink.robot.velocity import PlanarVelocity
 from hostlink.sim.run import run_fleet
 from tests.support.daemon import Daemon, daemon
+from tests.support.device_codec import encode_parameter_request
 from tests.support.fake_device import FakeDevice, fake_device, pose, repeating, robot_topics, topic
 from tests.support.gates import drive_gate
 from tests.support.participants import publish, subscribe

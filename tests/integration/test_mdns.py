@@ -10,7 +10,7 @@ from zeroconf.asyncio import AsyncServiceBrowser, AsyncServiceInfo, AsyncZerocon
 
 from hostlink.config import Config, TcpConfig
 from hostlink.errors import ConfigError
-from hostlink.transport.mdns import SERVICE, advertised
+from hostlink.transport.tcp import SERVICE, advertised
 from tests.support.daemon import daemon
 from tests.support.waiting import TIMEOUT_S
 

@@ -41,7 +41,9 @@ class Remote:
     sent: int = 0
 
     def __post_init__(self) -> None:
-        node = RmwNode(self.hub, NO_SESSION, Ros2Types(CATALOG), NodeToken(0, "ff", 0, "/", "hostlink"), self.counts)
+        node = RmwNode(
+            self.hub, NO_SESSION, Ros2Types(CATALOG, "kilted"), NodeToken(0, "ff", 0, "/", "hostlink"), self.counts
+        )
         self.graph = RemoteGraph(0, self.counts)
         self.publishers = Publishers(node, self.graph, LogOnce(self.counts))
 

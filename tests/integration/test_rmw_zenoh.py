@@ -213,7 +213,7 @@ async def test_both_kinds_of_twist_drive_by_one_name(type_name: str) -> None:
 
 
 async def test_hashes_are_those_of_the_other_implementation() -> None:
-    types = Ros2Types(CATALOG)
+    types = Ros2Types(CATALOG, "kilted")
     async with bridged() as world, ros2_peer(world.address) as peer:
         hashes = await peer.request("hashes", "hashes", types=list(HASHED))
     for name in HASHED:
@@ -255,7 +255,7 @@ async def test_calls_of_one_client_are_bounded_and_those_of_another_are_answered
     async with bridged() as world, zenoh_session(world.address) as session:
         world.daemon.hub.join("program").provide("/switch", "std_srvs/SetBool", answer)
         await asyncio.sleep(0.2)
-        type_ = Ros2Types(CATALOG).service("std_srvs/SetBool")
+        type_ = Ros2Types(CATALOG, "kilted").service("std_srvs/SetBool")
         assert type_ is not None
         key, replies = f"0/switch/std_srvs::srv::dds_::SetBool_/{type_.type_hash}", list[Any]()
         for number in range(22):

@@ -8,9 +8,10 @@ import pytest
 from rosbags.typesys import Stores, get_typestore
 
 from hostlink.config import Config
-from hostlink.protocol.control import Log, Parameter, decode_parameter, encode_log, encode_parameter_request
+from hostlink.protocol.control import Log, Parameter, decode_parameter
 from hostlink.protocol.frame import Id, encode
 from tests.support.daemon import daemon
+from tests.support.device_codec import encode_log, encode_parameter_request
 from tests.support.fake_device import fake_device, pose, robot_topics, topic
 from tests.support.rosbridge import client
 from tests.support.waiting import expect

@@ -359,7 +359,7 @@ def test_a_socket_that_was_full_delivers_the_stop_and_nothing_that_was_commanded
                 drive_gate(robot, velocity, owner="test")
                 await asyncio.sleep(0.1)
             assert robot.link is not None
-            assert robot.link.session.oldest_waiting_s(loop().time()) < 0.2  # the newest; those before it are gone
+            assert robot.link.session.outbox.oldest_s(loop().time()) < 0.2  # the newest; those before it are gone
             robot.stop()
             heard = await device.velocities(5)
         speeds = [struct.unpack_from("<d", payload)[0] for payload in heard]

@@ -15,11 +15,10 @@ import pytest
 from hostlink.config import SerialConfig, TcpConfig, UdpConfig
 from hostlink.errors import ConfigError
 from hostlink.transport.base import CLOSE_TIMEOUT_S, READ_BYTES, Transport
+from hostlink.transport.connection import KEEPALIVE
 from hostlink.transport.serial import open_serial
-from hostlink.transport.socket_options import KEEPALIVE
 from hostlink.transport.tcp import SEND_BUFFER_BYTES, USER_TIMEOUT_MS, serve_tcp
-from hostlink.transport.udp import UdpTransport
-from hostlink.transport.udp_port import Datagram, UdpPort, serve_udp
+from hostlink.transport.udp import Datagram, UdpPort, UdpTransport, serve_udp
 from tests.support.memory_transport import MemoryTransport, memory_pair
 from tests.support.pty_pair import pty_pair
 from tests.support.stopwatch import Stopwatch
@@ -358,7 +357,7 @@ async def test_a_reset_is_an_os_error_that_names_it() -> None:
 
 async def test_the_options_that_a_robot_needs() -> None:
     async with tcp() as (transport, _):
-        connection = transport._connection.transport.get_extra_info("socket")  # type: ignore[attr-defined]
+        connection = transport.transport.get_extra_info("socket")  # type: ignore[attr-defined]
         found = {name: connection.getsockopt(socket.IPPROTO_TCP, getattr(socket, name)) for name in KEEPALIVE}
         assert found == KEEPALIVE
         assert connection.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY) == 1

@@ -19,8 +19,7 @@ from hostlink.protocol.control import encode_topic_info
 from hostlink.protocol.frame import TOPICS_REQUEST, Id, encode
 from hostlink.robot.velocity import PlanarVelocity
 from hostlink.transport.keyed import HELLO, MAGIC, RANDOM_BYTES, proof
-from hostlink.transport.udp import MAX_DATAGRAM_BYTES
-from hostlink.transport.udp_port import serve_udp
+from hostlink.transport.udp import MAX_DATAGRAM_BYTES, serve_udp
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import fake_device, pose, repeating, robot_topics, topic
 from tests.support.udp_device import GREETING, udp_device

@@ -15,9 +15,10 @@ from structlog.testing import capture_logs
 from hostlink.config import Config
 from hostlink.errors import FrameTooLarge, ServiceFailed
 from hostlink.hub.device import COMMAND_DEPTH
-from hostlink.protocol.control import decode_parameter, encode_parameter_request
+from hostlink.protocol.control import decode_parameter
 from hostlink.protocol.frame import Id, encode
 from tests.support.daemon import Daemon, daemon
+from tests.support.device_codec import encode_parameter_request
 from tests.support.fake_device import FakeDevice, fake_device, pose, robot_topics, topic
 from tests.support.participants import publish
 from tests.support.rosbridge import client
@@ -180,7 +181,7 @@ async def test_a_device_that_never_reads() -> None:
     async with daemon() as host, fake_device(host.tcp, robot_topics()[:1] + text) as device:
         link = host.hub.links.all()[0]
         sent = 0
-        while not link.session.replaced:
+        while not link.session.outbox.replaced:
             publish(host.hub, "/text", {"data": "x" * 50_000}, source="test")
             sent += 1
             assert sent < 1000
@@ -188,7 +189,7 @@ async def test_a_device_that_never_reads() -> None:
         for _ in range(50):
             publish(host.hub, "/text", {"data": "x" * 50_000}, source="test")
         await asyncio.sleep(0)
-        assert link.session.replaced >= 50 - COMMAND_DEPTH
+        assert link.session.outbox.replaced >= 50 - COMMAND_DEPTH
         await device.send(pose(1.0))
         await messages(host, 1)
 

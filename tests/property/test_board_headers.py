@@ -9,7 +9,7 @@ import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
-from hostlink.board.library import Selection, select
+from hostlink.board.library import TypeSelection, select
 from hostlink.errors import BadPayload
 from hostlink.messages.catalog import Catalog
 from hostlink.messages.fields import COUNT_BYTES, SCALAR, SIZES, VARIABLE, Field, Layout
@@ -25,7 +25,7 @@ BATCHES = settings(deadline=None, max_examples=max(5, settings().max_examples //
 class Codec:
     """Compiled program, and the types that it knows."""
 
-    def __init__(self, selection: Selection, folder: Path) -> None:
+    def __init__(self, selection: TypeSelection, folder: Path) -> None:
         names = board_codec.write_headers(selection, folder)
         parts = [part for service in selection.services for part in (service.request, service.response)]
         self.types: list[MessageType] = [*selection.messages, *parts]

@@ -20,7 +20,7 @@ from hostlink.graphs.zenoh.rmw_protocol import (
 )
 from tests.support.fake_device import CATALOG
 
-TYPES = Ros2Types(CATALOG)
+TYPES = Ros2Types(CATALOG, "kilted")
 NAMES = [
     "diagnostic_msgs/DiagnosticArray",
     "geometry_msgs/Twist",

@@ -12,8 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hostlink.transport.base import READ_BYTES
-from hostlink.transport.udp import MAX_DATAGRAM_BYTES, UdpTransport
-from hostlink.transport.udp_port import Datagram
+from hostlink.transport.udp import MAX_DATAGRAM_BYTES, Datagram, UdpTransport
 
 FIRST = b"greeting"
 STEPS = st.one_of(

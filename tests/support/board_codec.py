@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from hostlink.board.headers import class_name
-from hostlink.board.library import Selection, headers
+from hostlink.board.library import TypeSelection, headers
 from tests.support import compilers
 from tests.support.compilers import CORE, SANITIZERS
 
@@ -34,7 +34,7 @@ class Answer(NamedTuple):
     payload: bytes
 
 
-def write_headers(selection: Selection, folder: Path) -> list[str]:
+def write_headers(selection: TypeSelection, folder: Path) -> list[str]:
     """The headers, and all_types.h; the names of the classes."""
     made = headers(selection)
     for name, text in made.items():

@@ -1,8 +1,9 @@
 """What a device tells of itself: its battery, its WiFi, its firmware, its faults."""
 
-from hostlink.protocol.control import Log, TopicInfo, encode_log
+from hostlink.protocol.control import Log, TopicInfo
 from hostlink.protocol.frame import Id, encode
 from hostlink.robot.state import BATTERY_TYPE
+from tests.support.device_codec import encode_log
 from tests.support.fake_device import CATALOG, topic
 
 _BATTERY_ID = 130

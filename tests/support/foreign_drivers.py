@@ -209,7 +209,9 @@ class RmwDriver:
     def __init__(self, scene: Scene) -> None:
         counts = Counter[str]()
         own = NodeToken(0, "ff", 0, "/", "hostlink")
-        node = RmwNode(scene.hub, cast("Session", None), Ros2Types(CATALOG), own, counts)  # publishers send nothing
+        node = RmwNode(
+            scene.hub, cast("Session", None), Ros2Types(CATALOG, "kilted"), own, counts
+        )  # publishers send nothing
         graph = RemoteGraph(0, counts)
         self._publishers = Publishers(node, graph, LogOnce(counts))
         self._topic = f"/{ROBOT}/cmd_vel"

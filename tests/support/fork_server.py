@@ -1,4 +1,8 @@
-"""Programs without their seconds of imports: real processes, forked from one that has imported everything."""
+"""Programs without their seconds of imports: real processes, forked from one that has imported everything.
+
+Measured need: beside other work (load 9), `hostlink --version` answers after 0.06 s; its imports alone last 5.7 s. The
+fork server of multiprocessing runs functions, not programs with their own descriptors, arguments and environment.
+"""
 
 import array
 import asyncio

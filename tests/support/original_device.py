@@ -9,17 +9,9 @@ import math
 from collections.abc import Callable
 from enum import Enum, auto
 
-from hostlink.protocol.control import (
-    Log,
-    Parameter,
-    TopicInfo,
-    decode_parameter,
-    decode_time,
-    encode_log,
-    encode_parameter_request,
-    encode_topic_info,
-)
+from hostlink.protocol.control import Log, Parameter, TopicInfo, decode_parameter, encode_topic_info
 from hostlink.protocol.frame import FIRST_TOPIC_ID, OVERHEAD_BYTES, Id, encode
+from tests.support.device_codec import decode_time, encode_log, encode_parameter_request
 from tests.support.uart import Uart
 
 # All of the original library (docs/protocol.md#timing).
@@ -249,10 +241,9 @@ class OriginalDevice:
 
     def _set_time(self, payload: bytes, now_s: float) -> None:
         wall_ns = decode_time(payload)
-        if wall_ns is not None:
-            now_ms = self._ms(now_s)
-            self._offset_ns = wall_ns + (now_ms - self._time_sent_ms) * 1_000_000 - now_ms * 1_000_000
-            self._time_received_ms = now_ms
+        now_ms = self._ms(now_s)
+        self._offset_ns = wall_ns + (now_ms - self._time_sent_ms) * 1_000_000 - now_ms * 1_000_000
+        self._time_received_ms = now_ms
 
     def _announce_topics(self, now_s: float) -> None:
         for info in [*self._from_device, *(info for info, _ in self._to_device)]:

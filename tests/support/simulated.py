@@ -5,9 +5,8 @@ import contextlib
 from collections.abc import AsyncIterator
 
 from hostlink.protocol.frame import Frame, encode
-from hostlink.sim.faults import Fault
 from hostlink.sim.firmware_world import RobotKind
-from hostlink.sim.robot import SimulatedRobot
+from hostlink.sim.robot import Fault, SimulatedRobot
 from hostlink.sim.run import run_over_tcp
 
 PLOT_ID = 126

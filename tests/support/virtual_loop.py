@@ -4,7 +4,8 @@
         assert run_virtual(link.run()) is LinkEnd.IDLE
 
 For coroutines whose world is in memory (`memory_transport.py`): a socket on the loop is a NotImplementedError.
-`loop.time()` is virtual and starts at 0; `time.time()` is not.
+`loop.time()` is virtual and starts at 0; `time.time()` is not. Measured need: 150 tests wait for hours of virtual time.
+The standard library has no loop with a virtual clock, and this one also reports a deadlock.
 """
 
 import asyncio

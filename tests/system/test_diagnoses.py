@@ -9,8 +9,7 @@ from typing import Any
 import pytest
 import pytest_asyncio
 
-from hostlink.sim.faults import FAULTS, HEALTHY, Fault
-from hostlink.sim.robot import SimulatedRobot
+from hostlink.sim.robot import FAULTS, HEALTHY, Fault, SimulatedRobot
 from hostlink.sim.run import run_over_tcp
 from tests.support.daemon import Daemon, daemon
 from tests.support.process import run

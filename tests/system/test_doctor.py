@@ -11,8 +11,7 @@ from typing import Any
 
 import pytest
 
-from hostlink.sim.faults import FAULTS, HEALTHY, Fault
-from hostlink.sim.robot import SimulatedRobot
+from hostlink.sim.robot import FAULTS, HEALTHY, Fault, SimulatedRobot
 from hostlink.sim.run import run_over_streams
 from tests.support.fork_server import start
 from tests.support.process import free_port, run, serve, simulated

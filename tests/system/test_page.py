@@ -11,13 +11,14 @@ from playwright.async_api import Browser
 from playwright.async_api import expect as expect_text
 
 from hostlink.config import Config, RobotConfig
-from hostlink.protocol.control import Log, encode_log
+from hostlink.protocol.control import Log
 from hostlink.protocol.frame import Id, encode
 from hostlink.robot.admission import LEASE_S
 from hostlink.robot.kinematics import Pose
-from hostlink.sim.world_parameters import WorldParameters
+from hostlink.sim.firmware_module import WorldParameters
 from tests.support.browser import PHONE, Visit, visit
 from tests.support.daemon import Daemon, daemon
+from tests.support.device_codec import encode_log
 from tests.support.proxy import Line, proxy
 from tests.support.rosbridge import client
 from tests.support.simulated import DisturbedRobot, simulated_robot

@@ -3,7 +3,7 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hostlink.transport.base import HEADER_BYTES, Allowance
+from hostlink.transport.udp import HEADER_BYTES, Allowance
 
 SIZES = st.integers(1, 1452)
 

@@ -3,7 +3,7 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hostlink.transport.base import STALL_S, Stall
+from hostlink.transport.tcp import STALL_S, Stall
 
 
 def test_idle_connection_does_not_stall() -> None:

@@ -12,7 +12,8 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 REVISED = (
-    "board", "diagnosis", "graphs", "guardian", "link", "listeners", "messages", "mirror", "protocol", "recording",
+    "board", "diagnosis", "graphs", "guardian", "lab", "link", "listeners", "messages", "mirror", "protocol",
+    "recording", "sim",
     "transport",
 )  # fmt: skip
 REVISED_TESTS = (
@@ -21,9 +22,10 @@ REVISED_TESTS = (
     "property/test_link_under_faults.py", "property/test_lost_announcements.py", "property/test_outbox.py",
     "property/test_replay.py", "property/test_session.py", "property/test_stream.py", "property/test_udp_transport.py",
 )  # fmt: skip
-PLACES = ("hostlink/*.py", *(f"hostlink/{name}" for name in REVISED))
+PLACES = ("hostlink/*.py", "tools", *(f"hostlink/{name}" for name in REVISED))
 TEST_PLACES = (
     "tests/unit/*.py",
+    "tests/unit/tools",
     *(f"tests/unit/{name}" for name in REVISED),
     *(f"tests/{name}" for name in REVISED_TESTS),
     "tests/firmware",

@@ -14,8 +14,7 @@ from hostlink.graphs.ros1.tcpros import MAX_HEADER_BYTES, Header, MessageStream,
 from hostlink.hub.hub import Hub
 from hostlink.hub.isolation import Spawn
 from hostlink.listening import close_all
-from hostlink.transport.connection import Connection
-from hostlink.transport.socket_options import set_options
+from hostlink.transport.connection import Connection, set_options
 
 
 class Admitted(Protocol):

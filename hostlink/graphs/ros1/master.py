@@ -34,9 +34,8 @@ class ParameterCache:
     key reads as not set, and parameters below it as unknown: each can be subscribed to by itself.
     """
 
-    def __init__(self, max_keys: int = MAX_KEYS) -> None:
+    def __init__(self) -> None:
         self._values: OrderedDict[str, Any] = OrderedDict()
-        self._max_keys = max_keys
 
     @property
     def keys(self) -> tuple[str, ...]:
@@ -47,7 +46,7 @@ class ParameterCache:
         """Note the answer to a subscription. Return the key to unsubscribe when there are too many."""
         self._values[key] = _kept(value)
         self._values.move_to_end(key)
-        return self._values.popitem(last=False)[0] if len(self._values) > self._max_keys else None
+        return self._values.popitem(last=False)[0] if len(self._values) > MAX_KEYS else None
 
     def clear(self) -> None:
         """Forget all subscriptions, as the master has."""

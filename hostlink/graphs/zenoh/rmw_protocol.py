@@ -16,7 +16,6 @@ import xxhash
 from hostlink.robot.admission import Freshness
 
 NAME_CHARS_MAX: Final = 255
-DOMAIN_MAX: Final = 232
 
 _NAME: Final = re.compile(r"(?:/[A-Za-z_][A-Za-z0-9_]*)+")
 _TYPE: Final = re.compile(r"([a-z][a-z0-9_]*)/(msg|srv|action)/([A-Za-z][A-Za-z0-9_]*)")

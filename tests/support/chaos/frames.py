@@ -6,14 +6,7 @@ import math
 import random
 from collections.abc import Callable, Iterator
 
-from hostlink.protocol.control import (
-    LOG_LEVELS,
-    Log,
-    TopicInfo,
-    encode_log,
-    encode_parameter_request,
-    encode_topic_info,
-)
+from hostlink.protocol.control import LOG_LEVELS, Log, TopicInfo, encode_topic_info
 from hostlink.protocol.frame import FIRST_TOPIC_ID, SYNC, Id, encode
 from tests.support.chaos.names import (
     CLASHING_NAMES,
@@ -29,6 +22,7 @@ from tests.support.chaos.names import (
     payload_of,
     request_of,
 )
+from tests.support.device_codec import encode_log, encode_parameter_request
 
 TIME = encode(Id.TIME, bytes(8))
 BLOCK_BYTES = 128 * 1024  # of a flood, at once

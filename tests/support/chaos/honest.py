@@ -14,7 +14,6 @@ import struct
 import sys
 import time
 
-from hostlink.protocol.control import encode_parameter_request
 from hostlink.protocol.frame import Frame, Id, encode
 from hostlink.protocol.stream import FrameStream
 from tests.support.chaos import frames
@@ -23,6 +22,7 @@ from tests.support.chaos.devices import quietly
 from tests.support.chaos.drive_record import HONEST_RAD_S, NUMBERS, STEP_M_S
 from tests.support.chaos.names import HONEST, HONEST_ADDRESS, HONEST_PROGRAM_ADDRESS, HONEST_VELOCITY
 from tests.support.chaos.requests import HANDSHAKE, http, operation
+from tests.support.device_codec import encode_parameter_request
 
 PRIORITY = 90
 POSE_S, TIME_S, PARAMETER_S = 0.1, 2.5, 1.0

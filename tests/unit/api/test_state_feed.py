@@ -13,10 +13,11 @@ from hostlink.api.clients import Clients
 from hostlink.api.state_feed import MAX_LINES, Reader, StateFeed
 from hostlink.config import Config
 from hostlink.hub.hub import Hub
-from hostlink.protocol.control import Log, encode_log
+from hostlink.protocol.control import Log
 from hostlink.protocol.frame import Id
 from hostlink.recording.incident import Incident
 from hostlink.recording.recordings import Recordings
+from tests.support.device_codec import encode_log
 from tests.support.fake_device import CATALOG, robot_topics
 from tests.support.scripted_device import ScriptedDevice
 from tests.support.virtual_loop import run_virtual

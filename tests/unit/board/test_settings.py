@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from hostlink.board.settings import (
     LINE_BYTES_MAX,
     SETTINGS,
-    Answer,
     AnswerReader,
+    BoardAnswer,
     assignment,
     check_value,
     parse_answer,
@@ -22,7 +22,7 @@ from hostlink.errors import BadRequest
 
 def test_answer_after_text_of_the_sketch_is_found() -> None:
     line = request_line(7, "value host=mule").rstrip(b"\n")
-    assert parse_answer(b"speed 0.2 #hl " + line) == Answer(7, "value host=mule")
+    assert parse_answer(b"speed 0.2 #hl " + line) == BoardAnswer(7, "value host=mule")
 
 
 @given(st.integers(0, 60), st.integers(1, 255))
@@ -38,7 +38,7 @@ def test_reader_of_any_bytes_has_a_bound_and_finds_the_next_answer(pieces: list[
     for piece in pieces:
         list(reader.feed(piece))
         assert len(reader._rest) <= max(LINE_BYTES_MAX, 0)
-    assert list(reader.feed(b"\n" + request_line(1, "ok"))) == [Answer(1, "ok")]
+    assert list(reader.feed(b"\n" + request_line(1, "ok"))) == [BoardAnswer(1, "ok")]
     assert reader.received_bytes == sum(map(len, pieces)) + len(request_line(1, "ok")) + 1
 
 

@@ -124,7 +124,7 @@ def test_who_forgets_to_simulate_drives_no_robot(arguments: Sequence[str]) -> No
 def test_a_simulated_robot_that_cannot_move_is_one_line(tmp_path: Path) -> None:
     result = calibrate(tmp_path, *SMALL, "--world", "floor_pwm=4000")
     assert isinstance(result.exception, HostlinkError)
-    assert "does not get there" in str(result.exception)
+    assert "does not reach its goal" in str(result.exception)
 
 
 def test_a_picture_that_cannot_be_drawn_costs_no_drive(tmp_path: Path) -> None:

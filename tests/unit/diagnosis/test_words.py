@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from hostlink.diagnosis.finding import words
-from hostlink.sim.faults import FAULTS
+from hostlink.sim.robot import FAULTS
 
 DOCUMENT = (Path(__file__).parents[3] / "docs" / "troubleshooting.md").read_text()
 

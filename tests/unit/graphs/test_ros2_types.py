@@ -14,7 +14,7 @@ from hostlink.messages.catalog import Catalog
 from tests.support.fake_device import CATALOG
 
 KILTED = get_typestore(Stores.ROS2_KILTED)
-TYPES = Ros2Types(CATALOG)
+TYPES = Ros2Types(CATALOG, "kilted")
 
 # From the design document of ros2/rmw_zenoh, and from the type descriptions of a ROS 2 installation.
 STRING_HASH = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"
@@ -61,7 +61,7 @@ def test_hashes_are_those_of_ros_2(tmp_path: Path) -> None:
     package = tmp_path / "example_interfaces" / "srv"
     package.mkdir(parents=True)
     (package / "AddTwoInts.srv").write_text("int64 a\nint64 b\n---\nint64 sum\n")
-    service = Ros2Types(Catalog([tmp_path])).service("example_interfaces/AddTwoInts")
+    service = Ros2Types(Catalog([tmp_path]), "kilted").service("example_interfaces/AddTwoInts")
     assert service is not None
     assert (service.name, service.type_hash) == ("example_interfaces/srv/AddTwoInts", ADD_TWO_INTS_HASH)
 
@@ -170,7 +170,7 @@ def test_a_users_own_type_has_its_fields_in_lower_case(tmp_path: Path) -> None:
     )
     (package / "Wheel.msg").write_text("uint8 side\nfloat64 radius\n")
     catalog = Catalog([tmp_path])
-    known, type_ = catalog.message("my_robot/Gains"), message("my_robot/Gains", Ros2Types(catalog))
+    known, type_ = catalog.message("my_robot/Gains"), message("my_robot/Gains", Ros2Types(catalog, "kilted"))
     assert known is not None
     payload = known.encode(
         {"Kp": 1.5, "mode": 3, "names": ["a", "bcd"], "wheels": [{"side": 1, "radius": 0.1}, {}], "at": {"secs": 4}}

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from hostlink.guardian.connection import DATAGRAM_BYTES, Connection
+from hostlink.guardian.connection import DATAGRAM_BYTES, GuardedConnection
 from hostlink.guardian.frames import INTERVAL_S, STOP_REQUEST, ZEROS, zero_frame
 
 END_S = ZEROS * INTERVAL_S
@@ -37,14 +37,14 @@ def received(device: socket.socket) -> list[bytes]:
         return came
 
 
-def play(connection: Connection, events: int = select.POLLOUT) -> None:
+def play(connection: GuardedConnection, events: int = select.POLLOUT) -> None:
     for tenth in range(int(END_S * 100) + 2):
         if connection.is_open:
             connection.step(events, tenth / 100)
 
 
-def guarded(ours: socket.socket, claim_bytes: int = 100) -> Connection:
-    return Connection(ours.dup().detach(), (100,), claim_bytes)
+def guarded(ours: socket.socket, claim_bytes: int = 100) -> GuardedConnection:
+    return GuardedConnection(ours.dup().detach(), (100,), claim_bytes)
 
 
 def test_zeros_and_stop_request_are_datagrams_of_whole_frames(

@@ -1,10 +1,10 @@
-"""Roster: the guardian gets every needed record, and no more."""
+"""GuardedLinks: the guardian gets every needed record, and no more."""
 
 from hypothesis import given
 from hypothesis import strategies as st
 
 from hostlink.guardian import records
-from hostlink.guardian.roster import Roster, Watched
+from hostlink.guardian.roster import GuardedLinks, Watched
 
 STEPS = st.lists(st.tuples(st.sampled_from(["watch", "release", "close", "tell", "forget"]), st.integers(1, 4)))
 
@@ -12,7 +12,7 @@ STEPS = st.lists(st.tuples(st.sampled_from(["watch", "release", "close", "tell",
 class Guardian:
     """Model of a guardian's connections after each record."""
 
-    def __init__(self, roster: Roster) -> None:
+    def __init__(self, roster: GuardedLinks) -> None:
         self.roster = roster
         self.connections: dict[int, int] = {}  # number -> topic id
         self.confirmed = 0
@@ -43,7 +43,7 @@ def watched(topic_id: int = 100, descriptor: int | None = 7) -> Watched:
 
 
 def test_link_is_sent_with_its_descriptor_then_released() -> None:
-    roster = Roster()
+    roster = GuardedLinks()
     roster.watch(3, watched())
     assert roster.next() == (records.encode_watch(3, (100,), 512), 7)
     roster.confirm(has_descriptor=True)
@@ -55,14 +55,14 @@ def test_link_is_sent_with_its_descriptor_then_released() -> None:
 
 
 def test_link_released_before_it_was_sent_is_not_sent() -> None:
-    roster = Roster()
+    roster = GuardedLinks()
     roster.watch(3, watched())
     roster.release(3)
     assert roster.next() is None
 
 
 def test_connection_closed_before_it_was_sent_is_not_sent() -> None:
-    roster = Roster()
+    roster = GuardedLinks()
     roster.watch(3, watched(descriptor=None))
     assert roster.next() is None
     roster.release(3)
@@ -70,7 +70,7 @@ def test_connection_closed_before_it_was_sent_is_not_sent() -> None:
 
 
 def test_new_velocity_topic_replaces_the_old_one() -> None:
-    roster = Roster()
+    roster = GuardedLinks()
     guardian = Guardian(roster)
     for topic_id in (100, 104):
         roster.watch(3, watched(topic_id))
@@ -79,7 +79,7 @@ def test_new_velocity_topic_replaces_the_old_one() -> None:
 
 
 def test_everything_is_sent_to_a_new_guardian() -> None:
-    roster = Roster()
+    roster = GuardedLinks()
     first = Guardian(roster)
     for number in (1, 2, 3):
         roster.watch(number, watched())
@@ -92,7 +92,7 @@ def test_everything_is_sent_to_a_new_guardian() -> None:
 
 
 def test_records_for_a_stuck_guardian_are_bounded() -> None:
-    roster = Roster()
+    roster = GuardedLinks()
     for number in range(10_000):
         roster.watch(number, watched())
         roster.release(number)
@@ -104,7 +104,7 @@ def test_records_for_a_stuck_guardian_are_bounded() -> None:
 
 @given(STEPS)
 def test_guardian_finally_has_exactly_the_open_watched_links(steps: list[tuple[str, int]]) -> None:
-    roster = Roster()
+    roster = GuardedLinks()
     guardian = Guardian(roster)
     wanted: dict[int, int] = {}
     closed: set[int] = set()

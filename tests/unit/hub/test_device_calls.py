@@ -412,7 +412,8 @@ def test_floods_of_calls_of_many_devices_wait_behind_one_who_drives() -> None:
                 turns, longest_s = hub.turns(), 0.0
                 for _ in range(10):
                     came_s = loop.time()
-                    longest_s = max(longest_s, await turns.begin(is_flooding=False) - came_s)
+                    await turns.run(lambda: None, is_flooding=False)
+                    longest_s = max(longest_s, loop.time() - came_s)
                     await asyncio.sleep(0.02)
                 for task in floods:
                     task.cancel()

@@ -11,8 +11,9 @@ from hostlink.hub.hub import Hub
 from hostlink.hub.message import Message
 from hostlink.hub.participant import Participant
 from hostlink.messages.catalog import Catalog
-from hostlink.protocol.control import Log, encode_log
+from hostlink.protocol.control import Log
 from hostlink.protocol.frame import Id
+from tests.support.device_codec import encode_log
 from tests.support.fake_device import robot_topics, topic
 from tests.support.scripted_device import ScriptedDevice
 from tests.support.virtual_loop import run_virtual

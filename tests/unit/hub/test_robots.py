@@ -1,6 +1,6 @@
 """RetentionPolicy: who has left, and is forgotten."""
 
-from hostlink.hub.robots import RetentionPolicy
+from hostlink.hub.robots import MAX_AWAY, RetentionPolicy
 
 
 def test_who_left_is_forgotten_after_a_while() -> None:
@@ -15,12 +15,14 @@ def test_who_left_is_forgotten_after_a_while() -> None:
 
 
 def test_who_left_first_is_forgotten_for_those_who_left_later() -> None:
-    away = RetentionPolicy(max_away=2)
-    for name in "abac":
+    away = RetentionPolicy()
+    for number in range(MAX_AWAY):
+        away.put(f"robot_{number}", 0.0)
+    for name in ("robot_0", "new"):
         away.put(name, 0.0)
-    assert away.pop_forgotten(0.0) == ["b"]
-    assert len(away) == 2
-    assert away.pop_first() == "a"
+    assert away.pop_forgotten(0.0) == ["robot_1"]
+    assert len(away) == MAX_AWAY
+    assert away.pop_first() == "robot_2"
 
 
 def test_who_is_back_is_not_forgotten() -> None:

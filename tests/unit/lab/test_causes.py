@@ -2,9 +2,9 @@
 
 import pytest
 
-from hostlink.lab.causes import CAUSES, MISTAKES, Cause
 from hostlink.lab.experiment import PAPER_WORLD, Setup, Software
-from hostlink.lab.paper_software import Mistakes, names
+from hostlink.lab.robots import Mistakes, names
+from hostlink.lab.tables import CAUSES, MISTAKES, Cause
 
 USUAL = Setup(software=Software.FIRMWARE)
 

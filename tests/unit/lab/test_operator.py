@@ -4,10 +4,20 @@ import math
 
 import pytest
 
-from hostlink.lab.experiment import Experiment, Setup, Software, conduct, errors_of
-from hostlink.lab.operator import Habits
-from hostlink.lab.paper_software import Mistakes
-from hostlink.lab.patterns import BACK, LINE, PATTERNS, SQUARE_LEFT, Pattern
+from hostlink.lab.experiment import (
+    BACK,
+    LINE,
+    PATTERNS,
+    SQUARE_LEFT,
+    Experiment,
+    Habits,
+    Pattern,
+    Setup,
+    Software,
+    conduct,
+    errors_of,
+)
+from hostlink.lab.robots import Mistakes
 
 EXACT = Habits(mark_noise_m=0.0, aim_noise_rad=0.0)
 PAPER = Setup(software=Software.PAPER, habits=EXACT)

@@ -3,8 +3,7 @@
 import pytest
 
 from hostlink.lab.experiment import PAPER_WORLD
-from hostlink.lab.paper_software import LEFT_GAINS, LOOP_S, Mistakes, PaperWheel, names
-from hostlink.lab.robots import PaperRobot
+from hostlink.lab.robots import LEFT_GAINS, LOOP_S, Mistakes, PaperRobot, PaperWheel, names
 
 METRES_PER_TICK = 0.0012272
 

@@ -1,11 +1,11 @@
-"""What turns and legs alone can give, and what the paper's tables need of them."""
+"""Errors that turns and legs alone can cause, and those that the paper's tables need."""
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hostlink.lab.patterns import BACK, SQUARE_LEFT, SQUARE_RIGHT
+from hostlink.lab.experiment import BACK, SQUARE_LEFT, SQUARE_RIGHT
 from hostlink.lab.reports import apart
 from hostlink.lab.turns import TurnErrors, best_turns, chance_of_table_2, errors_cm, needed_radius, needed_twists
 

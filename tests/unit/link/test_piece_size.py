@@ -13,6 +13,7 @@ from hostlink.link.link import (
     PIECE_S,
     Link,
     PieceSize,
+    is_crowded,
 )
 from hostlink.protocol.events import Event
 from hostlink.protocol.frame import encode
@@ -41,10 +42,9 @@ def test_expensive_pieces_become_small_and_cheap_ones_large_again() -> None:
 
 
 def test_many_short_frames_after_long_ones_are_read_in_parts() -> None:
-    piece = PieceSize()
-    assert not piece.is_crowded(FRAME * MOST_FRAMES)
-    assert piece.is_crowded(FRAME * (MOST_FRAMES + 1))
-    assert not piece.is_crowded(encode(125, b"\xff" * 4000))
+    assert not is_crowded(FRAME * MOST_FRAMES)
+    assert is_crowded(FRAME * (MOST_FRAMES + 1))
+    assert not is_crowded(encode(125, b"\xff" * 4000))
 
 
 def test_expensive_frames_after_cheap_ones_delay_others_by_one_first_piece() -> None:

@@ -1,11 +1,11 @@
-"""Admission: accepted, refused and evicted connections."""
+"""ConnectionAdmission: accepted, refused and evicted connections."""
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from hostlink.config import TcpConfig
-from hostlink.listeners.accepting import Admission, OpenConnection, Verdict
+from hostlink.listeners.accepting import ConnectionAdmission, OpenConnection, Verdict
 
 ROBOT, OTHER, CROWD = "192.168.4.2", "192.168.4.3", "10.0.0.1"
 
@@ -32,25 +32,25 @@ def connections(*entries: tuple[str, bool]) -> list[OpenConnection]:
 def test_connection_from_outside_the_allowed_networks_is_refused(
     allow: tuple[str, ...], address: str, refusal: str | None
 ) -> None:
-    assert Admission(TcpConfig(allow=allow)).judge(address, []) == Verdict(refusal=refusal)
+    assert ConnectionAdmission(TcpConfig(allow=allow)).judge(address, []) == Verdict(refusal=refusal)
 
 
 def test_connections_of_one_address_are_limited() -> None:
-    admission = Admission(TcpConfig(max_connections_per_address=2))
+    admission = ConnectionAdmission(TcpConfig(max_connections_per_address=2))
     there = connections((ROBOT, True), (ROBOT, False))
     assert admission.judge(ROBOT, there) == Verdict(refusal="too_many_of_address")
     assert admission.judge(OTHER, there) == Verdict()
 
 
 def test_oldest_unidentified_connection_of_the_fullest_address_is_evicted() -> None:
-    admission = Admission(TcpConfig(max_connections=6))
+    admission = ConnectionAdmission(TcpConfig(max_connections=6))
     there = connections((CROWD, True), (OTHER, False), (CROWD, False), (CROWD, False), (ROBOT, True), (CROWD, False))
     assert admission.judge(ROBOT, there) == Verdict(evicts=2)
 
 
 def test_crowd_of_one_address_does_not_evict_itself() -> None:
     """Accepting a connection costs more than refusing one."""
-    admission = Admission(TcpConfig(max_connections=4))
+    admission = ConnectionAdmission(TcpConfig(max_connections=4))
     there = connections((CROWD, False), (OTHER, False), (CROWD, False), (OTHER, False))
     assert admission.judge(CROWD, there) == Verdict(refusal="too_many")
     assert (
@@ -62,14 +62,14 @@ def test_crowd_of_one_address_does_not_evict_itself() -> None:
 
 
 def test_no_identified_connection_is_evicted() -> None:
-    admission = Admission(TcpConfig(max_connections=2))
+    admission = ConnectionAdmission(TcpConfig(max_connections=2))
     assert admission.judge(CROWD, connections((ROBOT, True), (OTHER, True))) == Verdict(refusal="too_many")
 
 
 @given(st.lists(st.tuples(st.sampled_from([ROBOT, OTHER, CROWD]), st.booleans()), max_size=60))
 def test_bounds_hold_and_robots_stay_for_any_connections(arrivals: list[tuple[str, bool]]) -> None:
     config = TcpConfig(max_connections=5, max_connections_per_address=3)
-    admission = Admission(config)
+    admission = ConnectionAdmission(config)
     there: list[OpenConnection] = []
     robots = set()
     for number, (address, is_identified) in enumerate(arrivals):

@@ -5,11 +5,11 @@ import json
 from collections.abc import Callable
 from typing import Any
 
-from hostlink.hub.graph import GraphTopic
 from structlog.testing import capture_logs
 
 from hostlink.config import Config
 from hostlink.errors import HostlinkError
+from hostlink.hub.graph_view import GraphTopic
 from hostlink.hub.hub import Hub
 from hostlink.hub.message import Message
 from hostlink.hub.participant import Participant

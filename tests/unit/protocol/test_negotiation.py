@@ -12,8 +12,8 @@ from hostlink.protocol.negotiation import (
     LONGEST_CALL_S,
     TRANSITIONS,
     NegotiationScheduler,
+    NegotiationStep,
     SessionState,
-    Step,
 )
 from hostlink.protocol.topic_table import MAX_MISSED
 from tests.support.session_host import LED, ODOMETRY, TEXT, TIME, Host, wire
@@ -22,16 +22,16 @@ from tests.support.session_host import LED, ODOMETRY, TEXT, TIME, Host, wire
 def regular_device() -> Host:
     host = Host(ODOMETRY, LED)
     host.receive(TIME, after_s=2.5)
-    assert host.session.is_requesting_time
+    assert host.session.negotiation.is_regular
     return host
 
 
 @pytest.mark.parametrize("period_s", [1.0, 2.5, 3.9])
 def test_time_requests_at_their_period_are_regular(period_s: float) -> None:
     host = Host(ODOMETRY)
-    assert not host.session.is_requesting_time  # two at once are part of a negotiation
+    assert not host.session.negotiation.is_regular  # two at once are part of a negotiation
     host.receive(TIME, after_s=period_s)
-    assert host.session.is_requesting_time
+    assert host.session.negotiation.is_regular
 
 
 @pytest.mark.parametrize("period_s", [0.01, 0.9, 4.1, 60.0])
@@ -39,7 +39,7 @@ def test_time_requests_at_another_period_are_not_regular(period_s: float) -> Non
     host = Host(ODOMETRY)
     for _ in range(5):
         host.receive(TIME, after_s=period_s)
-    assert not host.session.is_requesting_time
+    assert not host.session.negotiation.is_regular
 
 
 def test_silent_regular_device_receives_a_request_before_its_link_ends() -> None:
@@ -75,11 +75,11 @@ def test_device_that_never_requests_the_time_receives_a_request_after_five_secon
     assert host.requests() == ["no_time_requests"]
 
 
-def advance(scheduler: NegotiationScheduler, step: Step, now_s: float) -> None:
-    if step is Step.REQUESTED:
+def advance(scheduler: NegotiationScheduler, step: NegotiationStep, now_s: float) -> None:
+    if step is NegotiationStep.REQUESTED:
         scheduler.request("test")
         assert scheduler.pop_request(now_s) == "test"
-    elif step is Step.TOPIC_INFO:
+    elif step is NegotiationStep.TOPIC_INFO:
         scheduler.topic_info_received(now_s)
     else:
         scheduler.finish(None)
@@ -88,7 +88,7 @@ def advance(scheduler: NegotiationScheduler, step: Step, now_s: float) -> None:
 def test_session_follows_the_transition_table() -> None:
     """Check every path of four steps from the start."""
     paths = 0
-    for steps in itertools.product(Step, repeat=4):
+    for steps in itertools.product(NegotiationStep, repeat=4):
         scheduler, state = NegotiationScheduler(), SessionState.REQUESTING
         for number, step in enumerate(steps):
             if step not in TRANSITIONS[state]:

@@ -230,7 +230,7 @@ def test_session_sends_nothing_after_a_stop() -> None:
     host.session.publish("/led", b"\x01")
     host.wait(30.0)
     assert host.sent() == []
-    assert host.session.wait_s(host.now_s) is None
+    assert host.session.outbox.wait_s(host.now_s) is None
 
 
 def test_early_tick_does_nothing() -> None:

@@ -8,11 +8,12 @@ import pytest
 
 from hostlink.errors import FrameTooLarge, UnknownTopic, WrongType
 from hostlink.protocol import events
-from hostlink.protocol.control import Log, Parameter, TopicInfo, encode_log, encode_parameter_request
+from hostlink.protocol.control import Log, Parameter, TopicInfo
 from hostlink.protocol.frame import TOPICS_REQUEST, Frame, Id, encode
 from hostlink.protocol.negotiation import MAX_PARTS, MAX_SAME_REQUESTS
 from hostlink.protocol.outbox import OutgoingFrame
 from hostlink.protocol.session import DEFAULT_BUFFER_BYTES, Session
+from tests.support.device_codec import encode_log, encode_parameter_request
 from tests.support.session_host import LED, ODOMETRY, TEXT, TIME, Host, check, wire
 
 
@@ -366,9 +367,9 @@ def test_larger_announced_buffer_raises_the_frame_limit() -> None:
 def test_pop_frame_waits_for_a_paced_device() -> None:
     session = Session(check=check, uart_bytes_s=960)
     session.open(now_s=0.0)
-    assert session.wait_s(0.0) == 0.0
+    assert session.outbox.wait_s(0.0) == 0.0
     assert session.pop_frame(now_s=0.0, wall_ns=0) == OutgoingFrame(TOPICS_REQUEST)
-    assert session.wait_s(0.0) is None
+    assert session.outbox.wait_s(0.0) is None
 
 
 def test_stop_is_the_last_frame() -> None:
@@ -376,7 +377,7 @@ def test_stop_is_the_last_frame() -> None:
     host.session.publish("/led", b"\x00", is_urgent=True)
     host.session.stop()
     assert [frame.topic_id for frame in host.sent()] == [100, Id.STOP]
-    assert host.session.replaced == 0
+    assert host.session.outbox.replaced == 0
 
 
 def test_long_message_is_refused_while_the_robot_moves() -> None:
@@ -416,9 +417,9 @@ def test_longest_frame_to_the_device_is_its_largest_buffer() -> None:
 
 def test_is_stopped_after_stop() -> None:
     host = Host(LED)
-    assert not host.session.is_stopped
+    assert not host.session.outbox.is_stopped
     host.session.stop()
-    assert host.session.is_stopped
+    assert host.session.outbox.is_stopped
 
 
 def test_last_frame_is_dropped_when_its_id_has_a_new_meaning() -> None:
@@ -458,16 +459,16 @@ def test_topic_to_the_device_has_its_id() -> None:
 
 def test_waiting_time_is_reported_before_and_after_sending() -> None:
     host = Host(LED)
-    assert not host.session.has_waiting
+    assert not host.session.outbox.has_waiting
     host.session.publish("/led", b"\x01")
-    host.session.begin_waiting(host.now_s)
-    assert host.session.has_waiting
+    host.session.outbox.begin_waiting(host.now_s)
+    assert host.session.outbox.has_waiting
     host.now_s += 0.25
-    assert host.session.oldest_waiting_s(host.now_s) == pytest.approx(0.25)
+    assert host.session.outbox.oldest_s(host.now_s) == pytest.approx(0.25)
     host.sent()
-    assert not host.session.has_waiting
-    assert host.session.oldest_waiting_s(host.now_s) == 0.0
-    assert host.session.slowest_wait_s == pytest.approx(0.25)
+    assert not host.session.outbox.has_waiting
+    assert host.session.outbox.oldest_s(host.now_s) == 0.0
+    assert host.session.outbox.slowest_wait_s == pytest.approx(0.25)
 
 
 def test_frame_to_returns_the_frame_that_publish_queues() -> None:

@@ -31,7 +31,7 @@ def frames(stream: FrameStream, *reads: bytes) -> list[Frame]:
 def test_frames_are_read_for_every_cut(reads: list[bytes]) -> None:
     stream = FrameStream()
     assert events(stream, *reads) == [A, B]
-    assert stream.pending_bytes == 0
+    assert len(stream.pending) == 0
 
 
 @pytest.mark.parametrize(
@@ -122,7 +122,7 @@ def test_unread_frames_are_kept_when_the_caller_stops_iterating() -> None:
     """A caller that wants one frame leaves the rest of a read to the next call."""
     stream = FrameStream()
     assert next(stream.feed(WIRE_A + WIRE_B + WIRE_A)) == A
-    assert stream.pending_bytes == len(WIRE_B + WIRE_A)
+    assert len(stream.pending) == len(WIRE_B + WIRE_A)
     assert frames(stream, WIRE_B) == [B, A, B]
 
 
@@ -181,7 +181,7 @@ def test_give_up_of_the_outer_frame_keeps_the_inner_one() -> None:
     assert events(stream, liar + b"\xff\xfe\x21\x00\xde" + WIRE_A[:6]) == []
     assert list(stream.give_up()) == [Skipped(liar)]
     assert frames(stream, WIRE_A[6:]) == [A]
-    assert stream.pending_bytes == 0
+    assert len(stream.pending) == 0
 
 
 def candidates_with_one_end(count: int, size_bytes: int) -> bytes:

@@ -22,4 +22,4 @@ def test_an_angle_that_is_not_finite_is_nan(angle_rad: float) -> None:
 def test_the_defaults_are_the_papers_wheels() -> None:
     drive = DifferentialDrive()
     assert drive.metres_per_tick * drive.ticks_per_turn == pytest.approx(2 * math.pi * 0.045)
-    assert drive.body_velocity(*drive.wheel_speeds(0.25, 0.8)) == pytest.approx((0.25, 0.8))
+    assert drive.wheel_speeds(0.25, 0.8) == pytest.approx((0.25 - 0.8 * 0.105, 0.25 + 0.8 * 0.105))

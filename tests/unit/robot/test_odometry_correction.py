@@ -98,7 +98,8 @@ def test_what_the_device_says_of_its_motion_is_corrected() -> None:
     estimator = OdometryEstimator(correction=CORRECTION)
     estimator.update(Pose(), now_s=0.0, wall_ns=0, twist=PlanarVelocity(0.2, 0.1, 0.5))
     (_, true) = rolled((0.2, 0.5))
-    forward_m_s, yaw_rad_s = TRUE.body_velocity(true[0] / PERIOD_S, true[1] / PERIOD_S)
+    forward_m_s = (true[0] + true[1]) / 2 / PERIOD_S
+    yaw_rad_s = (true[1] - true[0]) / TRUE.wheel_separation_m / PERIOD_S
     assert snapshot_of(estimator).twist == pytest.approx(PlanarVelocity(forward_m_s, 0.1, yaw_rad_s))
 
 

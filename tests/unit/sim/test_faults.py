@@ -6,7 +6,7 @@ from hostlink.protocol.control import TopicInfo, decode_topic_info, encode_topic
 from hostlink.protocol.frame import Frame, Id, encode
 from hostlink.protocol.session import NonRosserialBytes
 from hostlink.protocol.stream import FrameStream
-from hostlink.sim.faults import FAULTS, HEALTHY, FaultyLine
+from hostlink.sim.robot import FAULTS, HEALTHY, FaultyLine
 
 POSE = TopicInfo(Id.PUBLISHER, 125, "/odometry", "geometry_msgs/Pose2D", "m" * 32, 512)
 TWIST = TopicInfo(Id.SUBSCRIBER, 100, "/velocity", "geometry_msgs/Twist", "m" * 32, 512)
@@ -41,11 +41,11 @@ def test_a_healthy_line_changes_nothing() -> None:
         ("clock", [Id.TIME, Id.PUBLISHER, Id.SUBSCRIBER, 125]),
     ],
 )
-def test_what_is_left_of_the_frames(fault: str, ids: list[int]) -> None:
+def test_fault_removes_or_keeps_frames(fault: str, ids: list[int]) -> None:
     assert list(frames(fault)) == ids
 
 
-def test_what_the_faults_change_in_a_topic() -> None:
+def test_fault_changes_topic_infos() -> None:
     assert decode_topic_info(Id.PUBLISHER, frames("wrong_md5")[Id.PUBLISHER]) == POSE._replace(md5="0" * 32)
     assert decode_topic_info(Id.SUBSCRIBER, frames("small_buffer")[Id.SUBSCRIBER]) == TWIST._replace(buffer_bytes=48)
 
@@ -54,7 +54,7 @@ def test_protocol_1_is_what_a_session_recognises() -> None:
     assert NonRosserialBytes().add(FaultyLine(FAULTS["protocol_1"]).pass_on(ANNOUNCED))
 
 
-def test_the_boot_message_comes_once_and_first() -> None:
+def test_boot_message_is_sent_once_and_first() -> None:
     line = FaultyLine(FAULTS["boot_noise"])
     assert len(line.pass_on(b"")) > 100
     assert line.pass_on(TIME) == TIME

@@ -7,9 +7,8 @@ import struct
 import numpy as np
 import pytest
 
-from hostlink.sim.firmware_module import columns
+from hostlink.sim.firmware_module import WorldParameters, columns
 from hostlink.sim.firmware_world import Feedback, FirmwareWorld, Retry
-from hostlink.sim.world_parameters import WorldParameters
 
 SLIPPERY = WorldParameters(
     {
@@ -30,7 +29,7 @@ def connected(parameters: WorldParameters | None = None, name: str = "robot_0") 
 
 
 def unseen_rad(made: FirmwareWorld) -> float:
-    """What the robot has turned without its odometry."""
+    """Angle by which the robot turned unnoticed by its odometry."""
     return math.remainder(made.pose.theta_rad - made.odometry.theta_rad, math.tau)
 
 
@@ -40,7 +39,7 @@ def drive(made: FirmwareWorld, sample_s: float = 0.0) -> FirmwareWorld:
     return made
 
 
-def test_it_connects_and_drives_as_commanded() -> None:
+def test_firmware_world_connects_and_drives_as_commanded() -> None:
     made = connected()
     assert set(made.topics) >= {"odometry", "plot_data", "velocity_commands", "reset_odometry"}
     assert "robot is ready" in [log.text for log in made.logs]
@@ -122,7 +121,7 @@ def test_at_the_paper_s_baud_rate_nothing_is_lost(retry: Retry) -> None:
 
 
 @pytest.mark.parametrize(("turn", "onwards"), [(0.8, 0.2), (-0.8, 0.2), (0.8, -0.2), (-0.8, -0.2)])
-def test_a_caster_that_comes_back_from_a_turn_turns_the_robot_further(turn: float, onwards: float) -> None:
+def test_caster_that_returns_from_a_turn_turns_the_robot_further(turn: float, onwards: float) -> None:
     """The paper's overturning, which its odometry does not count; the way that it drives on does not matter."""
     made = connected(WorldParameters({"caster_twist_rad": 0.055}))
     for linear, angular, seconds in ((0.2, 0.0, 4.0), (0.0, 0.0, 0.7), (0.0, turn, 4.0), (0.0, 0.0, 0.7)):
@@ -162,7 +161,7 @@ def test_a_hand_at_the_wheels_and_at_the_robot() -> None:
     assert math.hypot(made.pose.x_m - before.x_m, made.pose.y_m - before.y_m) == pytest.approx(0.1)
 
 
-def test_its_world_lives_as_long_as_somebody_has_it() -> None:
+def test_world_is_valid_as_long_as_it_is_referenced() -> None:
     world = connected(WorldParameters({"battery_v": 11.0})).world
     gc.collect()
     assert world.battery_v == 11.0

@@ -6,11 +6,10 @@ import pytest
 
 from hostlink.protocol.frame import TOPICS_REQUEST, Frame, Id, encode
 from hostlink.protocol.stream import FrameStream
-from hostlink.sim.faults import FAULTS
+from hostlink.sim.firmware_module import WorldParameters
 from hostlink.sim.firmware_world import COMMAND_S, FirmwareWorld, RobotKind
-from hostlink.sim.robot import SimulatedRobot
+from hostlink.sim.robot import FAULTS, SimulatedRobot
 from hostlink.sim.run import world_of
-from hostlink.sim.world_parameters import WorldParameters
 from tests.support.virtual_device import TWIST
 
 STEP_S = 0.005

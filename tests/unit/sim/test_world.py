@@ -1,4 +1,4 @@
-"""The world behind the firmware: its numbers stay numbers, whatever they are and however long its steps."""
+"""World of the firmware: its numbers stay finite for any parameters and steps."""
 
 import math
 
@@ -6,10 +6,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hostlink.sim.firmware_module import bounds
+from hostlink.sim.firmware_module import WorldParameters, bounds
 from hostlink.sim.firmware_world import Firmware, World
-from hostlink.sim.world_parameters import WorldParameters
 
+LEFT = 0
 WHOLE = {"seed", "pwm_bits"}
 pwms = st.one_of(st.just(0), st.integers(-4095, 4095))
 pieces = st.tuples(pwms, pwms, st.sampled_from([0.001, 0.002, 0.01, 1 / 30]), st.integers(1, 10))
@@ -70,9 +70,9 @@ def test_pwm_below_the_dead_zone_turns_no_wheel() -> None:
 
 def test_deaf_encoder_counts_nothing_while_its_wheel_rolls() -> None:
     world = world_of()
-    world.left.deafen()
+    world.instance.call("deafen", LEFT, 1)
     world.turn_motors(2000, 2000, 0.01, 100)
     assert (world.left.edges, world.left.rolled_ticks > 50) == (0, True)
-    world.left.deafen(is_so=False)
+    world.instance.call("deafen", LEFT, 0)
     world.turn_motors(2000, 2000, 0.01, 100)
     assert world.left.edges > 50

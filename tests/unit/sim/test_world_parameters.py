@@ -8,9 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hostlink.sim.firmware_module import Bounds, bounds
+from hostlink.sim.firmware_module import ParameterRange, WorldParameters, bounds, read, wheel
 from hostlink.sim.firmware_world import Firmware
-from hostlink.sim.world_parameters import WorldParameters, read, wheel
 
 NAMES = list(bounds())
 
@@ -18,7 +17,7 @@ NAMES = list(bounds())
 def test_names_defaults_and_ranges_are_those_of_the_struct() -> None:
     assert NAMES[:2] == ["seed", "track_m"]
     assert len(NAMES) == 36
-    assert bounds()["track_m"] == Bounds(0.21, 1e-6, 1e6)
+    assert bounds()["track_m"] == ParameterRange(0.21, 1e-6, 1e6)
     assert WorldParameters()["left.radius_m"] == WorldParameters()["right.radius_m"] == 0.045
 
 

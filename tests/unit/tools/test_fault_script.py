@@ -1,4 +1,4 @@
-"""What a person types to the relay."""
+"""Fault script: the lines that a person types for the relay."""
 
 import pytest
 

@@ -12,7 +12,7 @@ DATA = bytes(range(1, 101))
 
 
 def drain(line: FaultyLine) -> list[tuple[float, bytes]]:
-    """All that comes out, with its times."""
+    """Return all pieces that arrive, with their times."""
     found = []
     while (next_s := line.next_s()) is not None:
         found += [(next_s, piece) for piece in line.pop_due(next_s)]
@@ -51,7 +51,7 @@ def test_rate_is_kept_on_average() -> None:
     assert [at_s for at_s, _ in drain(line)] == pytest.approx([0.1, 0.2, 0.3, 0.4, 0.5])
 
 
-def test_a_lost_segment_delays_all_and_what_waited_comes_as_one() -> None:
+def test_lost_segment_delays_all_and_held_pieces_arrive_as_one() -> None:
     line = FaultyLine(Habits(), "0")
     line.stand_still(1.0)
     line.send(b"one", 0.1)
@@ -81,7 +81,7 @@ def test_harm_is_done_once_to_the_next_bytes(kind: Kind, length: int) -> None:
     assert line.harmed[kind] == 4
 
 
-def test_harm_that_finds_too_few_bytes_goes_on_with_the_next() -> None:
+def test_harm_to_more_bytes_than_waiting_continues_with_the_next() -> None:
     line = FaultyLine(Habits(), "0")
     line.harm(Kind.DROP, 3)
     line.send(b"ab", 0.0)

@@ -22,7 +22,7 @@ def test_a_module_belongs_to_the_longest_name(module: str, row: str) -> None:
     assert row_of(TABLE, module) == row
 
 
-def test_what_no_row_allows_is_forbidden() -> None:
+def test_import_that_no_row_allows_is_forbidden() -> None:
     assert forbidden(TABLE, "errors", ["latency"]) == []
     assert forbidden(TABLE, "hub.robots", ["errors", "hub.hub"]) == []
     assert forbidden(TABLE, "hub.robots", ["latency"]) == ["hub.robots must not import latency"]

@@ -1,4 +1,4 @@
-"""What a release check finds in a wheel and in a source distribution."""
+"""Release check: problems of a wheel and of a source distribution."""
 
 import io
 import tarfile
@@ -28,14 +28,14 @@ def sources(folder: Path, *names: str) -> Path:
     return file
 
 
-def test_what_is_whole_has_no_problem(tmp_path: Path) -> None:
+def test_complete_archive_has_no_problem(tmp_path: Path) -> None:
     assert release.problems_of_wheel(wheel(tmp_path, *release.NEEDED)) == []
     whole = sources(tmp_path, *release.OF_SOURCES, *release.NEEDED, "tests/conftest.py")
     assert release.problems_of_sources(whole) == []
 
 
 @pytest.mark.parametrize("missing", release.NEEDED)
-def test_what_is_missing_is_named(tmp_path: Path, missing: str) -> None:
+def test_missing_file_is_named(tmp_path: Path, missing: str) -> None:
     names = [name for name in release.NEEDED if name != missing]
     assert release.problems_of_wheel(wheel(tmp_path, *names)) == [f"{missing} is not in the wheel"]
 
@@ -44,7 +44,7 @@ def test_what_is_missing_is_named(tmp_path: Path, missing: str) -> None:
     "name",
     ["tests/conftest.py", "hostlink/api/web/src/main.ts", "hostlink/__pycache__/a.pyc", "hostlink/node_modules/x"],
 )
-def test_what_nobody_needs_is_named(tmp_path: Path, name: str) -> None:
+def test_unwanted_file_is_named(tmp_path: Path, name: str) -> None:
     assert release.problems_of_wheel(wheel(tmp_path, *release.NEEDED, name)) == [f"{name} is in the wheel"]
 
 

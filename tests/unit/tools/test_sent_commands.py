@@ -1,4 +1,4 @@
-"""Which commands came, which were superseded by newer ones, and which were lost."""
+"""SentCommands: arrived, superseded and lost commands."""
 
 from tools.sent_commands import SentCommands
 
@@ -10,7 +10,7 @@ def sent(*numbers: int) -> SentCommands:
     return commands
 
 
-def test_each_that_comes_has_its_latency_and_stops_have_their_own() -> None:
+def test_arrived_commands_and_stops_have_separate_latencies() -> None:
     commands = sent(1, 2, 0, 3)
     for number, at_s in ((1, 0.5), (1, 0.6), (2, 1.25), (0, 2.5), (0, 2.6), (3, 3.5)):
         commands.receive(number, at_s)
@@ -26,7 +26,7 @@ def test_a_stop_and_a_command_that_come_in_one_turn_are_the_newer_one() -> None:
     assert (commands.latencies_s, commands.stops_s) == ([0.5, 0.5], [])
 
 
-def test_what_nothing_newer_follows_is_lost() -> None:
+def test_command_without_a_newer_one_is_lost() -> None:
     commands = sent(1, 2, 0)
     commands.receive(1, 0.5)
     assert (commands.superseded, commands.lost) == (0, 2)

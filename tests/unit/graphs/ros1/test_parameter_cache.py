@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hostlink.graphs.ros1.master import MAX_CHARS, MAX_ITEMS, MAX_PARTS, ParameterCache
+from hostlink.graphs.ros1.master import MAX_CHARS, MAX_ITEMS, MAX_KEYS, MAX_PARTS, ParameterCache
 
 
 def cache() -> ParameterCache:
@@ -55,10 +55,11 @@ def test_a_parameter_that_was_deleted_is_not_set() -> None:
 
 
 def test_excess_key_drops_the_oldest_and_names_it() -> None:
-    made = ParameterCache(max_keys=2)
-    assert made.put("/a", 1) is made.put("/b", 2) is made.put("/a", 3) is None
-    assert made.put("/c", 4) == "/b"
-    assert made.keys == ("/a", "/c")
+    made = ParameterCache()
+    assert {made.put(f"/{number}", number) for number in range(MAX_KEYS)} == {None}
+    assert made.put("/0", 3) is None
+    assert made.put("/new", 4) == "/1"
+    assert len(made.keys) == MAX_KEYS
     made.clear()
     assert made.keys == ()
 

@@ -3,12 +3,12 @@
 import asyncio
 
 import pytest
-from hostlink.hub.graph import GraphTopic
 
 from hostlink.graphs.ros1 import topics
 from hostlink.graphs.ros1.tcpros import encode_header, encode_message
 from hostlink.graphs.ros1.topics import Publication, Publisher
 from hostlink.graphs.ros1.xml_rpc import Unreachable
+from hostlink.hub.graph_view import GraphTopic
 from hostlink.robot.velocity import TWIST_TYPE, PlanarVelocity
 from tests.support.fake_device import CATALOG
 from tests.support.participants import ROBOT, TEXT, TEXT_TYPE, Scene, play
