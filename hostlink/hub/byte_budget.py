@@ -4,7 +4,6 @@ Counts alone bound no memory: sixty programs with sixteen latched messages of a 
 """
 
 import contextlib
-import weakref
 from collections import Counter, deque
 from collections.abc import Callable, Hashable, Iterator
 from typing import TYPE_CHECKING, Any
@@ -41,7 +40,7 @@ class Share:
         self.max_bytes = max_bytes
         self.held_bytes = 0
         self.refused = 0  # how often something found no room
-        self.queues: weakref.WeakSet[Queue[Any]] = weakref.WeakSet()  # that hold it
+        self.queues: dict[Queue[Any], None] = {}  # those with telemetry; each adds and removes itself
         self._waiting: deque[Callable[[], None]] = deque()
 
     @property

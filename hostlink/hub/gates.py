@@ -6,8 +6,8 @@
 import asyncio
 import contextlib
 import time
-import weakref
 from abc import ABC, abstractmethod
+from collections import Counter
 from collections.abc import Callable, Hashable, Iterable
 from dataclasses import dataclass, field
 from typing import Any, Protocol
@@ -53,14 +53,8 @@ ENDING = "hostlink is stopping, and drives no robot any more"
 class Driven(ABC):
     """Whatever velocities can be published to: a velocity topic of a device here, or a robot of another daemon."""
 
-    __slots__ = ()
-
     name: str
-
-    @property
-    @abstractmethod
-    def admission(self) -> Admission:
-        """What decides whether a command may move it."""
+    admission: Admission  # decides whether a command may move it
 
     def join(self, topic: Topic) -> None:
         """Note that it subscribes to a topic which others may be publishing already."""
@@ -129,7 +123,7 @@ class Connection(Protocol):
     diagnosis: Diagnosis
 
 
-@dataclass(slots=True, eq=False, kw_only=True)
+@dataclass(eq=False, kw_only=True)
 class Drivable(Driven):
     """A velocity topic of a device, behind the gate that is its only subscriber in the graph.
 
@@ -147,16 +141,15 @@ class Drivable(Driven):
     sent: AnyVelocity = ZERO
     sent_at_s: float = 0.0
     refusals: Refusals = field(default_factory=Refusals)
+    admission: Admission = field(init=False)  # of its gate
+
+    def __post_init__(self) -> None:
+        self.admission = self.gate.admission
 
     @property
     def link(self) -> Link | None:
         """The link of its device; None: the device is not connected."""
         return None if self.connection is None else self.connection.link
-
-    @property
-    def admission(self) -> Admission:
-        """That of its gate."""
-        return self.gate.admission
 
     @property
     def beside(self) -> list["Drivable"]:
@@ -204,7 +197,7 @@ class Gates:
         self.hosts: RemoteHosts | None = None  # the way to the other daemons of the fleet
         self._isolation, self._guardian = isolation, guard
         self._driven = set[int]()  # links, as the guard knows them
-        self._known: weakref.WeakSet[Admission] = weakref.WeakSet()  # also of robots elsewhere, and of those at rest
+        self._admissions: Counter[Admission] = Counter()  # of robots and attached drivables, also of other daemons
         self._active: dict[Drivable, None] = {}  # whose gate may have something to send
         self._wake = asyncio.Event()
         self._stalls = StallWatch()
@@ -214,7 +207,7 @@ class Gates:
     def attach(self, drivable: Drivable, connection: Connection) -> None:
         """Its device is ready: no earlier command is valid any more, and its first velocity is zero."""
         drivable.connection, drivable.last_frame = connection, b""
-        self._known.add(drivable.gate.admission)
+        self.register(drivable.admission)
         if drivable.gate.admission.connect(_now_s()):
             drivable.resumed_link = connection.link.number
         drivable.gate.restart()
@@ -233,6 +226,7 @@ class Gates:
             drivable.connection = None
             drivable.echoes.clear()
             drivable.gate.admission.disconnect(_now_s())
+            self.unregister(drivable.admission)
             drivable.gate.restart()
             self._activate(drivable)
         guarded_ids, connection.guarded_ids = connection.guarded_ids, []
@@ -243,6 +237,19 @@ class Gates:
         """This is the way to the other daemons of the fleet from now on; None: there is none any more."""
         self.hosts = hosts
         self._wake.set()
+
+    def register(self, admission: Admission) -> None:
+        """Interrupt this admission after a pause of the process, and withdraw from it each source that leaves.
+
+        Whoever registers it more than once unregisters it as often: a robot does, and each of its drivables.
+        """
+        self._admissions[admission] += 1
+
+    def unregister(self, admission: Admission) -> None:
+        """End one registration."""
+        self._admissions[admission] -= 1
+        if not self._admissions[admission]:
+            del self._admissions[admission]
 
     # -- driving ------------------------------------------------------------------------------------------------------
 
@@ -273,10 +280,6 @@ class Gates:
         self._notice_pause(now_s)
         return command._replace(received_s=min(command.received_s, self.came_s(now_s)))
 
-    def note_remote(self, admission: Admission) -> None:
-        """Commands are sent from here to a robot of another daemon: a pause and an owner that leaves concern it."""
-        self._known.add(admission)
-
     def _command(self, drivable: Drivable, command: Command[V]) -> V:
         gate: VelocityGate[V] = drivable.gate
         velocity, now_s = command.velocity, _now_s()
@@ -302,7 +305,7 @@ class Gates:
         """Interrupt every robot, here or of another daemon, if this process has just gone on after a pause."""
         since_s = self._stalls.pop_pause(now_s)
         if since_s is not None:
-            for admission in tuple(self._known):  # of a robot at rest, too: its sources may be disarmed
+            for admission in tuple(self._admissions):  # of a robot at rest, too: its sources may be disarmed
                 admission.interrupt(now_s, since_s=since_s)
 
     def _overrule(self, beside: list[Drivable], drivable: Drivable, owner: Hashable, priority: int) -> None:
@@ -319,7 +322,7 @@ class Gates:
         """A source of commands is gone: what it drives stops."""
         if self.hosts is not None:
             self.hosts.release(owner)
-        for admission in self._known:
+        for admission in self._admissions:
             admission.withdraw(owner)
         now_s = _now_s()
         for drivable in list(self._active):
@@ -336,7 +339,7 @@ class Gates:
             HostlinkError: the zero does not fit a device; all others have been stopped.
         """
         drivables, now_s = list(drivables), _now_s()
-        for admission in self._admissions(drivables):
+        for admission in _admissions(drivables):
             admission.interrupt(now_s)
         for drivable in drivables:
             drivable.gate.counts.stops += 1
@@ -366,7 +369,7 @@ class Gates:
             HostlinkError: the zero does not fit a device; its gate is locked all the same.
         """
         drivables = list(drivables)
-        for admission in self._admissions(drivables):
+        for admission in _admissions(drivables):
             admission.lock(reason, _now_s())
         for drivable in drivables:
             drivable.gate.counts.locks += 1
@@ -374,7 +377,7 @@ class Gates:
 
     def unlock(self, drivables: Iterable[Drivable]) -> None:
         """Admit commands again; nothing moves by it."""
-        for admission in self._admissions(drivables):
+        for admission in _admissions(drivables):
             admission.unlock(_now_s())
 
     def pauses(self, now_s: float) -> HostPauses:
@@ -428,11 +431,6 @@ class Gates:
             refusal = self._send_news(drivable) or refusal
         if refusal is not None:
             raise refusal
-
-    @staticmethod
-    def _admissions(drivables: Iterable[Drivable]) -> set[Admission]:
-        """Of these, each once: the velocity topics of one robot share one."""
-        return {drivable.gate.admission for drivable in drivables}
 
     def _activate(self, drivable: Drivable) -> None:
         self._active[drivable] = None
@@ -515,6 +513,11 @@ class Gates:
                 guarded_ids.append(link.session.topic_id(drivable.velocity_topic))
                 longest_bytes = link.session.longest_to_device_bytes
                 self._guardian.watch(link.number, link.descriptor, topic_ids=guarded_ids, claim_bytes=longest_bytes)
+
+
+def _admissions(drivables: Iterable[Drivable]) -> set[Admission]:
+    """The admissions of these drivables, each once: the velocity topics of one robot share one."""
+    return {drivable.admission for drivable in drivables}
 
 
 def _now_s() -> float:

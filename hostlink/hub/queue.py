@@ -37,7 +37,6 @@ class Queue(Generic[Item]):
         self.is_closed = False
         self._size_of, self._clock = size_of, clock
         self._share = Share(SHARES["queues"]) if share is None else share
-        self._share.queues.add(self)
         self._order = 0
         self._messages = 0
         self._bytes = 0
@@ -78,6 +77,8 @@ class Queue(Generic[Item]):
             waiting = self._topics[topic] = deque()
         new = self._waiting(item, at_s)
         waiting.append(new)
+        if not self._messages:
+            self._share.queues[self] = None
         self._messages += 1
         self._bytes += new.size_bytes
         self._share.held_bytes += new.size_bytes
@@ -104,10 +105,8 @@ class Queue(Generic[Item]):
 
     def forget(self, topic: str) -> None:
         """Nothing of this topic is wanted any more."""
-        for waiting in self._topics.pop(topic, ()):
-            self._messages -= 1
-            self._bytes -= waiting.size_bytes
-            self._share.held_bytes -= waiting.size_bytes
+        while topic in self._topics:
+            self._pop(topic)
 
     def pop(self) -> Waiting[Item] | None:
         """The oldest of all, or None."""
@@ -180,6 +179,8 @@ class Queue(Generic[Item]):
         if not waiting:
             del self._topics[topic]
         self._messages -= 1
+        if not self._messages:
+            self._share.queues.pop(self, None)
         self._bytes -= oldest.size_bytes
         self._share.held_bytes -= oldest.size_bytes
         return oldest

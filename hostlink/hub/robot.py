@@ -42,8 +42,6 @@ Follow = Callable[[Message | None], None]
 class Robot(Driven):
     """A robot, connected or not. Methods are synchronous; what is asked of another daemon is answered later."""
 
-    __slots__ = ()
-
     host: str | None  # the name of the daemon that has it; None: this one
     also_at: tuple[str, ...]  # other daemons that have a robot of this name
     odometry: "OdometryEstimator | RemoteOdometry"
@@ -117,7 +115,7 @@ class Robot(Driven):
 # -- of this daemon ---------------------------------------------------------------------------------------------------
 
 
-@dataclass(slots=True, eq=False, kw_only=True)
+@dataclass(eq=False, kw_only=True)
 class LocalRobot(Drivable, Robot):
     """It outlives its link: a robot that comes back continues with the same gate, at zero."""
 
@@ -312,7 +310,7 @@ class RemoteOdometry:
         return dataclasses.replace(self._newest, age_s=self._newest.age_s + now_s - self._at_s)
 
 
-@dataclass(slots=True, eq=False, kw_only=True)
+@dataclass(eq=False, kw_only=True)
 class RemoteRobot(Robot):
     """A robot as the daemon that has it describes it. Its gate and its lease are there.
 
@@ -362,7 +360,6 @@ class RemoteRobot(Robot):
             FrameTooLarge, WrongType: so was the command of its source before this one answered.
         """
         command = self.gates.timed(self.name, command)
-        self.gates.note_remote(self.admission)
         self._check_unique()
         decision = self.admission.decide(command, _now_s())
         if decision.kind is not None:

@@ -200,6 +200,7 @@ class Robots:
         robot = self._robots.get(name)
         if robot is None:
             robot = self._robots[name] = self._make(name, topics, shown)
+            self._gates.register(robot.admission)
             self._join_early(robot)
         before = self.device(robot.link)
         if before is not None:
@@ -234,6 +235,7 @@ class Robots:
         """Another daemon has it."""
         self.pop_remote(robot.name)
         self.remote[robot.name] = robot
+        self._gates.register(robot.admission)
         self._join_early(robot)
         self._on_change(robot.name)
 
@@ -242,6 +244,7 @@ class Robots:
         robot = self.remote.pop(name, None)
         if robot is not None:
             robot.leave()
+            self._gates.unregister(robot.admission)
             self._on_change(name)
         return robot
 
@@ -324,6 +327,7 @@ class Robots:
     def _forget(self, name: str | None) -> None:
         if name is not None:
             robot = self._robots.pop(name)
+            self._gates.unregister(robot.admission)
             self.forgotten += 1
             log.info("robot.forgotten", robot=name)
             self._gates.events.note(EventKind.FORGOTTEN, name)

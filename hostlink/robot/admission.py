@@ -178,7 +178,7 @@ class _Source:
         return waited_s
 
 
-@dataclass(slots=True, eq=False, weakref_slot=True)
+@dataclass(slots=True, eq=False)
 class Admission:
     """Who may move one robot. A robot with several velocity topics has one `Admission` and one driver for each topic.
 
