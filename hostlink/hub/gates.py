@@ -14,6 +14,7 @@ from typing import Any, Protocol
 
 import structlog
 
+from hostlink.compiled import mypyc_attr
 from hostlink.errors import CommandRefused, DeviceGone, HostlinkError, RefusalKind, WrongType
 from hostlink.host_pauses import HostPauses
 from hostlink.hub.diagnoses import Diagnosis
@@ -50,6 +51,7 @@ _NS_PER_S = 1_000_000_000
 ENDING = "hostlink is stopping, and drives no robot any more"
 
 
+@mypyc_attr(native_class=False)  # robots inherit from both
 class Driven(ABC):
     """Whatever velocities can be published to: a velocity topic of a device here, or a robot of another daemon."""
 
@@ -123,6 +125,7 @@ class Connection(Protocol):
     diagnosis: Diagnosis
 
 
+@mypyc_attr(native_class=False)
 @dataclass(eq=False, kw_only=True)
 class Drivable(Driven):
     """A velocity topic of a device, behind the gate that is its only subscriber in the graph.

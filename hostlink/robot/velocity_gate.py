@@ -6,6 +6,7 @@ from collections.abc import Hashable
 from dataclasses import dataclass
 from typing import Generic, Protocol, TypeVar
 
+from hostlink.compiled import mypyc_attr
 from hostlink.errors import CommandRefused, ConfigError
 from hostlink.robot.admission import Admission, Command, Driver
 from hostlink.robot.velocity import AnyVelocity, PlanarVelocity
@@ -123,6 +124,7 @@ class GateCounts:
     locks: int = 0
 
 
+@mypyc_attr(allow_interpreted_subclasses=True)
 class VelocityGate(Generic[V]):
     """What the device of one velocity topic receives: admitted velocities within the limits, and zeros.
 
