@@ -1,10 +1,10 @@
 """The binary forms of a rosbridge message: `cbor`, decoded with typed arrays, and `cbor-raw`, bytes as they came."""
 
+import struct
 from collections.abc import Mapping
 from typing import Any
 
 import cbor2
-import numpy as np
 
 from hostlink.hub.message import Message
 from hostlink.messages.message_type import MessageType
@@ -12,15 +12,15 @@ from hostlink.messages.message_type import MessageType
 _NS_PER_S = 1_000_000_000
 # RFC 8746, little-endian: what roslibjs knows how to read.
 _TAGS = {
-    "uint16": (69, "<u2"),
-    "uint32": (70, "<u4"),
-    "uint64": (71, "<u8"),
-    "int8": (72, "<i1"),
-    "int16": (77, "<i2"),
-    "int32": (78, "<i4"),
-    "int64": (79, "<i8"),
-    "float32": (85, "<f4"),
-    "float64": (86, "<f8"),
+    "uint16": (69, "H"),
+    "uint32": (70, "I"),
+    "uint64": (71, "Q"),
+    "int8": (72, "b"),
+    "int16": (77, "h"),
+    "int32": (78, "i"),
+    "int64": (79, "q"),
+    "float32": (85, "f"),
+    "float64": (86, "d"),
 }
 
 
@@ -54,5 +54,5 @@ def _with_typed_arrays(type_: MessageType, fields: Mapping[str, Any]) -> dict[st
             )
         elif isinstance(value, list) and field.type in _TAGS:
             tag, layout = _TAGS[field.type]
-            shaped[field.name] = cbor2.CBORTag(tag, np.asarray(value, layout).tobytes())
+            shaped[field.name] = cbor2.CBORTag(tag, struct.pack(f"<{len(value)}{layout}", *value))
     return shaped

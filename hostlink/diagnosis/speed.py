@@ -13,8 +13,8 @@ from typing import NamedTuple
 
 from hostlink.protocol.control import TopicInfo, encode_topic_info
 from hostlink.protocol.frame import Id, encode
-from hostlink.protocol.resampling import STANDARD_BAUDS, resample
 
+STANDARD_BAUDS = (9600, 19200, 38400, 57600, 74880, 115200, 230400, 250000, 460800, 500000, 921600, 1000000)
 BOOT_BAUD = 74880  # rate of an ESP8266's boot loader, independent of the firmware; otherwise unused
 MIN_SAMPLE_BYTES = 64  # with fewer bytes the guesses were hardly better than chance
 MIN_MARGIN = 0.3  # nats per byte between the best rate and the next: at 0.1 one named rate in ten was wrong
@@ -81,6 +81,8 @@ _Model = tuple[Counter[bytes], int]
 
 @functools.cache
 def _model(baud: int, ratio: float) -> _Model:
+    from hostlink.protocol.resampling import resample  # noqa: PLC0415 - it needs numpy, which takes 0.1 s to import
+
     data = _BOOT_TEXT + _FRAMES if baud == BOOT_BAUD else _FRAMES
     pairs: Counter[bytes] = Counter()
     for error in _CLOCK_ERRORS:

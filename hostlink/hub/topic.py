@@ -126,7 +126,7 @@ class Topic:
     """
 
     __slots__ = (
-        "__weakref__", "_budget", "_deliveries", "_expected", "_is_gated", "_numbers", "_snapshot", "_subscribers",
+        "_budget", "_deliveries", "_expected", "_is_gated", "_numbers", "_snapshot", "_subscribers",
         "devices", "earlier", "latched", "messages", "name", "publishers", "rank", "type", "type_name",
     )  # fmt: skip
 

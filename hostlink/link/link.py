@@ -170,7 +170,7 @@ class Link:
     """Owner of one connection's transport and session."""
 
     __slots__ = (
-        "__weakref__", "_config", "_context", "_end", "_failure", "_finished", "_from_device", "_idle_limit_s",
+        "_config", "_context", "_end", "_failure", "_finished", "_from_device", "_idle_limit_s",
         "_is_behind", "_is_drained", "_is_write_due", "_now_s", "_on_event", "_pauses", "_piece", "_reader",
         "_regular_limit_s", "_rest", "_timer", "_timer_s", "_to_device", "_transport", "_trouble", "_turns", "_wall_ns",
         "address", "command_latency", "kind", "last_frame", "number", "opened_at_s", "peer", "received_at_s",
@@ -245,11 +245,16 @@ class Link:
                     writer.cancel()
                 if self._failure is not None:
                     raise self._failure
-        except* ConnectionRefusedError:  # the device did not prove the key
-            end = LinkEnd.UNAUTHENTICATED
-        except* OSError as broken:
-            end = LinkEnd.BROKEN
-            log.debug("link.broken", cause=str(broken.exceptions[0]))
+        except BaseExceptionGroup as group:  # mypyc does not compile `except*`
+            refused, others = group.split(ConnectionRefusedError)  # the device did not prove the key
+            broken, unexpected = (None, None) if others is None else others.split(OSError)
+            if refused is not None:
+                end = LinkEnd.UNAUTHENTICATED
+            if broken is not None:
+                end = LinkEnd.BROKEN
+                log.debug("link.broken", cause=str(broken.exceptions[0]))
+            if unexpected is not None:
+                raise unexpected from None
         finally:
             self._close()
             try:

@@ -9,8 +9,6 @@ from enum import IntEnum
 from struct import Struct
 from typing import NamedTuple
 
-import numpy as np
-
 SYNC = b"\xff\xfe"
 SYNC_WORD = 0xFEFF  # SYNC as a little-endian integer
 HEADER = Struct("<HHBH")  # sync, payload length, its checksum, topic id
@@ -48,7 +46,11 @@ def byte_sum(data: bytes | bytearray | memoryview) -> int:
     """Sum the bytes; only the lowest 8 bits are valid. Adler-32's lower half computes the sum in C."""
     if len(data) <= ADLER_MAX_BYTES:
         return zlib.adler32(data, 0)
-    return int(np.frombuffer(data, np.uint8).sum(dtype=np.uint8))
+    view = memoryview(data)
+    total = 0
+    for at in range(0, len(data), ADLER_MAX_BYTES):
+        total += zlib.adler32(view[at : at + ADLER_MAX_BYTES], 0)
+    return total
 
 
 def encode(topic_id: int, payload: bytes) -> bytes:

@@ -9,7 +9,6 @@ from bisect import bisect_right
 import numpy as np
 import numpy.typing as npt
 
-STANDARD_BAUDS = (9600, 19200, 38400, 57600, 74880, 115200, 230400, 250000, 460800, 500000, 921600, 1000000)
 _Times = npt.NDArray[np.float64]
 _Bits = npt.NDArray[np.uint8]
 _DATA_BITS = 8

@@ -6,6 +6,7 @@ from collections.abc import Hashable
 from dataclasses import dataclass, field
 from typing import Generic, Protocol, TypeVar
 
+from hostlink.compiled import mypyc_attr
 from hostlink.errors import CommandRefused, ConfigError
 from hostlink.robot.admission import Admission, Command, Driver
 from hostlink.robot.velocity import AnyVelocity, PlanarVelocity
@@ -125,6 +126,7 @@ class GateCounts:
     stops: int = 0
 
 
+@mypyc_attr(allow_interpreted_subclasses=True)
 class VelocityGate(Generic[V]):
     """What the device of one velocity topic receives: admitted velocities within the limits, and zeros.
 
