@@ -25,8 +25,8 @@ from pathlib import Path
 
 from hostlink.cli.examples import read_example
 from tools import man_pages
-from tools.release import ROOT, interpreter
 
+ROOT = Path(__file__).resolve().parents[1]
 FOLDER = ROOT / "build" / "deb"
 CONTROL = ROOT / "tools" / "debian"
 DEBIANS = {"12": "3.11", "13": "3.13"}  # the version of Python of each Debian
@@ -132,6 +132,23 @@ def run(*words: str | Path, cwd: Path = ROOT, environment: dict[str, str] | None
     if done.returncode != 0:
         raise BuildFailed(f"{words[0]} ended with status {done.returncode}:\n{done.stdout[-4000:]}")
     return done.stdout
+
+
+def interpreter(version: str) -> Path | None:
+    """A Python of this version: on the path, of pyenv, of uv."""
+    on_path = shutil.which(f"python{version}")
+    places = (
+        Path(os.environ.get("PYENV_ROOT", Path.home() / ".pyenv")) / "versions",
+        Path.home() / ".local" / "share" / "uv" / "python",
+    )
+    others = (path for place in places for path in sorted(place.glob(f"*{version}.*/bin/python3"), reverse=True))
+    for path in (*([Path(on_path)] if on_path else []), *others):
+        asked = subprocess.run(
+            [path, "-c", "import sys; print('%d.%d' % sys.version_info[:2])"], capture_output=True, check=False
+        )
+        if asked.stdout.decode().strip() == version:
+            return path
+    return None
 
 
 # -- the files of the package -----------------------------------------------------------------------------------------
