@@ -14,6 +14,8 @@ WORLD_PACKAGES := clang lld wasi-libc libclang-rt-14-dev-wasm32
 
 XTENSA_PACKAGES := gcc-xtensa-lx106 picolibc-xtensa-lx106-elf
 
+DEB_PACKAGES := debhelper lintian binutils man-db
+
 ROS1_PACKAGES := python3-catkin-pkg python3-roslaunch python3-rospy python3-rosbag python3-rostopic python3-rosservice python3-rosnode python3-rosparam python3-geometry-msgs \
   python3-nav-msgs python3-rosgraph-msgs python3-sensor-msgs python3-std-msgs python3-std-srvs python3-tf2-msgs
 
@@ -29,7 +31,7 @@ WORKERS ?= $(shell echo $$((3 * $(CORES))))# of make test: two thirds of its tim
 QUIET_WORKERS ?= $(shell echo $$((2 * $(CORES))))# of the tests that a busy machine disturbs: three fifths of their time is waiting
 unexport PYTHONDONTWRITEBYTECODE # the tests start hostlink some hundred times
 
-.PHONY: help demo docs test quick test-pythons coverage mutants check bench fuzz web screenshots firmware world lab chain soak netns ros2-venv ros-mcp-venv release format clean
+.PHONY: help demo docs test quick test-pythons coverage mutants check bench fuzz web screenshots firmware world lab chain soak netns ros2-venv ros-mcp-venv release piuparts arm64 format clean
 
 help:
 	@echo "make demo    start the daemon with a simulated robot"
@@ -39,7 +41,9 @@ help:
 	@echo "make test-pythons  unit, property and integration tests on each Python from 3.11 that is found (PYTHONS=3.13)"
 	@echo "make coverage  which branches of the core no test takes; the pure packages must have none"
 	@echo "make mutants  change the core at places that a seed draws: what no test notices (MUTANTS=20 MUTANTS_SEED=7)"
-	@echo "make release  wheel and source distribution, tried in empty environments of Python 3.11, 3.12 and 3.13"
+	@echo "make release  wheel, source distribution and Debian packages, tried in empty environments of Python 3.11, 3.12 and 3.13"
+	@echo "make piuparts  install, upgrade, remove and purge the Debian package for amd64 (as root)"
+	@echo "make arm64   install the Debian package and the wheel in an emulated arm64, drive there and run unit tests (an hour)"
 	@echo "make check   format, lint, types, import rules"
 	@echo "make bench   measure, write the figures to build/bench*.json"
 	@echo "make ros2-venv  rclpy from PyPI and hostlink, into build/ros2-venv"
@@ -129,7 +133,16 @@ coverage: $(VENV)/.dev
 	$(BIN)/python tools/run_tests.py --branches
 
 release: $(VENV)/.dev
+	@tools/require.sh $(DEB_PACKAGES)
 	$(BIN)/python tools/release.py
+
+piuparts: $(VENV)/.dev
+	@tools/require.sh $(DEB_PACKAGES) piuparts debootstrap
+	tools/try_piuparts.sh
+
+arm64: $(VENV)/.dev
+	@tools/require.sh $(DEB_PACKAGES) debootstrap proot qemu-user-static
+	tools/try_arm64.sh
 
 mutants: $(VENV)/.dev
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[mutants]'

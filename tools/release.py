@@ -1,15 +1,17 @@
-"""`make release`: the wheel and the source distribution, and whether a user can work with them alone.
+"""`make release`: wheel, source distribution and Debian packages, and whether a user who has only them can work.
 
-Builds both into build/release, checks what is in them, installs the wheel into an empty virtual environment for each
+Builds them into build/release, checks what is in them, installs the wheel into an empty virtual environment for each
 Python that is found (and the source distribution for the first), and there runs the demo: a robot appears, drives,
-and stops when the daemon ends. Prints a table; ends with status 1 when something is wrong.
+and is stopped when the daemon ends. The Debian package of this computer's architecture is unpacked, and its virtual
+environment runs the demo with the system's Python; `make piuparts` and `make arm64` install the packages. Prints a
+table; ends with status 1 when something is wrong.
 """
 
 import argparse
 import contextlib
 import json
 import math
-import os
+import platform
 import re
 import shutil
 import signal
@@ -23,8 +25,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from tests.support.process import free_port
+from tools import build_deb
+from tools.build_deb import ROOT, interpreter
 
-ROOT = Path(__file__).resolve().parents[1]
 FOLDER = ROOT / "build" / "release"
 PYTHONS = ("3.11", "3.12", "3.13")
 MAX_WHEEL_BYTES = 2_000_000
@@ -59,6 +62,7 @@ class Row(NamedTuple):
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--python", action="append", help="only this version; may be repeated")
+    parser.add_argument("--no-deb", action="store_true", help="without the Debian packages")
     arguments = parser.parse_args()
     shutil.rmtree(FOLDER, ignore_errors=True)
     FOLDER.mkdir(parents=True)
@@ -71,6 +75,18 @@ def main() -> int:
     problems += [f"Python {version} is not found: nothing is known of it" for version in missing]
     rows = [tried(version, path, wheel) for version, path in found.items()]
     rows += [tried(version, path, sources) for version, path in list(found.items())[:1]]
+    if not arguments.no_deb:
+        for arch in build_deb.PLATFORMS:
+            print(f"building the Debian package for {arch} ...", flush=True)
+            try:
+                deb = Path(shutil.copy(build_deb.build(arch), FOLDER))
+            except build_deb.BuildFailed as error:
+                problems.append(str(error))
+                continue
+            print(f"{deb.name}: {deb.stat().st_size / 1e6:.1f} MB")
+            problems += [] if build_deb.lintian(deb) else [f"{deb.name}: lintian finds errors"]
+            if build_deb.PLATFORMS[arch] == platform.machine():
+                rows.append(tried_deb(deb))
     for row in rows:
         what = row.problem or f"{row.megabytes:.0f} MB with what it needs, a robot after {row.start_s:.1f} s"
         print(f"Python {row.python:<6} {row.of:<28} {'FAILED' if row.problem else 'works':<7} {what}")
@@ -114,23 +130,6 @@ def _copies(names: Iterable[str]) -> list[str]:
 # -- what a user does with them ---------------------------------------------------------------------------------------
 
 
-def interpreter(version: str) -> Path | None:
-    """A Python of this version: on the path, of pyenv, of uv."""
-    on_path = shutil.which(f"python{version}")
-    places = (
-        Path(os.environ.get("PYENV_ROOT", Path.home() / ".pyenv")) / "versions",
-        Path.home() / ".local" / "share" / "uv" / "python",
-    )
-    others = (path for place in places for path in sorted(place.glob(f"*{version}.*/bin/python3"), reverse=True))
-    for path in (*([Path(on_path)] if on_path else []), *others):
-        asked = subprocess.run(
-            [path, "-c", "import sys; print('%d.%d' % sys.version_info[:2])"], capture_output=True, check=False
-        )
-        if asked.stdout.decode().strip() == version:
-            return path
-    return None
-
-
 def tried(version: str, python: Path, package: Path) -> Row:
     """Install it into an empty environment, and run the demo there."""
     print(f"Python {version}: {package.name} ...", flush=True)
@@ -152,8 +151,28 @@ def tried(version: str, python: Path, package: Path) -> Row:
         return Row(version, package.name, 0.0, 0.0, error.stderr.decode().strip().rpartition("\n")[2])
     except (OSError, Unusable, subprocess.TimeoutExpired) as error:
         return Row(version, package.name, 0.0, 0.0, str(error) or type(error).__name__)
-    size = sum(file.stat().st_size for file in venv.rglob("*") if file.is_file() and not file.is_symlink())
-    return Row(version, package.name, size / 1e6, start_s, "")
+    return Row(version, package.name, size_mb(venv), start_s, "")
+
+
+def tried_deb(deb: Path) -> Row:
+    """Unpack a Debian package, and run the demo of its virtual environment with the system's Python."""
+    print(f"{deb.name} ...", flush=True)
+    folder = FOLDER / "unpacked"
+    try:
+        build_deb.run("dpkg-deb", "--extract", deb, folder)
+        program = folder / build_deb.HOME / "bin" / "here"  # the program, with the interpreter of this folder
+        program.with_name("python").unlink()  # points into this folder
+        program.with_name("python").symlink_to("/usr/bin/python3")
+        program.write_text(f"#!{program.with_name('python')} -I\nfrom hostlink.cli.start import main\n\nmain()\n")
+        program.chmod(0o755)
+        start_s = demonstrated(program, cwd=folder)
+    except (OSError, Unusable, build_deb.BuildFailed, subprocess.TimeoutExpired) as error:
+        return Row("Debian", deb.name, 0.0, 0.0, str(error) or type(error).__name__)
+    return Row("Debian", deb.name, size_mb(folder), start_s, "")
+
+
+def size_mb(folder: Path) -> float:
+    return sum(file.stat().st_size for file in folder.rglob("*") if file.is_file() and not file.is_symlink()) / 1e6
 
 
 def demonstrated(hostlink: Path, *, cwd: Path) -> float:

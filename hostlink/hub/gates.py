@@ -8,11 +8,7 @@ import contextlib
 import time
 from abc import ABC, abstractmethod
 from collections import Counter
-<<<<<<< HEAD
 from collections.abc import Callable, Hashable, Iterable, Sequence
-=======
-from collections.abc import Callable, Hashable, Iterable
->>>>>>> perf-w
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
@@ -168,10 +164,7 @@ class Connection(Protocol):
     diagnosis: Diagnosis
 
 
-<<<<<<< HEAD
-=======
 @mypyc_attr(native_class=False)
->>>>>>> perf-w
 @dataclass(eq=False, kw_only=True)
 class Drivable(Driven):
     """A velocity topic of a device, behind the gate that is its only subscriber in the graph.
@@ -339,29 +332,8 @@ class Gates:
             raise CommandRefused(name, RefusalKind.ENDING, f"{name}: {ENDING}")
         now_s = asyncio.get_running_loop().time()
         self._notice_pause(now_s)
-<<<<<<< HEAD
         came_s = now_s - self._stalls.late_s(now_s)
         return command._replace(received_s=came_s) if came_s < command.received_s else command
-=======
-        return command._replace(received_s=min(command.received_s, self.came_s(now_s)))
-
-    def _command(self, drivable: Drivable, command: Command[V]) -> V:
-        gate: VelocityGate[V] = drivable.gate
-        velocity, now_s = command.velocity, _now_s()
-        # Two zeros of one moment would leave a slow line as one.
-        is_stopping = velocity.is_zero and gate.is_stopping and drivable.refusals.cause is None
-        limited = gate.command(command, now_s=now_s)
-        if not is_stopping:
-            refusal = self._send_news(drivable)
-            if refusal is not None:
-                gate.admission.withdraw(command.source)
-                gate.stop(now_s=now_s)
-                raise refusal
-        connection = drivable.connection
-        if connection is not None and len(connection.drivables) > 1 and not velocity.is_zero:
-            self._overrule(connection.drivables, drivable, command.source, command.priority)
-        return limited
->>>>>>> perf-w
 
     def came_s(self, now_s: float) -> float:
         """Since when something that is read at this moment may have waited for it."""
@@ -405,14 +377,9 @@ class Gates:
         Raises:
             HostlinkError: the zero does not fit a device; all others have been stopped.
         """
-<<<<<<< HEAD
         drivables, now_s, refusal = list(drivables), _now_s(), None
         driven = [(drivable, str(drivable.gate.owner)) for drivable in drivables if drivable.gate.owner is not None]
         for admission in {drivable.admission for drivable in drivables}:  # velocity topics of one robot share one
-=======
-        drivables, now_s = list(drivables), _now_s()
-        for admission in _admissions(drivables):
->>>>>>> perf-w
             admission.interrupt(now_s)
         for drivable in drivables:
             drivable.gate.counts.stops += 1
@@ -445,15 +412,9 @@ class Gates:
         Raises:
             HostlinkError: the zero does not fit a device; its gate is locked all the same.
         """
-<<<<<<< HEAD
         drivables, now_s, refusal = list(drivables), _now_s(), None
         for admission in {drivable.admission for drivable in drivables}:
             admission.lock(reason, now_s)
-=======
-        drivables = list(drivables)
-        for admission in _admissions(drivables):
-            admission.lock(reason, _now_s())
->>>>>>> perf-w
         for drivable in drivables:
             drivable.gate.stop_at_once()
             refusal = self._step(drivable, now_s, is_news=True) or refusal
@@ -462,11 +423,7 @@ class Gates:
 
     def unlock(self, drivables: Iterable[Drivable]) -> None:
         """Admit commands again; nothing moves by it."""
-<<<<<<< HEAD
         for admission in {drivable.admission for drivable in drivables}:
-=======
-        for admission in _admissions(drivables):
->>>>>>> perf-w
             admission.unlock(_now_s())
 
     def pauses(self, now_s: float) -> HostPauses:
@@ -517,18 +474,6 @@ class Gates:
             async with asyncio.timeout(BEAT_S):
                 await self._wake.wait()
 
-<<<<<<< HEAD
-=======
-    def _apply(self, change: Callable[[VelocityGate[Any]], None], drivables: Iterable[Drivable]) -> None:
-        """Change each gate and send what follows; the last refusal is raised once all are done."""
-        refusal = None
-        for drivable in drivables:
-            change(drivable.gate)
-            refusal = self._send_news(drivable) or refusal
-        if refusal is not None:
-            raise refusal
-
->>>>>>> perf-w
     def _activate(self, drivable: Drivable) -> None:
         self._active[drivable] = None
         self._wake.set()
