@@ -9,10 +9,9 @@ from typing import Annotated, Any
 import typer
 
 from hostlink.cli.arguments import Token, Url
-from hostlink.cli.calibration_drive import Drives, numbers_of
-from hostlink.cli.calibration_people import MISTAKES, AtTheTerminal, Session, Simulated
 from hostlink.cli.calibration_picture import picture as draw
 from hostlink.cli.calibration_plan import Saved, Sizes, StateFile, Step, checks_of, default_path, open_state, steps_of
+from hostlink.cli.calibration_session import MISTAKES, AtTheTerminal, Drives, Session, Simulated, numbers_of
 from hostlink.cli.output import table, write, write_error
 from hostlink.cli.settings_file import Tables, require_changeable, toml_lines, write_settings
 from hostlink.client import DEFAULT_URL

@@ -1,14 +1,16 @@
-"""Checks of a configuration: errors that keep it from being served, and warnings; for `serve` and `--check-config`.
+"""Checks of a configuration for `serve` and `--check-config`: errors that keep it from being served, and warnings.
 
-`serve` calls it before it begins, so that what the check accepts is served. What only the moment decides, as a port
-that another program has, is a warning here.
+`serve` runs them before it starts, so a configuration that passes is served. What depends on the moment, such as a
+port that another program uses, is a warning.
 """
 
+import dataclasses
 import errno
 import importlib.util
 import math
 import operator
 import re
+import resource
 from collections import Counter
 from collections.abc import Iterator
 
@@ -16,7 +18,6 @@ from hostlink.acceptor import bind, why
 from hostlink.api.access import Access, is_loopback, tls_context
 from hostlink.api.connections import KEPT_FOR_REQUESTS
 from hostlink.cli.addresses import MAX_PORT, is_address, is_origin
-from hostlink.cli.descriptors import fitted
 from hostlink.config import Config, SerialConfig, TcpConfig, UdpConfig, ZenohConfig
 from hostlink.errors import ConfigError, HostlinkError, LibraryMissing
 from hostlink.hub.hub import Hub
@@ -29,6 +30,54 @@ from hostlink.messages.catalog import Catalog
 from hostlink.protocol.control import encode_parameter
 from hostlink.transport.serial import find_port
 from hostlink.transport.udp import serve_udp
+
+# -- descriptors ------------------------------------------------------------------------------------------------------
+
+OWN = 64  # of the daemon itself: listening sockets, the loop, the log, files that are read
+NODE_SHARES = 3  # of nodes of ROS: those that connect to each of two ports, and those to which hostlink connects
+FEWEST = OWN + 4 * KEPT_FOR_REQUESTS
+FEWEST_DEVICES = 2  # of each port
+
+
+def limit() -> int:
+    """How many this process may have, by the system's soft limit."""
+    soft, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
+    return 1 << 30 if soft == resource.RLIM_INFINITY else soft
+
+
+def fitted(config: Config, descriptors: int) -> Config:
+    """The bounds on connections such that devices, programs and nodes of ROS cannot use up each other's descriptors.
+
+    Where there are too few, each has its share of them by what it wanted.
+
+    Raises:
+        ConfigError: there are fewer than FEWEST.
+    """
+    if descriptors < FEWEST + len(config.serial):
+        raise ConfigError("ulimit -n", f"{descriptors} descriptors are too few: at least {FEWEST + len(config.serial)}")
+    room = descriptors - OWN - len(config.serial)
+    datagrams = 0 if config.udp is None else config.udp.max_connections
+    devices, programs = config.tcp.max_connections + datagrams, config.api.max_connections
+    nodes = config.ros1.max_connections * NODE_SHARES if config.ros1.master else 0
+    if devices + programs + nodes <= room:
+        return config
+    if nodes:
+        nodes = min(room * nodes // (devices + programs + nodes), room - (FEWEST - OWN))
+        ros1 = dataclasses.replace(config.ros1, max_connections=max(1, nodes // NODE_SHARES))
+        config, room = dataclasses.replace(config, ros1=ros1), room - nodes
+    kept = FEWEST_DEVICES * (2 if datagrams else 1)
+    programs = min(max(KEPT_FOR_REQUESTS + 1, room * programs // (devices + programs)), programs, room - kept)
+    room -= programs
+    datagrams = min(max(FEWEST_DEVICES, room * datagrams // devices), datagrams, room - FEWEST_DEVICES)
+    return dataclasses.replace(
+        config,
+        tcp=dataclasses.replace(config.tcp, max_connections=min(config.tcp.max_connections, room - datagrams)),
+        udp=None if config.udp is None else dataclasses.replace(config.udp, max_connections=datagrams),
+        api=dataclasses.replace(config.api, max_connections=programs),
+    )
+
+
+# -- checks -----------------------------------------------------------------------------------------------------------
 
 _ROS_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*(?:/[A-Za-z][A-Za-z0-9_]*)*")  # http://wiki.ros.org/Names
 _SENSIBLE = (  # setting, the least that works, and why

@@ -1,6 +1,7 @@
-"""The hostlink command. The module of a subcommand has it as `command`, in COMMANDS, or in an `app` of subcommands.
+"""The `hostlink` command.
 
-Only the module of the subcommand that runs is imported.
+The module of a command has its function in COMMANDS, as `command`, or as an `app` of subcommands. Only the module of
+the command that runs is imported.
 """
 
 import contextlib
@@ -9,14 +10,86 @@ import os
 import shlex
 import signal
 import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Annotated, Any
 
 import typer
 
-from hostlink.cli.other_words import OPTIONS, meant
 from hostlink.cli.output import allow_any_text, write, write_error
 from hostlink.errors import ConfigError, HostlinkError
+
+# -- words of ROS and of other programs -------------------------------------------------------------------------------
+
+HABITS = {  # that a newcomer types, and what he means
+    "drive": "teleop",
+    "joy": "teleop",
+    "go": "teleop",
+    "list": "robots",
+    "ls": "robots",
+    "nodes": "robots",
+    "rosout": "echo /rosout",
+    "monitor": "top",
+    "status": "doctor",
+    "roswtf": "doctor",
+    "start": "serve",
+    "run": "serve",
+    "help": "--help",
+    "version": "--version",
+}
+_SAME = {name: name for name in ("echo", "hz", "bw", "delay", "pub", "info", "type", "find", "call")}
+ROS_GROUPS = {  # rostopic, ros2 topic and their kind: the word behind it, and what is meant
+    "topic": _SAME | {"list": "topics"},
+    "node": {"list": "robots", "info": "info"},
+    "service": _SAME | {"list": "services"},
+    "param": {name: f"params {name}" for name in ("list", "get", "set", "delete", "dump", "load")},
+    "bag": {name: name for name in ("record", "play", "info")},
+    "msg": {"show": "type"},
+    "srv": {"show": "type"},
+    "interface": {"show": "type"},
+}
+_ALONE = {"topic": "topics", "node": "robots", "service": "services", "param": "params", "bag": "record"}
+ROS_OPTIONS = {  # of a command, as ROS has it
+    ("echo", "-n"): "--count NUMBER",
+    ("echo", "-p"): "--csv",
+    ("pub", "-1"): "nothing: one message is sent without --count",
+    ("pub", "--once"): "nothing: one message is sent without --count",
+    ("pub", "-r"): "--rate HZ --count 0",
+    ("hz", "-w"): "--window NUMBER",
+    ("bw", "-w"): "--window NUMBER",
+    ("record", "-a"): "nothing: everything is recorded where no topic is named",
+    ("record", "-O"): "-o FILE",
+    ("play", "-l"): "--loop",
+    ("play", "-r"): "--rate FACTOR",
+    ("play", "-s"): "--start SECONDS",
+}
+
+
+def meant(words: Sequence[str]) -> str | None:
+    """The words behind `hostlink` that are meant by these; None: they may be right as they are."""
+    first = words[0] if words else ""
+    if first in HABITS:
+        return _with_rest(HABITS[first], words[1:]) if first != "help" else _help(words[1:])
+    if first == "ros2" and len(words) > 1 and words[1] in ROS_GROUPS:
+        return meant(words[1:])
+    group = first.removeprefix("ros").removesuffix("s")
+    second = words[1] if len(words) > 1 else ""
+    if first == "params" or group not in ROS_GROUPS:
+        return None
+    if second in ROS_GROUPS[group]:
+        return _with_rest(ROS_GROUPS[group][second], words[2:])
+    is_command = first in ("topics", "services")
+    return None if is_command else _ALONE.get(group)
+
+
+def _with_rest(command: str, rest: Sequence[str]) -> str:
+    return f"{command} {shlex.join(rest)}".rstrip()
+
+
+def _help(rest: Sequence[str]) -> str:
+    return f"{rest[0]} --help" if rest else "--help"
+
+
+# -- command line -----------------------------------------------------------------------------------------------------
 
 PANELS = {
     "The daemon": {
@@ -78,6 +151,9 @@ MODULES = {  # where the module does not have the name of the command
     **dict.fromkeys(("info", "type", "find", "echo", "hz", "bw", "delay", "pub", "services", "call"), "topics"),
     **dict.fromkeys(("drives", "incidents"), "record"),
     "plot": "export",
+    **dict.fromkeys(("stop", "lock", "unlock"), "robots"),
+    "reload": "setup",
+    "arduino-library": "board",
     **dict.fromkeys(("clients", "capture"), "links"),
 }
 COMMANDS = {name: text for panel in PANELS.values() for name, text in panel.items()}
@@ -102,10 +178,10 @@ def build_app(wanted: str | None) -> typer.Typer:
 
 def _add(app: typer.Typer, name: str, text: str, panel: str, *, is_wanted: bool) -> None:
     module: Any = importlib.import_module(module_of(name)) if is_wanted else None
-    if hasattr(module, "app"):
-        app.add_typer(module.app, name=name, short_help=text, rich_help_panel=panel)
+    function = _function_of(module, name) if is_wanted else _name_only
+    if isinstance(function, typer.Typer):
+        app.add_typer(function, name=name, short_help=text, rich_help_panel=panel)
     else:
-        function = _function_of(module, name) if is_wanted else _name_only
         context = getattr(module, "CONTEXT", None)
         app.command(
             name=name,
@@ -117,14 +193,15 @@ def _add(app: typer.Typer, name: str, text: str, panel: str, *, is_wanted: bool)
 
 
 def _function_of(module: Any, command: str) -> Any:
-    """A module with several commands has them in COMMANDS."""
-    commands: dict[str, Any] = getattr(module, "COMMANDS", {})
-    return commands.get(command) or module.command
+    """Return the function of a command, or the typer app of a group of subcommands."""
+    if (commands := getattr(module, "COMMANDS", None)) is not None:
+        return commands[command]
+    return getattr(module, "app", None) or module.command
 
 
 def module_of(command: str) -> str:
     """Where a command is."""
-    return f"hostlink.cli.{MODULES.get(command, command.replace('-', '_'))}"
+    return f"hostlink.cli.{MODULES.get(command, command)}"
 
 
 def main() -> None:
@@ -175,7 +252,7 @@ def _complaint(error: Any) -> tuple[str, str]:
     """Of which command, and what is wrong, in one line with the next step."""
     command = "" if error.ctx is None else error.ctx.command_path.removeprefix("hostlink").strip()
     text = " ".join(error.format_message().split()).replace("Value error, ", "").rstrip(".")
-    option = OPTIONS.get((command, getattr(error, "option_name", "")))
+    option = ROS_OPTIONS.get((command, getattr(error, "option_name", "")))
     then = f"here it is {option}" if option else f"`hostlink {f'{command} --help'.strip()}` shows what there is"
     return command or "arguments", f"{text[:1].lower()}{text[1:]}{' ' if text.endswith('?') else '; '}{then}"
 

@@ -1,10 +1,12 @@
-"""Names for a person: their order, and what may have been meant by one that is not known. Pure."""
+"""Names for a person: their order, suggestions for unknown ones, and the name of a driver. Pure."""
 
 import difflib
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 
 from hostlink.errors import HostlinkError
+
+# -- names of the graph -----------------------------------------------------------------------------------------------
 
 MOST = 3
 CLOSE = 0.6  # difflib's ratio: /robot_0/odom and /robot_0/odometry have 0.83, /led and /odom 0.44
@@ -36,3 +38,23 @@ def unknown(kind: str, name: str, known: Iterable[str], *, command: str) -> Host
     found = near(name, names)
     hint = f"near it: {', '.join(found)}" if found else f"there is: {', '.join(names[:LISTED]) or 'none yet'}"
     return HostlinkError(f"no {kind} named {name}; {hint}; `hostlink {command}` lists them")
+
+
+# -- drivers ----------------------------------------------------------------------------------------------------------
+
+
+def driver(robot: Mapping[str, object], client_name: str | None = None) -> str | None:
+    """Who drives a robot, of its view; None: nobody. `client_name`: what this program is called there, which is you."""
+    if robot.get("played"):
+        return "a recording"
+    name = robot["holder"]
+    if name is not None and name == client_name:
+        return "you"
+    return None if name is None else named(str(name), str(robot.get("holder_address") or ""))
+
+
+def named(name: str, address: str) -> str:
+    """As `client 3 (phone, 10.0.0.5)`; a name that has the address already stays as it is."""
+    if not address or address in name:
+        return name
+    return f"{name.removesuffix(')')}, {address})" if name.endswith(")") else f"{name} ({address})"

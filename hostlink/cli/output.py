@@ -6,6 +6,7 @@ import io
 import json
 import os
 import sys
+from collections.abc import Sequence
 from typing import Any, TextIO
 
 BYTES_PER_MB = 1_000_000
@@ -63,6 +64,30 @@ def show_progress(line: str) -> None:
     """On a terminal, a line of standard error that is written over; elsewhere nobody waits for it."""
     if sys.stderr.isatty():
         _write(sys.stderr, f"{_CLEAR_LINE}{_fitting(plain(line), sys.stderr)}")
+
+
+def write_control(text: str) -> None:
+    """Write control sequences of this program's own on standard output, now."""
+    _write(sys.stdout, text)
+
+
+def draw(lines: Sequence[tuple[str, str]]) -> None:
+    """Draw a screen over the previous one, line by line, so that it does not flicker; a line is its text and colour."""
+    width, height = terminal_size()
+    visible = [_coloured(plain(text)[: width - 1], colour) + "\x1b[K" for text, colour in lines[:height]]
+    write_control("\x1b[H" + "\r\n".join(visible) + "\x1b[J")
+
+
+def _coloured(text: str, colour: str) -> str:
+    return f"\x1b[{colour}m{text}\x1b[0m" if colour and not os.environ.get("NO_COLOR") else text
+
+
+def terminal_size() -> tuple[int, int]:
+    """Return the columns and lines of the terminal; 80 and 24 without one."""
+    try:
+        return os.get_terminal_size(sys.stdout.fileno())
+    except OSError:
+        return 80, 24
 
 
 def _fitting(line: str, terminal: TextIO) -> str:

@@ -14,8 +14,8 @@ import typer
 
 from hostlink.cli.arguments import Json, RobotName, Token, Url
 from hostlink.cli.connecting import connected
-from hostlink.cli.drivers import named
 from hostlink.cli.files import check_output, fetch
+from hostlink.cli.names import named
 from hostlink.cli.output import BYTES_PER_MB, megabytes, show_progress, table, write, write_error
 from hostlink.client import DEFAULT_URL, Host, connect
 from hostlink.errors import ConfigError, HostlinkError

@@ -1,17 +1,44 @@
-"""`hostlink robots`: every robot as it is now."""
+"""The commands for robots: robots, stop, lock, unlock."""
 
 import asyncio
 import json as json_text
-from typing import Any
+from typing import Annotated, Any
 
-from hostlink.cli.arguments import Json, Token, Url
+import typer
+
+from hostlink.cli.arguments import Json, RobotName, Token, Url
 from hostlink.cli.connecting import connected
 from hostlink.cli.figures import robot_table
+from hostlink.cli.names import natural, unknown
 from hostlink.cli.output import table, write, write_error
-from hostlink.client import DEFAULT_URL, RobotState
+from hostlink.client import DEFAULT_URL, Host, RobotState, Standstill, StandstillState
+from hostlink.errors import ConfigError, HostlinkError
+from hostlink.robot.standstill import sentence
+
+# -- choice of robots -------------------------------------------------------------------------------------------------
 
 
-def command(*, url: Url = DEFAULT_URL, token: Token = None, json: Json = False) -> None:
+async def chosen(host: Host, name: str | None) -> list[RobotState]:
+    """The robot of that name; without a name every robot, in natural order.
+
+    Raises:
+        HostlinkError: there is none of that name, or none at all.
+    """
+    robots = await host.robots()
+    if not robots:
+        raise HostlinkError("no robot has connected yet; `hostlink doctor` finds out why")
+    if name is None:
+        return sorted(robots, key=lambda robot: natural(robot["name"]))
+    found = [robot for robot in robots if robot["name"] == name.strip("/")]
+    if not found:
+        raise unknown("robot", name, (robot["name"] for robot in robots), command="robots")
+    return found
+
+
+# -- robots -----------------------------------------------------------------------------------------------------------
+
+
+def robots(*, url: Url = DEFAULT_URL, token: Token = None, json: Json = False) -> None:
     """List the robots: who drives them, how fast they are, where they are."""
     robots = asyncio.run(_robots(url, token))
     if json:
@@ -27,3 +54,114 @@ def command(*, url: Url = DEFAULT_URL, token: Token = None, json: Json = False) 
 async def _robots(url: str, token: str | None) -> list[RobotState]:
     async with connected(url, token) as host:
         return await host.robots()
+
+
+# -- stop -------------------------------------------------------------------------------------------------------------
+
+
+def stop(robot: RobotName = None, *, url: Url = DEFAULT_URL, token: Token = None, json: Json = False) -> None:
+    """Stop a robot, or all of them, whoever drives, and measure whether it stands; exit status 1: not all do.
+
+    A source that was driving must let go before it can drive again. `hostlink lock` keeps a robot stopped.
+    """
+    asyncio.run(_stop(url, token, robot, json=json))
+
+
+async def _stop(url: str, token: str | None, name: str | None, *, json: bool) -> None:
+    async with connected(url, token) as host:
+        if name is None:
+            measured = await host.stop_all()
+        else:
+            names = [robot["name"] for robot in await chosen(host, name)]
+            measured = {each: await host.robot(each).stop() for each in names}
+        await report(host, name, measured, json=json)
+
+
+async def report(
+    host: Host, name: str | None, measured: dict[str, Standstill], *, done: str = "", json: bool = False
+) -> None:
+    """Write what was measured of each robot after a stop; `done` is what was done to each, for example "is locked".
+
+    Raises:
+        typer.Exit: not all of them are known to stand.
+    """
+    robots = [robot for robot in await chosen(host, name) if robot["name"] in measured]
+    if json:
+        write(json_text.dumps([{**robot, "standstill": measured[robot["name"]]._asdict()} for robot in robots]))
+    else:
+        for robot in robots:
+            write(*([f"{robot['name']} {done}"] if done else []), sentence(robot["name"], measured[robot["name"]]))
+    if any(each.state is not StandstillState.STANDS for each in measured.values()):
+        raise typer.Exit(1)
+
+
+# -- lock -------------------------------------------------------------------------------------------------------------
+
+
+def lock(
+    robot: RobotName = None,
+    *,
+    reason: Annotated[str, typer.Option(help="For the next driver.")] = "a lock from the terminal",
+    url: Url = DEFAULT_URL,
+    token: Token = None,
+    json: Json = False,
+) -> None:
+    """Emergency stop of a robot, or of all of them: zero at once, and no command until `hostlink unlock`.
+
+    It measures whether they stand, too; exit status 1: not all do.
+    """
+    asyncio.run(_lock(url, token, robot, reason, json=json))
+
+
+async def _lock(url: str, token: str | None, name: str | None, reason: str, *, json: bool) -> None:
+    async with connected(url, token) as host:
+        names = [robot["name"] for robot in await chosen(host, name)]
+        if len(names) == 1:
+            measured = {names[0]: await host.robot(names[0]).lock(reason)}
+        else:  # none waits for the measurement of another
+            for each in names:
+                await host.robot(each).lock(reason, wait_s=0.0)
+            measured = {each: found for each, found in (await host.standstill()).items() if each in names}
+        await report(host, name, measured, done=f"is locked: {reason}", json=json)
+
+
+# -- unlock -----------------------------------------------------------------------------------------------------------
+
+
+def unlock(
+    robot: RobotName = None,
+    *,
+    everything: Annotated[bool, typer.Option("--all", help="Every robot that is locked.")] = False,
+    url: Url = DEFAULT_URL,
+    token: Token = None,
+    json: Json = False,
+) -> None:
+    """Let a robot be driven again; its name may be left out where only one is locked. Nothing moves by that."""
+    if robot is not None and everything:
+        raise ConfigError("--all", "is every robot: give no name")
+    unlocked = asyncio.run(_unlock(url, token, robot, everything=everything))
+    write(*([json_text.dumps(unlocked)] if json else (f"{each['name']} may be driven" for each in unlocked)))
+
+
+async def _unlock(url: str, token: str | None, name: str | None, *, everything: bool) -> list[RobotState]:
+    async with connected(url, token) as host:
+        meant = await _meant(host, name, everything=everything)
+        for each in meant:
+            await host.robot(each["name"]).unlock()
+        return [await host.robot(each["name"]).state() for each in meant]
+
+
+async def _meant(host: Host, name: str | None, *, everything: bool) -> list[RobotState]:
+    robots = await chosen(host, name)
+    if name is not None:
+        return robots
+    locked = [robot for robot in robots if robot.get("locked")]
+    if not locked:
+        raise HostlinkError("no robot is locked")
+    if len(locked) > 1 and not everything:
+        names = ", ".join(robot["name"] for robot in locked)
+        raise HostlinkError(f"which robot? `hostlink unlock NAME`, or --all; locked are: {names}")
+    return locked
+
+
+COMMANDS = {"robots": robots, "stop": stop, "lock": lock, "unlock": unlock}

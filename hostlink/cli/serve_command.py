@@ -1,4 +1,4 @@
-"""`hostlink serve`: its arguments. The port for devices is open before the daemon is imported, which takes a while.
+"""`hostlink serve`: its arguments. The port for devices is opened before the daemon is imported, which takes a while.
 
 A device that connects meanwhile waits in the kernel until it is served, or is reset where the start fails.
 """
@@ -7,6 +7,7 @@ import dataclasses
 import importlib
 import socket
 from collections.abc import Callable
+from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -17,6 +18,8 @@ from hostlink.cli.output import write
 from hostlink.config import Config, Ros1Config, TcpConfig, UdpConfig, ZenohConfig, load
 from hostlink.errors import ConfigError, LibraryMissing
 from hostlink.listening import listen as listen_at
+
+# -- command ----------------------------------------------------------------------------------------------------------
 
 if TYPE_CHECKING:
     import asyncio
@@ -70,7 +73,7 @@ def command(
     Exit status: 0 stopped as asked, 1 failed, 2 wrong arguments or settings, or an address that is in use.
     """
     if example is not None:
-        write(*importlib.import_module("hostlink.cli.examples").read_example(example).splitlines())
+        write(*read_example(example).splitlines())
         return
     if log_level.upper() not in ("DEBUG", "INFO", "WARNING", "ERROR"):
         raise ConfigError("--log-level", f"{log_level} is none of debug, info, warning, error")
@@ -176,3 +179,19 @@ def merge(
         config = dataclasses.replace(config, api=dataclasses.replace(config.api, host=host, port=port))
     ports = config.serial + tuple(parse_serial(text) for text in serial or ())
     return dataclasses.replace(config, serial=ports, message_folders=config.message_folders + tuple(messages or ()))
+
+
+# -- examples ---------------------------------------------------------------------------------------------------------
+
+EXAMPLES = {"config": "hostlink.toml", "systemd": "hostlink.service", "udev": "70-hostlink.rules"}
+
+
+def read_example(name: str) -> str:
+    """The text of one of EXAMPLES.
+
+    Raises:
+        ConfigError: there is none of that name.
+    """
+    if name not in EXAMPLES:
+        raise ConfigError("--example", f"{name} is none of {', '.join(EXAMPLES)}")
+    return (files("hostlink") / "data" / EXAMPLES[name]).read_text()

@@ -1,24 +1,226 @@
-"""`hostlink setup`: asks ten questions, and writes a configuration."""
+"""The commands for the configuration: setup asks ten questions and writes one, reload lets the daemon read it again."""
 
+import asyncio
+import ipaddress
+import json
+import json as json_text
 import os
 import secrets
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
+from hostlink.cli.arguments import Json, Token, Url
+from hostlink.cli.connecting import connected
 from hostlink.cli.files import check_new_file, replacing
 from hostlink.cli.output import write, write_error
-from hostlink.cli.setup_plan import Question, configuration, questions
+from hostlink.client import DEFAULT_URL
 from hostlink.config import load
 from hostlink.errors import HostlinkError
+
+# -- questions --------------------------------------------------------------------------------------------------------
+
+Answers = Mapping[str, str]
+
+WAYS = ("wifi", "usb", "both")
+REACHES = ("computer", "network")
+MAX_PORT = 0xFFFF
+MAX_BAUD = 4_000_000
+LEAST_NUMBER = 0.01  # m, m/s, m/s2
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Question:
+    """One question: what an empty answer means, whether it is asked at all, and what is wrong with an answer."""
+
+    key: str
+    text: str
+    default: str
+    complaint: Callable[[str], str]
+    is_asked: Callable[[Answers], bool] = lambda _: True
+
+
+def questions(serial_ports: Sequence[str]) -> list[Question]:
+    """All ten. `serial_ports`: those that this computer has."""
+    seen = f" (there is: {', '.join(serial_ports)})" if serial_ports else " (none is plugged in now)"
+    port = serial_ports[0] if serial_ports else "/dev/ttyACM0"
+    return [
+        Question(key="way", text="How do robots connect: wifi, usb or both?", default="wifi", complaint=_one_of(WAYS)),
+        Question(
+            key="network",
+            text="Which network may they come from, as 192.168.4.0/24? Empty: any",
+            default="",
+            complaint=_network,
+            is_asked=_has_wifi,
+        ),
+        Question(
+            key="device_port",
+            text="TCP port for robots?",
+            default="11411",
+            complaint=_whole(1, MAX_PORT),
+            is_asked=_has_wifi,
+        ),
+        Question(
+            key="serial",
+            text=f"Which serial port{seen}?",
+            default=port,
+            complaint=lambda answer: "" if answer.startswith("/") else "a path that begins with /dev/",
+            is_asked=_has_usb,
+        ),
+        Question(
+            key="baud", text="Its baud rate?", default="57600", complaint=_whole(300, MAX_BAUD), is_asked=_has_usb
+        ),
+        Question(
+            key="robot",
+            text="The robot's name, as its firmware has it? Its limits follow; -: no limits",
+            default="robot_0",
+            complaint=lambda answer: (
+                "" if answer == "-" or _is_name(answer) else "letters, digits and _, a letter first"
+            ),
+        ),
+        _number(
+            "separation_m",
+            "Distance between its two driven wheels in m? Empty: unknown, or another drive",
+            most=10.0,
+        ),
+        _number("speed_m_s", "The fastest that it may drive, in m/s?", most=20.0, default="0.5"),
+        _number("deceleration_m_s2", "How hard it may brake, in m/s2? Empty: at once", most=100.0),
+        Question(
+            key="reach",
+            text="Who may use page and API: this computer, or the network (with a token)?",
+            default="computer",
+            complaint=_one_of(REACHES),
+        ),
+    ]
+
+
+def configuration(answers: Answers, *, token: str) -> str:
+    """The TOML; `token` is for an API that the network reaches."""
+    parts = [
+        "# Made by `hostlink setup`; every other setting: hostlink serve --example config",
+        *_tcp(answers),
+        *_serial(answers),
+        *_api(answers, token),
+        *_robot(answers),
+    ]
+    return "\n".join(parts) + "\n"
+
+
+def _tcp(answers: Answers) -> list[str]:
+    if not _has_wifi(answers):
+        return ["", "[tcp]", 'host = "127.0.0.1"  # robots come by USB alone']
+    allow = [f"allow = [{_toml(answers['network'])}]"] if answers["network"] else []
+    return ["", "[tcp]", f"port = {answers['device_port']}", *allow]
+
+
+def _serial(answers: Answers) -> list[str]:
+    if not _has_usb(answers):
+        return []
+    return ["", "[[serial]]", f"path = {_toml(answers['serial'])}", f"baud = {answers['baud']}"]
+
+
+def _api(answers: Answers, token: str) -> list[str]:
+    if answers["reach"] == "computer":
+        return []
+    return [
+        "",
+        "[api]",
+        'host = "0.0.0.0"',
+        "",
+        "[[api.tokens]]",
+        'name = "driver"',
+        'role = "drive"',
+        f'token = "{token}"',
+    ]
+
+
+def _robot(answers: Answers) -> list[str]:
+    if not _has_robot(answers):
+        return []
+    settings = {
+        "max_linear_m_s": answers["speed_m_s"],
+        "wheel_separation_m": answers["separation_m"],
+        "max_linear_deceleration_m_s2": answers["deceleration_m_s2"],
+    }
+    if answers["separation_m"]:
+        settings = {"kinematics": _toml("differential"), **settings}
+    if answers["way"] == "usb":
+        settings = {"address": _toml(answers["serial"]), **settings}
+    lines = [f"{key} = {_toml_number(value)}" for key, value in settings.items() if value]
+    return ["", f"[robots.{answers['robot']}]", *lines]
+
+
+def _toml_number(value: str) -> str:
+    return value if value.startswith('"') else repr(float(value))
+
+
+def _has_wifi(answers: Answers) -> bool:
+    return answers["way"] != "usb"
+
+
+def _has_usb(answers: Answers) -> bool:
+    return answers["way"] != "wifi"
+
+
+def _has_robot(answers: Answers) -> bool:
+    return answers["robot"] != "-"
+
+
+def _is_name(text: str) -> bool:
+    return text.isascii() and text.isidentifier() and not text.startswith("_")
+
+
+def _one_of(known: Sequence[str]) -> Callable[[str], str]:
+    return lambda answer: "" if answer in known else f"one of {', '.join(known)}"
+
+
+def _network(answer: str) -> str:
+    try:
+        if answer:
+            ipaddress.ip_network(answer, strict=False)
+    except ValueError:
+        return "an address or a network, as 192.168.4.7 or 192.168.4.0/24"
+    return ""
+
+
+def _whole(least: int, most: int) -> Callable[[str], str]:
+    def complaint(answer: str) -> str:
+        is_right = answer.isascii() and answer.isdecimal() and len(answer) < 9 and least <= int(answer) <= most  # noqa: PLR2004
+        return "" if is_right else f"a whole number from {least} to {most}"
+
+    return complaint
+
+
+def _number(key: str, text: str, *, most: float, default: str = "") -> Question:
+    """A figure of the robot; without a default it may be left out."""
+
+    def complaint(answer: str) -> str:
+        if not answer and not default:
+            return ""
+        try:
+            is_right = LEAST_NUMBER <= float(answer) <= most
+        except ValueError:
+            is_right = False
+        return "" if is_right else f"a number from {LEAST_NUMBER:g} to {most:g}"
+
+    return Question(key=key, text=text, default=default, complaint=complaint, is_asked=_has_robot)
+
+
+def _toml(text: str) -> str:
+    """The text as TOML quotes it: JSON's escapes, but for what lies beyond 16 bits, and for DEL."""
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
+
+
+# -- setup ------------------------------------------------------------------------------------------------------------
 
 PLACES = ("serial/by-id/*", "ttyACM*", "ttyUSB*")  # the first has names that stay
 OWNER_ONLY = 0o600  # a token stands in it
 
 
-def command(
+def setup(
     file: Annotated[Path, typer.Argument(help="What is written.")] = Path("hostlink.toml"),
     *,
     yes: Annotated[bool, typer.Option("--yes", help="The usual answer to every question.")] = False,
@@ -72,3 +274,30 @@ def _write(file: Path, text: str) -> None:
         with os.fdopen(descriptor, "w", encoding="utf-8") as out:
             out.write(text)
         load(beside)
+
+
+# -- reload -----------------------------------------------------------------------------------------------------------
+
+
+def reload(*, url: Url = DEFAULT_URL, token: Token = None, json: Json = False) -> None:
+    """Let the daemon read its configuration again: names and limits of robots, tokens and origins.
+
+    All of it is changed, or, where a setting is wrong, nothing. Other settings need a restart, and are listed.
+    """
+    reloaded = asyncio.run(_reload(url, token))
+    write(*([json_text.dumps(reloaded)] if json else _lines(reloaded)))
+
+
+async def _reload(url: str, token: str | None) -> dict[str, Any]:
+    async with connected(url, token) as host:
+        return await host.post("/api/reload")
+
+
+def _lines(reloaded: dict[str, Any]) -> list[str]:
+    lines = [f"changed: {name}" for name in reloaded["changed"]]
+    lines += [f"renamed: {old} is {new} now" for old, new in reloaded["renamed"].items()]
+    lines += [f"needs a restart: {name}" for name in reloaded["needs_restart"]]
+    return lines or ["nothing has changed"]
+
+
+COMMANDS = {"setup": setup, "reload": reload}

@@ -16,7 +16,7 @@ import typer
 
 from hostlink.cli.arguments import Token, Url
 from hostlink.cli.connecting import connected
-from hostlink.cli.drivers import driver
+from hostlink.cli.names import driver
 from hostlink.cli.output import show_progress, table, write, write_error
 from hostlink.client import DEFAULT_URL, PRIORITY, Host, Mailbox, Robot, RobotState
 from hostlink.errors import (

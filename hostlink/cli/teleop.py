@@ -1,26 +1,179 @@
-"""`hostlink teleop`: drive a robot with the keyboard. On every way out the robot stops."""
+"""`hostlink teleop`: drive a robot with the keyboard. The robot stops however the command ends."""
 
 import asyncio
+import atexit
 import contextlib
 import math
 import os
 import signal
+import sys
+import termios
+import tty
+from collections.abc import AsyncIterator, Iterator
 from typing import Annotated
 
 import typer
 
-from hostlink.cli.arguments import Token, Url
-from hostlink.cli.completion import robot_names
+from hostlink.cli.arguments import Token, Url, robot_names
 from hostlink.cli.connecting import connected
-from hostlink.cli.driving import LAYOUTS, Driving
-from hostlink.cli.key_driver import TICK_S, KeyDriver, watched_robot
-from hostlink.cli.keys import Key, KeyReader
+from hostlink.cli.driving import LAYOUTS, Driving, Key, KeyReader
+from hostlink.cli.output import draw, terminal_size, write_control
 from hostlink.cli.teleop_screen import UNLOCK_KEY, OwnState, lost_screen, screen
-from hostlink.cli.terminal import Terminal, draw, key_terminal, size
-from hostlink.client import DEFAULT_URL, Host, RobotState, connect
+from hostlink.client import DEFAULT_URL, Event, Host, Refusal, Robot, RobotState, connect
 from hostlink.client.views import Twist
-from hostlink.errors import ConfigError, HostlinkError, UnknownTopic
+from hostlink.errors import ConfigError, HostlinkError, RefusalKind, UnknownTopic
 from hostlink.robot.standstill import DriveWatch, Speeds
+
+# -- terminal ---------------------------------------------------------------------------------------------------------
+
+_HIDE_CURSOR, _SHOW_CURSOR = "\x1b[?25l", "\x1b[?25h"
+_CLEAR = "\x1b[2J\x1b[H"
+
+
+class Terminal:
+    """The terminal of standard input and output."""
+
+    def __init__(self) -> None:
+        self.input = sys.stdin.fileno()
+        self._saved = termios.tcgetattr(self.input)
+
+    def enter(self) -> None:
+        """Keys without echo and without waiting for a line; signals stay signals."""
+        tty.setcbreak(self.input)
+        write_control(_HIDE_CURSOR + KeyReader.ENTER + _CLEAR)
+
+    def leave(self) -> None:
+        """As it was before; also when the terminal itself is gone."""
+        with contextlib.suppress(OSError, termios.error, ValueError):
+            termios.tcsetattr(self.input, termios.TCSADRAIN, self._saved)
+            write_control(KeyReader.LEAVE + _SHOW_CURSOR + "\n")
+
+
+@contextlib.contextmanager
+def key_terminal() -> Iterator[Terminal]:
+    """The terminal in key mode for the length of the block.
+
+    Raises:
+        ConfigError: there is no terminal.
+    """
+    if not (sys.stdin.isatty() and sys.stdout.isatty()):
+        raise ConfigError("teleop", "needs a terminal for its keys; a program drives with `hostlink pub` or the API")
+    terminal = Terminal()
+    atexit.register(terminal.leave)
+    terminal.enter()
+    try:
+        yield terminal
+    finally:
+        terminal.leave()
+        atexit.unregister(terminal.leave)
+
+
+# -- commands for the robot -------------------------------------------------------------------------------------------
+
+TICK_S = 0.02
+
+
+class WatchedRobot:
+    """The robot as the daemon shows it."""
+
+    def __init__(self, state: RobotState) -> None:
+        self.state = state
+
+    async def follow(self, events: AsyncIterator[Event]) -> None:
+        """Until the connection is lost.
+
+        Raises:
+            HostlinkError: it is lost.
+            UnknownTopic: the daemon has forgotten the robot.
+        """
+        async for event in events:
+            if event.name == "robots":
+                states: dict[str, RobotState] = {robot["name"]: robot for robot in event.data["robots"]}
+                if self.state["name"] not in states:
+                    raise UnknownTopic("robot", self.state["name"], tuple(states))
+                self.state = states[self.state["name"]]
+
+
+@contextlib.asynccontextmanager
+async def watched_robot(host: Host, state: RobotState) -> AsyncIterator["WatchedRobot"]:
+    """The robot's state, kept up to date for the length of the block.
+
+    Raises:
+        HostlinkError: the connection is lost; it ends the block.
+        UnknownTopic: the daemon has forgotten the robot; it ends the block.
+    """
+    watched = WatchedRobot(state)
+    try:
+        async with asyncio.TaskGroup() as tasks:
+            watching = tasks.create_task(watched.follow(host.watch()), name="watch")
+            try:
+                yield watched
+            finally:
+                watching.cancel()
+    except BaseExceptionGroup as group:
+        raise group.exceptions[0] from None
+
+
+class KeyDriver:
+    """Sends the velocity of the keys as commands."""
+
+    def __init__(self, robot: Robot, driving: Driving, watched: WatchedRobot) -> None:
+        self.refusal = ""
+        self._robot, self._driving, self._watched = robot, driving, watched
+        self._refused: Refusal | None = None
+        self._is_moving = False
+
+    async def send_what_is_due(self) -> None:
+        """What is refused must be released and pressed again, unless somebody more important drives for a while."""
+        refused, before = self._robot.refusal, self._refused
+        self._refused = refused
+        if refused is not None and refused is not before:  # one more command was refused
+            self.refusal = refused.reason
+            if refused.kind != RefusalKind.HELD:
+                self._driving.bar(_now_s())
+        elif refused is None and self._is_moving:  # what moves it was accepted; a zero always is
+            self.refusal = ""
+        velocity = self._driving.due(_now_s())
+        if velocity is not None:
+            await self.send(velocity)
+
+    async def send(self, velocity: tuple[float, float]) -> None:
+        """Send one velocity."""
+        self._is_moving = velocity != (0.0, 0.0)
+        await self._robot.command(*velocity)
+
+    async def stop(self) -> None:
+        """Stop the robot, whoever drives. A connection that is lost shows by the next command."""
+        try:
+            await self._robot.stop(wait_s=0.0)
+            self.refusal = ""
+        except HostlinkError as error:
+            self.refusal = str(error)
+
+    async def unlock(self) -> None:
+        """Unlock the robot, if it is locked; what is held must be released and pressed again."""
+        if not self._watched.state.get("locked"):
+            return
+        self._driving.bar(_now_s())
+        try:
+            await self._robot.unlock()
+            self.refusal = ""
+        except HostlinkError as error:
+            self.refusal = str(error)
+
+    async def finish(self) -> None:
+        """Send the zeros at the end."""
+        while (velocity := self._driving.due(_now_s())) is not None or self._driving.is_ending:
+            if velocity is not None:
+                await self.send(velocity)
+            await asyncio.sleep(TICK_S)
+
+
+def _now_s() -> float:
+    return asyncio.get_running_loop().time()
+
+
+# -- command ----------------------------------------------------------------------------------------------------------
 
 PRIORITY = 60  # a person at the keys comes before a program
 DRAW_INTERVAL_S = 0.2
@@ -63,7 +216,7 @@ async def _teleop(url: str, token: str | None, name: str | None, driving: Drivin
                     await _drive(host, found, keyboard, layout)
             except HostlinkError as lost:
                 keyboard.driving.bar(_now_s())  # what is held must not move the robot when the connection is back
-                draw(lost_screen(found, str(lost), width=size()[0] - 1))
+                draw(lost_screen(found, str(lost), width=terminal_size()[0] - 1))
                 await keyboard.wait(RETRY_S)
 
 
@@ -93,7 +246,7 @@ async def _drive(host: Host, name: str, keyboard: "_Keyboard", layout: str) -> N
                     draw_at_s = _now_s() + DRAW_INTERVAL_S
                     _observe(watch, watched.state)
                     own = OwnState(robot.client_name, driver.refusal, watch.warning)
-                    draw(screen(watched.state, driving, _now_s(), own, layout=layout, width=size()[0] - 1))
+                    draw(screen(watched.state, driving, _now_s(), own, layout=layout, width=terminal_size()[0] - 1))
                 await keyboard.wait(TICK_S)
         finally:
             driving.stop()
@@ -203,7 +356,3 @@ class _Keyboard:
         self.driving.stop()
         self.wants_suspend = True
         self._news.set()
-
-
-def _now_s() -> float:
-    return asyncio.get_running_loop().time()

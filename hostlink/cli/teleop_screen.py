@@ -5,9 +5,9 @@ import textwrap
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
-from hostlink.cli.drivers import driver
 from hostlink.cli.driving import Driving
 from hostlink.cli.figures import speed_text
+from hostlink.cli.names import driver
 from hostlink.client import RobotState
 
 GAP = 3  # spaces between two facts of a line, where it may be broken

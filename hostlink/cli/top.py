@@ -9,8 +9,7 @@ import typer
 
 from hostlink.cli.arguments import Token, Url
 from hostlink.cli.connecting import connected
-from hostlink.cli.figures import LINK_COLUMNS, advice, link_rows, robot_table
-from hostlink.cli.live_figures import live_figures
+from hostlink.cli.figures import LINK_COLUMNS, advice, link_rows, live_figures, robot_table
 from hostlink.cli.output import table, write
 from hostlink.client import DEFAULT_URL
 from hostlink.errors import ConfigError

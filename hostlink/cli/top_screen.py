@@ -9,8 +9,7 @@ from textual.binding import BindingType
 from textual.containers import VerticalScroll
 from textual.widgets import DataTable, Footer, Static
 
-from hostlink.cli.figures import LINK_COLUMNS, ROBOT_COLUMNS, advice, link_rows, robot_table
-from hostlink.cli.live_figures import live_figures
+from hostlink.cli.figures import LINK_COLUMNS, ROBOT_COLUMNS, advice, link_rows, live_figures, robot_table
 from hostlink.cli.output import plain
 from hostlink.client import connect
 from hostlink.errors import HostlinkError

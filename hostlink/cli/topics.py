@@ -20,8 +20,18 @@ from typing import Annotated, Any
 
 import typer
 
-from hostlink.cli.arguments import Json, JsonLines, Seconds, ServiceName, Token, TopicName, TypeName, Url, json_object
-from hostlink.cli.completion import graph_names
+from hostlink.cli.arguments import (
+    Json,
+    JsonLines,
+    Seconds,
+    ServiceName,
+    Token,
+    TopicName,
+    TypeName,
+    Url,
+    graph_names,
+    json_object,
+)
 from hostlink.cli.connecting import PATIENCE_S, connected, run_until_interrupted, waiting, write_hint
 from hostlink.cli.names import natural, unknown
 from hostlink.cli.output import duration, plain, show_progress, size, table, write, write_error

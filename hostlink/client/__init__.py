@@ -16,11 +16,10 @@ Whatever cannot be done is a HostlinkError whose text says what to do. docs/clie
 
 from hostlink.client.blocking import BlockingHost, connect_blocking
 from hostlink.client.blocking_calls import BlockingRobot
-from hostlink.client.connecting import DEFAULT_URL, connect
-from hostlink.client.host import Host
+from hostlink.client.host import DEFAULT_URL, Host, connect
+from hostlink.client.loop_thread import Messages, Opened, Stream
 from hostlink.client.mailbox import Mailbox
 from hostlink.client.robot import PRIORITY, Robot
-from hostlink.client.streams import Messages, Opened, Stream
 from hostlink.client.views import (
     ConnectionChange,
     Driven,

@@ -3,7 +3,7 @@
 import ssl
 
 from hostlink.client.blocking_calls import HostCalls
-from hostlink.client.connecting import DEFAULT_URL, connect
+from hostlink.client.host import DEFAULT_URL, connect
 from hostlink.client.loop_thread import LoopThread
 from hostlink.errors import HostlinkError
 

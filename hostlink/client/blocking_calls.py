@@ -6,9 +6,8 @@ from typing import Any
 
 from hostlink.client.host import Host
 from hostlink.client.http_client import REQUEST_TIMEOUT_S
-from hostlink.client.loop_thread import LoopThread
+from hostlink.client.loop_thread import LoopThread, Messages, Opened, PlainAnswer, Stream, in_thread
 from hostlink.client.robot import PRIORITY, WAIT_S, Robot
-from hostlink.client.streams import Messages, Opened, PlainAnswer, Stream, in_thread
 from hostlink.client.views import ConnectionChange, Driven, Event, Odometry, RawMessage, Refusal, RobotState, TopicState
 from hostlink.robot.standstill import Standstill
 

@@ -15,8 +15,7 @@ import cbor2
 import msgspec
 from aiohttp import WSMsgType
 
-from hostlink.client.encoding import encode
-from hostlink.client.http_client import REQUEST_TIMEOUT_S, HttpClient
+from hostlink.client.http_client import REQUEST_TIMEOUT_S, HttpClient, encode
 from hostlink.client.views import Event
 from hostlink.errors import HostlinkError, Refused
 

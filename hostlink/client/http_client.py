@@ -1,9 +1,9 @@
-"""HttpClient: HTTP to one hostlink. It knows the address and the token, and explains in words what went wrong."""
+"""HttpClient: HTTP to one hostlink, its JSON and its server-sent events. Its errors say what to do."""
 
 import asyncio
 import ssl
 import weakref
-from collections.abc import AsyncIterator, Mapping
+from collections.abc import AsyncIterator, Iterator, Mapping
 from http import HTTPStatus
 from typing import Any
 from urllib.parse import SplitResult, parse_qs, urlsplit
@@ -11,11 +11,60 @@ from urllib.parse import SplitResult, parse_qs, urlsplit
 import aiohttp
 import msgspec
 
-from hostlink.client.encoding import encode
-from hostlink.client.event_stream import EventStream
 from hostlink.client.views import Event
 from hostlink.errors import HostlinkError, Refused
 from hostlink.robot.standstill import Standstill, StandstillState
+
+# -- JSON -------------------------------------------------------------------------------------------------------------
+
+
+def encode(message: Any) -> bytes:
+    """The JSON of a message.
+
+    Raises:
+        HostlinkError: something in it has no JSON.
+    """
+    try:
+        return _ENCODER.encode(message)
+    except TypeError as error:  # a key that is no text
+        raise HostlinkError(f"a message cannot contain this: {error}") from error
+
+
+def _plain(value: Any) -> Any:
+    """What msgspec does not know: numpy's scalars and arrays turn themselves into Python's."""
+    if hasattr(value, "tolist"):
+        return value.tolist()
+    raise HostlinkError(f"a message cannot contain a {type(value).__name__}: numbers, texts, lists and dicts are fine")
+
+
+_ENCODER = msgspec.json.Encoder(enc_hook=_plain)
+
+
+# -- server-sent events -----------------------------------------------------------------------------------------------
+
+
+class EventStream:
+    """What hostlink sends of the format: one `event` line and one `data` line of JSON; comments are skipped."""
+
+    def __init__(self) -> None:
+        self._pending = bytearray()
+        self._name = ""
+
+    def feed(self, data: bytes) -> Iterator[Event]:
+        """The events that are complete with these bytes."""
+        self._pending += data
+        if b"\n" not in data:
+            return
+        *lines, self._pending = self._pending.split(b"\n")
+        for line in lines:
+            key, _, value = bytes(line).partition(b": ")
+            if key == b"event":
+                self._name = value.decode()
+            elif key == b"data":
+                yield Event(self._name, msgspec.json.decode(value))
+
+
+# -- http client ------------------------------------------------------------------------------------------------------
 
 DEFAULT_PORT = 9090  # of an address that is a host alone
 REQUEST_TIMEOUT_S = 5.0

@@ -1,23 +1,116 @@
-"""LoopThread: a connection with an event loop in a thread of its own, for programs that have none.
+"""LoopThread: a connection with an event loop in its own thread, for programs without asyncio.
 
-The thread ends with the connection; the connection ends with `close`, with the last reference to it, and with the
-program (`program_end`).
+The thread ends with the connection. The connection ends with `close`, with the last reference to it, and with the
+program:
+
+| event                                                                      | result                             |
+|----------------------------------------------------------------------------|------------------------------------|
+| an uncaught error or Ctrl-C: in a script, in a cell, at the prompt         | what it drives stops               |
+| an error or exit() that ends a thread                                      | the same                           |
+| the main thread ends, and another one still runs                           | what ended threads drove stops     |
+| the program ends: exit(), the last line, an uncaught error                 | the same, and connections close    |
+| the process is killed, the kernel of a notebook dies                       | the daemon notices that, and stops |
 """
 
 import asyncio
+import atexit
 import concurrent.futures
 import contextlib
+import functools
 import os
+import sys
 import threading
 import weakref
-from collections.abc import Callable, Coroutine
+from collections.abc import AsyncGenerator, AsyncIterator, Callable, Coroutine, Iterator
+from types import TracebackType
 from typing import Any, TypeVar
 
-from hostlink.client import program_end
-from hostlink.client.connecting import Connecting
 from hostlink.client.driver import calling_thread
-from hostlink.client.host import Host
+from hostlink.client.host import Connecting, Host
+from hostlink.client.mailbox import Mailbox
+from hostlink.client.services import Answer, Values
 from hostlink.errors import HostlinkError
+
+# -- end of the program -----------------------------------------------------------------------------------------------
+
+STOP_TIMEOUT_S = 1.5  # of all connections together
+
+
+_watched: "weakref.WeakSet[_Life]" = weakref.WeakSet()
+_shells: weakref.WeakSet[Any] = weakref.WeakSet()
+
+
+def watch(connection: "_Life") -> None:
+    """End what it drives when the program, or a part of it, ends."""
+    _watch_program()
+    _watch_main_thread()
+    _watched.add(connection)
+    _watch_cells()
+
+
+def _stop_all(timeout_s: float = STOP_TIMEOUT_S) -> None:
+    """At once: a daemon that does not answer delays no stop at another."""
+    begun = [connection.begin_stop() for connection in list(_watched)]
+    concurrent.futures.wait([stop for stop in begun if stop is not None], timeout=timeout_s)
+
+
+def _finish_all() -> None:
+    connections = list(_watched)
+    _watched.clear()  # or the end of the main thread would stop what is about to close
+    for connection in connections:
+        connection.end()
+    for connection in connections:
+        connection.finish()
+
+
+@functools.cache
+def _watch_program() -> None:
+    """Once."""
+    atexit.register(_finish_all)
+    report, report_thread = sys.excepthook, threading.excepthook
+
+    def stop_and_report(kind: type[BaseException], error: BaseException, traceback: TracebackType | None) -> None:
+        _stop_all()
+        report(kind, error, traceback)
+
+    def stop_and_report_thread(arguments: threading.ExceptHookArgs, /) -> None:
+        _stop_all()
+        report_thread(arguments)
+
+    sys.excepthook, threading.excepthook = stop_and_report, stop_and_report_thread
+
+
+@functools.cache
+def _watch_main_thread() -> None:
+    """Once a process: Python waits for other threads before it calls what atexit has."""
+    threading.Thread(target=_stop_behind, args=(threading.main_thread(),), name="hostlink end", daemon=True).start()
+
+
+def _stop_behind(main_thread: threading.Thread) -> None:
+    main_thread.join()
+    for connection in list(_watched):
+        connection.begin_stop(of_ended_threads=True)
+
+
+def _watch_cells() -> None:
+    """IPython and Jupyter catch the errors of a cell: they report them by an event."""
+    ipython = sys.modules.get("IPython")
+    shell = None if ipython is None else ipython.get_ipython()
+    if shell is not None and shell not in _shells:
+        _shells.add(shell)
+        shell.events.register("post_run_cell", _end_cell)
+
+
+def _end_cell(result: Any) -> None:
+    if not result.success:
+        _stop_all()
+
+
+os.register_at_fork(after_in_child=_watched.clear)  # the connections are the parent's, and the threads
+os.register_at_fork(after_in_child=_watch_main_thread.cache_clear)
+
+
+# -- thread -----------------------------------------------------------------------------------------------------------
 
 CLOSE_TIMEOUT_S = 4.0  # the stops, what is not settled, and the goodbye have a second each
 CANCEL_TIMEOUT_S = 1.0
@@ -41,7 +134,7 @@ class LoopThread:
         self.kept: set[object] = set()  # what lasts although nobody has it
         self._process, self._is_closed = os.getpid(), False
         threading.Thread(target=life.run, name="hostlink", daemon=True).start()
-        program_end.watch(life)
+        watch(life)
         weakref.finalize(self, life.end).atexit = False
         try:
             self.host = _result(life.opened)
@@ -181,3 +274,145 @@ class _Life:
         self.end()
         with contextlib.suppress(TimeoutError, HostlinkError):
             self.ended.result(CLOSE_TIMEOUT_S)
+
+
+# -- streams ----------------------------------------------------------------------------------------------------------
+
+Item = TypeVar("Item")
+PlainAnswer = Callable[[Values], Values | None]
+_END: Any = object()
+
+
+class Stream(Iterator[Item]):
+    """Iterate over it with `for`, or get one item with `next`. After `break` it may be read on; Ctrl-C ends it."""
+
+    def __init__(self, loop: LoopThread, source: AsyncIterator[Item], name: str) -> None:
+        self._loop, self._source, self._name = loop, source, name
+
+    def __next__(self) -> Item:
+        """The next one, as soon as there is one.
+
+        Raises:
+            HostlinkError: what the same stream of `connect` raises; the connection is closed.
+        """
+        item = self._loop.run(_next(self._source))
+        if item is _END:
+            raise StopIteration
+        return item
+
+    def close(self) -> None:
+        """Read no more of it."""
+        if isinstance(self._source, AsyncGenerator):
+            with contextlib.suppress(HostlinkError):  # the connection is closed, and so is this
+                self._loop.run(_close(self._source))
+
+    def __enter__(self) -> "Stream[Item]":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def __repr__(self) -> str:
+        return f"<Stream of {self._name}>"
+
+
+class Messages(Stream[Item]):
+    """A stream whose items wait for the reader, the newest 256 of them. Ctrl-C does not end it; `close` does."""
+
+    def __init__(self, loop: LoopThread, opened: contextlib.AbstractAsyncContextManager[Mailbox[Item]]) -> None:
+        self._opened, self._mailbox = opened, loop.run(_enter(opened))
+        super().__init__(loop, self._mailbox, self._mailbox.name)
+        self._forgotten = weakref.finalize(self, _forget, loop, opened)
+        self._forgotten.atexit = False
+
+    @property
+    def dropped(self) -> int:
+        """How many items the reader was too slow for."""
+        return self._mailbox.dropped
+
+    def pop_all(self) -> list[Item]:
+        """What waits now, without waiting.
+
+        Raises:
+            HostlinkError: the subscription was refused, or the connection is lost for good.
+        """
+        return self._loop.call(self._mailbox.pop_all)
+
+    def close(self) -> None:
+        """Unsubscribe; whoever iterates gets an error."""
+        if self._forgotten.detach() is not None:
+            with contextlib.suppress(HostlinkError):  # the connection is closed, and so is this
+                self._loop.run(_exit(self._opened))
+                self._loop.call(lambda: self._mailbox.put(HostlinkError(f"the stream of {self._name} is closed")))
+
+    def __repr__(self) -> str:
+        return repr(self._mailbox).replace("Mailbox", "Messages", 1)
+
+
+class Opened:
+    """It lasts until `close`, the end of its `with` block, or that of the connection; nobody needs to keep it."""
+
+    def __init__(self, loop: LoopThread, opened: contextlib.AbstractAsyncContextManager[None], name: str) -> None:
+        self._loop, self._opened, self._name = loop, opened, name
+        self._is_open = True
+        loop.run(_enter(opened))
+        loop.kept.add(opened)
+
+    def close(self) -> None:
+        """End it."""
+        if self._is_open:
+            self._is_open = False
+            self._loop.kept.discard(self._opened)
+            with contextlib.suppress(HostlinkError):  # the connection is closed, and so is this
+                self._loop.run(_exit(self._opened))
+
+    def __enter__(self) -> "Opened":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def __repr__(self) -> str:
+        return f"<{'open' if self._is_open else 'closed'}: {self._name}>"
+
+
+def in_thread(answer: PlainAnswer) -> Answer:
+    """Each call in a thread of its own: it may take its time, and use the connection."""
+
+    async def answer_call(values: Values) -> Values | None:
+        answered: concurrent.futures.Future[Values | None] = concurrent.futures.Future()
+        answered.set_running_or_notify_cancel()
+        threading.Thread(target=_answer, args=(answer, values, answered), name="hostlink call", daemon=True).start()
+        return await asyncio.wrap_future(answered)
+
+    return answer_call
+
+
+def _answer(answer: PlainAnswer, values: Values, answered: "concurrent.futures.Future[Values | None]") -> None:
+    try:
+        answered.set_result(answer(values))
+    except HostlinkError as error:
+        answered.set_exception(error)
+    finally:
+        if not answered.done():  # the thread shows the error where the program runs
+            answered.set_exception(HostlinkError("the program that offers the service has an error in its answer"))
+
+
+async def _next(source: AsyncIterator[Item]) -> Item:
+    return await anext(source, _END)
+
+
+async def _close(source: AsyncGenerator[Any, None]) -> None:
+    await source.aclose()
+
+
+async def _enter(opened: contextlib.AbstractAsyncContextManager[Item]) -> Item:
+    return await opened.__aenter__()
+
+
+async def _exit(opened: contextlib.AbstractAsyncContextManager[Any]) -> None:
+    await opened.__aexit__(None, None, None)
+
+
+def _forget(loop: LoopThread, opened: contextlib.AbstractAsyncContextManager[Any]) -> None:
+    loop.begin(_exit(opened))

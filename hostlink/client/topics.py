@@ -1,8 +1,9 @@
-"""Topics: what this client has subscribed and advertised; made again after each loss of the connection."""
+"""Topics of this client: subscriptions, advertisements and the watched graph; restored after each reconnection."""
 
 import base64
 import contextlib
 import itertools
+import weakref
 from collections.abc import AsyncIterator, Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -11,6 +12,8 @@ from hostlink.client.connection import Connection, refused_by
 from hostlink.client.mailbox import Mailbox
 from hostlink.client.views import RawMessage
 from hostlink.errors import HostlinkError, Refused
+
+# -- topics -----------------------------------------------------------------------------------------------------------
 
 Subscription = Mailbox[dict[str, Any]]
 RawSubscription = Mailbox[RawMessage]
@@ -164,3 +167,37 @@ def _read_raw(message: dict[str, Any]) -> RawMessage:
 
 def _typed(type_name: str) -> dict[str, str]:
     return {"type": type_name} if type_name else {}
+
+
+# -- graph ------------------------------------------------------------------------------------------------------------
+
+Graphs = Mailbox[dict[str, Any]]
+
+
+class GraphWatch:
+    """Nothing is requested while nobody watches."""
+
+    def __init__(self, connection: Connection) -> None:
+        self._connection = connection
+        self._watchers: weakref.WeakSet[Graphs] = weakref.WeakSet()
+        connection.handlers["graph"].append(self._receive)
+        connection.on_open.append(self._request)
+
+    async def watch(self) -> Graphs:
+        """The graph now, and after every change, as long as the reader keeps what this returns.
+
+        Raises:
+            HostlinkError: there is no connection.
+        """
+        watcher: Graphs = Mailbox("the graph")
+        self._watchers.add(watcher)
+        await self._request()
+        return watcher
+
+    async def _request(self) -> None:
+        if self._watchers:
+            await self._connection.send({"op": "watch_graph"})
+
+    def _receive(self, graph: dict[str, Any]) -> None:
+        for watcher in self._watchers:
+            watcher.put(graph)

@@ -556,10 +556,5 @@ class Gates:
                 self._guardian.watch(link.number, link.descriptor, topic_ids=guarded_ids, claim_bytes=longest_bytes)
 
 
-def _admissions(drivables: Iterable[Drivable]) -> set[Admission]:
-    """The admissions of these drivables, each once: the velocity topics of one robot share one."""
-    return {drivable.admission for drivable in drivables}
-
-
 def _now_s() -> float:
     return asyncio.get_running_loop().time()

@@ -10,7 +10,7 @@ import aiohttp
 import pytest
 from structlog.testing import capture_logs
 
-from hostlink.cli.complaints import LOG_INTERVAL_S
+from hostlink.cli.serve import LOG_INTERVAL_S
 from hostlink.config import ApiConfig, Config
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import fake_device, robot_topics

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import pytest
 
-from hostlink.cli.calibration_drive import Drives
+from hostlink.cli.calibration_session import Drives
 from hostlink.client import connect
 from hostlink.config import Config, RobotConfig
 from hostlink.errors import HostlinkError

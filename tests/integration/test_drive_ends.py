@@ -6,9 +6,8 @@ from collections.abc import Awaitable, Callable
 
 import pytest
 
-from hostlink.cli.driving import Driving
-from hostlink.cli.key_driver import KeyDriver, watched_robot
-from hostlink.cli.keys import Action, Key
+from hostlink.cli.driving import Action, Driving, Key
+from hostlink.cli.teleop import KeyDriver, watched_robot
 from hostlink.client import Host, connect
 from hostlink.hub.robot_events import LEASE_ENDED, LET_GO, OWNER_LEFT, WAS_STOPPED, EventKind, RobotEvent
 from tests.support.daemon import Daemon, daemon

@@ -6,9 +6,8 @@ from collections.abc import AsyncIterator
 
 import pytest
 
-from hostlink.cli.driving import HOLD_S, SEND_INTERVAL_S, ZEROS, Driving
-from hostlink.cli.key_driver import KeyDriver, watched_robot
-from hostlink.cli.keys import Key
+from hostlink.cli.driving import HOLD_S, SEND_INTERVAL_S, ZEROS, Driving, Key
+from hostlink.cli.teleop import KeyDriver, watched_robot
 from hostlink.client import HostlinkError, connect
 from hostlink.robot.admission import LEASE_S
 from tests.support.daemon import Daemon, daemon

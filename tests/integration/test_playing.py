@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from hostlink.cli import play
-from hostlink.cli.drivers import driver
+from hostlink.cli.names import driver
 from hostlink.client import connect
 from hostlink.errors import BadRequest, ConfigError, HostlinkError
 from hostlink.messages.catalog import Catalog

@@ -11,8 +11,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from hostlink.api.connections import KEPT_FOR_REQUESTS
-from hostlink.cli.check import check
-from hostlink.cli.descriptors import FEWEST, NODE_SHARES, fitted
+from hostlink.cli.check import FEWEST, NODE_SHARES, check, fitted
 from hostlink.cli.serve import running
 from hostlink.config import (
     ApiConfig,

@@ -27,9 +27,8 @@ from hostlink.api.rest import Rest
 from hostlink.api.rosbridge import RosbridgeClient
 from hostlink.api.routes import BODY, CAME
 from hostlink.cli import demo, play
-from hostlink.cli.driving import GRACE_S, Driving
-from hostlink.cli.key_driver import KeyDriver, WatchedRobot
-from hostlink.cli.keys import Key
+from hostlink.cli.driving import GRACE_S, Driving, Key
+from hostlink.cli.teleop import KeyDriver, WatchedRobot
 from hostlink.client import RobotState
 from hostlink.errors import CommandRefused, HostlinkError, RefusalKind
 from hostlink.graphs.ros2.plan import TWIST, VelocityInput

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from hostlink.cli.arduino_library import command
+from hostlink.cli.board import arduino_library as command
 from hostlink.errors import ConfigError
 
 SMALL = ["std_msgs/Empty"]

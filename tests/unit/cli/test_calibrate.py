@@ -11,9 +11,8 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from hostlink.cli.calibrate import GuidedCalibration, settings_of
-from hostlink.cli.calibration_drive import Drives, Show, numbers_of, pose_of
-from hostlink.cli.calibration_people import AtTheTerminal
 from hostlink.cli.calibration_plan import Saved, Sizes, open_state
+from hostlink.cli.calibration_session import AtTheTerminal, Drives, Show, numbers_of, pose_of
 from hostlink.cli.main import build_app
 from hostlink.cli.output import write, write_error
 from hostlink.config import load

@@ -9,11 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hostlink.cli import calibration_people
+from hostlink.cli import calibration_session
 from hostlink.cli.calibrate import GuidedCalibration
-from hostlink.cli.calibration_drive import Drives, Show
-from hostlink.cli.calibration_people import AtTheTerminal
 from hostlink.cli.calibration_plan import UNITS_M, Saved, Sizes, open_state
+from hostlink.cli.calibration_session import AtTheTerminal, Drives, Show
 from hostlink.errors import HostlinkError
 from hostlink.robot.calibration import Calibration, WheelGeometry
 from hostlink.robot.course import CourseFollower, Leg, Speed
@@ -111,7 +110,7 @@ def calibrate(
     person = Person(robot, random, unit)
     if questions:
         person.is_wrong = wrong_at(questions)
-    monkeypatch.setattr(calibration_people, "_prompt", person.answer)
+    monkeypatch.setattr(calibration_session, "_prompt", person.answer)
     state = open_state(folder / f"{seed}.json", Saved("robot_0", SIZES, NOMINAL), anew=True)
     session = AtTheTerminal(DrawnDrives(robot), lambda *_: None)
     calibration = GuidedCalibration(session, state, folder / "picture.svg", is_quiet=True)

@@ -7,8 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from hostlink.cli.check import check, describe
-from hostlink.cli.descriptors import FEWEST, fitted
+from hostlink.cli.check import FEWEST, check, describe, fitted
 from hostlink.config import (
     ApiConfig,
     Config,

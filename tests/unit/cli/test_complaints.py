@@ -8,7 +8,7 @@ from collections import Counter
 from aiohttp.http_exceptions import BadHttpMessage
 from structlog.testing import capture_logs
 
-from hostlink.cli.complaints import LOG_INTERVAL_S, MAX_KINDS, Budget, complaints_logged
+from hostlink.cli.serve import LOG_INTERVAL_S, MAX_KINDS, Budget, complaints_logged
 
 
 def test_the_first_of_a_kind_is_due_and_then_one_in_an_interval() -> None:

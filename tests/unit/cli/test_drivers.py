@@ -2,7 +2,7 @@
 
 import pytest
 
-from hostlink.cli.drivers import driver, named
+from hostlink.cli.names import driver, named
 
 
 @pytest.mark.parametrize(

@@ -4,8 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hostlink.cli.driving import GRACE_S, HOLD_S, LAYOUTS, ZEROS, Driving
-from hostlink.cli.keys import Action, Key
+from hostlink.cli.driving import GRACE_S, HOLD_S, LAYOUTS, ZEROS, Action, Driving, Key
 
 V, W = 0.2, 0.8
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from hostlink.cli.examples import EXAMPLES, read_example
+from hostlink.cli.serve_command import EXAMPLES, read_example
 from hostlink.config import ApiConfig, Config, RobotConfig, SerialConfig, TokenConfig, load
 from hostlink.errors import ConfigError
 

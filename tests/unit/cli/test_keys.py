@@ -2,7 +2,7 @@
 
 import pytest
 
-from hostlink.cli.keys import Action, Key, KeyReader
+from hostlink.cli.driving import Action, Key, KeyReader
 
 
 @pytest.mark.parametrize(

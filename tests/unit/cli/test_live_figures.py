@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from hostlink.cli.live_figures import LiveFigures
+from hostlink.cli.figures import LiveFigures
 from hostlink.client import Event
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from hostlink.cli.files import check_output
-from hostlink.cli.setup import command
+from hostlink.cli.setup import setup as command
 from hostlink.errors import ConfigError
 
 

@@ -2,8 +2,8 @@
 
 import pytest
 
-from hostlink.cli import main, other_words
-from hostlink.cli.other_words import meant
+from hostlink.cli import main
+from hostlink.cli.main import meant
 from hostlink.cli.topics import type_and_message
 from hostlink.errors import ConfigError
 
@@ -41,12 +41,12 @@ def test_what_is_typed_by_habit_has_a_command(line: str, wanted: str | None) -> 
 
 def test_what_is_meant_exists() -> None:
     commands = {
-        *other_words.COMMANDS.values(),
-        *(text for group in other_words.GROUPS.values() for text in group.values()),
+        *main.HABITS.values(),
+        *(text for group in main.ROS_GROUPS.values() for text in group.values()),
     }
     assert {text.split()[0] for text in commands} <= {*main.COMMANDS, "--help", "--version"}
-    assert not set(other_words.COMMANDS) & set(main.COMMANDS)
-    assert {command for command, _ in other_words.OPTIONS} <= set(main.COMMANDS)
+    assert not set(main.HABITS) & set(main.COMMANDS)
+    assert {command for command, _ in main.ROS_OPTIONS} <= set(main.COMMANDS)
 
 
 @pytest.mark.parametrize(

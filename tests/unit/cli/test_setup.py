@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hostlink.cli.check import check
-from hostlink.cli.setup_plan import configuration, questions
+from hostlink.cli.setup import configuration, questions
 from hostlink.config import Config, load
 
 QUESTIONS = {question.key: question for question in questions(["/dev/ttyACM0"])}

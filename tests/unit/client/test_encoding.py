@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hostlink.client.encoding import encode
+from hostlink.client.http_client import encode
 from hostlink.errors import HostlinkError
 
 

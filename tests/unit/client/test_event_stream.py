@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hostlink.client import Event
-from hostlink.client.event_stream import EventStream
+from hostlink.client.http_client import EventStream
 
 WIRE = (
     b'event: robots\ndata: {"robots": []}\n\n: alive\n\n'

@@ -4,7 +4,7 @@ import concurrent.futures
 import threading
 import time
 
-from hostlink.client import program_end
+from hostlink.client import loop_thread
 
 
 class SilentConnection:
@@ -28,21 +28,21 @@ def test_a_daemon_that_does_not_answer_delays_no_stop_at_another() -> None:
     order: list[str] = []
     connections = [SilentConnection(order) for _ in range(3)]
     for connection in connections:
-        program_end._watched.add(connection)
+        loop_thread._watched.add(connection)
     began_s = time.monotonic()
-    program_end._stop_all(timeout_s=0.05)
+    loop_thread._stop_all(timeout_s=0.05)
     assert time.monotonic() - began_s < 1.0
     assert order == ["stop"] * 3
-    program_end._finish_all()
+    loop_thread._finish_all()
     assert order[3:] == ["end"] * 3 + ["finished"] * 3
 
 
 def test_the_end_of_the_main_thread_stops_only_what_ended_threads_drove() -> None:
     order: list[str] = []
     connection = SilentConnection(order)
-    program_end._watched.add(connection)
+    loop_thread._watched.add(connection)
     thread = threading.Thread(target=time.sleep, args=(0.01,))
     thread.start()
-    program_end._stop_behind(thread)
-    program_end._watched.discard(connection)
+    loop_thread._stop_behind(thread)
+    loop_thread._watched.discard(connection)
     assert order == ["stop what ended threads drove"]
