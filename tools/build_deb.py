@@ -23,7 +23,7 @@ import tomllib
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-from hostlink.cli.examples import read_example
+from hostlink.cli.serve_command import read_example
 from tools import man_pages
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -190,7 +190,7 @@ def install_wheels(packages: Path, *, arch: str, python: str) -> None:
         if path.is_file():
             is_script = path.read_bytes()[:2] == b"#!" and path.suffix == ".py"
             path.chmod(0o644)
-            if is_script:  # a module that nobody runs as a program
+            if is_script:  # a module that is not a program
                 path.write_text(path.read_text().partition("\n")[2])
 
 

@@ -1,6 +1,6 @@
 """`make compiled`: the wheel of the same sources compiled with mypyc, for this machine and this Python.
 
-Builds in a copy of the sources: the extension modules that the build leaves beside them would hide later changes from
+Builds in a copy of the sources: the extension modules that the build leaves next to them would hide later changes from
 everything that runs from the source tree.
 """
 

@@ -1,4 +1,4 @@
-"""Run the tests in groups. Each group runs, whatever the result of another one; a table at the end shows all results.
+"""Run the tests in groups. Each group runs, also after another one failed; a table at the end shows all results.
 
 The groups are the pure packages with their branches counted, all other tests, those that a busy machine disturbs
 (marked `quiet`), and those that need the machine for themselves (marked `alone`).

@@ -31,7 +31,7 @@ def test_it_returns_with_the_first_true_value() -> None:
 
 def test_a_failure_has_the_condition_and_the_values_in_it() -> None:
     counter = Counter()
-    with pytest.raises(AssertionError, match=r"not within 5 s: counter.count == 7\n  last value: 0 == 7\n"):
+    with pytest.raises(AssertionError, match=r"not within 30 s: counter.count == 7\n  last value: 0 == 7\n"):
         run_virtual(expect(lambda: counter.count == 7))
 
 

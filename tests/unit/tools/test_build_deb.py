@@ -1,4 +1,4 @@
-"""The files of the Debian package that are no Python packages: man pages, completion, unit, control files."""
+"""Files of the Debian package outside its Python packages: man pages, completion, unit, control files."""
 
 import os
 import re
@@ -23,7 +23,7 @@ def pages() -> dict[str, str]:
 
 @pytest.fixture(scope="module")
 def tree(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """What a package installs, without the wheels."""
+    """Files that a package installs, without the wheels."""
     folder = tmp_path_factory.mktemp("deb") / "tree"
     build_deb.lay_out(folder, python="3.11")
     return folder
