@@ -25,6 +25,7 @@ import aiohttp
 from hostlink.protocol.frame import Frame, Id
 from hostlink.protocol.stream import FrameStream
 from tests.support.process import HOSTLINK, Process, serve
+from tests.support.stopwatch import kept_waiting_s
 from tools.crowd import TIME, hello
 from tools.sent_commands import SentCommands
 
@@ -99,9 +100,9 @@ async def measure(load: Load) -> dict[str, Any]:
         async with serve("--config", str(config), program=(HOSTLINK,)) as daemon, asyncio.TaskGroup() as tasks:
             reading = tasks.create_task(read_away(daemon))
             async with driven(daemon) as robot, subscribed(load, daemon), crowd(load, daemon) as visitors:
-                before_s = cpu_s(daemon)
+                before_s, kept_before_s = cpu_s(daemon), kept_s(daemon)
                 latencies = await robot.drive(load.seconds)
-                busy_s = cpu_s(daemon) - before_s
+                busy_s, kept_now_s = cpu_s(daemon) - before_s, kept_s(daemon) - kept_before_s
                 counts = await visitors()
                 sent = robot.sent
             memory_mib = peak_memory_mib(daemon)
@@ -114,6 +115,7 @@ async def measure(load: Load) -> dict[str, Any]:
         "p99_ms": statistics.quantiles(latencies, n=100)[98] * 1000,
         "longest_ms": max(latencies) * 1000,
         "stop_p95_ms": statistics.quantiles(sent.stops_s, n=20)[18] * 1000,
+        "kept_ms": 1000 * kept_now_s / len(latencies),  # of a command, on average, by other programs
         "commands": len(latencies),
         "superseded": sent.superseded,
         "memory_mib": memory_mib,
@@ -275,6 +277,11 @@ def cpu_s(daemon: Process) -> float:
     """Return the CPU time of the daemon."""
     fields = Path(f"/proc/{daemon.child.pid}/stat").read_text().rpartition(")")[2].split()
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def kept_s(daemon: Process) -> float:
+    """Return how long other programs of the machine kept the daemon and this program from running."""
+    return kept_waiting_s(os.getpid()) + kept_waiting_s(daemon.child.pid)
 
 
 def peak_memory_mib(daemon: Process) -> float:
