@@ -1,0 +1,102 @@
+"""A hub in virtual time whose devices are in memory: for tests of the hub without sockets."""
+
+import asyncio
+import struct
+from collections.abc import Awaitable, Callable, Sequence
+from dataclasses import dataclass, field
+
+from structlog.testing import capture_logs
+from structlog.typing import EventDict
+
+from hostlink.config import Config
+from hostlink.hub.gates import Guard
+from hostlink.hub.hub import Hub
+from hostlink.hub.robot import LocalRobot
+from hostlink.protocol.control import TopicInfo
+from tests.support.fake_device import CATALOG, robot_topics
+from tests.support.scripted_device import ScriptedDevice
+from tests.support.virtual_loop import run_virtual
+
+SETTLED_S = 0.05  # a device has announced its topics
+
+
+@dataclass
+class RecordingGuard:
+    """Guard that records its calls."""
+
+    watched: dict[int, tuple[list[int], int]] = field(default_factory=dict)
+    released: list[int] = field(default_factory=list)
+    driven: set[int] = field(default_factory=set)
+    beats: int = 0
+
+    def watch(
+        self,
+        number: int,
+        connection: Callable[[], int | None],  # noqa: ARG002 - of a Guard
+        *,
+        topic_ids: Sequence[int],
+        claim_bytes: int,
+    ) -> None:
+        self.watched[number] = (list(topic_ids), claim_bytes)
+
+    def beat(self, driven: set[int]) -> None:
+        self.driven, self.beats = set(driven), self.beats + 1
+
+    def release(self, number: int) -> None:
+        self.released.append(number)
+
+
+class MemoryHub:
+    """A running hub, and the log of it."""
+
+    def __init__(self, hub: Hub, guard: RecordingGuard, logs: list[EventDict]) -> None:
+        self.hub, self.guard, self.logs = hub, guard, logs
+
+    async def connect(
+        self,
+        infos: Sequence[TopicInfo] | None = None,
+        *,
+        address: str = "10.0.0.2",
+        peer: str | None = None,
+    ) -> ScriptedDevice:
+        """Connect a device, by default robot_0, and wait until it has announced its topics."""
+        device = ScriptedDevice(self.hub, robot_topics() if infos is None else infos, address=address, peer=peer)
+        await asyncio.sleep(SETTLED_S)
+        return device
+
+    def robot(self, name: str = "robot_0") -> LocalRobot:
+        return self.hub.robots.find_here(name)
+
+    def logged(self, event: str) -> list[EventDict]:
+        return [each for each in self.logs if each["event"] == event]
+
+    @property
+    def now_s(self) -> float:
+        return asyncio.get_running_loop().time()
+
+
+def in_hub(
+    test: Callable[[MemoryHub], Awaitable[None]], config: Config | None = None, *, reraises: bool = True
+) -> None:
+    """Run a test beside a hub, in virtual time."""
+
+    async def run(logs: list[EventDict]) -> None:
+        guard = RecordingGuard()
+        given: Guard = guard
+        hub = Hub(Config() if config is None else config, CATALOG, reraises=reraises, guard=given)
+        async with asyncio.TaskGroup() as tasks:
+            running = tasks.create_task(hub.run())
+            await hub.is_running.wait()
+            await test(MemoryHub(hub, guard, logs))
+            running.cancel()
+
+    with capture_logs() as logs:
+        run_virtual(run(logs))
+
+
+def velocities(device: ScriptedDevice, topic_id: int = 100) -> list[tuple[float, float]]:
+    """The velocities that a device received: m/s, rad/s."""
+    return [
+        (linear, angular)
+        for linear, *_, angular in (struct.unpack("<6d", payload) for payload in device.payloads(topic_id))
+    ]

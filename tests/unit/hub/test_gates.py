@@ -1,0 +1,375 @@
+"""Gates: what a device receives of commands, stops, locks and ends of leases, and what is recorded of them."""
+
+import asyncio
+from itertools import pairwise
+from typing import Any
+
+import pytest
+
+from hostlink.config import Config, RobotConfig
+from hostlink.errors import CommandRefused, DeviceGone, FrameTooLarge, HostlinkError, RefusalKind
+from hostlink.hub.gates import FEED_INTERVAL_S, MAX_GUARDED, Refusals, is_velocity
+from hostlink.hub.node import Node
+from hostlink.hub.robot_events import EventKind, RobotEvent
+from hostlink.protocol.frame import Id
+from hostlink.robot.admission import LEASE_S
+from hostlink.robot.velocity import ZERO, PlanarVelocity, Twist
+from tests.support.fake_device import robot_topics, topic
+from tests.support.gates import drive_gate
+from tests.support.memory_hub import MemoryHub, in_hub, velocities
+from tests.support.remote_robots import remote_robot
+from tests.support.virtual_loop import run_virtual
+
+SLOW, FAST = PlanarVelocity(0.1), PlanarVelocity(0.4)
+
+
+def events_of(made: MemoryHub) -> list[RobotEvent]:
+    found: list[RobotEvent] = []
+    made.hub.events.observe("test", found.append)
+    return found
+
+
+def test_connected_device_receives_zero_first() -> None:
+    async def test(made: MemoryHub) -> None:
+        device = await made.connect()
+        await asyncio.sleep(0.5)
+        assert velocities(device) == [(0.0, 0.0)] * 3
+
+    in_hub(test)
+
+
+def test_command_is_sent_repeated_at_the_feed_interval_and_ended_by_three_zeros() -> None:
+    async def test(made: MemoryHub) -> None:
+        device = await made.connect()
+        await asyncio.sleep(1.0)
+        device.heard.clear()
+        began_s = made.now_s
+        assert drive_gate(made.robot(), SLOW, owner="ann") == SLOW
+        await asyncio.sleep(2.0)
+        heard = velocities(device)
+        moving = [at_s - began_s for at_s, frame in device.heard if frame.topic_id == 100][: heard.index((0.0, 0.0))]
+        assert heard[len(moving) :] == [(0.0, 0.0)] * 3
+        assert len(moving) == 4
+        assert all(b - a >= FEED_INTERVAL_S - 1e-6 for a, b in pairwise(moving))
+        zero_s = device.heard[len(moving)][0] - began_s
+        assert LEASE_S <= zero_s < LEASE_S + 0.02
+
+    in_hub(test)
+
+
+def test_stop_sends_zero_at_once_and_records_its_source() -> None:
+    async def test(made: MemoryHub) -> None:
+        device = await made.connect()
+        drive_gate(made.robot(), SLOW, owner="ann")
+        await asyncio.sleep(0.1)
+        events = events_of(made)
+        device.heard.clear()
+        made.robot().stop()
+        await asyncio.sleep(0.01)
+        assert velocities(device) == [(0.0, 0.0)]
+        assert [(each.kind, each.facts["owner"], each.facts["reason"]) for each in events] == [
+            (EventKind.STOPPED, "ann", "stopped")
+        ]
+        assert made.robot().gate.counts.stops == 1
+        with pytest.raises(CommandRefused) as refused:
+            drive_gate(made.robot(), SLOW, owner="ann")
+        assert refused.value.kind is RefusalKind.DISARMED
+        assert made.logged("robot.stopped")[-1]["owner"] == "ann"
+
+    in_hub(test)
+
+
+def test_stop_of_all_reaches_each_robot_although_one_refuses_the_zero() -> None:
+    async def test(made: MemoryHub) -> None:
+        first = await made.connect(robot_topics("a"))
+        other = await made.connect(robot_topics("b"), address="10.0.0.3")
+        for name in "ab":
+            drive_gate(made.robot(name), SLOW, owner="ann")
+        refusal = FrameTooLarge("/a/velocity_commands", 56, 40)
+
+        def refuse(*_: Any, **__: Any) -> None:
+            raise refusal
+
+        first.link.session.publish = refuse  # type: ignore[method-assign]
+        other.heard.clear()
+        with pytest.raises(FrameTooLarge):
+            made.hub.robots.stop_all()
+        await asyncio.sleep(0.01)
+        assert velocities(other)[-1:] == [(0.0, 0.0)]
+        assert made.robot("a").refusals.cause == str(refusal)
+        assert made.robot("a").why_moving() == f"its device cannot receive the stop: {refusal}"
+
+    in_hub(test)
+
+
+def test_locked_robot_refuses_commands_and_receives_zero_again_and_again() -> None:
+    async def test(made: MemoryHub) -> None:
+        device = await made.connect()
+        drive_gate(made.robot(), SLOW, owner="ann")
+        device.heard.clear()
+        made.robot().lock("smoke")
+        await asyncio.sleep(2.0)
+        assert set(velocities(device)) == {(0.0, 0.0)}
+        assert len(velocities(device)) >= 5
+        with pytest.raises(CommandRefused) as refused:
+            drive_gate(made.robot(), SLOW, owner="bob")
+        assert refused.value.kind is RefusalKind.LOCKED
+        made.robot().unlock()
+        assert drive_gate(made.robot(), SLOW, owner="carol") == SLOW
+        with pytest.raises(CommandRefused) as refused:
+            drive_gate(made.robot(), SLOW, owner="bob")  # which commanded through the lock
+        assert refused.value.kind is RefusalKind.DISARMED
+
+    in_hub(test)
+
+
+def test_source_that_leaves_stops_its_robot_and_no_other() -> None:
+    async def test(made: MemoryHub) -> None:
+        devices = [
+            await made.connect(robot_topics(name), address=f"10.0.0.{number}") for number, name in enumerate("ab")
+        ]
+        drive_gate(made.robot("a"), SLOW, owner="ann")
+        drive_gate(made.robot("b"), SLOW, owner="bob")
+        await asyncio.sleep(0.05)
+        made.hub.gates.release("ann")
+        await asyncio.sleep(0.05)
+        assert [velocities(device)[-1] for device in devices] == [(0.0, 0.0), (0.1, 0.0)]
+        assert made.logged("robot.stopped")[-1]["reason"] == "owner left"
+
+    in_hub(test)
+
+
+def test_command_that_does_not_fit_the_device_ends_the_drive_of_its_source() -> None:
+    async def test(made: MemoryHub) -> None:
+        device = await made.connect()
+        drive_gate(made.robot(), SLOW, owner="ann")
+        events = events_of(made)
+
+        def refuse(*_: Any, **__: Any) -> None:
+            raise FrameTooLarge("/robot_0/velocity_commands", 56, 40)
+
+        device.link.session.publish = refuse  # type: ignore[method-assign]
+        with pytest.raises(FrameTooLarge):
+            drive_gate(made.robot(), FAST, owner="ann")
+        assert made.robot().gate.owner is None
+        assert [each.kind for each in events] == [EventKind.REFUSED]
+        assert made.robot().refusals.count == 1
+        with pytest.raises(HostlinkError):
+            drive_gate(made.robot(), ZERO, owner="ann")
+        assert len(events) == 1  # a refused zero is not recorded
+
+    in_hub(test)
+
+
+def test_crash_while_sending_ends_the_link_and_refuses_the_command() -> None:
+    async def test(made: MemoryHub) -> None:
+        device = await made.connect()
+
+        def crash(*_: Any, **__: Any) -> None:
+            raise ZeroDivisionError
+
+        device.link.session.publish = crash  # type: ignore[method-assign]
+        with pytest.raises(DeviceGone):
+            drive_gate(made.robot(), SLOW, owner="ann")
+        assert made.hub.isolation.crashes["robot"] == 1
+        await asyncio.sleep(0.1)
+        assert made.logged("link.closed")[-1]["reason"] == "crashed"
+
+    in_hub(test, reraises=False)
+
+
+def test_closed_gates_refuse_every_command() -> None:
+    async def test(made: MemoryHub) -> None:
+        await made.connect()
+        made.hub.gates.close()
+        with pytest.raises(CommandRefused) as refused:
+            drive_gate(made.robot(), SLOW, owner="ann")
+        assert refused.value.kind is RefusalKind.ENDING
+        assert "hostlink is stopping" in str(refused.value)
+
+    in_hub(test)
+
+
+def test_guard_watches_velocity_topics_and_knows_which_links_are_driven() -> None:
+    async def test(made: MemoryHub) -> None:
+        device = await made.connect()
+        number = device.link.number
+        assert made.guard.watched[number][0] == [100]
+        await asyncio.sleep(1.0)
+        assert made.guard.driven == set()
+        drive_gate(made.robot(), SLOW, owner="ann")
+        assert made.guard.driven == {number}
+        await asyncio.sleep(1.0)
+        assert made.guard.driven == set()
+        assert made.guard.beats >= 10
+        await device.aclose()
+        await asyncio.sleep(0.1)
+        assert made.guard.released == [number]
+
+    in_hub(test)
+
+
+def test_guard_watches_no_more_than_its_bound_of_velocity_topics() -> None:
+    async def test(made: MemoryHub) -> None:
+        infos = [topic(Id.SUBSCRIBER, 100 + each, f"/n{each}/cmd_vel", "geometry_msgs/Twist") for each in range(20)]
+        device = await made.connect(infos)
+        assert len(made.guard.watched[device.link.number][0]) == MAX_GUARDED
+
+    in_hub(test)
+
+
+def test_admission_is_registered_as_long_as_its_robot_is_known() -> None:
+    async def test(made: MemoryHub) -> None:
+        device = await made.connect()
+        admission = made.robot().admission
+        assert made.hub.gates._admissions[admission] == 2  # of the robot and of its velocity topic
+        await device.aclose()
+        await asyncio.sleep(0.1)
+        assert made.hub.gates._admissions == {admission: 1}
+        made.hub.robots.forget("robot_0")
+        assert made.hub.gates._admissions == {}
+
+    in_hub(test)
+
+
+def test_source_that_leaves_is_withdrawn_from_robots_of_other_daemons() -> None:
+    async def test(made: MemoryHub) -> None:
+        robot = remote_robot(made.hub, "robot_7")
+        made.hub.robots.put_remote(robot)
+        robot.admission.connect(made.now_s)
+        source = Node("ann")
+        robot.admission.join([source], made.now_s)
+        made.hub.gates.release(source)
+        assert robot.admission._joined == {}
+        made.hub.robots.pop_remote("robot_7")
+        assert made.hub.gates._admissions == {}
+
+    in_hub(test)
+
+
+def test_higher_priority_stops_what_another_source_drives_of_the_same_robot() -> None:
+    async def test(made: MemoryHub) -> None:
+        more = topic(Id.SUBSCRIBER, 110, "/robot_0/cmd_vel_raw", "geometry_msgs/Twist")
+        device = await made.connect([*robot_topics(), more])
+        main, other = made.robot().beside
+        assert other.name == "robot_0"
+        drive_gate(other, SLOW, owner="ann", priority=10)  # type: ignore[arg-type]
+        await asyncio.sleep(0.05)
+        drive_gate(main, FAST, owner="bob", priority=60)  # type: ignore[arg-type]
+        await asyncio.sleep(0.05)
+        assert velocities(device)[-1] == (0.4, 0.0)
+        assert velocities(device, 110)[-1] == (0.0, 0.0)
+        assert made.logged("robot.stopped")[-1]["reason"] == "overruled"
+        with pytest.raises(CommandRefused) as refused:
+            drive_gate(other, SLOW, owner="ann", priority=10)  # type: ignore[arg-type]
+        assert refused.value.kind is RefusalKind.HELD
+
+    in_hub(test)
+
+
+def test_velocity_topic_without_robot_keeps_six_numbers() -> None:
+    async def test(made: MemoryHub) -> None:
+        device = await made.connect([topic(Id.SUBSCRIBER, 100, "/arm/cmd_vel", "geometry_msgs/Twist")])
+        twist = Twist(1.0, 2.0, 3.0, 4.0, 5.0, 6.0)
+        participant = made.hub.join("ann")
+        participant.advertise("/arm/cmd_vel", "geometry_msgs/Twist")
+        participant.publish("/arm/cmd_vel", twist.encode())
+        await asyncio.sleep(0.05)
+        assert device.payloads(100)[-1] == twist.encode()
+
+    in_hub(test)
+
+
+def test_published_twist_that_is_not_planar_is_refused_for_a_robot() -> None:
+    async def test(made: MemoryHub) -> None:
+        await made.connect()
+        participant = made.hub.join("ann")
+        participant.advertise("/robot_0/velocity_commands", "geometry_msgs/Twist")
+        with pytest.raises(CommandRefused) as refused:
+            participant.publish("/robot_0/velocity_commands", Twist(0.1, 0.0, 0.5).encode())
+        assert refused.value.kind is RefusalKind.UNSUPPORTED
+
+    in_hub(test)
+
+
+def test_published_zero_beside_a_driver_is_no_error() -> None:
+    async def test(made: MemoryHub) -> None:
+        await made.connect()
+        drive_gate(made.robot(), SLOW, owner="ann")
+        joystick = made.hub.join("joystick")
+        joystick.advertise("/robot_0/velocity_commands", "geometry_msgs/Twist")
+        joystick.publish("/robot_0/velocity_commands", Twist().encode())
+        assert made.robot().gate.owner == "ann"
+        with pytest.raises(CommandRefused):
+            drive_gate(made.robot(), ZERO, owner="joystick")
+
+    in_hub(test)
+
+
+def test_stamped_twist_older_than_the_robot_allows_is_refused() -> None:
+    async def test(made: MemoryHub) -> None:
+        await made.connect()
+        participant = made.hub.join("ann")
+        found = participant.advertise("/robot_0/cmd_vel_stamped", "geometry_msgs/TwistStamped")
+        assert found.type is not None
+        vector = {"x": 0.1, "y": 0.0, "z": 0.0}
+        twist = {"linear": vector, "angular": {"x": 0.0, "y": 0.0, "z": 0.0}}
+
+        def stamped(secs: int) -> bytes:
+            assert found.type is not None
+            return found.type.encode({"header": {"stamp": {"secs": secs, "nsecs": 0}}, "twist": twist})
+
+        with pytest.raises(CommandRefused) as refused:
+            participant.publish("/robot_0/cmd_vel_stamped", stamped(1000))
+        assert refused.value.kind is RefusalKind.LATE
+        participant.publish("/robot_0/cmd_vel_stamped", stamped(0))  # a stamp of zero is none
+        assert made.robot().gate.owner == participant
+
+    in_hub(test, Config(robots={"robot_0": RobotConfig(cmd_vel_max_age_s=1.0)}))
+
+
+def test_velocity_topic_is_a_twist_to_the_device_whose_name_says_so() -> None:
+    twist = "geometry_msgs/Twist"
+    assert is_velocity(topic(Id.SUBSCRIBER, 100, "/a/Cmd_Vel", twist))
+    assert is_velocity(topic(Id.SUBSCRIBER, 100, "velocity", twist))
+    assert not is_velocity(topic(Id.PUBLISHER, 100, "/a/cmd_vel", twist))
+    assert not is_velocity(topic(Id.SUBSCRIBER, 100, "/vel/target", twist))
+    assert not is_velocity(topic(Id.SUBSCRIBER, 100, "/a/cmd_vel", "geometry_msgs/Pose2D"))
+
+
+def test_refusals_are_logged_first_and_then_once_in_ten_seconds_with_their_number() -> None:
+    async def test(made: MemoryHub) -> None:
+        refusals = Refusals()
+        for _ in range(150):
+            refusals.add("robot_0", DeviceGone("robot_0"))
+            await asyncio.sleep(0.1)
+        assert refusals.count == 150
+        assert [each["count"] for each in made.logged("robot.unreachable")] == [1, 101]
+
+    in_hub(test)
+
+
+def test_end_of_a_link_sends_zero_to_what_may_move() -> None:
+    async def test(made: MemoryHub) -> None:
+        device = await made.connect()
+        drive_gate(made.robot(), SLOW, owner="ann")
+        await asyncio.sleep(0.05)
+        made.hub.gates.detach(made.hub.robots.devices[device.link.number])
+        await asyncio.sleep(0.05)
+        assert velocities(device)[-1] == (0.0, 0.0)
+        assert made.robot().link is None
+
+    in_hub(test)
+
+
+def test_gates_without_events_keep_their_own() -> None:
+    async def test() -> None:
+        from hostlink.hub.gates import Gates  # noqa: PLC0415 - of this test alone
+        from hostlink.hub.isolation import Isolation  # noqa: PLC0415
+
+        gates = Gates(Isolation(reraises=True))
+        gates.stop([])
+        await gates.settled()
+        assert gates.came_s(5.0) == 5.0
+
+    run_virtual(test())
