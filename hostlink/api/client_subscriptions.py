@@ -86,7 +86,7 @@ class ClientSubscriptions:
         if mine.subscription is None:
             self._subscribe(mine, request.text_or("type", ""))
         else:
-            _update(mine)
+            self._update(mine)
         if form not in _FORMS:
             self._warn(f"subscribe: compression {form} is not offered, {name} comes as plain JSON")
 
@@ -100,7 +100,7 @@ class ClientSubscriptions:
             mine.options.clear()
         mine.options.pop(request.id, None)
         if mine.options:
-            _update(mine)
+            self._update(mine)
             return
         del self._subscriptions[name]
         self._queue.forget(name)
@@ -119,6 +119,12 @@ class ClientSubscriptions:
         )
         self._subscriptions[mine.name] = mine
 
+    def _update(self, mine: _ClientSubscription) -> None:
+        interval_s, queue_length = mine.merge()
+        if mine.subscription is not None:
+            mine.subscription.change(interval_s=interval_s, queue_length=queue_length)
+            self._queue.wake()
+
     def _put(self, mine: _ClientSubscription, message: Message) -> None:
         try:
             outgoing = Outgoing(mine.encoded(message), mine.form in _BINARY)
@@ -126,12 +132,6 @@ class ClientSubscriptions:
             self._warn(str(error))
         else:
             self._queue.put_message(mine.name, outgoing, message.at_s)
-
-
-def _update(mine: _ClientSubscription) -> None:
-    interval_s, queue_length = mine.merge()
-    if mine.subscription is not None:
-        mine.subscription.change(interval_s=interval_s, queue_length=queue_length)
 
 
 def encode_json(message: Message) -> bytes:

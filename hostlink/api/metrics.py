@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from importlib.metadata import version
 
 from aiohttp import web
-from prometheus_client import CONTENT_TYPE_LATEST, CollectorRegistry, Histogram, ProcessCollector, generate_latest
+from prometheus_client import CONTENT_TYPE_LATEST, CollectorRegistry, ProcessCollector, generate_latest
 from prometheus_client.core import (
     CounterMetricFamily,
     GaugeMetricFamily,
@@ -25,7 +25,7 @@ from hostlink.api.rate_limit import RateLimit
 from hostlink.api.recording_metrics import RecordingMetrics
 from hostlink.api.routes import Route
 from hostlink.hub.hub import Hub
-from hostlink.latency import BOUNDS_S
+from hostlink.latency import Latency
 from hostlink.recording.recordings import Recordings
 
 _LINK_COUNTERS = {
@@ -64,15 +64,10 @@ class Metrics:
     ) -> None:
         self._registry = CollectorRegistry()
         ProcessCollector(registry=self._registry)
-        self._registry.register(_Graph(hub, clients, limit, connections, owners))
+        self.to_client = Latency()  # from the arrival of a message to the client's socket
+        self._registry.register(_Graph(hub, clients, limit, connections, owners, self.to_client))
         self._recording = RecordingMetrics(recordings, hub.config)
         self._registry.register(self._recording)
-        self.to_client = Histogram(
-            "hostlink_device_to_client_seconds",
-            "From the arrival of a message to the client's socket",
-            buckets=BOUNDS_S,
-            registry=self._registry,
-        )
 
     def route(self) -> Route:
         """GET /metrics."""
@@ -93,9 +88,17 @@ class Metrics:
 class _Graph(Collector):
     """Reads the hub and the clients at each request: nothing is counted twice."""
 
-    def __init__(self, hub: Hub, clients: Clients, limit: RateLimit, connections: Connections, owners: Owners) -> None:
+    def __init__(
+        self,
+        hub: Hub,
+        clients: Clients,
+        limit: RateLimit,
+        connections: Connections,
+        owners: Owners,
+        to_client: Latency,
+    ) -> None:
         self._hub, self._clients, self._limit, self._connections = hub, clients, limit, connections
-        self._owners = owners
+        self._owners, self._to_client = owners, to_client
 
     def describe(self) -> list[Metric]:
         """Nothing at registration: there is no event loop yet."""
@@ -287,6 +290,12 @@ class _Graph(Collector):
         )
         yield CounterMetricFamily(
             "hostlink_clients_refused", "Clients turned away: too many", value=self._clients.refused
+        )
+        yield HistogramMetricFamily(
+            "hostlink_device_to_client_seconds",
+            "From the arrival of a message to the client's socket",
+            buckets=self._to_client.buckets(),
+            sum_value=self._to_client.sum_s,
         )
         yield CounterMetricFamily(
             "hostlink_owners_evicted", "Drivers over REST that others took the place of", value=self._owners.evicted

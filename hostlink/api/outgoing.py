@@ -17,14 +17,21 @@ class Outgoing(NamedTuple):
     before: bytes = b""
 
 
-ClientQueue = Queue[Outgoing]
+class ClientQueue(Queue[Outgoing]):
+    """The queue of one client."""
+
+    def __init__(self, budget: ByteBudget | None = None) -> None:
+        share = None if budget is None else budget["queues"]
+        super().__init__(_size_bytes, asyncio.get_running_loop().time, share)
+        self.is_flush_due = True  # what subscriptions hold back has changed
+
+    def wake(self) -> None:
+        self.is_flush_due = True
+        super().wake()
 
 
-def client_queue(budget: ByteBudget | None = None) -> ClientQueue:
-    """An empty queue, for the loop that runs."""
-    share = None if budget is None else budget["queues"]
-    clock = asyncio.get_running_loop().time
-    return Queue(lambda outgoing: len(outgoing.data) + len(outgoing.before), clock, share)
+def _size_bytes(outgoing: Outgoing) -> int:
+    return len(outgoing.data) + len(outgoing.before)
 
 
 def put_json(queue: ClientQueue, answer: object) -> None:

@@ -52,6 +52,8 @@ class PacedReading(asyncio.BufferedProtocol):
         self._is_behind = behind_since_s is not None  # there may be more than what was read last
         self._next_request_came_s: float | None = None
         self._is_web_socket = self._is_refusing = self._is_lost = self._has_room = False
+        self._on_read = self._on_writable = _call_nothing  # of the owner of a WebSocket
+        self.is_writing_paused = False  # the transport's buffer is full
         self._unread_bytes = 0  # of a message that is not whole
         self._deadline: asyncio.TimerHandle | None = None
 
@@ -70,14 +72,20 @@ class PacedReading(asyncio.BufferedProtocol):
         """Read nothing more: the answer is known, and the connection is closed when its sender had time to read it."""
         self._is_refusing = True
 
-    def become_web_socket(self) -> None:
-        """From now on messages come."""
+    def become_web_socket(self, *, on_read: Callable[[], None], on_writable: Callable[[], None]) -> None:
+        """Read messages from now on. `on_read` is called after each read, `on_writable` when writing may go on."""
         self._is_web_socket = True
+        self._on_read, self._on_writable = on_read, on_writable
+
+    def leave_web_socket(self) -> None:
+        """Call the WebSocket's owner no more."""
+        self._on_read = self._on_writable = _call_nothing
 
     def receive_message(self) -> None:
         """A whole message has come, and was worked on if it was large."""
         self._unread_bytes = 0
-        self._give_room()
+        if self._has_room:
+            self._give_room()
 
     def receive_control(self, payload_bytes: int) -> None:
         """A ping or a pong has come, which belongs to no message: a client may send nothing else for days."""
@@ -114,10 +122,13 @@ class PacedReading(asyncio.BufferedProtocol):
         return self._inner.eof_received()
 
     def pause_writing(self) -> None:
+        self.is_writing_paused = True
         self._inner.pause_writing()
 
     def resume_writing(self) -> None:
+        self.is_writing_paused = False
         self._inner.resume_writing()
+        self._on_writable()
 
     # -- its parts ----------------------------------------------------------------------------------------------------
 
@@ -159,6 +170,7 @@ class PacedReading(asyncio.BufferedProtocol):
             self._has_room = True
             self._deadline = self._loop.call_later(self._timeout_s, self._transport.abort)
         self._inner.data_received(data)
+        self._on_read()
         if not self._is_lost and not self._transport.is_reading():
             self._is_behind = True
 
@@ -178,3 +190,7 @@ class PacedReading(asyncio.BufferedProtocol):
         if self._has_room:
             self._has_room = False
             self._share.give(self._room_bytes)
+
+
+def _call_nothing() -> None:
+    """Replace the callbacks of a connection that is not a WebSocket."""

@@ -122,11 +122,10 @@ class RosbridgeClient:
         """Send what subscriptions held back until now; returns when the next is due."""
         return self.participant.flush(now_s)
 
-    async def settle(self) -> None:
-        """Wait until answers have room: a client that does not read them is not read from."""
-        if self._calls > MAX_CALLS // 2:
-            await asyncio.sleep(0)  # many calls came in one read, and most are answered at once
-        await self._queue.room()
+    @property
+    def is_crowded(self) -> bool:
+        """Whether many calls are under way."""
+        return self._calls > MAX_CALLS // 2
 
     def close(self) -> None:
         """The client has left: all that it has goes with it."""

@@ -21,7 +21,7 @@ from hostlink.api.access import GRANT, Grant
 from hostlink.api.clients import Clients
 from hostlink.api.foxglove import FoxgloveClient
 from hostlink.api.foxglove_directory import FoxgloveDirectory
-from hostlink.api.outgoing import client_queue
+from hostlink.api.outgoing import ClientQueue
 from hostlink.api.owners import Owners
 from hostlink.api.rest import Rest
 from hostlink.api.rosbridge import RosbridgeClient
@@ -128,7 +128,7 @@ class EntryPoint:
 class _Rosbridge(EntryPoint):
     def __init__(self, made: Scene) -> None:
         super().__init__(made)
-        self.queue = client_queue()
+        self.queue = ClientQueue()
         self.client = RosbridgeClient("client 1", made.hub, self.queue, spawn=made.tasks.create_task)
 
     def send(self, **request: Any) -> None:
@@ -243,7 +243,7 @@ class FoxglovePublish(EntryPoint):
 
     def __init__(self, made: Scene) -> None:
         super().__init__(made)
-        self._queue = client_queue()
+        self._queue = ClientQueue()
         directory = FoxgloveDirectory(made.hub)
         self._client = FoxgloveClient("client 1", made.hub, directory, self._queue, spawn=made.tasks.create_task)
         channel = {"id": 1, "topic": CMD_VEL, "encoding": "ros1", "schemaName": TWIST_TYPE}
