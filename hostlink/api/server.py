@@ -3,9 +3,11 @@
 import asyncio
 import contextlib
 import errno
+import mimetypes
 import socket as sockets
 from collections.abc import AsyncIterator, Callable, Iterator
 from http import HTTPStatus
+from importlib.resources import files
 from typing import TypedDict
 
 import structlog
@@ -14,32 +16,36 @@ from aiohttp.http_exceptions import HttpProcessingError
 from structlog.contextvars import bound_contextvars
 
 from hostlink.acceptor import bind, why
-from hostlink.api.access import GRANT, Access, Grant, check_role, tls_context, token_of
+from hostlink.api.access import GRANT, Access, Grant, Grants, check_role, tls_context, token_of
 from hostlink.api.captures import Captures
-from hostlink.api.clients import Client, Clients
+from hostlink.api.clients import Client, ClientQueue, Clients
 from hostlink.api.connections import KEPT_FOR_REQUESTS, Connections
-from hostlink.api.drives import DriveRoute
 from hostlink.api.events import Events
 from hostlink.api.foxglove import FoxgloveClient
 from hostlink.api.foxglove_directory import FoxgloveDirectory
-from hostlink.api.grants import Grants
-from hostlink.api.heads import FOXGLOVE, is_foxglove, refuse_unreadable
-from hostlink.api.history import HistoryRoutes
-from hostlink.api.incidents import IncidentRoutes
+from hostlink.api.history import HistoryRoutes, IncidentRoutes
 from hostlink.api.listener import ApiListener, MakeProtocol
-from hostlink.api.listening import ListeningRoute
 from hostlink.api.metrics import Metrics
-from hostlink.api.outgoing import ClientQueue
-from hostlink.api.owners import Owners
-from hostlink.api.page import page_file
 from hostlink.api.rate_limit import RateLimit
 from hostlink.api.recordings import RecordingRoutes
-from hostlink.api.reload import ReloadRoute
-from hostlink.api.replies import explain_errors, reply
-from hostlink.api.rest import Rest
+from hostlink.api.rest import DriveRoute, ListeningRoute, Owners, ReloadRoute, Rest
 from hostlink.api.rosapi import RosApi
 from hostlink.api.rosbridge import RosbridgeClient
-from hostlink.api.routes import BODY, CAME, FILE, MAX_BODY_BYTES, SMALL_BODY_BYTES, Handler, Route, openapi
+from hostlink.api.routes import (
+    BODY,
+    CAME,
+    FILE,
+    FOXGLOVE,
+    MAX_BODY_BYTES,
+    SMALL_BODY_BYTES,
+    Handler,
+    Route,
+    explain_errors,
+    is_foxglove,
+    openapi,
+    refuse_unreadable,
+    reply,
+)
 from hostlink.api.web_socket import ClientSocket, close_going_away
 from hostlink.cancellation import raise_if_cancelled
 from hostlink.config import ApiConfig, Config
@@ -50,6 +56,27 @@ from hostlink.hub.reloader import Reloader
 from hostlink.logs import printable
 from hostlink.recording.recordings import Recordings
 from hostlink.transport.base import READ_BYTES
+
+PAGE = files("hostlink.api") / "web" / "built"  # by Vite, from the sources beside it: make web
+PAGE_HEADERS = {
+    "Cache-Control": "no-store",
+    "Content-Security-Policy": "default-src 'none'; style-src 'self'; script-src 'self'; connect-src 'self'; "
+    "img-src 'self'; frame-ancestors 'none'; base-uri 'none'; form-action 'none'",
+    "X-Content-Type-Options": "nosniff",
+    "Referrer-Policy": "no-referrer",
+}
+
+
+async def page_file(request: web.Request) -> web.StreamResponse:
+    """A file of the page: it needs no token, because no robot is named in it."""
+    name = request.match_info.get("file")
+    folder = PAGE if name is None else PAGE / "web"
+    found = next((each for each in folder.iterdir() if each.name == (name or "index.html")), None)
+    if found is None:  # also for ..%2F..: a name is one of the folder's, not a way out of it
+        raise web.HTTPNotFound
+    kind, _ = mimetypes.guess_type(found.name)
+    return web.Response(body=found.read_bytes(), headers=PAGE_HEADERS | {"Content-Type": kind or "text/plain"})
+
 
 log = structlog.get_logger()
 

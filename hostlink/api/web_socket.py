@@ -11,11 +11,10 @@ from typing import Any, Protocol
 import structlog
 from aiohttp import WSCloseCode, WSMsgType, web
 
-from hostlink.api.clients import Client
+from hostlink.api.clients import Client, ClientQueue
 from hostlink.api.inbox import Inbox
 from hostlink.api.inbox import Program as InboxProgram
-from hostlink.api.outgoing import ClientQueue
-from hostlink.api.paced_reading import PacedReading
+from hostlink.api.listener import PacedReading
 from hostlink.api.rate_limit import Bucket
 from hostlink.latency import Latency
 from hostlink.link.fair_share import Turns

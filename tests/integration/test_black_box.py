@@ -13,8 +13,7 @@ from typing import Any
 import pytest
 from aiohttp.test_utils import make_mocked_request
 
-from hostlink.api.history import HistoryRoutes
-from hostlink.api.incidents import IncidentRoutes
+from hostlink.api.history import HistoryRoutes, IncidentRoutes
 from hostlink.config import BlackBoxConfig, Config, LinkConfig, RecordingConfig
 from hostlink.recording.black_box import MAX_CHANNELS, MAX_REQUESTED, BlackBox
 from hostlink.recording.channel import Channel, json_of

@@ -18,12 +18,10 @@ from typing import Any, ClassVar, cast
 from aiohttp.test_utils import make_mocked_request
 
 from hostlink.api.access import GRANT, Grant
-from hostlink.api.clients import Clients
+from hostlink.api.clients import ClientQueue, Clients
 from hostlink.api.foxglove import FoxgloveClient
 from hostlink.api.foxglove_directory import FoxgloveDirectory
-from hostlink.api.outgoing import ClientQueue
-from hostlink.api.owners import Owners
-from hostlink.api.rest import Rest
+from hostlink.api.rest import Owners, Rest
 from hostlink.api.rosbridge import RosbridgeClient
 from hostlink.api.routes import BODY, CAME
 from hostlink.cli import demo, play

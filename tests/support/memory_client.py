@@ -8,7 +8,7 @@ from collections import defaultdict
 from collections.abc import AsyncIterator, Callable, Mapping
 from typing import Any, cast
 
-from hostlink.api.outgoing import ClientQueue
+from hostlink.api.clients import ClientQueue
 from hostlink.api.rosbridge import RosbridgeClient
 from hostlink.client import Robot
 from hostlink.client.connection import Connection

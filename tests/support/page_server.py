@@ -15,9 +15,8 @@ from typing import Any
 import msgspec
 from aiohttp import WSMsgType, web
 
-from hostlink.api.drives import DriveView
 from hostlink.api.events import ROLE_HEADER
-from hostlink.api.listening import ListeningView
+from hostlink.api.rest import DriveView, ListeningView
 from hostlink.api.views import LinkView, RobotView, StoppedRobotView
 
 BUILT = Path(__file__).parents[2] / "hostlink" / "api" / "web" / "built"

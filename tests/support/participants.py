@@ -12,10 +12,10 @@ from weakref import WeakKeyDictionary
 
 from structlog.testing import capture_logs
 
+from hostlink.api.clients import ClientQueue, Outgoing
 from hostlink.api.foxglove import FoxgloveClient
 from hostlink.api.foxglove_directory import FoxgloveDirectory
-from hostlink.api.outgoing import ClientQueue, Outgoing
-from hostlink.api.owners import Owners
+from hostlink.api.rest import Owners
 from hostlink.api.rosbridge import RosbridgeClient
 from hostlink.config import Config
 from hostlink.errors import BadRequest, CommandRefused, HostlinkError, RefusalKind, Refused

@@ -9,7 +9,7 @@ from typing import Any
 
 import cbor2
 
-from hostlink.api.outgoing import ClientQueue
+from hostlink.api.clients import ClientQueue
 from hostlink.api.rosapi import RosApi
 from hostlink.api.rosbridge import RosbridgeClient
 from hostlink.config import Config

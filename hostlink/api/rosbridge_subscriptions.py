@@ -1,17 +1,68 @@
-"""ClientSubscriptions: what one client of rosbridge subscribes to, in the form and at the pace that it chose."""
+"""What one client of rosbridge subscribes to, at the rate and in the form that it chose: JSON, CBOR or cbor-raw."""
 
-from collections.abc import Callable
-from typing import NamedTuple
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
 
+import cbor2
 import msgspec
+import numpy as np
 
-from hostlink.api.cbor import encode_cbor, encode_cbor_raw
-from hostlink.api.outgoing import ClientQueue, Outgoing
-from hostlink.api.request import Request
+from hostlink.api.clients import ClientQueue, Outgoing
+from hostlink.api.rosbridge_request import Request
 from hostlink.errors import BadPayload, BadRequest
 from hostlink.hub.message import Message
 from hostlink.hub.participant import MAX_SUBSCRIPTIONS, Participant
 from hostlink.hub.subscription import Subscription
+from hostlink.messages.message_type import MessageType
+
+_NS_PER_S = 1_000_000_000
+# RFC 8746, little-endian: what roslibjs knows how to read.
+_TAGS = {
+    "uint16": (69, "<u2"),
+    "uint32": (70, "<u4"),
+    "uint64": (71, "<u8"),
+    "int8": (72, "<i1"),
+    "int16": (77, "<i2"),
+    "int32": (78, "<i4"),
+    "int64": (79, "<i8"),
+    "float32": (85, "<f4"),
+    "float64": (86, "<f8"),
+}
+
+
+def encode_cbor(topic: str, message: Message) -> bytes:
+    """The publish operation with its fields.
+
+    Raises:
+        BadPayload: the bytes are no message of the type.
+    """
+    fields: Any = message.decoded
+    if message.type is not None:
+        fields = _with_typed_arrays(message.type, message.decoded)
+    return cbor2.dumps({"op": "publish", "topic": topic, "msg": fields})
+
+
+def encode_cbor_raw(topic: str, message: Message) -> bytes:
+    """The publish operation with the serialised message: rosserial's payload is ROS 1's."""
+    secs, nsecs = divmod(message.stamp_ns, _NS_PER_S)
+    raw = {"secs": secs, "nsecs": nsecs, "bytes": message.payload}
+    return cbor2.dumps({"op": "publish", "topic": topic, "msg": raw})
+
+
+def _with_typed_arrays(type_: MessageType, fields: Mapping[str, Any]) -> dict[str, Any]:
+    shaped = dict(fields)
+    for field in type_.fields:
+        value, nested = fields[field.name], type_.nested.get(field.type)
+        if nested is not None:
+            is_list = isinstance(value, list)
+            shaped[field.name] = (
+                [_with_typed_arrays(nested, item) for item in value] if is_list else _with_typed_arrays(nested, value)
+            )
+        elif isinstance(value, list) and field.type in _TAGS:
+            tag, layout = _TAGS[field.type]
+            shaped[field.name] = cbor2.CBORTag(tag, np.asarray(value, layout).tobytes())
+    return shaped
+
 
 MAX_QUEUE_LENGTH = 256
 Warn = Callable[[str], None]
