@@ -6,11 +6,11 @@ Ages count back from now, or from the incident.
 import asyncio
 import heapq
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from http import HTTPStatus
 from pathlib import Path
-from typing import Annotated, Any, TypedDict, cast
+from typing import Annotated, Any, NotRequired, TypedDict, cast
 
 import msgspec
 from aiohttp import web
@@ -37,6 +37,7 @@ from hostlink.robot.velocity import TWIST_TYPE, PlanarVelocity, Twist
 
 WORK_S = 0.0005  # of a thread that reads, before the loop has the interpreter for REST_S
 REST_S = 0.001
+SEND_TIMEOUT_S = 5.0  # a reader whose socket accepts nothing for that time is gone
 PIECE = 100  # of a list, encoded at once: some 0.1 ms
 
 
@@ -71,6 +72,30 @@ class HistoryView(TypedDict):
     events: list[PastMessageView]
 
 
+class FleetPoseView(TypedDict):
+    """Where a robot of the fleet was, how long ago; of the chosen one also how it moved."""
+
+    age_s: float
+    pose: PoseView
+    twist: NotRequired[VelocityView]
+
+
+class FleetHistoryView(TypedDict):
+    """The history of one of several robots. `commands` and `plot_data` are empty unless it is the chosen one."""
+
+    name: str
+    poses: list[FleetPoseView]
+    commands: list[PastCommandView]
+    plot_data: list[PastMessageView]
+    events: list[PastMessageView]
+
+
+class HistoriesView(TypedDict):
+    """The history of every robot of this daemon."""
+
+    robots: list[FleetHistoryView]
+
+
 class Pauses:
     """Gives the interpreter back to the loop, again and again, while a thread reads thousands of messages."""
 
@@ -94,12 +119,19 @@ class HistoryRoutes:
         """Every path of this file."""
         return [
             Route(
+                "/api/history",
+                self._all,
+                "Where every robot drove in its last minutes, and what happened to it; `?chosen=NAME`: of this robot"
+                " also its commands and its plots",
+                HistoriesView,
+            ),
+            Route(
                 "/api/robots/{name}/history",
                 self._history,
                 "Where a robot drove in its last minutes, its commands, its plots, and what happened to it",
                 HistoryView,
                 fails=(HTTPStatus.NOT_FOUND,),
-            )
+            ),
         ]
 
     async def _history(self, request: web.Request) -> web.Response:
@@ -111,13 +143,36 @@ class HistoryRoutes:
             body = await asyncio.to_thread(self._body, robot, *self._collect(robot))
         return reply_encoded(body)
 
+    async def _all(self, request: web.Request) -> web.StreamResponse:
+        """Send one robot after the other, so that neither memory nor the loop has to hold the whole fleet."""
+        chosen = request.query.get("chosen", "")
+        response = web.StreamResponse(headers={"Cache-Control": "no-store", "Content-Type": "application/json"})
+        response.enable_compression()
+        try:
+            await response.prepare(request)
+            before = b'{"robots":['
+            for robot in self._hub.robots.here():
+                async with self._turn:
+                    collected = self._collect(robot)
+                    body = await asyncio.to_thread(self._body, robot, *collected, is_chosen=robot.name == chosen)
+                async with asyncio.timeout(SEND_TIMEOUT_S):
+                    await response.write(b'%s{"name":%s,%s' % (before, msgspec.json.encode(robot.name), body[1:]))
+                before = b","
+            await response.write(b"]}" if before == b"," else before + b"]}")
+        except OSError:  # the reader has left, or reads nothing
+            if request.transport is not None:
+                request.transport.abort()
+        return response
+
     def _collect(self, robot: LocalRobot) -> tuple[list[Iterator[Entry]], Pose | None]:
         """In the loop's thread: what belongs together."""
         snapshot = robot.odometry.snapshot(asyncio.get_running_loop().time())
         return self._black_box.rings.copies(robot.name), None if snapshot is None else snapshot.pose
 
-    def _body(self, robot: LocalRobot, copies: list[Iterator[Entry]], present: Pose | None) -> bytes:
-        """In a thread: thousands of messages are read."""
+    def _body(
+        self, robot: LocalRobot, copies: list[Iterator[Entry]], present: Pose | None, *, is_chosen: bool = True
+    ) -> bytes:
+        """Read thousands of messages, in a thread. Without `is_chosen`, return only poses and events."""
         rest = Pauses()
         topics = robot.shown
         odometry = (topics.odometry, topics.odometry_type)
@@ -125,8 +180,17 @@ class HistoryRoutes:
         for entry in heapq.merge(*copies, key=lambda entry: entry.at_s):
             rest()
             history.add(entry)
+        estimator, now_s = robot.odometry.anew(), time.monotonic()
+        if is_chosen:
+            return encode_history(history_view(self._hub.catalog, history, estimator, present, now_s, rest), rest)
         return encode_history(
-            history_view(self._hub.catalog, history, robot.odometry.anew(), present, time.monotonic(), rest), rest
+            {
+                "poses": [_place_view(each, now_s) for each in history.poses(estimator, present, rest)],
+                "commands": [],
+                "plot_data": [],
+                "events": _messages(history.events(rest), now_s),
+            },
+            rest,
         )
 
 
@@ -150,7 +214,7 @@ def history_view(
     }
 
 
-def encode_history(view: HistoryView, rest: Rest) -> bytes:
+def encode_history(view: Mapping[str, object], rest: Rest) -> bytes:
     """As JSON, in pieces: the encoder keeps the interpreter for as long as it works."""
     fields: list[bytes] = []
     for name, items in view.items():
@@ -171,12 +235,16 @@ def _age(now_s: float, at_s: float) -> float:
 
 
 def _pose_view(past: PastPose, now_s: float) -> PastPoseView:
-    pose, twist = past.pose, past.twist
-    return {
-        "age_s": _age(now_s, past.at_s),
-        "pose": {"x_m": round(pose.x_m, 6), "y_m": round(pose.y_m, 6), "theta_rad": round(pose.theta_rad, 6)},
-        "twist": velocity_view(PlanarVelocity(*(round(component, 4) for component in twist))),
-    }
+    twist = velocity_view(PlanarVelocity(*(round(component, 4) for component in past.twist)))
+    return {"age_s": _age(now_s, past.at_s), "pose": _rounded_pose(past.pose), "twist": twist}
+
+
+def _place_view(past: PastPose, now_s: float) -> FleetPoseView:
+    return {"age_s": _age(now_s, past.at_s), "pose": _rounded_pose(past.pose)}
+
+
+def _rounded_pose(pose: Pose) -> PoseView:
+    return {"x_m": round(pose.x_m, 6), "y_m": round(pose.y_m, 6), "theta_rad": round(pose.theta_rad, 6)}
 
 
 def _command_view(twist: dict[str, Any]) -> VelocityView:

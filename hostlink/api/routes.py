@@ -169,6 +169,7 @@ REFUSAL_STATUS = {
     RefusalKind.LATE: HTTPStatus.CONFLICT,
     RefusalKind.CROWDED: HTTPStatus.TOO_MANY_REQUESTS,
 }
+COMPRESSED_BYTES = 4096  # of an answer; below it, compression saves no packet
 _KEPT_HEADERS = ("Allow", "WWW-Authenticate", "Retry-After")
 
 
@@ -178,13 +179,13 @@ def reply(body: Mapping[str, object], status: HTTPStatus = HTTPStatus.OK) -> web
 
 
 def reply_encoded(body: bytes, status: HTTPStatus = HTTPStatus.OK) -> web.Response:
-    """JSON that was made in a thread, for `reply`."""
-    return web.Response(
-        body=body,
-        status=status,
-        content_type="application/json",
-        headers={"Cache-Control": "no-store"},
+    """Answer with JSON that was made in a thread."""
+    answer = web.Response(
+        body=body, status=status, content_type="application/json", headers={"Cache-Control": "no-store"}
     )
+    if len(body) >= COMPRESSED_BYTES:
+        answer.enable_compression()  # if the client accepts it; a thread does it
+    return answer
 
 
 def refusal(kind: str, reason: str, status: HTTPStatus) -> web.Response:

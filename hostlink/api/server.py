@@ -75,7 +75,9 @@ async def page_file(request: web.Request) -> web.StreamResponse:
     if found is None:  # also for ..%2F..: a name is one of the folder's, not a way out of it
         raise web.HTTPNotFound
     kind, _ = mimetypes.guess_type(found.name)
-    return web.Response(body=found.read_bytes(), headers=PAGE_HEADERS | {"Content-Type": kind or "text/plain"})
+    answer = web.Response(body=found.read_bytes(), headers=PAGE_HEADERS | {"Content-Type": kind or "text/plain"})
+    answer.enable_compression()
+    return answer
 
 
 log = structlog.get_logger()
