@@ -10,8 +10,7 @@ from typing import NotRequired, TypedDict
 import msgspec
 from aiohttp import web
 
-from hostlink.api.replies import reply
-from hostlink.api.routes import Route
+from hostlink.api.routes import Route, reply
 from hostlink.errors import UnknownTopic
 from hostlink.hub.diagnoses import Diagnosis
 from hostlink.hub.hub import Hub

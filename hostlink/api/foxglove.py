@@ -4,42 +4,425 @@ https://github.com/foxglove/ws-protocol/blob/main/docs/spec.md
 """
 
 import asyncio
-from collections.abc import Callable, Coroutine, Iterable, Sequence
-from typing import Any, TypeVar, assert_never
+import contextlib
+import math
+import time
+from collections.abc import Callable, Coroutine, Iterable, Mapping, Sequence
+from typing import Any, NamedTuple, TypeVar, assert_never
 
+import msgspec
 import structlog
 
-from hostlink.api.foxglove_directory import Channel, ConnectionGraph, FoxgloveDirectory, Offers, Service
-from hostlink.api.foxglove_frames import ROS1, Published, ServiceCall, decode_frame
-from hostlink.api.foxglove_graph import NO_GRAPH, graph_update
-from hostlink.api.foxglove_parameters import FoxgloveParameters
-from hostlink.api.foxglove_requests import (
+from hostlink.api.clients import ClientQueue, Outgoing, put_json
+from hostlink.api.foxglove_directory import Channel, ConnectionGraph, FoxgloveDirectory, Names, Offers, Service
+from hostlink.api.foxglove_protocol import (
+    MAX_ITEMS,
+    ROS1,
     Advertise,
+    ClientChannel,
     GetParameters,
     JsonRequest,
+    ParameterSetting,
+    Published,
+    ServiceCall,
     SetParameters,
     Subscribe,
     Unadvertise,
     Unsubscribe,
     UnwatchGraph,
     UnwatchParameters,
+    WantedChannel,
     WatchGraph,
     WatchParameters,
+    decode_frame,
     decode_request,
+    encode_message,
+    encode_response,
+    encode_time,
 )
-from hostlink.api.foxglove_services import FoxgloveServices
-from hostlink.api.foxglove_subscriptions import FoxgloveSubscriptions
-from hostlink.api.foxglove_time import FoxgloveTime
-from hostlink.api.foxglove_topics import FoxgloveTopics
-from hostlink.api.inbox import Operation
-from hostlink.api.outgoing import ClientQueue, put_json
+from hostlink.api.inbox import Operation, velocity_of_payload
 from hostlink.api.parameters import Parameters
 from hostlink.api.rate_limit import REFUSED_VELOCITIES_S, RateLimit
-from hostlink.api.velocities import velocity_of_payload
-from hostlink.errors import BadRequest, HostlinkError
+from hostlink.config import ParameterValue
+from hostlink.errors import BadPayload, BadRequest, HostlinkError
+from hostlink.hub.byte_budget import Share
 from hostlink.hub.hub import Hub
+from hostlink.hub.message import Message
 from hostlink.hub.node import Role
-from hostlink.hub.participant import MAX_CALLS
+from hostlink.hub.participant import MAX_ADVERTISED, MAX_CALLS, Participant
+from hostlink.hub.subscription import Subscription
+from hostlink.hub.topic_graph import TopicGraph, resolve
+from hostlink.messages.catalog import CLOCK, CLOCK_TYPE, decode_clock
+from hostlink.messages.message_type import MessageType
+
+NO_GRAPH = ConnectionGraph({}, {}, {})
+
+
+def graph_update(before: ConnectionGraph, now: ConnectionGraph) -> dict[str, Any] | None:
+    """The JSON of the changes; None: there are none."""
+    topics_before = before.publishers.keys() | before.subscribers.keys()
+    removed = topics_before - now.publishers.keys() - now.subscribers.keys()
+    update = {
+        "publishedTopics": _changes(before.publishers, now.publishers, removed, "publisherIds"),
+        "subscribedTopics": _changes(before.subscribers, now.subscribers, removed, "subscriberIds"),
+        "advertisedServices": _changes(before.providers, now.providers, set(before.providers), "providerIds"),
+        "removedTopics": sorted(removed),
+        "removedServices": sorted(before.providers.keys() - now.providers.keys()),
+    }
+    return {"op": "connectionGraphUpdate", **update} if any(update.values()) else None
+
+
+def _changes(before: Names, now: Names, removed: set[str], ids: str) -> list[dict[str, Any]]:
+    """A name whose nodes are others; one without nodes that stays for another reason has none from now on."""
+    changed = [{"name": name, ids: nodes} for name, nodes in now.items() if before.get(name) != nodes]
+    return changed + [{"name": name, ids: []} for name in before if name not in now and name not in removed]
+
+
+INTERVAL_S = 0.1  # between two times while no message comes
+STEP_S = 0.005  # between two times before messages: the app takes the newest time for when a message arrived
+SLIGHT_NS = (
+    1_000_000_000  # back by less is not sent: the app takes a step back for a seek, and drops what it has not shown
+)
+_QUEUED_AS = ""  # is no topic's name
+
+
+class FoxgloveTime:
+    """Messages bear the same time, as the protocol demands; /clock holds while a program or device publishes it."""
+
+    def __init__(self, participant: Participant, topics: TopicGraph, queue: ClientQueue) -> None:
+        self._participant, self._topics, self._queue = participant, topics, queue
+        self._clock: Subscription | None = None
+        self._simulated_ns: int | None = None  # None: nothing came on /clock
+        self._sent_ns = 0
+        self._sent_s = 0.0
+        self._due_s = 0.0
+
+    def follow_graph(self) -> None:
+        """Subscribe to /clock while it is published."""
+        topic = self._topics.find_or_none(CLOCK)
+        is_published = topic is not None and bool(topic.publishers) and topic.type_name == CLOCK_TYPE
+        if is_published and self._clock is None:
+            with contextlib.suppress(BadRequest):  # it has as many subscriptions as it may have: the time stays ours
+                self._clock = self._participant.subscribe(CLOCK, self._receive, type_name=CLOCK_TYPE)
+        elif not is_published and self._clock is not None:
+            self._clock.close()
+            self._clock = self._simulated_ns = None
+
+    def outgoing(self, message: Message, subscription_id: int) -> Outgoing:
+        """A message with its time, which leaves before it where the client's newest is older."""
+        stamp_ns = message.stamp_ns if self._simulated_ns is None else self._simulated_ns
+        before = self._next(stamp_ns, message.at_s) if self._is_due(stamp_ns, message.at_s) else b""
+        return Outgoing(encode_message(subscription_id, stamp_ns, message.payload), is_binary=True, before=before)
+
+    def flush(self, now_s: float) -> float:
+        """Send the time if it is due, unless the client has yet to read; returns when the next is."""
+        if now_s >= self._due_s:
+            self._put(time.time_ns() if self._simulated_ns is None else self._simulated_ns, now_s)
+            self._due_s = now_s + INTERVAL_S
+        return self._due_s
+
+    def _receive(self, message: Message) -> None:
+        now_ns = decode_clock(message.payload)
+        if now_ns is not None:
+            self._simulated_ns = now_ns
+            if self._is_due(now_ns, message.at_s):
+                self._put(now_ns, message.at_s)
+
+    def _is_due(self, stamp_ns: int, at_s: float) -> bool:
+        return at_s >= self._sent_s + STEP_S or abs(stamp_ns - self._sent_ns) >= SLIGHT_NS
+
+    def _put(self, stamp_ns: int, now_s: float) -> None:
+        if self._queue.waiting_messages == 0 or not self._sent_ns:
+            frame = self._next(stamp_ns, now_s)
+            if frame:
+                self._queue.put_message(_QUEUED_AS, Outgoing(frame, is_binary=True))
+
+    def _next(self, stamp_ns: int, now_s: float) -> bytes:
+        """The time as a frame; empty if it is not to be sent."""
+        if stamp_ns == self._sent_ns or 0 < self._sent_ns - stamp_ns < SLIGHT_NS:
+            return b""
+        self._sent_ns, self._sent_s = stamp_ns, now_s
+        self._due_s = now_s + INTERVAL_S
+        return encode_time(stamp_ns)
+
+
+class _Advertised(NamedTuple):
+    """A channel of the client's."""
+
+    topic: str
+    type_name: str
+
+
+class FoxgloveTopics:
+    """By the ids that the client chose; several may share a topic, which is taken back with the last."""
+
+    def __init__(self, participant: Participant) -> None:
+        self._participant = participant
+        self._channels: dict[int, _Advertised] = {}
+
+    def advertise(self, channel: ClientChannel) -> None:
+        """Note a channel.
+
+        Raises:
+            BadRequest: the id is in use, the encoding is another, nobody knows the type, or there are too many.
+            WrongType: the topic is in use with another type.
+        """
+        if channel.id in self._channels:
+            raise BadRequest(f"advertise: the id {channel.id} is in use")
+        if channel.encoding != ROS1:
+            raise BadRequest(f"advertise: {channel.topic} must be of the encoding {ROS1}, not {channel.encoding!r}")
+        if len(self._channels) >= MAX_ADVERTISED:
+            raise BadRequest(f"more than {MAX_ADVERTISED} channels advertised")
+        self._participant.advertise(channel.topic, channel.schema_name)
+        self._channels[channel.id] = _Advertised(resolve(channel.topic), channel.schema_name)
+
+    def unadvertise(self, number: int) -> None:
+        """Take back a channel; one that is not there is no error."""
+        gone = self._channels.pop(number, None)
+        if gone is not None and all(other.topic != gone.topic for other in self._channels.values()):
+            self._participant.unadvertise(gone.topic)
+
+    def find(self, number: int) -> str | None:
+        """The topic of the channel of this id, if it is advertised."""
+        return self._channels[number].topic if number in self._channels else None
+
+    def topic(self, number: int) -> str:
+        """Of the channel of this id.
+
+        Raises:
+            BadRequest: it is not advertised.
+        """
+        if number not in self._channels:
+            raise BadRequest(f"publish: the channel {number} is not advertised")
+        return self._channels[number].topic
+
+    def publish(self, published: Published, came_s: float) -> None:
+        """Send a payload that is exactly one message and came then; a velocity drives the robot.
+
+        Raises:
+            BadRequest: the channel is not advertised, or as Participant.publish.
+            BadPayload: the payload is not one message of the type; a device would read beyond its end.
+            HostlinkError: as Participant.publish.
+        """
+        topic = self.topic(published.channel_id)
+        type_name = self._channels[published.channel_id].type_name
+        _check(self._participant.message_type(topic, type_name), published.payload)
+        self._participant.publish(topic, published.payload, at_s=came_s)
+
+
+def _check(type_: MessageType, payload: bytes) -> None:
+    if type_.fixed_bytes is None:
+        type_.decode(payload)
+    elif len(payload) != type_.fixed_bytes:
+        raise BadPayload(type_.name, f"{len(payload)} bytes instead of {type_.fixed_bytes}")
+
+
+class FoxgloveSubscriptions:
+    """By the ids that the client chose, one for each channel; the payloads pass as they are."""
+
+    def __init__(self, participant: Participant, queue: ClientQueue, time: FoxgloveTime) -> None:
+        self._participant, self._queue, self._time = participant, queue, time
+        self._subscriptions: dict[int, tuple[Channel, Subscription]] = {}
+        self._of_channel: dict[int, int] = {}  # channel -> subscription
+
+    def subscribe(self, wanted: WantedChannel, channel: Channel | None) -> None:
+        """Send the messages of a channel from now on, the latched one first.
+
+        Raises:
+            BadRequest: there is no such channel, it or the id is in use, or there are too many subscriptions.
+            WrongType: the topic has another type by now.
+        """
+        if channel is None:
+            raise BadRequest(f"subscribe: there is no channel {wanted.channel_id}")
+        if wanted.id in self._subscriptions:
+            raise BadRequest(f"subscribe: the id {wanted.id} is in use")
+        if channel.id in self._of_channel:
+            raise BadRequest(f"subscribe: {channel.topic} is subscribed already")
+
+        def receive(message: Message) -> None:
+            if message.type is channel.type:
+                self._queue.put_message(channel.topic, self._time.outgoing(message, wanted.id), message.at_s)
+
+        subscription = self._participant.subscribe(channel.topic, receive, type_name=channel.type.name)
+        self._subscriptions[wanted.id] = (channel, subscription)
+        self._of_channel[channel.id] = wanted.id
+
+    def unsubscribe(self, number: int) -> None:
+        """Send no more of it; an id that is not there is no error."""
+        channel, subscription = self._subscriptions.pop(number, (None, None))
+        if channel is not None and subscription is not None:
+            del self._of_channel[channel.id]
+            self._queue.forget(channel.topic)
+            subscription.close()
+
+    def remove_channels(self, channel_ids: Iterable[int]) -> None:
+        """The channels are no more."""
+        for number in [self._of_channel[each] for each in channel_ids if each in self._of_channel]:
+            self.unsubscribe(number)
+
+
+class FoxgloveServices:
+    """Request and response are serialised as ROS 1 has them. A call that fails is answered with the reason."""
+
+    def __init__(
+        self,
+        participant: Participant,
+        queue: ClientQueue,
+        spawn: Callable[[Coroutine[Any, Any, None]], object],
+        share: Share,
+    ) -> None:
+        """`spawn` runs a call as a child of the client's connection; `share`: of the calls of all clients together."""
+        self.calls = 0
+        self._share = share
+        self._participant, self._queue, self._spawn = participant, queue, spawn
+
+    def call(self, call: ServiceCall, service: Service | None) -> None:
+        """Call a service, and send its response when it comes."""
+        if self.calls >= MAX_CALLS:
+            self._fail(call, f"more than {MAX_CALLS} calls under way")
+        elif service is None:
+            self._fail(call, f"there is no service {call.service_id}")
+        elif call.encoding != ROS1:
+            self._fail(call, f"{service.name}: a request must be of the encoding {ROS1}, not {call.encoding[:64]!r}")
+        else:
+            self.calls += 1
+            self._spawn(self._finish(call, service))
+
+    async def _finish(self, call: ServiceCall, service: Service) -> None:
+        try:
+            with self._share.holding(len(call.payload), "calls that are under way"):
+                response = await self._participant.call(service.name, _decode(call, service))
+            payload = service.type.response.encode(response)
+            self._queue.put_result(Outgoing(encode_response(call._replace(payload=payload)), is_binary=True))
+        except HostlinkError as error:
+            self._fail(call, str(error))
+        finally:
+            self.calls -= 1
+
+    def _fail(self, call: ServiceCall, reason: str) -> None:
+        failure = {"op": "serviceCallFailure", "serviceId": call.service_id, "callId": call.call_id}
+        put_json(self._queue, failure | {"message": reason})
+
+
+def _decode(call: ServiceCall, service: Service) -> dict[str, object]:
+    """The request's fields.
+
+    Raises:
+        BadRequest: the payload is not exactly one request.
+    """
+    try:
+        return service.type.request.decode(call.payload)
+    except HostlinkError as error:
+        raise BadRequest(f"{service.name}: {error}") from None
+
+
+CHECK_INTERVAL_S = 0.5  # at which watched parameters are compared, whoever changed them
+
+
+class FoxgloveParameters:
+    """Names are full ones. A float is marked as one, because JSON in a browser does not keep it."""
+
+    def __init__(self, parameters: Parameters, queue: ClientQueue, share: Share) -> None:
+        """`share`: of the names that all clients watch."""
+        self._parameters, self._queue, self._share = parameters, queue, share
+        self._watched: dict[str, ParameterValue | None] = {}  # what was sent last; None: there is none
+        self._due_s = 0.0
+
+    def send(self, names: list[str], request_id: str | None) -> None:
+        """Send these, as far as they are there; without a name all."""
+        values = self._parameters.values()
+        known = {name: values[name] for name in map(resolve, names) if name in values} if names else values
+        self._put(known, request_id)
+
+    def set(self, setting: ParameterSetting) -> None:
+        """Set one, or remove it.
+
+        Raises:
+            BadRequest, WrongType: no device could be answered with the value.
+            UnknownTopic: it is to be removed, and is not there.
+        """
+        if setting.value is msgspec.UNSET:
+            self._parameters.delete(setting.name)
+        else:
+            self._parameters.put(setting.name, msgspec.json.encode(_value(setting)).decode())
+
+    def watch(self, names: list[str]) -> None:
+        """Send these whenever they change; without a name all that there are.
+
+        Raises:
+            BadRequest: they are too many.
+        """
+        values = self._parameters.values()
+        wanted = list(map(resolve, names)) or list(values)
+        if len(self._watched.keys() | set(wanted)) > MAX_ITEMS:
+            raise BadRequest(f"more than {MAX_ITEMS} parameters watched")
+        more_bytes = sum(map(_size, set(wanted) - self._watched.keys()))
+        if not self._share.take(more_bytes):
+            raise BadRequest(f"the names that all clients watch have more than {self._share.max_bytes} bytes")
+        self._watched = {name: values.get(name) for name in wanted} | self._watched
+
+    def unwatch(self, names: list[str]) -> None:
+        """Send them no more; without a name none."""
+        for name in map(resolve, names or list(self._watched)):
+            if name in self._watched:
+                del self._watched[name]
+                self._share.give(_size(name))
+
+    def flush(self, now_s: float) -> float | None:
+        """Send what has changed; returns when to compare again."""
+        if not self._watched:
+            return None
+        if now_s >= self._due_s:
+            self._due_s = now_s + CHECK_INTERVAL_S
+            self._send_changes()
+        return self._due_s
+
+    def _send_changes(self) -> None:
+        values = self._parameters.values()
+        changed = {name: values.get(name) for name, before in self._watched.items() if values.get(name) != before}
+        if changed:
+            self._watched |= changed
+            self._put(changed, None)
+
+    def _put(self, values: Mapping[str, ParameterValue | None], request_id: str | None) -> None:
+        answer = {"op": "parameterValues", "parameters": [_view(*each) for each in values.items()]}
+        put_json(self._queue, answer | ({} if request_id is None else {"id": request_id}))
+
+
+def _size(name: str) -> int:
+    return len(name.encode("utf-8", "surrogatepass"))
+
+
+def _view(name: str, value: ParameterValue | None) -> dict[str, Any]:
+    view: dict[str, Any] = {"name": name}
+    if value is not None:
+        view["value"] = value
+    if isinstance(value, float):
+        view["type"] = "float64"
+    elif isinstance(value, list) and any(isinstance(item, float) for item in value):
+        view["type"] = "float64_array"
+    return view
+
+
+def _value(setting: ParameterSetting) -> object:
+    """As its type has it.
+
+    Raises:
+        BadRequest: the type is not offered, or the value is none of it.
+    """
+    if setting.type is None:
+        return setting.value
+    if setting.type not in ("float64", "float64_array"):
+        raise BadRequest(f"parameter {setting.name}: the type {setting.type!r} is not offered")
+    is_array = setting.type == "float64_array"
+    try:
+        floats = msgspec.convert(setting.value if is_array else [setting.value], list[float])
+    except (msgspec.ValidationError, OverflowError) as error:
+        raise BadRequest(f"parameter {setting.name}: {error}") from None
+    if not all(map(math.isfinite, floats)):
+        raise BadRequest(f"parameter {setting.name}: must be finite")
+    return floats if is_array else floats[0]
+
 
 log = structlog.get_logger()
 
@@ -128,11 +511,10 @@ class FoxgloveClient:
             due_s.append(self._send_changes(now_s))
         return min((at_s for at_s in due_s if at_s is not None), default=None)
 
-    async def settle(self) -> None:
-        """Wait until answers have room: a client that does not read them is not read from."""
-        if self._services.calls > MAX_CALLS // 2:
-            await asyncio.sleep(0)  # many calls came in one read, and most are answered at once
-        await self._queue.room()
+    @property
+    def is_crowded(self) -> bool:
+        """Whether many calls are under way."""
+        return self._services.calls > MAX_CALLS // 2
 
     def close(self) -> None:
         """The client has left: all that it has goes with it."""

@@ -12,8 +12,8 @@ from typing import NamedTuple, TypeVar
 
 import msgspec
 
-from hostlink.api.foxglove_frames import ROS1, ROS1_SCHEMA
-from hostlink.api.node_names import node_name, receivers
+from hostlink.api.foxglove_protocol import ROS1, ROS1_SCHEMA
+from hostlink.api.views import node_name, receivers
 from hostlink.hub.graph_view import Graph
 from hostlink.hub.hub import Hub
 from hostlink.messages.message_type import MessageType, ServiceType

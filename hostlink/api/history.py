@@ -1,26 +1,35 @@
-"""What happened to a robot over REST: where it drove, what was commanded, what its plots and its log showed.
+"""What happened to a robot, over REST: its last minutes, and the minutes around an incident.
 
-The last minutes of a robot, and those around an incident, are one JSON: ages count back from now, or from the incident.
+Ages count back from now, or from the incident.
 """
 
 import asyncio
 import heapq
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from http import HTTPStatus
-from typing import Any, TypedDict, cast
+from pathlib import Path
+from typing import Annotated, Any, NotRequired, TypedDict, cast
 
 import msgspec
 from aiohttp import web
 
-from hostlink.api.replies import reply, reply_encoded
-from hostlink.api.routes import Route
+from hostlink.api.recordings import send_file
+from hostlink.api.rest import decode_body
+from hostlink.api.routes import BODY, FILE, Route, reply, reply_encoded
 from hostlink.api.views import PoseView, VelocityView, velocity_view
+from hostlink.errors import RecordingFailed, UnknownTopic
 from hostlink.hub.hub import Hub
+from hostlink.hub.node import Role
 from hostlink.hub.robot import LocalRobot
 from hostlink.messages.catalog import Catalog
-from hostlink.recording.black_box import BlackBox
+from hostlink.recording.black_box import MAX_DETAIL, BlackBox
+from hostlink.recording.channel import NS_PER_S
+from hostlink.recording.folder import StoredFile
 from hostlink.recording.history import PastPose, Rest, RobotHistory
+from hostlink.recording.incident import Incident, IncidentFiles, SavedIncident, read_incident
+from hostlink.recording.reader import Reader
 from hostlink.recording.ring import Entry
 from hostlink.robot.kinematics import Pose
 from hostlink.robot.odometry import OdometryEstimator
@@ -28,6 +37,7 @@ from hostlink.robot.velocity import TWIST_TYPE, PlanarVelocity, Twist
 
 WORK_S = 0.0005  # of a thread that reads, before the loop has the interpreter for REST_S
 REST_S = 0.001
+SEND_TIMEOUT_S = 5.0  # a reader whose socket accepts nothing for that time is gone
 PIECE = 100  # of a list, encoded at once: some 0.1 ms
 
 
@@ -62,6 +72,30 @@ class HistoryView(TypedDict):
     events: list[PastMessageView]
 
 
+class FleetPoseView(TypedDict):
+    """Where a robot of the fleet was, how long ago; of the chosen one also how it moved."""
+
+    age_s: float
+    pose: PoseView
+    twist: NotRequired[VelocityView]
+
+
+class FleetHistoryView(TypedDict):
+    """The history of one of several robots. `commands` and `plot_data` are empty unless it is the chosen one."""
+
+    name: str
+    poses: list[FleetPoseView]
+    commands: list[PastCommandView]
+    plot_data: list[PastMessageView]
+    events: list[PastMessageView]
+
+
+class HistoriesView(TypedDict):
+    """The history of every robot of this daemon."""
+
+    robots: list[FleetHistoryView]
+
+
 class Pauses:
     """Gives the interpreter back to the loop, again and again, while a thread reads thousands of messages."""
 
@@ -85,12 +119,19 @@ class HistoryRoutes:
         """Every path of this file."""
         return [
             Route(
+                "/api/history",
+                self._all,
+                "Where every robot drove in its last minutes, and what happened to it; `?chosen=NAME`: of this robot"
+                " also its commands and its plots",
+                HistoriesView,
+            ),
+            Route(
                 "/api/robots/{name}/history",
                 self._history,
                 "Where a robot drove in its last minutes, its commands, its plots, and what happened to it",
                 HistoryView,
                 fails=(HTTPStatus.NOT_FOUND,),
-            )
+            ),
         ]
 
     async def _history(self, request: web.Request) -> web.Response:
@@ -102,13 +143,36 @@ class HistoryRoutes:
             body = await asyncio.to_thread(self._body, robot, *self._collect(robot))
         return reply_encoded(body)
 
+    async def _all(self, request: web.Request) -> web.StreamResponse:
+        """Send one robot after the other, so that neither memory nor the loop has to hold the whole fleet."""
+        chosen = request.query.get("chosen", "")
+        response = web.StreamResponse(headers={"Cache-Control": "no-store", "Content-Type": "application/json"})
+        response.enable_compression()
+        try:
+            await response.prepare(request)
+            before = b'{"robots":['
+            for robot in self._hub.robots.here():
+                async with self._turn:
+                    collected = self._collect(robot)
+                    body = await asyncio.to_thread(self._body, robot, *collected, is_chosen=robot.name == chosen)
+                async with asyncio.timeout(SEND_TIMEOUT_S):
+                    await response.write(b'%s{"name":%s,%s' % (before, msgspec.json.encode(robot.name), body[1:]))
+                before = b","
+            await response.write(b"]}" if before == b"," else before + b"]}")
+        except OSError:  # the reader has left, or reads nothing
+            if request.transport is not None:
+                request.transport.abort()
+        return response
+
     def _collect(self, robot: LocalRobot) -> tuple[list[Iterator[Entry]], Pose | None]:
         """In the loop's thread: what belongs together."""
         snapshot = robot.odometry.snapshot(asyncio.get_running_loop().time())
         return self._black_box.rings.copies(robot.name), None if snapshot is None else snapshot.pose
 
-    def _body(self, robot: LocalRobot, copies: list[Iterator[Entry]], present: Pose | None) -> bytes:
-        """In a thread: thousands of messages are read."""
+    def _body(
+        self, robot: LocalRobot, copies: list[Iterator[Entry]], present: Pose | None, *, is_chosen: bool = True
+    ) -> bytes:
+        """Read thousands of messages, in a thread. Without `is_chosen`, return only poses and events."""
         rest = Pauses()
         topics = robot.shown
         odometry = (topics.odometry, topics.odometry_type)
@@ -116,8 +180,17 @@ class HistoryRoutes:
         for entry in heapq.merge(*copies, key=lambda entry: entry.at_s):
             rest()
             history.add(entry)
+        estimator, now_s = robot.odometry.anew(), time.monotonic()
+        if is_chosen:
+            return encode_history(history_view(self._hub.catalog, history, estimator, present, now_s, rest), rest)
         return encode_history(
-            history_view(self._hub.catalog, history, robot.odometry.anew(), present, time.monotonic(), rest), rest
+            {
+                "poses": [_place_view(each, now_s) for each in history.poses(estimator, present, rest)],
+                "commands": [],
+                "plot_data": [],
+                "events": _messages(history.events(rest), now_s),
+            },
+            rest,
         )
 
 
@@ -141,7 +214,7 @@ def history_view(
     }
 
 
-def encode_history(view: HistoryView, rest: Rest) -> bytes:
+def encode_history(view: Mapping[str, object], rest: Rest) -> bytes:
     """As JSON, in pieces: the encoder keeps the interpreter for as long as it works."""
     fields: list[bytes] = []
     for name, items in view.items():
@@ -162,13 +235,170 @@ def _age(now_s: float, at_s: float) -> float:
 
 
 def _pose_view(past: PastPose, now_s: float) -> PastPoseView:
-    pose, twist = past.pose, past.twist
-    return {
-        "age_s": _age(now_s, past.at_s),
-        "pose": {"x_m": round(pose.x_m, 6), "y_m": round(pose.y_m, 6), "theta_rad": round(pose.theta_rad, 6)},
-        "twist": velocity_view(PlanarVelocity(*(round(component, 4) for component in twist))),
-    }
+    twist = velocity_view(PlanarVelocity(*(round(component, 4) for component in past.twist)))
+    return {"age_s": _age(now_s, past.at_s), "pose": _rounded_pose(past.pose), "twist": twist}
+
+
+def _place_view(past: PastPose, now_s: float) -> FleetPoseView:
+    return {"age_s": _age(now_s, past.at_s), "pose": _rounded_pose(past.pose)}
+
+
+def _rounded_pose(pose: Pose) -> PoseView:
+    return {"x_m": round(pose.x_m, 6), "y_m": round(pose.y_m, 6), "theta_rad": round(pose.theta_rad, 6)}
 
 
 def _command_view(twist: dict[str, Any]) -> VelocityView:
     return velocity_view(Twist.from_fields(twist).planar)
+
+
+NEVER_NS = 2**64
+
+
+class IncidentRequest(msgspec.Struct, forbid_unknown_fields=True):
+    """The body of POST incidents."""
+
+    robot: str
+    reason: Annotated[str, msgspec.Meta(max_length=MAX_DETAIL)] = ""
+
+
+class IncidentView(TypedDict):
+    """What happened. `file` is empty while the half minute after it lasts."""
+
+    robot: str
+    cause: str
+    detail: str
+    at: str
+    file: str
+    bytes: int
+
+
+class IncidentsView(TypedDict):
+    """The newest first; how many could not be saved; where they are on the daemon's computer."""
+
+    incidents: list[IncidentView]
+    missed: int
+    folder: str
+
+
+class IncidentHistoryView(IncidentView):
+    """What is in its file: ages count back from the incident, so that what came after it has one below zero."""
+
+    history: HistoryView
+    damage: list[str]
+
+
+class IncidentRoutes:
+    """The handlers."""
+
+    def __init__(self, black_box: BlackBox, catalog: Catalog, turn: asyncio.Semaphore) -> None:
+        """`turn`: one history is made at a time, of a robot or of an incident."""
+        self._black_box, self._catalog, self._turn = black_box, catalog, turn
+        self._files = IncidentFiles(black_box.folder)
+
+    def routes(self) -> list[Route]:
+        """Every path of this file."""
+        not_found = HTTPStatus.NOT_FOUND
+        return [
+            Route("/api/incidents", self._all, "What happened to robots, the newest first", IncidentsView),
+            Route(
+                "/api/incidents",
+                self._save,
+                "Save a robot's last minutes, and the half minute to come",
+                IncidentView,
+                method="POST",
+                request=IncidentRequest,
+                role=Role.DRIVE,
+                fails=(
+                    HTTPStatus.BAD_REQUEST,
+                    not_found,
+                    HTTPStatus.CONFLICT,
+                    HTTPStatus.REQUEST_ENTITY_TOO_LARGE,
+                ),
+            ),
+            Route(
+                "/api/incidents/{name}",
+                self._file,
+                "The MCAP file of an incident",
+                None,
+                media_type=FILE,
+                fails=(not_found,),
+            ),
+            Route(
+                "/api/incidents/{name}/history",
+                self._history,
+                "Where the robot drove around an incident, its commands, its plots, and what happened",
+                IncidentHistoryView,
+                fails=(not_found,),
+            ),
+        ]
+
+    async def _all(self, _: web.Request) -> web.Response:
+        box = self._black_box
+        pending = [_view(incident) for incident in reversed(box.pending)]
+        saved = await asyncio.to_thread(self._files.newest_first)
+        views = [*pending, *map(_saved_view, saved)]
+        return reply({"incidents": views, "missed": box.missed, "folder": str(box.folder.path)})
+
+    async def _save(self, request: web.Request) -> web.Response:
+        body = decode_body(request[BODY], IncidentRequest, '{"robot": a name, "reason": a text}')
+        return reply(_view(self._black_box.save(body.robot, body.reason)))
+
+    async def _file(self, request: web.Request) -> web.StreamResponse:
+        return send_file(await self._find(request))
+
+    async def _history(self, request: web.Request) -> web.Response:
+        path = await self._find(request)
+        async with self._turn:
+            body = await asyncio.to_thread(stored_history, self._catalog, path)
+        if body is None:  # it says nothing of itself, or was removed meanwhile
+            raise UnknownTopic("incident", path.name)
+        return reply_encoded(body)
+
+    async def _find(self, request: web.Request) -> Path:
+        name = request.match_info["name"]
+        path = await asyncio.to_thread(self._black_box.folder.find, name)
+        if path is None:
+            raise UnknownTopic("incident", name)
+        return path
+
+
+def _view(incident: Incident) -> IncidentView:
+    at = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(incident.stamp_ns // 1_000_000_000))
+    return {
+        "robot": incident.robot,
+        "cause": incident.cause,
+        "detail": incident.detail,
+        "at": at,
+        "file": "",
+        "bytes": 0,
+    }
+
+
+def _saved_view(saved: SavedIncident) -> IncidentView:
+    return {**_view(saved.incident), "file": saved.file.name, "bytes": saved.file.size_bytes}
+
+
+def stored_history(catalog: Catalog, path: Path) -> bytes | None:
+    """The IncidentHistoryView of a file, as JSON. In a thread. None: it is not an incident's.
+
+    Of the file, the chunks are read that have what is shown, and of that a bounded part is decoded.
+    """
+    with suppress(RecordingFailed, OSError):
+        incident = read_incident(path)
+        if incident is None:
+            return None
+        rest, reader, history = Pauses(), Reader(path), RobotHistory(incident.robot)
+        zero_ns, nearest_ns = incident.stamp_ns, NEVER_NS
+        for message in reader.messages(history.is_wanted):
+            rest()
+            at_s = (message.steady_ns - incident.stamp_ns) / NS_PER_S
+            history.add(Entry(message.channel, message.stamp_ns, message.payload, at_s))
+            apart_ns = incident.stamp_ns - message.stamp_ns
+            if not reader.has_steady_times and abs(apart_ns) < nearest_ns:  # then the clock may have been set before
+                zero_ns, nearest_ns = message.steady_ns + apart_ns, abs(apart_ns)
+        view = _saved_view(SavedIncident(incident, StoredFile(path.name, reader.size_bytes, 0.0, is_open=False)))
+        zero_s = (zero_ns - incident.stamp_ns) / NS_PER_S
+        shown = encode_history(history_view(catalog, history, OdometryEstimator(), None, zero_s, rest), rest)
+        head = msgspec.json.encode({**view, "damage": reader.damage})
+        return b'%s,"history":%s}' % (head[:-1], shown)
+    return None

@@ -1,11 +1,79 @@
 """Inbox: what a client has sent and the daemon has not done yet; of velocities for one robot the newest alone."""
 
-import asyncio
-import contextlib
+import base64
+import binascii
 from collections import deque
-from collections.abc import Callable, Hashable, Iterator
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field
-from typing import Generic, Protocol, TypeVar
+from typing import Any, Generic, Protocol, TypeVar
+
+from hostlink.api.rosbridge_request import Request
+from hostlink.errors import BadPayload
+from hostlink.hub.topic_graph import TopicGraph
+from hostlink.robot.velocity import Twist
+
+_NONE = (None, False)  # no velocity, or one that is wrong: that is refused, and not replaced
+
+
+def velocity_of_request(request: Request, topics: TopicGraph) -> tuple[Hashable, bool]:
+    """What an operation of rosbridge drives, with its priority (None: nothing), and whether it is a zero."""
+    fields = request.fields
+    priority = fields.get("priority")
+    if not isinstance(priority, int | None):
+        return _NONE
+    if request.op == "drive":
+        robot, velocity = fields.get("robot"), (fields.get("linear"), fields.get("angular"), fields.get("linear_y", 0))
+        if not (isinstance(robot, str) and all(map(_is_number, velocity))):
+            return _NONE
+        return ("drive", robot, priority), not any(velocity)
+    name = fields.get("topic")
+    topic = topics.find_or_none(name) if request.op == "publish" and isinstance(name, str) else None
+    if topic is None or not topic.is_gated:
+        return _NONE
+    is_zero = _is_zero_message(fields)
+    return _NONE if is_zero is None else (("publish", topic.name, priority), is_zero)
+
+
+def velocity_of_payload(topic_name: str, payload: bytes, topics: TopicGraph) -> tuple[Hashable, bool]:
+    """The same of a serialised message."""
+    topic = topics.find_or_none(topic_name)
+    is_zero = _is_zero_payload(payload) if topic is not None and topic.is_gated else None
+    return _NONE if is_zero is None else (("publish", topic_name), is_zero)
+
+
+def _is_zero_message(fields: dict[str, Any]) -> bool | None:
+    """Of a Twist or a TwistStamped, as JSON or, in base64, as bytes; None: it is neither."""
+    raw, message = fields.get("raw"), fields.get("msg")
+    if raw is not None:
+        try:
+            return _is_zero_payload(base64.b64decode(raw, validate=True))
+        except (TypeError, ValueError, binascii.Error):
+            return None
+    if not isinstance(message, dict):
+        return None
+    twist = message.get("twist", message)
+    if not isinstance(twist, dict):
+        return None
+    numbers: list[Any] = []
+    for name in ("linear", "angular"):
+        vector = twist.get(name, {})
+        if not isinstance(vector, dict):
+            return None
+        numbers += vector.values()
+    return not any(numbers) if all(map(_is_number, numbers)) else None
+
+
+def _is_zero_payload(payload: bytes) -> bool | None:
+    """Of a serialised Twist; of a TwistStamped the Twist is its end."""
+    try:
+        return Twist.decode(payload[-len(Twist().encode()) :]).is_zero
+    except BadPayload:
+        return None
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
 
 MANY = 64  # messages that one who drives may send while the daemon is busy: more than a second's worth at 50 Hz
 MAX_MESSAGES = 256  # that wait here; more wait in the socket
@@ -47,42 +115,29 @@ class Inbox(Generic[Content]):
         self._operations: dict[int, Operation[Content]] = {}  # by number, in their order
         self._velocities: dict[Hashable, int] = {}  # the numbers of those that may be replaced
         self._last_number = 0
-        self._is_flooding = False
-        self._is_behind = False  # messages were there before they were waited for
+        self.is_flooding = False  # too many have waited: they are done after the others' turns, until none is left
+        self.has_room = True  # otherwise the rest waits in the socket
+        self.is_behind = False  # the next message was there before it was waited for
         self._came_s: float | None = None  # of the newest message; None: there was none
-        self._news, self._room, self._idle = asyncio.Event(), asyncio.Event(), asyncio.Event()
-        self._room.set()
-        self._idle.set()
 
     def __len__(self) -> int:
         return len(self._messages) + len(self._operations)
 
-    @property
-    def is_flooding(self) -> bool:
-        """Whether too many have waited: they are done when the others have had their turn, until none is left."""
-        return self._is_flooding
-
-    @contextlib.contextmanager
-    def receiving(self) -> Iterator[None]:
-        """The next message is received in the block, which waits for it unless it is there already."""
-        self._is_behind = True
-        waiting = asyncio.get_running_loop().call_soon(self._note_wait)
-        try:
-            yield
-        finally:
-            waiting.cancel()
-
     def put(self, data: str | bytes, came_s: float) -> None:
         """A message came; one that was there before it was waited for may be as old as the one before it."""
-        if self._came_s is None or not self._is_behind:
+        if self._came_s is None or not self.is_behind:
             self._came_s = came_s
         self._messages.append((data, self._came_s))
         self._bytes += len(data)
-        self._is_flooding = self._is_flooding or len(self) > MANY
-        self._idle.clear()
-        self._news.set()
-        if len(self) > MAX_MESSAGES or self._bytes > MAX_BYTES:
-            self._room.clear()
+        waiting = len(self._messages) + len(self._operations)
+        if waiting > MANY:
+            self.is_flooding = True
+        if waiting > MAX_MESSAGES or self._bytes > MAX_BYTES:
+            self.has_room = False
+
+    def note_wait(self) -> None:
+        """The next message is not there yet."""
+        self.is_behind = False
 
     def work(self) -> None:
         """Decode all that has come, and do what is next."""
@@ -91,31 +146,15 @@ class Inbox(Generic[Content]):
             self._add(self._program.read(data, came_s))
         number = next(iter(self._operations))
         operation = self._operations.pop(number)
-        if self._velocities.get(operation.velocity_of) == number:
+        if operation.velocity_of is not None and self._velocities.get(operation.velocity_of) == number:
             del self._velocities[operation.velocity_of]
-        self._program.do(operation)
-        if not self._operations:
-            self._bytes, self._is_flooding = 0, False
-            self._news.clear()
-            self._idle.set()
-        if len(self._operations) <= MAX_MESSAGES // 2 and (not self._operations or self._bytes <= MAX_BYTES):
-            self._room.set()
-
-    async def wait(self) -> None:
-        """Wait until there is something to do."""
-        await self._news.wait()
-
-    async def room(self) -> None:
-        """Wait while too much is here: then the rest waits in the socket."""
-        await self._room.wait()
-
-    async def idle(self) -> None:
-        """Wait until all is done."""
-        await self._idle.wait()
-
-    def _note_wait(self) -> None:
-        """The loop goes on: the next message is not there."""
-        self._is_behind = False
+        try:
+            self._program.do(operation)
+        finally:
+            if not self._operations:
+                self._bytes, self.is_flooding = 0, False
+            if len(self._operations) <= MAX_MESSAGES // 2 and (not self._operations or self._bytes <= MAX_BYTES):
+                self.has_room = True
 
     def _add(self, new: Operation[Content]) -> None:
         self._last_number += 1

@@ -13,6 +13,20 @@ class _Bucket(NamedTuple):
     at_s: float
 
 
+class Bucket:
+    """The token bucket of one client whose messages are counted, and not refused one by one."""
+
+    def __init__(self, per_s: float, now_s: float) -> None:
+        self._per_s, self._left, self._at_s = per_s, per_s, now_s
+
+    def debt_s(self, now_s: float) -> float:
+        """Count a message. Return how long the client must be silent to be within the rate."""
+        left = self._left + (now_s - self._at_s) * self._per_s
+        self._at_s = now_s
+        self._left = (left if left < self._per_s else self._per_s) - 1
+        return -self._left / self._per_s if self._left < 0 else 0.0
+
+
 class RateLimit:
     """At most `per_s` a second in the long run, and a second's worth at once."""
 
@@ -28,16 +42,6 @@ class RateLimit:
         self._keep(key, _Bucket(left - is_right, now_s))
         self.refused += not is_right
         return is_right
-
-    def debt_s(self, key: Hashable, now_s: float) -> float:
-        """Count a message that `key` has sent; returns how long it must be silent to be within the rate."""
-        left = self._left(key, now_s) - 1
-        self._keep(key, _Bucket(left, now_s))
-        return max(0.0, -left / self._per_s)
-
-    def forget(self, key: Hashable) -> None:
-        """`key` never comes again."""
-        self._buckets.pop(key, None)
 
     def _left(self, key: Hashable, now_s: float) -> float:
         bucket = self._buckets.pop(key, _Bucket(self._per_s, now_s))

@@ -10,9 +10,8 @@ import msgspec
 from aiohttp import web
 
 from hostlink.api.access import GRANT
-from hostlink.api.replies import reply
 from hostlink.api.rest import decode_body
-from hostlink.api.routes import BODY, FILE, Route
+from hostlink.api.routes import BODY, FILE, Route, reply
 from hostlink.errors import UnknownTopic
 from hostlink.hub.node import Role
 from hostlink.recording.folder import NAME_PATTERN, StoredFile

@@ -1,6 +1,10 @@
 """The REST API: robots, their velocity and odometry, links and topics; for curl and for scripts."""
 
 import asyncio
+import ipaddress
+from collections import OrderedDict
+from collections.abc import Iterable
+from datetime import UTC, datetime
 from http import HTTPStatus
 from typing import Annotated, TypedDict, TypeVar
 
@@ -9,14 +13,12 @@ from aiohttp import web
 
 from hostlink.api.access import GRANT
 from hostlink.api.clients import Clients, ClientView
-from hostlink.api.owners import Owners
-from hostlink.api.replies import refusal, reply
-from hostlink.api.routes import BODY, CAME, Route
-from hostlink.api.slices import Slices
+from hostlink.api.routes import BODY, CAME, Route, refusal, reply
 from hostlink.api.views import (
     LinksView,
     OdometryView,
     RobotView,
+    Slices,
     StoppedRobotView,
     TopicView,
     VelocityAnswer,
@@ -27,15 +29,247 @@ from hostlink.api.views import (
     topic_views,
     velocity_answer,
 )
+from hostlink.config import Config, TcpConfig, UdpConfig
 from hostlink.errors import BadRequest, DeviceGone, UnknownTopic
-from hostlink.hub.hub import Hub
+from hostlink.hub.hub import Hub, Listening
 from hostlink.hub.message import PROGRAM_PRIORITY
 from hostlink.hub.node import Role
 from hostlink.hub.participant import Participant
+from hostlink.hub.reloader import Reloader
 from hostlink.hub.robot import LOCK_REASON, Robot
 from hostlink.hub.stops import MAX_WAIT_S, WAIT_S
+from hostlink.recording.drives import Drive, DriveLog
 from hostlink.robot.state import MAX_PRIORITY
 from hostlink.robot.velocity import PlanarVelocity
+
+MAX_OWNERS = 64  # as many as one robot keeps apart; each that drives sends a request in every lease
+
+
+class Owners:
+    """All requests with one token, or from one computer, are one participant; its lease ends by itself.
+
+    Over MAX_OWNERS the one leaves that sent nothing for the longest time, and what it drives stops.
+    """
+
+    def __init__(self, hub: Hub) -> None:
+        self.evicted = 0
+        self._hub = hub
+        self._owners: OrderedDict[str, Participant] = OrderedDict()
+
+    def __len__(self) -> int:
+        return len(self._owners)
+
+    @property
+    def names(self) -> list[str]:
+        """Of tokens; of addresses, while there are no tokens."""
+        return list(self._owners)
+
+    def end(self, names: Iterable[str]) -> None:
+        """Their tokens are withdrawn: what they drive stops."""
+        for name in names:
+            if name in self._owners:
+                self._owners.pop(name).leave()
+
+    def of(self, name: str, role: Role) -> Participant:
+        """The participant of this name, a new one if there is none."""
+        owner = self._owners.pop(name, None)
+        if owner is None or owner.has_left:
+            owner = self._hub.join(f"rest {name}", role=role)
+        self._owners[name] = owner
+        if len(self._owners) > MAX_OWNERS:
+            self._owners.popitem(last=False)[1].leave()
+            self.evicted += 1
+        return owner
+
+
+SIM = "hostlink sim"
+SIM_CONNECTS_TO = ("127.0.0.1", 11411)  # without --connect
+LOOPBACK = {4: "127.0.0.1", 6: "::1"}
+
+
+class AddressView(TypedDict):
+    """An address; `0.0.0.0` and `::` are all addresses of the computer."""
+
+    host: str
+    port: int
+
+
+class SerialPortView(TypedDict):
+    """A serial port that is opened when it is there, and the rates that are tried."""
+
+    port: str
+    bauds: list[int]
+
+
+class ListeningView(TypedDict):
+    """Where devices connect; `simulate`: what to run on the daemon's computer for a simulated robot, null: none may."""
+
+    tcp: AddressView | None
+    udp: AddressView | None
+    serial: list[SerialPortView]
+    simulate: str | None
+
+
+class ListeningRoute:
+    """`GET /api/listening`."""
+
+    def __init__(self, hub: Hub) -> None:
+        self._hub = hub
+
+    def routes(self) -> list[Route]:
+        """The path of this file."""
+        return [Route("/api/listening", self._show, "Where devices connect", ListeningView)]
+
+    async def _show(self, _: web.Request) -> web.Response:
+        return reply(listening_view(self._hub.listening, self._hub.config))
+
+
+def listening_view(listening: Listening, config: Config) -> ListeningView:
+    """What a person has to know who brings a device."""
+    return {
+        "tcp": _address(listening.tcp),
+        "udp": _address(listening.udp),
+        "serial": [{"port": port.name, "bauds": list(port.bauds)} for port in config.serial],
+        "simulate": _simulate(listening.tcp, config.tcp) or _simulate(listening.udp, config.udp, " --udp"),
+    }
+
+
+def _address(address: tuple[str, int] | None) -> AddressView | None:
+    return None if address is None else {"host": address[0], "port": address[1]}
+
+
+def _simulate(address: tuple[str, int] | None, config: TcpConfig | UdpConfig | None, option: str = "") -> str | None:
+    """The command; None: nobody listens, or a robot of this computer is turned away, which has no key."""
+    if address is None or config is None:
+        return None
+    bound = ipaddress.ip_address(address[0])
+    host = LOOPBACK[bound.version] if bound.is_unspecified else str(bound)
+    if (config.allow and not _is_in(host, config.allow)) or (config.key_file and not _is_in(host, config.keyless)):
+        return None
+    if (host, address[1]) == SIM_CONNECTS_TO:
+        return SIM + option
+    return f"{SIM}{option} --connect {f'[{host}]' if bound.version == 6 else host}:{address[1]}"  # noqa: PLR2004 - of IP
+
+
+def _is_in(host: str, networks: Iterable[str]) -> bool:
+    """Whether the address of this computer is within one of them; it is where its own connections come from."""
+    return any(ipaddress.ip_address(host) in ipaddress.ip_network(network) for network in networks)
+
+
+class ReloadView(TypedDict):
+    """Settings that were changed, settings that differ but need a restart, and robots' new names by their old ones."""
+
+    changed: list[str]
+    needs_restart: list[str]
+    renamed: dict[str, str]
+
+
+class ReloadRoute:
+    """`POST /api/reload`."""
+
+    def __init__(self, reloader: Reloader) -> None:
+        self._reloader = reloader
+
+    def routes(self) -> list[Route]:
+        """The path of this file."""
+        return [
+            Route(
+                "/api/reload",
+                self._reload,
+                "Read the configuration again: names and limits of robots, tokens and origins; all of it or nothing",
+                ReloadView,
+                method="POST",
+                role=Role.DRIVE,
+                fails=(HTTPStatus.CONFLICT, HTTPStatus.INTERNAL_SERVER_ERROR),
+            )
+        ]
+
+    async def _reload(self, _: web.Request) -> web.Response:
+        reloaded = await self._reloader.reload()
+        return reply(
+            {
+                "changed": list(reloaded.changed),
+                "needs_restart": list(reloaded.needs_restart),
+                "renamed": reloaded.renamed,
+            }
+        )
+
+
+MAX_DIGITS = 6  # of a limit
+
+
+class DriveView(TypedDict):
+    """One drive: who, from when to when (UTC), how fast at most (m/s, rad/s). `end` is empty while it lasts.
+
+    address: from which he was connected; empty: of a part of a daemon, or at another daemon.
+    """
+
+    robot: str
+    owner: str
+    address: str
+    priority: int
+    began: str
+    ended: str
+    seconds: float
+    commands: int
+    fastest_m_s: float
+    fastest_rad_s: float
+    end: str
+
+
+class DrivesView(TypedDict):
+    """The newest first; how many could not be written to the disk."""
+
+    drives: list[DriveView]
+    lost: int
+
+
+class DriveRoute:
+    """`GET /api/drives`."""
+
+    def __init__(self, drives: DriveLog) -> None:
+        self._drives = drives
+
+    def routes(self) -> list[Route]:
+        """The path of this file."""
+        summary = "Who drove which robot, from when to when, the newest first; ?robot=NAME of one, ?limit=N so many"
+        return [Route("/api/drives", self._all, summary, DrivesView, fails=(HTTPStatus.BAD_REQUEST,))]
+
+    async def _all(self, request: web.Request) -> web.Response:
+        """Raises:
+        BadRequest: the limit is no number.
+        """
+        limit = request.query.get("limit")
+        if limit is not None and not (limit.isascii() and limit.isdigit() and len(limit) <= MAX_DIGITS):
+            raise BadRequest("limit must be a number: how many drives")
+        count = None if limit is None else int(limit)
+        drives = self._drives.newest_first(robot=request.query.get("robot"), limit=count)
+        return reply({"drives": [_view(drive) for drive in drives], "lost": self._drives.lost})
+
+
+def _view(drive: Drive) -> DriveView:
+    return {
+        "robot": drive.robot,
+        "owner": drive.owner,
+        "address": drive.address,
+        "priority": drive.priority,
+        "began": _utc(drive.began_ns),
+        "ended": _utc(drive.ended_ns),
+        "seconds": round(_seconds(drive), 3),
+        "commands": drive.commands,
+        "fastest_m_s": round(drive.fastest_m_s, 4),
+        "fastest_rad_s": round(drive.fastest_rad_s, 4),
+        "end": drive.end,
+    }
+
+
+def _seconds(drive: Drive) -> float:
+    return max(drive.ended_ns - drive.began_ns, 0) / 1e9 if drive.seconds is None else drive.seconds
+
+
+def _utc(stamp_ns: int) -> str:
+    return datetime.fromtimestamp(stamp_ns / 1e9, UTC).isoformat(timespec="milliseconds")
+
 
 Body = TypeVar("Body")
 

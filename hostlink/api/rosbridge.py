@@ -2,32 +2,368 @@
 
 import asyncio
 import base64
+import itertools
+import reprlib
 import time
-from collections.abc import Callable, Coroutine, Mapping
-from typing import Any
+from collections import defaultdict
+from collections.abc import Awaitable, Callable, Coroutine, Mapping
+from typing import Any, NamedTuple, TypedDict
 
+import msgspec
 import structlog
 
-from hostlink.api.client_graph import ClientGraph
-from hostlink.api.client_services import ClientServices
-from hostlink.api.client_subscriptions import ClientSubscriptions
-from hostlink.api.client_topics import ClientTopics
-from hostlink.api.drive import Drive
-from hostlink.api.fragments import MAX_PIECES, Fragments
-from hostlink.api.inbox import Operation
-from hostlink.api.outgoing import ClientQueue, put_json
+from hostlink.api.clients import ClientQueue, Outgoing, put_json
+from hostlink.api.inbox import Operation, velocity_of_request
 from hostlink.api.rate_limit import REFUSED_VELOCITIES_S, RateLimit
-from hostlink.api.request import Request
-from hostlink.api.stamps import fill_stamps
-from hostlink.api.velocities import velocity_of_request
-from hostlink.errors import BadRequest, HostlinkError
+from hostlink.api.rosbridge_request import MAX_PIECES, Fragments, Request, fill_stamps
+from hostlink.api.rosbridge_subscriptions import ClientSubscriptions
+from hostlink.api.views import velocity_answer
+from hostlink.errors import BadRequest, CommandRefused, HostlinkError, ServiceFailed
+from hostlink.hub.graph_view import Graph, GraphTopic
 from hostlink.hub.hub import Hub
 from hostlink.hub.message import PROGRAM_PRIORITY
 from hostlink.hub.node import Role
-from hostlink.hub.participant import MAX_CALLS
+from hostlink.hub.participant import MAX_ADVERTISED, MAX_CALLS, Participant
+from hostlink.hub.robot import LocalRobot, Robot
+from hostlink.hub.robot_topic_publisher import command_topics
+from hostlink.hub.robots import Robots
+from hostlink.hub.topic_graph import resolve
 from hostlink.logs import printable
+from hostlink.messages.catalog import Catalog
 from hostlink.messages.message_type import MessageType, ServiceType
+from hostlink.robot.admission import EARLIER_EPOCH
 from hostlink.robot.state import MAX_PRIORITY
+from hostlink.robot.velocity import TWIST_TYPE, PlanarVelocity
+
+
+class ClientTopics:
+    """The ids of advertised topics; a topic is taken back with its last id."""
+
+    def __init__(self, participant: Participant) -> None:
+        self._participant = participant
+        self._ids: defaultdict[str, set[object]] = defaultdict(set)
+        self._latched: set[str] = set()
+
+    def advertise(self, request: Request) -> None:
+        """Note a topic.
+
+        Raises:
+            BadRequest: nobody knows its type, or there are too many.
+            WrongType: the topic is in use with another type.
+        """
+        name, is_latched = resolve(request.text("topic")), request.is_set("latch")
+        type_name = request.text("type")
+        if sum(map(len, self._ids.values())) >= MAX_ADVERTISED:
+            raise BadRequest(f"more than {MAX_ADVERTISED} topics advertised")
+        self._participant.advertise(name, type_name, is_latched=is_latched)
+        self._ids[name].add(request.id)
+        if is_latched:
+            self._latched.add(name)
+
+    def publish(self, request: Request) -> None:
+        """A `publish` that names the type advertises its topic, unless that is done; errors as `advertise`."""
+        name = resolve(request.text("topic"))
+        is_known = name in self._latched or (name in self._ids and not request.is_set("latch"))
+        if not is_known and request.fields.get("type"):
+            self.advertise(request)
+
+    def unadvertise(self, request: Request) -> None:
+        """Take back one id, or without an id the whole topic; one that is not there is no error."""
+        name = resolve(request.text("topic"))
+        ids = self._ids.get(name, set())
+        ids.discard(request.id)
+        if ids and request.id is not None:
+            return
+        self._ids.pop(name, None)
+        self._latched.discard(name)
+        self._participant.unadvertise(name)
+
+
+Values = Mapping[str, object]
+
+
+class _Call(NamedTuple):
+    """A call that the client has not answered yet."""
+
+    service: str  # as the client spells it
+    type: ServiceType | None
+    answer: asyncio.Future[Values]
+
+    def succeed(self, values: Values) -> None:
+        if not self.answer.done():
+            self.answer.set_result(values)
+
+    def fail(self, error: Exception) -> None:
+        if not self.answer.done():
+            self.answer.set_exception(error)
+
+    def completed(self, values: Values) -> Values:
+        """As the type of the service has it, as through ROS; BadRequest for what does not fit."""
+        return values if self.type is None else self.type.response.decode(self.type.response.encode(values))
+
+
+class ClientServices:
+    """Provided, called and answered."""
+
+    def __init__(
+        self, participant: Participant, catalog: Catalog, queue: ClientQueue, warn: Callable[[str], None]
+    ) -> None:
+        """`warn` sends the client what is no error of its own."""
+        self._participant, self._catalog, self._queue, self._warn = participant, catalog, queue, warn
+        self._numbers = itertools.count(1)
+        self._waiting: dict[str, _Call] = {}
+
+    def advertise(self, request: Request) -> None:
+        """Provide a service; the newest offer of a name counts.
+
+        Raises:
+            BadRequest: a field is wrong, there are too many, or the name is the daemon's own.
+        """
+        name, type_name = request.text("service"), request.text("type")
+
+        async def answer(arguments: Values) -> Values:
+            return await self._call(name, type_name, arguments)
+
+        self._participant.provide(name, type_name, answer, notify=self._warn)
+
+    def unadvertise(self, request: Request) -> None:
+        """Provide it no more."""
+        self._participant.withdraw(request.text("service"))
+
+    def respond(self, request: Request) -> None:
+        """Accept the client's `service_response`; one that nobody waits for is late, and harmless.
+
+        Raises:
+            BadRequest: it is none, and the call has failed.
+        """
+        call = self._waiting.get(str(request.id))
+        if call is None or call.answer.done():
+            self._warn("service_response: no call waits for an answer with this id (any more)")
+            return
+        try:
+            self._accept(call, request)
+        except BadRequest as error:
+            call.fail(error)
+            raise
+
+    def _accept(self, call: _Call, request: Request) -> None:
+        """As rosbridge does, an object goes to the caller whatever `result` is: success is a field of the object.
+
+        Only what could be no answer of the service's is a failure.
+        """
+        values, is_right = request.fields.get("values"), request.fields.get("result")
+        if is_right not in (True, False, None):  # roslibpy sends null where its function returns nothing
+            raise BadRequest(f"{call.service}: result must be true or false")
+        if is_right is False and not isinstance(values, dict):
+            call.fail(ServiceFailed(call.service, values if isinstance(values, str) else reprlib.repr(values)))
+        elif isinstance(values, dict | None):
+            call.succeed(call.completed(values or {}))
+        else:
+            raise BadRequest(f"{call.service}: its answer is no object")
+
+    async def _call(self, name: str, type_name: str, arguments: Values) -> Values:
+        """Call the client. Where the type has a definition, both ways are complete and right, as through ROS."""
+        type_ = self._catalog.service(type_name)
+        if type_ is not None:
+            arguments = type_.request.decode(type_.request.encode(arguments))
+        key = f"{self._participant.name} {next(self._numbers)}"
+        call = self._waiting[key] = _Call(name, type_, asyncio.get_running_loop().create_future())
+        request = {"op": "call_service", "id": key, "service": name, "args": arguments}
+        try:
+            put_json(self._queue, request)
+            return await call.answer
+        finally:
+            del self._waiting[key]
+
+
+MAX_ANSWERS = 64  # that one client waits for
+
+
+class DriveRequest(msgspec.Struct):
+    """m/s, rad/s counter-clockwise; `linear_y`: to the left.
+
+    All from `link` on is for commands that a program sends by itself.
+    """
+
+    robot: str
+    linear: float
+    angular: float
+    linear_y: float = 0.0
+    priority: int = PROGRAM_PRIORITY
+    sent_s: float | None = None  # when, by the client's own clock
+    epoch: int | None = None  # of the robot, as the answer before gave it
+    stops: int | None = None  # a synonym of `epoch`
+    link: int | None = None  # the connection of the device for which it is meant: with another, an earlier epoch
+
+
+class Drive:
+    """One client's commands. Each is answered, so that a refusal is known at once and not by the next command.
+
+    A robot of another daemon answers from there, MAX_ANSWERS of one client at a time; over that what was sent is the
+    answer.
+    """
+
+    def __init__(
+        self,
+        participant: Participant,
+        robots: Robots,
+        queue: ClientQueue,
+        *,
+        spawn: Callable[[Coroutine[Any, Any, None]], object],
+    ) -> None:
+        """`spawn` runs what waits for an answer, at most as long as the client is there."""
+        self._participant, self._robots, self._queue, self._spawn = participant, robots, queue, spawn
+        self._waiting = 0
+
+    def receive(self, request: Request) -> None:
+        """Do the operation; whatever comes of it is the answer, also to those in the place of which it is done."""
+        try:
+            robot, velocity, limited = self._command(request)
+        except HostlinkError as error:
+            self._refuse(request, error)
+            return
+        answer = robot.answer(self._participant) if self._waiting < MAX_ANSWERS else None
+        if answer is None:
+            self._accept(request, robot, velocity, limited)
+        else:
+            self._waiting += 1
+            self._spawn(self._wait(request, robot, velocity, answer))
+
+    async def _wait(
+        self, request: Request, robot: Robot, velocity: PlanarVelocity, answer: Awaitable[PlanarVelocity]
+    ) -> None:
+        try:
+            self._accept(request, robot, velocity, await answer)
+        except HostlinkError as error:
+            self._refuse(request, error)
+        finally:
+            self._waiting -= 1
+
+    def _accept(self, request: Request, robot: Robot, velocity: PlanarVelocity, limited: PlanarVelocity) -> None:
+        link = None if robot.link is None else robot.link.number
+        answer = {
+            "op": "drive_result",
+            "result": True,
+            "link": link,
+            "epoch": robot.admission.epoch,
+            "stops": robot.admission.epoch,
+            "client": self._participant.name,
+        }
+        self._put(request, answer | velocity_answer(robot, velocity, limited))
+
+    def _refuse(self, request: Request, error: HostlinkError) -> None:
+        answer = {"op": "drive_result", "result": False, "kind": error.kind, "reason": str(error)}
+        if isinstance(error, CommandRefused):
+            answer["epoch"] = self._robots.find(error.robot).admission.epoch
+        self._put(request, answer)
+
+    def _put(self, request: Request, answer: dict[str, object]) -> None:
+        for replaced in request.replaced:
+            put_json(self._queue, answer | {"id": replaced.fields.get("id"), "is_replaced": True})
+        put_json(self._queue, answer | {"id": request.fields.get("id")})
+
+    def _command(self, request: Request) -> tuple[Robot, PlanarVelocity, PlanarVelocity]:
+        try:
+            wanted = msgspec.convert(request.fields, DriveRequest)
+        except msgspec.ValidationError as error:
+            raise BadRequest(f"drive: {error}") from error
+        if not 0 <= wanted.priority <= MAX_PRIORITY:
+            raise BadRequest(f"drive: priority must be a number from 0 to {MAX_PRIORITY}")
+        velocity = PlanarVelocity(wanted.linear, wanted.linear_y, wanted.angular)
+        robot = self._robots.find(wanted.robot, driver=None if velocity.is_zero else lambda: self._participant)
+        epoch = wanted.stops if wanted.epoch is None else wanted.epoch
+        if wanted.link is not None and robot.link is not None:
+            is_same = robot.resumed_link <= wanted.link <= robot.link.number
+            epoch = epoch if is_same else EARLIER_EPOCH
+        limited = self._participant.drive(
+            robot, velocity, priority=wanted.priority, received_s=request.came_s, sent_s=wanted.sent_s, epoch=epoch
+        )
+        return robot, velocity, limited
+
+
+class GraphTopicView(TypedDict):
+    """A topic, with what others than the group do with it."""
+
+    name: str
+    type: str
+    published: bool
+    subscribed: bool
+    latched: bool
+    velocity: bool
+
+
+class GraphServiceView(TypedDict):
+    """A service."""
+
+    name: str
+    type: str
+
+
+class GraphRobotView(TypedDict):
+    """A robot of this daemon, and the topics that drive it; `link` is null while its device is not connected."""
+
+    name: str
+    link: int | None
+    velocity_topics: dict[str, str]  # types by name
+
+
+class ClientGraph:
+    """Sends the whole graph after each change; the daemon notes changes every 50 ms at most."""
+
+    def __init__(self, participant: Participant, robots: Robots, queue: ClientQueue) -> None:
+        self._participant, self._robots, self._queue = participant, robots, queue
+        self._sent = b""
+
+    def watch(self, _: Request) -> None:
+        """Send `graph` now and after every change.
+
+        Raises:
+            BadRequest: it has left.
+        """
+        self._sent = b""
+        self._participant.watch_graph(self._send)
+
+    def _send(self) -> None:
+        graph = self._participant.graph()
+        data = msgspec.json.encode({"op": "graph", **graph_view(graph), "robots": self._robot_views(graph)})
+        if data != self._sent:
+            self._sent = data
+            self._queue.put_result(Outgoing(data))
+
+    def _robot_views(self, graph: Graph) -> list[GraphRobotView]:
+        gated = {topic.name for topic in graph.topics if topic.is_velocity}
+        return [
+            {
+                "name": robot.name,
+                "link": None if robot.link is None else robot.link.number,
+                "velocity_topics": _velocity_topics(robot, gated),
+            }
+            for robot in self._robots.here()
+        ]
+
+
+def graph_view(graph: Graph) -> dict[str, object]:
+    """Topics and services."""
+    services: list[GraphServiceView] = [{"name": each.name, "type": each.type_name} for each in graph.services]
+    return {"topics": [_topic_view(topic) for topic in graph.topics], "services": services}
+
+
+def _topic_view(topic: GraphTopic) -> GraphTopicView:
+    return {
+        "name": topic.name,
+        "type": topic.type_name,
+        "published": topic.is_published,
+        "subscribed": topic.is_subscribed,
+        "latched": topic.is_latched,
+        "velocity": topic.is_velocity,
+    }
+
+
+def _velocity_topics(robot: LocalRobot, gated: set[str]) -> dict[str, str]:
+    named = {resolve(name): type_name for name, type_name in command_topics(robot).items() if name}
+    topics = {robot.shown.velocity: TWIST_TYPE} | named
+    return {name: type_name for name, type_name in topics.items() if name in gated}
+
 
 log = structlog.get_logger()
 
@@ -122,11 +458,10 @@ class RosbridgeClient:
         """Send what subscriptions held back until now; returns when the next is due."""
         return self.participant.flush(now_s)
 
-    async def settle(self) -> None:
-        """Wait until answers have room: a client that does not read them is not read from."""
-        if self._calls > MAX_CALLS // 2:
-            await asyncio.sleep(0)  # many calls came in one read, and most are answered at once
-        await self._queue.room()
+    @property
+    def is_crowded(self) -> bool:
+        """Whether many calls are under way."""
+        return self._calls > MAX_CALLS // 2
 
     def close(self) -> None:
         """The client has left: all that it has goes with it."""

@@ -1,16 +1,34 @@
-"""Route: one path of the API, its role, its body and its response; and the OpenAPI document of all routes."""
+"""Routes of the REST API, their OpenAPI document, and their answers: JSON, or an error with a kind and a reason."""
 
 import inspect
 import re
-from collections.abc import Awaitable, Callable, Iterable
+from collections.abc import Awaitable, Callable, Iterable, Mapping
 from dataclasses import KW_ONLY, dataclass
 from http import HTTPStatus
 from importlib.metadata import version
 from typing import Any, TypedDict
 
 import msgspec
-from aiohttp import web
+from aiohttp import ClientConnectionResetError, web
 
+from hostlink.errors import (
+    BadPayload,
+    BadRequest,
+    CommandRefused,
+    ConfigError,
+    DeviceBusy,
+    DeviceGone,
+    FrameTooLarge,
+    HostlinkError,
+    RecordingBusy,
+    RecordingFailed,
+    RefusalKind,
+    ReloadRefused,
+    ServiceFailed,
+    UnknownFormat,
+    UnknownTopic,
+    WrongType,
+)
 from hostlink.hub.node import Role
 
 BODY = web.RequestKey("body", bytes)  # of a request whose route has one
@@ -123,3 +141,118 @@ def _failure(status: HTTPStatus) -> dict[str, Any]:
 
 def _schema(type_: type) -> dict[str, str]:
     return {"$ref": _REFERENCE.format(name=type_.__name__)}
+
+
+STATUS = {
+    BadRequest: HTTPStatus.BAD_REQUEST,
+    WrongType: HTTPStatus.BAD_REQUEST,
+    UnknownTopic: HTTPStatus.NOT_FOUND,
+    FrameTooLarge: HTTPStatus.REQUEST_ENTITY_TOO_LARGE,
+    BadPayload: HTTPStatus.BAD_GATEWAY,
+    ServiceFailed: HTTPStatus.BAD_GATEWAY,
+    DeviceGone: HTTPStatus.SERVICE_UNAVAILABLE,
+    DeviceBusy: HTTPStatus.SERVICE_UNAVAILABLE,
+    ConfigError: HTTPStatus.INTERNAL_SERVER_ERROR,
+    RecordingBusy: HTTPStatus.CONFLICT,
+    ReloadRefused: HTTPStatus.CONFLICT,
+    UnknownFormat: HTTPStatus.INSUFFICIENT_STORAGE,
+    RecordingFailed: HTTPStatus.INSUFFICIENT_STORAGE,
+}
+REFUSAL_STATUS = {
+    RefusalKind.NOT_FINITE: HTTPStatus.BAD_REQUEST,
+    RefusalKind.UNSUPPORTED: HTTPStatus.BAD_REQUEST,
+    RefusalKind.NOT_CONNECTED: HTTPStatus.SERVICE_UNAVAILABLE,
+    RefusalKind.ENDING: HTTPStatus.SERVICE_UNAVAILABLE,
+    RefusalKind.LOCKED: HTTPStatus.CONFLICT,
+    RefusalKind.HELD: HTTPStatus.CONFLICT,
+    RefusalKind.DISARMED: HTTPStatus.CONFLICT,
+    RefusalKind.LATE: HTTPStatus.CONFLICT,
+    RefusalKind.CROWDED: HTTPStatus.TOO_MANY_REQUESTS,
+}
+COMPRESSED_BYTES = 4096  # of an answer; below it, compression saves no packet
+_KEPT_HEADERS = ("Allow", "WWW-Authenticate", "Retry-After")
+
+
+def reply(body: Mapping[str, object], status: HTTPStatus = HTTPStatus.OK) -> web.Response:
+    """JSON that no cache may keep."""
+    return reply_encoded(msgspec.json.encode(body), status)
+
+
+def reply_encoded(body: bytes, status: HTTPStatus = HTTPStatus.OK) -> web.Response:
+    """Answer with JSON that was made in a thread."""
+    answer = web.Response(
+        body=body, status=status, content_type="application/json", headers={"Cache-Control": "no-store"}
+    )
+    if len(body) >= COMPRESSED_BYTES:
+        answer.enable_compression()  # if the client accepts it; a thread does it
+    return answer
+
+
+def refusal(kind: str, reason: str, status: HTTPStatus) -> web.Response:
+    """The JSON of an error."""
+    body: ErrorView = {"error": {"kind": kind, "reason": reason}}
+    return reply(body, status)
+
+
+@web.middleware
+async def explain_errors(request: web.Request, handler: Handler) -> web.StreamResponse:
+    """Every error is JSON with a kind and a reason."""
+    try:
+        return await handler(request)
+    except HostlinkError as error:
+        status = REFUSAL_STATUS[error.kind] if isinstance(error, CommandRefused) else STATUS[type(error)]
+        return refusal(error.kind, str(error), status)
+    except web.HTTPException as error:
+        if error.status < HTTPStatus.BAD_REQUEST:
+            raise
+        status = HTTPStatus(error.status)
+        is_own = error.reason not in ("", status.phrase)  # a reason that a person understands by itself
+        reason = error.reason if is_own else f"{request.method} {request.path}: {status.phrase}"
+        answer = refusal("HTTP", reason, status)
+        answer.headers.update({name: error.headers[name] for name in _KEPT_HEADERS if name in error.headers})
+        return answer
+
+
+FOXGLOVE = ("foxglove.sdk.v1", "foxglove.websocket.v1")  # subprotocols: the same protocol by two names
+_READ_AS_TEXT = ("Host", "Origin", "Expect", "Sec-WebSocket-Key")
+
+Answer = Callable[[web.BaseRequest], Awaitable[web.StreamResponse]]
+
+
+def readable(value: str) -> str:
+    """A header's value with what is no UTF-8 replaced: aiohttp makes surrogates of it, which cannot be sent."""
+    return value.encode(errors="replace").decode()
+
+
+def refuse_unreadable(answer: Answer) -> Answer:
+    """Answer 400 to a head that is no text, or whose sender has left; `answer` does the rest.
+
+    aiohttp itself would read Expect before a middleware does.
+    """
+
+    async def answer_readable(request: web.BaseRequest) -> web.StreamResponse:
+        for name in _READ_AS_TEXT:
+            if any(readable(value) != value for value in request.headers.getall(name, ())):
+                return refusal("BadRequest", f"the header {name} is no UTF-8", HTTPStatus.BAD_REQUEST)
+        try:
+            return await answer(request)
+        except ClientConnectionResetError:  # before aiohttp's "100 Continue", whose failure it logs as a fault
+            return refusal("HTTP", "it broke off before its body was requested", HTTPStatus.BAD_REQUEST)
+
+    return answer_readable
+
+
+def is_foxglove(request: web.Request) -> bool:
+    """Whether a WebSocket is to speak Foxglove's protocol; without a subprotocol it is rosbridge's.
+
+    Raises:
+        web.HTTPBadRequest: it requests other subprotocols alone.
+    """
+    names = request.headers.get("Sec-WebSocket-Protocol")
+    if names is None:
+        return False
+    if not {name.strip() for name in names.split(",")} & set(FOXGLOVE):
+        raise web.HTTPBadRequest(
+            reason=f"{readable(names)[:120]} is not spoken here, but {' and '.join(FOXGLOVE)}; rosbridge v2 has no name"
+        )
+    return True

@@ -3,47 +3,51 @@
 import asyncio
 import contextlib
 import errno
-import itertools
+import mimetypes
 import socket as sockets
 from collections.abc import AsyncIterator, Callable, Iterator
 from http import HTTPStatus
-from typing import Any, TypedDict
+from importlib.resources import files
+from typing import TypedDict
 
 import structlog
-from aiohttp import WSCloseCode, WSMsgType, web
+from aiohttp import web
 from aiohttp.http_exceptions import HttpProcessingError
 from structlog.contextvars import bound_contextvars
 
 from hostlink.acceptor import bind, why
-from hostlink.api.access import GRANT, Access, Grant, check_role, tls_context, token_of
+from hostlink.api.access import GRANT, Access, Grant, Grants, check_role, tls_context, token_of
 from hostlink.api.captures import Captures
-from hostlink.api.clients import Client, Clients
+from hostlink.api.clients import Client, ClientQueue, Clients
 from hostlink.api.connections import KEPT_FOR_REQUESTS, Connections
-from hostlink.api.drives import DriveRoute
 from hostlink.api.events import Events
 from hostlink.api.foxglove import FoxgloveClient
 from hostlink.api.foxglove_directory import FoxgloveDirectory
-from hostlink.api.grants import Grants
-from hostlink.api.heads import FOXGLOVE, is_foxglove, refuse_unreadable
-from hostlink.api.history import HistoryRoutes
-from hostlink.api.inbox import Inbox
-from hostlink.api.incidents import IncidentRoutes
+from hostlink.api.history import HistoryRoutes, IncidentRoutes
 from hostlink.api.listener import ApiListener, MakeProtocol
-from hostlink.api.listening import ListeningRoute
 from hostlink.api.metrics import Metrics
-from hostlink.api.outgoing import ClientQueue, client_queue
-from hostlink.api.owners import Owners
-from hostlink.api.paced_reading import PacedReading
-from hostlink.api.page import page_file
 from hostlink.api.rate_limit import RateLimit
 from hostlink.api.recordings import RecordingRoutes
-from hostlink.api.reload import ReloadRoute
-from hostlink.api.replies import explain_errors, reply
-from hostlink.api.rest import Rest
+from hostlink.api.rest import DriveRoute, ListeningRoute, Owners, ReloadRoute, Rest
 from hostlink.api.rosapi import RosApi
 from hostlink.api.rosbridge import RosbridgeClient
-from hostlink.api.routes import BODY, CAME, FILE, MAX_BODY_BYTES, SMALL_BODY_BYTES, Handler, Route, openapi
-from hostlink.cancellation import patience, raise_if_cancelled
+from hostlink.api.routes import (
+    BODY,
+    CAME,
+    FILE,
+    FOXGLOVE,
+    MAX_BODY_BYTES,
+    SMALL_BODY_BYTES,
+    Handler,
+    Route,
+    explain_errors,
+    is_foxglove,
+    openapi,
+    refuse_unreadable,
+    reply,
+)
+from hostlink.api.web_socket import ClientSocket, close_going_away
+from hostlink.cancellation import raise_if_cancelled
 from hostlink.config import ApiConfig, Config
 from hostlink.errors import ConfigError
 from hostlink.hub.hub import Hub
@@ -53,19 +57,37 @@ from hostlink.logs import printable
 from hostlink.recording.recordings import Recordings
 from hostlink.transport.base import READ_BYTES
 
+PAGE = files("hostlink.api") / "web" / "built"  # by Vite, from the sources beside it: make web
+PAGE_HEADERS = {
+    "Cache-Control": "no-store",
+    "Content-Security-Policy": "default-src 'none'; style-src 'self'; script-src 'self'; connect-src 'self'; "
+    "img-src 'self'; frame-ancestors 'none'; base-uri 'none'; form-action 'none'",
+    "X-Content-Type-Options": "nosniff",
+    "Referrer-Policy": "no-referrer",
+}
+
+
+async def page_file(request: web.Request) -> web.StreamResponse:
+    """A file of the page: it needs no token, because no robot is named in it."""
+    name = request.match_info.get("file")
+    folder = PAGE if name is None else PAGE / "web"
+    found = next((each for each in folder.iterdir() if each.name == (name or "index.html")), None)
+    if found is None:  # also for ..%2F..: a name is one of the folder's, not a way out of it
+        raise web.HTTPNotFound
+    kind, _ = mimetypes.guess_type(found.name)
+    answer = web.Response(body=found.read_bytes(), headers=PAGE_HEADERS | {"Content-Type": kind or "text/plain"})
+    answer.enable_compression()
+    return answer
+
+
 log = structlog.get_logger()
 
 PING_INTERVAL_S = 10.0  # a client that is gone without closing is noticed within one and a half of it
 SHUTDOWN_TIMEOUT_S = 0.3
 LINGER_S = 1.0  # for a body that no route expects, before its connection is closed
 REQUEST_S = 0.0005  # the cost of a small request
-DEBT_S = 1.0  # so many seconds of a client's messages may come too early; who begins subscribes to much at once
-SEND_TIMEOUT_S = 5.0  # a client whose socket accepts nothing for that time is gone
 SEND_BUFFER_BYTES = 64 * 1024  # in the process and again in the kernel, behind the client's queue
 MAX_GROUP = 64  # characters of the name of a group
-READY_TIMEOUT_S = 1.0  # for the answer to the first ping; a client that answers none is sent to nevertheless
-CLOSING = (WSMsgType.CLOSE, WSMsgType.CLOSING, WSMsgType.CLOSED)
-SEND_BATCH = 64  # messages for which a client has SEND_TIMEOUT_S
 ALLOWED_HEADERS = "Authorization, Content-Type, Range"
 EXPOSED_HEADERS = "Accept-Ranges, Content-Length, Content-Range, ETag, Last-Modified"  # for readers of recordings
 
@@ -243,7 +265,7 @@ class ApiServer:
 
     async def _serve_client(self, request: web.Request) -> web.StreamResponse:
         kind = "foxglove" if is_foxglove(request) else "rosbridge"
-        queue = client_queue(self._hub.budget)
+        queue = ClientQueue(self._hub.budget)
         client = self._clients.enter(kind, request, request[GRANT], queue)
         socket = web.WebSocketResponse(
             heartbeat=PING_INTERVAL_S,
@@ -257,85 +279,40 @@ class ApiServer:
         with bound_contextvars(client=client.name, peer=request.remote):
             try:
                 await socket.prepare(request)
-                _bound_buffers(request)
-                reading = self.listener.reading(request)
-                if reading is not None:
-                    reading.become_web_socket()
+                reading, transport = self.listener.reading(request), request.transport
+                if reading is None or transport is None:
+                    raise ConnectionResetError("the connection was closed during the handshake")
+                _bound_buffers(transport)
                 self._sockets.add(socket)
                 log.info("client.connected", role=client.grant.role.name.lower(), program=printable(client.program))
-                await self._serve_socket(
-                    socket, client, queue, reading, group=request.query.get("group", "")[:MAX_GROUP]
-                )
+                async with asyncio.TaskGroup() as tasks:
+                    program = self._program(client, queue, tasks, request.query.get("group", "")[:MAX_GROUP])
+                    program.participant.address = client.peer
+                    connection = ClientSocket(
+                        socket,
+                        transport,
+                        reading,
+                        client,
+                        program,
+                        queue,
+                        self._hub.turns(),
+                        tasks=tasks,
+                        max_messages_s=self._config.max_requests_s,
+                        on_replaced=lambda: self._hub.counts.velocities_replaced.update((kind,)),
+                        to_client=self._metrics.to_client,
+                    )
+                    tasks.create_task(connection.receive(), name=client.name)
             except* OSError as broken:
                 log.debug("client.broken", reason=str(broken.exceptions[0]))
             finally:
                 self._sockets.discard(socket)
                 self._clients.leave(client)
                 queue.clear()
-                self._limit.forget(client.name)
                 if request.transport is not None and request.transport.get_write_buffer_size():
                     request.transport.abort()  # it accepts nothing: closing would wait for it without end
                 log.info("client.closed", code=socket.close_code, dropped=queue.dropped)
         raise_if_cancelled()
         return socket if socket.prepared else web.Response(status=HTTPStatus.BAD_REQUEST)  # it broke off before
-
-    async def _serve_socket(
-        self,
-        socket: web.WebSocketResponse,
-        client: Client,
-        queue: ClientQueue,
-        reading: PacedReading | None,
-        *,
-        group: str,
-    ) -> None:
-        loop = asyncio.get_running_loop()
-        async with asyncio.TaskGroup() as tasks:
-            program = self._program(client, queue, tasks, group)
-            program.participant.address = client.peer
-            is_ready = asyncio.Event()
-            if client.kind != "foxglove":
-                is_ready.set()  # rosbridge's clients speak first
-            sender = tasks.create_task(
-                self._send(socket, client, program, queue, is_ready), name=f"{client.name} sender"
-            )
-            replaced = self._hub.counts.velocities_replaced
-            inbox: Inbox[Any] = Inbox(program, lambda: replaced.update((client.kind,)))
-            worker = tasks.create_task(self._work(program, inbox), name=f"{client.name} worker")
-            try:
-                while True:
-                    with inbox.receiving():
-                        message = await socket.receive()
-                    if message.type in CLOSING:
-                        await inbox.idle()
-                        break
-                    if message.type not in (WSMsgType.TEXT, WSMsgType.BINARY):
-                        if message.type is WSMsgType.PING:
-                            await socket.pong(message.data)
-                        elif message.type is WSMsgType.PONG:
-                            is_ready.set()
-                        if reading is not None and message.type in (WSMsgType.PING, WSMsgType.PONG):
-                            reading.receive_control(len(message.data or b""))
-                        continue  # also of a broken frame, behind which the socket is closed
-                    client.messages_from_client += 1
-                    inbox.put(message.data, loop.time() if reading is None else reading.came_s)
-                    if self._limit.debt_s(client.name, loop.time()) > DEBT_S:
-                        await self._refuse_flood(socket)
-                        break
-                    await inbox.room()
-                    if reading is not None:
-                        reading.receive_message()
-            finally:
-                program.close()
-                sender.cancel()
-                worker.cancel()
-
-    async def _work(self, program: Program, inbox: Inbox[Any]) -> None:
-        """Do what has come, in the client's turns."""
-        turns = self._hub.turns()
-        while True:
-            await inbox.wait()
-            await turns.run(inbox.work, is_flooding=inbox.is_flooding)
-            await program.settle()
 
     def _program(self, client: Client, queue: ClientQueue, tasks: asyncio.TaskGroup, group: str) -> Program:
         """What speaks the client's language."""
@@ -344,84 +321,16 @@ class ApiServer:
             return FoxgloveClient(name, self._hub, self._directory, queue, spawn=tasks.create_task, role=role)
         return RosbridgeClient(name, self._hub, queue, spawn=tasks.create_task, role=role, group=group)
 
-    async def _refuse_flood(self, socket: web.WebSocketResponse) -> None:
-        """To read more slowly would be worse: commands would come late, the stop behind them too."""
-        log.warning("client.too_fast", limit_s=self._config.max_requests_s)
-        reason = f"more than {self._config.max_requests_s:g} messages a second"
-        await socket.close(code=WSCloseCode.POLICY_VIOLATION, message=reason.encode(), drain=False)
-
-    async def _send(
-        self,
-        socket: web.WebSocketResponse,
-        client: Client,
-        program: Program,
-        queue: ClientQueue,
-        is_ready: asyncio.Event,
-    ) -> None:
-        """Send what is queued; a client that cannot keep up with its answers is logged, and closed."""
-        loop = asyncio.get_running_loop()
-        if not is_ready.is_set():
-            await _answer_to_ping(socket, is_ready)
-        async with patience(SEND_TIMEOUT_S) as sending:
-            while not queue.is_too_slow and not queue.is_closed:
-                now_s = loop.time()
-                due_s = program.flush(now_s)
-                sending.begin(now_s)
-                for waiting in itertools.islice(iter(queue.pop, None), SEND_BATCH):
-                    if waiting.item.before:
-                        await socket.send_frame(waiting.item.before, WSMsgType.BINARY)
-                    kind = WSMsgType.BINARY if waiting.item.is_binary else WSMsgType.TEXT
-                    await socket.send_frame(waiting.item.data, kind)
-                    client.sent(waiting.size_bytes)
-                    self._metrics.to_client.observe(loop.time() - waiting.since_s)
-                sending.end()
-                await _wait(queue, due_s)
-        if queue.is_closed:  # a fault of hostlink has ended the participant, and is logged
-            await socket.close(code=WSCloseCode.INTERNAL_ERROR, message=b"a fault of hostlink", drain=False)
-            raise ConnectionAbortedError("a fault of hostlink")
-        log.warning("client.too_slow", dropped=queue.dropped)
-        await socket.close(code=WSCloseCode.POLICY_VIOLATION, message=b"too slow: answers pile up", drain=False)
-        raise ConnectionAbortedError("answers pile up")  # ends the reader too, which may wait for room
-
     async def _close_sockets(self, _: web.Application) -> None:
         async with asyncio.TaskGroup() as tasks:  # all at once: a hundred that are stuck last no longer than one
             for socket in self._sockets:
-                tasks.create_task(_close_going_away(socket))
+                tasks.create_task(close_going_away(socket, SHUTDOWN_TIMEOUT_S))
 
 
-async def _close_going_away(socket: web.WebSocketResponse) -> None:
-    with contextlib.suppress(TimeoutError):
-        async with asyncio.timeout(SHUTDOWN_TIMEOUT_S):
-            await socket.close(code=WSCloseCode.GOING_AWAY, message=b"hostlink stops", drain=False)
-
-
-async def _answer_to_ping(socket: web.WebSocketResponse, has_answered: asyncio.Event) -> None:
-    """Wait until the program at the other end has seen that the connection is open.
-
-    Programs add their listeners then. A message that is read together with the end of the handshake reaches none:
-    Foxglove's `mcap-record` so lost the channels, and recorded nothing.
-    """
-    await socket.ping()
-    with contextlib.suppress(TimeoutError):
-        async with asyncio.timeout(READY_TIMEOUT_S):
-            await has_answered.wait()
-
-
-async def _wait(queue: ClientQueue, until_s: float | None) -> None:
-    """Wait for something to send, or until then."""
-    if until_s is None:
-        await queue.wait()
-        return
-    with contextlib.suppress(TimeoutError):
-        async with asyncio.timeout_at(until_s):
-            await queue.wait()
-
-
-def _bound_buffers(request: web.Request) -> None:
+def _bound_buffers(transport: asyncio.Transport) -> None:
     """Keep the buffers behind the client's queue small, in the process and the kernel: they drop and count nothing."""
-    if request.transport is not None:
-        request.transport.set_write_buffer_limits(SEND_BUFFER_BYTES)
-        request.transport.get_extra_info("socket").setsockopt(sockets.SOL_SOCKET, sockets.SO_SNDBUF, SEND_BUFFER_BYTES)
+    transport.set_write_buffer_limits(SEND_BUFFER_BYTES)
+    transport.get_extra_info("socket").setsockopt(sockets.SOL_SOCKET, sockets.SO_SNDBUF, SEND_BUFFER_BYTES)
 
 
 def _too_large(most_bytes: int) -> web.HTTPRequestEntityTooLarge:

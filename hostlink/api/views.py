@@ -2,19 +2,61 @@
 
 import asyncio
 import functools
-from collections.abc import Iterable, Iterator
-from typing import TypedDict
+from collections.abc import Callable, Hashable, Iterable, Iterator
+from typing import TypedDict, TypeVar
 
 import msgspec
 
-from hostlink.api.slices import Slices
 from hostlink.diagnosis.finding import Finding
 from hostlink.hub.diagnoses import Diagnosis
 from hostlink.hub.hub import Hub
 from hostlink.hub.robot import Robot
+from hostlink.hub.topic import Topic
 from hostlink.robot.odometry import OdometrySnapshot
 from hostlink.robot.standstill import Standstill
 from hostlink.robot.velocity import PlanarVelocity
+
+View = TypeVar("View")
+
+SLICE_S = 0.0002  # of one turn of the loop: eight robots, or one link with very many topics
+
+
+class Slices:
+    """The turns of one encoder; `spent_s` is what its work has cost."""
+
+    def __init__(self, hub: Hub) -> None:
+        self.spent_s = 0.0
+        self._turns = hub.turns()
+
+    async def run(self, views: Iterator[View], work: Callable[[View], None]) -> None:
+        """Make the views and do the work for each, in a turn as many as fill SLICE_S."""
+        now_s = asyncio.get_running_loop().time
+        is_done = False
+
+        def work_on_some() -> None:
+            nonlocal is_done
+            began_s = now_s()
+            for view in views:
+                work(view)
+                if now_s() - began_s >= SLICE_S:
+                    break
+            else:
+                is_done = True
+            self.spent_s += now_s() - began_s
+
+        while not is_done:
+            await self._turns.run(work_on_some, is_flooding=True)
+
+
+def node_name(hub: Hub, key: Hashable) -> str:
+    """A robot by its name, another device by its link, a client by its number."""
+    robot = hub.robots.of_link(key)
+    return f"/{str(key).split(' (', maxsplit=1)[0].replace(' ', '_') if robot is None else robot.name}"
+
+
+def receivers(topic: Topic) -> Iterable[Hashable]:
+    """The keys of the devices and the clients that get its messages."""
+    return (*topic.devices, *(subscriber.key for subscriber in topic.subscribers))
 
 
 class VelocityView(TypedDict):

@@ -13,8 +13,7 @@ from typing import Any
 
 import msgspec
 
-from hostlink.api.slices import Slices
-from hostlink.api.views import finding_views, links_view, robot_view
+from hostlink.api.views import Slices, finding_views, links_view, robot_view
 from hostlink.cli.connecting import counted
 from hostlink.cli.doctor import Report, rates, report_of
 from hostlink.cli.serve import running

@@ -44,6 +44,7 @@ class Queue(Generic[Item]):
         self._topics: dict[str, deque[Waiting[Item]]] = {}
         self._results: deque[Waiting[Item]] = deque()
         self._news = asyncio.Event()
+        self.on_news: Callable[[], None] = self._news.set  # an owner that does not `wait` replaces it
         self._room = asyncio.Event()
         self._room.set()
 
@@ -87,7 +88,7 @@ class Queue(Generic[Item]):
             self.drop_oldest(topic if len(waiting) > 1 else None)
         if self._share.held_bytes > self._share.max_bytes:
             self._make_room()
-        self._news.set()
+        self.on_news()
 
     def put_result(self, item: Item) -> None:
         """Queue an answer or an event."""
@@ -104,7 +105,7 @@ class Queue(Generic[Item]):
             self._result_bytes += new.size_bytes
             self._share.held_bytes += new.size_bytes
         self._note_room()
-        self._news.set()
+        self.on_news()
 
     def forget(self, topic: str) -> None:
         """Nothing of this topic is wanted any more."""
@@ -131,7 +132,7 @@ class Queue(Generic[Item]):
     def close(self) -> None:
         """The participant has ended: `is_closed` from now on, and `wait` returns."""
         self.is_closed = True
-        self._news.set()
+        self.on_news()
 
     def clear(self) -> None:
         """Nobody receives it any more: nothing is kept."""
@@ -140,7 +141,7 @@ class Queue(Generic[Item]):
 
     def wake(self) -> None:
         """Let `wait` return: a time limit has changed."""
-        self._news.set()
+        self.on_news()
 
     async def wait(self) -> None:
         """Wait until something was put."""

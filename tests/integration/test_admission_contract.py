@@ -395,12 +395,12 @@ def rows_of(entry_point: type[EntryPoint]) -> list[str]:
 #: What gives velocities in the source, and the entry points here that come that way. A `drive`, `command`, `follow` or
 #: `publish` that is not here is a way by which a robot may be driven without a test.
 SITES: dict[str, tuple[type[EntryPoint], ...]] = {
-    "api/drive.py: self._participant.drive": (entry_points.RosbridgeDrive, entry_points.Page),
+    "api/rosbridge.py: self._participant.drive": (entry_points.RosbridgeDrive, entry_points.Page),
     "api/rest.py: owner.drive": (entry_points.RestPut,),
     "api/rosbridge.py: self.participant.publish": (
         entry_points.RosbridgePublish, entry_points.RosbridgeRaw, entry_points.TwistStamped,
     ),
-    "api/foxglove_topics.py: self._participant.publish": (entry_points.FoxglovePublish,),
+    "api/foxglove.py: self._participant.publish": (entry_points.FoxglovePublish,),
     "cli/demo.py: self._participant.drive": (entry_points.Demo,),
     "cli/play.py: driven.drive": (entry_points.Play,),
     "cli/key_driver.py: self._robot.command": (entry_points.Teleop,),
@@ -437,7 +437,7 @@ OTHERS = {
     "api/events.py: participant.follow": "poses",
     "api/rest.py: self._owner(request).publish": "the reset of the odometry",
     "api/rosbridge.py: self._topics.publish": "an advertisement",
-    "api/foxglove.py: self._topics.publish": "calls foxglove_topics.py",
+    "api/foxglove.py: self._topics.publish": "calls FoxgloveTopics",
     "cli/calibration_people.py: self._drives.follow": "calls calibration_drive.py",
     "cli/calibrate.py: self._session.follow": "calls calibration_people.py",
     "cli/key_driver.py: watched.follow": "events",

@@ -13,8 +13,7 @@ from typing import Any
 import pytest
 from aiohttp.test_utils import make_mocked_request
 
-from hostlink.api.history import HistoryRoutes
-from hostlink.api.incidents import IncidentRoutes
+from hostlink.api.history import HistoryRoutes, IncidentRoutes
 from hostlink.config import BlackBoxConfig, Config, LinkConfig, RecordingConfig
 from hostlink.recording.black_box import MAX_CHANNELS, MAX_REQUESTED, BlackBox
 from hostlink.recording.channel import Channel, json_of
@@ -127,7 +126,7 @@ async def test_histories_are_made_one_at_a_time(tmp_path: Path) -> None:
         box, turn = BlackBox(host.hub, tmp_path), Turn(1)
         histories = HistoryRoutes(host.hub, box, turn), IncidentRoutes(box, host.hub.catalog, turn)
         handlers = [
-            next(route.handler for route in routes.routes() if route.path.endswith("/history")) for routes in histories
+            next(route.handler for route in routes.routes() if route.path.endswith("}/history")) for routes in histories
         ]
         async with asyncio.TaskGroup() as tasks:
             for handler, name in zip(handlers * 4, ["robot_0", incident["file"]] * 4, strict=True):
@@ -242,7 +241,14 @@ async def test_a_robots_history_is_where_it_drove_and_what_happened(tmp_path: Pa
         await host.rest("POST", "/api/robots/robot_0/lock?wait_s=0")
         history = await host.get("/api/robots/robot_0/history")
         robot = await host.get("/api/robots/robot_0")
+        fleet, chosen = await host.get("/api/history"), await host.get("/api/history?chosen=robot_0")
         assert (await host.rest("GET", "/api/robots/robot_9/history"))[0] == 404
+    for (of_one,), has_plots in ((fleet["robots"], False), (chosen["robots"], True)):
+        assert of_one["name"] == "robot_0"
+        assert [each["pose"] for each in of_one["poses"]] == [each["pose"] for each in history["poses"]]
+        assert [each["msg"] for each in of_one["events"]] == [each["msg"] for each in history["events"]]
+        assert {"twist" in each for each in of_one["poses"]} == {has_plots}
+        assert bool(of_one["commands"]) is has_plots
     assert [each["pose"]["x_m"] for each in history["poses"]] == [1.0, 1.01, 1.02, 1.03]
     assert history["poses"][-1]["pose"] == robot["odometry"]["pose"]
     assert commanded(history) == [STANDING, FORWARD, STANDING]

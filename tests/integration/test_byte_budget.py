@@ -5,7 +5,7 @@ import asyncio
 import msgspec
 import pytest
 
-from hostlink.api.paced_reading import LARGE_BYTES
+from hostlink.api.listener import LARGE_BYTES
 from hostlink.config import ApiConfig, Config
 from hostlink.hub.byte_budget import OWN_LATCHED_BYTES, SHARES
 from tests.support.api_loads import frame, websocket_head

@@ -12,8 +12,7 @@ import aiohttp
 import pytest
 from structlog.testing import capture_logs
 
-from hostlink.api.state_feed import TICK_S
-from hostlink.api.unread import CHECK_S
+from hostlink.api.events import CHECK_S, TICK_S
 from hostlink.config import Config, LinkConfig
 from hostlink.protocol.control import Log
 from hostlink.protocol.frame import Id, encode

@@ -16,8 +16,8 @@ import yaml
 from prometheus_client.parser import text_string_to_metric_families
 from structlog.testing import capture_logs
 
-from hostlink.api import recording_metrics
-from hostlink.api.owners import MAX_OWNERS
+from hostlink.api import metrics as recording_metrics
+from hostlink.api.rest import MAX_OWNERS
 from hostlink.config import BlackBoxConfig, Config, RecordingConfig
 from hostlink.hub.message import Message
 from hostlink.hub.topic import MAX_WAITING

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from hostlink.api.owners import Owners
+from hostlink.api.rest import Owners
 from hostlink.cli.demo import DRIVE, DemoDriver
 from hostlink.errors import BadRequest, HostlinkError
 from hostlink.hub.message import Message

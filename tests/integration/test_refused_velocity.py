@@ -11,9 +11,9 @@ from typing import Any
 import pytest
 from structlog.testing import capture_logs
 
+from hostlink.api.clients import ClientQueue
 from hostlink.api.foxglove import FoxgloveClient
 from hostlink.api.foxglove_directory import FoxgloveDirectory
-from hostlink.api.outgoing import client_queue
 from hostlink.api.rosbridge import RosbridgeClient
 from hostlink.client import CommandRefused, Refused, connect
 from hostlink.config import Config
@@ -84,7 +84,7 @@ class Peer:
     """A client on a hub in virtual time; `statuses` is what it was told."""
 
     def __init__(self, made: Scene, kind: str) -> None:
-        self.queue, self.kind, self.statuses = client_queue(), kind, list[dict[str, Any]]()
+        self.queue, self.kind, self.statuses = ClientQueue(), kind, list[dict[str, Any]]()
         self.client: Any
         if kind == "rosbridge":
             self.client = RosbridgeClient("client 1", made.hub, self.queue, spawn=made.tasks.create_task)

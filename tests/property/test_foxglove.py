@@ -7,7 +7,7 @@ import struct
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hostlink.api.foxglove_frames import Published, ServiceCall, decode_frame
+from hostlink.api.foxglove_protocol import Published, ServiceCall, decode_frame
 from hostlink.errors import BadRequest
 from hostlink.hub.queue import MAX_MESSAGES, MAX_RESULTS
 from tests.support.foxglove_memory import World, world

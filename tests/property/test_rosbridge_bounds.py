@@ -3,7 +3,7 @@
 import tracemalloc
 from typing import Any
 
-from hostlink.api.request import MAX_TEXT
+from hostlink.api.rosbridge_request import MAX_TEXT
 from hostlink.hub.participant import MAX_ADVERTISED, MAX_LATCHED, MAX_SERVICES, MAX_SUBSCRIPTIONS
 from tests.support.rosbridge_memory import world
 

@@ -18,12 +18,10 @@ from typing import Any, ClassVar, cast
 from aiohttp.test_utils import make_mocked_request
 
 from hostlink.api.access import GRANT, Grant
-from hostlink.api.clients import Clients
+from hostlink.api.clients import ClientQueue, Clients
 from hostlink.api.foxglove import FoxgloveClient
 from hostlink.api.foxglove_directory import FoxgloveDirectory
-from hostlink.api.outgoing import client_queue
-from hostlink.api.owners import Owners
-from hostlink.api.rest import Rest
+from hostlink.api.rest import Owners, Rest
 from hostlink.api.rosbridge import RosbridgeClient
 from hostlink.api.routes import BODY, CAME
 from hostlink.cli import demo, play
@@ -127,7 +125,7 @@ class EntryPoint:
 class _Rosbridge(EntryPoint):
     def __init__(self, made: Scene) -> None:
         super().__init__(made)
-        self.queue = client_queue()
+        self.queue = ClientQueue()
         self.client = RosbridgeClient("client 1", made.hub, self.queue, spawn=made.tasks.create_task)
 
     def send(self, **request: Any) -> None:
@@ -242,7 +240,7 @@ class FoxglovePublish(EntryPoint):
 
     def __init__(self, made: Scene) -> None:
         super().__init__(made)
-        self._queue = client_queue()
+        self._queue = ClientQueue()
         directory = FoxgloveDirectory(made.hub)
         self._client = FoxgloveClient("client 1", made.hub, directory, self._queue, spawn=made.tasks.create_task)
         channel = {"id": 1, "topic": CMD_VEL, "encoding": "ros1", "schemaName": TWIST_TYPE}

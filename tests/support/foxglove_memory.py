@@ -8,9 +8,9 @@ import struct
 from collections.abc import AsyncIterator
 from typing import Any
 
+from hostlink.api.clients import ClientQueue
 from hostlink.api.foxglove import FoxgloveClient
 from hostlink.api.foxglove_directory import FoxgloveDirectory
-from hostlink.api.outgoing import client_queue
 from hostlink.config import Config
 from hostlink.hub.hub import Hub
 from hostlink.hub.node import Role
@@ -26,7 +26,7 @@ class Peer:
     def __init__(
         self, name: str, hub: Hub, directory: FoxgloveDirectory, tasks: asyncio.TaskGroup, role: Role = Role.DRIVE
     ) -> None:
-        self.queue = client_queue()
+        self.queue = ClientQueue()
         self.times: list[int] = []  # in ns, oldest first
         self.client = FoxgloveClient(name, hub, directory, self.queue, spawn=tasks.create_task, role=role)
 

@@ -8,7 +8,7 @@ from collections import defaultdict
 from collections.abc import AsyncIterator, Callable, Mapping
 from typing import Any, cast
 
-from hostlink.api.outgoing import client_queue
+from hostlink.api.clients import ClientQueue
 from hostlink.api.rosbridge import RosbridgeClient
 from hostlink.client import Robot
 from hostlink.client.connection import Connection
@@ -27,7 +27,7 @@ class MemoryConnection:
     def __init__(self, hub: Hub, tasks: asyncio.TaskGroup) -> None:
         self.delay_s = 0.0
         self.handlers: defaultdict[str, list[Callable[[dict[str, Any]], None]]] = defaultdict(list)
-        self._queue = client_queue()
+        self._queue = ClientQueue()
         self._client = RosbridgeClient(f"program {next(_numbers)}", hub, self._queue, spawn=tasks.create_task)
         self._answers: dict[str, asyncio.Future[dict[str, Any]]] = {}
         self._numbers = itertools.count(1)

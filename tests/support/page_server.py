@@ -15,9 +15,8 @@ from typing import Any
 import msgspec
 from aiohttp import WSMsgType, web
 
-from hostlink.api.drives import DriveView
 from hostlink.api.events import ROLE_HEADER
-from hostlink.api.listening import ListeningView
+from hostlink.api.rest import DriveView, ListeningView
 from hostlink.api.views import LinkView, RobotView, StoppedRobotView
 
 BUILT = Path(__file__).parents[2] / "hostlink" / "api" / "web" / "built"
@@ -169,6 +168,10 @@ class PageServer:
     async def _history(self, _: web.Request) -> web.Response:
         return web.json_response({"poses": self._state.past, "plot_data": [], "events": []})
 
+    async def _histories(self, _: web.Request) -> web.Response:
+        past = {"poses": self._state.past, "plot_data": [], "events": []}
+        return web.json_response({"robots": [{"name": view["name"], **past} for view in self._state.robots]})
+
     async def _drives(self, request: web.Request) -> web.Response:
         shown = self._state.drives[: int(request.query["limit"])]
         return web.json_response({"drives": shown, "lost": 0})
@@ -188,6 +191,7 @@ class PageServer:
         application.router.add_get("/", self._socket)
         application.router.add_static("/web", BUILT / "web")
         application.router.add_get("/api/events", self._events)
+        application.router.add_get("/api/history", self._histories)
         application.router.add_get("/api/robots/{name}/history", self._history)
         application.router.add_get("/api/robots/{name}/standstill", self._standstill)
         application.router.add_get("/api/standstill", self._standstill)

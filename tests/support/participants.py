@@ -12,10 +12,10 @@ from weakref import WeakKeyDictionary
 
 from structlog.testing import capture_logs
 
+from hostlink.api.clients import ClientQueue, Outgoing
 from hostlink.api.foxglove import FoxgloveClient
 from hostlink.api.foxglove_directory import FoxgloveDirectory
-from hostlink.api.outgoing import ClientQueue, Outgoing, client_queue
-from hostlink.api.owners import Owners
+from hostlink.api.rest import Owners
 from hostlink.api.rosbridge import RosbridgeClient
 from hostlink.config import Config
 from hostlink.errors import BadRequest, CommandRefused, HostlinkError, RefusalKind, Refused
@@ -135,7 +135,7 @@ class RosbridgeProgram:
     ) -> None:
         """`level`: of the status that it wants; None: it does not say."""
         self.is_failing = False
-        self.queue: ClientQueue = client_queue()
+        self.queue: ClientQueue = ClientQueue()
         self.queue._size_of = self._size_of
         self._numbers = itertools.count()
         self._client = RosbridgeClient(name, hub, self.queue, spawn=tasks.create_task, role=role)
@@ -227,7 +227,7 @@ class FoxgloveProgram:
 
     def __init__(self, scene: "Scene", name: str, role: Role) -> None:
         self.is_failing = False
-        self.queue: ClientQueue = client_queue()
+        self.queue: ClientQueue = ClientQueue()
         self.queue._size_of = self._size_of
         self._numbers = itertools.count(1)
         directory = FoxgloveDirectory(scene.hub)

@@ -9,7 +9,7 @@ from typing import Any
 
 import cbor2
 
-from hostlink.api.outgoing import client_queue
+from hostlink.api.clients import ClientQueue
 from hostlink.api.rosapi import RosApi
 from hostlink.api.rosbridge import RosbridgeClient
 from hostlink.config import Config
@@ -21,7 +21,7 @@ class Peer:
     """One client: it sends requests, and keeps all that came since the last `received`."""
 
     def __init__(self, name: str, hub: Hub, tasks: asyncio.TaskGroup) -> None:
-        self.queue = client_queue()
+        self.queue = ClientQueue()
         self.client = RosbridgeClient(name, hub, self.queue, spawn=tasks.create_task)
         self.send(op="set_level", level="info")
 

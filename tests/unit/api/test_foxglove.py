@@ -7,12 +7,17 @@ from typing import Any
 
 import pytest
 
-from hostlink.api.foxglove import BATCH, CHANGES_INTERVAL_S
+from hostlink.api.foxglove import (
+    BATCH,
+    CHANGES_INTERVAL_S,
+    CHECK_INTERVAL_S,
+    INTERVAL_S,
+    NO_GRAPH,
+    STEP_S,
+    graph_update,
+)
 from hostlink.api.foxglove_directory import ConnectionGraph
-from hostlink.api.foxglove_frames import ServiceCall, decode_frame, encode_message, encode_response
-from hostlink.api.foxglove_graph import NO_GRAPH, graph_update
-from hostlink.api.foxglove_parameters import CHECK_INTERVAL_S
-from hostlink.api.foxglove_time import INTERVAL_S, STEP_S
+from hostlink.api.foxglove_protocol import ServiceCall, decode_frame, encode_message, encode_response
 from hostlink.errors import BadRequest
 from hostlink.hub.node import Role
 from hostlink.hub.participant import MAX_SUBSCRIPTIONS

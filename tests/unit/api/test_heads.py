@@ -3,7 +3,7 @@
 from aiohttp import ClientConnectionResetError, web
 from aiohttp.test_utils import make_mocked_request
 
-from hostlink.api.heads import refuse_unreadable
+from hostlink.api.routes import refuse_unreadable
 
 
 async def test_a_client_that_left_before_it_was_told_to_continue_is_no_fault() -> None:

@@ -1,12 +1,11 @@
 """Inbox: the order of what a client has sent, and which velocities are skipped for newer ones."""
 
-import asyncio
 from dataclasses import dataclass, field
 
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hostlink.api.inbox import MANY, MAX_BYTES, Inbox, Operation
+from hostlink.api.inbox import MANY, MAX_BYTES, MAX_MESSAGES, Inbox, Operation
 from tests.support.virtual_loop import run_virtual
 
 
@@ -90,44 +89,50 @@ def test_a_velocity_that_waits_is_replaced_while_others_are_worked_on() -> None:
     assert run_virtual(run()).done == ["call", "a=2"]
 
 
-def test_what_was_there_before_it_was_waited_for_is_as_old_as_what_was_before_it() -> None:
-    async def run() -> Program:
-        program = Program()
-        box = inbox(program)
-        with box.receiving():
-            await asyncio.sleep(0.1)
-        box.put("first", 1.0)
-        with box.receiving():
-            pass
-        box.put("second", 9.0)
-        with box.receiving():
-            await asyncio.sleep(0.1)
-        box.put("third", 9.0)
-        while len(box):
-            box.work()
-        return program
-
-    assert run_virtual(run()).came_s == {"first": 1.0, "second": 1.0, "third": 9.0}
-
-
-def test_too_many_are_a_flood_until_none_waits_and_too_much_is_not_received() -> None:
-    async def run() -> None:
-        box = inbox(Program())
-        for _ in range(MANY + 1):
-            assert not box.is_flooding
-            box.put("call", 0.0)
-        assert box.is_flooding
-        for _ in range(MANY):
-            box.work()
-        assert box.is_flooding
+def test_message_that_was_there_before_it_was_waited_for_is_as_old_as_the_one_before() -> None:
+    program = Program()
+    box = inbox(program)
+    for word, came_s, was_awaited in (("first", 1.0, True), ("second", 9.0, False), ("third", 9.0, True)):
+        box.is_behind = True
+        if was_awaited:
+            box.note_wait()
+        box.put(word, came_s)
+    while len(box):
         box.work()
+    assert program.came_s == {"first": 1.0, "second": 1.0, "third": 9.0}
+
+
+def test_too_many_messages_are_a_flood_until_none_waits() -> None:
+    box = inbox(Program())
+    for _ in range(MANY + 1):
         assert not box.is_flooding
-        await box.idle()
-        box.put("x" * (MAX_BYTES + 1), 0.0)
-        room = asyncio.get_running_loop().create_task(box.room())
-        await asyncio.sleep(1)
-        assert not room.done()
+        box.put("call", 0.0)
+    assert box.is_flooding
+    for _ in range(MANY):
         box.work()
-        await room
+    assert box.is_flooding
+    box.work()
+    assert not box.is_flooding
 
-    run_virtual(run())
+
+def test_too_many_bytes_have_no_room_until_they_are_done() -> None:
+    box = inbox(Program())
+    box.put("x" * MAX_BYTES, 0.0)
+    assert box.has_room
+    box.put("x", 0.0)
+    assert not box.has_room
+    box.work()
+    assert not box.has_room
+    box.work()
+    assert box.has_room
+
+
+def test_too_many_messages_have_no_room_until_half_of_them_are_done() -> None:
+    box = inbox(Program())
+    for _ in range(MAX_MESSAGES + 1):
+        assert box.has_room
+        box.put("call", 0.0)
+    for _ in range(MAX_MESSAGES // 2 + 1):
+        assert not box.has_room
+        box.work()
+    assert box.has_room

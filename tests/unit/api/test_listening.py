@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from hostlink.api.listening import listening_view
+from hostlink.api.rest import listening_view
 from hostlink.cli.addresses import parse_address
 from hostlink.config import Config, SerialConfig, TcpConfig, UdpConfig
 from hostlink.hub.hub import Listening

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hostlink.api.rate_limit import MAX_KEYS, RateLimit
+from hostlink.api.rate_limit import MAX_KEYS, Bucket, RateLimit
 
 
 def test_a_second_s_worth_at_once_then_one_by_one() -> None:
@@ -16,11 +16,11 @@ def test_a_second_s_worth_at_once_then_one_by_one() -> None:
 
 
 def test_a_client_that_sends_too_much_is_in_debt() -> None:
-    limit = RateLimit(10)
-    assert [limit.debt_s("a", 5.0) for _ in range(10)] == [0.0] * 10
-    assert limit.debt_s("a", 5.0) == pytest.approx(0.1)
-    assert limit.debt_s("a", 5.0) == pytest.approx(0.2)
-    assert limit.debt_s("a", 5.2) == pytest.approx(0.1)
+    bucket = Bucket(10, 5.0)
+    assert [bucket.debt_s(5.0) for _ in range(10)] == [0.0] * 10
+    assert bucket.debt_s(5.0) == pytest.approx(0.1)
+    assert bucket.debt_s(5.0) == pytest.approx(0.2)
+    assert bucket.debt_s(5.2) == pytest.approx(0.1)
 
 
 def test_nobody_pays_for_another() -> None:
@@ -37,12 +37,12 @@ def test_it_remembers_a_bounded_number() -> None:
 
 @given(st.floats(1, 1000), st.lists(st.floats(0, 0.5), max_size=200))
 def test_never_more_than_the_rate_and_a_burst(per_s: float, pauses_s: list[float]) -> None:
-    limit = RateLimit(per_s)
+    limit, bucket = RateLimit(per_s), Bucket(per_s, 0.0)
     now_s, passed, sent, silent_until_s = 0.0, 0, 0, 0.0
     for pause_s in pauses_s:
         now_s += pause_s
         passed += limit.allows("a", now_s)
-        silent_until_s += limit.debt_s("b", silent_until_s)
+        silent_until_s += bucket.debt_s(silent_until_s)
         sent += 1
     assert passed <= per_s * now_s + per_s + 1e-6
     assert sent <= per_s * silent_until_s + per_s + 1e-6

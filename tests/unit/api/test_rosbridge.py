@@ -291,7 +291,8 @@ async def test_many_quick_calls_in_one_read_are_all_answered() -> None:
         caller, answers = here.client(), []
         for number in range(200):
             caller.send(op="call_service", id=number, service="/rosapi/get_time")
-            await caller.client.settle()
+            if caller.client.is_crowded:
+                await asyncio.sleep(0)
             answers += caller.received()
         answers += await caller.answers()
         assert sorted(answer["id"] for answer in answers if answer["result"]) == list(range(200))
@@ -304,7 +305,7 @@ async def test_a_client_that_does_not_read_its_answers_is_not_read_from() -> Non
             peer.send(op="dance", id=number)
         with pytest.raises(TimeoutError):
             async with asyncio.timeout(0.01):
-                await peer.client.settle()
+                await peer.queue.room()
         assert len(peer.received()) == 150
-        await peer.client.settle()
+        await peer.queue.room()
         assert not peer.queue.is_too_slow

@@ -10,7 +10,7 @@ from typing import Any
 from structlog.testing import capture_logs
 
 from hostlink.api.clients import Clients
-from hostlink.api.state_feed import MAX_LINES, Reader, StateFeed
+from hostlink.api.events import MAX_LINES, Reader, StateFeed
 from hostlink.config import Config
 from hostlink.hub.hub import Hub
 from hostlink.protocol.control import Log

@@ -1,6 +1,6 @@
 """TypeDefs as rosbridge's own, which takes them from the classes that ROS generates."""
 
-from hostlink.api.typedefs import describe
+from hostlink.api.rosapi import describe
 from tests.support.fake_device import CATALOG
 
 

@@ -4,8 +4,7 @@ import asyncio
 
 import msgspec
 
-from hostlink.api.slices import Slices
-from hostlink.api.views import LinksView, links_view
+from hostlink.api.views import LinksView, Slices, links_view
 from hostlink.config import Config
 from hostlink.hub.hub import Hub
 from hostlink.messages.catalog import Catalog

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from hostlink.api.incidents import stored_history
+from hostlink.api.history import stored_history
 from hostlink.messages.catalog import Catalog
 from hostlink.recording import file_thread
 from hostlink.recording.black_box import write_incident

@@ -1,19 +1,20 @@
-/** What happened before the page was opened, from the daemon's black box: of each robot when it is first shown. */
+/** What happened before the page was opened, from the daemon's black box: one request for all robots. */
 
 import type { DeviceLog } from "./log";
 import type { RobotMap } from "./map";
-import { type HistoryView, linesOf } from "./past";
+import { type HistoriesView, type HistoryView, linesOf } from "./past";
 import type { Plots } from "./plots";
 import { ofRobot, rest } from "./rest";
 import { now_s } from "./timeline";
 import type { RobotView } from "./views";
 
-const TIMEOUT_MS = 15_000; // minutes of a robot, over a slow line
+const TIMEOUT_MS = 15_000; // minutes of a fleet, over a slow line
 
 export class History {
   private readonly requested = new Set<string>();
   private readonly waiting: string[] = []; // requested one after the other: a stop finds the line free
   private isFetching = false;
+  private hasFleet = false;
   private plotted = "";
 
   constructor(
@@ -22,10 +23,17 @@ export class History {
     private readonly log: DeviceLog,
   ) {}
 
-  /** Robots are shown; those that are new here have a past. `chosen`: whose plots are shown. */
+  /** Robots are shown. All of the first call are one request; each that connects later has its own. `chosen`: whose plots are shown. */
   show(robots: RobotView[], chosen: string | undefined): void {
     const names = new Set(robots.map(({ name }) => name));
     for (const name of this.requested) if (!names.has(name)) this.requested.delete(name); // it is forgotten
+    if (!this.hasFleet && names.size > 0) {
+      this.hasFleet = true;
+      for (const name of names) this.requested.add(name);
+      this.plotted = chosen ?? "";
+      void this.fetchFleet();
+      return;
+    }
     const isNew = chosen !== undefined && !this.requested.has(chosen);
     for (const name of isNew ? [chosen, ...names] : names) {
       if (this.requested.has(name)) continue;
@@ -36,28 +44,39 @@ export class History {
       this.plotted = chosen;
       if (!isNew) void this.fetchPlots(chosen);
     }
-    void this.fetchAll();
+    void this.fetchWaiting();
   }
 
-  private async fetchAll(): Promise<void> {
+  private async fetchFleet(): Promise<void> {
+    this.isFetching = true;
+    const chosen = this.plotted;
+    const path = `api/history?chosen=${encodeURIComponent(chosen)}`;
+    const past = await rest<HistoriesView>("GET", path, undefined, TIMEOUT_MS).catch(() => null);
+    for (const each of past?.robots ?? []) {
+      if (this.requested.has(each.name)) this.prepend(each.name, each, each.name === chosen);
+    }
+    this.isFetching = false;
+    await this.fetchWaiting();
+  }
+
+  private async fetchWaiting(): Promise<void> {
     if (this.isFetching) return;
     this.isFetching = true;
     for (let name = this.waiting.shift(); name !== undefined; name = this.waiting.shift()) {
-      if (this.requested.has(name)) await this.fetch(name);
+      const past = this.requested.has(name) ? await request(name) : null;
+      if (past !== null) this.prepend(name, past, true);
     }
     this.isFetching = false;
   }
 
-  private async fetch(name: string): Promise<void> {
-    const past = await request(name);
-    if (past === null) return;
+  private prepend(name: string, past: HistoryView, hasPlots: boolean): void {
     const now = now_s();
     this.map.prepend(
       name,
       past.poses.map(({ pose, age_s }) => ({ pose, time_s: now - age_s })),
     );
     this.log.prepend(linesOf(past, name, now));
-    this.plots.prepend(name, past);
+    if (hasPlots) this.plots.prepend(name, past);
   }
 
   private async fetchPlots(name: string): Promise<void> {

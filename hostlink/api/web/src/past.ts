@@ -22,6 +22,11 @@ export interface HistoryView {
   events: Past<PastEvent>[];
 }
 
+/** GET api/history: of every robot of the daemon. */
+export interface HistoriesView {
+  robots: (HistoryView & { name: string })[];
+}
+
 /** A line of the log; level as in rosgraph_msgs/Log. */
 export interface PastLine {
   time_s: number;

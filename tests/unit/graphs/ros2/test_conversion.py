@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_typestore
 
-from hostlink.api.typedefs import describe
+from hostlink.api.rosapi import describe
 from hostlink.errors import BadPayload, HostlinkError
 from hostlink.graphs.ros2.conversion import (
     Conversion,

@@ -1,17 +1,68 @@
-"""ClientSubscriptions: what one client of rosbridge subscribes to, in the form and at the pace that it chose."""
+"""What one client of rosbridge subscribes to, at the rate and in the form that it chose: JSON, CBOR or cbor-raw."""
 
-from collections.abc import Callable
-from typing import NamedTuple
+import struct
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
 
+import cbor2
 import msgspec
 
-from hostlink.api.cbor import encode_cbor, encode_cbor_raw
-from hostlink.api.outgoing import ClientQueue, Outgoing
-from hostlink.api.request import Request
+from hostlink.api.clients import ClientQueue, Outgoing
+from hostlink.api.rosbridge_request import Request
 from hostlink.errors import BadPayload, BadRequest
 from hostlink.hub.message import Message
 from hostlink.hub.participant import MAX_SUBSCRIPTIONS, Participant
 from hostlink.hub.subscription import Subscription
+from hostlink.messages.message_type import MessageType
+
+_NS_PER_S = 1_000_000_000
+# RFC 8746, little-endian: what roslibjs knows how to read.
+_TAGS = {
+    "uint16": (69, "H"),
+    "uint32": (70, "I"),
+    "uint64": (71, "Q"),
+    "int8": (72, "b"),
+    "int16": (77, "h"),
+    "int32": (78, "i"),
+    "int64": (79, "q"),
+    "float32": (85, "f"),
+    "float64": (86, "d"),
+}
+
+
+def encode_cbor(topic: str, message: Message) -> bytes:
+    """The publish operation with its fields.
+
+    Raises:
+        BadPayload: the bytes are no message of the type.
+    """
+    fields: Any = message.decoded
+    if message.type is not None:
+        fields = _with_typed_arrays(message.type, message.decoded)
+    return cbor2.dumps({"op": "publish", "topic": topic, "msg": fields})
+
+
+def encode_cbor_raw(topic: str, message: Message) -> bytes:
+    """The publish operation with the serialised message: rosserial's payload is ROS 1's."""
+    secs, nsecs = divmod(message.stamp_ns, _NS_PER_S)
+    raw = {"secs": secs, "nsecs": nsecs, "bytes": message.payload}
+    return cbor2.dumps({"op": "publish", "topic": topic, "msg": raw})
+
+
+def _with_typed_arrays(type_: MessageType, fields: Mapping[str, Any]) -> dict[str, Any]:
+    shaped = dict(fields)
+    for field in type_.fields:
+        value, nested = fields[field.name], type_.nested.get(field.type)
+        if nested is not None:
+            is_list = isinstance(value, list)
+            shaped[field.name] = (
+                [_with_typed_arrays(nested, item) for item in value] if is_list else _with_typed_arrays(nested, value)
+            )
+        elif isinstance(value, list) and field.type in _TAGS:
+            tag, layout = _TAGS[field.type]
+            shaped[field.name] = cbor2.CBORTag(tag, struct.pack(f"<{len(value)}{layout}", *value))
+    return shaped
+
 
 MAX_QUEUE_LENGTH = 256
 Warn = Callable[[str], None]
@@ -86,7 +137,7 @@ class ClientSubscriptions:
         if mine.subscription is None:
             self._subscribe(mine, request.text_or("type", ""))
         else:
-            _update(mine)
+            self._update(mine)
         if form not in _FORMS:
             self._warn(f"subscribe: compression {form} is not offered, {name} comes as plain JSON")
 
@@ -100,7 +151,7 @@ class ClientSubscriptions:
             mine.options.clear()
         mine.options.pop(request.id, None)
         if mine.options:
-            _update(mine)
+            self._update(mine)
             return
         del self._subscriptions[name]
         self._queue.forget(name)
@@ -119,6 +170,12 @@ class ClientSubscriptions:
         )
         self._subscriptions[mine.name] = mine
 
+    def _update(self, mine: _ClientSubscription) -> None:
+        interval_s, queue_length = mine.merge()
+        if mine.subscription is not None:
+            mine.subscription.change(interval_s=interval_s, queue_length=queue_length)
+            self._queue.wake()
+
     def _put(self, mine: _ClientSubscription, message: Message) -> None:
         try:
             outgoing = Outgoing(mine.encoded(message), mine.form in _BINARY)
@@ -126,12 +183,6 @@ class ClientSubscriptions:
             self._warn(str(error))
         else:
             self._queue.put_message(mine.name, outgoing, message.at_s)
-
-
-def _update(mine: _ClientSubscription) -> None:
-    interval_s, queue_length = mine.merge()
-    if mine.subscription is not None:
-        mine.subscription.change(interval_s=interval_s, queue_length=queue_length)
 
 
 def encode_json(message: Message) -> bytes:
