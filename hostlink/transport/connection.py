@@ -38,11 +38,6 @@ class Connection(asyncio.BufferedProtocol):
         self._lost: asyncio.Future[None] = asyncio.get_running_loop().create_future()
 
     @property
-    def is_lost(self) -> bool:
-        """Whether the connection is lost."""
-        return self._lost.done()
-
-    @property
     def unread_bytes(self) -> int:
         """Number of received and unread bytes."""
         return len(self._received)

@@ -141,19 +141,22 @@ class UdpPort:
                 continue
             if size > READ_BYTES:
                 self._dropped["too_large"] += 1
-            elif size and self._on_datagram(self, Datagram(bytes(_VIEW[:size]), source, self._local(ancillary))):
+            elif size and self._on_datagram(
+                self, Datagram(bytes(_VIEW[:size]), source, local_address(ancillary, self.address))
+            ):
                 return
 
-    def _local(self, ancillary: list[tuple[int, int, bytes]]) -> Address:
-        """Return the local address that a datagram was sent to."""
-        for level, kind, data in ancillary:
-            if (level, kind) == (socket.IPPROTO_IP, _IP_PKTINFO):
-                return socket.inet_ntop(socket.AF_INET, data[4:8]), self.address[1]
-            if (level, kind) == (socket.IPPROTO_IPV6, socket.IPV6_PKTINFO):
-                host = socket.inet_ntop(socket.AF_INET6, data[:16])
-                scope = int.from_bytes(data[16:20], sys.byteorder) if host.startswith("fe80:") else 0
-                return host, self.address[1], 0, scope
-        return self.address
+
+def local_address(ancillary: list[tuple[int, int, bytes]], bound: Address) -> Address:
+    """Return the local address that a datagram was sent to; the bound address if the system does not tell."""
+    for level, kind, data in ancillary:
+        if (level, kind) == (socket.IPPROTO_IP, _IP_PKTINFO):
+            return socket.inet_ntop(socket.AF_INET, data[4:8]), bound[1]
+        if (level, kind) == (socket.IPPROTO_IPV6, socket.IPV6_PKTINFO):
+            host = socket.inet_ntop(socket.AF_INET6, data[:16])
+            scope = int.from_bytes(data[16:20], sys.byteorder) if host.startswith("fe80:") else 0
+            return host, bound[1], 0, scope
+    return bound
 
 
 @contextlib.asynccontextmanager

@@ -30,7 +30,7 @@ def encode_time(now_s: float) -> float:
 
 
 def age_s(velocity_m_s: float, now_s: float) -> float:
-    """How old such a velocity is."""
+    """Age of a velocity of this speed."""
     return (now_s - velocity_m_s * AGE_PERIOD_S) % AGE_PERIOD_S
 
 
@@ -111,7 +111,7 @@ async def latch(address: tuple[str, int], token: str, number: int, topics: int, 
 
 
 async def forever(work: Callable[[], Awaitable[None]]) -> None:
-    """Again, whatever the daemon does to the connection."""
+    """Repeat the work, also after the daemon ended the connection."""
     while True:
         try:
             await work()

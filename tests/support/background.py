@@ -1,4 +1,4 @@
-"""What goes on beside a test."""
+"""Work in the background of a test."""
 
 import asyncio
 import contextlib

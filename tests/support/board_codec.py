@@ -65,7 +65,7 @@ def compile_codec(folder: Path, compiler: Sequence[str] = ("g++", "-O0", *SANITI
 
 
 def run(program: Path, requests: Iterable[Request]) -> list[Answer]:
-    """What the codec makes of each payload.
+    """Return the codec's answer to each payload.
 
     Raises:
         AssertionError: a sanitizer found something.
@@ -88,5 +88,5 @@ def _answers(wire: bytes) -> Iterable[Answer]:
 
 
 def numbers_of(names: Sequence[str]) -> Mapping[str, int]:
-    """What a request calls each type."""
+    """Return the number of each type in requests."""
     return {name: number for number, name in enumerate(names, 1)}

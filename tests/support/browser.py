@@ -25,7 +25,7 @@ PHONE = {"width": 390, "height": 844}
 
 @dataclass
 class Visit:
-    """One visit of the page, and whatever the browser found wrong with it."""
+    """One visit of the page, and the errors that the browser reported."""
 
     page: Page
     host: str
@@ -74,7 +74,7 @@ async def chromium() -> AsyncIterator[Browser]:
 
 @contextlib.asynccontextmanager
 async def visit(browser: Browser, url: str, *, script: str = "", **context: Any) -> AsyncIterator[Visit]:
-    """Open the page as somebody who was never there; `script` runs before it."""
+    """Open the page as a new visitor; `script` runs before the page."""
     async with await browser.new_context(**{"viewport": DESK, **context}) as fresh:
         page = await fresh.new_page()
         new = Visit(page, urlsplit(url).netloc)

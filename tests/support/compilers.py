@@ -1,4 +1,4 @@
-"""How the tests call compilers of C++: which warnings are errors, which sanitizers run, and what a failure reports."""
+"""Compilers of C++ in tests: warnings that are errors, sanitizers, and the report of a failure."""
 
 import subprocess
 from collections.abc import Sequence
@@ -13,7 +13,7 @@ SANITIZERS: Final = ("-fsanitize=address,undefined", "-fno-sanitize-recover=all"
 
 
 def run(command: Sequence[object]) -> str:
-    """What it writes.
+    """Run a command and return its output.
 
     Raises:
         AssertionError: it failed, or it wrote a warning.

@@ -52,7 +52,7 @@ class StoppedPart(CorePart):
     def __init__(self, part: float) -> None:
         self._part = part
         self._pids: set[int] = set()
-        self._lock = threading.Lock()  # nobody is stopped once `remove` has returned
+        self._lock = threading.Lock()  # no process is stopped after `remove` has returned
         self._is_over = threading.Event()
         self._thread = threading.Thread(target=self._turn, daemon=True)
         self._thread.start()
@@ -96,7 +96,7 @@ def can_limit() -> bool:
 
 @contextlib.contextmanager
 def part_of_a_core(part: float, *pids: int) -> Iterator[CorePart]:
-    """These processes, and those that are added, have so much of one core for the length of the block, all together."""
+    """Limit these processes, and those that are added, to a part of one core together, within the block."""
     made = _quota(part) if can_limit() else StoppedPart(part)
     try:
         for pid in pids:

@@ -42,7 +42,7 @@ class Daemon:
 async def daemon(
     config: Config | None = None, *, has_black_box: bool = False, read: Callable[[], Config] | None = None
 ) -> AsyncIterator[Daemon]:
-    """Run a daemon for the length of the block; without a black box nobody but the test subscribes to anything.
+    """Run a daemon within the block. Without a black box, only the test subscribes to topics.
 
     `read`: its configuration file, which a reload reads.
     """

@@ -1,4 +1,4 @@
-"""What a device tells of itself: its battery, its WiFi, its firmware, its faults."""
+"""Reports of a device about itself: its battery, its WiFi, its firmware, its faults."""
 
 from hostlink.protocol.control import Log, TopicInfo
 from hostlink.protocol.frame import Id, encode

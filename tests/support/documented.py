@@ -30,7 +30,7 @@ class Documented(NamedTuple):
     is_complete: bool
 
     def complaint(self) -> str:
-        """What the parser has against it; empty: nothing."""
+        """Complaint of the parser; empty if it accepts the command."""
         name, *arguments = self.words
         if name.startswith("-"):
             return ""
@@ -41,7 +41,7 @@ class Documented(NamedTuple):
 
 @functools.cache
 def parser(name: str) -> Any:
-    """Of one command."""
+    """Return the parser of one command."""
     return cast(Any, typer.main.get_command(build_app(name))).commands[name]
 
 
@@ -89,7 +89,7 @@ def _in_code(document: str, block: str) -> Iterator[Documented]:
 
 
 def _command(document: str, text: str, *, is_complete: bool) -> Iterator[Documented]:
-    """Up to the end of it, without what stands for something else: [OPTIONAL], `...`."""
+    """Yield the command up to its end, without placeholders: [OPTIONAL], `...`."""
     try:
         words = shlex.split(text, comments=True)
     except ValueError:

@@ -1,4 +1,4 @@
-"""Every way by which a velocity comes to a robot, as one that drives and lets go, in virtual time.
+"""Every entry point of velocities for a robot, as a source that drives and lets go, in virtual time.
 
 What of the admission's tables a way cannot express is in its `cannot`, by the name of the row, with the reason.
 """
@@ -60,7 +60,7 @@ _IS_DROPPED = dict.fromkeys(
 
 
 class EntryPoint:
-    """One source that drives ROBOT; `goes_on`: whatever it is refused, it commands on until it is told otherwise."""
+    """One source that drives ROBOT; `goes_on`: it continues to command after a refusal."""
 
     cannot: ClassVar[dict[str, str]] = {}
     goes_on: ClassVar[bool] = True
@@ -84,7 +84,7 @@ class EntryPoint:
         return self.made.hub.robots.find(ROBOT).gate.admission.epoch
 
     def refused(self) -> Counter[RefusalKind]:
-        """How often what it gave was refused."""
+        """Number of refused commands, by kind."""
         return Counter(self.made.hub.robots.find(ROBOT).gate.admission.refused)
 
     async def vanish(self) -> None:
@@ -231,7 +231,7 @@ class RestPut(EntryPoint):
         await self._route.handler(request)
 
     async def vanish(self) -> None:
-        """Its token is withdrawn."""
+        """Withdraw the token of the source."""
         self._owners.end(["phone"])
 
 
@@ -275,7 +275,7 @@ class _Program(EntryPoint):
 
     @late_s.setter
     def late_s(self, late_s: float) -> None:
-        """As a network that holds back what it is given."""
+        """Delay the commands, as a slow network does."""
         if late_s:
             self.host.connection_.delay_s = late_s
 
@@ -310,7 +310,7 @@ class ClientDrive(_Program):
         await self.robot.drive(speed_m_s, 0.0, left_m_s)
 
     def silence(self) -> None:
-        """As a program that hangs."""
+        """Stop repeating, as a program that hangs."""
         self.host._driver.stop_repeating(ROBOT)
 
 
@@ -506,7 +506,7 @@ class Fleet(EntryPoint):
 
 
 class FleetPublisher(Fleet):
-    """What is published at another daemon, to a topic of a device here."""
+    """Publisher at another daemon, to a topic of a device here."""
 
     cannot: ClassVar = _PUBLISHED | {
         "a command that is late is refused": "a message of the fleet that is published has no time",
@@ -548,7 +548,7 @@ class FleetSender(EntryPoint):
 
 
 class FleetSenderPublish(FleetSender):
-    """The same by a topic of the robot."""
+    """FleetSender that publishes to a topic of the robot."""
 
     cannot: ClassVar = dict.fromkeys(_EPOCHS, "a Twist has no epoch")
 
@@ -636,7 +636,7 @@ class Demo(EntryPoint):
 
 
 def _number(value: float) -> float | None:
-    """As rosbridge has it."""
+    """Return the value as rosbridge encodes it."""
     return value if math.isfinite(value) else None
 
 
@@ -644,4 +644,4 @@ def _now_s() -> float:
     return asyncio.get_running_loop().time()
 
 
-AFTERWARDS_S: dict[type[EntryPoint], float] = {Demo: demo.PAUSE_S + 0.5}  # it leaves the robot to whoever drove it
+AFTERWARDS_S: dict[type[EntryPoint], float] = {Demo: demo.PAUSE_S + 0.5}  # it returns the robot to its previous driver

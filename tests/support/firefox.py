@@ -1,4 +1,4 @@
-"""Debian's Firefox, driven by its own WebDriver BiDi: no driver program stands between."""
+"""Debian's Firefox, driven by its own WebDriver BiDi, without a driver program."""
 
 import asyncio
 import contextlib
@@ -83,7 +83,7 @@ class Tab:
         await self._navigate("about:blank")
 
     async def middle(self, selector: str) -> tuple[int, int]:
-        """Where an element is in the window."""
+        """Return the centre of an element in the window."""
         box = f"document.querySelector({json.dumps(selector)}).getBoundingClientRect()"
         text = await self.evaluate(f"(b => `${{b.x + b.width / 2}} ${{b.y + b.height / 2}}`)({box})")
         x, y = map(float, text.split())

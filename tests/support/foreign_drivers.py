@@ -54,10 +54,10 @@ class _Wireless(asyncio.Transport):
         super().__init__({"peername": ("10.0.0.9", 1), "socket": connection})
 
     def write(self, data: Any) -> None:
-        """Nobody reads it."""
+        """Discard the data."""
 
     def set_write_buffer_limits(self, high: int | None = None, low: int | None = None) -> None:
-        """Nothing waits."""
+        """Ignore the limits, because no data waits."""
 
     def close(self) -> None:
         """There is nothing to close."""
@@ -94,7 +94,7 @@ class Ros1Driver:
             raise CommandRefused(robot, RefusalKind.HELD, f"{robot}: another source was first")
 
     def vanish(self) -> None:
-        """Its connection is lost."""
+        """Lose the connection of the publisher."""
         self._connection.wire.connection_lost(ConnectionResetError())
 
 
@@ -153,7 +153,7 @@ class FleetDriver:
             raise HostlinkError(answer.reason)
 
     def publish(self, name: str, payload: bytes) -> None:
-        """Somebody there publishes to a topic of a device here."""
+        """Publish at the other daemon to a topic of a device here."""
         neighbour = self._roster.find(self._there)
         assert neighbour is not None
         self._drivers.publish(neighbour, name, payload)
@@ -230,7 +230,7 @@ class RmwDriver:
         )
 
     def vanish(self) -> None:
-        """Its token is gone."""
+        """Withdraw the publisher's token."""
         self._publishers.clear()
 
 

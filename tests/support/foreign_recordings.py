@@ -75,7 +75,7 @@ def ros2_mcap_file(folder: Path) -> Path:
 
 
 def ros2_support(folder: Path) -> Path:
-    """As the library mcap-ros2-support writes it, without an entry of rosbag2."""
+    """Return a recording by the library mcap-ros2-support, without an entry of rosbag2."""
     path, (definition, _) = folder / "theirs.mcap", ROS2.generate_msgdef(ODOMETRY, ros_version=2)
     with path.open("wb") as file, Ros2SupportWriter(file) as writer:
         schema = writer.register_msgdef("nav_msgs/msg/Odometry", definition)
@@ -87,7 +87,7 @@ def ros2_support(folder: Path) -> Path:
 
 
 class _Odometry:
-    """As genpy makes messages: a class with its names, and a method that writes it."""
+    """Message as genpy generates it: a class with its names, and a method that writes it."""
 
     _type, _full_text = "nav_msgs/Odometry", ROS1.generate_msgdef(ODOMETRY)[0]
 
@@ -99,7 +99,7 @@ class _Odometry:
 
 
 def ros1_support(folder: Path) -> Path:
-    """As the library mcap-ros1-support writes it: no md5 sum."""
+    """Return a recording by the library mcap-ros1-support, which has no md5 sum."""
     path = folder / "theirs.mcap"
     with path.open("wb") as file, Ros1SupportWriter(file) as writer:
         for number in range(COUNT):
@@ -108,7 +108,7 @@ def ros1_support(folder: Path) -> Path:
 
 
 def mcap_file(path: Path, *channels: tuple[str, str, str, str, bytes, bytes]) -> Path:
-    """Of (topic, encoding, type, language of the schema, schema, payload), a message each."""
+    """Write a file with one message for each (topic, encoding, type, language of the schema, schema, payload)."""
     with path.open("wb") as file:
         writer = McapLibraryWriter(file)
         writer.start("", library="theirs")

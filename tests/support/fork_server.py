@@ -1,6 +1,6 @@
 """Programs without their seconds of imports: real processes, forked from one that has imported everything.
 
-Measured need: beside other work (load 9), `hostlink --version` answers after 0.06 s; its imports alone last 5.7 s. The
+Measured need: on a busy machine (load 9), `hostlink --version` answers after 0.06 s; its imports alone last 5.7 s. The
 fork server of multiprocessing runs functions, not programs with their own descriptors, arguments and environment.
 """
 
@@ -26,7 +26,7 @@ ANSWER_BYTES = 64
 
 @dataclass(frozen=True)
 class Program:
-    """What is forked: its name, the file that imports it, and the Python that runs it."""
+    """Forked program: its name, the file that imports it, and the Python that runs it."""
 
     name: str
     file: str
@@ -111,7 +111,7 @@ class Child:
         return asyncio.StreamWriter(pipe, protocol, None, loop)
 
     def send_signal(self, number: int) -> None:
-        """Nothing happens when it has ended."""
+        """Send a signal, unless the process has ended."""
         if self.returncode is None:
             os.kill(self.pid, number)
 
@@ -124,7 +124,7 @@ class Child:
         self.send_signal(signal.SIGTERM)
 
     async def wait(self) -> int:
-        """Its exit status, when it has ended."""
+        """Wait for the end of the process. Return its exit status."""
         await self._ended.wait()
         assert self.returncode is not None
         return self.returncode
@@ -161,7 +161,7 @@ async def start(
     stderr: int | None = None,
     environment: Mapping[str, str] = os.environ,
 ) -> Child:
-    """Run a program. `given` is what it reads, None: what is written to `stdin`; an output None goes to the test's."""
+    """Run a program. `given` is its input, None: written to `stdin` later; an output None is the test's output."""
     server = fork_server(program)
     await asyncio.to_thread(server.await_ready)
     with contextlib.ExitStack() as theirs:

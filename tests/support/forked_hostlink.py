@@ -25,7 +25,7 @@ def main() -> NoReturn:
     except BaseException:  # noqa: BLE001 - the process ends with it
         traceback.print_exc()
         status = 1
-    gc.collect()  # what is reported of an object that nobody closed
+    gc.collect()  # reports of objects that were not closed
     threading._shutdown()  # type: ignore[attr-defined]
     atexit._run_exitfuncs()
     for output in (sys.stdout, sys.stderr):

@@ -41,7 +41,7 @@ class Peer:
         return [each for each in self.received_with_times() if not isinstance(each, int)]
 
     def received_with_times(self) -> list[Any]:
-        """As `received`, and times as numbers of ns in between."""
+        """Received items, with times between them as numbers of ns."""
         self.client.flush(asyncio.get_running_loop().time())
         received: list[Any] = []
         for item in (each.item for each in iter(self.queue.pop, None)):
@@ -57,7 +57,7 @@ class Peer:
         return [(*struct.unpack_from("<BIQ", each), each[13:]) for each in self.received() if isinstance(each, bytes)]
 
     def channels(self) -> list[dict[str, Any]]:
-        """Those that were advertised."""
+        """Channels that were advertised."""
         return [channel for each in self.json() if each["op"] == "advertise" for channel in each["channels"]]
 
     def statuses(self) -> list[str]:
@@ -82,7 +82,7 @@ class World:
 
 @contextlib.asynccontextmanager
 async def world(config: Config | None = None) -> AsyncIterator[World]:
-    """What still waits at the end of the block is cancelled."""
+    """Run a world within the block. Waiting tasks are cancelled at its end."""
     async with asyncio.TaskGroup() as tasks:
         made = World(tasks, Config() if config is None else config)
         try:

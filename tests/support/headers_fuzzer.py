@@ -17,7 +17,7 @@ SANITIZERS = ("-fsanitize=fuzzer,address,undefined", "-fno-sanitize-recover=all"
 
 
 def compile_fuzzer(folder: Path, wanted: Iterable[str] | None = None) -> Path:
-    """The program for the wanted types and all that stand in them, None: for all; beside it payloads, in seeds/.
+    """Compile the program for the wanted types and their nested types (None: all), and write payloads to seeds/.
 
     Raises:
         AssertionError: the compiler fails or warns.

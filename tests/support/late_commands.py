@@ -1,4 +1,4 @@
-"""How old the velocities are that a device receives while the API's port is under load, and how late its zero is."""
+"""Age of the velocities that a device receives while the API's port is under load, and the delay of its zero."""
 
 import asyncio
 import contextlib
@@ -36,12 +36,12 @@ token = "{DRIVE_TOKEN}"
 
 @dataclass
 class Heard:
-    """What the device received."""
+    """Velocities that the device received."""
 
     velocities: list[tuple[float, float]] = field(default_factory=list)  # (time, m/s)
 
     def ages_s(self) -> list[float]:
-        """How old each velocity was when it came first; the gate repeats it while its lease runs."""
+        """Return the age of each velocity at its first arrival; the gate repeats it while its lease runs."""
         seen: dict[float, float] = {}
         for at_s, velocity in self.velocities:
             if velocity:
@@ -49,7 +49,7 @@ class Heard:
         return list(seen.values())
 
     def zero_after_s(self, killed_s: float) -> float:
-        """From the driver's end until nothing but zeros comes."""
+        """Return the time from the driver's end until only zeros arrive."""
         moving = [at_s for at_s, velocity in self.velocities if velocity]
         zeros = [at_s for at_s, velocity in self.velocities if not velocity and at_s > max(moving)]
         return min(zeros) - killed_s if zeros else float("inf")
@@ -57,7 +57,7 @@ class Heard:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a load did to the driver's velocities."""
+    """Effect of a load on the driver's velocities."""
 
     ages_s: list[float]
     zero_s: float  # from the driver's end
@@ -110,7 +110,7 @@ async def _watch(host: Process, most: list[float]) -> None:
 
 
 async def _stops(host: Process) -> list[float]:
-    """How long a stop takes: by REST on a new connection, and a zero of a driver with a WebSocket that is open."""
+    """Measure stops: by REST on a new connection, and a driver's zero on an open WebSocket."""
     headers = {"Authorization": f"Bearer {DRIVE_TOKEN}"}
     async with aiohttp.ClientSession(headers=headers) as session:
         took_s = []

@@ -1,4 +1,4 @@
-"""What a drive over a faulty link cost: messages lost, gaps and times to recover, outside the cuts and at them."""
+"""Cost of a faulty link: lost messages, gaps and times to recover, outside the cuts and at them."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
@@ -30,7 +30,7 @@ class Window:
 
 @dataclass
 class Account:
-    """What was sent and what came, with times of one clock; commands and poses by their number."""
+    """Sent and received messages with times of one clock; commands and poses by their number."""
 
     poses_sent: list[tuple[float, int]] = field(default_factory=list)
     poses_received: list[tuple[float, int]] = field(default_factory=list)
@@ -101,7 +101,7 @@ def _first_after(at_s: float, events: Sequence[tuple[float, int]]) -> float:
 
 
 def _missing(sent: Sequence[tuple[float, int]], observed: Sequence[tuple[float, int]]) -> list[float]:
-    """When each was sent that never came; a number is used again after NUMBERS others, so the search goes in order."""
+    """Return when each lost message was sent. Numbers repeat after NUMBERS messages, so the search is in order."""
     missing, at = [], 0
     for sent_at_s, number in sent:
         while at < len(observed) and observed[at][1] != number and _is_before(observed[at][1], number):

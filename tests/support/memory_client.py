@@ -22,7 +22,7 @@ _numbers = itertools.count(1)
 
 
 class MemoryConnection:
-    """What the client's driver uses of its connection. `delay_s`: of what is sent from now on."""
+    """Connection as the client's driver uses it. `delay_s`: delay of messages that are sent from now on."""
 
     def __init__(self, hub: Hub, tasks: asyncio.TaskGroup) -> None:
         self.delay_s = 0.0

@@ -29,11 +29,11 @@ class _Line:
 
     @property
     def unread_bytes(self) -> int:
-        """As much as one reading gives."""
+        """Number of bytes that one reading returns."""
         return 0 if self._is_broken else min(len(self._waiting), self._piece_bytes)
 
     def write(self, data: bytes) -> bool:
-        """False: more waits than there is room for, or nobody will ever read it."""
+        """Queue data. Return False if more waits than there is room for, or if it can never be read."""
         if not self.is_ended:
             self._waiting += data
             self._change()
@@ -66,12 +66,12 @@ class _Line:
         return self.read(self._piece_bytes)
 
     def end(self) -> None:
-        """What waits is still received."""
+        """End the stream; waiting bytes are still received."""
         self.is_ended = True
         self._change()
 
     def break_off(self) -> None:
-        """What waits is lost."""
+        """Break the stream; waiting bytes are lost."""
         self._is_broken = True
         self.end()
 
@@ -99,7 +99,7 @@ class MemoryTransport:
 
     @property
     def unread_bytes(self) -> int:
-        """What has come and was not read."""
+        """Number of received and unread bytes."""
         return self._from_peer.unread_bytes
 
     @property
@@ -142,7 +142,7 @@ class MemoryTransport:
         self._to_peer.end()
 
     def break_off(self) -> None:
-        """As a reset or a pulled plug: an OSError at both ends."""
+        """Break the connection with an OSError at both ends, as a reset does."""
         self._from_peer.break_off()
         self._to_peer.break_off()
 

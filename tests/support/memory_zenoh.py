@@ -10,7 +10,7 @@ from hostlink.graphs.zenoh.session import Declaration, Query, Sample, Token
 
 
 class MemoryNetwork:
-    """What the sessions have declared."""
+    """Declarations of all sessions."""
 
     def __init__(self) -> None:
         self.subscribers: list[tuple[MemorySession, re.Pattern[str], Callable[[Sample], None]]] = []
@@ -29,7 +29,7 @@ class MemoryNetwork:
 
 
 class MemorySession:
-    """What the fleet uses of a Session."""
+    """Session as the fleet uses it."""
 
     def __init__(self, network: MemoryNetwork, zid: str) -> None:
         self.counts: Counter[str] = Counter()
@@ -71,7 +71,7 @@ class MemorySession:
 
 
 class MemoryPublisher:
-    """Nobody is told who subscribes, so what is sent on demand is not sent."""
+    """Publisher that does not know its subscribers, so messages on demand are not sent."""
 
     def __init__(self, session: MemorySession, key: str) -> None:
         self._session, self._key = session, key
@@ -83,7 +83,7 @@ class MemoryPublisher:
         """Never."""
 
     def close(self) -> None:
-        """Nothing is declared."""
+        """Do nothing, because a publisher is not declared."""
 
 
 def _listed(entries: list[Any], entry: Any) -> Declaration:

@@ -1,4 +1,4 @@
-"""What is made once for all workers of a test run, such as compiled firmware."""
+"""Work that is done once for all workers of a test run, such as compiling firmware."""
 
 import fcntl
 import os
@@ -9,7 +9,7 @@ BUILD = Path(__file__).resolve().parents[2] / "build"
 
 
 def once_a_run(name: str, make: Callable[[], object]) -> None:
-    """Call `make` in the first worker that comes here; the others wait for it. It is tried again where it failed."""
+    """Call `make` in the first worker; the others wait for it. It is repeated where it failed."""
     BUILD.mkdir(exist_ok=True)
     run = os.environ.get("PYTEST_XDIST_TESTRUNUID", str(os.getpid()))
     with (BUILD / f"{name}.made").open("a+") as made:

@@ -1,8 +1,8 @@
-"""OriginalDevice: the device side of rosserial, with the faults of the original client library. Pure: time comes in.
+"""OriginalDevice: the device side of rosserial, with the faults of the original client library. Pure.
 
 Timing model: the device's program calls `spin` in its loop. The clock that decides is read once, when `spin` begins, in
 whole milliseconds, as the original does; bytes are visible when the Uart has them. Where the retry clause waits, `spin`
-returns how long; the caller calls it again after that time, and it goes on in the same turn.
+returns how long; the caller calls it again after that time, and it continues in the same turn. All times are arguments.
 """
 
 import math
@@ -24,7 +24,7 @@ DEFAULT_BUFFER_BYTES = 512
 
 
 class Mode(Enum):
-    """What the next byte is."""
+    """Meaning of the next byte."""
 
     FIRST_FF = auto()
     PROTOCOL_VERSION = auto()
@@ -119,7 +119,7 @@ class OriginalDevice:
         self._time_sent_ms = self._ms(now_s)
 
     def request_parameter(self, name: str, answer: Callable[[Parameter], None], now_s: float) -> None:
-        """Request a parameter; the original waits a second for it, here the program goes on."""
+        """Request a parameter. The original waits a second for it; here the program continues."""
         self._parameter = answer
         self.publish(Id.PARAMETER, encode_parameter_request(name), now_s)
 

@@ -1,4 +1,4 @@
-"""PageServer: the built page, and a daemon's API with whatever state a test gives it.
+"""PageServer: the built page, and a daemon's API with a state that the test gives it.
 
 It serves the events, the WebSocket's answers and the requests that the page sends. The states have the types of the
 daemon's own views, and are checked against them.
@@ -25,12 +25,12 @@ BEAT_S = 0.1
 
 @dataclass
 class State:
-    """What the daemon would send."""
+    """State that the daemon would send."""
 
     robots: list[dict[str, Any]] = field(default_factory=list)
     links: list[dict[str, Any]] = field(default_factory=list)
     clients: list[dict[str, Any]] = field(default_factory=list)
-    silent: frozenset[str] = frozenset()  # robots from which nothing comes
+    silent: frozenset[str] = frozenset()  # robots that send nothing
     drives: list[dict[str, Any]] = field(default_factory=list)
     past: list[dict[str, Any]] = field(default_factory=list)  # where each robot drove before the page was opened
     role: str = "drive"
@@ -76,7 +76,7 @@ class PageServer:
         self._wake()
 
     async def publish(self, topic: str, message: dict[str, Any]) -> None:
-        """To every page, whether it has subscribed or not."""
+        """Send a message to every page, also without a subscription."""
         for socket in tuple(self._sockets):
             await socket.send_json({"op": "publish", "topic": topic, "msg": message})
 
@@ -186,7 +186,7 @@ class PageServer:
             await socket.close()
 
     def application(self) -> web.Application:
-        """Its routes."""
+        """Return the application with all routes."""
         application = web.Application()
         application.router.add_get("/", self._socket)
         application.router.add_static("/web", BUILT / "web")
@@ -234,7 +234,7 @@ async def page_server() -> AsyncIterator[PageServer]:
 
 
 def robot(name: str, **changes: Any) -> dict[str, Any]:
-    """A robot that is well: it stands at a place of its own, and nobody drives it."""
+    """Return the view of a healthy robot that does not move and has no driver."""
     number = int(name.rsplit("_", 1)[-1])
     view: dict[str, Any] = {
         "name": name,

@@ -69,7 +69,7 @@ def publish(
 
 
 def subscribe(hub: Hub, topic: str, receive: Callable[[Message], None], *, name: str = "test") -> Subscription:
-    """Subscribe, as whoever has this name."""
+    """Subscribe as a participant of this name."""
     return hub.join(name).subscribe(topic, receive)
 
 
@@ -80,7 +80,7 @@ def text(data: str) -> bytes:
 
 
 class Defect(Exception):
-    """What a callback fails with."""
+    """Failure of a callback."""
 
 
 @dataclass
@@ -338,7 +338,7 @@ class FoxgloveProgram:
 
 
 def _error(kind: str, reason: str) -> HostlinkError:
-    """As it was raised at the other end."""
+    """Return the error as it was raised at the other end."""
     if kind in set(RefusalKind):
         return CommandRefused("robot", RefusalKind(kind), reason)
     return BadRequest(reason) if kind == BadRequest.kind else Refused(kind, reason)
@@ -364,7 +364,7 @@ def foxglove(scene: "Scene", role: Role) -> FoxgloveProgram:
 
 
 def daemon(scene: "Scene", role: Role) -> Program:
-    """As /rosout, the services of the emergency stop and rosapi are."""
+    """Return a participant of the daemon itself, such as /rosout."""
     assert role is Role.DRIVE
     return Program(scene.hub.join_daemon())
 
@@ -400,7 +400,7 @@ class Scene:
         await self.neighbour_works()
 
     async def neighbour_works(self) -> None:
-        """It is driven, it is heard, and it answers; no link has ended."""
+        """Check that the neighbour is driven, heard and answered, and that no link has ended."""
         before = len(self.neighbour_heard)
         self.neighbour.drive(self.hub.robots.find(NEIGHBOUR), PlanarVelocity(0.2))
         await self.other.send(ODOMETRY_ID, POSE.pack(0.0, 0.0, 0.0))
@@ -418,11 +418,11 @@ class Scene:
         return [Twist.decode(payload) for payload in self.robot.payloads(VELOCITY_ID)]
 
     def speeds(self) -> list[float]:
-        """Those forward of the velocities that the robot received."""
+        """Forward speeds of the velocities that the robot received."""
         return [twist.linear_x_m_s for twist in self.twists()]
 
     def uses_of(self, participant: Participant) -> list[str]:
-        """Whatever of a participant is in the hub."""
+        """Return everything that the hub keeps of a participant."""
         uses = [topic.name for topic in self.hub.topics.all() if participant in topic.publishers]
         uses += [
             topic.name

@@ -26,7 +26,7 @@ _given: set[int] = set()
 
 
 def free_port() -> int:
-    """A TCP port that nobody listens on, below those that the system gives to connections: it stays free.
+    """Return a free TCP port below those that the system gives to connections, so that it stays free.
 
     Each worker of the tests has a range of its own, and gives no port twice.
     """
@@ -76,7 +76,7 @@ class Process:
         self._tracebacks += sum(line.startswith(b"Traceback") for line in lines)
 
     def lines(self, event: str) -> list[dict[str, Any]]:
-        """Those of this event."""
+        """Return the lines of an event."""
         return [line for line in self.log if line["event"] == event]
 
     async def read_log(self, until: str) -> dict[str, Any]:

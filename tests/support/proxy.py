@@ -10,7 +10,7 @@ GATHER_S = 0.2
 
 
 class Line(Enum):
-    """What becomes of the bytes."""
+    """State of the line."""
 
     WORKS = "works"
     SWALLOWS = "swallows"  # as a radio out of reach: what is sent is gone
@@ -80,7 +80,7 @@ class Proxy:
 
 
 async def _gather(reader: asyncio.StreamReader) -> bytes:
-    """What comes within a moment."""
+    """Return the bytes that arrive within GATHER_S."""
     gathered = b""
     with contextlib.suppress(TimeoutError):
         async with asyncio.timeout(GATHER_S):

@@ -1,4 +1,4 @@
-"""What the test's process uses of its system."""
+"""Resources of the test's process."""
 
 import asyncio
 import threading

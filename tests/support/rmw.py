@@ -1,4 +1,4 @@
-"""ROS 2 over Zenoh beside a daemon: a node of zenoh-ros2-sdk in its own process, and one written after the documents.
+"""ROS 2 over Zenoh with a daemon: a node of zenoh-ros2-sdk in its own process, and one written from the documents.
 
 The second one signs as rmw_zenoh_cpp does, by the hash of its token; the SDK draws its gids.
 """
@@ -77,7 +77,7 @@ class Ros2Peer:
         return await self.read(answer)
 
     async def read(self, name: str) -> Any:
-        """What the next line with this name has by it."""
+        """Read lines up to one with this name. Return its value."""
         assert self.process.stdout is not None
         async with asyncio.timeout(TIMEOUT_S):
             while line := await self.process.stdout.readline():
@@ -148,7 +148,7 @@ class Talker:
         self.put(twist(linear_m_s), age_s=age_s)
 
     def close(self) -> None:
-        """Its token goes; the session stays."""
+        """Withdraw the token; the session stays."""
         self._token.undeclare()
 
 

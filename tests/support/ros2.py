@@ -69,7 +69,7 @@ Line = TypeVar("Line")
 
 
 class Lines(Generic[Line]):
-    """What a process writes, line by line; each is decoded once."""
+    """Lines that a process writes; each is decoded once."""
 
     def __init__(self, decode: Callable[[str], Line]) -> None:
         self.all: list[Line] = []
@@ -97,7 +97,7 @@ class Peer:
         return [each for each in self._lines.all if each["event"] == name and wanted.items() <= each.items()]
 
     def messages(self, topic: str) -> list[Any]:
-        """What came on a topic."""
+        """Return the messages that arrived on a topic."""
         return [each["msg"] for each in self.events("message", topic=topic)]
 
     async def answer(self, op: str, event: str, **fields: Any) -> dict[str, Any]:
@@ -155,7 +155,7 @@ class Bridge:
 
     @property
     def reports(self) -> list[str]:
-        """Its lines on standard error."""
+        """Lines of the process on standard error."""
         return self._lines.all
 
     def has_reported(self, text: str) -> bool:

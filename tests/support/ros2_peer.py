@@ -172,7 +172,7 @@ class Peer:
         )
 
     def param(self, request: dict[str, Any]) -> None:
-        """What `ros2 param VERB NODE ...` calls, and what it writes, by the sources of ros2param (ros2cli, Kilted)."""
+        """Call and write as `ros2 param VERB NODE ...` does, by the sources of ros2param (ros2cli, Kilted)."""
         verb, node, names = request["verb"], request["node"], request.get("names", [])
         if verb == "list":
             names = self._called(ListParameters, node, ListParameters.Request()).result.names

@@ -1,6 +1,6 @@
-"""RosLibDevice: a device that calls services as ros_lib's `ServiceClient::call` does: it waits, and does nothing else.
+"""RosLibDevice: a device that calls services as ros_lib's `ServiceClient::call` does: it only waits for the response.
 
-Its buffer is memory: a response that is longer than it overwrites what stands behind, one that is shorter than its
+Its buffer is memory: a response that is longer than it overwrites the memory behind it, one that is shorter than its
 layout is read on into what an earlier frame left there. Both are a DeviceCrashed here.
 """
 
@@ -52,7 +52,7 @@ def clients(
 
 
 def response_type(fields: str) -> MessageType:
-    """The layout of a response as the device's program was built with it; its fields are no messages."""
+    """Return the layout of a response of the device's program; its fields are not messages."""
     _, response = parse_service("test/Type", f"---\n{fields}", "a test")
     return MessageType(response, {})
 
@@ -68,7 +68,7 @@ class RosLibDevice:
         self._memory = bytearray(random.Random(1).randbytes(self.buffer_bytes))  # what earlier frames left
 
     async def call(self, request: bytes, *, client: int = 0) -> dict[str, Any]:
-        """The response; Hangs when none comes."""
+        """Call a service and return the response. Raise Hangs without one."""
         await self.send(REQUESTS + client, request)
         try:
             async with asyncio.timeout(HANGS_S):
@@ -81,7 +81,7 @@ class RosLibDevice:
         await self._end.send(encode(topic_id, payload))
 
     async def response(self, *, client: int = 0) -> dict[str, Any]:
-        """What `call` does when the request is out: spin until the response is there."""
+        """Spin until the response has arrived, as `call` does after its request."""
         while True:
             frame = await self.next()
             if frame.topic_id == Id.PUBLISHER:

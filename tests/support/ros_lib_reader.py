@@ -1,4 +1,4 @@
-"""How the original client library reads its line, byte by byte: from rosserial's spinOnce, not from hostlink."""
+"""Reader of the original client library, byte by byte: from rosserial's spinOnce, not from hostlink."""
 
 from collections.abc import Callable
 

@@ -37,7 +37,7 @@ class Peer:
         return heard
 
     async def answers(self) -> list[Any]:
-        """What came once everything that is under way and ready has run."""
+        """Return the answers after all started work has run."""
         for _ in range(5):
             await asyncio.sleep(0)
         return self.received()
@@ -57,7 +57,7 @@ class World:
 
 @contextlib.asynccontextmanager
 async def world() -> AsyncIterator[World]:
-    """What still waits at the end of the block is cancelled."""
+    """Run a world within the block. Waiting tasks are cancelled at its end."""
     async with asyncio.TaskGroup() as tasks:
         made = World(tasks)
         try:

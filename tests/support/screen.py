@@ -33,7 +33,7 @@ class Screen:
         observed = ""
         try:
             async with asyncio.timeout(PATIENCE_S):
-                while text not in (observed := await self.text()):  # noqa: ASYNC110 - tmux tells nobody
+                while text not in (observed := await self.text()):  # noqa: ASYNC110 - tmux has no event
                     await asyncio.sleep(POLL_S)
         except TimeoutError:
             raise AssertionError(f"not on the screen within {PATIENCE_S:g} s: {text!r}; last:\n{observed}") from None

@@ -27,7 +27,7 @@ class ScriptedDevice:
         self.task = asyncio.get_running_loop().create_task(self._listen(), name=f"device at {address}")
 
     def payloads(self, topic_id: int) -> list[bytes]:
-        """What came to one of its topics."""
+        """Return the payloads that arrived on one of the device's topics."""
         return [frame.payload for _, frame in self.heard if frame.topic_id == topic_id]
 
     async def send(self, topic_id: int, payload: bytes) -> None:

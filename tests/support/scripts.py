@@ -65,7 +65,7 @@ class DrivenRobot:
 
 @contextlib.asynccontextmanager
 async def robot_to_drive(*, lease_s: float = ENDLESS_S) -> AsyncIterator[DrivenRobot]:
-    """Its lease is so long that nothing but a stop, or the end of the connection, stops it in time."""
+    """Run a robot with a lease so long that only a stop, or the connection's end, stops it in time."""
     async with daemon() as host, simulated_robot(host.tcp) as body:
         await expect(lambda: host.hub.robots.find("robot_0").link is not None)
         host.hub.robots.find("robot_0").gate.admission.lease_s = lease_s

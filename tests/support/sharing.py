@@ -1,4 +1,4 @@
-"""Which tests go to one worker of pytest-xdist."""
+"""Tests that run in one worker of pytest-xdist."""
 
 from xdist.scheduler import LoadScopeScheduling
 
@@ -12,9 +12,9 @@ SHARING = (  # their tests share what is slow to make: a daemon, a browser, a co
 
 
 class FilesThatShare(LoadScopeScheduling):
-    """Each test goes to the next free worker; the tests of a file that share a fixture stay together.
+    """Scheduler that gives each test to the next free worker; tests of a file that share a fixture stay together.
 
-    The `loadgroup` of pytest-xdist 3.8 has no effect beside pytest 9.2.
+    The `loadgroup` of pytest-xdist 3.8 has no effect with pytest 9.2.
     """
 
     def _split_scope(self, nodeid: str) -> str:

@@ -17,11 +17,11 @@ class DisturbedRobot(SimulatedRobot):
 
     def __init__(self, name: str, kind: RobotKind) -> None:
         super().__init__(name, kind=kind)
-        self.is_plot_silent = False  # plot_data is advertised, and none comes
+        self.is_plot_silent = False  # plot_data is advertised, but not published
         self.added = b""  # frames that go to the host with the next one of its own
 
     def transform(self, frame: Frame) -> bytes:
-        """What the host gets for a frame."""
+        """Return the bytes that the host receives for a frame."""
         added, self.added = self.added, b""
         if frame.topic_id == PLOT_ID and self.is_plot_silent:
             return added

@@ -1,4 +1,4 @@
-"""What a device's line can carry: frames, junk, damage, and every way to cut it."""
+"""Bytes of a device's line: frames, junk, damage, and every way to cut them."""
 
 from itertools import pairwise
 
@@ -36,7 +36,7 @@ def wire_of(frame: Frame) -> bytes:
 
 
 def split(wire: bytes, data: st.DataObject) -> list[bytes]:
-    """The same bytes in reads of any size."""
+    """Split the bytes into reads of any size."""
     cuts = data.draw(st.lists(st.integers(0, len(wire)), max_size=12).map(sorted), label="cuts")
     bounds = [0, *cuts, len(wire)]
     return [wire[begin:end] for begin, end in pairwise(bounds)]

@@ -9,7 +9,7 @@ Serve = Callable[[asyncio.StreamReader, asyncio.StreamWriter], Awaitable[None]]
 
 @contextlib.asynccontextmanager
 async def tcp_server(serve: Serve) -> AsyncIterator[tuple[str, int]]:
-    """Its address. At the end of the block its connections are closed, whatever `serve` waits for."""
+    """Run a server within the block and yield its address. Its connections are closed at the end."""
     serving: set[asyncio.Task[None]] = set()
 
     async def handle(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
@@ -27,7 +27,7 @@ async def tcp_server(serve: Serve) -> AsyncIterator[tuple[str, int]]:
         yield server.sockets[0].getsockname()[:2]
     finally:
         server.close()
-        await asyncio.sleep(0)  # whoever was accepted just now is served
+        await asyncio.sleep(0)  # a connection that was just accepted is served
         for task in list(serving):
             task.cancel()
             await asyncio.wait([task])

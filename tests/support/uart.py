@@ -1,4 +1,4 @@
-"""Uart: a serial line at its true speed, and the receive ring behind it. Pure: time comes in."""
+"""Uart: a serial line at its true speed, and the receive ring behind it. Pure; time is an argument."""
 
 from collections import deque
 
@@ -48,7 +48,7 @@ class Uart:
                 self._ring.append(byte)
 
     def next_arrival_s(self) -> float | None:
-        """When the next byte arrives; None: nothing is on the line."""
+        """Time at which the next byte arrives; None if the line is empty."""
         return self._line[0][0] if self._line else None
 
     def cut(self) -> None:

@@ -34,7 +34,7 @@ class UdpDevice(FakeDevice):
         return sum(map(len, self.datagrams))
 
     async def send(self, data: bytes) -> None:
-        """One datagram; an ICMP error of an earlier one is no matter of it."""
+        """Send a datagram. Ignore an ICMP error of an earlier one."""
         self.sent_bytes += len(data)
         with contextlib.suppress(ConnectionRefusedError):
             self.socket.send(data)
@@ -59,11 +59,11 @@ class UdpDevice(FakeDevice):
         return came
 
     async def greet(self) -> None:
-        """What makes the host notice it."""
+        """Send the datagram by which the host notices the device."""
         await self.send(GREETING)
 
     def hang_up(self) -> None:
-        """Close the socket; nobody is informed."""
+        """Close the socket without informing the host."""
         self.socket.close()
 
 

@@ -29,7 +29,7 @@ TURN_S = 0.002
 
 @dataclass
 class Reading:
-    """How the robot reads: so many bytes, so often; frames that stop coming are dropped, or not."""
+    """Reading speed of the robot, and whether it drops frames that stop arriving."""
 
     bytes_a_turn: int = 65536
     turn_s: float = TURN_S
@@ -39,7 +39,7 @@ class Reading:
 
 @dataclass
 class UnwatchedRobot:
-    """What it has received."""
+    """Robot with the velocities that it has received."""
 
     name: str
     reading: Reading
@@ -53,7 +53,7 @@ class UnwatchedRobot:
         self.reader = RosLibReader(self._receive, gives_up=self.reading.gives_up)
 
     def topics(self) -> list[TopicInfo]:
-        """What it announces."""
+        """Topics that the robot announces."""
         blob = topic(
             Id.SUBSCRIBER, BLOB_ID, f"/{self.name}/blob", "std_msgs/UInt8MultiArray", buffer_bytes=BLOB_BUFFER_BYTES
         )
@@ -72,7 +72,7 @@ class UnwatchedRobot:
         await expect(lambda: self.ended_at_s is not None, timeout_s=TIMEOUT_S)
 
     def stood_after_s(self, since_s: float) -> float:
-        """From then until the zero after which it did not move any more; infinite if it still does."""
+        """Return the time from `since_s` to the zero after which the robot did not move again; infinite without one."""
         moving = [index for index, (_, velocity) in enumerate(self.velocities) if velocity != ZERO]
         last = moving[-1] if moving else -1
         return self.velocities[last + 1][0] - since_s if last + 1 < len(self.velocities) else float("inf")
@@ -118,7 +118,7 @@ async def robot_on_tcp(
     reading = reading or Reading()
     robot = UnwatchedRobot(name, reading)
     with socket.socket() as connection:
-        if reading.with_blobs:  # a small window, so that the daemon often stands in the middle of a frame
+        if reading.with_blobs:  # a small window, so that the daemon often waits in the middle of a frame
             connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
         connection.connect(address)
         connection.setblocking(False)
@@ -132,7 +132,7 @@ async def robot_on_tcp(
 
 @contextlib.asynccontextmanager
 async def robot_on_udp(address: tuple[str, int], name: str) -> AsyncIterator[UnwatchedRobot]:
-    """It sends a request for the time, and is there for the length of the block."""
+    """Run a robot within the block. It begins with a time request."""
     robot = UnwatchedRobot(name, Reading())
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as connection:
         connection.connect(address)

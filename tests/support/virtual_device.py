@@ -26,12 +26,12 @@ class Line(Protocol):
         ...
 
     def cut(self) -> None:
-        """It is dead."""
+        """Cut the line."""
         ...
 
 
 class Lines(Protocol):
-    """Of a device, both ways."""
+    """Lines of a device in both directions."""
 
     @property
     def from_host(self) -> Line: ...
@@ -40,7 +40,7 @@ class Lines(Protocol):
 
 
 class Program(Protocol):
-    """What runs on a device."""
+    """Program of a device."""
 
     @property
     def device(self) -> Lines: ...
@@ -121,7 +121,7 @@ def pose(number: int) -> bytes:
 
 
 class VirtualDevice:
-    """Runs a program, and carries its UART to the host through whatever `dial` opens."""
+    """Runner of a program, which carries its UART to the host through the transport that `dial` opens."""
 
     def __init__(self, program: Program, dial: Callable[[], Awaitable[Transport]], *, loop_s: float = LOOP_S) -> None:
         self.program = program

@@ -43,7 +43,7 @@ class VirtualLoop(asyncio.BaseEventLoop):
         self._now_s += seconds
 
     def run_in_executor(self, executor: object, func: Callable[..., Any], *args: Any) -> asyncio.Future[Any]:  # noqa: ARG002 - of asyncio
-        """What others do in a thread is done here and now: it lasts no virtual time, and always the same real one."""
+        """Run a thread's work at once: it lasts no virtual time."""
         future = self.create_future()
         try:
             future.set_result(func(*args))
@@ -65,7 +65,7 @@ class VirtualLoop(asyncio.BaseEventLoop):
         """No socket, no event."""
 
     def _write_to_self(self) -> None:
-        """Nobody waits in `select`, so nobody must be woken."""
+        """Do nothing, because no thread waits in `select`."""
 
 
 def _place(task: asyncio.Task[Any]) -> str:

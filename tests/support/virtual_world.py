@@ -47,7 +47,7 @@ class Tap(MemoryTransport):
 
 @dataclass
 class World:
-    """What goes on, and what was recorded of it."""
+    """Parts of the world, and the records of them."""
 
     hub: Hub
     relay: Relay
@@ -80,7 +80,7 @@ class World:
 
 
 def command(hub: Hub, number: int) -> bool:
-    """Drive robot_0 at the speed of this number, whatever was before; False when the host has no such robot."""
+    """Drive robot_0 at the speed of this number. Return False when the host has no such robot."""
     velocity = PlanarVelocity(x_m_s=(number + 1) * LEAST_STEP_M_S)
     try:
         robot = hub.robots.find("robot_0")

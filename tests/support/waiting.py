@@ -82,7 +82,7 @@ def _is_lambda(is_so: Callable[[], object]) -> TypeGuard[FunctionType]:
 
 
 def _source(code: CodeType) -> str:
-    """What stands behind `lambda:`, from the positions of its instructions."""
+    """Return the source text after `lambda:`, from the positions of its instructions."""
     known = [place for place in code.co_positions() if all(place)]  # the first instruction has no columns
     first = min((line, column) for line, _, column, _ in known)
     last = max((line, column) for _, line, _, column in known)

@@ -21,7 +21,7 @@ _MESSAGES = [
 
 
 def make_authority(folder: Path) -> Path:
-    """The certificate of an authority; its key is beside it."""
+    """Create the certificate of an authority, with its key in the same folder."""
     certificate = folder / "ca.pem"
     _openssl(
         "req", "-x509", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:P-256", "-nodes", "-days", "2",

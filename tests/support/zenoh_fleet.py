@@ -44,7 +44,7 @@ async def shown(host: Daemon, name: str) -> RemoteRobot:
 
 
 async def robot(host: Daemon, name: str) -> Any:
-    """As REST shows it."""
+    """Return the robot as REST shows it."""
     return await host.get(f"/api/robots/{name}")
 
 
@@ -54,13 +54,13 @@ async def drive(host: Daemon, name: str, linear: float, angular: float = 0.0) ->
 
 
 async def subscriber_count(host: Daemon, topic: str) -> int:
-    """How many subscribe to a topic, with the black box if it is on."""
+    """Return the number of subscribers of a topic, with the black box if it is on."""
     await asyncio.sleep(0.3)
     return len(host.hub.topics.find(topic).subscribers)
 
 
 def port_of(host: Daemon) -> int:
-    """Where its Zenoh session listens."""
+    """Return the port of the daemon's Zenoh session."""
     settings = host.hub.config.zenoh
     assert settings is not None
     return int(settings.listen[0].rpartition(":")[2])

@@ -1,7 +1,7 @@
-"""A fleet with certificates and a daemon without any, in one network of its own. Run it in a network namespace.
+"""Fleet with certificates and a daemon without one, in their own network. Run it in a network namespace.
 
 `python -m tests.support.zenoh_strangers WAY FOLDER`: with `multicast` the stranger looks for others as Zenoh does by
-default; with `gossip` somebody who has a certificate is connected to it in plain TCP, and names it to the fleet. Prints
+default; with `gossip` a daemon with a certificate is connected to it in plain TCP, and names it to the fleet. Prints
 JSON: where the fleet listens, whether the stranger saw the robot, and how many of its velocities were obeyed.
 """
 
@@ -30,7 +30,7 @@ LISTENING = "0A"  # a state of /proc/net/tcp
 
 
 def make_network() -> None:
-    """A cable beside loopback, which has multicast; both its ends are here."""
+    """Create a cable with multicast in addition to loopback; both its ends are here."""
     for line in (
         "link set lo up",
         "link add cable0 type veth peer name cable1",
@@ -81,7 +81,7 @@ def mole(folder: Path) -> Iterator[None]:
 
 
 async def obeyed(stranger: Daemon, device: FakeDevice) -> int:
-    """How many of its velocities were answered with what the robot was sent."""
+    """Count the stranger's velocities that reached the robot."""
     count = 0
     for number in range(COUNT):
         speed = 0.1 + number / 100

@@ -24,7 +24,9 @@ REVISED_TESTS = (
 )  # fmt: skip
 PLACES = ("hostlink/*.py", "tools", *(f"hostlink/{name}" for name in REVISED))
 TEST_PLACES = (
+    "tests/support",
     "tests/unit/*.py",
+    "tests/unit/support",
     "tests/unit/tools",
     *(f"tests/unit/{name}" for name in REVISED),
     *(f"tests/{name}" for name in REVISED_TESTS),

@@ -17,7 +17,7 @@ from tests.support.chaos.names import SERVICE_TYPES, UNKNOWN_SERVICE, request_of
 from tests.support.chaos.plan import Action
 from tests.support.chaos.stage import Stage, introduce
 
-PATIENCE_S = 9.0  # longer than any limit: what it finds is judged elsewhere
+PATIENCE_S = 9.0  # longer than any limit: the run judges the result
 TIME_INTERVAL_S = 2.5  # it spins while it waits, and so it requests the time
 SETTLE_S = 0.1
 PROVIDERS = ("nobody", "program", "program", "device")
@@ -25,7 +25,7 @@ DEVICE_MANNERS = ("right", "other", "never")
 
 
 async def call(stage: Stage, action: Action) -> None:
-    """A device calls; nobody, a program or another device provides, and answers well, badly, too much or never."""
+    """Call services as a device. A program, a device or none answers: well, badly, too much or never."""
     dice = action.dice()
     service, type_name = f"/asked_{action.number}/do", dice.choice(SERVICE_TYPES)
     provider = dice.choice(PROVIDERS)
@@ -63,7 +63,7 @@ async def request(stage: Stage, dice: random.Random, infos: list[TopicInfo], wha
 
 
 async def wait_for_answer(connection: Connection, topic_id: int, buffer_bytes: int) -> str:
-    """How it ended: with an answer, one that is too large, the link's end, or not at all."""
+    """Return how the call ended: with an answer, with a too large one, by the link's end, or without an answer."""
     outcome = "no answer"
     with contextlib.suppress(TimeoutError):
         async with asyncio.timeout(PATIENCE_S), asyncio.TaskGroup() as tasks:

@@ -58,7 +58,7 @@ WALL_CLOCK = Path(__file__).with_name("wall_clock.c")
 
 @dataclass
 class Daemon:
-    """`hostlink serve` on free ports, on the same ones after each restart; its log goes to a file.
+    """`hostlink serve` on free ports, on the same ones after each restart; its log is a file.
 
     `part`: of a core, which it has once it has started, together with its guardian.
     """
@@ -90,7 +90,7 @@ class Daemon:
 
     @property
     def clock_file(self) -> Path:
-        """By how many seconds its wall clock is wrong."""
+        """File with the error of the daemon's wall clock in seconds."""
         return self.folder / "wall_clock"
 
     @property
@@ -99,7 +99,7 @@ class Daemon:
         return self.folder / "others" / "lab.pem", self.folder / "others" / "lab.key"
 
     def settings(self) -> str:
-        """Its file, as it should be."""
+        """Valid content of the daemon's settings file."""
         udp = UDP_CONFIG + f"port = {self.udp[1]}\n" if self.udp else ""
         return CONFIG + udp + FLEET_CONFIG.format(port=self.fleet[1])
 

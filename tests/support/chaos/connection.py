@@ -1,4 +1,4 @@
-"""Connection: one TCP connection of somebody hostile, and the ways to leave it."""
+"""Connection: one TCP connection of a hostile peer, and the ways to leave it."""
 
 import asyncio
 import contextlib
@@ -25,7 +25,7 @@ class Room:
         self._staying: list[Connection] = []
 
     def reserve(self, kind: str, count: int) -> int:
-        """As many of them as there is room for."""
+        """Reserve up to `count` of a kind. Return how many there was room for."""
         granted = min(count, self._left[kind])
         self._left[kind] -= granted
         return granted
@@ -72,7 +72,7 @@ class Connection:
         await asyncio.get_running_loop().sock_sendall(self._socket, data)
 
     async def receive(self) -> bytes:
-        """What has come; b"" at the end."""
+        """Return the received bytes; b"" at the end."""
         return await asyncio.get_running_loop().sock_recv(self._socket, READ_BYTES)
 
     async def receive_until(self, part: bytes, timeout_s: float) -> bytes:
@@ -108,7 +108,7 @@ class Connection:
 
 
 class DatagramConnection(Connection):
-    """A connected socket of datagrams. Whoever leaves it informs nobody; an ICMP error is an OSError."""
+    """Connected socket of datagrams. Its end is not announced to the peer; an ICMP error is an OSError."""
 
     def __init__(self, made: socket.socket, kind: str) -> None:
         super().__init__(made, kind)
@@ -117,7 +117,7 @@ class DatagramConnection(Connection):
 
     @classmethod
     async def dial(cls, to: tuple[str, int], source: str, kind: str, *, receive_bytes: int = 0) -> "Connection":  # noqa: ARG003 - of a connection
-        """Nothing is sent yet: the daemon knows nothing of it."""
+        """Create the connection. No datagram is sent yet, so the daemon does not know it."""
         made = socket.socket(type=socket.SOCK_DGRAM)
         made.setblocking(False)
         try:
@@ -149,7 +149,7 @@ class DatagramConnection(Connection):
         """There is no such thing; a socket that is shut down would be readable without end."""
 
     def cut(self) -> None:
-        """Nobody is informed; `receive` returns."""
+        """End the connection without informing the peer; `receive` returns."""
         self._is_cut = True
         if self._patience is not None:
             expire(self._patience)

@@ -92,7 +92,7 @@ class DaemonRecord:
         self._judge("robots known that are gone", are_connected.count(False), self._limits.robots_gone, at_s)
 
     def add_log(self, text: bytes, at_s: float) -> None:
-        """What was added to the log; whole lines."""
+        """Check whole lines that were added to the log."""
         if not any(word in text for word in WORDS_OF_A_CRASH):
             return
         causes = {cause[1].decode(errors="replace") for cause in CAUSE.finditer(text)} or {"unknown"}
@@ -102,7 +102,7 @@ class DaemonRecord:
                 self._found.append(Violation("no traceback in the log", 0, 0, cause, at_s=at_s))
 
     def settle(self) -> list[Violation]:
-        """What must be true once everybody hostile has left; not counted before the last call."""
+        """Check the invariants after all hostile peers have left; before the last call they are not counted."""
         if self._first is None or self._last is None:
             return [Violation("the daemon is sampled", 0, 1)]
         growth_mib = self.growth_mib

@@ -1,4 +1,4 @@
-"""What hostile and broken devices do. Each action draws everything from its own dice, and ends with its time."""
+"""Actions of hostile and broken devices. Each action draws everything from its own dice, and ends with its time."""
 
 import asyncio
 import contextlib
@@ -12,7 +12,7 @@ from tests.support.chaos.connection import WAYS, Connection, reading
 from tests.support.chaos.plan import Action
 from tests.support.chaos.stage import Stage, introduce
 
-FEW_TOPICS = 100  # whoever announces more comes alone
+FEW_TOPICS = 100  # a device that announces more connects alone
 TURN_S = 0.02
 
 
@@ -125,7 +125,7 @@ async def silent(stage: Stage, action: Action) -> None:
 
 
 async def copy(stage: Stage, action: Action) -> None:
-    """Boards with the honest robot's firmware, from other addresses; each comes again when it is sent away."""
+    """Boards with the honest robot's firmware, from other addresses; each reconnects after it was refused."""
     dice = action.dice()
     stage.report({"action": action.number, "what": "copies of the honest robot's firmware"})
 
@@ -158,7 +158,7 @@ async def together(one: Callable[[int], Awaitable[None]], count: int) -> None:
 
 
 async def quietly(work: Callable[..., Awaitable[None]], *arguments: Any) -> None:
-    """The daemon may end any connection of somebody hostile, at any time."""
+    """Do the work. The daemon may end the connection of a hostile peer at any time."""
     try:
         await work(*arguments)
     except* OSError:  # a TimeoutError is one

@@ -19,10 +19,10 @@ LEAST_COMMANDS = 100  # of which a 99th percentile is made
 OVERDUE_S = 0.25  # a command that nothing has answered for so long counts as late as it is by now
 WAITED_S = 0.2  # a driven robot hears its velocity eight times a second
 YOUNG_S = 0.4  # a command that is younger holds the robot: its lease is 0.5 s
-SAME_S = 1.0  # velocities of somebody else within it are one violation
+SAME_S = 1.0  # velocities of another driver within this time are one violation
 RIVAL_REST_S = 1.5  # what another commanded may still move the robot: its lease, and a flood's delay
 ON_ITS_WAY_S = 0.25  # a velocity that waited for longer between gate and robot has waited for its lease's end, too
-ENDS_AFTER_S = 2.0  # links of a daemon that is gone: its guardian waits half a second for whoever reads on
+ENDS_AFTER_S = 2.0  # links of a daemon that is gone: its guardian waits half a second for devices that still read
 
 
 @dataclass
@@ -42,7 +42,7 @@ class DriveRecord:
         self.last_velocity: tuple[float, float] | None = None
         self.velocity_before_close: tuple[float, float] | None = None  # of the connection that closed last
         self.latest_p99_s = 0.0
-        self.baseline_s = 0.0  # the 99th percentile with nobody hostile: of the machine and the harness
+        self.baseline_s = 0.0  # the 99th percentile without hostile peers: of the machine and the harness
         self.zeros_s: list[float] = []  # of each end, how long the robot moved on
         self.commands = 0
         self.oldest_s = 0.0  # of the velocities that the robot obeyed
@@ -69,7 +69,7 @@ class DriveRecord:
         self._paused_s = at_s
 
     def daemon_resumed(self, at_s: float) -> None:
-        """It goes on: by now its guardian has stopped a robot that moved, if there was time."""
+        """Note that the daemon continues: by now its guardian has stopped a moving robot, if there was time."""
         began_s, self._paused_s = self._paused_s, None
         if began_s is None or self.last_velocity in (None, (0.0, 0.0)):
             return
@@ -78,7 +78,7 @@ class DriveRecord:
             self._fail("a daemon that hangs leaves no robot moving", began_s, at_s, limit_s)
 
     def daemon_left(self, at_s: float, how: str) -> None:
-        """The daemon ends, and comes again."""
+        """Note that the daemon ends and restarts."""
         self._absent_s = (at_s, math.inf)
         self._waiting.clear()
         self._requested.clear()
@@ -87,10 +87,10 @@ class DriveRecord:
             self._end = _End(at_s, f"{how} of the daemon", at_s if stands else None)
 
     def daemon_came(self, at_s: float) -> None:
-        """It listens again."""
+        """Note that the daemon listens again."""
         self._absent_s = (self._absent_s[0], at_s)
         self._requested.clear()
-        if self._opened_s is not None:  # by datagrams, to nobody
+        if self._opened_s is not None:  # by datagrams, without a receiver
             self._opened_s = at_s
 
     def _is_without_daemon(self, at_s: float) -> bool:
@@ -98,7 +98,7 @@ class DriveRecord:
         return self._absent_s[0] <= at_s <= self._absent_s[1] + ENDS_AFTER_S
 
     def rival_began(self, key: object, at_s: float) -> None:
-        """From now on somebody else may drive the robot while the honest program does not."""
+        """Note that a rival may drive the robot from now on, while the honest program does not."""
         self._rivals[key] = (at_s, math.inf)
 
     def rival_ended(self, key: object, at_s: float) -> None:
@@ -112,7 +112,7 @@ class DriveRecord:
         getattr(self, f"_on_{kind}")(at_s, *rest)
 
     def check(self, now_s: float) -> list[Violation]:
-        """What did not hold, as far as it can be said by now."""
+        """Return the violations that are certain by now."""
         self._judge_end(now_s, is_over=False)
         self._judge_latency(now_s)
         for what, at_s in list(self._requested.items()):
@@ -296,7 +296,7 @@ class DriveRecord:
         return self._noise.paused_s(began_s, now_s) + self._noise.absent_s(began_s, now_s)
 
     def _hindered_s(self, end_s: float, now_s: float) -> float:
-        """How much longer a zero may take: as long as the daemon waited, or hung until its guardian acted, meanwhile.
+        """Additional time for a zero: the time that the daemon waited, or hung until its guardian acted.
 
         In twice the time that a zero may take: without a bound a daemon that always waits would have for ever.
         """

@@ -1,6 +1,6 @@
-"""What hostile programs send by Foxglove's protocol, right and wrong. Bytes from dice, no socket.
+"""Frames of hostile programs in Foxglove's protocol, valid and invalid. Bytes from dice, without a socket.
 
-Ids of services are the daemon's; those that are drawn here are none of them: nobody but a rival locks the honest robot.
+Ids of services are the daemon's; those that are drawn here are unknown, because only a rival locks the honest robot.
 """
 
 import json
@@ -19,7 +19,7 @@ _PUBLISHED, _CALL = 1, 2
 
 
 def handshake(dice: random.Random) -> bytes:
-    """As its apps open the connection."""
+    """Return the handshake of Foxglove's apps."""
     return HANDSHAKE + f"Sec-WebSocket-Protocol: {dice.choice(PROTOCOLS)}\r\n\r\n".encode()
 
 
@@ -35,7 +35,7 @@ def draw_request(dice: random.Random) -> bytes:
 
 
 def _message(dice: random.Random) -> bytes:
-    """On a channel that may be advertised; 48 zeros are a Twist that stands."""
+    """Return a message on a channel that may be advertised; 48 zeros are a Twist of zeros."""
     payload = dice.choice((bytes(48), b"\x02\0\0\0on", dice.randbytes(dice.choice((0, 24, 300))), bytes(100_000)))
     return struct.pack("<BI", _PUBLISHED, dice.randrange(OWN_CHANNELS)) + payload
 

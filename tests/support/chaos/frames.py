@@ -39,7 +39,7 @@ def info_frame(info: TopicInfo) -> bytes:
 
 
 def introduction(infos: list[TopicInfo]) -> bytes:
-    """What a device answers to a request for topics; the time request behind it ends the negotiation."""
+    """Return a device's answer to a topic request; the time request after it ends the negotiation."""
     return TIME + b"".join(map(info_frame, infos)) + TIME
 
 
@@ -90,7 +90,7 @@ def same(frame: bytes) -> Blocks:
 
 
 def messages(dice: random.Random) -> Blocks:
-    """Of the robot's own topics, small and large."""
+    """Return messages of the robot's own topics, small and large."""
     return same(data_frame(robot("x")[dice.choice((1, 2, 2))], dice))
 
 
@@ -100,7 +100,7 @@ def logs(dice: random.Random) -> Blocks:
 
 
 def new_names(dice: random.Random) -> Blocks:
-    """Requests for parameters that nobody requested before."""
+    """Return requests for parameters with new names."""
     word = f"p{dice.randrange(1 << 30)}_"
     numbers = itertools.count()
     size = dice.choice((8, 100, 900, 900))
@@ -128,7 +128,7 @@ def wrong_topics(dice: random.Random) -> Blocks:
 
 
 def right_topics(dice: random.Random) -> Blocks:
-    """The same negotiation again and again, with and without a message that ends it."""
+    """Return one negotiation repeatedly, with and without a message that ends it."""
     ending = dice.choice((b"", TIME))
     return same(b"".join(map(info_frame, robot(f"rogue_{dice.randrange(4)}"))) + ending)
 
@@ -153,7 +153,7 @@ def unknown_ids(dice: random.Random) -> Blocks:
 
 
 def host_ids(dice: random.Random) -> Blocks:
-    """Ids that only a host may use, or that nobody does."""
+    """Return frames with ids that only a host may use, and with unassigned ids."""
     return same(encode(dice.choice((Id.STOP, 8, 9, 12, 99)), dice.randbytes(8)))
 
 
@@ -191,7 +191,7 @@ SINGLE_FLOODS: list[Callable[[random.Random], Blocks]] = [
     messages, logs, new_names, parameters, times, wrong_topics, right_topics, changing_topics, requests, unknown_ids,
     host_ids, protocol_1, garbage, half_frames, huge_claims,
 ]  # fmt: skip
-FLOODS = [*SINGLE_FLOODS, messages, new_names, requests, mixture]  # what adds up comes twice as often
+FLOODS = [*SINGLE_FLOODS, messages, new_names, requests, mixture]  # floods that add up are twice as frequent
 
 
 def service_client(service: str, type_name: str, buffer_bytes: int) -> list[TopicInfo]:

@@ -223,7 +223,7 @@ GAIN = encode(Id.PARAMETER, encode_parameter_request("gain"))
 
 
 async def tick() -> None:
-    """How late this process wakes: no fault of the daemon's."""
+    """Measure how late this process wakes, which is not the daemon's fault."""
     due_s = time.monotonic()
     while True:
         due_s = max(due_s + TICK_S, time.monotonic())

@@ -37,13 +37,13 @@ class DaemonKeeper:
         self.counts = {"pauses": 0, "restarts": 0, "reloads": 0, "jumps": 0}
 
     def request(self, facts: dict[str, Any]) -> None:
-        """As the generator reports it."""
+        """Queue a disturbance that the generator requests."""
         if self._is_idle.is_set() and not self._is_over:
             self._is_idle.clear()
             self._requests.put_nowait(facts)
 
     async def finish(self) -> None:
-        """Nothing more is done; what is under way ends."""
+        """Stop after the current disturbance."""
         self._is_over = True
         await self._is_idle.wait()
 
@@ -94,7 +94,7 @@ class DaemonKeeper:
             self._note([Violation("SIGTERM ends the daemon with status 0", status or -1, 0, at_s=began_s)])
 
     async def _reload(self, facts: dict[str, Any]) -> None:
-        """The file is as it should be afterwards, and whoever waits for a FIFO reads its end."""
+        """Reload changed settings. Afterwards the file is valid, and a reader of a FIFO reads its end."""
         self.counts["reloads"] += 1
         kind, file = facts["settings"], self._daemon.settings_file
         good = self._daemon.settings()
@@ -145,11 +145,11 @@ def _changed(kind: str, good: str) -> str:
 
 
 def _release(file: os.PathLike[str], good: str) -> None:
-    """Whoever waits for the FIFO reads good settings; who has not opened it yet finds the good file."""
+    """Write valid settings to a waiting reader of the FIFO; a later reader finds the valid file."""
     try:
         descriptor = os.open(file, os.O_WRONLY | os.O_NONBLOCK)
     except OSError:
-        return  # nobody reads it
+        return  # the FIFO has no reader
     try:
         os.write(descriptor, good.encode())
     finally:

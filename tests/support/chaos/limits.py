@@ -1,4 +1,4 @@
-"""Limits: what the daemon may cost and how late it may be, whatever is played against it. Each is a parameter."""
+"""Limits: largest cost and delay of the daemon, for any actions against it. Each is a parameter."""
 
 import argparse
 import dataclasses

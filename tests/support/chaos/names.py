@@ -44,7 +44,7 @@ def hostile_address(dice: random.Random) -> str:
 
 
 def md5_of(kind: Id, type_name: str) -> str:
-    """As a device of this type would have it; types that nobody knows have any."""
+    """Return the md5 sum of a type as a device has it; any sum for an unknown type."""
     if kind in (Id.PUBLISHER, Id.SUBSCRIBER):
         message = CATALOG.message(type_name)
         return WRONG_MD5 if message is None else message.md5

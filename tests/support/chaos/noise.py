@@ -1,4 +1,4 @@
-"""Noise: what the machine and the harness themselves cost, so that nobody else is blamed for it. Pure."""
+"""Noise: cost of the machine and of the harness itself, which is not the daemon's fault. Pure."""
 
 import math
 from collections import deque
@@ -21,7 +21,7 @@ class Noise:
         self._lags.append((at_s, lag_s))
 
     def add_turn(self, at_s: float, ran_s: float, waited_s: float) -> None:
-        """How long the daemon has run, and waited for a core, since its start."""
+        """Note for how long the daemon has run, and waited for a core, since its start."""
         self._turns.append((at_s, ran_s, waited_s))
 
     def pause(self, began_s: float, ended_s: float = math.inf) -> None:
@@ -29,15 +29,15 @@ class Noise:
         _note(self._pauses, began_s, ended_s)
 
     def absence(self, began_s: float, ended_s: float = math.inf) -> None:
-        """The daemon is gone, and comes again; again with its end once that is known."""
+        """Note that the daemon is absent; call again with the end once it is known."""
         _note(self._absences, began_s, ended_s)
 
     def paused_s(self, begin_s: float, end_s: float) -> float:
-        """How long the daemon was stopped by signals in a time."""
+        """Return for how long the daemon was stopped by signals in an interval."""
         return _overlap(self._pauses, begin_s, end_s)
 
     def absent_s(self, begin_s: float, end_s: float) -> float:
-        """How long the daemon was gone in a time."""
+        """Return for how long the daemon was absent in an interval."""
         return _overlap(self._absences, begin_s, end_s)
 
     def lag_s(self, begin_s: float, end_s: float) -> float:
@@ -45,11 +45,11 @@ class Noise:
         return max((lag_s for at_s, lag_s in self._lags if begin_s <= at_s <= end_s), default=0.0)
 
     def waited_s(self, begin_s: float, end_s: float) -> float:
-        """How long the daemon waited for a core in a time."""
+        """Return for how long the daemon waited for a core in an interval."""
         return self._span(begin_s, end_s)[1]
 
     def stretch(self, begin_s: float, end_s: float) -> float:
-        """How much longer the daemon took than with a core to itself; at least 1."""
+        """Return the daemon's time in proportion to the time with a core of its own; at least 1."""
         ran_s, waited_s = self._span(begin_s, end_s)
         return min(self._stretch_most, 1.0 + waited_s / ran_s) if ran_s > 0 else 1.0
 

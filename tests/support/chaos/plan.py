@@ -12,7 +12,7 @@ SHORTEST_S, LONGEST_S = 1.0, 2.0
 MOST_ACTIONS = 5  # that begin at once
 LONG_SHARE = 0.25
 
-# Kind -> whether it may drive a robot that nobody of a higher priority drives: by a velocity topic, or REST.
+# Kind -> whether it may drive a robot without a driver of a higher priority: by a velocity topic, or REST.
 KINDS: dict[str, bool] = {
     "flood": True,
     "announce": True,
@@ -42,7 +42,7 @@ DOUBLE = ("flood", "announce", "call")  # kinds with more ways of their own than
 
 @dataclass(frozen=True)
 class Action:
-    """One thing that somebody hostile does; everything else about it is drawn from its seed."""
+    """One action of a hostile peer; everything else about it is drawn from its seed."""
 
     number: int  # in its run
     kind: str

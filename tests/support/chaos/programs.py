@@ -1,4 +1,4 @@
-"""What hostile and broken programs do at the API. Each action draws everything from its own dice, and ends with its
+"""Actions of hostile and broken programs at the API. Each action draws everything from its own dice, and ends with its
 time."""
 
 import asyncio
@@ -37,7 +37,7 @@ async def bridge(stage: Stage, action: Action) -> None:
 
 
 async def subscriber(stage: Stage, action: Action) -> None:
-    """Subscribers of whatever there is much of, that read at once, slowly or never."""
+    """Subscribers of flooded topics that read at once, slowly or never."""
     dice = action.dice()
     manner = dice.choice(("at once", "slowly", "never"))
     stage.report({"action": action.number, "what": f"subscribers of floods that read {manner}"})
@@ -121,7 +121,7 @@ async def idle(stage: Stage, action: Action) -> None:
 
 
 async def broken_websocket(stage: Stage, action: Action) -> None:
-    """WebSocket frames that are none."""
+    """Send invalid WebSocket frames."""
     dice = action.dice()
     stage.report({"action": action.number, "what": "broken WebSocket frames"})
 

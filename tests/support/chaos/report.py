@@ -4,7 +4,7 @@ from tests.support.chaos.run import Outcome
 
 
 def describe(outcome: Outcome) -> str:
-    """A few lines; what failed comes with everything that is needed to repeat it."""
+    """Return a few lines; a failure has everything that is needed to repeat it."""
     figures = "  ".join(f"{name} {_short(value)}" for name, value in outcome.figures.items())
     lines = [f"seed {outcome.wanted.seed}: {outcome.steps} steps, {len(outcome.violations)} violations", f"  {figures}"]
     lines += [f"FAILED seed {outcome.wanted.seed}, {violation}" for violation in outcome.violations]

@@ -75,7 +75,7 @@ def draw_handshake(dice: random.Random) -> bytes:
 
 
 def draw_operation(dice: random.Random) -> bytes:
-    """Valid in most cases; nobody but a rival drives or locks the honest robot."""
+    """Draw an operation, valid in most cases. Only a rival drives or locks the honest robot."""
     fields = dice.choice(_OPERATIONS)(dice)
     while dice.random() < 0.2:
         key = dice.choice([*fields, "id", "msg", "args", "compression", "fragment_size"])
@@ -176,14 +176,14 @@ def draw_broken(dice: random.Random) -> bytes:
 
 
 def flood_subscriptions(dice: random.Random) -> bytes:
-    """To whatever there is much of."""
+    """Return subscriptions of flooded topics."""
     topics = dice.sample([*ROGUE_TOPICS, "/rosout", "/tf", HONEST_ODOMETRY, "/rogue_0/odometry"], dice.randint(1, 6))
     compression = dice.choice(("none", "none", "cbor", "cbor-raw", "png"))
     return b"".join(operation(op="subscribe", topic=topic, compression=compression) for topic in topics)
 
 
 def publication(dice: random.Random) -> bytes:
-    """To a topic of a hostile device's, or one that the daemon derives."""
+    """Return a publication to a topic of a hostile device, or to one that the daemon derives."""
     leaf = dice.choice(("velocity_commands", "cmd_vel", "cmd_vel_stamped", "data", "odom"))
     name = f"/rogue_{dice.randrange(ROGUES)}/{leaf}"
     twist = {"linear": {"x": dice.uniform(-1, 1)}, "angular": {"z": HOSTILE_RAD_S}}
@@ -193,7 +193,7 @@ def publication(dice: random.Random) -> bytes:
 
 
 def rival_frame(dice: random.Random) -> bytes:
-    """Drive the honest robot at a lower priority, by whatever name."""
+    """Drive the honest robot at a lower priority, by any of its topics."""
     velocity = {"linear": dice.uniform(-1, 1), "angular": HOSTILE_RAD_S}
     if dice.random() < 0.3:
         return operation(op="drive", robot=HONEST, priority=dice.choice((0, RIVAL_PRIORITY)), id=1, **velocity)
@@ -203,7 +203,7 @@ def rival_frame(dice: random.Random) -> bytes:
 
 
 def rival_request(dice: random.Random) -> bytes:
-    """The same by REST."""
+    """Drive the honest robot at a lower priority, by REST."""
     body = json.dumps({"linear": dice.uniform(-1, 1), "angular": HOSTILE_RAD_S, "priority": RIVAL_PRIORITY})
     return http("PUT", f"/api/robots/{HONEST}/velocity", body.encode())
 
@@ -222,7 +222,7 @@ def draw_http(dice: random.Random) -> bytes:
     path = dice.choice(PATHS)
     method = dice.choice(("GET", "GET", "GET", "POST", "PUT", "DELETE", "OPTIONS", "HEAD", "BREW", "get"))
     if HONEST in path and path.endswith("/stop"):
-        method = "GET"  # everybody may stop a robot, but one that stands all the time shows nothing
+        method = "GET"  # every program may stop a robot, but a robot that never moves shows no fault
     if path == "/api/stop" and method == "POST":
         method = "GET"
     body = dice.choice((b"", b"{}", b'{"linear": 0.1, "angular": -0.75}', b"[" * 5000, b"\xff" * 20, b"x" * 200_000))
@@ -242,7 +242,7 @@ def draw_http(dice: random.Random) -> bytes:
 
 
 def draw_half(dice: random.Random) -> bytes:
-    """The beginning of something that never goes on; perhaps nothing at all."""
+    """Draw the beginning of a request that is never completed; possibly empty."""
     half_body = http("PUT", "/api/stop", b"x" * 50)[:-30]
     return dice.choice((b"", b"", b"G", b"GET / HTTP/1.1\r\nHost: 127.0", HANDSHAKE, half_body))
 
@@ -251,7 +251,7 @@ def draw_half(dice: random.Random) -> bytes:
 
 
 def provider_answer(manner: str, service: str, call_id: object) -> bytes | None:
-    """What a program answers that offers a service to devices; None: nothing, ever."""
+    """Return the answer of a program that provides a service to devices; None: no answer."""
     values: Any = {
         "long": {"success": True, "message": "y" * 3000},
         "right": {"success": True, "message": "yes"},

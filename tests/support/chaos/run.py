@@ -24,14 +24,14 @@ from tests.support.chaos.violation import Violation
 from tests.support.chaos.watch import REQUEST_TIMEOUT_S, Watch
 from tests.support.core_part import part_of_a_core
 
-BASELINE_COMMANDS = 80  # with nobody else there: what the harness itself measures
+BASELINE_COMMANDS = 80  # without other peers: what the harness itself measures
 STEP_MARGIN_S = 30.0  # after which the generator itself hangs
 CALLS_BEFORE_END_S = 2.0
 SETTLE_S = 12.0  # as long as Zenoh keeps a stranger that does not finish its handshake
 DEATH_S = 2.0
 POLL_S = 0.1
 JUDGE_S = 1.0
-LAST_WORD_S = 0.4  # in which a zero reaches the robot, whoever sends it for a daemon that has died
+LAST_WORD_S = 0.4  # in which a zero reaches the robot after the daemon has died
 DRIVE_BEFORE_END_S = 0.7
 SERVED_S = 20.0
 HANDSHAKE_S = 5.0
@@ -40,7 +40,7 @@ CALL_IS_ANSWERED = "a device that calls is answered"
 
 @dataclass(frozen=True, kw_only=True)
 class Wanted:
-    """What is to be played."""
+    """Parameters of a run."""
 
     seed: int
     seconds: float
@@ -55,11 +55,11 @@ class Wanted:
 
     @property
     def patience(self) -> float:
-        """How much longer everything may last."""
+        """Factor for all time limits."""
         return 1.0 if self.quota is None else max(1.0, 1 / self.quota)
 
     def command(self) -> str:
-        """What repeats it."""
+        """Return the command that repeats the run."""
         words = ["python tools/chaos_daemon.py", f"--seed {self.seed}", f"--seconds {self.seconds:g}"]
         words += [f"--kind {kind}" for kind in self.kinds]
         words += [f"--first-step {self.first_step}"] if self.first_step else []
@@ -75,7 +75,7 @@ class Wanted:
 
 @dataclass
 class Outcome:
-    """What came of a run, as data."""
+    """Result of a run."""
 
     wanted: Wanted
     violations: list[Violation] = field(default_factory=list)
@@ -91,7 +91,7 @@ class Conductor:
         self.outcome = Outcome(wanted)
         self._wanted, self._daemon, self._honest, self._player, self._log = wanted, running, honest, player, log
         noise = Noise(stretch_most=wanted.limits.stretch_most * wanted.patience)
-        # With a part of a core, a daemon that is late refuses commands that may be old: the robot stands meanwhile.
+        # With a part of a core, a daemon that is late refuses commands that may be old: the robot stops meanwhile.
         limits = dataclasses.replace(wanted.limits, p99_s=wanted.limits.p99_s * wanted.patience)
         self._drive, self._record = DriveRecord(limits, noise), DaemonRecord(limits, noise)
         self._noise = noise
@@ -140,7 +140,7 @@ class Conductor:
             await self._sample_once_more()
 
     async def _sample_once_more(self) -> None:
-        """What was found first may be the beginning of the daemon's death."""
+        """Judge again after a first violation, which may be the beginning of the daemon's end."""
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(DEATH_S):
                 await self._daemon.child.wait()
@@ -149,7 +149,7 @@ class Conductor:
             await self._judge_last_velocity()
 
     async def _measure_baseline(self) -> None:
-        """Nobody hostile is there yet."""
+        """Measure the honest robot before any hostile peer connects."""
         async with asyncio.timeout(SERVED_S):
             while self._drive.commands < BASELINE_COMMANDS and self._goes_on():
                 await asyncio.sleep(POLL_S)
@@ -199,7 +199,7 @@ class Conductor:
         self._note(found)
 
     def _drive_is_due(self, now_s: float) -> bool:
-        """What the honest robot received is judged once a second: its record comes in lines."""
+        """Whether the honest robot's record is due to be judged, once a second."""
         if now_s < self._drive_judged_s + JUDGE_S:
             return False
         self._drive_judged_s = now_s
@@ -212,7 +212,7 @@ class Conductor:
             self._log(f"  ! {named}")
 
     def _situation(self) -> tuple[str, ...]:
-        """What was played in this phase, the newest last."""
+        """Return the actions of this phase, the newest last."""
         return tuple(f"{'' if number in self._under_way else '(over) '}{what}" for number, what in self._recent[-12:])
 
     # -- lines of the children ---------------------------------------------------------------------------------------
@@ -264,7 +264,7 @@ class Conductor:
             self._note([Violation(CALL_IS_ANSWERED, facts["waited_s"], limit_s, detail, at_s=began_s)])
 
     def _overdue_calls(self, now_s: float) -> list[Violation]:
-        """Calls that nobody has answered in time, each once."""
+        """Return the calls without an answer in time, each once."""
         found = []
         for what, began_s in list(self._calls.items()):
             limit_s = self._wanted.limits.requested_s * self._noise.stretch(began_s, now_s)

@@ -12,7 +12,7 @@ from tests.support.chaos.plan import Action
 from tests.support.chaos.stage import TLS, Stage
 
 HEAR_S = 1.0
-TLS_ALERT = 0x15  # the kind of its record: all that somebody without TLS is answered
+TLS_ALERT = 0x15  # the kind of its record: the only answer to a peer without TLS
 FIRST_WORDS = (  # of a Zenoh session, as eclipse-zenoh 1.5 opens one; its id belongs between them
     bytes.fromhex("2000c109f2"),
     bytes.fromhex("0ac8ff81c205eacba583062701"),
@@ -49,12 +49,12 @@ async def _come(stage: Stage, dice: random.Random, way: str) -> None:
 
 
 def first_words(dice: random.Random) -> bytes:
-    """What a session without TLS says first."""
+    """Return the first bytes of a session without TLS."""
     return FIRST_WORDS[0] + dice.randbytes(16) + FIRST_WORDS[1]
 
 
 async def _speak(stage: Stage, dice: random.Random, way: str) -> bytes:
-    """What it heard that is no alert of TLS."""
+    """Return the received bytes that are not an alert of TLS."""
     connection = await Connection.dial(stage.fleet or ("", 0), hostile_address(dice), TLS)
     try:
         hello = {
@@ -70,7 +70,7 @@ async def _speak(stage: Stage, dice: random.Random, way: str) -> bytes:
 
 
 async def _speak_tls(stage: Stage, dice: random.Random, way: str) -> bytes:
-    """What it heard inside of TLS."""
+    """Return the bytes received inside of TLS."""
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
     context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
     if way == "wrong":

@@ -1,4 +1,4 @@
-"""What happens to the daemon itself: its process is stopped or restarted, its settings are read anew, its wall clock
+"""Disturbances of the daemon itself: its process is stopped or restarted, its settings are reloaded, its wall clock
 jumps. The generator draws when; DaemonKeeper, which has the process, does it."""
 
 import asyncio

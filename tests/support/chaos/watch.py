@@ -33,7 +33,7 @@ class Watch:
 
     @property
     def _process(self) -> Path:
-        """Of the daemon that runs now."""
+        """Folder in /proc of the current daemon."""
         return Path(f"/proc/{self._daemon.child.pid}")
 
     def stop_requests(self) -> None:
@@ -105,7 +105,7 @@ class Watch:
         return (int(words[1]) if len(words) > 1 and words[1].isdigit() else 0), body
 
     def _scheduled(self) -> tuple[float, float]:
-        """Seconds that its main thread ran, and waited for a core, in all its lives; zeros where nobody counts."""
+        """Return the seconds that the main threads ran and waited for a core; zeros where they are not counted."""
         pid = self._daemon.child.pid
         try:
             ran_ns, waited_ns, _ = Path(f"/proc/{pid}/schedstat").read_text().split()

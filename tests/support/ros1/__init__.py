@@ -1,1 +1,1 @@
-"""Debian's ROS 1, with the system's Python, beside the daemon."""
+"""Debian's ROS 1, with the system's Python, connected to the daemon."""

@@ -39,7 +39,7 @@ class Graph:
 
     @property
     def environment(self) -> dict[str, str]:
-        """Of every program in the graph; nothing of the test's own Python."""
+        """Environment of every program in the graph, without the test's own Python."""
         kept = {name: os.environ[name] for name in ("PATH", "LANG") if name in os.environ}
         return {
             **kept,
@@ -66,7 +66,7 @@ class Graph:
         await expect(lambda: _is_listening(self.port), timeout_s=TIMEOUT_S)
 
     async def kill(self, number: signal.Signals = signal.SIGKILL) -> None:
-        """End the master, and whatever it has started."""
+        """End the master and the processes that it has started."""
         if self.master is not None and self.master.returncode is None:
             os.killpg(self.master.pid, number)
             await self.master.communicate()
@@ -93,7 +93,7 @@ class Graph:
         return [line.strip() for line in out.splitlines() if line.strip()]
 
     async def slave_uri(self, node: str) -> str:
-        """Where the master says that the node listens for calls."""
+        """Return the URI at which the node listens for calls, according to the master."""
         _, _, uri = await call(self.url, "lookupNode", "/test", node)
         return str(uri)
 

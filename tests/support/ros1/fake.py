@@ -45,7 +45,7 @@ async def xml_rpc_server(
 
 @dataclass
 class FakeMaster:
-    """What is registered, by kind and name; the answers may be replaced."""
+    """Master with its registrations by kind and name; the answers may be replaced."""
 
     url: str = ""
     registered: dict[str, dict[str, str]] = field(default_factory=lambda: defaultdict(dict))  # kind: name: address
@@ -143,7 +143,7 @@ class Peer:
         return decode_header(await self.read())
 
     async def read_answer(self) -> tuple[bool, bytes]:
-        """Of a service: whether it was done, and the payload or the reason."""
+        """Read the answer of a service: whether it succeeded, and the payload or the reason."""
         async with asyncio.timeout(TIMEOUT_S):
             is_done = await self.reader.readexactly(1) == b"\x01"
         return is_done, await self.read()
@@ -161,7 +161,7 @@ class Peer:
 
 @contextlib.asynccontextmanager
 async def connection(address: tuple[str, int], **fields: str) -> AsyncIterator[Peer]:
-    """To the daemon's TCPROS port; with fields it sends them as its header."""
+    """Connect to the daemon's TCPROS port, and send the fields as a header, if there are any."""
     reader, writer = await asyncio.open_connection(*address)
     peer = Peer(reader, writer)
     try:
@@ -215,7 +215,7 @@ class FakePublisher:
             peer.close()
 
     def close(self) -> None:
-        """Whoever is connected, or connects yet, is cut."""
+        """End the present and all later connections."""
         self.is_over = True
         for peer in self._open:
             peer.close()

@@ -36,7 +36,7 @@ class Scene:
         return dict(self.daemon.hub.counts.graphs["ros1"]())
 
     async def tcpros(self) -> tuple[str, int]:
-        """Where the daemon's topics are."""
+        """Return the address of the daemon's topics."""
         await self.master.knows("Publisher", ODOMETRY)
         _, host, port = decode_answer(await self.master.call("requestTopic", "/listener", ODOMETRY, [["TCPROS"]]))
         return host, port
@@ -47,7 +47,7 @@ class Scene:
         assert decode_answer(await self.master.call("publisherUpdate", "/master", name, list(uris))) == 0
 
     async def velocities(self, for_s: float = 0.3) -> list[float]:
-        """Of all that the robot receives in this time, but zeros."""
+        """Return the forward speeds that the robot receives in this time, without zeros."""
         found: list[float] = []
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(for_s):
@@ -67,7 +67,7 @@ async def scene(master: FakeMaster, **settings: object) -> AsyncIterator[Scene]:
 
 @contextlib.asynccontextmanager
 async def plain_scene() -> AsyncIterator[Scene]:
-    """With the settings that nobody has changed."""
+    """Run a scene with the default settings."""
     async with fake_master() as master, scene(master) as made:
         yield made
 

@@ -4,7 +4,7 @@ from hostlink.protocol import events
 from hostlink.protocol.control import TopicInfo
 from hostlink.protocol.frame import Id
 from hostlink.protocol.session import Session
-from hostlink.protocol.topic_table import MAX_TOPICS, TopicTable
+from hostlink.protocol.topic_table import MAX_MISSED, MAX_TOPICS, TopicTable
 from tests.support.session_host import LED, ODOMETRY, TIME, Host, check, wire
 
 
@@ -97,3 +97,32 @@ def test_request_topics_repeats_the_negotiation_of_a_ready_device() -> None:
     host.session.request_topics("claimed_twice")
     assert host.session.deadline_s() <= host.now_s
     assert host.session.tick(now_s=host.now_s) == [events.TopicsRequested("claimed_twice")]
+
+
+def test_removed_endpoint_has_no_fixed_size_any_longer() -> None:
+    """Otherwise frames of a later topic with this id would be rejected by the size of the removed one."""
+    made = TopicTable()
+    made.begin()
+    made.add(info(125, "/a"), 1)
+    made.add(info(126, "/b"), 8)
+    made.finish()
+    for missed in range(1, MAX_MISSED + 1):
+        made.begin()
+        made.add(info(125, "/a"), 1)
+        made.finish()
+        is_kept = missed < MAX_MISSED
+        assert made.fixed_bytes == ({125: 1, 126: 8} if is_kept else {125: 1})
+        assert made.missing == ((126,) if is_kept else ())
+
+
+def test_refused_endpoint_is_not_kept() -> None:
+    made = TopicTable()
+    made.begin()
+    made.add(info(125, "/a"), 1)
+    made.add(info(126, "/b"), 8)
+    made.finish()
+    made.begin()
+    made.add(info(125, "/a"), 1)
+    made.finish(refused=(126,))
+    assert made.fixed_bytes == {125: 1}
+    assert made.find("/b", Id.PUBLISHER) is None

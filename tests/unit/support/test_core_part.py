@@ -28,7 +28,7 @@ def ran_s(pid: int) -> float:
 
 
 def ran_share(pid: int) -> float:
-    """How much of a core it had in a second."""
+    """Return the share of a core that the process had in a second."""
     before_s, began_s = ran_s(pid), time.monotonic()
     time.sleep(SECONDS)
     return (ran_s(pid) - before_s) / (time.monotonic() - began_s)
@@ -49,7 +49,7 @@ def test_a_process_that_is_stopped_in_turn_runs_no_more_than_that(
         assert ran_share(busy.pid) < 0.4
         assert part.stopped_s > SECONDS / 2
     state = Path(f"/proc/{busy.pid}/stat").read_text().rpartition(")")[2].split()[0]
-    assert state != "T"  # it goes on afterwards
+    assert state != "T"  # the process continues afterwards
 
 
 def test_children_of_a_process_are_found(busy: subprocess.Popen[bytes]) -> None:

@@ -31,7 +31,7 @@ def sent(made: OriginalDevice, now_s: float) -> list[Frame]:
     return [item for item in FrameStream().feed(made.to_host.pop(now_s)) if isinstance(item, Frame)]
 
 
-def test_it_answers_a_request_for_topics_with_the_time_and_its_topics_in_order() -> None:
+def test_topic_request_is_answered_with_a_time_request_and_the_topics_in_order() -> None:
     made, _ = device()
     made.from_host.send(TOPICS_REQUEST, 0.0)
     spin(made, 0.1)
@@ -39,7 +39,7 @@ def test_it_answers_a_request_for_topics_with_the_time_and_its_topics_in_order()
     assert made.is_configured
 
 
-def test_it_publishes_nothing_before_it_is_configured() -> None:
+def test_device_publishes_nothing_before_it_is_configured() -> None:
     made, _ = device()
     assert made.publish(125, bytes(24), 0.0) is False
     assert sent(made, 1.0) == []
@@ -57,7 +57,7 @@ def test_a_frame_reaches_its_callback() -> None:
     [(0.005, True, True), (0.009, True, True), (0.015, True, False), (0.005, False, False), (0.0, False, True)],
 )
 def test_the_retry_clause_bridges_ten_milliseconds_within_a_frame(gap_s: float, retries: bool, arrives: bool) -> None:
-    """The second half comes `gap_s` after the first was read; the loop comes back only after the 20 ms of a frame."""
+    """The second half arrives `gap_s` after the first was read; the loop continues only after the 20 ms of a frame."""
     made, heard = device(baud=None, retries=retries)
     made.from_host.send(LED[:4], 0.0)
     now_s, second_sent = 0.0, False
@@ -107,7 +107,7 @@ def spin_and_count_times(made: OriginalDevice, now_s: float) -> int:
     return sum(frame.topic_id == Id.TIME for frame in sent(made, now_s))
 
 
-def test_with_time_answers_it_goes_on_and_knows_the_time() -> None:
+def test_device_with_time_answers_continues_and_knows_the_time() -> None:
     made, _ = device(baud=None)
     made.from_host.send(TOPICS_REQUEST, 0.0)
     for tenth in range(300):

@@ -41,7 +41,7 @@ def test_timers_fire_in_the_order_of_their_times() -> None:
     assert run_virtual(main()) == [0.0, 0.25, 3.0, 7.5]
 
 
-def test_what_is_ready_runs_before_time_moves() -> None:
+def test_ready_callbacks_run_before_time_moves() -> None:
     async def main() -> float:
         host, device = memory_pair()
         async with asyncio.timeout(1.0):

@@ -18,7 +18,7 @@ def port() -> Iterator[socket.socket]:
         yield made
 
 
-async def test_what_is_sent_comes_in_datagrams_that_pass_a_wifi_whole() -> None:
+async def test_data_is_sent_in_datagrams_that_pass_a_wifi_whole() -> None:
     with port() as daemon:
         device = await DatagramConnection.dial(daemon.getsockname(), "127.0.9.1", "device")
         data = random.Random(1).randbytes(3 * DATAGRAM_BYTES + 10)

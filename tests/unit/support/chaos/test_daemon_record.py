@@ -105,7 +105,7 @@ def test_a_crash_in_the_log_is_found_with_its_cause(record: DaemonRecord, text: 
     assert violation.detail.startswith(cause)
 
 
-def test_a_log_that_only_speaks_of_errors_is_no_crash(record: DaemonRecord) -> None:
+def test_log_with_errors_is_not_a_crash(record: DaemonRecord) -> None:
     record.add_log(b'{"event": "link.closed", "reason": "broken", "cause": "ConnectionError: reset"}\n', 101.0)
     assert promises(record) == []
 
@@ -117,5 +117,5 @@ def test_memory_and_descriptors_settle_once_everybody_has_left(record: DaemonRec
     assert found == {"memory settles, MiB of growth", "descriptors settle"}
 
 
-def test_a_daemon_that_nobody_sampled_has_not_settled() -> None:
+def test_daemon_without_samples_has_not_settled() -> None:
     assert DaemonRecord(LIMITS, Noise(stretch_most=3.0)).settle() != []

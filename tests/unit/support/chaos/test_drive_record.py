@@ -65,7 +65,7 @@ def test_a_drive_that_ends_well_has_no_violation() -> None:
 
 
 @pytest.mark.parametrize("how", ["lease", "drop", "reset", "stop"])
-def test_a_zero_that_comes_late_is_found(how: str) -> None:
+def test_late_zero_is_found(how: str) -> None:
     story = Story()
     story.drive()
     story.event("ended", how)
@@ -76,7 +76,7 @@ def test_a_zero_that_comes_late_is_found(how: str) -> None:
     assert how in violation.detail
 
 
-def test_a_zero_that_never_comes_is_found_before_the_next_drive_and_by_it() -> None:
+def test_missing_zero_is_found_before_the_next_drive_and_by_it() -> None:
     story = Story()
     story.drive()
     story.event("ended", "drop")
@@ -116,20 +116,20 @@ def test_a_robot_that_stood_at_the_end_needs_no_other_zero() -> None:
     assert story.after(2.0).found() == []
 
 
-def test_somebody_elses_velocity_is_found_where_nobody_else_may_drive() -> None:
+def test_foreign_velocity_is_found_where_no_rival_may_drive() -> None:
     story = Story()
     story.velocity(UNOWNED)
     assert story.found() == ["only who may drive drives"]
 
 
-def test_velocities_of_somebody_else_are_one_violation_a_second() -> None:
+def test_foreign_velocities_are_one_violation_a_second() -> None:
     story = Story()
     for _ in range(15):
         story.after(0.1).velocity(UNOWNED)
     assert story.found() == ["only who may drive drives"] * 2
 
 
-def test_somebody_elses_velocity_is_allowed_while_the_honest_program_does_not_drive() -> None:
+def test_foreign_velocity_is_allowed_while_the_honest_program_does_not_drive() -> None:
     story = Story()
     story.record.rival_began(1, story.now_s)
     story.after(0.1).velocity(UNOWNED)
@@ -149,7 +149,7 @@ def test_a_lower_priority_that_drives_over_the_honest_program_is_found() -> None
     assert story.found() == ["nobody drives over a higher priority"]
 
 
-def test_who_drives_after_the_end_does_not_hide_that_the_honest_commands_move_the_robot_no_more() -> None:
+def test_driver_after_the_end_does_not_hide_ineffective_honest_commands() -> None:
     story = Story()
     story.record.rival_began(1, story.now_s)
     story.drive()
@@ -168,7 +168,7 @@ def test_late_commands_are_found() -> None:
 
 
 def test_a_command_that_a_newer_one_replaced_is_as_late_as_the_newer_one() -> None:
-    """A daemon that stands still and then sends the newest must not look quick."""
+    """A daemon that pauses and then sends the newest command must not look quick."""
     story = Story()
     story.drive(count=90)
     for number in range(201, 211):

@@ -1,4 +1,4 @@
-"""What the machine itself costs is measured in the time that is judged, and bounded."""
+"""Noise: cost of the machine itself, measured in the judged time, and bounded."""
 
 import pytest
 

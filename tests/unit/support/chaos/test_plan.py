@@ -1,4 +1,4 @@
-"""The generator's decisions: one seed gives the same steps, every kind comes, the bytes are what they claim."""
+"""The generator's decisions: one seed gives the same steps, and every kind of action is drawn with its bytes."""
 
 import itertools
 import random
@@ -78,5 +78,5 @@ def test_requests_of_every_sort_can_be_drawn() -> None:
 
 
 def test_hostile_devices_leave_room_for_the_honest_robot() -> None:
-    """The daemon takes 256 connections of devices; who comes back must find a place."""
+    """The daemon takes 256 connections of devices; a device that returns must find a place."""
     assert ROOM[DEVICE] < 250

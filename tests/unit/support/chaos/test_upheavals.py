@@ -38,7 +38,7 @@ def test_wall_clock_jumps_and_the_monotonic_one_does_not(tmp_path: Path) -> None
 
 
 async def reports_of(way: str, answer: bytes) -> list[dict[str, Any]]:
-    """What strangers report of a port that answers so."""
+    """Return the reports of strangers about a port that answers with these bytes."""
     reports: list[dict[str, Any]] = []
     seed = next(str(seed) for seed in range(1000) if random.Random(str(seed)).choice(tls_strangers.WAYS) == way)
 
