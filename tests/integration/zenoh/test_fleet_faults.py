@@ -272,28 +272,6 @@ async def test_a_peer_with_many_robots_keeps_the_loop_for_no_stop() -> None:
         assert a.hub.isolation.crashes.total() == 0
 
 
-async def test_many_drivers_of_one_peer_are_bounded() -> None:
-    async with lied_to() as (a, b, liar), fake_device(b.tcp, robot_topics("robot_7")):
-        await shown(a, "robot_7")
-        await _until_heard(b, liar, "robot_66")
-        for owner in range(200):
-            request = Drive(
-                number=owner,
-                sent_s=asyncio.get_running_loop().time(),  # by the liar's clock: none of them is late
-                robot="robot_7",
-                owner=owner,
-                owner_name=f"\x1b[2J{owner}",
-                velocity=(0.1,) + (0.0,) * 5,
-                priority=50,
-            )
-            liar.put("drive", encode(request), to=_zid_of(a, "robot_7"))
-            await asyncio.sleep(0.002)  # 64 of them wait at the most
-        await expect(lambda: b.hub.counts.graphs["fleet"]()["excess_drivers"] > 10)
-        holder = b.hub.robots.find_here("robot_7").gate.owner_name
-        assert holder is not None
-        assert holder.isprintable()
-
-
 # -- certificates -----------------------------------------------------------------------------------------------------
 
 

@@ -91,8 +91,9 @@ def test_slave_api_names_the_port_of_a_published_topic_only() -> None:
         assert await made.call("requestTopic", "/x", TEXT, [["TCPROS"]]) == ["TCPROS", "here", 2]
         with pytest.raises(Refused, match="not a publisher of /unknown"):
             await made.call("requestTopic", "/x", "/unknown", [["TCPROS"]])
-        with pytest.raises(Refused, match="no supported protocol"):
-            await made.call("requestTopic", "/x", TEXT, [["UDPROS"]])
+        for protocols in ([], [["UDPROS"]], [[]], ["TCPROS"]):
+            with pytest.raises(Refused, match="no supported protocol"):
+                await made.call("requestTopic", "/x", TEXT, protocols)
 
     with_graph(test)
 
@@ -106,6 +107,7 @@ def test_slave_api_names_the_port_of_a_published_topic_only() -> None:
         ("publisherUpdate", "/x", VELOCITY, "http://a:1/"),
         ("publisherUpdate", "/x", VELOCITY, [5]),
         ("publisherUpdate", "/x", 5, []),
+        ("requestTopic", "/x", TEXT, 7),
     ],
 )
 def test_malformed_call_is_refused_and_counted(call: tuple[Any, ...]) -> None:
@@ -199,6 +201,18 @@ def test_publishers_over_the_bounds_are_counted(monkeypatch: pytest.MonkeyPatch)
         assert len(made.requested()) == 2
 
     with_graph(test, max_connections=2)
+
+
+def test_publishers_of_one_topic_have_a_bound() -> None:
+    async def test(made: Graph) -> None:
+        uris = [f"http://a:{port}/" for port in range(900)]
+        made.sync.set_publishers(VELOCITY, uris, is_answer=False)
+        assert made.node.counts.crowded_out == 900 - graph_sync.MAX_PUBLISHERS
+        made.sync.set_publishers(VELOCITY, [], is_answer=False)
+        made.sync.set_publishers(VELOCITY, uris[:2], is_answer=False)
+        assert made.node.counts.crowded_out == 900 - graph_sync.MAX_PUBLISHERS
+
+    with_graph(test)
 
 
 def test_failed_publisher_is_tried_again_with_growing_delays() -> None:
