@@ -17,7 +17,7 @@ from hostlink.config import Config, Ros1Config
 from hostlink.graphs.ros1 import graph_sync, member
 from hostlink.graphs.ros1.connections import MAX_MESSAGES
 from hostlink.graphs.ros1.local_node import Rpc
-from hostlink.graphs.ros1.xml_rpc import Refused, Unreachable, decode_answer, encode_answer, encode_call
+from hostlink.graphs.ros1.xml_rpc import CallRefused, Unreachable, decode_answer, encode_answer, encode_call
 from hostlink.protocol.frame import Id, encode
 from hostlink.robot.velocity import TWIST_TYPE
 from tests.support.daemon import daemon
@@ -172,7 +172,7 @@ async def test_the_slave_api_answers_as_every_node_does(made: Scene) -> None:
 )
 async def test_a_body_that_is_no_call_is_answered_with_a_fault(made: Scene, body: bytes) -> None:
     await made.master.knows("Publisher", ODOMETRY)
-    with pytest.raises(Refused):
+    with pytest.raises(CallRefused):
         decode_answer(await made.master.call("", body=body))
     assert made.counts["refused_calls"] == 1
 
@@ -185,7 +185,7 @@ async def test_a_body_over_the_bound_is_refused(made: Scene) -> None:
 async def test_a_body_that_would_become_larger_is_no_call(made: Scene) -> None:
     await made.master.knows("Publisher", ODOMETRY)
     body = gzip.compress(encode_call("getPid", ("/x",)))
-    with pytest.raises(Refused):
+    with pytest.raises(CallRefused):
         decode_answer(await made.master.call("", body=body, headers={"Content-Encoding": "gzip"}))
     assert made.counts["refused_calls"] == 1
 

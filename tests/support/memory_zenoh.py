@@ -6,14 +6,14 @@ from collections import Counter
 from collections.abc import Callable
 from typing import Any
 
-from hostlink.graphs.zenoh.session import Declaration, Query, Sample, Token
+from hostlink.graphs.zenoh.session import Declaration, Query, Token, ZenohSample
 
 
 class MemoryNetwork:
     """Declarations of the sessions."""
 
     def __init__(self) -> None:
-        self.subscribers: list[tuple[MemorySession, re.Pattern[str], Callable[[Sample], None]]] = []
+        self.subscribers: list[tuple[MemorySession, re.Pattern[str], Callable[[ZenohSample], None]]] = []
         self.queryables: list[tuple[MemorySession, re.Pattern[str], Callable[[Query], None]]] = []
         self.token_subscribers: list[tuple[re.Pattern[str], Callable[[Token], None]]] = []
         self.tokens: list[str] = []
@@ -51,7 +51,7 @@ class MemorySession:
         del is_urgent
         for session, pattern, receive in list(self._network.subscribers):
             if session is not self and session.zid not in self._network.deaf and pattern.fullmatch(key):
-                asyncio.get_running_loop().call_soon(receive, Sample(key, payload, attachment or b""))
+                asyncio.get_running_loop().call_soon(receive, ZenohSample(key, payload, attachment or b""))
 
     def declare_publisher(self, key: str, *, kept: int = 0, **_: Any) -> "MemoryPublisher":
         return MemoryPublisher(self, self._network, key, kept)
@@ -61,7 +61,7 @@ class MemorySession:
         return Declaration(lambda: self._network.note_token(key, is_alive=False))
 
     def subscribe(
-        self, keys: str, receive: Callable[[Sample], None], *, has_history: bool = False, **_: Any
+        self, keys: str, receive: Callable[[ZenohSample], None], *, has_history: bool = False, **_: Any
     ) -> Declaration:
         pattern = _pattern(keys)
         for publisher in self._network.publishers if has_history else ():
@@ -82,9 +82,9 @@ class MemorySession:
 
     async def get(
         self, key: str, payload: bytes | None = None, *, attachment: bytes | None = None, timeout_s: float
-    ) -> list[Sample]:
+    ) -> list[ZenohSample]:
         """Return the answers of other sessions once all have closed their queries, or after the time-out."""
-        answers: list[Sample] = []
+        answers: list[ZenohSample] = []
         waiting: list[asyncio.Future[None]] = []
         for session, pattern, answer in list(self._network.queryables):
             if session is not self and session.zid not in self._network.deaf and pattern.fullmatch(key):
@@ -92,7 +92,7 @@ class MemorySession:
                 waiting.append(done)
 
                 def reply(data: bytes, *, key: str = key, attachment: bytes | None = None) -> None:
-                    answers.append(Sample(key, data, attachment or b""))
+                    answers.append(ZenohSample(key, data, attachment or b""))
 
                 def close(done: asyncio.Future[None] = done) -> None:
                     if not done.done():
@@ -112,7 +112,7 @@ class MemoryPublisher:
 
     def __init__(self, session: MemorySession, network: MemoryNetwork, key: str, kept: int) -> None:
         self.key = key
-        self.kept: Sample | None = None
+        self.kept: ZenohSample | None = None
         self._keeps, self._session, self._network = kept > 0, session, network
         self._on_change: Callable[[bool], None] = lambda _: None
         self._was_subscribed = False
@@ -120,7 +120,7 @@ class MemoryPublisher:
 
     def put(self, payload: bytes, *, attachment: bytes | None = None) -> None:
         if self._keeps:
-            self.kept = Sample(self.key, payload, attachment or b"")
+            self.kept = ZenohSample(self.key, payload, attachment or b"")
         self._session.put(self.key, payload, attachment=attachment)
 
     @property

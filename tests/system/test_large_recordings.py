@@ -115,8 +115,8 @@ def test_a_plot_reads_the_chunks_of_its_topic_alone(tmp_path: Path) -> None:
         writer.end_chunk()
     writer.close()
     program = (
-        "import sys; from pathlib import Path; from hostlink.recording.reader import Reader; "
-        "found = list(Reader(Path(sys.argv[1])).messages(lambda channel: channel.topic == sys.argv[2])); "
+        "import sys; from pathlib import Path; from hostlink.recording.reader import McapReader; "
+        "found = list(McapReader(Path(sys.argv[1])).messages(lambda channel: channel.topic == sys.argv[2])); "
         "print(len(found), next(line for line in open('/proc/self/io') if line.startswith('rchar')).split()[1])"
     )
 

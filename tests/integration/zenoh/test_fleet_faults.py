@@ -10,7 +10,15 @@ import pytest
 import zenoh
 
 from hostlink.config import Config, ZenohConfig
-from hostlink.graphs.zenoh.fleet_messages import MAX_ROBOTS, Drive, RobotMessage, State, Topics, TopicState, encode
+from hostlink.graphs.zenoh.fleet_messages import (
+    MAX_ROBOTS,
+    DriveRequest,
+    FleetTopic,
+    RobotMessage,
+    State,
+    TopicList,
+    encode,
+)
 from hostlink.robot.velocity import PlanarVelocity
 from tests.support.daemon import Daemon, daemon, driven
 from tests.support.fake_device import fake_device, pose, robot_topics
@@ -158,13 +166,13 @@ async def _until_heard(host: Daemon, liar: Liar, *names: str) -> None:
 
 async def test_a_robot_s_topics_stay_below_its_name() -> None:
     async with lied_to() as (a, _, liar):
-        topics = Topics(
+        topics = TopicList(
             number=1,
             topics=(
-                TopicState(robot="robot_66", name="/tf", type="tf2_msgs/TFMessage", is_published=True),
-                TopicState(robot="robot_66", name="/robot_7/cmd_vel", type="geometry_msgs/Twist", is_velocity=True),
-                TopicState(robot="robot_66", name="/robot_66/odom", type="nav_msgs/Odometry", is_published=True),
-                TopicState(robot="robot_66", name="/robot_66/x", type="none/Unknown", is_published=True),
+                FleetTopic(robot="robot_66", name="/tf", type="tf2_msgs/TFMessage", is_published=True),
+                FleetTopic(robot="robot_66", name="/robot_7/cmd_vel", type="geometry_msgs/Twist", is_velocity=True),
+                FleetTopic(robot="robot_66", name="/robot_66/odom", type="nav_msgs/Odometry", is_published=True),
+                FleetTopic(robot="robot_66", name="/robot_66/x", type="none/Unknown", is_published=True),
             ),
         )
         key = f"hostlink/topics/liar/{liar.zid}"
@@ -218,7 +226,7 @@ async def test_a_flood_of_commands_delays_nobody_s_stop() -> None:
         await _until_heard(b, liar, "robot_66")
         place = _zid_of(a, "robot_7")
         flood = encode(
-            Drive(
+            DriveRequest(
                 number=1,
                 sent_s=1.0,
                 robot="robot_9",

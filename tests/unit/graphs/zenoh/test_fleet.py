@@ -15,8 +15,8 @@ from hostlink.graphs.zenoh import fleet_commands
 from hostlink.graphs.zenoh.fleet import fleet_running
 from hostlink.graphs.zenoh.fleet_commands import FleetDrivers
 from hostlink.graphs.zenoh.fleet_messages import (
-    Answer,
-    Drive,
+    DriveRequest,
+    FleetAnswer,
     FleetTransport,
     Keys,
     Sender,
@@ -25,8 +25,8 @@ from hostlink.graphs.zenoh.fleet_messages import (
     decode,
     encode,
 )
-from hostlink.graphs.zenoh.roster import SILENT_S, Roster
-from hostlink.graphs.zenoh.session import Sample, Session
+from hostlink.graphs.zenoh.roster import SILENT_S, FleetRoster
+from hostlink.graphs.zenoh.session import ZenohSample, ZenohSession
 from hostlink.hub.hub import Hub
 from hostlink.hub.robot import Robot
 from hostlink.robot.velocity import ZERO, PlanarVelocity
@@ -50,7 +50,7 @@ class World:
         self.running = self.scene.tasks.create_task(self.desk.run())
         await self.desk.is_running.wait()
         for hub, name, zid in ((self.scene.hub, "lab", "1a"), (self.desk, "desk", "2b")):
-            session = cast("Session", MemorySession(self.network, zid))
+            session = cast("ZenohSession", MemorySession(self.network, zid))
             config = ZenohConfig(name=name, drivers=drivers)
             await self.stack.enter_async_context(fleet_running(hub, session, config))
         await asyncio.sleep(2.0)  # the second state of a robot has its topics
@@ -277,22 +277,24 @@ class Requests:
         class Answers:
             put = staticmethod(lambda _key, payload, **_: self.sent.append(payload))
 
-        self.roster = Roster(self.counts)
-        transport = FleetTransport(cast("Session", Answers()), self.keys, self.here, self.counts, drivers)
+        self.roster = FleetRoster(self.counts)
+        transport = FleetTransport(cast("ZenohSession", Answers()), self.keys, self.here, self.counts, drivers)
         self.drivers = FleetDrivers(scene.hub, transport, self.roster)
         self.roster.appear(self.desk, now_s())
 
     def hear(self) -> None:
         self.roster.receive(self.desk, State(sent_s=now_s(), topics=0, robots=()), now_s())
 
-    def request(self, request: object, sender: Sender | None = None) -> Answer | None:
-        self.drivers.receive(Sample(self.keys.key("drive", sender or self.desk, to="1a"), encode(request)))
-        return decode(self.sent.pop(), Answer) if self.sent else None
+    def request(self, request: object, sender: Sender | None = None) -> FleetAnswer | None:
+        self.drivers.receive(ZenohSample(self.keys.key("drive", sender or self.desk, to="1a"), encode(request)))
+        return decode(self.sent.pop(), FleetAnswer) if self.sent else None
 
-    def drive(self, *, owner: int = 1, speed_m_s: float = 0.2, robot: str = ROBOT) -> Answer:
+    def drive(self, *, owner: int = 1, speed_m_s: float = 0.2, robot: str = ROBOT) -> FleetAnswer:
         velocity = (speed_m_s, 0.0, 0.0, 0.0, 0.0, 0.0)
         answer = self.request(
-            Drive(number=5, sent_s=now_s(), robot=robot, owner=owner, owner_name="pad", velocity=velocity, priority=10)
+            DriveRequest(
+                number=5, sent_s=now_s(), robot=robot, owner=owner, owner_name="pad", velocity=velocity, priority=10
+            )
         )
         assert answer is not None
         assert answer.number == 5

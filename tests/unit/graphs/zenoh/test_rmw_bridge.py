@@ -19,14 +19,14 @@ from hostlink.graphs.zenoh.rmw_protocol import (
     TELEMETRY,
     Attachment,
     EndpointToken,
-    Kind,
     NodeToken,
-    Qos,
+    RmwQos,
+    TokenKind,
     data_key,
     gid_of,
     parse_token,
 )
-from hostlink.graphs.zenoh.session import Declaration, Query, Sample, Session
+from hostlink.graphs.zenoh.session import Declaration, Query, ZenohSample, ZenohSession
 from tests.support.fake_device import CATALOG
 from tests.support.memory_zenoh import MemoryNetwork, MemorySession
 from tests.support.participants import ROBOT, TEXT, TEXT_TYPE, Scene, play
@@ -61,12 +61,12 @@ class World:
         self.scene, self.network = scene, MemoryNetwork()
         self.ros2 = MemorySession(self.network, "aa")
         self._numbers = 0
-        session = cast("Session", MemorySession(self.network, "ff"))
+        session = cast("ZenohSession", MemorySession(self.network, "ff"))
         token = NodeToken(0, "ff", 0, "/", "hostlink_lab", OWN_ENCLAVE)
         self.bridge = RmwBridge(scene.hub, session, TYPES, token)
         self.counts = self.bridge.counts
 
-    def own(self, kind: Kind) -> dict[str, EndpointToken]:
+    def own(self, kind: TokenKind) -> dict[str, EndpointToken]:
         """The bridge's endpoints of a kind, by topic or service."""
         tokens = [parse_token(key) for key in self.network.tokens]
         return {
@@ -76,15 +76,15 @@ class World:
         }
 
     def declare(
-        self, kind: Kind, name: str, type_name: str, type_hash: str, qos: Qos = TELEMETRY
+        self, kind: TokenKind, name: str, type_name: str, type_hash: str, qos: RmwQos = TELEMETRY
     ) -> tuple[Declaration, str]:
         self._numbers += 1
         node = NodeToken(0, "aa", 0, "/", "driver")
         token = EndpointToken(kind, node, self._numbers, name, type_name, type_hash, qos).encode()
         return self.ros2.declare_token(token), token
 
-    def read(self, topic: str) -> list[Sample]:
-        received: list[Sample] = []
+    def read(self, topic: str) -> list[ZenohSample]:
+        received: list[ZenohSample] = []
         self.ros2.subscribe(data_key(0, topic, STRING, hash_of(TEXT_TYPE)), received.append, has_history=True)
         return received
 
@@ -108,15 +108,15 @@ def with_bridge(test: Callable[[World], Awaitable[None]]) -> None:
 
 def test_topics_of_the_hub_are_declared_and_velocities_are_only_received() -> None:
     async def test(world: World) -> None:
-        assert world.own(Kind.PUBLISHER)[TEXT].type_name == STRING
-        assert world.own(Kind.PUBLISHER)[TEXT].qos == TELEMETRY
-        assert CMD_VEL not in world.own(Kind.PUBLISHER)
-        assert CMD_VEL in world.own(Kind.SUBSCRIPTION)
-        assert TEXT not in world.own(Kind.SUBSCRIPTION)
-        assert world.own(Kind.SERVER)["/neighbour"].type_name == TRIGGER
+        assert world.own(TokenKind.PUBLISHER)[TEXT].type_name == STRING
+        assert world.own(TokenKind.PUBLISHER)[TEXT].qos == TELEMETRY
+        assert CMD_VEL not in world.own(TokenKind.PUBLISHER)
+        assert CMD_VEL in world.own(TokenKind.SUBSCRIPTION)
+        assert TEXT not in world.own(TokenKind.SUBSCRIPTION)
+        assert world.own(TokenKind.SERVER)["/neighbour"].type_name == TRIGGER
         world.scene.neighbour.unadvertise(TEXT)
         await asyncio.sleep(0.3)
-        assert TEXT not in world.own(Kind.PUBLISHER)
+        assert TEXT not in world.own(TokenKind.PUBLISHER)
 
     with_bridge(test)
 
@@ -132,7 +132,7 @@ def test_message_of_the_hub_reaches_ros_2_only_while_it_has_a_subscriber() -> No
         signed = Attachment.decode(received[0].attachment)
         assert signed is not None
         assert signed.sequence_number == 1
-        assert signed.gid == gid_of(world.own(Kind.PUBLISHER)[TEXT].encode())
+        assert signed.gid == gid_of(world.own(TokenKind.PUBLISHER)[TEXT].encode())
         assert world.counts["to_ros2"] == 1
 
     with_bridge(test)
@@ -148,14 +148,14 @@ def test_latched_message_of_the_hub_reaches_later_subscribers() -> None:
         received = world.read("/plan")
         await asyncio.sleep(0.1)
         assert [sample.payload for sample in received] == [cdr("kept")]
-        assert world.own(Kind.PUBLISHER)["/plan"].qos == LATCHED
+        assert world.own(TokenKind.PUBLISHER)["/plan"].qos == LATCHED
 
     with_bridge(test)
 
 
 def test_topic_of_ros_2_reaches_a_program_and_ends_with_its_token() -> None:
     async def test(world: World) -> None:
-        declaration, token = world.declare(Kind.PUBLISHER, "/chatter", STRING, hash_of(TEXT_TYPE))
+        declaration, token = world.declare(TokenKind.PUBLISHER, "/chatter", STRING, hash_of(TEXT_TYPE))
         heard: list[bytes] = []
         world.scene.hub.join("program").subscribe("/chatter", lambda message: heard.append(message.payload))
         await asyncio.sleep(0.3)
@@ -173,7 +173,7 @@ def test_topic_of_ros_2_reaches_a_program_and_ends_with_its_token() -> None:
 
 def test_latched_topic_of_ros_2_reaches_a_later_program() -> None:
     async def test(world: World) -> None:
-        _, token = world.declare(Kind.PUBLISHER, "/map", STRING, hash_of(TEXT_TYPE), LATCHED)
+        _, token = world.declare(TokenKind.PUBLISHER, "/map", STRING, hash_of(TEXT_TYPE), LATCHED)
         kept = world.ros2.declare_publisher(data_key(0, "/map", STRING, hash_of(TEXT_TYPE)), kept=1)
         kept.put(cdr("map"), attachment=Attachment(1, 5, gid_of(token)).encode())
         await asyncio.sleep(0.3)
@@ -187,7 +187,7 @@ def test_latched_topic_of_ros_2_reaches_a_later_program() -> None:
 
 def test_message_that_is_unsigned_malformed_or_of_an_unknown_publisher_is_counted() -> None:
     async def test(world: World) -> None:
-        _, token = world.declare(Kind.PUBLISHER, "/chatter", STRING, hash_of(TEXT_TYPE))
+        _, token = world.declare(TokenKind.PUBLISHER, "/chatter", STRING, hash_of(TEXT_TYPE))
         heard: list[bytes] = []
         world.scene.hub.join("program").subscribe("/chatter", lambda message: heard.append(message.payload))
         await asyncio.sleep(0.3)
@@ -211,7 +211,7 @@ def test_velocity_of_ros_2_drives_and_ends_with_its_token(type_name: str) -> Non
         assert known is not None
         assert ros2 is not None
         await asyncio.sleep(rmw_bridge.MATCH_S)
-        declaration, token = world.declare(Kind.PUBLISHER, CMD_VEL, type_name, ros2.type_hash)
+        declaration, token = world.declare(TokenKind.PUBLISHER, CMD_VEL, type_name, ros2.type_hash)
         await asyncio.sleep(0.1)
         twist = {"linear": {"x": 0.25}}
         payload = known.encode(twist if type_name == TWIST else {"twist": twist})
@@ -229,8 +229,8 @@ def test_velocity_of_ros_2_drives_and_ends_with_its_token(type_name: str) -> Non
 def test_type_with_another_hash_in_ros_2_is_logged_once() -> None:
     async def test(world: World) -> None:
         with capture_logs() as logs:
-            world.declare(Kind.PUBLISHER, "/chatter", STRING, "RIHS01_0")
-            world.declare(Kind.PUBLISHER, "/other", STRING, "RIHS01_0")
+            world.declare(TokenKind.PUBLISHER, "/chatter", STRING, "RIHS01_0")
+            world.declare(TokenKind.PUBLISHER, "/other", STRING, "RIHS01_0")
             await asyncio.sleep(0.1)
         differing = [line for line in logs if line["event"] == "ros2.type_differs"]
         assert [(line["name"], line["there"]) for line in differing] == [(STRING, "RIHS01_0")]
@@ -243,8 +243,8 @@ def test_publisher_whose_topic_has_another_type_here_is_logged_and_shown_once_it
         program = world.scene.hub.join("program")
         program.advertise("/chatter", "std_msgs/Bool")
         with capture_logs() as logs:
-            world.declare(Kind.PUBLISHER, "/chatter", STRING, hash_of(TEXT_TYPE))
-            world.declare(Kind.PUBLISHER, "/scan", "lab_msgs/msg/Unknown", "RIHS01_0")
+            world.declare(TokenKind.PUBLISHER, "/chatter", STRING, hash_of(TEXT_TYPE))
+            world.declare(TokenKind.PUBLISHER, "/scan", "lab_msgs/msg/Unknown", "RIHS01_0")
             await asyncio.sleep(0.3)
         assert [(line["event"], line["log_level"]) for line in logs if line["event"].startswith("ros2.")] == [
             ("ros2.topic_refused", "warning"),
@@ -267,8 +267,8 @@ def trigger_response(*, success: bool, message: str) -> bytes:
     return ros2.response.to_cdr(service.response.encode({"success": success, "message": message}))
 
 
-async def call(world: World, service: str, data: bytes = b"\x00\x01\x00\x00\x00", number: int = 7) -> list[Sample]:
-    token = world.own(Kind.SERVER)[service]
+async def call(world: World, service: str, data: bytes = b"\x00\x01\x00\x00\x00", number: int = 7) -> list[ZenohSample]:
+    token = world.own(TokenKind.SERVER)[service]
     attachment = Attachment(number, 5, b"0123456789abcdef").encode()
     key = data_key(0, service, token.type_name, token.type_hash)
     return await world.ros2.get(key, data, attachment=attachment, timeout_s=5.0)
@@ -322,7 +322,7 @@ def test_service_of_ros_2_is_called_by_a_program_until_its_token_ends() -> None:
     async def test(world: World) -> None:
         ros2 = TYPES.service("std_srvs/Trigger")
         assert ros2 is not None
-        declaration, _ = world.declare(Kind.SERVER, "/reset", TRIGGER, ros2.type_hash, SERVICE)
+        declaration, _ = world.declare(TokenKind.SERVER, "/reset", TRIGGER, ros2.type_hash, SERVICE)
 
         def answer(query: Query) -> None:
             query.reply(trigger_response(success=True, message="reset"), attachment=query.attachment)
@@ -333,10 +333,10 @@ def test_service_of_ros_2_is_called_by_a_program_until_its_token_ends() -> None:
         program = world.scene.hub.join("program")
         assert await program.call("/reset", {}) == {"success": True, "message": "reset"}
         assert world.counts["calls_to_ros2"] == 1
-        assert "/reset" in world.own(Kind.CLIENT)
+        assert "/reset" in world.own(TokenKind.CLIENT)
         declaration.close()
         await asyncio.sleep(0.1)
-        assert "/reset" not in world.own(Kind.CLIENT)
+        assert "/reset" not in world.own(TokenKind.CLIENT)
 
     with_bridge(test)
 
@@ -355,10 +355,10 @@ def test_service_of_ros_2_that_cannot_be_called_is_not_provided(
 ) -> None:
     async def test(world: World) -> None:
         with capture_logs() as logs:
-            world.declare(Kind.SERVER, name, type_name, type_hash, SERVICE)
+            world.declare(TokenKind.SERVER, name, type_name, type_hash, SERVICE)
             await asyncio.sleep(0.1)
         assert [line["event"] for line in logs if line["event"].startswith("ros2.")] == [event] * (event is not None)
-        assert name not in world.own(Kind.CLIENT)
+        assert name not in world.own(TokenKind.CLIENT)
 
     with_bridge(test)
 
@@ -367,11 +367,11 @@ def test_tokens_of_hostlink_itself_and_of_another_domain_are_not_mirrored() -> N
     async def test(world: World) -> None:
         other = NodeToken(0, "bb", 0, "/", "hostlink_desk", OWN_ENCLAVE)
         world.ros2.declare_token(
-            EndpointToken(Kind.PUBLISHER, other, 1, "/theirs", STRING, hash_of(TEXT_TYPE), TELEMETRY).encode()
+            EndpointToken(TokenKind.PUBLISHER, other, 1, "/theirs", STRING, hash_of(TEXT_TYPE), TELEMETRY).encode()
         )
         far = NodeToken(3, "cc", 0, "/", "far")
         world.ros2.declare_token(
-            EndpointToken(Kind.PUBLISHER, far, 1, "/far", STRING, hash_of(TEXT_TYPE), TELEMETRY).encode()
+            EndpointToken(TokenKind.PUBLISHER, far, 1, "/far", STRING, hash_of(TEXT_TYPE), TELEMETRY).encode()
         )
         world.ros2.declare_token(f"{SPACE}/0/dd/nonsense")
         await asyncio.sleep(0.3)

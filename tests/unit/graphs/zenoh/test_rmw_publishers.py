@@ -16,12 +16,12 @@ from hostlink.graphs.zenoh.rmw_protocol import (
     TELEMETRY,
     Attachment,
     EndpointToken,
-    Kind,
     NodeToken,
     RemoteGraph,
+    TokenKind,
     gid_of,
 )
-from hostlink.graphs.zenoh.session import Session
+from hostlink.graphs.zenoh.session import ZenohSession
 from hostlink.hub.hub import Hub
 from hostlink.mirror.log_once import LogOnce
 from hostlink.robot.velocity import PlanarVelocity
@@ -29,7 +29,7 @@ from tests.support.fake_device import CATALOG
 from tests.support.participants import ROBOT, Scene, play
 
 CMD_VEL, TWIST = f"/{ROBOT}/cmd_vel", "geometry_msgs/msg/Twist"
-NO_SESSION = cast("Session", None)  # publishers send nothing
+NO_SESSION = cast("ZenohSession", None)  # publishers send nothing
 
 
 @dataclass
@@ -47,7 +47,7 @@ class Remote:
 
     def come(self, session: str, *, topic: str = CMD_VEL, type_name: str = TWIST) -> str:
         key = EndpointToken(
-            Kind.PUBLISHER,
+            TokenKind.PUBLISHER,
             NodeToken(0, session, 0, "/", f"driver_{session}"),
             1,
             topic,
