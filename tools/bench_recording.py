@@ -18,7 +18,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import aiohttp
 
-from hostlink.recording.reader import Reader
+from hostlink.recording.reader import McapReader
 from tests.support.process import HOSTLINK, serve
 from tools.bench_crowd import MANY, ROOT, Load, cpu_s, crowd, driven, peak_memory_mib, read_away
 
@@ -100,7 +100,7 @@ def missing_in(folder: Path) -> tuple[int, int]:
     """(how many poses of the crowd are in the recording, how many are missing between the first and the last)."""
     numbers: dict[str, list[int]] = {}
     for file in sorted(folder.glob("*.mcap")):
-        for message in Reader(file).messages():
+        for message in McapReader(file).messages():
             if message.channel.topic.endswith("/odometry"):
                 x_m = struct.unpack_from("<d", message.payload)[0]
                 numbers.setdefault(message.channel.topic, []).append(round(x_m * 1000))

@@ -23,7 +23,7 @@ import structlog
 from hostlink.config import Config, RecordingConfig
 from hostlink.hub.hub import Hub
 from hostlink.messages.catalog import Catalog
-from hostlink.recording.recorder import Selection
+from hostlink.recording.recorder import TopicSelection
 from hostlink.recording.recordings import Recordings
 
 RATE_HZ = 10
@@ -62,7 +62,7 @@ async def soak(config: Config, robots: int, minutes: float) -> dict[str, float]:
         for participant, name in publishers:
             for leaf, type_name, _ in TOPICS:
                 participant.advertise(f"{name}/{leaf}", type_name)
-        thread = (await recordings.start(Selection())).thread
+        thread = (await recordings.start(TopicSelection())).thread
         await asyncio.sleep(0.2)  # it subscribes to what is there
         warm_mib, sent = 0.0, 0
         for tick in range(ticks):

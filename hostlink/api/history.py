@@ -29,7 +29,7 @@ from hostlink.recording.channel import NS_PER_S
 from hostlink.recording.folder import StoredFile
 from hostlink.recording.history import PastPose, Rest, RobotHistory
 from hostlink.recording.incident import Incident, IncidentFiles, SavedIncident, read_incident
-from hostlink.recording.reader import Reader
+from hostlink.recording.reader import McapReader
 from hostlink.recording.ring import Entry
 from hostlink.robot.kinematics import Pose
 from hostlink.robot.odometry import OdometryEstimator
@@ -387,7 +387,7 @@ def stored_history(catalog: Catalog, path: Path) -> bytes | None:
         incident = read_incident(path)
         if incident is None:
             return None
-        rest, reader, history = Pauses(), Reader(path), RobotHistory(incident.robot)
+        rest, reader, history = Pauses(), McapReader(path), RobotHistory(incident.robot)
         zero_ns, nearest_ns = incident.stamp_ns, NEVER_NS
         for message in reader.messages(history.is_wanted):
             rest()

@@ -15,7 +15,7 @@ from hostlink.api.routes import BODY, FILE, Route, reply
 from hostlink.errors import UnknownTopic
 from hostlink.hub.node import Role
 from hostlink.recording.folder import NAME_PATTERN, StoredFile
-from hostlink.recording.recorder import Selection
+from hostlink.recording.recorder import TopicSelection
 from hostlink.recording.recordings import Recording, Recordings
 
 MAX_PATTERNS = 256  # topics and robots that a request may name
@@ -140,7 +140,7 @@ class RecordingRoutes:
         for robot in body.robots:
             self._recordings.check_robot(robot)
         grant = request[GRANT]
-        selection = Selection(tuple(body.topics), tuple(body.robots))
+        selection = TopicSelection(tuple(body.topics), tuple(body.robots))
         owner = grant.who or request.remote or ""
         return reply(recording_view(await self._recordings.start(selection, name=body.name, owner=owner)))
 

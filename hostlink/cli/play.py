@@ -21,7 +21,7 @@ from hostlink.client import DEFAULT_URL, Robot, connect
 from hostlink.errors import BadRequest, ConfigError, HostlinkError
 from hostlink.recording.channel import DEVICE, ROS1, VELOCITY, Channel
 from hostlink.recording.playing import Due, drives, is_drive, may_move, robots_of, schedule
-from hostlink.recording.reader import Reader, StoredMessage, Wanted
+from hostlink.recording.reader import McapReader, StoredMessage, Wanted
 from hostlink.recording.tables import Decoders
 from hostlink.sim.played_device import PlayedDevice, PlayedTopic
 
@@ -256,7 +256,7 @@ class Clock:
 def _schedule(file: Path, pace: Pace, wanted: Wanted) -> Iterator[Due]:
     """The messages of the channels that are wanted, by steady time; says which pauses it cuts."""
     begin_ns = _begin_ns(file)
-    messages = Reader(file).messages(wanted, after_s=pace.start_s)
+    messages = McapReader(file).messages(wanted, after_s=pace.start_s)
     for due in schedule(
         messages, begin_ns=begin_ns, rate=pace.rate, start_s=pace.start_s, max_pause_s=pace.max_pause_s
     ):
@@ -269,7 +269,7 @@ def _schedule(file: Path, pace: Pace, wanted: Wanted) -> Iterator[Due]:
 
 def _begin_ns(file: Path) -> int | None:
     """The steady time of the recording's first message; None: there is none."""
-    return next((message.steady_ns for message in Reader(file).messages()), None)
+    return next((message.steady_ns for message in McapReader(file).messages()), None)
 
 
 async def _play(file: Path, pace: Pace, wanted: Wanted, put: Put) -> int:
@@ -313,7 +313,7 @@ def _channels_of(file: Path) -> list[Channel]:
     """In a first look at the file."""
     show_progress(f"reading {file}")
     try:
-        return Reader(file).read_channels()
+        return McapReader(file).read_channels()
     finally:
         show_progress("")
 

@@ -9,8 +9,8 @@ from hostlink.cli.output import write_error
 from hostlink.cli.serve_command import open_device_port
 from hostlink.config import Ros1Config, TcpConfig
 from hostlink.errors import ConfigError
-from hostlink.graphs.ros1.names import Names, joined
-from hostlink.graphs.ros1.xml_rpc import BadXml, EarlyMaster, Refused, Unreachable
+from hostlink.graphs.ros1.names import NameResolver, joined
+from hostlink.graphs.ros1.xml_rpc import BadXml, CallRefused, EarlyMaster, Unreachable
 from hostlink.listening import close_all
 
 GLOBAL_TCP_PORT = "/rosserial_embeddedlinux/tcp_port"  # read where the node has none of its own
@@ -25,7 +25,7 @@ def read(
     A master that is not there yet is waited for, as every node of ROS does: the port may be known to it alone. Nobody
     serves devices meanwhile: they are refused, and try again. Returns the sockets for them, too, opened anew.
     """
-    names = Names(joined(config.namespace, config.name))
+    names = NameResolver(joined(config.namespace, config.name))
     master = EarlyMaster(config.master, names.node)
     was_open = bool(listening)
     is_told = False
@@ -44,17 +44,17 @@ def read(
         master.close()
 
 
-def _read(master: EarlyMaster, names: Names, given: Mapping[str, str]) -> dict[str, Any]:
+def _read(master: EarlyMaster, names: NameResolver, given: Mapping[str, str]) -> dict[str, Any]:
     for name, text in given.items():
         try:
             master.call("setParam", names.resolve(f"~{name}"), scalar(text))
-        except (BadXml, Refused) as error:
+        except (BadXml, CallRefused) as error:
             raise ConfigError(f"_{name}:={text}", f"the master cannot have it: {error}") from error
     found: dict[str, Any] = {}
     for key, name in (("tcp_port", GLOBAL_TCP_PORT), ("port", "~port"), ("baud", "~baud"), ("tcp_port", "~tcp_port")):
         try:
             found[key] = master.call("getParam", names.resolve(name))
-        except Refused:  # it is not set
+        except CallRefused:  # it is not set
             continue
     return found
 

@@ -26,7 +26,7 @@ from hostlink.recording.channel import Channel, note_newest
 from hostlink.recording.drives import LastCommand
 from hostlink.recording.folder import MEGABYTE, Folder
 from hostlink.recording.incident import Incident, IncidentRules, OutOfTime, write_incident
-from hostlink.recording.recorder import Recorder, Selection
+from hostlink.recording.recorder import Recorder, TopicSelection
 from hostlink.recording.ring import RingMemory, Rings
 from hostlink.recording.salvage import ABOUT, CLOSED, About, Pending, clear_old, pending_name, salvage
 from hostlink.recording.salvage import MAX_PENDING_CHANNELS as MAX_FACT_CHANNELS
@@ -72,7 +72,7 @@ class BlackBox:
         self._turn = asyncio.Lock()  # one file at a time, because the thread slows the loop
         self._thread = DetachedThread("incident")
         self._ends_at_s: float | None = None  # monotonic end of writing when the daemon ends
-        self._recorder = Recorder(hub, self, Selection(has_derived=False, has_remote=False))
+        self._recorder = Recorder(hub, self, TopicSelection(has_derived=False, has_remote=False))
         self._observer = hub.join_daemon()
 
     def start(self, on_last_commands: Callable[[list[LastCommand]], None] = lambda _: None) -> None:

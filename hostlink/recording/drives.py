@@ -46,7 +46,7 @@ class _Key(NamedTuple):
     owner: str
 
 
-class Drives:
+class DriveFinder:
     """Current drives, and paused ones that may continue."""
 
     def __init__(self) -> None:
@@ -233,7 +233,7 @@ class DriveLog:
         """`folder` is that of the recordings. `is_kept`: also write a file there."""
         self.lost = 0  # drives that could not be written
         self._hub, self._folder, self._is_kept = hub, folder, is_kept
-        self._drives = Drives()
+        self._drives = DriveFinder()
         self._recent: deque[Drive] = deque(maxlen=MAX_RECENT)
         self._observer = hub.join_daemon()
         self._is_open = asyncio.Event()  # set while a drive lasts, and shortly afterwards

@@ -33,7 +33,7 @@ from hostlink.recording.channel import (
     as_text,
 )
 from hostlink.recording.definitions import ros1_type, ros2_name, ros2_type, why_unknown
-from hostlink.recording.reader import Source, open_source
+from hostlink.recording.reader import RecordingSource, open_source
 from hostlink.recording.tables import decoder_of, flat
 
 MAX_NAMED = 10  # topics named in a refusal
@@ -110,7 +110,7 @@ def new_output(path: Path) -> Iterator[None]:
         raise
 
 
-def check_done(source: Source, done: Exported) -> None:
+def check_done(source: RecordingSource, done: Exported) -> None:
     """Check that at least one message was exported.
 
     Raises:
@@ -132,7 +132,7 @@ _Key = tuple[str, str]  # topic and type, because the type of a topic may change
 
 
 def export_csv(
-    source: Source, folder: Path, *, topics: Iterable[str] = (), skips_unknown: bool = False
+    source: RecordingSource, folder: Path, *, topics: Iterable[str] = (), skips_unknown: bool = False
 ) -> tuple[Exported, dict[str, int]]:
     """Write the tables into a new folder. Return the result, and the number of lines of each file.
 
@@ -191,7 +191,7 @@ class _Names:
         return free
 
 
-def _columns(source: Source, channels: set[Channel]) -> dict[_Key, list[str]]:
+def _columns(source: RecordingSource, channels: set[Channel]) -> dict[_Key, list[str]]:
     found: dict[_Key, dict[str, None]] = {}
     for channel, _, cells in _decoded(source, channels, Exported()):
         of_topic = found.setdefault(_key(channel), {})
@@ -201,7 +201,7 @@ def _columns(source: Source, channels: set[Channel]) -> dict[_Key, list[str]]:
 
 
 def _decoded(
-    source: Source, channels: set[Channel], done: Exported
+    source: RecordingSource, channels: set[Channel], done: Exported
 ) -> Iterator[tuple[Channel, int, dict[str, object]]]:
     decoders = {channel: decoder_of(channel) for channel in channels}
     for message in source.messages(lambda channel: channel in channels):
@@ -265,7 +265,7 @@ class RosFormat(Enum):
 
 
 def export_ros(
-    source: Source, path: Path, format_: RosFormat, *, topics: Iterable[str] = (), skips_unknown: bool = False
+    source: RecordingSource, path: Path, format_: RosFormat, *, topics: Iterable[str] = (), skips_unknown: bool = False
 ) -> Exported:
     """Write a new bag. After a failure nothing is left of it.
 
@@ -292,7 +292,7 @@ def export_ros(
     return done
 
 
-def _export(source: Source, bag: "_Ros1 | _Ros2", channels: set[Channel], done: Exported) -> None:
+def _export(source: RecordingSource, bag: "_Ros1 | _Ros2", channels: set[Channel], done: Exported) -> None:
     opened: dict[Channel, tuple[Any, Convert]] = {}
     for message in source.messages(lambda channel: channel in channels):
         channel = message.channel

@@ -144,7 +144,7 @@ class Splitting:
     fsync: bool = False
 
 
-class _Waiting(NamedTuple):
+class _QueuedMessage(NamedTuple):
     channel: Channel
     stamp_ns: int
     payload: bytes | None  # None announces the channel
@@ -186,7 +186,7 @@ class FileThread:
         self._path_of, self._splitting, self._metadata = path_of, splitting, dict(metadata)
         self._on_end, self._on_file = on_end, on_file
         self._loop = loop
-        self._waiting: deque[_Waiting] = deque()
+        self._waiting: deque[_QueuedMessage] = deque()
         self._announced: dict[Channel, None] = {}
         self._put_bytes = self._taken_bytes = 0
         self._ending = threading.Event()
@@ -208,7 +208,7 @@ class FileThread:
         """Add a channel to every file from now on, as long as it is among the newest."""
         self._announcements += 1
         if self._announcements <= MAX_ANNOUNCEMENTS:
-            self._waiting.append(_Waiting(channel, 0, None, 0))
+            self._waiting.append(_QueuedMessage(channel, 0, None, 0))
 
     def put(self, channel: Channel, stamp_ns: int, payload: bytes, robot: str = "") -> None:  # noqa: ARG002 - of a Sink
         """Queue a message. Drop and count it when the queue is full, or after the end."""
@@ -218,7 +218,9 @@ class FileThread:
             self._not_put += 1
             return
         self._put_bytes += size_bytes
-        self._waiting.append(_Waiting(channel, stamp_ns, payload, time.monotonic_ns() + self._monotonic_to_steady_ns))
+        self._waiting.append(
+            _QueuedMessage(channel, stamp_ns, payload, time.monotonic_ns() + self._monotonic_to_steady_ns)
+        )
 
     async def aclose(self) -> None:
         """Write what is queued and complete the file. Give up when the disk accepts nothing for CLOSE_TIMEOUT_S."""

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from hostlink.errors import RecordingFailed
 from hostlink.recording.channel import NS_PER_S, Channel
 from hostlink.recording.history import Thinned
-from hostlink.recording.reader import Source
+from hostlink.recording.reader import RecordingSource
 from hostlink.recording.tables import Decoders, flat
 
 MAX_POINTS = 4000  # of a line, up to twice as many at a time; a picture has 1200 pixels, and each point costs memory
@@ -27,7 +27,7 @@ POSITIONS = (("x", "y"), ("pose.pose.position.x", "pose.pose.position.y"))  # Po
 _POSES = ("Pose2D", "Odometry")
 
 
-class Line:
+class PlotLine:
     """Values over time. Above `most` points, the lowest and highest of each few are kept."""
 
     def __init__(self, most: int = MAX_POINTS) -> None:
@@ -61,7 +61,7 @@ class _Field(NamedTuple):
     path: str
 
 
-def read_lines(source: Source, names: Iterable[str]) -> dict[str, list[Line]]:
+def read_lines(source: RecordingSource, names: Iterable[str]) -> dict[str, list[PlotLine]]:
     """Read the lines of each field, such as `/robot_0/odometry.x`. An array has one line for each element.
 
     Raises:
@@ -70,7 +70,7 @@ def read_lines(source: Source, names: Iterable[str]) -> dict[str, list[Line]]:
     topics = sorted({channel.topic for channel in source.read_channels()})
     fields = {name: _field(name, topics) for name in names}
     wanted = {field.topic for field in fields.values()}
-    lines: dict[str, list[Line]] = {name: [] for name in fields}
+    lines: dict[str, list[PlotLine]] = {name: [] for name in fields}
     numeric: dict[str, dict[str, None]] = {topic: {} for topic in wanted}
     decoders = Decoders()
     for message in source.messages(lambda channel: channel.topic in wanted):
@@ -85,7 +85,7 @@ def read_lines(source: Source, names: Iterable[str]) -> dict[str, list[Line]]:
             if field.topic == topic:
                 for number, value in enumerate(_numbers(values.get(field.path))):
                     if number == len(lines[name]):
-                        lines[name].append(Line())
+                        lines[name].append(PlotLine())
                     lines[name][number].add(time_s, value)
     for name, (topic, path) in fields.items():
         if not lines[name]:
@@ -111,7 +111,7 @@ def _numbers(value: Any) -> list[float]:
     return []
 
 
-def read_paths(source: Source) -> dict[str, list[tuple[float, float]]]:
+def read_paths(source: RecordingSource) -> dict[str, list[tuple[float, float]]]:
     """Read the path of every topic with positions: (x, y) in metres.
 
     Raises:
@@ -138,7 +138,7 @@ def _position(values: Mapping[str, Any]) -> tuple[float, float] | None:
     return next(((values[x], values[y]) for x, y in POSITIONS if {x, y} <= values.keys()), None)
 
 
-def draw_fields(lines: Mapping[str, list[Line]], output: Path) -> None:
+def draw_fields(lines: Mapping[str, list[PlotLine]], output: Path) -> None:
     """Draw each field over the time of the recording.
 
     Raises:

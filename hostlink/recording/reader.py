@@ -209,8 +209,8 @@ class SteadyTimes:
             self.at(last_ns)
 
 
-class Reader:
-    """Reader of one file, by its index if it has one. `damage` describes what was wrong with the read parts."""
+class McapReader:
+    """Reader of one MCAP file, by its index if it has one. `damage` describes what was wrong with the read parts."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -537,33 +537,33 @@ def _channel(record: McapChannel, schema: tuple[str, str, str]) -> Channel:
 ROS1_SUFFIX, ROS2_SUFFIX = ".bag", ".db3"
 
 
-class Source(Protocol):
+class RecordingSource(Protocol):
     """Recording that can be read once."""
 
     path: Path
     metadata: dict[str, str]
 
     def messages(self, wanted: Wanted | None = None, *, after_s: float = 0.0) -> Iterator[StoredMessage]:
-        """See `Reader.messages`."""
+        """See `McapReader.messages`."""
         ...
 
     def read_channels(self) -> list[Channel]:
-        """See `Reader.read_channels`."""
+        """See `McapReader.read_channels`."""
         ...
 
     @property
     def channels(self) -> list[Channel]:
-        """See `Reader.channels`."""
+        """See `McapReader.channels`."""
         ...
 
     @property
     def damage(self) -> list[str]:
-        """See `Reader.damage`."""
+        """See `McapReader.damage`."""
         ...
 
     @property
     def begin_ns(self) -> int:
-        """See `Reader.begin_ns`."""
+        """See `McapReader.begin_ns`."""
         ...
 
     @property
@@ -572,10 +572,10 @@ class Source(Protocol):
         ...
 
 
-def open_source(path: Path) -> Source:
+def open_source(path: Path) -> RecordingSource:
     """Choose the reader by name. The file itself is opened when it is read."""
     is_bag = path.is_dir() or path.suffix in (ROS1_SUFFIX, ROS2_SUFFIX)
-    return BagReader(path) if is_bag else Reader(path)
+    return BagReader(path) if is_bag else McapReader(path)
 
 
 class BagReader:

@@ -40,7 +40,7 @@ GROUP = OBSERVERS  # a subscription of a recorder alone does not make a topic wo
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
-class Selection:
+class TopicSelection:
     """Topics and robots to record."""
 
     topics: tuple[str, ...] = ()  # names, or patterns with *; empty: all
@@ -61,7 +61,7 @@ class Selection:
 class Recorder:
     """Recorder of the selected topics and events, from `start` to `stop`."""
 
-    def __init__(self, hub: Hub, sink: Sink, selection: Selection) -> None:
+    def __init__(self, hub: Hub, sink: Sink, selection: TopicSelection) -> None:
         self._hub, self._sink, self._selection = hub, sink, selection
         self._participant = hub.join_daemon(group=GROUP)
         self._subscriptions = Mirror[str, GraphTopic, Subscription](

@@ -16,7 +16,7 @@ from hostlink.recording.black_box import BlackBox
 from hostlink.recording.drives import DriveLog
 from hostlink.recording.file_thread import MAX_CHANNELS, FileThread, Splitting
 from hostlink.recording.folder import MEGABYTE, Folder, check_name, default_folder
-from hostlink.recording.recorder import Recorder, Selection
+from hostlink.recording.recorder import Recorder, TopicSelection
 
 log = structlog.get_logger()
 
@@ -30,7 +30,7 @@ class Recording:
 
     name: str
     owner: str
-    selection: Selection
+    selection: TopicSelection
     recorder: Recorder
     thread: FileThread
     began_s: float  # loop time
@@ -110,7 +110,7 @@ class Recordings:
             raise UnknownTopic("recording", name, self._under_way)
         return found
 
-    async def start(self, selection: Selection, *, name: str = "", owner: str = "") -> Recording:
+    async def start(self, selection: TopicSelection, *, name: str = "", owner: str = "") -> Recording:
         """Start a recording that lasts until `stop` or the end of the daemon.
 
         Raises:
@@ -182,7 +182,7 @@ class Recordings:
             for name in list(self._under_way):
                 tasks.create_task(self.stop(name), name=f"end of recording {name}")
 
-    async def _open(self, name: str, owner: str, selection: Selection) -> FileThread:
+    async def _open(self, name: str, owner: str, selection: TopicSelection) -> FileThread:
         splitting = Splitting(
             int(self._config.max_file_mb * MEGABYTE), self._config.max_file_s, fsync=self._config.fsync
         )
@@ -246,7 +246,7 @@ class Recordings:
             else:
                 log.error("recording.failed", recording=recording.name, reason=thread.failure, **facts)
 
-    def _new_name(self, selection: Selection) -> str:
+    def _new_name(self, selection: TopicSelection) -> str:
         """Build a name from the time and the robots. Called in a thread, because it waits for the disk."""
         stamp = time.strftime("%Y-%m-%dT%H-%M-%S", time.localtime())
         base = re.sub(r"[^A-Za-z0-9_+-]", "-", "_".join((stamp, *selection.robots)))[:90]

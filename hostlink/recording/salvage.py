@@ -28,7 +28,7 @@ from hostlink.recording.file_thread import MAX_CHANNELS, PROFILE, McapWriter
 from hostlink.recording.folder import Folder
 from hostlink.recording.history import decode_event
 from hostlink.recording.incident import Incident, OutOfTime, write_incident
-from hostlink.recording.reader import Reader
+from hostlink.recording.reader import McapReader
 from hostlink.recording.ring import RING, Entry, read_blocks, read_entries, read_schemas, write_fact
 
 # -- salvage ----------------------------------------------------------------------------------------------------------
@@ -210,11 +210,11 @@ def repair(path: Path, on_progress: Callable[[int], None] = lambda _: None) -> R
             is still being written.
     """
     _check_left(path)
-    reader = Reader(path)
+    reader = McapReader(path)
     part = path.with_name(f"{path.name}.repaired")
     try:
         part.unlink(missing_ok=True)
-        writer = McapWriter(part, metadata={}, has_steady_times=Reader(path).reads_steady_times())
+        writer = McapWriter(part, metadata={}, has_steady_times=McapReader(path).reads_steady_times())
         try:
             for message in reader.messages():
                 if not writer.write(*message):
@@ -246,7 +246,7 @@ def _check_left(path: Path) -> None:
         return
 
 
-def _check_ours(reader: Reader) -> None:
+def _check_ours(reader: McapReader) -> None:
     """Check that the file is hostlink's. Other content, such as foreign schemas or attachments, would be lost."""
     if reader.profile != PROFILE or any(channel.encoding not in (ROS1, JSON) for channel in reader.channels):
         raise RecordingFailed(f"{reader.path} was written by another program; `mcap recover` may repair it")

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from hostlink.errors import BadPayload, UnknownFormat
 from hostlink.recording.channel import JSON, NS_PER_S, ROS1, Channel, json_of
 from hostlink.recording.definitions import ros1_type, ros2_type
-from hostlink.recording.reader import Source, StoredMessage, open_source
+from hostlink.recording.reader import RecordingSource, StoredMessage, open_source
 
 Column = NDArray[Any]
 Decode = Callable[[bytes], dict[str, Any]]
@@ -67,7 +67,7 @@ class Tables(Mapping[str, Table]):
     topic.
     """
 
-    def __init__(self, tables: dict[str, Table], source: Source, undecoded: dict[str, int]) -> None:
+    def __init__(self, tables: dict[str, Table], source: RecordingSource, undecoded: dict[str, int]) -> None:
         self.metadata, self.damage, self.undecoded = source.metadata, source.damage, undecoded
         self._tables = tables
 

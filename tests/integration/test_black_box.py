@@ -17,7 +17,7 @@ from hostlink.api.history import HistoryRoutes, IncidentRoutes
 from hostlink.config import BlackBoxConfig, Config, LinkConfig, RecordingConfig
 from hostlink.recording.black_box import MAX_CHANNELS, MAX_REQUESTED, BlackBox
 from hostlink.recording.channel import Channel, json_of
-from hostlink.recording.reader import Reader, StoredMessage
+from hostlink.recording.reader import McapReader, StoredMessage
 from hostlink.robot.velocity import PlanarVelocity
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import FakeDevice, fake_device, pose, robot_topics
@@ -54,7 +54,7 @@ async def saved(host: Daemon, count: int = 1) -> list[dict[str, Any]]:
 
 
 def read(folder: Path, incident: dict[str, Any]) -> list[StoredMessage]:
-    return list(Reader(folder / "incidents" / incident["file"]).messages())
+    return list(McapReader(folder / "incidents" / incident["file"]).messages())
 
 
 def commanded(history: dict[str, Any]) -> list[dict[str, float]]:
@@ -334,7 +334,7 @@ async def test_of_channels_that_come_and_go_the_newest_are_kept(tmp_path: Path) 
         box.save("robot_0", "too many")
         await box.aclose()
     (file,) = (tmp_path / "incidents").iterdir()
-    reader = Reader(file)
+    reader = McapReader(file)
     assert list(reader.messages()) == []
     assert reader.channels == channels[MAX_CHANNELS:]
 

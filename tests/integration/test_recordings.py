@@ -24,8 +24,8 @@ from hostlink.recording import file_thread
 from hostlink.recording import recordings as recordings_module
 from hostlink.recording.channel import EVENTS_TOPIC, LOG_TOPIC, NS_PER_S, PARAMETERS_TOPIC, json_of
 from hostlink.recording.folder import Folder
-from hostlink.recording.reader import Reader, StoredMessage
-from hostlink.recording.recorder import Selection
+from hostlink.recording.reader import McapReader, StoredMessage
+from hostlink.recording.recorder import TopicSelection
 from hostlink.recording.recordings import Recordings
 from hostlink.robot.velocity import PlanarVelocity
 from tests.support.daemon import Daemon, daemon, driven
@@ -71,7 +71,7 @@ def whole(path: Path) -> bytes:
 
 
 def messages(*paths: Path) -> list[StoredMessage]:
-    return [message for path in paths for message in Reader(path).messages()]
+    return [message for path in paths for message in McapReader(path).messages()]
 
 
 def payloads(found: list[StoredMessage], topic: str) -> list[bytes]:
@@ -263,7 +263,7 @@ async def test_the_end_of_the_daemon_completes_the_file_with_its_last_zero(tmp_p
         await start(host, name="run")
         host.hub.join("pilot").drive(host.hub.robots.find("robot_0"), PlanarVelocity(0.2))
         await device.velocity()
-    reader = Reader(tmp_path / "run.mcap")
+    reader = McapReader(tmp_path / "run.mcap")
     found = list(reader.messages())
     assert reader.damage == []
     assert payloads(found, "/robot_0/velocity_commands")[-1] == PlanarVelocity().encode()
@@ -446,9 +446,9 @@ async def test_a_start_that_is_cancelled_leaves_neither_a_file_nor_a_thread(tmp_
         recordings.folder = HeldFolder(tmp_path, max_disk_mb=100.0, min_free_disk_mb=0.0)
         with pytest.raises(TimeoutError):
             async with asyncio.timeout(0.05):
-                await recordings.start(Selection(), name="run")
+                await recordings.start(TopicSelection(), name="run")
         recordings.folder.may.set()
-        await recordings.start(Selection(), name="again")
+        await recordings.start(TopicSelection(), name="again")
         assert [each.name for each in recordings.under_way()] == ["again"]
         await recordings.aclose()
         await expect(lambda: all(thread.name != "recording" for thread in threading.enumerate()))

@@ -11,8 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import zenoh
-from structlog.testing import capture_logs
 
 from hostlink.cli.serve import SWITCH_INTERVAL_S
 from hostlink.config import Config, ZenohConfig
@@ -20,7 +18,7 @@ from hostlink.errors import ServiceFailed
 from hostlink.graphs.ros2_types import Ros2Types
 from hostlink.graphs.zenoh import rmw_bridge
 from hostlink.graphs.zenoh.rmw_protocol import parse_token
-from hostlink.graphs.zenoh.session import MAX_PAYLOAD_BYTES, Token
+from hostlink.graphs.zenoh.session import Token
 from hostlink.hub.message import Message
 from hostlink.protocol.frame import Id
 from hostlink.robot.velocity import PlanarVelocity
@@ -243,33 +241,6 @@ async def test_ros_2_calls_a_service_of_the_hub() -> None:
         assert "stuck" in bad["message"]
 
 
-async def test_calls_of_one_client_are_bounded_and_those_of_another_are_answered() -> None:
-    gate, answered = asyncio.Event(), 0
-
-    async def answer(_: Mapping[str, object]) -> Mapping[str, object]:
-        nonlocal answered
-        await gate.wait()
-        answered += 1
-        return {"success": True, "message": ""}
-
-    async with bridged() as world, zenoh_session(world.address) as session:
-        world.daemon.hub.join("program").provide("/switch", "std_srvs/SetBool", answer)
-        await asyncio.sleep(0.2)
-        type_ = Ros2Types(CATALOG, "kilted").service("std_srvs/SetBool")
-        assert type_ is not None
-        key, replies = f"0/switch/std_srvs::srv::dds_::SetBool_/{type_.type_hash}", list[Any]()
-        for number in range(22):
-            signed = struct.pack("<qqB", number, time.time_ns(), 16) + (b"a" if number < 20 else b"b") * 16
-            session.get(
-                key, replies.append, payload=b"\0\1\0\0\1", attachment=signed, target=zenoh.QueryTarget.ALL_COMPLETE
-            )
-        await expect(lambda: world.bridge.counts["crowded_calls"] == 12)
-        gate.set()
-        await expect(lambda: answered == 10 and len([reply for reply in replies if reply.ok]) == 10)
-        numbers = [struct.unpack("<q", reply.ok.attachment.to_bytes()[:8])[0] for reply in replies if reply.ok]
-        assert sorted(numbers) == [*range(8), 20, 21]
-
-
 async def test_the_hub_calls_a_service_of_ros_2() -> None:
     async with bridged() as world, ros2_peer(world.address) as peer:
         await peer.request("serve", "serving", service="/lamp")
@@ -318,34 +289,6 @@ async def test_latched_topic_of_ros_2_each_device_receives_last_message() -> Non
             assert [await each.frame(102) for each in (first, second)] == [text("ok")] * 2
             async with fake_device(world.daemon.tcp, reader, local_host="127.0.0.4") as late:
                 assert await late.frame(102) == text("ok")
-
-
-async def test_messages_that_are_not_what_they_should_be_are_counted() -> None:
-    async with (
-        bridged() as world,
-        fake_device(world.daemon.tcp, robot_topics()),
-        zenoh_session(world.address) as session,
-    ):
-        received = heard(world, "/chatter", "std_msgs/String")
-        talker = Talker(session, "/chatter", STRING_KEY)
-        good = b"\0\1\0\0" + struct.pack("<I", 3) + b"ok\0"
-        await asyncio.sleep(0.2)
-        talker.put(good)
-        await expect(lambda: received == [text("ok")])
-        talker.put(good, attachment=b"")
-        talker.put(good, attachment=bytes(33))
-        talker.put(good, attachment=struct.pack("<qqB", 1, 1, 16) + b"\7" * 16)
-        talker.put(b"")
-        talker.put(b"\0\0\0\0" + good[4:])
-        talker.put(good[:-1])
-        talker.put(b"\0\1\0\0" + struct.pack("<I", 2**31) + b"x")
-        talker.put(bytes(MAX_PAYLOAD_BYTES + 1))
-        counts = world.bridge.counts
-        await expect(lambda: counts["malformed_from_ros2"] == 4 and world.session.counts["oversized"] == 1)
-        assert (counts["unsigned"], counts["unidentified"]) == (2, 1)
-        talker.put(good)
-        await expect(lambda: received == [text("ok"), text("ok")])
-        assert not world.daemon.hub.isolation.crashes
 
 
 async def test_a_velocity_that_waited_on_its_way_moves_nothing() -> None:
@@ -560,21 +503,6 @@ async def test_two_domains_do_not_hear_each_other() -> None:
         await expect_never(lambda: publishers(world), for_s=0.3)
         await peer.request("stream", "streaming", topic="/robot_0/cmd_vel", type=TWIST, fields=fields, hz=20)
         assert await device.velocity_other_than((0.0, 0.0)) == (0.2, 0.0)
-
-
-async def test_a_type_that_is_not_known_here_is_logged_once() -> None:
-    with capture_logs() as logs:
-        async with bridged() as world, zenoh_session(world.address) as session:
-            for number in range(3):
-                key = "turtlesim::msg::dds_::Pose_/RIHS01_00"
-                talkers = [Talker(session, f"/turtle{number}/pose", key, number=number)]
-                talkers.append(Talker(session, "/other", STRING_KEY.replace("df66", "0000"), number=10 + number))
-            await expect(lambda: [log for log in logs if log["event"] == "ros2.type_differs"])
-            await asyncio.sleep(0.2)
-            assert talkers
-    unknown = [log for log in logs if log["event"] == "ros2.type_unknown"]
-    assert [log["name"] for log in unknown] == ["turtlesim/msg/Pose"]
-    assert [log["name"] for log in logs if log["event"] == "ros2.type_differs"] == [STRING]
 
 
 async def test_two_hosts_of_hostlink_do_not_take_each_others_robots_for_those_of_ros_2() -> None:

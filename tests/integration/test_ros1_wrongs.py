@@ -14,10 +14,10 @@ import pytest
 from structlog.testing import capture_logs
 
 from hostlink.config import Config, Ros1Config
-from hostlink.graphs.ros1 import graph_sync, member, services, topics
+from hostlink.graphs.ros1 import graph_sync, member
 from hostlink.graphs.ros1.connections import MAX_MESSAGES
 from hostlink.graphs.ros1.local_node import Rpc
-from hostlink.graphs.ros1.xml_rpc import Refused, Unreachable, decode_answer, encode_answer, encode_call
+from hostlink.graphs.ros1.xml_rpc import CallRefused, Unreachable, decode_answer, encode_answer, encode_call
 from hostlink.protocol.frame import Id, encode
 from hostlink.robot.velocity import TWIST_TYPE
 from tests.support.daemon import daemon
@@ -71,11 +71,6 @@ async def test_a_header_for_what_is_not_here_is_answered_with_the_reason(
     assert made.counts["refused_headers"] == 1
 
 
-async def test_a_missing_field_is_named(made: Scene) -> None:
-    async with connection(await made.tcpros(), topic=ODOMETRY, callerid="/a") as client:
-        assert "md5sum" in (await client.read_header())["error"]
-
-
 async def test_connections_over_the_bound_are_closed_and_counted() -> None:
     async with fake_master() as master, scene(master, max_connections=4) as made, contextlib.AsyncExitStack() as stack:
         address = await made.tcpros()
@@ -113,39 +108,12 @@ async def test_connections_without_a_call_keep_no_master_out() -> None:
             assert decode_answer(await master.call("getPid", "/x")) > 0
 
 
-async def test_idle_callers_of_a_service_keep_nobody_out(made: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(services, "MAX_CALLERS", 2)
-    await made.master.knows("Service", "/robot_0/lock")
-    header = {"callerid": "/caller", "service": "/robot_0/lock", "md5sum": "*"}
-    address = await made.tcpros()
-    async with contextlib.AsyncExitStack() as stack:
-        callers = [await stack.enter_async_context(connection(address, **header)) for _ in range(4)]
-        assert not [each for each in callers if "error" in await each.read_header()]
-        assert await callers[0].is_closed()
-        await callers[3].send_message(b"")
-        assert (await callers[3].read_answer())[0] is True
-        assert made.counts["crowded_out"] == 2
-
-
 async def test_who_comes_from_elsewhere_than_it_is_allowed_is_closed() -> None:
     async with fake_master() as master, scene(master, allow=("127.0.0.9/32",)) as made:
         await master.knows("Publisher", ODOMETRY)
         with pytest.raises((aiohttp.ServerDisconnectedError, aiohttp.ClientOSError)):
             await master.call("getPid", "/x")
         assert made.counts["refused_connections"] >= 1
-
-
-async def test_subscribers_of_one_topic_have_a_bound(made: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(topics, "MAX_SUBSCRIBERS", 1)
-    address = await made.tcpros()
-    async with connection(address, **SUBSCRIBER) as first, connection(address, **SUBSCRIBER) as second:
-        headers = [await first.read_header(), await second.read_header()]
-        assert sorted("error" in header for header in headers) == [False, True]
-
-
-async def test_publishers_of_one_topic_have_a_bound(made: Scene) -> None:
-    await made.update("/text", *(f"http://127.0.0.1:{port}/" for port in range(1, 900)))
-    assert made.counts["crowded_out"] == 899 - graph_sync.MAX_PUBLISHERS
 
 
 # -- who is slow ------------------------------------------------------------------------------------------------------
@@ -204,29 +172,9 @@ async def test_the_slave_api_answers_as_every_node_does(made: Scene) -> None:
 )
 async def test_a_body_that_is_no_call_is_answered_with_a_fault(made: Scene, body: bytes) -> None:
     await made.master.knows("Publisher", ODOMETRY)
-    with pytest.raises(Refused):
+    with pytest.raises(CallRefused):
         decode_answer(await made.master.call("", body=body))
     assert made.counts["refused_calls"] == 1
-
-
-@pytest.mark.parametrize(
-    "call",
-    [
-        ("noSuchMethod", "/x"),
-        ("getPid",),
-        ("publisherUpdate", "/x", 1, []),
-        ("publisherUpdate", "/x", "/a", [1]),
-        ("publisherUpdate", "/x", "/a", "b"),
-        ("paramUpdate", "/x", 1, 1),
-        ("requestTopic", "/x", ODOMETRY, 7),
-    ],
-)
-async def test_a_call_that_does_not_fit_is_answered_with_a_fault(made: Scene, call: tuple[str, ...]) -> None:
-    await made.master.knows("Publisher", ODOMETRY)
-    with pytest.raises(Refused):
-        decode_answer(await made.master.call(*call))
-    assert made.counts["refused_calls"] == 1
-    assert made.daemon.hub.isolation.crashes == {}
 
 
 async def test_a_body_over_the_bound_is_refused(made: Scene) -> None:
@@ -237,7 +185,7 @@ async def test_a_body_over_the_bound_is_refused(made: Scene) -> None:
 async def test_a_body_that_would_become_larger_is_no_call(made: Scene) -> None:
     await made.master.knows("Publisher", ODOMETRY)
     body = gzip.compress(encode_call("getPid", ("/x",)))
-    with pytest.raises(Refused):
+    with pytest.raises(CallRefused):
         decode_answer(await made.master.call("", body=body, headers={"Content-Encoding": "gzip"}))
     assert made.counts["refused_calls"] == 1
 
@@ -266,13 +214,6 @@ async def test_updates_of_parameters_cost_a_bounded_memory(made: Scene) -> None:
     assert await source.get("~k19") is None
     assert decode_answer(await made.master.call("paramUpdate", "/x", "/hostlink" + "/a" * 5000, 1)) == 0
     assert made.daemon.hub.isolation.crashes == {}
-
-
-@pytest.mark.parametrize("protocols", [[], [["UDPROS"]], [[]], ["TCPROS"]])
-async def test_a_topic_by_another_protocol_is_refused(made: Scene, protocols: list[object]) -> None:
-    await made.master.knows("Publisher", ODOMETRY)
-    with pytest.raises(Refused, match="protocol"):
-        decode_answer(await made.master.call("requestTopic", "/x", ODOMETRY, protocols))
 
 
 # -- the master -------------------------------------------------------------------------------------------------------
@@ -337,24 +278,6 @@ async def test_a_publisher_that_is_named_no_more_is_not_connected_again(made: Sc
         await made.update("/text")
         await expect_never(lambda: len(publisher.peers) > 1, for_s=0.5)
         assert await publisher.peers[0].is_closed()
-
-
-async def test_this_node_is_no_publisher_to_itself(made: Scene) -> None:
-    await made.master.knows("Subscriber", "/text")
-    assert made.master.node_uri is not None
-    await made.update("/text", made.master.node_uri)
-    assert all(each[4] != "/text" for each in decode_answer(await made.master.call("getBusInfo", "/x")))
-
-
-async def test_publishers_of_all_topics_have_a_bound() -> None:
-    """Whoever names publishers to this node decides how many connections it opens."""
-    async with fake_master() as master, scene(master, max_connections=5) as made:
-        for name in ("/text", VELOCITY):
-            await made.update(name, *(f"http://127.0.0.1:{port}/" for port in range(1, 5)))
-        assert made.counts["crowded_out"] == 3
-        await made.update("/text")
-        await made.update(VELOCITY, *(f"http://127.0.0.1:{port}/" for port in range(1, 5)))
-        assert made.counts["crowded_out"] == 3
 
 
 # -- its own address --------------------------------------------------------------------------------------------------

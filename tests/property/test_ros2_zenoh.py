@@ -13,9 +13,9 @@ from hostlink.graphs.zenoh.rmw_protocol import (
     TELEMETRY,
     Attachment,
     EndpointToken,
-    Kind,
     NodeToken,
     RemoteGraph,
+    TokenKind,
     gid_of,
 )
 from tests.support.fake_device import CATALOG
@@ -72,7 +72,7 @@ class Tokens(RuleBasedStateMachine):
 
     def key(self, session: int, subject: tuple[str, str]) -> str:
         node = NodeToken(0, f"a{session}", 0, "/", "driver")
-        return EndpointToken(Kind.PUBLISHER, node, 1, *subject, "RIHS01_0", TELEMETRY).encode()
+        return EndpointToken(TokenKind.PUBLISHER, node, 1, *subject, "RIHS01_0", TELEMETRY).encode()
 
     @rule(session=st.integers(0, 3), subject=st.sampled_from(SUBJECTS))
     def come(self, session: int, subject: tuple[str, str]) -> None:

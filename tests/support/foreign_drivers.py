@@ -15,23 +15,32 @@ from hostlink.errors import CommandRefused, HostlinkError, RefusalKind
 from hostlink.graphs.refusal_log import RefusalLog
 from hostlink.graphs.ros1.local_node import LocalNode
 from hostlink.graphs.ros1.tcpros import encode_header, encode_message
-from hostlink.graphs.ros1.topics import _Connection
+from hostlink.graphs.ros1.topics import _PublisherConnection
 from hostlink.graphs.ros2_types import Ros2Types
 from hostlink.graphs.zenoh.fleet import fleet_running
 from hostlink.graphs.zenoh.fleet_commands import FleetDrivers
-from hostlink.graphs.zenoh.fleet_messages import Answer, Drive, FleetTransport, Keys, Sender, State, decode, encode
+from hostlink.graphs.zenoh.fleet_messages import (
+    DriveRequest,
+    FleetAnswer,
+    FleetTransport,
+    Keys,
+    Sender,
+    State,
+    decode,
+    encode,
+)
 from hostlink.graphs.zenoh.rmw_bridge import Publishers, RmwNode
 from hostlink.graphs.zenoh.rmw_protocol import (
     TELEMETRY,
     Attachment,
     EndpointToken,
-    Kind,
     NodeToken,
     RemoteGraph,
+    TokenKind,
     gid_of,
 )
-from hostlink.graphs.zenoh.roster import Roster
-from hostlink.graphs.zenoh.session import Sample, Session
+from hostlink.graphs.zenoh.roster import FleetRoster
+from hostlink.graphs.zenoh.session import ZenohSample, ZenohSession
 from hostlink.hub.hub import Hub
 from hostlink.hub.node import Role
 from hostlink.hub.participant import Participant
@@ -75,7 +84,7 @@ class Ros1Driver:
         self._node = LocalNode(scene.hub, Ros1Config(master="http://master:1/"), "/hostlink", scene.tasks)
         name = scene.hub.robots.find(ROBOT).shown.velocity
         topic = next(each for each in scene.neighbour.graph().topics if each.name == name)
-        self._connection = _Connection(self._node, topic, RefusalLog(), is_new=True)
+        self._connection = _PublisherConnection(self._node, topic, RefusalLog(), is_new=True)
         with socket.socket() as connection:
             self._connection.wire.connection_made(_Wireless(connection))
         fields = {"callerid": "/joystick", "type": TWIST_TYPE, "md5sum": twist.md5, "topic": name}
@@ -115,8 +124,8 @@ class FleetDriver:
     def __init__(self, scene: Scene) -> None:
         self._keys, self._here, self._there = Keys("hostlink"), Sender("lab", "1a"), Sender("desk", "2b")
         self._answers, self._numbers = _Answers(), itertools.count(1)
-        roster = self._roster = Roster(Counter())
-        transport = FleetTransport(cast("Session", self._answers), self._keys, self._here, Counter())
+        roster = self._roster = FleetRoster(Counter())
+        transport = FleetTransport(cast("ZenohSession", self._answers), self._keys, self._here, Counter())
         self._drivers = FleetDrivers(scene.hub, transport, roster)
         roster.appear(self._there, _now_s())
         roster.receive(self._there, State(sent_s=_now_s(), topics=0, robots=()), _now_s())
@@ -135,7 +144,7 @@ class FleetDriver:
         late_s: float = 0.0,
         epoch: int | None = None,
     ) -> None:
-        request = Drive(
+        request = DriveRequest(
             number=next(self._numbers),
             epoch=epoch,
             sent_s=_now_s() - late_s,
@@ -145,8 +154,8 @@ class FleetDriver:
             velocity=(speed_m_s, left_m_s, 0.0, 0.0, 0.0, 0.0),
             priority=PRIORITY,
         )
-        self._drivers.receive(Sample(self._keys.key("drive", self._there, to=self._here.zid), encode(request)))
-        answer = decode(self._answers.sent.pop(), Answer)
+        self._drivers.receive(ZenohSample(self._keys.key("drive", self._there, to=self._here.zid), encode(request)))
+        answer = decode(self._answers.sent.pop(), FleetAnswer)
         if answer.error:
             if answer.error in set(RefusalKind):
                 raise CommandRefused(robot, RefusalKind(answer.error), answer.reason, holder=answer.owner)
@@ -175,7 +184,7 @@ class FleetSender:
         await self.hub.is_running.wait()
         network = MemoryNetwork()
         for hub, name, zid in ((self._scene.hub, "lab", "1a"), (self.hub, "desk", "2b")):
-            session = cast("Session", MemorySession(network, zid))
+            session = cast("ZenohSession", MemorySession(network, zid))
             await self._stack.enter_async_context(fleet_running(hub, session, ZenohConfig(name=name)))
         await asyncio.sleep(2.0)  # the second state of a robot has its topics
         self.participant = self.hub.join("client 3")
@@ -210,13 +219,13 @@ class RmwDriver:
         counts = Counter[str]()
         own = NodeToken(0, "ff", 0, "/", "hostlink")
         node = RmwNode(
-            scene.hub, cast("Session", None), Ros2Types(CATALOG, "kilted"), own, counts
+            scene.hub, cast("ZenohSession", None), Ros2Types(CATALOG, "kilted"), own, counts
         )  # publishers send nothing
         graph = RemoteGraph(0, counts)
         self._publishers = Publishers(node, graph, LogOnce(counts))
         self._topic = f"/{ROBOT}/cmd_vel"
         remote = NodeToken(0, "aa", 0, "/", "driver")
-        endpoint = EndpointToken(Kind.PUBLISHER, remote, 1, self._topic, ROS2_TWIST, "RIHS01_0", TELEMETRY)
+        endpoint = EndpointToken(TokenKind.PUBLISHER, remote, 1, self._topic, ROS2_TWIST, "RIHS01_0", TELEMETRY)
         self._gid, self._sent = gid_of(endpoint.encode()), 0
         token = graph.add(endpoint.encode())
         assert isinstance(token, EndpointToken)

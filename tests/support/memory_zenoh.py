@@ -1,4 +1,4 @@
-"""Zenoh without a network: sessions of one process, in virtual time. Samples come in the next turn of the loop."""
+"""Zenoh without a network: sessions of one process, in virtual time. Samples arrive in the next turn of the loop."""
 
 import asyncio
 import re
@@ -6,49 +6,70 @@ from collections import Counter
 from collections.abc import Callable
 from typing import Any
 
-from hostlink.graphs.zenoh.session import Declaration, Query, Sample, Token
+from hostlink.graphs.zenoh.session import Declaration, Query, Token, ZenohSample
 
 
 class MemoryNetwork:
-    """Declarations of all sessions."""
+    """Declarations of the sessions."""
 
     def __init__(self) -> None:
-        self.subscribers: list[tuple[MemorySession, re.Pattern[str], Callable[[Sample], None]]] = []
-        self.queryables: list[tuple[re.Pattern[str], Callable[[Query], None]]] = []
+        self.subscribers: list[tuple[MemorySession, re.Pattern[str], Callable[[ZenohSample], None]]] = []
+        self.queryables: list[tuple[MemorySession, re.Pattern[str], Callable[[Query], None]]] = []
         self.token_subscribers: list[tuple[re.Pattern[str], Callable[[Token], None]]] = []
         self.tokens: list[str] = []
+        self.publishers: list[MemoryPublisher] = []
+        self.deaf: set[str] = set()  # sessions that receive nothing
 
     def note_token(self, key: str, *, is_alive: bool) -> None:
         if is_alive:
             self.tokens.append(key)
-        else:
+        elif key in self.tokens:
             self.tokens.remove(key)
         for pattern, receive in self.token_subscribers:
             if pattern.fullmatch(key):
                 asyncio.get_running_loop().call_soon(receive, Token(key, is_alive))
 
+    def note_subscribers(self) -> None:
+        """Tell the publishers who watch it whether they have subscribers."""
+        for publisher in list(self.publishers):
+            publisher.note()
+
+    def drop(self, zid: str) -> None:
+        """End the tokens of a session, as if its process were killed."""
+        for key in [key for key in self.tokens if zid in key.split("/")]:
+            self.note_token(key, is_alive=False)
+
 
 class MemorySession:
-    """Session as the fleet uses it."""
+    """The part of a Session that the fleet and rmw_zenoh use."""
 
     def __init__(self, network: MemoryNetwork, zid: str) -> None:
         self.counts: Counter[str] = Counter()
         self.zid, self._network = zid, network
 
-    def put(self, key: str, payload: bytes, **_: Any) -> None:
+    def put(self, key: str, payload: bytes, *, attachment: bytes | None = None, is_urgent: bool = False) -> None:
+        del is_urgent
         for session, pattern, receive in list(self._network.subscribers):
-            if session is not self and pattern.fullmatch(key):
-                asyncio.get_running_loop().call_soon(receive, Sample(key, payload))
+            if session is not self and session.zid not in self._network.deaf and pattern.fullmatch(key):
+                asyncio.get_running_loop().call_soon(receive, ZenohSample(key, payload, attachment or b""))
 
-    def declare_publisher(self, key: str, **_: Any) -> "MemoryPublisher":
-        return MemoryPublisher(self, key)
+    def declare_publisher(self, key: str, *, kept: int = 0, **_: Any) -> "MemoryPublisher":
+        return MemoryPublisher(self, self._network, key, kept)
 
     def declare_token(self, key: str) -> Declaration:
         self._network.note_token(key, is_alive=True)
         return Declaration(lambda: self._network.note_token(key, is_alive=False))
 
-    def subscribe(self, keys: str, receive: Callable[[Sample], None], **_: Any) -> Declaration:
-        return _listed(self._network.subscribers, (self, _pattern(keys), receive))
+    def subscribe(
+        self, keys: str, receive: Callable[[ZenohSample], None], *, has_history: bool = False, **_: Any
+    ) -> Declaration:
+        pattern = _pattern(keys)
+        for publisher in self._network.publishers if has_history else ():
+            if publisher.kept is not None and pattern.fullmatch(publisher.key):
+                asyncio.get_running_loop().call_soon(receive, publisher.kept)
+        declaration = _listed(self._network.subscribers, (self, pattern, receive))
+        self._network.note_subscribers()
+        return Declaration(declaration.close, self._network.note_subscribers)
 
     def subscribe_tokens(self, keys: str, receive: Callable[[Token], None]) -> Declaration:
         pattern = _pattern(keys)
@@ -57,13 +78,29 @@ class MemorySession:
         return _listed(self._network.token_subscribers, (pattern, receive))
 
     def serve(self, keys: str, answer: Callable[[Query], None], **_: Any) -> Declaration:
-        return _listed(self._network.queryables, (_pattern(keys), answer))
+        return _listed(self._network.queryables, (self, _pattern(keys), answer))
 
-    async def get(self, key: str, **_: Any) -> list[Sample]:
-        answers: list[Sample] = []
-        for pattern, answer in list(self._network.queryables):
-            if pattern.fullmatch(key):
-                answer(Query(key, b"", b"", lambda payload: answers.append(Sample(key, payload)), lambda: None))
+    async def get(
+        self, key: str, payload: bytes | None = None, *, attachment: bytes | None = None, timeout_s: float
+    ) -> list[ZenohSample]:
+        """Return the answers of other sessions once all have closed their queries, or after the time-out."""
+        answers: list[ZenohSample] = []
+        waiting: list[asyncio.Future[None]] = []
+        for session, pattern, answer in list(self._network.queryables):
+            if session is not self and session.zid not in self._network.deaf and pattern.fullmatch(key):
+                done = asyncio.get_running_loop().create_future()
+                waiting.append(done)
+
+                def reply(data: bytes, *, key: str = key, attachment: bytes | None = None) -> None:
+                    answers.append(ZenohSample(key, data, attachment or b""))
+
+                def close(done: asyncio.Future[None] = done) -> None:
+                    if not done.done():
+                        done.set_result(None)
+
+                answer(Query(key, payload or b"", attachment or b"", reply, close))
+        if waiting:
+            await asyncio.wait(waiting, timeout=timeout_s)
         return answers
 
     def certificate_of(self, _: str) -> str:
@@ -71,19 +108,38 @@ class MemorySession:
 
 
 class MemoryPublisher:
-    """Publisher that does not know its subscribers, so messages on demand are not sent."""
+    """Publisher that keeps its newest message if it is declared so."""
 
-    def __init__(self, session: MemorySession, key: str) -> None:
-        self._session, self._key = session, key
+    def __init__(self, session: MemorySession, network: MemoryNetwork, key: str, kept: int) -> None:
+        self.key = key
+        self.kept: ZenohSample | None = None
+        self._keeps, self._session, self._network = kept > 0, session, network
+        self._on_change: Callable[[bool], None] = lambda _: None
+        self._was_subscribed = False
+        network.publishers.append(self)
 
-    def put(self, payload: bytes) -> None:
-        self._session.put(self._key, payload)
+    def put(self, payload: bytes, *, attachment: bytes | None = None) -> None:
+        if self._keeps:
+            self.kept = ZenohSample(self.key, payload, attachment or b"")
+        self._session.put(self.key, payload, attachment=attachment)
+
+    @property
+    def is_subscribed(self) -> bool:
+        others = (each for each in self._network.subscribers if each[0] is not self._session)
+        return any(pattern.fullmatch(self.key) for _, pattern, _ in others)
 
     def watch(self, on_change: Callable[[bool], None]) -> None:
-        """Never."""
+        self._on_change = on_change
+        self.note()
+
+    def note(self) -> None:
+        """Report a change of whether it has subscribers."""
+        if self.is_subscribed is not self._was_subscribed:
+            self._was_subscribed = not self._was_subscribed
+            asyncio.get_running_loop().call_soon(self._on_change, self._was_subscribed)
 
     def close(self) -> None:
-        """Do nothing, because a publisher is not declared."""
+        self._network.publishers.remove(self)
 
 
 def _listed(entries: list[Any], entry: Any) -> Declaration:

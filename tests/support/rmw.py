@@ -21,7 +21,7 @@ import zenoh.ext
 
 from hostlink.config import Config, LinkConfig, ZenohConfig
 from hostlink.graphs.zenoh.rmw_bridge import RmwBridge, ros2_bridged
-from hostlink.graphs.zenoh.session import Session, opened
+from hostlink.graphs.zenoh.session import ZenohSession, opened
 from tests.support.daemon import Daemon, daemon
 from tests.support.process import free_port
 from tests.support.waiting import TIMEOUT_S
@@ -38,7 +38,7 @@ class Bridged:
     """A daemon that is a node of ROS 2, at this address of Zenoh's."""
 
     daemon: Daemon
-    session: Session
+    session: ZenohSession
     bridge: RmwBridge
     address: str
 

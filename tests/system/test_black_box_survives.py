@@ -14,7 +14,7 @@ import pytest
 from hostlink import remains
 from hostlink.recording.black_box import MAX_REQUESTED
 from hostlink.recording.channel import EVENTS, json_of
-from hostlink.recording.reader import Reader
+from hostlink.recording.reader import McapReader
 from tests.support.fake_device import fake_device, pose, repeating, robot_topics
 from tests.support.process import Process, run, serve
 from tests.support.rosbridge import Client
@@ -63,7 +63,7 @@ async def check_incident(folder: Path) -> None:
     """Its file has the last commands and poses, and `hostlink info` reads it."""
     (file,) = incident_files(folder)
     assert "daemon_died" in file.name
-    reader = Reader(file)
+    reader = McapReader(file)
     found = list(reader.messages())
     topics = [message.channel.topic for message in found]
     assert topics.count("/robot_0/odometry") >= 10
@@ -119,7 +119,7 @@ async def test_a_daemon_killed_while_nobody_drives_leaves_what_was_pending_and_n
         await expect(lambda: incident_files(tmp_path), timeout_s=60)  # whoever writes it lets all others go first
         await expect(lambda: not remains.of_process(daemon.pid), timeout_s=60)
     (file,) = incident_files(tmp_path)
-    reader = Reader(file)
+    reader = McapReader(file)
     assert [message.channel.topic for message in reader.messages()].count("/robot_0/odometry") >= 5
     assert (reader.metadata["cause"], reader.metadata["detail"]) == ("locked", "a hand in the wheel")
 
@@ -152,7 +152,7 @@ async def test_a_daemon_that_ends_with_many_pending_incidents_is_quick_and_loses
         found = (await get(session, successor, "/api/incidents"))["incidents"]
         assert [each["cause"] for each in found].count("locked") == len(names)
     for file in incident_files(tmp_path):
-        reader = Reader(file)
+        reader = McapReader(file)
         topics = [message.channel.topic for message in reader.messages()]
         assert reader.damage == []
         assert topics.count(f"/{reader.metadata['robot']}/odometry") > 0.95 * POSES  # it subscribes after the first

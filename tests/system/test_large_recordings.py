@@ -133,8 +133,8 @@ def test_reader_of_a_rare_topic_reads_a_small_part_of_the_file(tmp_path: Path) -
         writer.end_chunk()
     writer.close()
     program = (
-        "import sys; from pathlib import Path; from hostlink.recording.reader import Reader; "
-        "found = list(Reader(Path(sys.argv[1])).messages(lambda channel: channel.topic == sys.argv[2])); "
+        "import sys; from pathlib import Path; from hostlink.recording.reader import McapReader; "
+        "found = list(McapReader(Path(sys.argv[1])).messages(lambda channel: channel.topic == sys.argv[2])); "
         "print(len(found), next(line for line in open('/proc/self/io') if line.startswith('rchar')).split()[1])"
     )
 

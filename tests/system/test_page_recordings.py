@@ -12,7 +12,7 @@ from playwright.async_api import expect as expect_page
 
 import hostlink.recording
 from hostlink.config import ApiConfig, BlackBoxConfig, Config, RecordingConfig, RobotConfig, TokenConfig
-from hostlink.recording.reader import Reader
+from hostlink.recording.reader import McapReader
 from tests.support.browser import PHONE, Visit, visit
 from tests.support.daemon import Daemon, daemon
 from tests.support.process import run
@@ -166,7 +166,7 @@ async def test_a_recording_is_begun_stopped_downloaded_and_removed(browser: Brow
         await expect_page(panel.locator(".files li")).to_have_count(1)
         await expect_page(panel.locator(".underway li")).to_have_count(0)
         path = await downloaded(page, panel.get_by_role("link", name="Download"), tmp_path)
-        found = {message.channel.topic for message in Reader(path).messages()}
+        found = {message.channel.topic for message in McapReader(path).messages()}
         assert {"/robot_0/odometry", "/robot_0/velocity_commands"} <= found
         assert "/robot_0/plot_data" not in found
         remove = panel.get_by_role("button", name="Remove")
@@ -239,5 +239,5 @@ async def test_a_token_that_may_only_read_records_nothing_and_downloads(browser:
             await tab.shows("#incidents .detail", "a hand in the wheel")
             button = tab.page.locator("#incidents").get_by_role("link", name="Download")
             path = await downloaded(tab.page, button, tmp_path)
-        assert Reader(path).metadata == {}
-        assert [message.channel.topic for message in Reader(path).messages()]
+        assert McapReader(path).metadata == {}
+        assert [message.channel.topic for message in McapReader(path).messages()]

@@ -14,7 +14,7 @@ import pytest
 
 import hostlink.recording
 from hostlink.client import Host, connect
-from hostlink.recording.reader import Reader, StoredMessage
+from hostlink.recording.reader import McapReader, StoredMessage
 from tests.support.fork_server import start
 from tests.support.process import TIMEOUT_S, Process, run, serve, simulated
 
@@ -45,7 +45,7 @@ async def record(daemon: Process, output: Path, *arguments: str, seconds: float 
 
 
 def of_device(path: Path) -> list[StoredMessage]:
-    return [message for message in Reader(path).messages() if message.channel.origin == "device"]
+    return [message for message in McapReader(path).messages() if message.channel.origin == "device"]
 
 
 def shown(messages: Iterable[StoredMessage]) -> list[tuple[str, bytes]]:
@@ -161,7 +161,7 @@ async def test_a_daemon_that_is_killed_leaves_all_but_the_last_second(tmp_path: 
             now_ns = await _now_ns(daemon)
             daemon.child.kill()
         path = folder / "recordings" / "run.mcap"
-        last_ns = max(message.stamp_ns for message in Reader(path).messages())
+        last_ns = max(message.stamp_ns for message in McapReader(path).messages())
         assert now_ns - last_ns < 1_000_000_000, number
         status, out, _ = await run("record", "--repair", str(path))
         assert (status, "it is whole now" in out) == (0, True)

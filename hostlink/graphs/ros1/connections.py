@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
 from hostlink.acceptor import Acceptor, bind
-from hostlink.graphs.ros1.local_node import Counts
+from hostlink.graphs.ros1.local_node import Ros1Counts
 from hostlink.graphs.ros1.tcpros import MAX_HEADER_BYTES, Header, MessageStream, encode_header
 from hostlink.hub.hub import Hub
 from hostlink.hub.isolation import Spawn
@@ -31,7 +31,7 @@ MakeProtocol = Callable[[], Admitted]
 class Port:
     """Listening port: admits a bounded number of connections from allowed networks. Call `bind`, then `accept`."""
 
-    def __init__(self, counts: Counts, *, allow: Sequence[str], max_connections: int) -> None:
+    def __init__(self, counts: Ros1Counts, *, allow: Sequence[str], max_connections: int) -> None:
         """`allow`: networks that may connect; all if empty."""
         self._counts = counts
         self._networks = [ipaddress.ip_network(network) for network in allow]
@@ -113,7 +113,7 @@ USER_TIMEOUT_MS = 30_000  # a subscriber in a debugger may come back
 Receive = Callable[[list[bytes]], None]
 
 
-class Outgoing:
+class SendQueue:
     """Bounded send queue of one subscriber. When it is full, the oldest message is dropped and counted."""
 
     def __init__(self) -> None:
@@ -150,7 +150,7 @@ class Wire(Connection):
         super().__init__()
         self.receive, self.on_end = receive, on_end
         self.stream = MessageStream(MAX_HEADER_BYTES)
-        self.outgoing = Outgoing()
+        self.outgoing = SendQueue()
         self.peer = ""  # for people
         self.is_closed = False
         self.is_replaceable = True  # until it has sent a header

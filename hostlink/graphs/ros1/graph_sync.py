@@ -7,12 +7,12 @@ from typing import NamedTuple
 
 from hostlink.errors import HostlinkError, ServiceFailed
 from hostlink.graphs.ros1.connections import Wire
-from hostlink.graphs.ros1.local_node import Kind, LocalNode
-from hostlink.graphs.ros1.names import NameMap, Names, is_legal
+from hostlink.graphs.ros1.local_node import LocalNode, RegistrationKind
+from hostlink.graphs.ros1.names import NameMap, NameResolver, is_legal
 from hostlink.graphs.ros1.services import ForeignService, ServiceOffer, find_type
 from hostlink.graphs.ros1.tcpros import ANY, BadHeader, decode_header
-from hostlink.graphs.ros1.topics import Publication, Publisher
-from hostlink.graphs.ros1.xml_rpc import Refused, Unreachable
+from hostlink.graphs.ros1.topics import RosPublication, RosPublisher
+from hostlink.graphs.ros1.xml_rpc import CallRefused, Unreachable
 from hostlink.hub.graph_view import Graph, GraphTopic
 from hostlink.logs import printable
 from hostlink.messages.message_type import MessageType, ServiceType
@@ -26,7 +26,7 @@ OF_EVERY_NODE = ("/get_loggers", "/set_logger_level")  # services for ROS tools,
 FIRST_RETRY_S, LONGEST_RETRY_S = 0.1, 8.0  # until a publisher is connected again
 SERVICE_RETRY_S = 10.0  # until a node that did not announce the type of its service is asked again
 MAX_REASON = 200  # characters in the log
-_FAILURES = (Unreachable, Refused, BadHeader, HostlinkError, OSError, EOFError)  # a TimeoutError is an OSError
+_FAILURES = (Unreachable, CallRefused, BadHeader, HostlinkError, OSError, EOFError)  # a TimeoutError is an OSError
 
 
 class _Published(NamedTuple):
@@ -49,7 +49,7 @@ class _Subscription:
 
     def __init__(self, topic: GraphTopic, disconnect: Callable[[str], None]) -> None:
         self.topic = topic
-        self.publishers: dict[str, Publisher] = {}
+        self.publishers: dict[str, RosPublisher] = {}
         self.is_registered = False  # the master has answered
         self._disconnect = disconnect
 
@@ -71,15 +71,15 @@ class GraphSync:
         self._node = node
         self._named: dict[str, list[str]] = {}  # publishers as the master named them last, of what is subscribed to
         self._room = asyncio.Semaphore(AT_ONCE)
-        self._publications = Mirror[str, _Published, Publication](
-            lambda name, wanted: Publication(node, wanted.topic, name, wanted.type, is_latched=wanted.is_latched),
+        self._publications = Mirror[str, _Published, RosPublication](
+            lambda name, wanted: RosPublication(node, wanted.topic, name, wanted.type, is_latched=wanted.is_latched),
             self._fail,
         )
         self._offers = Mirror[str, _Offered, ServiceOffer](
             lambda name, wanted: ServiceOffer(node, wanted.service, name, wanted.type), self._fail
         )
         self._subscriptions = Mirror[str, GraphTopic, _Subscription](self._subscribe, self._fail, is_same=_is_same)
-        self._connections: Mirror[tuple[str, str], Publisher, Served[tuple[str, str]]] = Mirror.of_tasks(
+        self._connections: Mirror[tuple[str, str], RosPublisher, Served[tuple[str, str]]] = Mirror.of_tasks(
             lambda _, publisher: publisher.receive(),
             lambda work: node.spawn(work, name="ROS 1 publisher"),
             self._fail_publisher,
@@ -105,7 +105,7 @@ class GraphSync:
         return self._subscriptions.endpoints
 
     @property
-    def publications(self) -> dict[str, Publication]:
+    def publications(self) -> dict[str, RosPublication]:
         """Endpoints by their names in ROS."""
         return self._publications.endpoints
 
@@ -143,11 +143,14 @@ class GraphSync:
         self._connect(topic, subscription, named, is_new=subscription.is_registered)
         subscription.is_registered = subscription.is_registered or is_answer
 
-    def wanted(self) -> dict[tuple[Kind, str], str]:
+    def wanted(self) -> dict[tuple[RegistrationKind, str], str]:
         """Return the type of each name to register. Services are first: once the node is listed, it answers calls."""
-        found = {(Kind.SERVICE, name): each.type.name for name, each in self.offers.items()}
-        found |= {(Kind.PUBLISHER, name): each.type.name for name, each in self.publications.items()}
-        found |= {(Kind.SUBSCRIBER, name): each.topic.type_name or ANY for name, each in self.subscriptions.items()}
+        found = {(RegistrationKind.SERVICE, name): each.type.name for name, each in self.offers.items()}
+        found |= {(RegistrationKind.PUBLISHER, name): each.type.name for name, each in self.publications.items()}
+        found |= {
+            (RegistrationKind.SUBSCRIBER, name): each.topic.type_name or ANY
+            for name, each in self.subscriptions.items()
+        }
         return found
 
     def accept(self, wire: Wire, messages: list[bytes]) -> None:
@@ -169,7 +172,7 @@ class GraphSync:
 
     def close(self) -> None:
         """Close all endpoints."""
-        self.update(Graph((), ()), NameMap(Names()))
+        self.update(Graph((), ()), NameMap(NameResolver()))
         for mirror in (self._publications, self._offers, self._connections, self._services):
             mirror.close()
 
@@ -229,7 +232,7 @@ class GraphSync:
         """`is_new`: they came after the subscription, so what they publish first is new."""
         for uri in uris:
             if uri != self._node.uri and uri not in subscription.publishers:
-                publisher = Publisher(self._node, subscription.topic, name, uri, is_new=is_new)
+                publisher = RosPublisher(self._node, subscription.topic, name, uri, is_new=is_new)
                 subscription.publishers[uri] = publisher
                 self._connections.put((name, uri), publisher)
 

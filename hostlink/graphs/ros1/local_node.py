@@ -15,7 +15,7 @@ from hostlink.graphs.ros1.xml_rpc import (
     HEADERS,
     MAX_ANSWER_BYTES,
     BadXml,
-    Refused,
+    CallRefused,
     Unreachable,
     decode_answer,
     encode_call,
@@ -34,7 +34,7 @@ THREAD_BYTES = 16 * 1024  # a body of so much takes a millisecond
 TIMEOUT_S = 5.0  # to connect to another node, and for its header
 
 
-class Kind(StrEnum):
+class RegistrationKind(StrEnum):
     """Kind of a registration; the value is the master's word for it."""
 
     PUBLISHER = "Publisher"
@@ -45,7 +45,7 @@ class Kind(StrEnum):
 
 
 @dataclass(slots=True)
-class Counts:
+class Ros1Counts:
     """Counts since the start: messages, and what each limit or policy refused."""
 
     messages_from_ros: int = 0
@@ -64,7 +64,7 @@ class Counts:
 
     def as_dict(self) -> dict[str, int]:
         """Return the counts by name."""
-        return {name: getattr(self, name) for name in Counts.__slots__}
+        return {name: getattr(self, name) for name in Ros1Counts.__slots__}
 
 
 class Rpc:
@@ -86,7 +86,7 @@ class Rpc:
 
         Raises:
             Unreachable: the call was not answered.
-            Refused: the other side could not do it.
+            CallRefused: the other side could not do it.
             BadXml: an argument has no form in XML-RPC.
         """
         body = encode_call(method, arguments)
@@ -138,7 +138,7 @@ class LocalNode:
         self.hub, self.config, self.name = hub, config, name
         self.uri = ""  # where the slave API answers, once its port is bound
         self.master_uri = config.master
-        self.rpc, self.counts, self.log_once = Rpc(), Counts(), LogOnce()
+        self.rpc, self.counts, self.log_once = Rpc(), Ros1Counts(), LogOnce()
         self._group = tasks
         self._tasks: set[asyncio.Task[None]] = set()
 
@@ -176,7 +176,7 @@ class LocalNode:
         """
         try:
             found = await self.call_master("lookupNode", self.name)
-        except Refused:
+        except CallRefused:
             return None
         if not isinstance(found, str):
             raise Unreachable("the master's address of a node is not a text")

@@ -10,9 +10,9 @@ import structlog
 
 from hostlink.config import ParameterValue
 from hostlink.graphs.ros1.graph_sync import GraphSync
-from hostlink.graphs.ros1.local_node import Kind, LocalNode
-from hostlink.graphs.ros1.names import Names
-from hostlink.graphs.ros1.xml_rpc import Refused, Unreachable
+from hostlink.graphs.ros1.local_node import LocalNode, RegistrationKind
+from hostlink.graphs.ros1.names import NameResolver
+from hostlink.graphs.ros1.xml_rpc import CallRefused, Unreachable
 from hostlink.logs import printable
 from hostlink.mirror.reconciler import Close, Reconciler
 
@@ -116,7 +116,7 @@ def _below(tree: Any, path: list[str]) -> Any:
 class MasterParameters:
     """Parameters for devices. One that was requested once is subscribed to, and then answered without the master."""
 
-    def __init__(self, node: LocalNode, names: Names, on_change: Callable[[], None]) -> None:
+    def __init__(self, node: LocalNode, names: NameResolver, on_change: Callable[[], None]) -> None:
         self._node, self._names, self._on_change = node, names, on_change
         self._cache = ParameterCache()
 
@@ -134,7 +134,7 @@ class MasterParameters:
             try:
                 async with asyncio.timeout(PATIENCE_S):
                     value = await self._subscribe(key)
-            except (TimeoutError, Unreachable, Refused):
+            except (TimeoutError, Unreachable, CallRefused):
                 return None
         usable = _usable(value)
         if usable is None and value is not None:
@@ -164,7 +164,7 @@ class MasterParameters:
             Unreachable: the master does not answer.
         """
         for key in self._cache.keys:
-            with contextlib.suppress(Refused):
+            with contextlib.suppress(CallRefused):
                 await self._node.call_master("unsubscribeParam", self._node.uri, key)
 
     async def _subscribe(self, key: str) -> Any:
@@ -204,7 +204,9 @@ class Registrar:
         """`on_services`: the node of each service in the graph; `on_collision`: another node has this name."""
         self._node, self._sync, self._parameters, self._service_uri = node, sync, parameters, service_uri
         self._on_services, self._on_collision = on_services, on_collision
-        self._registrations: Reconciler[tuple[Kind, str], str] = Reconciler(replaces=True, retry_s=STATE_INTERVAL_S)
+        self._registrations: Reconciler[tuple[RegistrationKind, str], str] = Reconciler(
+            replaces=True, retry_s=STATE_INTERVAL_S
+        )
         self._changed = asyncio.Event()
         self._is_reachable: bool | None = None  # None: it was not called yet
         self._state_at_s = float("-inf")
@@ -261,20 +263,20 @@ class Registrar:
                 else:
                     await self._register_one(kind, name, action.spec)
                 registrations.done(action)
-            except Refused as error:
+            except CallRefused as error:
                 assert not isinstance(action, Close)  # noqa: S101 - a refusal to unregister is kept there
                 registrations.failed(action, now_s())
                 self._node.log_once("ros1.name_refused", name=name, reason=str(error))
 
-    async def _register_one(self, kind: Kind, name: str, type_name: str) -> None:
-        third = self._service_uri if kind is Kind.SERVICE else type_name
+    async def _register_one(self, kind: RegistrationKind, name: str, type_name: str) -> None:
+        third = self._service_uri if kind is RegistrationKind.SERVICE else type_name
         answer = await self._node.call_master(f"register{kind.value}", name, third, self._node.uri)
-        if kind is Kind.SUBSCRIBER and isinstance(answer, list):
+        if kind is RegistrationKind.SUBSCRIBER and isinstance(answer, list):
             self._sync.set_publishers(name, [str(uri) for uri in answer], is_answer=True)
 
-    async def _unregister(self, kind: Kind, name: str) -> None:
-        uri = self._service_uri if kind is Kind.SERVICE else self._node.uri
-        with contextlib.suppress(Refused):  # the master has forgotten it
+    async def _unregister(self, kind: RegistrationKind, name: str) -> None:
+        uri = self._service_uri if kind is RegistrationKind.SERVICE else self._node.uri
+        with contextlib.suppress(CallRefused):  # the master has forgotten it
             await self._node.call_master(f"unregister{kind.value}", name, uri)
 
     async def _read_state(self) -> None:
@@ -284,13 +286,15 @@ class Registrar:
             return
         self._state_at_s = now_s
         state = _nodes_by_name(await self._node.call_master("getSystemState"))
-        own = {kind: {name for name, nodes in state[kind].items() if self._node.name in nodes} for kind in Kind}
+        own = {
+            kind: {name for name, nodes in state[kind].items() if self._node.name in nodes} for kind in RegistrationKind
+        }
         forgotten = [(kind, name) for kind, name in self._registrations.open if name not in own[kind]]
         if forgotten:
             self._registrations.forget(forgotten)
             self._node.counts.re_registrations += 1
             self.note_change()
-        self._on_services({name: nodes[-1] for name, nodes in state[Kind.SERVICE].items() if nodes})
+        self._on_services({name: nodes[-1] for name, nodes in state[RegistrationKind.SERVICE].items() if nodes})
 
     def _note_master(self, *, is_reachable: bool, reason: str = "") -> None:
         """Log a line when the master is lost, and one when it is found."""
@@ -303,7 +307,7 @@ class Registrar:
             log.warning("ros1.master_lost", master=self._node.master_uri, reason=reason)
 
 
-def _nodes_by_name(state: Any) -> dict[Kind, dict[str, list[str]]]:
+def _nodes_by_name(state: Any) -> dict[RegistrationKind, dict[str, list[str]]]:
     """Sort the answer to getSystemState: publishers, subscribers, services.
 
     Raises:
@@ -311,6 +315,8 @@ def _nodes_by_name(state: Any) -> dict[Kind, dict[str, list[str]]]:
     """
     try:
         parts = [{str(name): [str(node) for node in nodes] for name, nodes in part} for part in state]
-        return dict(zip((Kind.PUBLISHER, Kind.SUBSCRIBER, Kind.SERVICE), parts, strict=True))
+        return dict(
+            zip((RegistrationKind.PUBLISHER, RegistrationKind.SUBSCRIBER, RegistrationKind.SERVICE), parts, strict=True)
+        )
     except (TypeError, ValueError) as error:
         raise Unreachable("the answer to getSystemState is malformed") from error

@@ -14,7 +14,7 @@ from hostlink.graphs.ros1.connections import MakeProtocol, Wire
 from hostlink.graphs.ros1.graph_sync import GraphSync
 from hostlink.graphs.ros1.local_node import GROUP, LocalNode
 from hostlink.graphs.ros1.master import MasterParameters, Registrar
-from hostlink.graphs.ros1.names import NameMap, Names
+from hostlink.graphs.ros1.names import NameMap, NameResolver
 from hostlink.graphs.ros1.tcpros import ANY
 from hostlink.graphs.ros1.xml_rpc import ERROR, SUCCESS, BadXml, decode_call, encode_answer, encode_fault
 from hostlink.hub.graph_view import Graph
@@ -41,7 +41,7 @@ _Answer = tuple[int, str, object]
 class Member:
     """Membership of a node in the hub's graph and in ROS. `ended` gets the reason of a shutdown."""
 
-    def __init__(self, node: LocalNode, names: Names, service_uri: str) -> None:
+    def __init__(self, node: LocalNode, names: NameResolver, service_uri: str) -> None:
         """`service_uri`: the address at which other nodes connect to services."""
         self.ended: asyncio.Future[str] = asyncio.get_running_loop().create_future()
         self.sync = GraphSync(node)

@@ -1,4 +1,4 @@
-"""Names of ROS 1: which name of the graph a name means to a node, and the arguments that change it. Pure."""
+"""Names of ROS 1: their resolution, the arguments that change it, and names of the hub. Pure."""
 
 import functools
 import re
@@ -25,7 +25,7 @@ def joined(namespace: str, name: str) -> str:
 
 
 @dataclass(frozen=True, slots=True)
-class Names:
+class NameResolver:
     """Name resolution of one node: `~` is private, a name without a slash is in the namespace."""
 
     node: str = "/hostlink"
@@ -56,7 +56,7 @@ class NodeArguments:
     remappings: Mapping[str, str]  # as they were written
     others: tuple[str, ...]
 
-    def names(self, default_node: str, default_namespace: str = "/") -> Names:
+    def names(self, default_node: str, default_namespace: str = "/") -> NameResolver:
         """Return the name resolution of the node, with remappings by full names.
 
         Raises:
@@ -71,9 +71,9 @@ class NodeArguments:
         namespace = self.specials.get("ns", default_namespace)
         if namespace.strip("/") and not is_legal(namespace):
             raise ConfigError("__ns", f"{namespace!r} is not a namespace")
-        plain = Names(joined(namespace, name))
+        plain = NameResolver(joined(namespace, name))
         remappings = {plain.resolve(old): plain.resolve(new) for old, new in self.remappings.items()}
-        return Names(plain.node, remappings)
+        return NameResolver(plain.node, remappings)
 
 
 def parse_arguments(words: Iterable[str]) -> NodeArguments:
@@ -114,7 +114,7 @@ class NameMap:
     | of programs, `/tf`, `/rosout`, `/diagnostics` | global                                                           |
     """
 
-    def __init__(self, names: Names, announced: Iterable[tuple[str, str]] = (), own: Iterable[str] = ()) -> None:
+    def __init__(self, names: NameResolver, announced: Iterable[tuple[str, str]] = (), own: Iterable[str] = ()) -> None:
         """`announced`: what devices name a topic or service, and its name in the hub; `own`: what hostlink names."""
         self._names = names
         self._to_ros: dict[str, str] = {}

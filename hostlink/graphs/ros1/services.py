@@ -21,7 +21,7 @@ from hostlink.graphs.ros1.tcpros import (
     encode_message,
     refusal,
 )
-from hostlink.graphs.ros1.xml_rpc import Refused, Unreachable
+from hostlink.graphs.ros1.xml_rpc import CallRefused, Unreachable
 from hostlink.hub.participant import Participant
 from hostlink.logs import printable
 from hostlink.messages.message_type import ServiceType
@@ -29,7 +29,7 @@ from hostlink.messages.message_type import ServiceType
 MAX_CALLERS = 64  # of one service
 MAX_WAITING = 8  # calls of one connection; nodes of ROS send the next one after the answer
 _LENGTH = Struct("<I")
-_FAILURES = (Unreachable, Refused, BadHeader, OSError, EOFError)  # a TimeoutError is an OSError
+_FAILURES = (Unreachable, CallRefused, BadHeader, OSError, EOFError)  # a TimeoutError is an OSError
 
 
 class ServiceOffer:
@@ -178,7 +178,7 @@ async def find_type(node: LocalNode, name: str) -> tuple[str, str]:
     """Return type and md5 sum of a service, as its node announces them.
 
     Raises:
-        Unreachable, Refused, BadHeader, OSError, EOFError: the node does not answer.
+        Unreachable, CallRefused, BadHeader, OSError, EOFError: the node does not answer.
     """
     _, writer, header = await connect(node, name, {"md5sum": ANY, "probe": "1"})
     writer.transport.abort()
@@ -191,7 +191,7 @@ async def connect(
     """Connect to a service; return the streams and the header of its answer.
 
     Raises:
-        Unreachable, Refused, BadHeader, OSError, EOFError: the node does not answer.
+        Unreachable, CallRefused, BadHeader, OSError, EOFError: the node does not answer.
     """
     async with asyncio.timeout(TIMEOUT_S):
         where = urllib.parse.urlsplit(str(await node.call_master("lookupService", name)))

@@ -21,7 +21,7 @@ from hostlink.robot.admission import EarlierMotion
 MAX_SUBSCRIBERS = 64  # of one topic
 
 
-class Publication:
+class RosPublication:
     """Topic of the hub for ROS nodes. It subscribes in the hub while a node is connected, and forwards payloads."""
 
     def __init__(self, node: LocalNode, topic: str, name: str, type_: MessageType, *, is_latched: bool) -> None:
@@ -104,7 +104,7 @@ MAX_REASON = 200  # characters in the log
 MAX_PORT = 0xFFFF
 
 
-class Publisher:
+class RosPublisher:
     """Node of ROS that publishes a topic. Each call of `receive` connects once; `close` disconnects."""
 
     def __init__(self, node: LocalNode, topic: GraphTopic, name: str, uri: str, *, is_new: bool) -> None:
@@ -113,7 +113,7 @@ class Publisher:
         self._node, self._topic, self._name = node, topic, name
         self._new_until_s = asyncio.get_running_loop().time() + NEW_S if is_new else 0.0
         self._refusals = RefusalLog()
-        self._connection: _Connection | None = None
+        self._connection: _PublisherConnection | None = None
 
     @property
     def is_connected(self) -> bool:
@@ -136,7 +136,7 @@ class Publisher:
         async with asyncio.timeout(TIMEOUT_S):
             found = await self._node.rpc.call(self.uri, "requestTopic", self._node.name, self._name, [["TCPROS"]])
             host, port = _address(found)
-        connection = self._connection = _Connection(self._node, self._topic, self._refusals, is_new=is_new)
+        connection = self._connection = _PublisherConnection(self._node, self._topic, self._refusals, is_new=is_new)
         try:
             async with asyncio.timeout(TIMEOUT_S):
                 await asyncio.get_running_loop().create_connection(lambda: connection.wire, host, port)
@@ -147,7 +147,7 @@ class Publisher:
             connection.wire.close()
 
 
-class _Connection:
+class _PublisherConnection:
     """Connection to a publisher: first its header, then its messages, which a participant publishes in the hub."""
 
     def __init__(self, node: LocalNode, topic: GraphTopic, refusals: RefusalLog, *, is_new: bool) -> None:

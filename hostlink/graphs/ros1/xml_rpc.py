@@ -18,7 +18,7 @@ class BadXml(Exception):
     """Body that is not a call or an answer of ROS."""
 
 
-class Refused(Exception):
+class CallRefused(Exception):
     """Answer with another status than success."""
 
 
@@ -71,17 +71,17 @@ def decode_answer(body: bytes) -> Any:
     """Decode the value of an answer.
 
     Raises:
-        Refused: its status is not success, or it is a fault.
+        CallRefused: its status is not success, or it is a fault.
         BadXml: the body is not an answer.
     """
     try:
         found, _ = _loads(body)
     except xmlrpc.client.Fault as fault:
-        raise Refused(str(fault.faultString)) from fault
+        raise CallRefused(str(fault.faultString)) from fault
     match found:
         case ([int(status), text, value],):
             if status != SUCCESS:
-                raise Refused(str(text))
+                raise CallRefused(str(text))
             return value
     raise BadXml("no answer of a status, a text and a value")
 
@@ -120,7 +120,7 @@ class EarlyMaster:
 
         Raises:
             Unreachable: the master did not answer.
-            Refused: the master could not do it.
+            CallRefused: the master could not do it.
             BadXml: an argument has no form in XML-RPC.
         """
         body = encode_call(method, (self._node, *arguments))

@@ -16,7 +16,7 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 from rclpy.signals import SignalHandlerOptions
 
 from hostlink.errors import ConfigError, HostlinkError
-from hostlink.graphs.ros2.plan import Publisher, Qos, Ros2Graph, ros2_name
+from hostlink.graphs.ros2.plan import Qos, Ros2Graph, Ros2Publisher, ros2_name
 
 NODE_NAME = "hostlink"
 END_TIMEOUT_S = 2.0  # of the executor's thread
@@ -140,10 +140,10 @@ class Ros2Node:
             services=self._services(),
         )
 
-    def _publishers(self, topic: str) -> Iterator[Publisher]:
+    def _publishers(self, topic: str) -> Iterator[Ros2Publisher]:
         for end in self.node.get_publishers_info_by_topic(self.node.resolve_topic_name(ros2_name(topic))):
             if (end.node_name, end.node_namespace) != self._own:
-                yield Publisher(end.topic_type, _offered(end.qos_profile), bytes(end.endpoint_gid))
+                yield Ros2Publisher(end.topic_type, _offered(end.qos_profile), bytes(end.endpoint_gid))
 
     def _services(self) -> dict[str, str]:
         """Return the services in the node's namespace by their names in the daemon.

@@ -20,7 +20,7 @@ ANSWER_TIMEOUT_S = 0.4  # of the daemon; rclpy's thread waits for it, and a leas
 MAX_WAITING = 16  # changes
 
 
-class _Change(NamedTuple):
+class _ParameterChange(NamedTuple):
     """Change by a node of ROS 2: values by the node's names, None deletes; `reason`: of a refusal, else empty."""
 
     values: dict[str, Any]
@@ -35,7 +35,7 @@ class ParameterMirror:
         self._own: frozenset[str] = frozenset()  # parameters that every node has, as use_sim_time
         self._known: dict[str, Any] = {}  # values by the node's names
         self._names: dict[str, str] = {}  # the daemon's names by the node's
-        self._changes: asyncio.Queue[_Change] = asyncio.Queue(MAX_WAITING)
+        self._changes: asyncio.Queue[_ParameterChange] = asyncio.Queue(MAX_WAITING)
         self._changed = 0  # how often the daemon's were changed from here
         self._is_mirroring = False  # in rclpy's thread: what is set is what the daemon has
 
@@ -105,7 +105,7 @@ class ParameterMirror:
 
     def _request(self, values: dict[str, Any]) -> str:
         """Have the daemon set these. Return the reason of a refusal, else an empty text."""
-        change = _Change(values, concurrent.futures.Future())
+        change = _ParameterChange(values, concurrent.futures.Future())
         self._node.post(self._put, change)
         try:
             return change.reason.result(ANSWER_TIMEOUT_S)
@@ -113,7 +113,7 @@ class ParameterMirror:
             change.reason.cancel()
             return f"the daemon has not answered within {ANSWER_TIMEOUT_S:g} s"
 
-    def _put(self, change: _Change) -> None:
+    def _put(self, change: _ParameterChange) -> None:
         if self._changes.full():
             change.reason.set_result("too many parameters are being set")
         else:

@@ -61,7 +61,7 @@ _OWN_SERVICE_TYPES = ("rcl_interfaces/", "type_description_interfaces/", "lifecy
 
 
 @dataclass(frozen=True, slots=True)
-class Publication:
+class PublicationRoute:
     """A topic of the daemon, published in ROS 2."""
 
     topic: str
@@ -73,7 +73,7 @@ class Publication:
 class Feed:
     """The messages of a publication: requested from the daemon only while ROS 2 has a subscriber."""
 
-    publication: Publication
+    publication: PublicationRoute
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,11 +111,11 @@ class Caller:
     ros2_type: str
 
 
-Route = Publication | Feed | Reception | VelocityInput | Server | Caller
+Route = PublicationRoute | Feed | Reception | VelocityInput | Server | Caller
 
 
 @dataclass(frozen=True, slots=True)
-class Publisher:
+class Ros2Publisher:
     """Publisher of a topic in ROS 2, in another node."""
 
     type_name: str
@@ -127,7 +127,7 @@ class Publisher:
 class Ros2Graph:
     """Graph of ROS 2 without the bridge's own node, by names of the daemon."""
 
-    publishers: Mapping[str, tuple[Publisher, ...]] = field(default_factory=dict)  # by topic
+    publishers: Mapping[str, tuple[Ros2Publisher, ...]] = field(default_factory=dict)  # by topic
     readers: frozenset[str] = frozenset()  # topics of the bridge that have subscribers
     services: Mapping[str, str] = field(default_factory=dict)  # types by name
 
@@ -170,7 +170,7 @@ def publisher_keys(ros2: Ros2Graph) -> frozenset[bytes | str]:
 
 def _published(topic: Mapping[str, Any], ros2: Ros2Graph) -> Iterable[Route]:
     if topic["published"] and topic["type"] and topic["name"] != "/rosout":
-        publication = Publication(topic["name"], topic["type"], topic["latched"])
+        publication = PublicationRoute(topic["name"], topic["type"], topic["latched"])
         yield publication
         if topic["latched"] or topic["name"] in ros2.readers:
             yield Feed(publication)
@@ -198,7 +198,7 @@ def _velocity_inputs(robots: Iterable[Mapping[str, Any]], ros2: Ros2Graph) -> It
                 yield VelocityInput(topic, robot["name"], _velocity_type(type_name, ros2.publishers.get(topic, ())))
 
 
-def _velocity_type(type_name: str, publishers: Iterable[Publisher]) -> str:
+def _velocity_type(type_name: str, publishers: Iterable[Ros2Publisher]) -> str:
     """Nav2 sends TwistStamped on `cmd_vel` since Kilted; where both are sent, the topic's own type counts."""
     own = ros2_type(type_name)
     offered = {publisher.type_name for publisher in publishers} & {TWIST, TWIST_STAMPED}

@@ -28,7 +28,7 @@ from hostlink.graphs.ros2.plan import (
     TWIST_STAMPED,
     Caller,
     Feed,
-    Publication,
+    PublicationRoute,
     Reception,
     Route,
     Server,
@@ -96,7 +96,7 @@ class Routes:
         self._node, self._host, self._velocity = node, host, velocity
         self._types = Types()
         self._echoes: defaultdict[str, Echoes] = defaultdict(Echoes)
-        self._publishers: dict[Publication, asyncio.Future[Any]] = {}
+        self._publishers: dict[PublicationRoute, asyncio.Future[Any]] = {}
         self._tasks: asyncio.TaskGroup | None = None
         self.malformed = 0  # messages that were none of their type
 
@@ -113,7 +113,7 @@ class Routes:
             HostlinkError: a type is not installed or differs, or the daemon refuses.
         """
         match route:
-            case Publication():
+            case PublicationRoute():
                 await self._publish(route)
             case Feed():
                 await self._feed(route.publication)
@@ -128,7 +128,7 @@ class Routes:
             case _:
                 assert_never(route)
 
-    async def _publish(self, route: Publication) -> None:
+    async def _publish(self, route: PublicationRoute) -> None:
         cls = await self._types.message(self._host, route.type_name)
         qos = publisher_qos(route.topic, is_latched=route.is_latched)
         async with self._node.publisher(route.topic, cls, qos) as publisher:
@@ -138,11 +138,11 @@ class Routes:
             finally:
                 del self._publishers[route]
 
-    def _publisher_of(self, route: Publication) -> "asyncio.Future[Any]":
+    def _publisher_of(self, route: PublicationRoute) -> "asyncio.Future[Any]":
         """Both routes of a topic begin together: the publisher may not be there yet."""
         return self._publishers.setdefault(route, asyncio.get_running_loop().create_future())
 
-    async def _feed(self, route: Publication) -> None:
+    async def _feed(self, route: PublicationRoute) -> None:
         """Bytes of the daemon to ROS 2."""
         publisher = await asyncio.shield(self._publisher_of(route))
         type_name, conversion = ros2_type(route.type_name), self._types.conversion

@@ -113,7 +113,7 @@ class _Older(NamedTuple):
     until_s: float
 
 
-class _Waiting(NamedTuple):
+class _WaitingVelocity(NamedTuple):
     """The newest velocity of a topic, until it is sent."""
 
     robot: str
@@ -129,7 +129,7 @@ class _Owner:
         self.task: asyncio.Task[None] | None = None
         self._connect, self._priority, self._warn = connect, priority, warn
         self._motions: dict[VelocityInput, EarlierMotion] = {}
-        self._waiting: dict[VelocityInput, _Waiting] = {}
+        self._waiting: dict[VelocityInput, _WaitingVelocity] = {}
         self._news = asyncio.Event()
         self._refusals: defaultdict[str, RefusalLog] = defaultdict(RefusalLog)  # by robot
         self._since_s = asyncio.get_running_loop().time()
@@ -152,7 +152,7 @@ class _Owner:
         epoch, before = self._motions[route].pop_epoch(now_s), self._waiting.get(route)
         if before is not None and epoch is None:
             epoch = before.epoch  # of the motion that this velocity continues, and which the daemon does not know yet
-        self._waiting[route] = _Waiting(route.robot, twist.planar, None if twist.is_zero else epoch, now_s)
+        self._waiting[route] = _WaitingVelocity(route.robot, twist.planar, None if twist.is_zero else epoch, now_s)
         self._news.set()
 
     def is_gone(self, *, is_there: bool) -> bool:
@@ -171,7 +171,7 @@ class _Owner:
         """The topic drives this robot no more."""
         if self._motions.pop(route, None) is not None:
             now_s = asyncio.get_running_loop().time()
-            self._waiting[route] = _Waiting(route.robot, ZERO, None, now_s)
+            self._waiting[route] = _WaitingVelocity(route.robot, ZERO, None, now_s)
             self._news.set()
 
     def close(self) -> None:
@@ -203,7 +203,7 @@ class _Owner:
                 if loop.time() < waiting.at_s + LEASE_S:
                     await self._send(host, waiting)
 
-    async def _send(self, host: Host, waiting: _Waiting) -> None:
+    async def _send(self, host: Host, waiting: _WaitingVelocity) -> None:
         """A zero is sent at once, another when the daemon's limit allows it."""
         loop = asyncio.get_running_loop()
         if not waiting.velocity.is_zero and self._free_at_s > loop.time():

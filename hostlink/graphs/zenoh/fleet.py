@@ -24,8 +24,8 @@ from hostlink.graphs.zenoh.fleet_messages import (
 )
 from hostlink.graphs.zenoh.fleet_robots import FleetRobots, FleetStates
 from hostlink.graphs.zenoh.fleet_topics import MAX_MESSAGE_BYTES, FleetTopics
-from hostlink.graphs.zenoh.roster import Neighbour, Roster
-from hostlink.graphs.zenoh.session import Declaration, Sample, Session, Token
+from hostlink.graphs.zenoh.roster import FleetRoster, Neighbour
+from hostlink.graphs.zenoh.session import Declaration, Token, ZenohSample, ZenohSession
 from hostlink.hub.hub import Hub
 from hostlink.logs import of_peer, printable
 
@@ -38,12 +38,12 @@ FIND_INTERVAL_S = 5.0  # between two searches for daemons whose tokens may have 
 class Fleet:
     """One daemon's part in the fleet."""
 
-    def __init__(self, hub: Hub, session: Session, config: ZenohConfig) -> None:
+    def __init__(self, hub: Hub, session: ZenohSession, config: ZenohConfig) -> None:
         counts: Counter[str] = Counter()
         hub.counts.graphs["fleet"] = lambda: counts
         me = Sender(config.name or _host_name(), session.zid)
         self._hub, self._transport = hub, FleetTransport(session, Keys(config.fleet_name), me, counts, config.drivers)
-        self._roster = Roster(counts, forget_after_s=hub.config.link.forget_robot_after_s)
+        self._roster = FleetRoster(counts, forget_after_s=hub.config.link.forget_robot_after_s)
         self._states = FleetStates(hub, self._transport)
         self._drivers = FleetDrivers(hub, self._transport, self._roster)
         self._requests = FleetRequests(self._transport, self._roster)
@@ -92,7 +92,9 @@ class Fleet:
         self._states.close()
         self._drivers.leave_all()
 
-    def _subscribe(self, keys: str, receive: Callable[[Sample], None], max_bytes: int, max_waiting: int) -> Declaration:
+    def _subscribe(
+        self, keys: str, receive: Callable[[ZenohSample], None], max_bytes: int, max_waiting: int
+    ) -> Declaration:
         """Subscribe to messages for this daemon (its id is in the key), or for all, with a queue for each daemon."""
         is_addressed = self._transport.me.zid in keys
 
@@ -147,7 +149,7 @@ class Fleet:
         self._robots.lose(sender.zid)
         self._robots.apply_soon(self._roster.leave(sender.zid, _now_s()))
 
-    def _receive_state(self, sample: Sample) -> None:
+    def _receive_state(self, sample: ZenohSample) -> None:
         sender = self._transport.keys.sender(sample.key)
         neighbour = None if sender is None else self._roster.find(sender)
         if sender is None or neighbour is None:
@@ -171,7 +173,7 @@ class Fleet:
                 await asyncio.sleep(0)
             self._topics.demand()
 
-    def _receive_motions(self, sample: Sample) -> None:
+    def _receive_motions(self, sample: ZenohSample) -> None:
         sender = self._transport.keys.sender(sample.key)
         try:
             live = decode(sample.payload, Live)
@@ -181,7 +183,7 @@ class Fleet:
         if sender is not None:
             self._robots.apply_soon(self._roster.receive_motions(sender, live, _now_s()))
 
-    def _receive_answer(self, sample: Sample) -> None:
+    def _receive_answer(self, sample: ZenohSample) -> None:
         """Stops and locks are answered with the robots as they are now."""
         sender, answer = self._transport.keys.sender(sample.key, is_addressed=True), self._requests.receive(sample)
         neighbour = None if sender is None else self._roster.find(sender)
@@ -222,7 +224,7 @@ class FleetTokens:
 
 
 @contextlib.asynccontextmanager
-async def fleet_running(hub: Hub, session: Session, config: ZenohConfig) -> AsyncIterator[None]:
+async def fleet_running(hub: Hub, session: ZenohSession, config: ZenohConfig) -> AsyncIterator[None]:
     """A part of the fleet for the length of the block."""
     fleet = Fleet(hub, session, config)
     fleet.begin()

@@ -22,8 +22,8 @@ from hostlink.errors import (
 )
 from hostlink.graphs.zenoh.fleet_messages import (
     GROUP,
-    Answer,
-    Drive,
+    DriveRequest,
+    FleetAnswer,
     FleetTransport,
     Lock,
     Release,
@@ -37,8 +37,8 @@ from hostlink.graphs.zenoh.fleet_messages import (
     encode,
     state_of,
 )
-from hostlink.graphs.zenoh.roster import Neighbour, Roster
-from hostlink.graphs.zenoh.session import Sample
+from hostlink.graphs.zenoh.roster import FleetRoster, Neighbour
+from hostlink.graphs.zenoh.session import ZenohSample
 from hostlink.hub.hub import Hub
 from hostlink.hub.participant import Participant
 from hostlink.hub.robot import LocalRobot, RemoteRobot
@@ -51,7 +51,7 @@ _PUBLISHER = 0  # the number of the one who publishes; drivers begin at 1
 
 
 @dataclass(slots=True, eq=False)
-class _Driver:
+class _FleetDriver:
     participant: Participant
     commanded_at_s: float
 
@@ -59,13 +59,13 @@ class _Driver:
 class FleetDrivers:
     """Drivers at other daemons: each is a participant here, where the gates and their leases are."""
 
-    def __init__(self, hub: Hub, transport: FleetTransport, roster: Roster) -> None:
+    def __init__(self, hub: Hub, transport: FleetTransport, roster: FleetRoster) -> None:
         self._hub, self._transport, self._roster = hub, transport, roster
-        self._drivers: dict[str, dict[int, _Driver]] = {}  # by daemon, and by their numbers there
+        self._drivers: dict[str, dict[int, _FleetDriver]] = {}  # by daemon, and by their numbers there
 
     # -- requests -----------------------------------------------------------------------------------------------------
 
-    def receive(self, sample: Sample) -> None:
+    def receive(self, sample: ZenohSample) -> None:
         """Answer a request to this daemon alone."""
         neighbour = self._neighbour(sample, is_addressed=True)
         if neighbour is None:
@@ -79,7 +79,7 @@ class FleetDrivers:
             answer = self._answer(neighbour, request)
         self._send(neighbour, answer)
 
-    def receive_stop(self, sample: Sample) -> None:
+    def receive_stop(self, sample: ZenohSample) -> None:
         """Answer a request to all daemons. Reading is enough to stop."""
         neighbour = self._neighbour(sample)
         if neighbour is None:
@@ -126,18 +126,18 @@ class FleetDrivers:
 
     # -- its parts ----------------------------------------------------------------------------------------------------
 
-    def _neighbour(self, sample: Sample, *, is_addressed: bool = False) -> Neighbour | None:
+    def _neighbour(self, sample: ZenohSample, *, is_addressed: bool = False) -> Neighbour | None:
         sender = self._transport.keys.sender(sample.key, is_addressed=is_addressed)
         neighbour = None if sender is None else self._roster.find(sender)
         if neighbour is None:
             self._transport.counts["unannounced"] += 1
         return neighbour
 
-    def _answer(self, neighbour: Neighbour, request: Request) -> Answer:
+    def _answer(self, neighbour: Neighbour, request: Request) -> FleetAnswer:
         robot = None
         try:
             match request:
-                case Drive():
+                case DriveRequest():
                     if not request.wanted.is_zero:
                         self._check_role(neighbour, request.robot)
                     source = functools.partial(self._participant, neighbour, request.owner, request.owner_name)
@@ -147,19 +147,19 @@ class FleetDrivers:
                     driver = self._drivers.get(neighbour.sender.zid, {}).pop(request.owner, None)
                     if driver is not None:
                         driver.participant.leave()
-                    return Answer(number=request.number)
+                    return FleetAnswer(number=request.number)
                 case Unlock():
                     self._check_role(neighbour, request.robot)
                     robot = self._hub.robots.find_here(request.robot)
                     robot.unlock()
-                    return Answer(number=request.number, robots=(state_of(robot),))
+                    return FleetAnswer(number=request.number, robots=(state_of(robot),))
                 case _:
                     assert_never(request)
         except HostlinkError as error:
             self._transport.counts["refused"] += 1
             return _refusal(request.number, error, robot)
 
-    def _drive(self, neighbour: Neighbour, robot: LocalRobot, request: Drive) -> Answer:
+    def _drive(self, neighbour: Neighbour, robot: LocalRobot, request: DriveRequest) -> FleetAnswer:
         velocity = request.wanted
         if robot.also_at and not velocity.is_zero:
             raise DeviceGone(robot.name, f"several robots have this name, also at {', '.join(robot.also_at)}")
@@ -170,9 +170,9 @@ class FleetDrivers:
         limited = participant.drive(
             robot, velocity, priority=request.priority, received_s=received_s, epoch=request.epoch
         )
-        return Answer(number=request.number, velocity=limited.twist, epoch=robot.admission.epoch)
+        return FleetAnswer(number=request.number, velocity=limited.twist, epoch=robot.admission.epoch)
 
-    def _stop(self, neighbour: Neighbour, request: StopRequest) -> Answer:
+    def _stop(self, neighbour: Neighbour, request: StopRequest) -> FleetAnswer:
         name = request.robot
         robots = [robot for robot in self._hub.robots.here() if name in (None, robot.name)]
         try:
@@ -185,7 +185,7 @@ class FleetDrivers:
                     robot.stop_here()
         except HostlinkError as error:
             return _refusal(request.number, error)
-        return Answer(number=request.number, robots=tuple(map(state_of, robots)))
+        return FleetAnswer(number=request.number, robots=tuple(map(state_of, robots)))
 
     def _check_role(self, neighbour: Neighbour, what: str) -> None:
         name = neighbour.sender.name
@@ -199,7 +199,7 @@ class FleetDrivers:
         driver = drivers.pop(number, None)
         if driver is None or driver.participant.has_left:
             who = f"{printable(name)} at {printable(neighbour.sender.name)}"
-            driver = _Driver(self._hub.join(who, group=GROUP), 0.0)
+            driver = _FleetDriver(self._hub.join(who, group=GROUP), 0.0)
         driver.commanded_at_s = _now_s()
         drivers[number] = driver
         if len(drivers) > MAX_DRIVERS:
@@ -207,16 +207,16 @@ class FleetDrivers:
             drivers.pop(next(iter(drivers))).participant.leave()
         return driver.participant
 
-    def _send(self, neighbour: Neighbour, answer: Answer) -> None:
+    def _send(self, neighbour: Neighbour, answer: FleetAnswer) -> None:
         key = self._transport.keys.key("answer", self._transport.me, to=neighbour.sender.zid)
         self._transport.session.put(key, encode(answer), is_urgent=True)
 
 
-def _refusal(number: int, error: HostlinkError, robot: LocalRobot | None = None) -> Answer:
+def _refusal(number: int, error: HostlinkError, robot: LocalRobot | None = None) -> FleetAnswer:
     holder = error.holder if isinstance(error, CommandRefused) else None
     owner = None if holder is None else str(holder)
     epoch = None if robot is None else robot.admission.epoch
-    return Answer(number=number, error=error.kind, reason=str(error)[:512], owner=owner, epoch=epoch)
+    return FleetAnswer(number=number, error=error.kind, reason=str(error)[:512], owner=owner, epoch=epoch)
 
 
 def _now_s() -> float:
@@ -239,7 +239,7 @@ class _Command:
     neighbour: Neighbour
     robot: RemoteRobot
     sent_at_s: float
-    answer: Answer | None = None
+    answer: FleetAnswer | None = None
     is_answered: asyncio.Event = field(default_factory=asyncio.Event)
 
     def result(self) -> PlanarVelocity:
@@ -271,7 +271,7 @@ class _Unsettled:
 class FleetRequests:
     """Implementation of RobotHosts. A command is sent to the daemon of the robot, a stop or a lock to all."""
 
-    def __init__(self, transport: FleetTransport, roster: Roster) -> None:
+    def __init__(self, transport: FleetTransport, roster: FleetRoster) -> None:
         self._transport, self._roster = transport, roster
         self._numbers = itertools.count(1)
         self._owner_numbers = itertools.count(1)
@@ -301,7 +301,7 @@ class FleetRequests:
         self._waiting[command.number] = command
         if len(self._waiting) > MAX_WAITING:
             del self._waiting[next(iter(self._waiting))]
-        request = Drive(
+        request = DriveRequest(
             number=command.number,
             sent_s=now_s,
             robot=robot.name,
@@ -384,11 +384,11 @@ class FleetRequests:
 
     # -- answers ------------------------------------------------------------------------------------------------------
 
-    def receive(self, sample: Sample) -> Answer | None:
+    def receive(self, sample: ZenohSample) -> FleetAnswer | None:
         """An answer of another daemon; returned if it is one to a stop, a lock or an unlock."""
         sender = self._transport.keys.sender(sample.key, is_addressed=True)
         try:
-            answer = decode(sample.payload, Answer)
+            answer = decode(sample.payload, FleetAnswer)
         except BadPayload:
             self._transport.counts["malformed"] += 1
             return None
@@ -467,7 +467,7 @@ class FleetRequests:
         log.warning("fleet.unanswered", what=unsettled.what, hosts=hosts)
 
 
-def _error_of(robot: str, answer: Answer) -> HostlinkError:
+def _error_of(robot: str, answer: FleetAnswer) -> HostlinkError:
     """Return the error that the other daemon raised."""
     reason = printable(answer.reason, _TEXT)
     if answer.error in set(RefusalKind):

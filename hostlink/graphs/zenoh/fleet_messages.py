@@ -12,7 +12,7 @@ from typing import Annotated, NamedTuple, TypeVar
 import msgspec
 
 from hostlink.errors import BadPayload
-from hostlink.graphs.zenoh.session import Session
+from hostlink.graphs.zenoh.session import ZenohSession
 from hostlink.hub.robot import LocalRobot
 from hostlink.logs import printable
 from hostlink.robot.kinematics import Pose
@@ -170,7 +170,7 @@ class Live(msgspec.Struct, frozen=True, kw_only=True):
     robots: Annotated[tuple[Motion, ...], msgspec.Meta(max_length=MAX_ROBOTS)]
 
 
-class TopicState(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+class FleetTopic(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     """A topic below a robot's name. `is_published`: others may subscribe; `is_subscribed`: others may publish."""
 
     robot: RobotName
@@ -181,14 +181,14 @@ class TopicState(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     is_velocity: bool = False
 
 
-class Topics(msgspec.Struct, frozen=True, kw_only=True):
+class TopicList(msgspec.Struct, frozen=True, kw_only=True):
     """Every topic of a daemon's robots."""
 
     number: int
-    topics: Annotated[tuple[TopicState, ...], msgspec.Meta(max_length=MAX_TOPICS)]
+    topics: Annotated[tuple[FleetTopic, ...], msgspec.Meta(max_length=MAX_TOPICS)]
 
 
-class Drive(msgspec.Struct, frozen=True, kw_only=True, tag="drive"):
+class DriveRequest(msgspec.Struct, frozen=True, kw_only=True, tag="drive"):
     """A velocity, linear and angular, for the length of a lease. `owner`: who drives, among those of the sender."""
 
     number: int
@@ -235,7 +235,7 @@ class Lock(msgspec.Struct, frozen=True, kw_only=True, tag="lock"):
     reason: Text
 
 
-class Answer(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+class FleetAnswer(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     """Answer to the request of a number: the velocity after the limits, the robots concerned, or a refusal.
 
     `epoch`: how often the robot was interrupted.
@@ -250,18 +250,18 @@ class Answer(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     robots: Annotated[tuple[RobotMessage, ...], msgspec.Meta(max_length=MAX_ROBOTS)] = ()
 
 
-Request = Drive | Release | Unlock
+Request = DriveRequest | Release | Unlock
 StopRequest = Stop | Lock
 
 _Kind = TypeVar("_Kind")
-_DECODERS = {kind: msgspec.json.Decoder(kind) for kind in (State, Live, Topics, Answer)}
+_DECODERS = {kind: msgspec.json.Decoder(kind) for kind in (State, Live, TopicList, FleetAnswer)}
 _REQUESTS: msgspec.json.Decoder[Request] = msgspec.json.Decoder(Request)
 _STOPS: msgspec.json.Decoder[StopRequest] = msgspec.json.Decoder(StopRequest)
 encode = msgspec.json.Encoder().encode
 
 
 def decode(payload: bytes, kind: type[_Kind]) -> _Kind:
-    """Decode a State, Live, Topics or Answer.
+    """Decode a State, Live, TopicList or FleetAnswer.
 
     Raises:
         BadPayload: it is malformed, or over a bound.
@@ -304,7 +304,7 @@ class FleetTransport:
     `me`: name and id of this daemon; `counts`: refused and dropped messages, by cause.
     """
 
-    session: Session
+    session: ZenohSession
     keys: Keys
     me: Sender
     counts: Counter[str]

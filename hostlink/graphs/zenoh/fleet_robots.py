@@ -24,8 +24,8 @@ from hostlink.graphs.zenoh.fleet_messages import (
     state_of,
 )
 from hostlink.graphs.zenoh.fleet_topics import FleetTopics, note_failure
-from hostlink.graphs.zenoh.roster import Place, Roster
-from hostlink.graphs.zenoh.session import Declaration, Sample
+from hostlink.graphs.zenoh.roster import FleetRoster, Place
+from hostlink.graphs.zenoh.session import Declaration, ZenohSample
 from hostlink.hub.hub import Hub
 from hostlink.hub.robot import LocalRobot, RemoteRobot, RobotHosts
 from hostlink.logs import of_peer, printable
@@ -115,11 +115,11 @@ class FleetRobots:
         self,
         hub: Hub,
         transport: FleetTransport,
-        roster: Roster,
+        roster: FleetRoster,
         requests: RobotHosts,
         topics: FleetTopics,
         *,
-        receive: Callable[[Sample], None],
+        receive: Callable[[ZenohSample], None],
     ) -> None:
         """`receive`: is called with the motions of one daemon's robots, while they are read."""
         self._hub, self._transport, self._roster = hub, transport, roster

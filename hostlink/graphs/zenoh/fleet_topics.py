@@ -1,6 +1,6 @@
 """Topics of robots between daemons: those here for other daemons, and theirs in the graph here.
 
-A message is sent while the other end subscribes to it. Topics are shared below the name of their robot; a topic with
+A message is sent while the other end subscribes to it. TopicList are shared below the name of their robot; a topic with
 another name gets one below it.
 """
 
@@ -12,16 +12,16 @@ from hostlink.graphs.zenoh.fleet_commands import FleetDrivers
 from hostlink.graphs.zenoh.fleet_messages import (
     GROUP,
     MAX_TOPICS,
+    FleetTopic,
     FleetTransport,
-    Topics,
-    TopicState,
+    TopicList,
     decode,
     encode,
     fleet_name,
     is_shareable,
 )
-from hostlink.graphs.zenoh.roster import Neighbour, Roster
-from hostlink.graphs.zenoh.session import Declaration, Query, Sample
+from hostlink.graphs.zenoh.roster import FleetRoster, Neighbour
+from hostlink.graphs.zenoh.session import Declaration, Query, ZenohSample
 from hostlink.hub.graph_view import GraphTopic
 from hostlink.hub.hub import Hub
 from hostlink.hub.message import Message
@@ -76,14 +76,14 @@ class _Export:
 class FleetExports:
     """The topics of the robots here."""
 
-    def __init__(self, hub: Hub, transport: FleetTransport, drivers: FleetDrivers, roster: Roster) -> None:
+    def __init__(self, hub: Hub, transport: FleetTransport, drivers: FleetDrivers, roster: FleetRoster) -> None:
         self.number = 0  # of the list, another one after each change
         self._hub, self._transport, self._drivers, self._roster = hub, transport, drivers, roster
         self._exports = Mirror[str, tuple[str, str], _Export](
             lambda name, exported: _Export(hub, transport, name, exported), self._fail, slice_s=SLICE_S
         )
         self._list: bytes | None = None  # encoded answer; None: not requested since the last change
-        self._topics: dict[str, tuple[TopicState, str]] = {}  # with their names here, by the name that others know
+        self._topics: dict[str, tuple[FleetTopic, str]] = {}  # with their names here, by the name that others know
 
     def update(self, topics: tuple[GraphTopic, ...]) -> None:
         """The graph has changed."""
@@ -106,11 +106,11 @@ class FleetExports:
         """Answer a request for the list."""
         if self._list is None:
             states = tuple(state for state, _ in self._topics.values())
-            self._list = encode(Topics(number=self.number, topics=states))
+            self._list = encode(TopicList(number=self.number, topics=states))
         query.reply(self._list)
         query.close()
 
-    def receive(self, sample: Sample) -> None:
+    def receive(self, sample: ZenohSample) -> None:
         """A program of another daemon publishes to a device here."""
         sender = self._transport.keys.sender(sample.key, is_addressed=True)
         neighbour = None if sender is None else self._roster.find(sender)
@@ -130,7 +130,7 @@ class FleetExports:
     def _fail(self, name: str, error: Exception) -> None:
         note_failure(self._hub, self._transport, "failed_topics", name, error)
 
-    def _find(self, topics: tuple[GraphTopic, ...]) -> dict[str, tuple[TopicState, str]]:
+    def _find(self, topics: tuple[GraphTopic, ...]) -> dict[str, tuple[FleetTopic, str]]:
         robots = {robot.name: robot for robot in self._hub.robots.here() if is_shareable(robot)}
         own = {
             name: robot
@@ -145,7 +145,7 @@ class FleetExports:
             is_there = robot is not None and (robot.link is not None or topic.is_velocity)
             if robot is not None and is_there and topic.type_name:
                 name = fleet_name(robot, topic.name)
-                state = TopicState(
+                state = FleetTopic(
                     robot=robot.name,
                     name=name,
                     type=topic.type_name,
@@ -161,7 +161,7 @@ class _Import:
     """A topic of a robot of another daemon, in the graph here."""
 
     def __init__(
-        self, transport: FleetTransport, neighbour: Neighbour, participant: Participant, topic: TopicState
+        self, transport: FleetTransport, neighbour: Neighbour, participant: Participant, topic: FleetTopic
     ) -> None:
         """Show it.
 
@@ -199,19 +199,19 @@ class _RemoteTopics:
     def __init__(
         self, hub: Hub, transport: FleetTransport, log_once: LogOnce, robot: str, neighbour: Neighbour
     ) -> None:
-        self.listed: list[TopicState] = []
+        self.listed: list[FleetTopic] = []
         self._hub, self._transport, self._log_once, self._neighbour = hub, transport, log_once, neighbour
         self._participant = hub.join(f"{robot} at {neighbour.sender.name}", group=GROUP)
-        self._shown: dict[str, TopicState] = {}
-        self._imports = Mirror[str, TopicState, _Import](
+        self._shown: dict[str, FleetTopic] = {}
+        self._imports = Mirror[str, FleetTopic, _Import](
             lambda _, topic: _Import(transport, neighbour, self._participant, topic),
             self._refuse,
             retry_s=FIRST_RETRY_S,
             longest_s=LONGEST_RETRY_S,
         )
-        self._subscriptions = Mirror[str, TopicState, Declaration](self._subscribe, self._fail)
+        self._subscriptions = Mirror[str, FleetTopic, Declaration](self._subscribe, self._fail)
 
-    def show(self, topics: dict[str, TopicState]) -> None:
+    def show(self, topics: dict[str, FleetTopic]) -> None:
         """Show exactly these topics. A subscription at the other daemon ends with its topic."""
         self._shown = topics
         self._imports.want({name: topic for name, topic in topics.items() if not topic.is_velocity})
@@ -235,7 +235,7 @@ class _RemoteTopics:
         self._imports.close()
         self._participant.leave()
 
-    def _subscribe(self, name: str, topic: TopicState) -> Declaration:
+    def _subscribe(self, name: str, topic: FleetTopic) -> Declaration:
         key = self._transport.keys.key("out", self._neighbour.sender, *name.strip("/").split("/"))
         deliver = self._deliver_velocity if topic.is_velocity else self._deliver
         return self._transport.session.subscribe(
@@ -281,7 +281,7 @@ class FleetImports:
             lambda robot, neighbour: _RemoteTopics(hub, transport, log_once, robot, neighbour), self._fail
         )
 
-    def show(self, robot: RemoteRobot, neighbour: Neighbour, topics: list[TopicState]) -> None:
+    def show(self, robot: RemoteRobot, neighbour: Neighbour, topics: list[FleetTopic]) -> None:
         """A robot's topics as its daemon lists them now."""
         self._robots.put(robot.name, neighbour)
         shown = self._robots.endpoints.get(robot.name)
@@ -323,12 +323,12 @@ def note_failure(hub: Hub, transport: FleetTransport, cause: str, name: str, err
 class FleetTopics:
     """Topics in both directions. A daemon's list is fetched again when the number in its state has changed."""
 
-    def __init__(self, hub: Hub, transport: FleetTransport, drivers: FleetDrivers, roster: Roster) -> None:
+    def __init__(self, hub: Hub, transport: FleetTransport, drivers: FleetDrivers, roster: FleetRoster) -> None:
         self.exports = FleetExports(hub, transport, drivers, roster)
         self._hub, self._transport, self._roster = hub, transport, roster
         self._imports = FleetImports(hub, transport)
         self._participant = hub.join("fleet", role=Role.READ, group=GROUP)
-        self._lists: dict[str, dict[str, list[TopicState]]] = {}  # by daemon and robot
+        self._lists: dict[str, dict[str, list[FleetTopic]]] = {}  # by daemon and robot
         self._fetching: set[str] = set()
 
     def begin(self) -> None:
@@ -370,12 +370,12 @@ class FleetTopics:
         if not answers or self._roster.find(sender) is not neighbour:
             return False
         try:
-            listed = decode(answers[0].payload, Topics)
+            listed = decode(answers[0].payload, TopicList)
         except BadPayload:
             self._transport.counts["malformed"] += 1
             return False
         neighbour.topics = number
-        by_robot: dict[str, list[TopicState]] = {name: [] for name in neighbour.robots}
+        by_robot: dict[str, list[FleetTopic]] = {name: [] for name in neighbour.robots}
         for topic in listed.topics:
             by_robot.setdefault(topic.robot, []).append(topic)
         self._lists[sender.zid] = by_robot

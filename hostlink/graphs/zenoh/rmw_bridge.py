@@ -28,19 +28,19 @@ from hostlink.graphs.zenoh.rmw_protocol import (
     TELEMETRY,
     Attachment,
     EndpointToken,
-    Kind,
     NodeToken,
-    Qos,
     RemoteGraph,
     Removed,
+    RmwQos,
     SourceClock,
     Subject,
+    TokenKind,
     data_key,
     gid_of,
     is_hidden,
     is_name,
 )
-from hostlink.graphs.zenoh.session import Declaration, Query, Sample, Session, Token
+from hostlink.graphs.zenoh.session import Declaration, Query, Token, ZenohSample, ZenohSession
 from hostlink.hub.graph_view import GraphService, GraphTopic
 from hostlink.hub.hub import Hub
 from hostlink.hub.message import Message
@@ -57,10 +57,10 @@ MAX_CALLS_OF_CLIENT = 8  # under way at once, of one client and one service
 CALL_TIMEOUT_S = 30.0  # of a service of ROS 2
 
 
-class Endpoint:
+class RmwEndpoint:
     """One end of a topic or service in ROS 2: its token, and the gid by which it signs."""
 
-    def __init__(self, session: Session, token: EndpointToken, key: str) -> None:
+    def __init__(self, session: ZenohSession, token: EndpointToken, key: str) -> None:
         """`key`: of its data."""
         text = token.encode()
         self.key, self.gid = key, gid_of(text)
@@ -82,24 +82,24 @@ class RmwNode:
     """Node of this daemon in ROS 2, which its endpoints share. `counts`: losses by cause."""
 
     hub: Hub
-    session: Session
+    session: ZenohSession
     types: Ros2Types
     token: NodeToken
     counts: Counter[str] = field(default_factory=Counter)
     _numbers: "itertools.count[int]" = field(default_factory=lambda: itertools.count(1))
 
-    def endpoint(self, kind: Kind, name: str, type_name: str, type_hash: str, qos: Qos) -> Endpoint:
+    def endpoint(self, kind: TokenKind, name: str, type_name: str, type_hash: str, qos: RmwQos) -> RmwEndpoint:
         """Declare an endpoint of this node.
 
         Raises:
             ConfigError: the session is closed.
         """
         token = EndpointToken(kind, self.token, next(self._numbers), name, type_name, type_hash, qos)
-        return Endpoint(self.session, token, data_key(self.token.domain, name, type_name, type_hash))
+        return RmwEndpoint(self.session, token, data_key(self.token.domain, name, type_name, type_hash))
 
 
 @dataclass(frozen=True, slots=True)
-class Published:
+class PublicationSpec:
     """Specification of a publication."""
 
     topic: str
@@ -108,10 +108,10 @@ class Published:
     is_latched: bool
 
 
-class Publication:
+class RmwPublication:
     """`close` ends it. What is latched is kept for those who come later, as ROS 2's transient local."""
 
-    def __init__(self, node: RmwNode, topic: Published) -> None:
+    def __init__(self, node: RmwNode, topic: PublicationSpec) -> None:
         """Declare it.
 
         Raises:
@@ -119,7 +119,7 @@ class Publication:
         """
         qos, type_ = LATCHED if topic.is_latched else TELEMETRY, topic.type
         self._node, self._topic = node, topic
-        self._endpoint = node.endpoint(Kind.PUBLISHER, topic.topic, type_.name, type_.type_hash, qos)
+        self._endpoint = node.endpoint(TokenKind.PUBLISHER, topic.topic, type_.name, type_.type_hash, qos)
         self._publisher = node.session.declare_publisher(self._endpoint.key, kept=1 if topic.is_latched else 0)
         self._participant: Participant | None = None
         if topic.is_latched:
@@ -165,7 +165,7 @@ class Publication:
 
 
 @dataclass(frozen=True, slots=True)
-class Offered:
+class ServiceSpec:
     """Specification of an offered service."""
 
     name: str
@@ -176,7 +176,7 @@ class Offered:
 class OfferedService:
     """A service of the hub, which ROS 2 can call."""
 
-    def __init__(self, node: RmwNode, offered: Offered) -> None:
+    def __init__(self, node: RmwNode, offered: ServiceSpec) -> None:
         """Declare it.
 
         Raises:
@@ -185,7 +185,7 @@ class OfferedService:
         self._node, self._name, self._known, self._type = node, offered.name, offered.known, offered.type
         self._calls: Counter[bytes] = Counter()
         self._participant = node.hub.join(f"ros2 {self._name}", group=GROUP)
-        self._endpoint = node.endpoint(Kind.SERVER, self._name, self._type.name, self._type.type_hash, SERVICE)
+        self._endpoint = node.endpoint(TokenKind.SERVER, self._name, self._type.name, self._type.type_hash, SERVICE)
         self._queryable = node.session.serve(self._endpoint.key, self._receive)
 
     def close(self) -> None:
@@ -249,7 +249,7 @@ class CalledService:
         """
         self._node, self._name, self._known, self._type = node, token.name, known, type_
         self._participant: Participant = node.hub.join(f"ros2 {token.node.full_name}", group=GROUP)
-        self._endpoint = node.endpoint(Kind.CLIENT, token.name, type_.name, type_.type_hash, SERVICE)
+        self._endpoint = node.endpoint(TokenKind.CLIENT, token.name, type_.name, type_.type_hash, SERVICE)
         try:
             self._participant.provide(token.name, known.name, self._answer)
         except BadRequest:
@@ -291,7 +291,7 @@ TWIST_BYTES = 48  # at the end of a TwistStamped
 log = structlog.get_logger()
 
 
-class Publisher:
+class RmwPublisher:
     """One publisher of ROS 2."""
 
     def __init__(self, node: RmwNode, token: EndpointToken, leave: Callable[[], None]) -> None:
@@ -350,7 +350,7 @@ class Publishers:
         self._node, self._remote, self._log_once = node, remote, log_once
         self._gone: dict[str, None] = {}  # tokens that may be back after a cut
         self._began_s = asyncio.get_running_loop().time()
-        self._publishers = Mirror[str, _Token, Publisher](
+        self._publishers = Mirror[str, _Token, RmwPublisher](
             self._open,
             lambda _, error: node.hub.isolation.crashed("graph", error, graph="ros2"),
             limit=MAX_PUBLISHERS,
@@ -411,8 +411,8 @@ class Publishers:
             epoch = None  # it is the first that it has ever sent
         publisher.publish(topic, payload, received_s=now_s - late_s, epoch=epoch)
 
-    def _open(self, key: str, spec: _Token) -> Publisher:
-        made = Publisher(self._node, spec.token, lambda: self._publishers.put(key, None))
+    def _open(self, key: str, spec: _Token) -> RmwPublisher:
+        made = RmwPublisher(self._node, spec.token, lambda: self._publishers.put(key, None))
         now_s, is_back = asyncio.get_running_loop().time(), key in self._gone
         self._gone.pop(key, None)
         has_waited = now_s > spec.came_s + NEW_S  # for room
@@ -422,10 +422,10 @@ class Publishers:
         return made
 
     @staticmethod
-    def _expect_earlier(publisher: Publisher) -> None:
+    def _expect_earlier(publisher: RmwPublisher) -> None:
         publisher.motion = EarlierMotion(asyncio.get_running_loop().time() + MATCH_S)
 
-    def _advertise(self, publisher: Publisher) -> None:
+    def _advertise(self, publisher: RmwPublisher) -> None:
         token = publisher.token
         try:
             publisher.advertise()
@@ -436,7 +436,7 @@ class Publishers:
 
 
 @dataclass(frozen=True, slots=True)
-class Wanted:
+class SubscriptionSpec:
     """Specification of a subscription."""
 
     name: str  # of the topic in ROS 2
@@ -447,17 +447,17 @@ class Wanted:
     has_history: bool = False  # what publishers keep for those who come later is requested
 
     @property
-    def qos(self) -> Qos:
+    def qos(self) -> RmwQos:
         """Quality of service, as tools of ROS 2 show it."""
         if self.is_velocity:
             return COMMANDS
-        return Qos(is_transient_local=self.has_history, depth=TELEMETRY.depth)
+        return RmwQos(is_transient_local=self.has_history, depth=TELEMETRY.depth)
 
 
-class Subscription:
+class RmwSubscription:
     """`close` ends it."""
 
-    def __init__(self, node: RmwNode, wanted: Wanted, publishers: Publishers) -> None:
+    def __init__(self, node: RmwNode, wanted: SubscriptionSpec, publishers: Publishers) -> None:
         """Declare it.
 
         Raises:
@@ -465,7 +465,7 @@ class Subscription:
         """
         self._node, self._wanted, self._publishers = node, wanted, publishers
         type_ = wanted.type
-        self._endpoint = node.endpoint(Kind.SUBSCRIPTION, wanted.name, type_.name, type_.type_hash, wanted.qos)
+        self._endpoint = node.endpoint(TokenKind.SUBSCRIPTION, wanted.name, type_.name, type_.type_hash, wanted.qos)
         if wanted.is_velocity:
             publishers.join((wanted.name, type_.name))
         self._subscription = node.session.subscribe(
@@ -487,7 +487,7 @@ class Subscription:
         gid = attachment[-GID_BYTES:]
         return gid.hex() if self._publishers.has_signed(gid) else ""
 
-    def _receive(self, sample: Sample) -> None:
+    def _receive(self, sample: ZenohSample) -> None:
         attachment = Attachment.decode(sample.attachment)
         if attachment is None:
             self._node.counts["unsigned"] += 1
@@ -525,8 +525,8 @@ REFUSED_NAME: Final = "ROS 2 allows letters, digits and _ in names"
 OWN_PACKAGES: Final = ("rcl_interfaces/", "type_description_interfaces/")  # services that every node of ROS 2 has
 
 
-_Declared = Wanted | Published | Offered
-_Endpoint = Subscription | Publication | OfferedService
+_Declared = SubscriptionSpec | PublicationSpec | ServiceSpec
+_Endpoint = RmwSubscription | RmwPublication | OfferedService
 
 
 class UnusableType(Exception):
@@ -536,7 +536,7 @@ class UnusableType(Exception):
 class RmwBridge:
     """Keeps both graphs equal while the session lives. `counts`: messages both ways, and what was lost by cause."""
 
-    def __init__(self, hub: Hub, session: Session, types: Ros2Types, token: NodeToken) -> None:
+    def __init__(self, hub: Hub, session: ZenohSession, types: Ros2Types, token: NodeToken) -> None:
         """`token`: of the node that this daemon is.
 
         Raises:
@@ -582,10 +582,14 @@ class RmwBridge:
         added = self._remote.add(token.key)
         if not isinstance(added, EndpointToken):
             return
-        if added.kind is Kind.PUBLISHER:
+        if added.kind is TokenKind.PUBLISHER:
             self._publishers.add(added, token.key)
             self._check_hash(added)
-        elif added.kind is Kind.SERVER and not is_hidden(added.name) and not added.type_name.startswith(OWN_PACKAGES):
+        elif (
+            added.kind is TokenKind.SERVER
+            and not is_hidden(added.name)
+            and not added.type_name.startswith(OWN_PACKAGES)
+        ):
             self._called.put(added, added)
 
     def _remove(self, key: str) -> None:
@@ -640,7 +644,7 @@ class RmwBridge:
             each for topic, type_ in topics if topic.is_subscribed for each in self._wanted(topic, type_, stamped)
         ]
         wanted += [
-            Published(topic.name, topic.type_name, type_, topic.is_latched)
+            PublicationSpec(topic.name, topic.type_name, type_, topic.is_latched)
             for topic, type_ in topics
             if topic.is_published and not topic.is_velocity
         ]
@@ -650,14 +654,14 @@ class RmwBridge:
 
     def _declare(self, each: _Declared) -> _Endpoint:
         match each:
-            case Wanted():
-                return Subscription(self._node, each, self._publishers)
-            case Published():
-                return Publication(self._node, each)
-            case Offered():
+            case SubscriptionSpec():
+                return RmwSubscription(self._node, each, self._publishers)
+            case PublicationSpec():
+                return RmwPublication(self._node, each)
+            case ServiceSpec():
                 return OfferedService(self._node, each)
 
-    def _wanted(self, topic: GraphTopic, type_: Ros2Message, stamped_topics: Container[str]) -> list[Wanted]:
+    def _wanted(self, topic: GraphTopic, type_: Ros2Message, stamped_topics: Container[str]) -> list[SubscriptionSpec]:
         """A robot's velocity is received as a Twist and as a TwistStamped, by the same name.
 
         `stamped_topics`: velocities whose type is TwistStamped in the hub.
@@ -666,14 +670,14 @@ class RmwBridge:
             has_history = any(
                 each.token.qos.is_transient_local for each in self._remote.publishers((topic.name, type_.name))
             )
-            return [Wanted(topic.name, type_, topic.name, has_history=has_history)]
-        wanted = [Wanted(topic.name, type_, topic.name, is_velocity=True)]
+            return [SubscriptionSpec(topic.name, type_, topic.name, has_history=has_history)]
+        wanted = [SubscriptionSpec(topic.name, type_, topic.name, is_velocity=True)]
         stamped = self._node.types.message(TWIST_STAMPED_TYPE)
         if topic.type_name == TWIST_TYPE and stamped is not None:
             beside = f"{topic.name}_stamped"  # the robot's own topic of that type, which checks the age of commands
             is_there = beside in stamped_topics
             target = beside if is_there else topic.name
-            wanted.append(Wanted(topic.name, stamped, target, is_velocity=True, is_stripped=not is_there))
+            wanted.append(SubscriptionSpec(topic.name, stamped, target, is_velocity=True, is_stripped=not is_there))
         return wanted
 
     def _type(self, topic: GraphTopic) -> Ros2Message | None:
@@ -694,7 +698,7 @@ class RmwBridge:
         remote = self._node.hub.robots.remote.get(robot)
         return remote is not None and self._node.hub.robots.find(robot) is remote
 
-    def _service(self, service: GraphService) -> Offered | None:
+    def _service(self, service: GraphService) -> ServiceSpec | None:
         if is_hidden(service.name) or self._is_elsewhere(service.name):
             return None
         if not is_name(service.name):
@@ -704,11 +708,11 @@ class RmwBridge:
         if known is None or found is None:
             self._log_once(UNKNOWN, name=service.type_name, service=service.name)
             return None
-        return Offered(service.name, known, found)
+        return ServiceSpec(service.name, known, found)
 
 
 @contextlib.asynccontextmanager
-async def ros2_bridged(hub: Hub, session: Session, config: ZenohConfig) -> AsyncIterator[RmwBridge]:
+async def ros2_bridged(hub: Hub, session: ZenohSession, config: ZenohConfig) -> AsyncIterator[RmwBridge]:
     """Be a node of the ROS 2 graph for the length of the block.
 
     Raises:

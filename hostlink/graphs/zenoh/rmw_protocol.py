@@ -93,7 +93,7 @@ def data_key(domain: int, name: str, type_name: str, type_hash: str) -> str:
 
 
 @dataclass(frozen=True, slots=True)
-class Qos:
+class RmwQos:
     """`depth`: messages that are kept; None: all."""
 
     is_reliable: bool = True
@@ -109,7 +109,7 @@ class Qos:
         return f"{reliability}:{durability}:{kind},{depth}{_INFINITE}"
 
     @classmethod
-    def decode(cls, text: str) -> "Qos | None":
+    def decode(cls, text: str) -> "RmwQos | None":
         """Decode the text in a token; None if it is malformed."""
         parts = text.split(":")
         if len(parts) < _PARTS:
@@ -125,10 +125,10 @@ class Qos:
         )
 
 
-TELEMETRY: Final = Qos(depth=10)
-LATCHED: Final = Qos(is_transient_local=True, depth=1)
-COMMANDS: Final = Qos(is_reliable=False, depth=1)  # matches every publisher, in the eyes of a tool too
-SERVICE: Final = Qos(depth=10)
+TELEMETRY: Final = RmwQos(depth=10)
+LATCHED: Final = RmwQos(is_transient_local=True, depth=1)
+COMMANDS: Final = RmwQos(is_reliable=False, depth=1)  # matches every publisher, in the eyes of a tool too
+SERVICE: Final = RmwQos(depth=10)
 
 
 # -- signatures -------------------------------------------------------------------------------------------------------
@@ -157,7 +157,7 @@ class Attachment(NamedTuple):
 # -- tokens -----------------------------------------------------------------------------------------------------------
 
 
-class Kind(StrEnum):
+class TokenKind(StrEnum):
     """Kind of a token."""
 
     NODE = "NN"
@@ -190,9 +190,9 @@ class NodeToken:
 
     def encode(self) -> str:
         """The key."""
-        return self.key(Kind.NODE, self.number)
+        return self.key(TokenKind.NODE, self.number)
 
-    def key(self, kind: Kind, number: int) -> str:
+    def key(self, kind: TokenKind, number: int) -> str:
         """The parts that a node's token and those of its endpoints share."""
         parts = (SPACE, self.domain, self.session, self.number, number, kind.value)
         return "/".join([*map(str, parts), *map(mangle, (self.enclave, self.namespace, self.name))])
@@ -202,13 +202,13 @@ class NodeToken:
 class EndpointToken:
     """A publisher, a subscription, or one end of a service; `number` is its own in its process."""
 
-    kind: Kind
+    kind: TokenKind
     node: NodeToken
     number: int
     name: str  # of the topic or service
     type_name: str  # "std_msgs/msg/String"
     type_hash: str
-    qos: Qos
+    qos: RmwQos
 
     def encode(self) -> str:
         """Return the key.
@@ -226,7 +226,7 @@ def parse_token(text: str) -> NodeToken | EndpointToken | None:
     if len(parts) < _NODE_PARTS or parts[0] != SPACE or not all(parts):
         return None
     numbers = [_number(part) for part in (parts[1], parts[3], parts[4])]
-    kind = next((kind for kind in Kind if kind.value == parts[5]), None)
+    kind = next((kind for kind in TokenKind if kind.value == parts[5]), None)
     domain, node_number, number = numbers
     if domain is None or node_number is None or number is None or kind is None:
         return None
@@ -234,7 +234,7 @@ def parse_token(text: str) -> NodeToken | EndpointToken | None:
     node = NodeToken(domain, parts[2], node_number, namespace, name, "" if enclave == "/" else enclave)
     if not is_name(node.full_name):
         return None
-    return node if kind is Kind.NODE else _parse_endpoint(kind, node, number, parts)
+    return node if kind is TokenKind.NODE else _parse_endpoint(kind, node, number, parts)
 
 
 def gid_of(token: str) -> bytes:
@@ -242,10 +242,10 @@ def gid_of(token: str) -> bytes:
     return xxhash.xxh3_128_intdigest(token.encode()).to_bytes(16, "little")
 
 
-def _parse_endpoint(kind: Kind, node: NodeToken, number: int, parts: list[str]) -> EndpointToken | None:
+def _parse_endpoint(kind: TokenKind, node: NodeToken, number: int, parts: list[str]) -> EndpointToken | None:
     if len(parts) < _ENDPOINT_PARTS:
         return None
-    name, type_name, qos = demangle(parts[9]), from_dds_type(parts[10]), Qos.decode(parts[12])
+    name, type_name, qos = demangle(parts[9]), from_dds_type(parts[10]), RmwQos.decode(parts[12])
     if not is_name(name) or type_name is None or qos is None:
         return None
     return EndpointToken(kind, node, number, name, type_name, parts[11], qos)
@@ -314,7 +314,7 @@ class RemoteGraph:
             return None
         self._tokens[key] = token
         self._of_session[node.session] += 1
-        if isinstance(token, EndpointToken) and token.kind is Kind.PUBLISHER:
+        if isinstance(token, EndpointToken) and token.kind is TokenKind.PUBLISHER:
             publisher = RemotePublisher(token, key, gid_of(key))
             mistaken = self._by_gid.get(publisher.gid)
             if mistaken is not None:  # it signed before its token came, and passed for one that draws its gids
@@ -332,7 +332,7 @@ class RemoteGraph:
         self._of_session[session] -= 1
         if not self._of_session[session]:
             del self._of_session[session]
-        if not isinstance(token, EndpointToken) or token.kind is not Kind.PUBLISHER:
+        if not isinstance(token, EndpointToken) or token.kind is not TokenKind.PUBLISHER:
             return Removed(token)
         publisher = self._by_gid[gid_of(key)]
         self._forget(publisher)
@@ -361,7 +361,7 @@ class RemoteGraph:
         """All of a subject."""
         return list(self._of_subject.get(subject, {}).values())
 
-    def endpoints(self, kind: Kind) -> list[EndpointToken]:
+    def endpoints(self, kind: TokenKind) -> list[EndpointToken]:
         """All of a kind."""
         return [each for each in self._tokens.values() if isinstance(each, EndpointToken) and each.kind is kind]
 

@@ -1,4 +1,4 @@
-"""Roster: which other daemons there are, and which robots each of them has. Pure."""
+"""FleetRoster: which other daemons there are, and which robots each of them has. Pure."""
 
 import math
 from collections import Counter, OrderedDict, defaultdict
@@ -48,7 +48,7 @@ class Place(NamedTuple):
     also_at: tuple[str, ...]
 
 
-class Roster:
+class FleetRoster:
     """Known by the ids of their sessions. Each method returns the names of the robots that it touched.
 
     `counts`: `met`: daemons that began to send, or did again; `excess_daemons` and `excess_robots` over a bound;

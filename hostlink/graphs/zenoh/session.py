@@ -1,4 +1,4 @@
-"""Session: one Zenoh session on the event loop. Callbacks in the loop receive what Zenoh's threads deliver."""
+"""ZenohSession: one Zenoh session on the event loop. Callbacks in the loop receive what Zenoh's threads deliver."""
 
 import asyncio
 import contextlib
@@ -28,7 +28,7 @@ MAX_ANSWERS = 1024  # to one query
 HEARTBEAT_S = 0.5  # while something is kept for later subscribers: a subscriber notices that it has missed it
 
 
-class Sample(NamedTuple):
+class ZenohSample(NamedTuple):
     """Message on a key."""
 
     key: str
@@ -67,10 +67,10 @@ class Declaration:
             each()
 
 
-class Publisher:
+class ZenohPublisher:
     """A key on which this daemon publishes. Nothing is sent without a subscriber."""
 
-    def __init__(self, session: "Session", publisher: Any) -> None:
+    def __init__(self, session: "ZenohSession", publisher: Any) -> None:
         self._session, self._publisher = session, publisher
         self._listener: Any = None
 
@@ -136,7 +136,7 @@ class Background:
             self._thread.submit(run)
 
 
-class Session:
+class ZenohSession:
     """One Zenoh session. Its methods are called in the loop, wait for nothing, and do not raise what Zenoh raises.
 
     `counts`: `dropped` and `oversized` of what came, `failed` calls of Zenoh; what `receive` callbacks raise is passed
@@ -158,7 +158,7 @@ class Session:
         with self.guarded("put"):
             self._session.put(key, payload, attachment=attachment, **self._quality(is_urgent=is_urgent))
 
-    def declare_publisher(self, key: str, *, is_urgent: bool = False, kept: int = 0) -> Publisher:
+    def declare_publisher(self, key: str, *, is_urgent: bool = False, kept: int = 0) -> ZenohPublisher:
         """Publish on a key again and again. `kept`: as many of the newest are sent to those who subscribe later.
 
         Raises:
@@ -169,7 +169,7 @@ class Session:
             if kept
             else self._session.declare_publisher
         )
-        return Publisher(self, self._declare(declare, key, **self._quality(is_urgent=is_urgent)))
+        return ZenohPublisher(self, self._declare(declare, key, **self._quality(is_urgent=is_urgent)))
 
     def declare_token(self, key: str) -> Declaration:
         """Show that this daemon lives, or has something, until the declaration or the session is closed.
@@ -185,7 +185,7 @@ class Session:
     def subscribe(
         self,
         key_expr: str,
-        receive: Callable[[Sample], None],
+        receive: Callable[[ZenohSample], None],
         *,
         source_of: Callable[[str], str] = lambda _: "",
         signer_of: Callable[[bytes], str] = lambda _: "",
@@ -207,7 +207,7 @@ class Session:
             with self.guarded("receive"):
                 key = str(sample.key_expr)
                 if self._fits(key, len(sample.payload), max_bytes) and sample.kind == self._zenoh.SampleKind.PUT:
-                    received = Sample(key, sample.payload.to_bytes(), _bytes(sample.attachment))
+                    received = ZenohSample(key, sample.payload.to_bytes(), _bytes(sample.attachment))
                     inbox.put(source_of(key) + signer_of(received.attachment), received)
 
         declare = self._session.declare_subscriber
@@ -255,16 +255,18 @@ class Session:
 
     async def get(
         self, selector: str, payload: bytes | None = None, *, attachment: bytes | None = None, timeout_s: float
-    ) -> list[Sample]:
+    ) -> list[ZenohSample]:
         """Return the answers to a query that arrived in time."""
-        loop, answers = asyncio.get_running_loop(), list[Sample]()
+        loop, answers = asyncio.get_running_loop(), list[ZenohSample]()
         done = asyncio.Event()
 
         def put(reply: Any) -> None:
             with self.guarded("receive"):
                 sample = reply.ok
                 if sample is not None and len(answers) < MAX_ANSWERS and len(sample.payload) <= MAX_PAYLOAD_BYTES:
-                    answers.append(Sample(str(sample.key_expr), sample.payload.to_bytes(), _bytes(sample.attachment)))
+                    answers.append(
+                        ZenohSample(str(sample.key_expr), sample.payload.to_bytes(), _bytes(sample.attachment))
+                    )
 
         def end() -> None:
             with contextlib.suppress(RuntimeError):  # the loop has ended
@@ -390,7 +392,7 @@ def _declare_history_subscriber(session: Any, key: str, callback: Any, *, allowe
 
 
 @contextlib.asynccontextmanager
-async def opened(config: ZenohConfig, isolation: Isolation) -> AsyncIterator[Session]:
+async def opened(config: ZenohConfig, isolation: Isolation) -> AsyncIterator[ZenohSession]:
     """A session for the length of the block.
 
     Raises:
@@ -401,7 +403,7 @@ async def opened(config: ZenohConfig, isolation: Isolation) -> AsyncIterator[Ses
         raw = await asyncio.to_thread(lambda: zenoh.open(settings))
     except (zenoh.ZError, ValueError) as error:
         raise ConfigError("zenoh", f"the session cannot be opened: {reason_of(error)}") from error
-    session = Session(zenoh, raw, isolation)
+    session = ZenohSession(zenoh, raw, isolation)
     log.info("zenoh.opened", zid=session.zid, mode=config.mode, reach="; ".join(reach_of(settings, config).lines))
     try:
         yield session

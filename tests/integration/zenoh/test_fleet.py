@@ -70,14 +70,6 @@ async def test_the_other_daemons_limits_apply() -> None:
         assert (answer["velocity"]["linear_m_s"], answer["is_limited"]) == (1.0, True)
 
 
-async def test_a_lease_ends_where_the_robot_is() -> None:
-    async with fleet("a", "b") as (a, b), fake_device(b.tcp, robot_topics("robot_7")) as device:
-        await shown(a, "robot_7")
-        await drive(a, "robot_7", 0.3)
-        assert await device.velocity_other_than(STILL) == (0.3, 0.0)
-        assert await device.velocity_other_than((0.3, 0.0)) == STILL
-
-
 async def test_a_driver_that_leaves_stops_its_robot_elsewhere_at_once() -> None:
     async with fleet("a", "b") as (a, b), fake_device(b.tcp, robot_topics("robot_7")) as device:
         await shown(a, "robot_7")
@@ -344,36 +336,6 @@ async def test_one_name_at_two_daemons_is_shown_and_neither_is_driven_from_a_thi
             assert host.hub.robots.find_here("robot_0").gate.lock_reason is not None
         third.hang_up()
         await expect(lambda: not a.hub.robots.remote["robot_0"].also_at)
-
-
-async def test_a_daemon_that_may_only_read_stops_and_does_not_drive() -> None:
-    async with fleet("a", "b", drivers=("b",)) as (a, b), fake_device(b.tcp, robot_topics("robot_7")) as device:
-        await shown(a, "robot_7")
-        status, answer = await drive(a, "robot_7", 0.3)
-        assert (status, answer["error"]["kind"]) == (400, "BadRequest")
-        assert "a may only read at b" in answer["error"]["reason"]
-        assert (await drive(b, "robot_7", 0.2))[0] == 200
-        assert await device.velocity_other_than(STILL) == (0.2, 0.0)
-        assert (await a.rest("POST", "/api/robots/robot_7/stop"))[0] == 200
-        assert await device.velocity_other_than((0.2, 0.0)) == STILL
-        assert (await a.rest("POST", "/api/robots/robot_7/lock"))[0] == 200
-        assert (await a.rest("POST", "/api/robots/robot_7/unlock"))[0] == 503
-
-
-async def test_a_refusal_reaches_a_driver_that_waits_for_no_answer() -> None:
-    async with fleet("a", "b", drivers=("b",)) as (a, b), fake_device(b.tcp, robot_topics("robot_7")):
-        found = await shown(a, "robot_7")
-        participant = a.hub.join("driver")
-        participant.drive(found, PlanarVelocity(x_m_s=0.2))
-
-        def refusal() -> str:
-            try:
-                participant.drive(found, PlanarVelocity(x_m_s=0.2))
-            except HostlinkError as error:
-                return str(error)
-            return ""
-
-        await expect(lambda: "may only read" in refusal())
 
 
 async def test_a_daemon_that_ends_takes_its_robots_with_it_and_its_drivers() -> None:

@@ -13,7 +13,7 @@ import zenoh
 from structlog.testing import capture_logs
 
 from hostlink.config import Config, ZenohConfig
-from hostlink.graphs.zenoh.session import Sample, Session, opened
+from hostlink.graphs.zenoh.session import ZenohSample, ZenohSession, opened
 from hostlink.hub.isolation import Isolation
 from tests.support.daemon import daemon
 from tests.support.fake_device import fake_device, robot_topics
@@ -134,7 +134,7 @@ async def _try_names(
 
 
 @contextlib.asynccontextmanager
-async def session(config: ZenohConfig) -> AsyncIterator[Session]:
+async def session(config: ZenohConfig) -> AsyncIterator[ZenohSession]:
     async with opened(config, Isolation()) as made:
         yield made
 
@@ -158,7 +158,7 @@ async def test_only_drivers_send_what_moves_a_robot_in_the_fleet_and_in_ros_2(tm
     ]
     received: dict[bytes, list[str]] = {b"desk": [], b"wall": []}
 
-    def receive(sample: Sample) -> None:
+    def receive(sample: ZenohSample) -> None:
         received[sample.payload].append(sample.key)
 
     lab = certified(tmp_path, "lab-1", listen=listen, drivers=("desk",), ros2=True)

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from typing import Any, cast
 
 from hostlink.config import Ros1Config
-from hostlink.graphs.ros1.connections import Outgoing, Wire
+from hostlink.graphs.ros1.connections import SendQueue, Wire
 from hostlink.graphs.ros1.local_node import LocalNode, Rpc
 from hostlink.graphs.ros1.tcpros import MAX_HEADER_BYTES, Header, MessageStream
 from hostlink.graphs.ros1.xml_rpc import Unreachable
@@ -44,7 +44,7 @@ class FakeWire:
         self.sent: list[bytes] = []
         self.refusals: list[str] = []
         self.is_closed, self.is_replaceable, self.peer = False, True, "10.0.0.9:5"
-        self.stream, self.outgoing = MessageStream(MAX_HEADER_BYTES), Outgoing()
+        self.stream, self.outgoing = MessageStream(MAX_HEADER_BYTES), SendQueue()
         self.receive: Callable[[list[bytes]], None] = lambda _: None
         self.on_end: Callable[[], None] = lambda: None
 

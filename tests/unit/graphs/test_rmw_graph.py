@@ -10,10 +10,10 @@ from hostlink.graphs.zenoh.rmw_protocol import (
     TELEMETRY,
     Attachment,
     EndpointToken,
-    Kind,
     NodeToken,
     RemoteGraph,
     SourceClock,
+    TokenKind,
     gid_of,
 )
 
@@ -22,7 +22,7 @@ DRAWN, OTHER = b"\1" * 16, b"\2" * 16
 
 
 def key_of(
-    session: str, *, topic: str = SUBJECT[0], kind: Kind = Kind.PUBLISHER, domain: int = 0, enclave: str = ""
+    session: str, *, topic: str = SUBJECT[0], kind: TokenKind = TokenKind.PUBLISHER, domain: int = 0, enclave: str = ""
 ) -> str:
     node = NodeToken(domain, session, 0, "/", "driver", enclave)
     return EndpointToken(kind, node, 1, topic, SUBJECT[1], "RIHS01_0", TELEMETRY).encode()
@@ -48,7 +48,7 @@ def test_a_gid_counts_for_its_own_topic_only() -> None:
 
 
 def test_signature_without_a_token_is_unknown() -> None:
-    graph = graph_of(key_of("aa", topic="/other"), key_of("bb", kind=Kind.SUBSCRIPTION))
+    graph = graph_of(key_of("aa", topic="/other"), key_of("bb", kind=TokenKind.SUBSCRIPTION))
     assert graph.publisher(DRAWN, SUBJECT) is None
 
 

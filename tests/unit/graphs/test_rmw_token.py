@@ -10,9 +10,9 @@ from hostlink.graphs.zenoh.rmw_protocol import (
     OWN_ENCLAVE,
     TELEMETRY,
     EndpointToken,
-    Kind,
     NodeToken,
-    Qos,
+    RmwQos,
+    TokenKind,
     data_key,
     demangle,
     from_dds_type,
@@ -37,7 +37,7 @@ PUBLISHER = (
 
 names = st.from_regex(r"(/[A-Za-z_][A-Za-z0-9_]{0,8}){1,4}", fullmatch=True)
 qualities = st.builds(
-    Qos,
+    RmwQos,
     is_reliable=st.booleans(),
     is_transient_local=st.booleans(),
     depth=st.one_of(st.none(), st.integers(1, 1000)),
@@ -49,9 +49,9 @@ def test_the_documented_examples_are_read() -> None:
     assert node == NodeToken(0, "aac3178e146ba6f1fc6e6a4085e77f21", 0, "/", "listener")
     publisher = parse_token(PUBLISHER)
     assert isinstance(publisher, EndpointToken)
-    assert (publisher.kind, publisher.number, publisher.name) == (Kind.PUBLISHER, 10, "/chatter")
+    assert (publisher.kind, publisher.number, publisher.name) == (TokenKind.PUBLISHER, 10, "/chatter")
     assert (publisher.type_name, publisher.type_hash) == ("std_msgs/msg/String", STRING_HASH)
-    assert publisher.qos == Qos(depth=7)
+    assert publisher.qos == RmwQos(depth=7)
     assert publisher.node.full_name == "/talker"
 
 
@@ -63,7 +63,7 @@ def test_the_documented_examples_are_written_as_they_were_read(text: str) -> Non
 
 
 @given(
-    kind=st.sampled_from([Kind.PUBLISHER, Kind.SUBSCRIPTION, Kind.SERVER, Kind.CLIENT]),
+    kind=st.sampled_from([TokenKind.PUBLISHER, TokenKind.SUBSCRIPTION, TokenKind.SERVER, TokenKind.CLIENT]),
     name=names,
     namespace=st.one_of(st.just("/"), names),
     qos=qualities,
@@ -71,7 +71,7 @@ def test_the_documented_examples_are_written_as_they_were_read(text: str) -> Non
     number=st.integers(0, 2**64 - 1),
 )
 def test_encoded_token_is_decoded_to_itself(
-    kind: Kind, name: str, namespace: str, qos: Qos, enclave: str, number: int
+    kind: TokenKind, name: str, namespace: str, qos: RmwQos, enclave: str, number: int
 ) -> None:
     node = NodeToken(42, "8b20917502ee955ac4476e0266340d5c", 3, namespace, "node_1", enclave)
     token = EndpointToken(kind, node, number, name, "std_srvs/srv/SetBool", "RIHS01_00", qos)
@@ -131,30 +131,30 @@ def test_the_gid_is_the_hash_of_the_token_low_half_first() -> None:
         (TELEMETRY, "::,10:,:,:,,"),
         (LATCHED, ":1:,1:,:,:,,"),
         (COMMANDS, "2::,1:,:,:,,"),
-        (Qos(), "::,:,:,:,,"),
-        (Qos(depth=None), "::2,:,:,:,,"),
+        (RmwQos(), "::,:,:,:,,"),
+        (RmwQos(depth=None), "::2,:,:,:,,"),
     ],
 )
-def test_a_quality_leaves_out_what_is_usual(qos: Qos, text: str) -> None:
+def test_a_quality_leaves_out_what_is_usual(qos: RmwQos, text: str) -> None:
     assert qos.encode() == text
-    assert Qos.decode(text) == qos
+    assert RmwQos.decode(text) == qos
 
 
 @pytest.mark.parametrize("text", ["1:2:1,10:,:,:,,", "1:2:1,10:5,0:7,1:1,9223372036,854775807"])
 def test_a_quality_may_be_written_out(text: str) -> None:
-    assert Qos.decode(text) == Qos(depth=10)
+    assert RmwQos.decode(text) == RmwQos(depth=10)
 
 
 def test_a_depth_is_bounded() -> None:
-    decoded = Qos.decode("::,99999999999999999999:,:,:,,")
+    decoded = RmwQos.decode("::,99999999999999999999:,:,:,,")
     assert decoded is not None
     assert decoded.depth == 1_000_000
-    assert Qos.decode("::,0:,:,:,,") == Qos()
+    assert RmwQos.decode("::,0:,:,:,,") == RmwQos()
 
 
 @given(qualities)
-def test_a_quality_that_is_written_is_read(qos: Qos) -> None:
-    assert Qos.decode(qos.encode()) == qos
+def test_a_quality_that_is_written_is_read(qos: RmwQos) -> None:
+    assert RmwQos.decode(qos.encode()) == qos
 
 
 def test_keys_of_data_keep_the_slashes_of_a_name() -> None:

@@ -12,12 +12,10 @@ from hostlink.protocol.control import (
     Parameter,
     TopicInfo,
     decode_parameter,
-    encode_log,
-    encode_parameter_request,
 )
 from hostlink.protocol.frame import Id
 from hostlink.robot.velocity import PlanarVelocity
-from tests.support.device_codec import encode_log
+from tests.support.device_codec import encode_log, encode_parameter_request
 from tests.support.fake_device import robot_topics, topic
 from tests.support.gates import drive_gate
 from tests.support.memory_hub import MemoryHub, in_hub, velocities

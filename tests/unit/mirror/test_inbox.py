@@ -6,7 +6,7 @@ from collections import Counter
 
 import pytest
 
-from hostlink.graphs.zenoh.session import Sample
+from hostlink.graphs.zenoh.session import ZenohSample
 from hostlink.hub.isolation import Isolation
 from hostlink.mirror.inbox import MAX_SOURCES, MAX_WAITING_BYTES, Inbox
 
@@ -61,10 +61,10 @@ async def test_the_number_of_sources_is_bounded() -> None:
 
 
 async def test_the_bytes_that_wait_are_bounded() -> None:
-    received: list[Sample] = []
+    received: list[ZenohSample] = []
     counts: Counter[str] = Counter()
     inbox = Inbox(received.append, counts=counts)
-    large = Sample("key", bytes(MAX_WAITING_BYTES // 4))
+    large = ZenohSample("key", bytes(MAX_WAITING_BYTES // 4))
     for number in range(6):
         inbox.put(str(number), large)
     assert counts["dropped"] == 2
@@ -132,16 +132,16 @@ async def test_a_long_queue_leaves_the_loop_to_others(count: int) -> None:
 
 
 async def test_an_item_that_would_be_too_much_leaves_the_one_that_it_would_replace() -> None:
-    received: list[Sample] = []
+    received: list[ZenohSample] = []
     counts: Counter[str] = Counter()
     inbox = Inbox(received.append, counts=counts, max_waiting=1)
-    inbox.put("small", Sample("small", b"x"))
-    inbox.put("large", Sample("large", bytes(MAX_WAITING_BYTES - 1)))
-    inbox.put("small", Sample("too much", b"xx"))
+    inbox.put("small", ZenohSample("small", b"x"))
+    inbox.put("large", ZenohSample("large", bytes(MAX_WAITING_BYTES - 1)))
+    inbox.put("small", ZenohSample("too much", b"xx"))
     await settled()
     assert {each.key for each in received} == {"small", "large"}
     assert counts["dropped"] == 1
-    inbox.put("small", Sample("later", b"z"))
+    inbox.put("small", ZenohSample("later", b"z"))
     await settled()
     assert received[-1].key == "later"
 

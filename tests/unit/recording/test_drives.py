@@ -5,7 +5,7 @@ from itertools import count
 import pytest
 
 from hostlink.hub.robot_events import EventKind, RobotEvent
-from hostlink.recording.drives import MAX_OPEN, PAUSE_NS, Drive, Drives
+from hostlink.recording.drives import MAX_OPEN, PAUSE_NS, Drive, DriveFinder
 from hostlink.robot.velocity import ZERO, PlanarVelocity
 
 S = 1_000_000_000
@@ -15,7 +15,7 @@ class Story:
     """Events in order, by the second."""
 
     def __init__(self) -> None:
-        self.drives = Drives()
+        self.drives = DriveFinder()
         self.clock_ahead_s = 0.0  # of the wall clock, which may be set
 
     def command(self, at_s: float, owner: str = "ann", *, robot: str = "rover", m_s: float = 0.2) -> None:

@@ -23,8 +23,8 @@ from hostlink.messages.catalog import Catalog
 from hostlink.recording.channel import EVENTS, as_text, ros_channel
 from hostlink.recording.export import RosFormat, export_csv, export_ros, file_name
 from hostlink.recording.file_thread import McapWriter
-from hostlink.recording.plot import Line, draw_fields, draw_map, read_lines, read_paths
-from hostlink.recording.reader import Reader, contents_of
+from hostlink.recording.plot import PlotLine, draw_fields, draw_map, read_lines, read_paths
+from hostlink.recording.reader import McapReader, contents_of
 
 BEGIN_NS = 1_700_000_000_000_000_000
 STEP_NS = 100_000_000
@@ -70,7 +70,7 @@ def table(file: Path) -> list[dict[str, str]]:
 
 
 def test_csv_has_a_table_a_topic_with_its_fields_as_columns(recording: Path, tmp_path: Path) -> None:
-    done, lines = export_csv(Reader(recording), tmp_path / "out", skips_unknown=True)
+    done, lines = export_csv(McapReader(recording), tmp_path / "out", skips_unknown=True)
     assert list(done.left_out) == ["/mystery"]
     assert lines == {"robot_0.odometry.csv": 5, "robot_0.odom.csv": 5, "wheel.csv": 5, "hostlink.events.csv": 1}
     rows = table(tmp_path / "out" / "robot_0.odometry.csv")
@@ -80,8 +80,8 @@ def test_csv_has_a_table_a_topic_with_its_fields_as_columns(recording: Path, tmp
 
 
 def test_ros_1_bag_has_the_same_bytes(recording: Path, tmp_path: Path) -> None:
-    done = export_ros(Reader(recording), tmp_path / "run.bag", RosFormat.ROS1, skips_unknown=True)
-    before = {(message.channel.topic, message.payload) for message in Reader(recording).messages()}
+    done = export_ros(McapReader(recording), tmp_path / "run.bag", RosFormat.ROS1, skips_unknown=True)
+    before = {(message.channel.topic, message.payload) for message in McapReader(recording).messages()}
     with Ros1Reader(tmp_path / "run.bag") as bag:
         found = [(connection.topic, bytes(payload)) for connection, _, payload in bag.messages()]
         types = {connection.topic: connection.msgtype for connection in bag.connections}
@@ -94,7 +94,7 @@ def test_ros_1_bag_has_the_same_bytes(recording: Path, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("format_", [RosFormat.ROS2_MCAP, RosFormat.ROS2_SQLITE])
 def test_ros_2_bag_is_read_by_rosbags_with_the_same_values(recording: Path, tmp_path: Path, format_: RosFormat) -> None:
-    done = export_ros(Reader(recording), tmp_path / "bag", format_, skips_unknown=True)
+    done = export_ros(McapReader(recording), tmp_path / "bag", format_, skips_unknown=True)
     store = get_typestore(Stores.ROS2_KILTED)
     with Ros2Reader(tmp_path / "bag") as bag:
         messages = [(connection, stamp_ns, payload) for connection, stamp_ns, payload in bag.messages()]
@@ -109,7 +109,7 @@ def test_ros_2_bag_is_read_by_rosbags_with_the_same_values(recording: Path, tmp_
 
 def test_ros_2_export_is_decoded_by_mcaps_ros_2_support(recording: Path, tmp_path: Path) -> None:
     """mcap-ros2-support uses its own CDR reader, with the definitions in the file only."""
-    export_ros(Reader(recording), tmp_path / "bag", RosFormat.ROS2_MCAP, skips_unknown=True)
+    export_ros(McapReader(recording), tmp_path / "bag", RosFormat.ROS2_MCAP, skips_unknown=True)
     (path,) = (tmp_path / "bag").glob("*.mcap")
     with path.open("rb") as file:
         reader = make_reader(file, decoder_factories=[Ros2DecoderFactory()])
@@ -142,7 +142,7 @@ def test_payloads_that_are_not_messages_are_left_out_and_counted_with_the_reason
     assert text is not None
     bad = b"\xff\xff\xff\xffx"
     path = write(tmp_path / "run.mcap", [("/text", text, each) for each in (bad, text.encode({"data": "a"}), bad)])
-    done = export_ros(Reader(path), tmp_path / "bag", RosFormat.ROS2_MCAP)
+    done = export_ros(McapReader(path), tmp_path / "bag", RosFormat.ROS2_MCAP)
     assert (done.messages, list(done.left_out)) == (1, ["/text"])
     assert done.left_out["/text"].startswith("2 messages cannot be decoded, the first: ")
 
@@ -157,7 +157,7 @@ def test_export_without_a_message_fails_and_leaves_nothing(
             continue  # the bytes are unchanged
         path = write(tmp_path / f"{name}.mcap", messages)
         with pytest.raises(RecordingFailed, match="has no message to export"):
-            export_csv(Reader(path), target) if format_ is None else export_ros(Reader(path), target, format_)
+            export_csv(McapReader(path), target) if format_ is None else export_ros(McapReader(path), target, format_)
         assert not target.exists()
 
 
@@ -170,19 +170,19 @@ def test_contents_are_counted_by_topic(recording: Path) -> None:
 
 def test_pictures_are_drawn_and_a_wrong_field_names_those_that_are_there(recording: Path, tmp_path: Path) -> None:
     names = ["/robot_0/odometry.x", "/robot_0/odom.pose.pose.position.x", "/robot_0/odom.header.stamp"]
-    lines = read_lines(Reader(recording), names)
+    lines = read_lines(McapReader(recording), names)
     draw_fields(lines, tmp_path / "fields.svg")
     assert {name: len(found) for name, found in lines.items()} == dict.fromkeys(names, 1)
     assert [each.tolist() for each in lines[names[0]][0].points()] == [[0.0, 0.1, 0.2, 0.3, 0.4], [0.5] * 5]
-    paths = read_paths(Reader(recording))
+    paths = read_paths(McapReader(recording))
     assert paths == {"/robot_0/odometry": [(0.5, -1.0)] * 5, "/robot_0/odom": [(1.5, 0.0)] * 5}
     draw_map(paths, tmp_path / "map.png")
     assert "<svg" in (tmp_path / "fields.svg").read_text()
     assert (tmp_path / "map.png").read_bytes().startswith(b"\x89PNG")
     with pytest.raises(RecordingFailed, match="available: x, y, theta"):
-        read_lines(Reader(recording), ["/robot_0/odometry.z"])
+        read_lines(McapReader(recording), ["/robot_0/odometry.z"])
     with pytest.raises(RecordingFailed, match=r"available: .*/robot_0/odometry"):
-        read_lines(Reader(recording), ["/robot_1/odometry.x"])
+        read_lines(McapReader(recording), ["/robot_1/odometry.x"])
 
 
 MANY = """int8[] few
@@ -227,7 +227,7 @@ def many(tmp_path: Path) -> Any:
 
 def test_csv_has_a_column_for_every_field_of_any_message(tmp_path: Path, many: Any) -> None:
     path = write(tmp_path / "a.mcap", [("/many", many, many.encode(each)) for each in (FIRST, SECOND)])
-    export_csv(Reader(path), tmp_path / "csv")
+    export_csv(McapReader(path), tmp_path / "csv")
     first, second = rows(tmp_path / "csv" / "many.csv")
     assert (first["few[0]"], second["few[2]"]) == ("", "3")
     assert (first["names[1]"], second["names[1]"]) == ('b,\n"c"', "é")
@@ -243,7 +243,7 @@ def test_events_have_a_column_for_every_fact(tmp_path: Path) -> None:
     for facts in ({"kind": "gone", "facts": {}}, {"kind": "locked", "facts": {"reason": "a cat"}}):
         writer.write(EVENTS, BEGIN_NS, as_text(json.dumps(facts).encode()))
     writer.close()
-    export_csv(Reader(tmp_path / "a.mcap"), tmp_path / "csv")
+    export_csv(McapReader(tmp_path / "a.mcap"), tmp_path / "csv")
     assert [row["facts.reason"] for row in rows(tmp_path / "csv" / "hostlink.events.csv")] == ["", "a cat"]
 
 
@@ -255,7 +255,7 @@ def test_every_topic_and_type_has_its_own_file(tmp_path: Path, catalog: Catalog)
     long = "/" + "x" * 5000
     names = ("/a/b", "/a.b", "/A/b", "/a//b", "..", "/", long)
     path = write(tmp_path / "a.mcap", [*((name, text, one) for name in names), ("/a/b", number, other)])
-    _, lines = export_csv(Reader(path), tmp_path / "csv")
+    _, lines = export_csv(McapReader(path), tmp_path / "csv")
     assert list(lines.values()) == [1] * (len(names) + 1)
     assert sorted(lines) == sorted(file.name for file in (tmp_path / "csv").iterdir())
     assert len({name.lower() for name in lines}) == len(lines)
@@ -271,7 +271,7 @@ def test_recording_may_have_more_topics_than_a_process_may_have_files(tmp_path: 
     few, all_of_them = resource.getrlimit(resource.RLIMIT_NOFILE)
     resource.setrlimit(resource.RLIMIT_NOFILE, (256, all_of_them))
     try:
-        _, lines = export_csv(Reader(path), tmp_path / "csv")
+        _, lines = export_csv(McapReader(path), tmp_path / "csv")
     finally:
         resource.setrlimit(resource.RLIMIT_NOFILE, (few, all_of_them))
     assert list(lines.values()) == [2] * len(names)
@@ -293,7 +293,7 @@ def test_full_disk_is_reported_in_one_line(recording: Path, tmp_path: Path, form
 
 
 def test_line_of_many_points_keeps_its_peaks_in_a_bounded_number() -> None:
-    line = Line(100)
+    line = PlotLine(100)
     for number in range(100_000):
         line.add(number, 7.0 if number == 54_321 else -3.0 if number == 77_777 else number % 10 / 10)
     times_s, values = line.points()
@@ -310,7 +310,7 @@ def test_ros_1_bag_of_many_messages_costs_as_much_memory_as_one_of_few(tmp_path:
     for count in (40_000, 160_000):
         path = write(tmp_path / f"{count}.mcap", [("/a", number, b"\1")] * count)
         tracemalloc.start()
-        assert export_ros(Reader(path), tmp_path / f"{count}.bag", RosFormat.ROS1).messages == count
+        assert export_ros(McapReader(path), tmp_path / f"{count}.bag", RosFormat.ROS1).messages == count
         peaks.append(tracemalloc.get_traced_memory()[1])
         tracemalloc.stop()
     assert peaks[1] < 1.5 * peaks[0]

@@ -16,14 +16,14 @@ from hostlink.recording.file_thread import (
     FileThread,
     Splitting,
 )
-from hostlink.recording.reader import Reader
+from hostlink.recording.reader import McapReader
 from tests.support.waiting import expect
 
 WHOLE = Splitting(max_file_bytes=10**12, max_file_s=1e9)
 
 
 def count(folder: Path) -> int:
-    return sum(1 for path in folder.iterdir() for _ in Reader(path).messages())
+    return sum(1 for path in folder.iterdir() for _ in McapReader(path).messages())
 
 
 async def test_ten_seconds_of_a_flood_at_once_lose_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -113,7 +113,9 @@ async def test_more_channels_than_a_file_can_have_do_not_end_the_recording(tmp_p
     assert thread.failure is None
     assert thread.messages == MAX_CHANNELS + 1
     assert thread.has_no_room
-    assert [message.stamp_ns for message in Reader(tmp_path / "0.mcap").messages() if message.channel == EVENTS] == [
+    assert [
+        message.stamp_ns for message in McapReader(tmp_path / "0.mcap").messages() if message.channel == EVENTS
+    ] == [
         1,
         2,
     ]
@@ -131,6 +133,6 @@ async def test_file_without_free_channel_numbers_is_followed_by_one_with_the_new
         thread.put(channel, number, b"")
     await thread.aclose()
     assert (thread.messages, thread.dropped, thread.has_no_room) == (len(channels), 0, False)
-    later = Reader(tmp_path / "1.mcap")
+    later = McapReader(tmp_path / "1.mcap")
     assert [message.channel for message in later.messages()] == channels[MAX_CHANNELS:]
     assert set(channels[-MAX_EXPECTED:]) <= set(later.channels)

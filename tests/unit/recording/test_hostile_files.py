@@ -12,7 +12,7 @@ import zstandard
 
 from hostlink.errors import RecordingFailed
 from hostlink.recording.export import RosFormat, export_csv, export_ros
-from hostlink.recording.reader import MAX_CHUNK_BYTES, MAX_NAMED, Reader, contents_of
+from hostlink.recording.reader import MAX_CHUNK_BYTES, MAX_NAMED, McapReader, contents_of
 from hostlink.recording.tables import MAX_COLUMNS, read
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -80,17 +80,17 @@ def growing(compression: str) -> bytes:
 def test_chunk_larger_than_its_stated_size_is_skipped(tmp_path: Path, compression: str, claimed_bytes: int) -> None:
     good = schema(1, TEXT, "string data") + channel(1, "/x") + message(1, text("a"))
     path = file(tmp_path, chunk(growing(compression), compression, claimed_bytes), good)
-    reader = Reader(path)
+    reader = McapReader(path)
     assert peak_bytes(lambda: list(reader.messages())) < LITTLE
     assert len(reader.damage) == 1
-    assert [each.payload for each in Reader(path).messages()] == [text("a")]
+    assert [each.payload for each in McapReader(path).messages()] == [text("a")]
 
 
 @pytest.mark.parametrize("compression", ["", "zstd", "lz4"])
 def test_every_compression_of_the_format_is_read(tmp_path: Path, compression: str) -> None:
     data = schema(1, TEXT, "string data") + channel(1, "/x") + message(1, text("a")) + message(1, text("b"))
     packed = {"": data, "zstd": zstandard.compress(data), "lz4": lz4.frame.compress(data)}[compression]
-    reader = Reader(file(tmp_path, chunk(packed, compression, len(data), zlib.crc32(data))))
+    reader = McapReader(file(tmp_path, chunk(packed, compression, len(data), zlib.crc32(data))))
     assert [each.payload for each in reader.messages()] == [text("a"), text("b")]
     assert reader.damage == []
 
@@ -98,7 +98,7 @@ def test_every_compression_of_the_format_is_read(tmp_path: Path, compression: st
 @pytest.mark.parametrize(("compression", "crc"), [("zstd", 1), ("gzip", 0)])
 def test_chunk_with_wrong_size_or_checksum_is_damage(tmp_path: Path, compression: str, crc: int) -> None:
     data = schema(1, TEXT, "string data") + channel(1, "/x") + message(1, text("a"))
-    reader = Reader(file(tmp_path, chunk(zstandard.compress(data), compression, len(data), crc)))
+    reader = McapReader(file(tmp_path, chunk(zstandard.compress(data), compression, len(data), crc)))
     assert list(reader.messages()) == []
     assert len(reader.damage) == 1
 
@@ -106,7 +106,7 @@ def test_chunk_with_wrong_size_or_checksum_is_damage(tmp_path: Path, compression
 def test_of_many_damaged_chunks_a_few_are_named_and_the_others_counted(tmp_path: Path) -> None:
     good = schema(1, TEXT, "string data") + channel(1, "/x") + message(1, text("a"))
     path = file(tmp_path, *[chunk(b"junk", "zstd", 100)] * 20_000, good)
-    reader = Reader(path)
+    reader = McapReader(path)
     assert [each.payload for each in reader.messages()] == [text("a")]
     assert len(reader.damage) == MAX_NAMED + 1
     assert reader.damage[0].startswith("a chunk is damaged: ")
@@ -117,7 +117,7 @@ def test_of_many_damaged_chunks_a_few_are_named_and_the_others_counted(tmp_path:
 def test_chunk_of_many_messages_is_read_one_by_one(tmp_path: Path) -> None:
     data = schema(1, TEXT, "string data") + channel(1, "/x") + 40_000 * message(1, b"")
     path = file(tmp_path, chunk(zstandard.compress(data), "zstd", len(data)))
-    assert peak_bytes(lambda: sum(1 for _ in Reader(path).messages())) < LITTLE // 4
+    assert peak_bytes(lambda: sum(1 for _ in McapReader(path).messages())) < LITTLE // 4
 
 
 def test_expanded_definitions_are_bounded(tmp_path: Path) -> None:
@@ -128,7 +128,7 @@ def test_expanded_definitions_are_bounded(tmp_path: Path) -> None:
         chunks.append(chunk(zstandard.compress(data), "zstd", len(data)))
     path = file(tmp_path, *chunks)
     assert path.stat().st_size < LITTLE // 1000
-    reader = Reader(path)
+    reader = McapReader(path)
     assert peak_bytes(lambda: list(reader.messages())) < 8 * LITTLE
     assert len(reader.damage) == 1
 
@@ -150,14 +150,14 @@ def test_endlessly_nested_json_is_undecodable(tmp_path: Path, payload: bytes) ->
     path = one(tmp_path, "{}", payload, encoding="json")
     assert read(path).undecoded == {"/x": 1}
     with pytest.raises(RecordingFailed, match="has no message to export"):
-        export_csv(Reader(path), tmp_path / "csv")
+        export_csv(McapReader(path), tmp_path / "csv")
 
 
 @pytest.mark.parametrize("number", [b'"x"', b"[]", b"null", b"9" * 400])
 def test_json_resembling_a_time_keeps_its_fields(tmp_path: Path, number: bytes) -> None:
     path = one(tmp_path, "{}", b'{"at":{"secs":' + number + b',"nsecs":1}}', encoding="json")
     assert list(read(path)["/x"]) == ["at.secs", "at.nsecs"]
-    assert export_csv(Reader(path), tmp_path / "csv")[1] == {"x.csv": 1}
+    assert export_csv(McapReader(path), tmp_path / "csv")[1] == {"x.csv": 1}
 
 
 def test_json_with_other_fields_in_each_message_is_a_table_of_bounded_width(tmp_path: Path) -> None:
@@ -183,14 +183,14 @@ def test_thousand_csv_files_keep_no_buffer(tmp_path: Path) -> None:
     """The topics have the same file name, because they contain no letters."""
     channels = [channel(number, "/" + "$" * number, "json") + message(number, b"{}") for number in range(1, 1001)]
     path = file(tmp_path, *channels)
-    assert peak_bytes(lambda: export_csv(Reader(path), tmp_path / "csv")) < 2 * LITTLE
+    assert peak_bytes(lambda: export_csv(McapReader(path), tmp_path / "csv")) < 2 * LITTLE
     names = {each.name for each in (tmp_path / "csv").iterdir()}
     assert names == {"topic.csv", *(f"topic_{number}.csv" for number in range(2, 1001))}
 
 
 def test_half_a_surrogate_pair_is_written_as_one_character(tmp_path: Path) -> None:
     path = one(tmp_path, "{}", b'{"a\\ud800":"\\udc00"}', encoding="json")
-    assert export_csv(Reader(path), tmp_path / "csv")[1] == {"x.csv": 1}
+    assert export_csv(McapReader(path), tmp_path / "csv")[1] == {"x.csv": 1}
     assert (tmp_path / "csv" / "x.csv").read_text().splitlines()[0] == "time_s,a?"
 
 
@@ -211,7 +211,7 @@ def test_type_that_grows_without_end_is_left_out(
     tmp_path: Path, definition: str, payload: bytes, format_: RosFormat
 ) -> None:
     with pytest.raises(RecordingFailed, match="/x"):
-        export_ros(Reader(one(tmp_path, definition, payload)), tmp_path / "bag", format_)
+        export_ros(McapReader(one(tmp_path, definition, payload)), tmp_path / "bag", format_)
     assert not (tmp_path / "bag").exists()
 
 
@@ -227,5 +227,5 @@ def test_message_of_a_time_that_a_bag_cannot_have_is_left_out(
 ) -> None:
     parts = schema(1, TEXT, "string data"), channel(1, "/x"), message(1, text("a"), beyond_ns - 1)
     path = file(tmp_path, *parts, message(1, text("b"), beyond_ns))
-    done = export_ros(Reader(path), tmp_path / "bag", format_)
+    done = export_ros(McapReader(path), tmp_path / "bag", format_)
     assert (done.messages, list(done.left_out)) == (1, ["/x"])

@@ -14,7 +14,7 @@ from hostlink.errors import RecordingFailed
 from hostlink.messages.catalog import Catalog
 from hostlink.recording.channel import EVENTS, Channel, ros_channel
 from hostlink.recording.file_thread import McapWriter
-from hostlink.recording.reader import Reader, StoredMessage
+from hostlink.recording.reader import McapReader, StoredMessage
 from hostlink.recording.salvage import Repaired, repair
 
 CATALOG = Catalog()
@@ -58,7 +58,7 @@ def write(path: Path, messages: list[StoredMessage], *, chunk_of: int = 50, is_f
 def test_written_messages_are_read_in_order(tmp_path: Path) -> None:
     messages = drawn(500)
     write(tmp_path / "a.mcap", messages)
-    reader = Reader(tmp_path / "a.mcap")
+    reader = McapReader(tmp_path / "a.mcap")
     assert list(reader.messages()) == messages
     assert (reader.damage, reader.profile, reader.metadata) == ([], "ros1", {"owner": "test"})
 
@@ -81,7 +81,7 @@ def test_schema_has_all_that_its_type_contains(tmp_path: Path) -> None:
     odometry = CATALOG.message("nav_msgs/Odometry")
     channel = ros_channel("/odom", "nav_msgs/Odometry", odometry, is_latched=False)
     write(tmp_path / "a.mcap", [StoredMessage(channel, 1, b"", 1)])
-    (message,) = Reader(tmp_path / "a.mcap").messages()
+    (message,) = McapReader(tmp_path / "a.mcap").messages()
     assert "MSG: geometry_msgs/PoseWithCovariance" in message.channel.schema
     assert odometry is not None
     assert dict(message.channel.metadata)["md5sum"] == odometry.md5
@@ -90,7 +90,7 @@ def test_schema_has_all_that_its_type_contains(tmp_path: Path) -> None:
 def test_each_ended_chunk_of_a_file_that_is_never_finished_can_be_read(tmp_path: Path) -> None:
     messages = drawn(130)
     write(tmp_path / "a.mcap", messages, is_finished=False)
-    reader = Reader(tmp_path / "a.mcap")
+    reader = McapReader(tmp_path / "a.mcap")
     assert list(reader.messages()) == messages[:100]
     assert reader.damage == ["the file was not finished"]
 
@@ -105,12 +105,12 @@ def test_file_that_is_cut_anywhere_gives_every_chunk_before_the_cut(
     whole = path.read_bytes()
     cut = data.draw(st.integers(sizes[0], len(whole)))
     path.write_bytes(whole[:cut])
-    found = list(Reader(path).messages())
+    found = list(McapReader(path).messages())
     assert found == messages[: len(found)]
     assert len(found) >= 50 * sum(size <= cut for size in sizes)
     repaired = repair(path)
     assert repaired.messages == len(found)
-    reader = Reader(path)
+    reader = McapReader(path)
     assert list(reader.messages()) == found
     assert reader.damage == []
     with path.open("rb") as file:
@@ -131,7 +131,7 @@ def test_damaged_file_gives_messages_that_were_written_and_no_traceback(
     path.write_bytes(damaged)
     payloads = {message.payload for message in messages}
     with contextlib.suppress(RecordingFailed):  # cut in the first record: not a recording
-        for found in Reader(path).messages():
+        for found in McapReader(path).messages():
             assert found.payload in payloads
 
 
@@ -141,9 +141,9 @@ def test_damaged_chunk_loses_its_messages_but_no_channel(tmp_path: Path) -> None
     damaged = bytearray(path.read_bytes())
     damaged[sizes[0] // 2] ^= 0xFF  # in the first chunk, which has every definition
     path.write_bytes(damaged)
-    assert list(Reader(path).messages()) == messages[50:]
+    assert list(McapReader(path).messages()) == messages[50:]
     assert repair(path).messages == 250
-    assert list(Reader(path).messages()) == messages[50:]
+    assert list(McapReader(path).messages()) == messages[50:]
 
 
 def test_repairing_a_whole_file_leaves_its_bytes(tmp_path: Path) -> None:
@@ -176,12 +176,12 @@ def test_file_that_is_being_written_is_not_repaired(tmp_path: Path) -> None:
         writer.write(*message)
     writer.close()
     assert repair(path) == Repaired(100, ())
-    assert list(Reader(path).messages()) == messages
+    assert list(McapReader(path).messages()) == messages
 
 
 def test_missing_file_is_reported_in_one_line(tmp_path: Path) -> None:
     with pytest.raises(RecordingFailed, match="No such file"):
-        list(Reader(tmp_path / "a.mcap").messages())
+        list(McapReader(tmp_path / "a.mcap").messages())
 
 
 def test_existing_file_is_not_overwritten(tmp_path: Path) -> None:
@@ -216,7 +216,7 @@ def test_channel_without_a_message_is_in_the_file_and_in_a_repaired_one(tmp_path
     writer.end_chunk()
     writer.abandon()
     for _ in range(2):
-        reader = Reader(path)
+        reader = McapReader(path)
         assert len(list(reader.messages())) == 1
         assert set(reader.channels) == set(CHANNELS[:2])
         repair(path)

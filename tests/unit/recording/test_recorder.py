@@ -10,7 +10,7 @@ from hostlink.hub.graph_changes import LATEST_S
 from hostlink.hub.hub import Hub
 from hostlink.hub.robot_events import EventKind
 from hostlink.recording.channel import EVENTS, Channel, json_of
-from hostlink.recording.recorder import Recorder, Selection
+from hostlink.recording.recorder import Recorder, TopicSelection
 from hostlink.robot.velocity import PlanarVelocity, Twist
 from tests.support.fake_device import CATALOG
 from tests.support.remote_robots import remote_robot
@@ -35,7 +35,7 @@ class Kept:
 
 
 @dataclass(frozen=True)
-class Counted(Selection):
+class Counted(TopicSelection):
     """View that counts the requested topics."""
 
     asked: list[str] = field(default_factory=list)
@@ -77,7 +77,7 @@ def test_connecting_robot_costs_a_recorder_only_its_own_topics() -> None:
 def test_velocities_of_an_event_have_the_names_of_their_fields() -> None:
     async def run() -> bytes:
         hub, kept = Hub(Config(), CATALOG, reraises=True), Kept()
-        Recorder(hub, kept, Selection()).start()
+        Recorder(hub, kept, TopicSelection()).start()
         facts = {"velocity": TWIST, "limited": VELOCITY}
         hub.events.note(EventKind.COMMANDED, "robot_0", owner="client 1", address="10.0.0.1", **facts)
         return kept.payloads[-1]
@@ -93,7 +93,7 @@ def test_topics_of_a_robots_name_are_recorded_once_it_is_that_robots() -> None:
     async def run() -> tuple[list[str], list[str]]:
         hub = Hub(Config(), CATALOG, reraises=True)
         hub.join("program").advertise("/robot_7/plan", TYPE)
-        recorder = Recorder(hub, Kept(), Selection(robots=("robot_7",)))
+        recorder = Recorder(hub, Kept(), TopicSelection(robots=("robot_7",)))
         recorder.start()
         await asyncio.sleep(2 * LATEST_S)
         before = recorder.topics

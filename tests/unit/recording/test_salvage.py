@@ -11,7 +11,7 @@ from hostlink import remains
 from hostlink.recording.channel import EVENTS, Channel, as_text
 from hostlink.recording.drives import DIED, Drive, append_drives, read_drives
 from hostlink.recording.incident import Incident, OutOfTime
-from hostlink.recording.reader import Reader
+from hostlink.recording.reader import McapReader
 from hostlink.recording.ring import BLOCK_BYTES, RING, RingMemory, Rings
 from hostlink.recording.salvage import ABOUT, CLOSED, About, Pending, clear_old, main, pending_name, salvage
 from hostlink.robot.velocity import ZERO, PlanarVelocity
@@ -59,7 +59,7 @@ def process(tmp_path: Path) -> Process:
 def details(folder: Path) -> list[str]:
     found = []
     for file in sorted((folder / "incidents").glob("*.mcap")):
-        reader = Reader(file)
+        reader = McapReader(file)
         list(reader.messages())
         found.append(f"{reader.metadata['cause']} {reader.metadata['detail']}")
     return sorted(found)
@@ -76,7 +76,7 @@ def test_process_that_died_while_driving_is_an_incident_with_its_last_messages(
     ((incident, file),) = found.saved
     assert (incident.robot, incident.cause, incident.stamp_ns) == ("robot_0", "daemon_died", 3 * S)
     assert "ann drove it" in incident.detail
-    messages = list(Reader(file).messages())
+    messages = list(McapReader(file).messages())
     assert [message.stamp_ns // S for message in messages] == [1, 2, 3]
     assert messages[0].channel == POSES
     assert not process.folder.exists()

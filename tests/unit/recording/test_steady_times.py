@@ -16,7 +16,7 @@ from hostlink.recording.file_thread import FileThread, McapWriter, Splitting
 from hostlink.recording.folder import Folder
 from hostlink.recording.incident import Incident
 from hostlink.recording.playing import schedule
-from hostlink.recording.reader import Reader, contents_of
+from hostlink.recording.reader import McapReader, contents_of
 from hostlink.recording.ring import Entry
 from hostlink.recording.salvage import repair
 from hostlink.recording.tables import read
@@ -63,7 +63,7 @@ def recording(path: Path, jump_s: float, *, is_old: bool = False, chunk_of: int 
 
 
 def times(path: Path, **options: float) -> list[float]:
-    reader = Reader(path)
+    reader = McapReader(path)
     due = schedule(reader.messages(lambda channel: channel == ODOMETRY), **options)
     return [round(each.at_s, 6) for each in due]
 
@@ -99,24 +99,24 @@ def test_clock_step_of_an_older_recording_takes_no_time(tmp_path: Path, jump_s: 
 def test_sparse_topic_of_an_older_recording_keeps_its_times_after_a_clock_step(tmp_path: Path, jump_s: float) -> None:
     """The index shows the clock steps of unread chunks."""
     path = recording(tmp_path / "a.mcap", jump_s, is_old=True)
-    events = [message.steady_ns for message in Reader(path).messages(lambda channel: channel == EVENTS)]
-    everything = [message.steady_ns for message in Reader(path).messages() if message.channel == EVENTS]
+    events = [message.steady_ns for message in McapReader(path).messages(lambda channel: channel == EVENTS)]
+    everything = [message.steady_ns for message in McapReader(path).messages() if message.channel == EVENTS]
     assert events == everything
 
 
 def test_repair_keeps_steady_times_and_invents_none(tmp_path: Path) -> None:
     for is_old in (False, True):
         path = recording(tmp_path / f"{is_old}.mcap", 100 * DAY_S, is_old=is_old, is_finished=False)
-        before = list(Reader(path).messages())
+        before = list(McapReader(path).messages())
         repair(path)
-        assert list(Reader(path).messages()) == before
-        assert Reader(path).reads_steady_times() is not is_old
+        assert list(McapReader(path).messages()) == before
+        assert McapReader(path).reads_steady_times() is not is_old
 
 
 def test_start_of_a_play_reads_few_chunks(tmp_path: Path) -> None:
     """Found by bisection, although the chunks' wall times step back halfway."""
     path = recording(tmp_path / "a.mcap", -100 * DAY_S)
-    assert len(list(Reader(path).messages(after_s=45.0))) < COUNT // 8
+    assert len(list(McapReader(path).messages(after_s=45.0))) < COUNT // 8
     assert times(path, start_s=45.0)[0] == 0.0
 
 
@@ -148,7 +148,7 @@ async def test_recording_that_is_written_has_steady_times_in_all_its_files(
             jump_ns[0] = 100 * DAY_S * NS_PER_S
         thread.put(EVENTS, file_thread.time.time_ns(), as_text(b"{}"))
     await thread.aclose()
-    found = list(Reader(tmp_path / "0.mcap").messages())
+    found = list(McapReader(tmp_path / "0.mcap").messages())
     steady = [message.steady_ns for message in found]
     assert steady == sorted(steady)
     assert steady[-1] - steady[0] < 60 * NS_PER_S
@@ -203,6 +203,6 @@ def test_begin_of_a_recording_is_its_first_message_of_any_topic(tmp_path: Path) 
         writer.write(channel_of("/a" if number < 60 else "/b"), number * NS_PER_S, b"", number * NS_PER_S + 7)
         writer.end_chunk()
     writer.close()
-    reader = Reader(tmp_path / "a.mcap")
+    reader = McapReader(tmp_path / "a.mcap")
     (first, *_) = reader.messages(lambda channel: channel.topic == "/b")
     assert (first.steady_ns - reader.begin_ns) == 60 * NS_PER_S

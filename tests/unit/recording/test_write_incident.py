@@ -7,7 +7,7 @@ import pytest
 from hostlink.recording.channel import EVENTS, LOG
 from hostlink.recording.folder import Folder
 from hostlink.recording.incident import BURST, Incident, write_incident
-from hostlink.recording.reader import Reader
+from hostlink.recording.reader import McapReader
 from hostlink.recording.ring import Entry
 
 SECOND_NS = 1_000_000_000
@@ -28,7 +28,7 @@ def test_incident_is_written_in_the_order_of_arrival_with_a_rest_after_each_burs
         before_s=COUNT,
         rest=lambda: rests.append(None),
     )
-    stamps = [message.stamp_ns for message in Reader(path).messages()]
+    stamps = [message.stamp_ns for message in McapReader(path).messages()]
     assert stamps == sorted(entry.stamp_ns for entry in robot + nobody)
     assert len(rests) == COUNT // BURST
 
@@ -45,6 +45,6 @@ def test_clock_step_does_not_change_an_incident(tmp_path: Path, jump_s: int) -> 
         before_s=20.0,
         rest=lambda: None,
     )
-    found = list(Reader(path).messages())
+    found = list(McapReader(path).messages())
     assert [message.stamp_ns for message in found] == stamps_ns[25:]
     assert [message.steady_ns - stamps_ns[45] for message in found] == [each * SECOND_NS for each in range(-20, 5)]

@@ -9,11 +9,11 @@ from typing import Any
 import pytest
 
 from hostlink.graphs.ros1 import graph_sync
-from hostlink.graphs.ros1.local_node import Kind
+from hostlink.graphs.ros1.local_node import RegistrationKind
 from hostlink.graphs.ros1.member import Member, SlaveApi
-from hostlink.graphs.ros1.names import Names
+from hostlink.graphs.ros1.names import NameResolver
 from hostlink.graphs.ros1.tcpros import encode_header
-from hostlink.graphs.ros1.xml_rpc import Refused, decode_answer, encode_call
+from hostlink.graphs.ros1.xml_rpc import CallRefused, decode_answer, encode_call
 from tests.support.participants import ROBOT, TEXT, TEXT_TYPE, Scene, play
 from tests.support.ros1.wireless import FakeRpc, FakeWire, local_node
 
@@ -26,7 +26,7 @@ class Graph:
     def __init__(self, scene: Scene, **settings: Any) -> None:
         self.scene = scene
         self.node, self.rpc = local_node(scene.hub, scene.tasks, **settings)
-        self.member = Member(self.node, Names(), "rosrpc://here:2")
+        self.member = Member(self.node, NameResolver(), "rosrpc://here:2")
         self.api = SlaveApi(self.member, self.node, ("here", 2))
 
     @property
@@ -63,12 +63,14 @@ def with_graph(test: Callable[[Graph], Awaitable[None]], **settings: Any) -> Non
 def test_topics_and_services_of_the_hub_are_wanted_at_the_master_services_first() -> None:
     async def test(made: Graph) -> None:
         wanted = made.sync.wanted()
-        assert wanted[Kind.PUBLISHER, TEXT] == TEXT_TYPE
-        assert wanted[Kind.SUBSCRIBER, VELOCITY] == "geometry_msgs/Twist"
-        assert wanted[Kind.SERVICE, "/neighbour"] == "std_srvs/Trigger"
+        assert wanted[RegistrationKind.PUBLISHER, TEXT] == TEXT_TYPE
+        assert wanted[RegistrationKind.SUBSCRIBER, VELOCITY] == "geometry_msgs/Twist"
+        assert wanted[RegistrationKind.SERVICE, "/neighbour"] == "std_srvs/Trigger"
         kinds = [kind for kind, _ in wanted]
-        assert kinds == sorted(kinds, key=[Kind.SERVICE, Kind.PUBLISHER, Kind.SUBSCRIBER].index)
-        assert (Kind.SUBSCRIBER, TEXT) not in wanted
+        assert kinds == sorted(
+            kinds, key=[RegistrationKind.SERVICE, RegistrationKind.PUBLISHER, RegistrationKind.SUBSCRIBER].index
+        )
+        assert (RegistrationKind.SUBSCRIBER, TEXT) not in wanted
 
     with_graph(test)
 
@@ -89,10 +91,11 @@ def test_slave_api_lists_publications_subscriptions_and_connections() -> None:
 def test_slave_api_names_the_port_of_a_published_topic_only() -> None:
     async def test(made: Graph) -> None:
         assert await made.call("requestTopic", "/x", TEXT, [["TCPROS"]]) == ["TCPROS", "here", 2]
-        with pytest.raises(Refused, match="not a publisher of /unknown"):
+        with pytest.raises(CallRefused, match="not a publisher of /unknown"):
             await made.call("requestTopic", "/x", "/unknown", [["TCPROS"]])
-        with pytest.raises(Refused, match="no supported protocol"):
-            await made.call("requestTopic", "/x", TEXT, [["UDPROS"]])
+        for protocols in ([], [["UDPROS"]], [[]], ["TCPROS"]):
+            with pytest.raises(CallRefused, match="no supported protocol"):
+                await made.call("requestTopic", "/x", TEXT, protocols)
 
     with_graph(test)
 
@@ -106,11 +109,12 @@ def test_slave_api_names_the_port_of_a_published_topic_only() -> None:
         ("publisherUpdate", "/x", VELOCITY, "http://a:1/"),
         ("publisherUpdate", "/x", VELOCITY, [5]),
         ("publisherUpdate", "/x", 5, []),
+        ("requestTopic", "/x", TEXT, 7),
     ],
 )
 def test_malformed_call_is_refused_and_counted(call: tuple[Any, ...]) -> None:
     async def test(made: Graph) -> None:
-        with pytest.raises(Refused):
+        with pytest.raises(CallRefused):
             await made.call(*call)
         assert made.node.counts.refused_calls == 1
 
@@ -199,6 +203,18 @@ def test_publishers_over_the_bounds_are_counted(monkeypatch: pytest.MonkeyPatch)
         assert len(made.requested()) == 2
 
     with_graph(test, max_connections=2)
+
+
+def test_publishers_of_one_topic_have_a_bound() -> None:
+    async def test(made: Graph) -> None:
+        uris = [f"http://a:{port}/" for port in range(900)]
+        made.sync.set_publishers(VELOCITY, uris, is_answer=False)
+        assert made.node.counts.crowded_out == 900 - graph_sync.MAX_PUBLISHERS
+        made.sync.set_publishers(VELOCITY, [], is_answer=False)
+        made.sync.set_publishers(VELOCITY, uris[:2], is_answer=False)
+        assert made.node.counts.crowded_out == 900 - graph_sync.MAX_PUBLISHERS
+
+    with_graph(test)
 
 
 def test_failed_publisher_is_tried_again_with_growing_delays() -> None:

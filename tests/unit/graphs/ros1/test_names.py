@@ -3,9 +3,9 @@
 import pytest
 
 from hostlink.errors import ConfigError
-from hostlink.graphs.ros1.names import NameMap, Names, is_legal, joined, parse_arguments
+from hostlink.graphs.ros1.names import NameMap, NameResolver, is_legal, joined, parse_arguments
 
-LAB = Names("/lab/serial_node")
+LAB = NameResolver("/lab/serial_node")
 
 
 @pytest.mark.parametrize(
@@ -24,8 +24,8 @@ def test_a_name_is_resolved_as_ros_does(name: str, full: str) -> None:
 
 
 def test_a_node_without_a_namespace_is_in_the_global_one() -> None:
-    assert Names("/serial_node").namespace == "/"
-    assert Names("/serial_node").resolve("odom") == "/odom"
+    assert NameResolver("/serial_node").namespace == "/"
+    assert NameResolver("/serial_node").resolve("odom") == "/odom"
     assert joined("/", "odom") == joined("", "odom") == "/odom"
 
 
@@ -98,6 +98,6 @@ def test_names_of_hostlink_itself_are_remapped_by_their_names_in_the_namespace()
 
 
 def test_names_of_the_hub_are_remapped_too() -> None:
-    found = NameMap(Names("/hostlink", {"/robot_0/odom": "/odom"}), [("odometry", "/odometry")])
+    found = NameMap(NameResolver("/hostlink", {"/robot_0/odom": "/odom"}), [("odometry", "/odometry")])
     assert found.to_ros("/robot_0/odom") == "/odom"
     assert found.to_ros("/odometry") == "/odometry"

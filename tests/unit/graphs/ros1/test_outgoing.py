@@ -3,11 +3,11 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hostlink.graphs.ros1.connections import BATCH_BYTES, MAX_BYTES, MAX_MESSAGES, Outgoing
+from hostlink.graphs.ros1.connections import BATCH_BYTES, MAX_BYTES, MAX_MESSAGES, SendQueue
 
 
-def filled(*messages: bytes) -> Outgoing:
-    made = Outgoing()
+def filled(*messages: bytes) -> SendQueue:
+    made = SendQueue()
     for each in messages:
         made.put(each)
     return made

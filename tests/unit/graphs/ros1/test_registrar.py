@@ -9,16 +9,20 @@ from hypothesis import strategies as st
 from structlog.testing import capture_logs
 
 from hostlink.graphs.ros1.graph_sync import GraphSync
-from hostlink.graphs.ros1.local_node import Counts, Kind, LocalNode
+from hostlink.graphs.ros1.local_node import LocalNode, RegistrationKind, Ros1Counts
 from hostlink.graphs.ros1.master import CHECK_INTERVAL_S, STATE_INTERVAL_S, MasterParameters, Registrar
-from hostlink.graphs.ros1.xml_rpc import Refused, Unreachable
+from hostlink.graphs.ros1.xml_rpc import CallRefused, Unreachable
 from hostlink.mirror.log_once import LogOnce
 from tests.support.virtual_loop import run_virtual
 
 NODE, URI, SERVICE_URI = "/hostlink", "http://here:1/", "rosrpc://here:2"
-KINDS = (Kind.PUBLISHER, Kind.SUBSCRIBER, Kind.SERVICE)  # in the order of getSystemState
+KINDS = (
+    RegistrationKind.PUBLISHER,
+    RegistrationKind.SUBSCRIBER,
+    RegistrationKind.SERVICE,
+)  # in the order of getSystemState
 SETTLED_S = 2 * (CHECK_INTERVAL_S + STATE_INTERVAL_S)
-Wanted = dict[tuple[Kind, str], str]
+Wanted = dict[tuple[RegistrationKind, str], str]
 
 
 @dataclass
@@ -28,7 +32,7 @@ class FakeNode:
     name: str = NODE
     uri: str = URI
     master_uri: str = "http://master/"
-    counts: Counts = field(default_factory=Counts)
+    counts: Ros1Counts = field(default_factory=Ros1Counts)
     log_once: LogOnce = field(default_factory=LogOnce)
     known: Wanted = field(default_factory=dict)
     refused: set[str] = field(default_factory=set)
@@ -46,9 +50,12 @@ class FakeNode:
         if method == "getSystemState":
             return [[[name, [NODE]] for kind, name in self.known if kind is each] for each in KINDS]
         self.calls.append(method)
-        is_there, kind = method.startswith("register"), Kind(method.removeprefix("un").removeprefix("register"))
+        is_there, kind = (
+            method.startswith("register"),
+            RegistrationKind(method.removeprefix("un").removeprefix("register")),
+        )
         if is_there and arguments[0] in self.refused:
-            raise Refused("no")
+            raise CallRefused("no")
         if is_there:
             self.known[kind, arguments[0]] = arguments[1]
         else:
@@ -98,7 +105,9 @@ class World:
         self.registrar.note_change()
 
     def expected(self) -> Wanted:
-        return {key: SERVICE_URI if key[0] is Kind.SERVICE else type_ for key, type_ in self.sync.topics.items()}
+        return {
+            key: SERVICE_URI if key[0] is RegistrationKind.SERVICE else type_ for key, type_ in self.sync.topics.items()
+        }
 
 
 NAMES = st.sampled_from(["/a", "/b", "/c"])
@@ -143,10 +152,10 @@ def test_any_history_of_master_and_hub_ends_with_what_is_wanted(steps: list[tupl
 def test_services_are_registered_before_topics_and_another_type_over_the_one_before() -> None:
     async def test() -> None:
         world = World()
-        world.want({(Kind.SERVICE, "/stop"): "x/X", (Kind.PUBLISHER, "/odom"): "x/X"})
+        world.want({(RegistrationKind.SERVICE, "/stop"): "x/X", (RegistrationKind.PUBLISHER, "/odom"): "x/X"})
         running = asyncio.get_running_loop().create_task(world.registrar.run())
         await asyncio.sleep(1.0)
-        world.want({(Kind.SERVICE, "/stop"): "x/X", (Kind.PUBLISHER, "/odom"): "x/Y"})
+        world.want({(RegistrationKind.SERVICE, "/stop"): "x/X", (RegistrationKind.PUBLISHER, "/odom"): "x/Y"})
         await asyncio.sleep(1.0)
         assert world.master.calls == ["registerService", "registerPublisher", "registerPublisher"]
         await world.registrar.end()
@@ -160,11 +169,11 @@ def test_name_that_the_master_refuses_is_logged_once_and_tried_again_and_affects
     async def test() -> None:
         world = World()
         world.master.refused = {"/a"}
-        world.want({(Kind.PUBLISHER, "/a"): "x/X", (Kind.PUBLISHER, "/b"): "x/X"})
+        world.want({(RegistrationKind.PUBLISHER, "/a"): "x/X", (RegistrationKind.PUBLISHER, "/b"): "x/X"})
         running = asyncio.get_running_loop().create_task(world.registrar.run())
         with capture_logs() as logs:
             await asyncio.sleep(10 * STATE_INTERVAL_S)
-        assert list(world.master.known) == [(Kind.PUBLISHER, "/b")]
+        assert list(world.master.known) == [(RegistrationKind.PUBLISHER, "/b")]
         assert 8 <= len(world.master.calls) <= 12
         assert [log["name"] for log in logs if log["event"] == "ros1.name_refused"] == ["/a"]
         assert world.master.counts.re_registrations == 0

@@ -6,7 +6,7 @@ import pytest
 
 from hostlink.graphs.ros1 import topics
 from hostlink.graphs.ros1.tcpros import encode_header, encode_message
-from hostlink.graphs.ros1.topics import Publication, Publisher
+from hostlink.graphs.ros1.topics import RosPublication, RosPublisher
 from hostlink.graphs.ros1.xml_rpc import Unreachable
 from hostlink.hub.graph_view import GraphTopic
 from hostlink.robot.velocity import TWIST_TYPE, PlanarVelocity
@@ -25,10 +25,10 @@ def text(value: str) -> bytes:
     return STRING.encode({"data": value})
 
 
-def publication(scene: Scene, *, is_latched: bool = False) -> Publication:
+def publication(scene: Scene, *, is_latched: bool = False) -> RosPublication:
     assert STRING is not None
     node, _ = local_node(scene.hub, scene.tasks)
-    return Publication(node, TEXT, "/ros_text", STRING, is_latched=is_latched)
+    return RosPublication(node, TEXT, "/ros_text", STRING, is_latched=is_latched)
 
 
 def test_publication_sends_messages_to_each_subscriber_and_counts_them() -> None:
@@ -126,7 +126,7 @@ class Driver:
     def __init__(self, scene: Scene, *, is_new: bool) -> None:
         self.node, _ = local_node(scene.hub, scene.tasks)
         self.topic = velocity_topic(scene)
-        self.connection = topics._Connection(self.node, self.topic, topics.RefusalLog(), is_new=is_new)
+        self.connection = topics._PublisherConnection(self.node, self.topic, topics.RefusalLog(), is_new=is_new)
 
     def begin(self, **fields: str) -> None:
         assert TWIST is not None
@@ -208,7 +208,7 @@ def test_publisher_without_tcpros_address_is_refused(found: object) -> None:
     async def test(scene: Scene) -> None:
         node, rpc = local_node(scene.hub, scene.tasks)
         rpc.answer = lambda _uri, _method: found
-        publisher = Publisher(node, velocity_topic(scene), "/cmd_vel", "http://there:2/", is_new=True)
+        publisher = RosPublisher(node, velocity_topic(scene), "/cmd_vel", "http://there:2/", is_new=True)
         with pytest.raises(topics.BadHeader, match="TCPROS"):
             await publisher.receive()
         assert not publisher.is_connected
@@ -219,7 +219,7 @@ def test_publisher_without_tcpros_address_is_refused(found: object) -> None:
 def test_first_attempt_of_a_new_publisher_is_new_and_later_ones_are_not() -> None:
     async def test(scene: Scene) -> None:
         node, rpc = local_node(scene.hub, scene.tasks)
-        publisher = Publisher(node, velocity_topic(scene), "/cmd_vel", "http://there:2/", is_new=True)
+        publisher = RosPublisher(node, velocity_topic(scene), "/cmd_vel", "http://there:2/", is_new=True)
         assert publisher._new_until_s > asyncio.get_running_loop().time()
         with pytest.raises(Unreachable):
             await publisher.receive()

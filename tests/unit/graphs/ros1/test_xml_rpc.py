@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from hostlink.graphs.ros1.xml_rpc import (
     BadXml,
-    Refused,
+    CallRefused,
     decode_answer,
     decode_call,
     encode_answer,
@@ -33,12 +33,12 @@ def test_an_answer_is_read_as_it_was_written(value: object) -> None:
 
 @pytest.mark.parametrize("status", [0, -1])
 def test_an_answer_without_success_is_a_refusal_with_its_text(status: int) -> None:
-    with pytest.raises(Refused, match="not a publisher"):
+    with pytest.raises(CallRefused, match="not a publisher"):
         decode_answer(encode_answer(status, "not a publisher", 0))
 
 
 def test_a_fault_is_a_refusal_with_its_text() -> None:
-    with pytest.raises(Refused, match="broken"):
+    with pytest.raises(CallRefused, match="broken"):
         decode_answer(encode_fault("broken"))
 
 

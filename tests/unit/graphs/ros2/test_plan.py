@@ -7,11 +7,11 @@ from hostlink.graphs.ros2.plan import (
     TWIST_STAMPED,
     Caller,
     Feed,
-    Publication,
-    Publisher,
+    PublicationRoute,
     Qos,
     Reception,
     Ros2Graph,
+    Ros2Publisher,
     Server,
     VelocityInput,
     planned,
@@ -37,7 +37,7 @@ def robot(name: str = "robot_0", **velocity_topics: str) -> dict[str, Any]:
 
 def test_topic_of_the_daemon_is_fed_only_while_it_has_a_reader() -> None:
     daemon = graph(topic("/robot_0/odom", "nav_msgs/Odometry", published=True))
-    publication = Publication("/robot_0/odom", "nav_msgs/Odometry", is_latched=False)
+    publication = PublicationRoute("/robot_0/odom", "nav_msgs/Odometry", is_latched=False)
     assert planned(daemon, Ros2Graph()).routes == {publication}
     read = Ros2Graph(readers=frozenset({"/robot_0/odom"}))
     assert planned(daemon, read).routes == {publication, Feed(publication)}
@@ -45,11 +45,13 @@ def test_topic_of_the_daemon_is_fed_only_while_it_has_a_reader() -> None:
 
 def test_a_latched_topic_is_fed_before_anybody_reads_it() -> None:
     daemon = graph(topic("/map", "nav_msgs/OccupancyGrid", published=True, latched=True))
-    assert Feed(Publication("/map", "nav_msgs/OccupancyGrid", is_latched=True)) in planned(daemon, Ros2Graph()).routes
+    assert (
+        Feed(PublicationRoute("/map", "nav_msgs/OccupancyGrid", is_latched=True)) in planned(daemon, Ros2Graph()).routes
+    )
 
 
 def test_subscribed_topic_is_received_with_the_qos_of_its_publishers() -> None:
-    ros2 = Ros2Graph(publishers={"/map": (Publisher("nav_msgs/msg/OccupancyGrid", LATCHED),)})
+    ros2 = Ros2Graph(publishers={"/map": (Ros2Publisher("nav_msgs/msg/OccupancyGrid", LATCHED),)})
     found = planned(graph(topic("/map", "", subscribed=True)), ros2).routes
     assert [(each.ros2_type, each.type_name, each.qos.is_latched) for each in found if isinstance(each, Reception)] == [
         ("nav_msgs/msg/OccupancyGrid", "nav_msgs/OccupancyGrid", True)
@@ -57,13 +59,13 @@ def test_subscribed_topic_is_received_with_the_qos_of_its_publishers() -> None:
 
 
 def test_topic_without_publisher_or_subscriber_is_not_received() -> None:
-    ros2 = Ros2Graph(publishers={"/a": (), "/b": (Publisher("std_msgs/msg/String", RELIABLE),)})
+    ros2 = Ros2Graph(publishers={"/a": (), "/b": (Ros2Publisher("std_msgs/msg/String", RELIABLE),)})
     daemon = graph(topic("/a", subscribed=True), topic("/b", published=True))
     assert not [each for each in planned(daemon, ros2).routes if isinstance(each, Reception)]
 
 
 def test_two_types_of_one_name_are_reported_and_not_received() -> None:
-    ros2 = Ros2Graph(publishers={"/a": (Publisher("std_msgs/msg/Int32", RELIABLE),)})
+    ros2 = Ros2Graph(publishers={"/a": (Ros2Publisher("std_msgs/msg/Int32", RELIABLE),)})
     plan = planned(graph(topic("/a", subscribed=True)), ros2)
     assert plan.routes == frozenset()
     assert plan.problems == ("/a: std_msgs/String here, std_msgs/msg/Int32 in ROS 2: it is not received",)
@@ -71,14 +73,14 @@ def test_two_types_of_one_name_are_reported_and_not_received() -> None:
 
 def test_a_name_that_ros_2_refuses_is_reported_and_touches_no_other() -> None:
     plan = planned(graph(topic("/2wheels/odom", published=True), topic("/a", published=True)), Ros2Graph())
-    assert plan.routes == {Publication("/a", "std_msgs/String", is_latched=False)}
+    assert plan.routes == {PublicationRoute("/a", "std_msgs/String", is_latched=False)}
     assert "/2wheels/odom" in plan.problems[0]
 
 
 def test_a_velocity_topic_is_an_input_and_never_published_or_received() -> None:
     velocity = topic("/robot_0/cmd_vel", "geometry_msgs/Twist", published=True, subscribed=True, velocity=True)
     ros2 = Ros2Graph(
-        publishers={"/robot_0/cmd_vel": (Publisher(TWIST, RELIABLE),)}, readers=frozenset({"/robot_0/cmd_vel"})
+        publishers={"/robot_0/cmd_vel": (Ros2Publisher(TWIST, RELIABLE),)}, readers=frozenset({"/robot_0/cmd_vel"})
     )
     daemon = graph(velocity, robots=[robot(cmd_vel="geometry_msgs/Twist")])
     assert planned(daemon, ros2).routes == {VelocityInput("/robot_0/cmd_vel", "robot_0", TWIST)}
@@ -89,7 +91,7 @@ def test_cmd_vel_has_the_type_that_ros_2_sends() -> None:
     daemon = graph(robots=[robot(cmd_vel="geometry_msgs/Twist")])
 
     def type_with(*types: str) -> list[str]:
-        ends = tuple(Publisher(type_name, RELIABLE) for type_name in types)
+        ends = tuple(Ros2Publisher(type_name, RELIABLE) for type_name in types)
         routes = planned(daemon, Ros2Graph(publishers={"/robot_0/cmd_vel": ends})).routes
         return [each.ros2_type for each in routes if isinstance(each, VelocityInput)]
 

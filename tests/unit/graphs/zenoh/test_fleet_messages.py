@@ -8,15 +8,15 @@ from hypothesis import strategies as st
 from hostlink.errors import BadPayload
 from hostlink.graphs.zenoh.fleet_messages import (
     MAX_ROBOTS,
-    Answer,
-    Drive,
+    DriveRequest,
+    FleetAnswer,
     Keys,
     Live,
     Lock,
     Sender,
     State,
     Stop,
-    Topics,
+    TopicList,
     Unlock,
     decode,
     decode_request,
@@ -103,7 +103,7 @@ def test_a_request_is_only_for_whom_it_is_meant(request_: Unlock | Stop | Lock) 
 
 
 def test_a_command_passes_unchanged() -> None:
-    drive = Drive(
+    drive = DriveRequest(
         number=1,
         sent_s=1.5,
         robot="r",
@@ -124,7 +124,7 @@ def test_messages_of_a_daemon_without_epochs_are_read() -> None:
         "velocity": [0.1, 0, 0, 0, 0, 0], "priority": 50, "link": 7, "stops": 3, "later": [],
     }  # fmt: skip
     drive = decode_request(msgspec.json.encode(old))
-    assert isinstance(drive, Drive)
+    assert isinstance(drive, DriveRequest)
     assert drive.epoch is None
     state = decode(msgspec.json.encode({"sent_s": 0.0, "topics": 0, "robots": [ROBOT | {"later": 1}]}), State)
     assert state.robots[0].epoch is None
@@ -133,14 +133,14 @@ def test_messages_of_a_daemon_without_epochs_are_read() -> None:
     assert live.pose is not None
     assert (live.linear_y_m_s, live.pose.linear_y_m_s, live.pose.angular_rad_s) == (0.0, 0.0, -0.1)
     answer = decode(
-        msgspec.json.encode({"number": 1, "error": "RobotHeld", "reason": "r: x drives", "stops": 4}), Answer
+        msgspec.json.encode({"number": 1, "error": "RobotHeld", "reason": "r: x drives", "stops": 4}), FleetAnswer
     )
     assert (answer.error, answer.epoch) == ("RobotHeld", None)
 
 
 @given(st.binary(max_size=200) | st.text(max_size=200).map(str.encode))
 def test_no_bytes_raise_anything_but_a_bad_payload(payload: bytes) -> None:
-    for kind in (State, Live, Topics, Answer):
+    for kind in (State, Live, TopicList, FleetAnswer):
         with pytest.raises(BadPayload):
             decode(payload, kind)
     for read in (decode_request, decode_stop):

@@ -5,10 +5,10 @@ from collections import Counter
 from typing import cast
 
 from hostlink.config import Config
-from hostlink.graphs.zenoh.fleet_messages import FleetTransport, Keys, Sender, TopicState
+from hostlink.graphs.zenoh.fleet_messages import FleetTopic, FleetTransport, Keys, Sender
 from hostlink.graphs.zenoh.fleet_topics import FIRST_RETRY_S, FleetImports
 from hostlink.graphs.zenoh.roster import Neighbour
-from hostlink.graphs.zenoh.session import Session
+from hostlink.graphs.zenoh.session import ZenohSession
 from hostlink.hub.hub import Hub
 from tests.support.fake_device import CATALOG
 from tests.support.memory_zenoh import MemoryNetwork, MemorySession
@@ -23,13 +23,13 @@ class World:
 
     def __init__(self) -> None:
         self.hub, self.counts, self.network = Hub(Config(), CATALOG, reraises=True), Counter[str](), MemoryNetwork()
-        session = cast("Session", MemorySession(self.network, "1a"))
+        session = cast("ZenohSession", MemorySession(self.network, "1a"))
         self.imports = FleetImports(self.hub, FleetTransport(session, Keys("fleet"), Sender("lab", "1a"), self.counts))
         self.robot = remote_robot(self.hub, ROBOT)
         self.neighbour = Neighbour(Sender("desk", "2b"), 0.0)
 
     def show(self, *names: str, type_name: str = "std_msgs/Bool") -> None:
-        topics = [TopicState(robot=ROBOT, name=name, type=type_name, is_published=True) for name in names]
+        topics = [FleetTopic(robot=ROBOT, name=name, type=type_name, is_published=True) for name in names]
         self.imports.show(self.robot, self.neighbour, topics)
 
     def update(self) -> None:

@@ -5,7 +5,7 @@ from collections import Counter
 import msgspec
 
 from hostlink.graphs.zenoh.fleet_messages import Live, Motion, PoseState, RobotMessage, Sender, State
-from hostlink.graphs.zenoh.roster import MAX_DAEMONS, MAX_GONE, MAX_NAMESAKES, MAX_REMOTE_ROBOTS, SILENT_S, Roster
+from hostlink.graphs.zenoh.roster import MAX_DAEMONS, MAX_GONE, MAX_NAMESAKES, MAX_REMOTE_ROBOTS, SILENT_S, FleetRoster
 
 A, B = Sender("a", "1"), Sender("b", "2")
 
@@ -24,9 +24,9 @@ def state(*names: str, link: int | None = 1) -> State:
     return State(sent_s=0.0, topics=0, robots=robots)
 
 
-def roster(*senders: Sender, forget_after_s: float = 600.0) -> tuple[Roster, Counter[str]]:
+def roster(*senders: Sender, forget_after_s: float = 600.0) -> tuple[FleetRoster, Counter[str]]:
     counts: Counter[str] = Counter()
-    known = Roster(counts, forget_after_s=forget_after_s)
+    known = FleetRoster(counts, forget_after_s=forget_after_s)
     for sender in senders:
         assert known.appear(sender, 0.0)
     return known, counts

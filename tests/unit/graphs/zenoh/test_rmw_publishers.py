@@ -16,12 +16,12 @@ from hostlink.graphs.zenoh.rmw_protocol import (
     TELEMETRY,
     Attachment,
     EndpointToken,
-    Kind,
     NodeToken,
     RemoteGraph,
+    TokenKind,
     gid_of,
 )
-from hostlink.graphs.zenoh.session import Session
+from hostlink.graphs.zenoh.session import ZenohSession
 from hostlink.hub.hub import Hub
 from hostlink.mirror.log_once import LogOnce
 from hostlink.robot.velocity import PlanarVelocity
@@ -29,7 +29,7 @@ from tests.support.fake_device import CATALOG
 from tests.support.participants import ROBOT, Scene, play
 
 CMD_VEL, TWIST = f"/{ROBOT}/cmd_vel", "geometry_msgs/msg/Twist"
-NO_SESSION = cast("Session", None)  # publishers send nothing
+NO_SESSION = cast("ZenohSession", None)  # publishers send nothing
 
 
 @dataclass
@@ -49,7 +49,7 @@ class Remote:
 
     def come(self, session: str, *, topic: str = CMD_VEL, type_name: str = TWIST) -> str:
         key = EndpointToken(
-            Kind.PUBLISHER,
+            TokenKind.PUBLISHER,
             NodeToken(0, session, 0, "/", f"driver_{session}"),
             1,
             topic,
@@ -118,7 +118,7 @@ def test_a_driver_that_drew_its_gid_stops_with_any_of_its_kind() -> None:
 
 @pytest.mark.parametrize("away_s", [0.0, 5.0])
 def test_stream_through_the_loss_of_its_token_drives_after_a_zero(away_s: float) -> None:
-    """As in a cut of the network."""
+    """Token that is lost and returns, as in a cut of the network."""
 
     async def test(scene: Scene) -> None:
         remote = Remote(scene.hub)
@@ -158,7 +158,7 @@ def test_tokens_that_are_gone_are_remembered_up_to_a_bound(monkeypatch: pytest.M
     play(test)
 
 
-def test_what_waited_for_a_lease_moves_nothing() -> None:
+def test_velocity_that_waited_for_a_lease_moves_no_robot() -> None:
     async def test(scene: Scene) -> None:
         remote = Remote(scene.hub)
         gid = gid_of(remote.come("aa"))
@@ -202,7 +202,7 @@ def test_stream_from_before_drives_after_a_zero(what_began: str) -> None:
 
 @pytest.mark.parametrize("is_first", [False, True])
 def test_publisher_of_before_whose_motion_begins_now_drives(*, is_first: bool) -> None:
-    """This is its first message, or it was silent until every stream of before would have come."""
+    """Two ways to be new: a first sequence number, or silence until every earlier stream would have arrived."""
 
     async def test(scene: Scene) -> None:
         remote = Remote(scene.hub)
@@ -277,7 +277,7 @@ def test_publishers_of_one_process_are_bounded(monkeypatch: pytest.MonkeyPatch) 
 
 
 def test_publisher_that_waited_for_room_drives_after_a_zero(monkeypatch: pytest.MonkeyPatch) -> None:
-    """It may have streamed for long."""
+    """Publisher that waited for room: it may have streamed for long."""
     monkeypatch.setattr(rmw_bridge, "MAX_PUBLISHERS_OF_SESSION", 1)
 
     async def test(scene: Scene) -> None:
@@ -298,7 +298,7 @@ def test_publisher_that_waited_for_room_drives_after_a_zero(monkeypatch: pytest.
     play(test)
 
 
-def test_what_every_node_publishes_for_its_tools_is_left_out() -> None:
+def test_topics_of_every_node_for_tools_are_left_out() -> None:
     async def test(scene: Scene) -> None:
         remote = Remote(scene.hub)
         with capture_logs() as logs:

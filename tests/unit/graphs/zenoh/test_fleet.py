@@ -1,0 +1,385 @@
+"""Two daemons of a fleet in one process, without a network and in virtual time."""
+
+import asyncio
+import contextlib
+from collections import Counter
+from collections.abc import Awaitable, Callable
+from typing import cast
+
+import pytest
+from structlog.testing import capture_logs
+
+from hostlink.config import Config, ZenohConfig
+from hostlink.errors import BadRequest, CommandRefused, DeviceGone, HostlinkError, RefusalKind
+from hostlink.graphs.zenoh import fleet_commands
+from hostlink.graphs.zenoh.fleet import fleet_running
+from hostlink.graphs.zenoh.fleet_commands import FleetDrivers
+from hostlink.graphs.zenoh.fleet_messages import (
+    DriveRequest,
+    FleetAnswer,
+    FleetTransport,
+    Keys,
+    Sender,
+    State,
+    Unlock,
+    decode,
+    encode,
+)
+from hostlink.graphs.zenoh.roster import SILENT_S, FleetRoster
+from hostlink.graphs.zenoh.session import ZenohSample, ZenohSession
+from hostlink.hub.hub import Hub
+from hostlink.hub.robot import Robot
+from hostlink.robot.velocity import ZERO, PlanarVelocity
+from tests.support.fake_device import CATALOG
+from tests.support.memory_zenoh import MemoryNetwork, MemorySession
+from tests.support.participants import NEIGHBOUR, ROBOT, Scene, ScriptedDevice, play, robot_topics
+
+DRIVE = PlanarVelocity(0.2)
+ODOMETRY = f"/{ROBOT}/odometry"
+
+
+class World:
+    """The daemon `lab` has the robots of the scene; a program at `desk` uses them."""
+
+    def __init__(self, scene: Scene) -> None:
+        self.scene, self.network = scene, MemoryNetwork()
+        self.desk = Hub(Config(), CATALOG)
+        self.stack = contextlib.AsyncExitStack()
+
+    async def begin(self, drivers: tuple[str, ...]) -> None:
+        self.running = self.scene.tasks.create_task(self.desk.run())
+        await self.desk.is_running.wait()
+        for hub, name, zid in ((self.scene.hub, "lab", "1a"), (self.desk, "desk", "2b")):
+            session = cast("ZenohSession", MemorySession(self.network, zid))
+            config = ZenohConfig(name=name, drivers=drivers)
+            await self.stack.enter_async_context(fleet_running(hub, session, config))
+        await asyncio.sleep(2.0)  # the second state of a robot has its topics
+        self.program = self.desk.join("client 3")
+
+    async def end(self) -> None:
+        self.program.leave()
+        await self.stack.aclose()
+        assert self.desk.robots.remote == {}
+        assert self.desk.isolation.crashes == {}
+        self.running.cancel()
+
+    def robot(self) -> Robot:
+        return self.desk.robots.find(ROBOT)
+
+    async def drive(self, velocity: PlanarVelocity = DRIVE) -> PlanarVelocity:
+        self.program.drive(self.robot(), velocity)
+        return await self.program.driven(self.robot(), velocity)
+
+    def counts(self, hub: Hub) -> dict[str, int]:
+        return dict(hub.counts.graphs["fleet"]())
+
+
+def with_fleet(test: Callable[[World], Awaitable[None]], *, drivers: tuple[str, ...] = ("*",)) -> None:
+    async def run(scene: Scene) -> None:
+        world = World(scene)
+        await world.begin(drivers)
+        try:
+            await test(world)
+        finally:
+            await world.end()
+
+    play(run)
+
+
+def test_robot_of_another_daemon_is_shown_with_its_host_and_topics() -> None:
+    async def test(world: World) -> None:
+        assert set(world.desk.robots.remote) == {ROBOT, NEIGHBOUR}
+        robot = world.robot()
+        assert (robot.host, robot.link is not None) == ("lab", True)
+        assert world.desk.topics.find(ODOMETRY).type_name == "geometry_msgs/Pose2D"
+        assert world.scene.hub.robots.remote == {}
+
+    with_fleet(test)
+
+
+def test_program_drives_a_robot_of_another_daemon_and_its_leave_stops_it() -> None:
+    async def test(world: World) -> None:
+        assert (await world.drive()).x_m_s == 0.2
+        assert world.scene.speeds()[-1] == 0.2
+        assert world.scene.hub.robots.find(ROBOT).gate.owner_name == "client 3 at desk"
+        world.program.leave()
+        await asyncio.sleep(0.05)
+        assert world.scene.speeds()[-1] == 0.0
+
+    with_fleet(test)
+
+
+def test_lease_of_a_robot_ends_at_its_daemon() -> None:
+    async def test(world: World) -> None:
+        await world.drive()
+        await asyncio.sleep(0.6)
+        assert world.scene.speeds()[-1] == 0.0
+
+    with_fleet(test)
+
+
+def test_daemon_that_may_not_drive_is_refused_and_may_send_zero_and_stop() -> None:
+    async def test(world: World) -> None:
+        with pytest.raises(BadRequest, match=r"may only read at lab \(zenoh.drivers there\)"):
+            await world.drive()
+        assert world.counts(world.scene.hub)["refused"] == 1
+        await world.drive(ZERO)
+        world.scene.neighbour.drive(world.scene.hub.robots.find(ROBOT), DRIVE)
+        await asyncio.sleep(0.05)
+        assert world.scene.speeds()[-1] == 0.2
+        world.desk.robots.stop_all()
+        await asyncio.sleep(0.05)
+        assert world.scene.speeds()[-1] == 0.0
+
+    with_fleet(test, drivers=("wall*",))
+
+
+@pytest.mark.parametrize(("pattern", "may_drive"), [("desk", True), ("de*", True), ("DESK", False), ("", False)])
+def test_drivers_are_matched_by_pattern(pattern: str, *, may_drive: bool) -> None:
+    async def test(world: World) -> None:
+        with contextlib.nullcontext() if may_drive else pytest.raises(BadRequest):
+            await world.drive()
+
+    with_fleet(test, drivers=(pattern,))
+
+
+def test_refusal_by_the_other_daemon_keeps_kind_and_owner() -> None:
+    async def test(world: World) -> None:
+        world.scene.neighbour.drive(world.scene.hub.robots.find(ROBOT), DRIVE, priority=90)
+        with pytest.raises(CommandRefused) as caught:
+            await world.drive()
+        assert caught.value.kind is RefusalKind.HELD
+        assert "neighbour" in str(caught.value.holder)
+
+    with_fleet(test)
+
+
+def test_refusal_reaches_a_driver_that_waits_for_no_answer_with_its_next_command() -> None:
+    async def test(world: World) -> None:
+        world.scene.neighbour.drive(world.scene.hub.robots.find(ROBOT), DRIVE, priority=90)
+        world.program.drive(world.robot(), DRIVE)
+        await asyncio.sleep(0.05)
+        with pytest.raises(CommandRefused):
+            world.program.drive(world.robot(), DRIVE)
+
+    with_fleet(test)
+
+
+def test_lock_at_one_daemon_holds_at_all_until_any_unlocks() -> None:
+    async def test(world: World) -> None:
+        world.robot().lock("crossing")
+        await asyncio.sleep(0.1)
+        here = world.scene.hub.robots.find(ROBOT)
+        assert here.gate.lock_reason == "crossing (desk)"
+        assert world.robot().state(now_s()).lock_reason == "crossing (desk)"
+        with pytest.raises(HostlinkError):
+            await world.drive()
+        world.robot().unlock()
+        await asyncio.sleep(0.1)
+        assert here.gate.lock_reason is None
+
+    with_fleet(test)
+
+
+def test_stop_of_a_dead_daemon_is_reported() -> None:
+    async def test(world: World) -> None:
+        world.network.deaf.add("1a")
+        world.desk.robots.stop_all()
+        with capture_logs() as logs:
+            await asyncio.sleep(2.0)
+        assert [(line["what"], line["hosts"]) for line in logs if line["event"] == "fleet.unanswered"] == [
+            ("stop", ["lab"])
+        ]
+
+    with_fleet(test)
+
+
+def test_command_without_an_answer_is_refused_after_the_lease() -> None:
+    async def test(world: World) -> None:
+        world.network.deaf.add("1a")
+        with pytest.raises(DeviceGone, match="lab does not answer"):
+            await world.drive()
+
+    with_fleet(test)
+
+
+def test_daemon_that_is_lost_keeps_its_robots_as_not_connected_and_its_drivers_stop() -> None:
+    async def test(world: World) -> None:
+        await world.drive()
+        world.network.drop("2b")
+        await asyncio.sleep(0.05)
+        assert world.scene.speeds()[-1] == 0.0
+        world.network.drop("1a")
+        await asyncio.sleep(0.1)
+        assert world.robot().link is None
+        with pytest.raises(CommandRefused) as caught:
+            await world.drive()
+        assert caught.value.kind is RefusalKind.NOT_CONNECTED
+
+    with_fleet(test)
+
+
+def test_silent_daemon_is_not_driven_until_it_sends_again() -> None:
+    async def test(world: World) -> None:
+        world.network.deaf.add("2b")
+        await asyncio.sleep(SILENT_S + 0.5)
+        assert world.robot().link is None
+        world.network.deaf.clear()
+        await asyncio.sleep(2.0)
+        assert world.robot().link is not None
+
+    with_fleet(test)
+
+
+def test_topic_is_sent_while_the_other_daemon_subscribes() -> None:
+    async def test(world: World) -> None:
+        heard: list[bytes] = []
+        subscription = world.program.subscribe(ODOMETRY, lambda message: heard.append(message.payload))
+        await asyncio.sleep(0.3)
+        await world.scene.robot.send(125, bytes(24))
+        await asyncio.sleep(0.1)
+        assert len(heard) == 1
+        subscription.close()
+        await asyncio.sleep(0.3)
+        await world.scene.robot.send(125, bytes(24))
+        await asyncio.sleep(0.1)
+        assert len(heard) == 1
+
+    with_fleet(test)
+
+
+def test_one_name_at_two_daemons_is_logged_and_driven_only_where_it_is() -> None:
+    async def test(world: World) -> None:
+        with capture_logs() as logs:
+            ScriptedDevice(world.desk, robot_topics(ROBOT), address="10.0.0.7")
+            await asyncio.sleep(2.0)
+        found = [line for line in logs if line["event"] == "fleet.duplicate_name_found"]
+        assert {line["robot"] for line in found} == {ROBOT}
+        assert (world.robot().host, world.robot().also_at) == (None, ("lab",))
+        before = world.scene.speeds()
+        await world.drive()
+        assert world.scene.speeds() == before
+
+    with_fleet(test)
+
+
+# -- requests of another daemon, one by one ---------------------------------------------------------------------------
+
+
+class Requests:
+    """Requests of a daemon `desk` to the drivers of this one."""
+
+    def __init__(self, scene: Scene, drivers: tuple[str, ...] = ("*",)) -> None:
+        self.sent: list[bytes] = []
+        self.counts: Counter[str] = Counter()
+        self.keys, self.here, self.desk = Keys("fleet"), Sender("lab", "1a"), Sender("desk", "2b")
+
+        class Answers:
+            put = staticmethod(lambda _key, payload, **_: self.sent.append(payload))
+
+        self.roster = FleetRoster(self.counts)
+        transport = FleetTransport(cast("ZenohSession", Answers()), self.keys, self.here, self.counts, drivers)
+        self.drivers = FleetDrivers(scene.hub, transport, self.roster)
+        self.roster.appear(self.desk, now_s())
+
+    def hear(self) -> None:
+        self.roster.receive(self.desk, State(sent_s=now_s(), topics=0, robots=()), now_s())
+
+    def request(self, request: object, sender: Sender | None = None) -> FleetAnswer | None:
+        self.drivers.receive(ZenohSample(self.keys.key("drive", sender or self.desk, to="1a"), encode(request)))
+        return decode(self.sent.pop(), FleetAnswer) if self.sent else None
+
+    def drive(self, *, owner: int = 1, speed_m_s: float = 0.2, robot: str = ROBOT) -> FleetAnswer:
+        velocity = (speed_m_s, 0.0, 0.0, 0.0, 0.0, 0.0)
+        answer = self.request(
+            DriveRequest(
+                number=5, sent_s=now_s(), robot=robot, owner=owner, owner_name="pad", velocity=velocity, priority=10
+            )
+        )
+        assert answer is not None
+        assert answer.number == 5
+        return answer
+
+
+def now_s() -> float:
+    return asyncio.get_running_loop().time()
+
+
+def test_role_is_checked_before_a_participant_is_made() -> None:
+    async def test(scene: Scene) -> None:
+        requests = Requests(scene, drivers=())
+        requests.hear()
+        assert requests.drive(robot="robot_9").error == "BadRequest"
+        assert requests.drive().error == "BadRequest"
+        assert requests.drivers._drivers == {}
+        answer = requests.request(Unlock(number=6, robot=ROBOT))
+        assert answer is not None
+        assert answer.error == "BadRequest"
+        assert requests.counts["refused"] == 3
+
+    play(test)
+
+
+def test_drivers_of_one_daemon_are_bounded_and_the_oldest_leaves(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(fleet_commands, "MAX_DRIVERS", 2)
+
+    async def test(scene: Scene) -> None:
+        requests = Requests(scene)
+        requests.hear()
+        for owner in (1, 2, 1, 3):
+            requests.drive(owner=owner, speed_m_s=0.0)
+        assert list(requests.drivers._drivers["2b"]) == [1, 3]
+        assert requests.counts["excess_drivers"] == 1
+        requests.drivers.tick(now_s() + fleet_commands.IDLE_S - 0.1)
+        assert list(requests.drivers._drivers["2b"]) == [1, 3]
+        requests.drivers.tick(now_s() + fleet_commands.IDLE_S + 0.1)
+        assert requests.drivers._drivers == {}
+
+    play(test)
+
+
+def test_command_of_a_daemon_that_has_sent_no_state_is_refused() -> None:
+    async def test(scene: Scene) -> None:
+        requests = Requests(scene)
+        answer = requests.drive()
+        assert (answer.error, "just met" in answer.reason) == ("DeviceGone", True)
+        requests.hear()
+        assert requests.drive().velocity == (0.2, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+    play(test)
+
+
+def test_request_of_an_unknown_daemon_or_without_sense_is_counted_and_not_answered() -> None:
+    async def test(scene: Scene) -> None:
+        requests = Requests(scene)
+        assert requests.request(Unlock(number=6, robot=ROBOT), Sender("wall", "3c")) is None
+        assert requests.request({"type": "nonsense"}) is None
+        assert (requests.counts["unannounced"], requests.counts["malformed"]) == (1, 1)
+
+    play(test)
+
+
+def test_answer_has_the_epoch_of_the_robot_after_an_interruption() -> None:
+    async def test(scene: Scene) -> None:
+        requests = Requests(scene)
+        requests.hear()
+        before = requests.drive().epoch
+        scene.hub.robots.find(ROBOT).stop()
+        answer = requests.drive()
+        assert before is not None
+        assert answer.epoch is not None
+        assert answer.epoch > before
+        assert answer.error != ""
+
+    play(test)
+
+
+def test_robot_with_several_places_is_driven_by_no_other_daemon() -> None:
+    async def test(scene: Scene) -> None:
+        requests = Requests(scene)
+        requests.hear()
+        scene.hub.robots.find(ROBOT).also_at = ("desk",)
+        assert "also at desk" in requests.drive().reason
+        assert requests.drive(speed_m_s=0.0).error == ""
+
+    play(test)

@@ -1,0 +1,246 @@
+"""Recordings of the daemon: their names, bounds, files and ends, with a hub and without sockets."""
+
+import asyncio
+import contextlib
+from collections.abc import AsyncIterator
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from structlog.testing import capture_logs
+
+from hostlink.config import Config, RecordingConfig
+from hostlink.errors import BadRequest, RecordingBusy, RecordingFailed, UnknownTopic
+from hostlink.hub.hub import Hub
+from hostlink.recording import recordings as module
+from hostlink.recording.channel import EVENTS
+from hostlink.recording.drives import Drive, DriveLog, append_drives, read_drives
+from hostlink.recording.file_thread import FileThread, Splitting
+from hostlink.recording.reader import McapReader
+from hostlink.recording.recorder import TopicSelection
+from hostlink.recording.recordings import Recordings
+from tests.support.fake_device import CATALOG
+from tests.support.waiting import expect
+
+ALL = TopicSelection()
+BOOL = "std_msgs/Bool"
+
+
+@contextlib.asynccontextmanager
+async def running(folder: Path, **settings: object) -> AsyncIterator[tuple[Hub, Recordings]]:
+    config = replace(RecordingConfig(folder=folder), **settings)  # type: ignore[arg-type]
+    hub = Hub(replace(Config(), recording=config), CATALOG, reraises=True)
+    async with asyncio.TaskGroup() as tasks:
+        task = tasks.create_task(hub.run())
+        await hub.is_running.wait()
+        made = Recordings(hub)
+        try:
+            yield hub, made
+        finally:
+            for name in [each.name for each in made.under_way()]:
+                await made.stop(name)
+            task.cancel()
+
+
+async def test_recording_has_messages_from_its_start_to_its_stop(tmp_path: Path) -> None:
+    async with running(tmp_path) as (hub, recordings):
+        program = hub.join("program")
+        program.advertise("/door", BOOL)
+        program.publish("/door", b"\0")
+        await recordings.start(ALL, name="run", owner="client 1")
+        await asyncio.sleep(0.2)
+        program.publish("/door", b"\1")
+        changes = recordings.changes
+        recording = await recordings.stop("run")
+        program.publish("/door", b"\0")
+        payloads = [each.payload for each in McapReader(tmp_path / "run.mcap").messages(lambda c: c.topic == "/door")]
+        assert payloads == [b"\1"]
+        assert recordings.under_way() == []
+        assert recordings.changes == changes + 1
+        assert recordings.totals().messages == recording.thread.messages > 0
+        with pytest.raises(UnknownTopic):
+            await recordings.stop("run")
+
+
+async def test_name_is_refused_that_is_invalid_or_in_use(tmp_path: Path) -> None:
+    async with running(tmp_path) as (_, recordings):
+        with pytest.raises(BadRequest):
+            await recordings.start(ALL, name="../run")
+        await recordings.start(ALL, name="run")
+        with pytest.raises(RecordingBusy, match="under way already"):
+            await recordings.start(ALL, name="run")
+        await recordings.stop("run")
+        with pytest.raises(RecordingBusy, match="already exists"):
+            await recordings.start(ALL, name="run")
+
+
+async def test_two_starts_of_one_name_at_once_make_one_recording(tmp_path: Path) -> None:
+    async with running(tmp_path) as (_, recordings):
+        refused: list[RecordingBusy] = []
+
+        async def start() -> None:
+            try:
+                await recordings.start(ALL, name="run")
+            except RecordingBusy as error:
+                refused.append(error)
+
+        async with asyncio.TaskGroup() as tasks:
+            tasks.create_task(start())
+            tasks.create_task(start())
+        assert len(refused) == 1
+        assert [each.name for each in recordings.under_way()] == ["run"]
+
+
+async def test_recordings_at_once_are_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "MAX_UNDER_WAY", 2)
+    async with running(tmp_path) as (_, recordings):
+        await recordings.start(ALL, name="a")
+        await recordings.start(ALL, name="b")
+        with pytest.raises(RecordingBusy, match="2 recordings are under way"):
+            await recordings.start(ALL, name="c")
+        await recordings.stop("a")
+        await recordings.start(ALL, name="c")
+
+
+async def test_names_without_a_wish_differ_within_a_second(tmp_path: Path) -> None:
+    async with running(tmp_path) as (_, recordings):
+        names = [(await recordings.start(TopicSelection(robots=("robot_0",)))).name for _ in range(3)]
+        assert len(set(names)) == 3
+        assert all("robot_0" in name for name in names)
+
+
+async def test_file_that_is_written_is_not_removed_and_an_ended_one_is(tmp_path: Path) -> None:
+    async with running(tmp_path) as (_, recordings):
+        await recordings.start(ALL, name="run")
+        with pytest.raises(RecordingBusy):
+            await recordings.remove("run.mcap")
+        await recordings.stop("run")
+        changes = recordings.changes
+        assert await recordings.remove("run.mcap") == "run.mcap"
+        assert recordings.changes == changes + 1
+        assert not (tmp_path / "run.mcap").exists()
+        with pytest.raises(UnknownTopic):
+            await recordings.remove("run.mcap")
+
+
+async def test_folder_that_cannot_be_made_is_a_failure(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    async with running(tmp_path / "file" / "folder") as (_, recordings):
+        with pytest.raises(RecordingFailed):
+            await recordings.start(ALL, name="run")
+        assert recordings.under_way() == []
+
+
+async def test_recording_whose_disk_fails_ends_alone_and_is_counted(tmp_path: Path) -> None:
+    async with running(tmp_path) as (hub, recordings):
+        await recordings.start(ALL, name="good")
+        bad = await recordings.start(ALL, name="bad")
+        program = hub.join("program")
+        program.advertise("/door", BOOL)
+
+        def fail(*_: object) -> bool:
+            raise OSError(28, "No space left on device")
+
+        bad.thread._writer.write = fail  # type: ignore[method-assign]
+        with capture_logs() as logs:
+            await asyncio.sleep(0.2)
+            program.publish("/door", b"\1")
+            await expect(lambda: recordings.failed == 1)
+        assert [each.name for each in recordings.under_way()] == ["good"]
+        failed = [line for line in logs if line["event"] == "recording.failed"]
+        assert [(line["recording"], "No space left" in line["reason"]) for line in failed] == [("bad", True)]
+
+
+async def test_unknown_robot_is_refused(tmp_path: Path) -> None:
+    async with running(tmp_path) as (_, recordings):
+        with pytest.raises(UnknownTopic):
+            recordings.check_robot("robot_9")
+
+
+async def test_written_bytes_are_those_of_all_files(tmp_path: Path) -> None:
+    thread = FileThread(
+        lambda number: tmp_path / f"{number}.mcap",
+        Splitting(max_file_bytes=1, max_file_s=1e9),
+        loop=asyncio.get_running_loop(),
+        metadata={},
+    )
+    for number in range(3):
+        thread.put(EVENTS, number, b"x" * 100)
+        await expect(lambda number=number: len(thread.paths) > number + 1)  # type: ignore[misc]
+    await thread.aclose()
+    sizes = [path.stat().st_size for path in thread.paths]
+    assert len(sizes) == 4
+    assert 0.5 * sum(sizes) < thread.written_bytes <= sum(sizes)
+
+
+# -- drive log --------------------------------------------------------------------------------------------------------
+
+
+DRIVE = Drive(
+    robot="robot_0",
+    owner="client 1",
+    priority=50,
+    address="10.0.0.1",
+    began_ns=1,
+    ended_ns=5,
+    seconds=1.0,
+    end="stopped",
+)
+
+
+@contextlib.asynccontextmanager
+async def drive_log(folder: Path, *, is_kept: bool = True) -> AsyncIterator[DriveLog]:
+    hub = Hub(Config(), CATALOG, reraises=True)
+    async with asyncio.TaskGroup() as tasks:
+        task = tasks.create_task(hub.run())
+        await hub.is_running.wait()
+        made = DriveLog(hub, folder, is_kept=is_kept)
+        await made.start()
+        yield made
+        await made.aclose()
+        task.cancel()
+
+
+async def test_drive_log_lists_the_drives_of_earlier_daemons_newest_first(tmp_path: Path) -> None:
+    other = Drive(
+        robot="robot_1",
+        owner="client 2",
+        priority=50,
+        address="10.0.0.1",
+        began_ns=2,
+        ended_ns=9,
+        seconds=1.0,
+        end="stopped",
+    )
+    append_drives(tmp_path, [DRIVE, other])
+    async with drive_log(tmp_path) as made:
+        assert [each.robot for each in made.newest_first()] == ["robot_1", "robot_0"]
+        assert [each.robot for each in made.newest_first(robot="robot_0")] == ["robot_0"]
+        assert [each.robot for each in made.newest_first(limit=1)] == ["robot_1"]
+    async with drive_log(tmp_path, is_kept=False) as made:
+        assert made.newest_first() == []
+
+
+async def test_unwritable_drive_log_is_logged_once_and_counts_lost_drives(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    async with drive_log(tmp_path / "file") as made:
+        with capture_logs() as logs:
+            await made._keep([DRIVE])
+            await made._keep([DRIVE, DRIVE])
+        assert made.lost == 3
+        assert [line["event"] for line in logs] == ["drives.lost"]
+        assert len(made.newest_first()) == 3
+
+
+async def test_drive_log_that_keeps_no_file_writes_none(tmp_path: Path) -> None:
+    async with drive_log(tmp_path, is_kept=False) as made:
+        await made._keep([DRIVE])
+        assert [each.owner for each in made.newest_first()] == ["client 1"]
+    assert read_drives(tmp_path) == []
+
+
+async def test_kept_drives_are_in_the_file(tmp_path: Path) -> None:
+    async with drive_log(tmp_path) as made:
+        await made._keep([DRIVE])
+        await made._keep([])
+    assert read_drives(tmp_path) == [DRIVE]
