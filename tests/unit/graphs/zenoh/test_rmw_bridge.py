@@ -31,7 +31,7 @@ from tests.support.fake_device import CATALOG
 from tests.support.memory_zenoh import MemoryNetwork, MemorySession
 from tests.support.participants import ROBOT, TEXT, TEXT_TYPE, Scene, play
 
-TYPES = Ros2Types(CATALOG)
+TYPES = Ros2Types(CATALOG, "kilted")
 STRING, TWIST, TRIGGER = "std_msgs/msg/String", "geometry_msgs/msg/Twist", "std_srvs/srv/Trigger"
 CMD_VEL = f"/{ROBOT}/velocity_commands"
 
