@@ -342,7 +342,7 @@ class _Keyboard:
             self._quit()
         elif key.name == "ctrl-z":
             self._want_suspend()
-        else:
+        elif not self.is_done:  # a key that is still held must not drive after Ctrl-C
             self._wants_stop |= key.name in STOP_KEYS
             self._wants_unlock |= key == Key(UNLOCK_KEY)
             self.driving.receive(key, _now_s())

@@ -39,7 +39,7 @@ def main() -> NoReturn:
 def _import_everything() -> None:
     for command in command_line.COMMANDS:
         importlib.import_module(command_line.module_of(command))
-    for late in ("serve", "ros1_parameters", "examples"):  # which commands import when they run
+    for late in ("serve", "ros1_parameters"):  # which commands import when they run
         importlib.import_module(f"hostlink.cli.{late}")
     Catalog()
     sys.argv = ["hostlink", "serve", "--example", "config"]

@@ -1,43 +1,113 @@
-"""A real terminal: a tmux session of its own, whose keys are pressed and whose screen is read."""
+"""A real terminal: a tmux session of its own, whose keys are pressed and whose screen is read.
+
+One tmux client in control mode presses the keys and reads the screen. A process for each key would be too slow on a
+busy machine, and a held key would count as released. The client receives a line for each output, so a wait ends with
+an event.
+"""
 
 import asyncio
 import contextlib
 import os
+import shlex
 import shutil
+from collections import deque
 from collections.abc import AsyncIterator
 
-PATIENCE_S = 15.0
+PATIENCE_S = 40.0  # bound of a wait for an event; a busy machine takes long
 POLL_S = 0.1
+KEY_INTERVAL_S = 0.03  # of a keyboard that repeats a key
 
 
 class Screen:
-    """A tmux session of its own with a shell in it."""
+    """A tmux session with a shell in it."""
 
     def __init__(self, name: str) -> None:
         self._name = name
+        self._control: asyncio.subprocess.Process | None = None
+        self._answers: deque[asyncio.Future[str]] = deque()
+        self._changed = asyncio.Event()
+        self.attached = asyncio.Event()
+
+    async def run(self) -> None:
+        """Serve the control client until tmux ends."""
+        self._control = await asyncio.create_subprocess_exec(
+            "tmux", "-L", self._name, "-C", "attach", "-f", "ignore-size", "-t", "main",
+            stdin=asyncio.subprocess.PIPE, stdout=asyncio.subprocess.PIPE,
+        )  # fmt: skip
+        self._answers.append(asyncio.get_running_loop().create_future())  # of `attach` itself
+        self.attached.set()
+        assert self._control.stdout is not None
+        block: list[str] | None = None
+        async for raw in self._control.stdout:
+            line = raw.decode(errors="replace").rstrip("\n")
+            if block is None and line.startswith("%begin "):
+                block = []
+            elif block is not None and line.startswith(("%end ", "%error ")):
+                answer = self._answers.popleft()
+                if not answer.done():
+                    answer.set_result("\n".join([*block, ""]))
+                block = None
+            elif block is not None:
+                block.append(line)
+            else:  # %output, %layout-change, %exit ...
+                self._changed.set()
+        self._control = None
+        for answer in self._answers:
+            if not answer.done():
+                answer.set_result("")
 
     async def tmux(self, *arguments: str) -> str:
+        """Run a command of tmux; its output."""
         child = await asyncio.create_subprocess_exec(
             "tmux", "-L", self._name, *arguments, stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.PIPE
         )
         out, _ = await child.communicate()
         return out.decode()
 
+    async def command(self, *arguments: str) -> str:
+        """Run a command of tmux in the control client; empty when tmux has ended."""
+        if self._control is None or self._control.stdin is None:
+            return ""
+        answer: asyncio.Future[str] = asyncio.get_running_loop().create_future()
+        self._answers.append(answer)
+        self._control.stdin.write(f"{shlex.join(arguments)}\n".encode())
+        return await answer
+
     async def keys(self, *names: str) -> None:
         await self.tmux("send-keys", "-t", "main", *names)
 
+    @contextlib.asynccontextmanager
+    async def holding(self, key: str) -> AsyncIterator[None]:
+        """Hold a key for the length of the block: press it again and again, as a keyboard does."""
+        async with asyncio.TaskGroup() as tasks:
+            holding = tasks.create_task(self._hold(key))
+            try:
+                yield
+            finally:
+                holding.cancel()
+
+    async def _hold(self, key: str) -> None:
+        while True:
+            await self.command("send-keys", "-t", "main", key)
+            await asyncio.sleep(KEY_INTERVAL_S)
+
     async def text(self) -> str:
-        return await self.tmux("capture-pane", "-p", "-t", "main")
+        return await self.command("capture-pane", "-p", "-t", "main")
 
     async def shows(self, text: str) -> str:
+        """Wait until the text is on the screen; the whole screen."""
         observed = ""
         try:
             async with asyncio.timeout(PATIENCE_S):
-                while text not in (observed := await self.text()):  # noqa: ASYNC110 - tmux has no event
-                    await asyncio.sleep(POLL_S)
+                while True:
+                    self._changed.clear()
+                    if text in (observed := await self.text()):
+                        return observed
+                    with contextlib.suppress(TimeoutError):  # a change that tmux does not report
+                        async with asyncio.timeout(1.0):
+                            await self._changed.wait()
         except TimeoutError:
             raise AssertionError(f"not on the screen within {PATIENCE_S:g} s: {text!r}; last:\n{observed}") from None
-        return observed
 
     async def process(self, name: str) -> int:
         """The process with this command line in the screen."""
@@ -60,8 +130,15 @@ async def screen(*, columns: int = 100, rows: int = 24, name: str = "") -> Async
     made = Screen(f"hostlink-{os.getpid()}{name}")
     size = ("-x", str(columns), "-y", str(rows))
     await made.tmux("-f", "/dev/null", "new-session", "-d", "-s", "main", *size, "env", "-u", "PS1", "bash", "--norc")
-    try:
-        await made.shows("bash-")  # keys that come while it starts can be lost
-        yield made
-    finally:
-        await made.tmux("kill-server")
+    async with asyncio.TaskGroup() as tasks:
+        try:
+            while "bash-" not in await made.tmux("capture-pane", "-p", "-t", "main"):  # noqa: ASYNC110 - not attached yet
+                await asyncio.sleep(POLL_S)  # keys that arrive while the shell starts can be lost
+            running = tasks.create_task(made.run())
+            await made.attached.wait()
+            try:
+                yield made
+            finally:
+                running.cancel()
+        finally:
+            await made.tmux("kill-server")
