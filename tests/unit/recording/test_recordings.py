@@ -34,11 +34,11 @@ async def running(folder: Path, **settings: object) -> AsyncIterator[tuple[Hub, 
         task = tasks.create_task(hub.run())
         await hub.is_running.wait()
         made = Recordings(hub)
+        await made.open()
         try:
             yield hub, made
         finally:
-            for name in [each.name for each in made.under_way()]:
-                await made.stop(name)
+            await made.aclose()
             task.cancel()
 
 
