@@ -1,4 +1,4 @@
-"""Device: what one link means to the graph: its topics, its services, and the routes of its frames."""
+"""Device: the topics and services of one link in the graph, their names there, and the routes of its frames."""
 
 import struct
 import time

@@ -1,4 +1,4 @@
-"""GraphView: the graph as one group sees it, brought up to date by what has changed: a robot costs what it has."""
+"""The graph as one group sees it: topics and services as values, updated from what has changed since."""
 
 import bisect
 from collections.abc import Mapping

@@ -1,4 +1,4 @@
-"""Hub: all devices and participants together. It owns the parts, runs them, and stops every robot at its end."""
+"""Hub: the parts that devices and participants share. It runs them, and stops every robot when the daemon ends."""
 
 import asyncio
 import contextlib

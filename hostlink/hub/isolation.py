@@ -1,4 +1,4 @@
-"""Isolation: a crash ends what it belongs to, and nothing else. It is logged and counted."""
+"""Isolation: the boundaries at which a crash is logged and counted, and behind which nothing else ends."""
 
 import contextlib
 from collections import Counter

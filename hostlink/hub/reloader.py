@@ -1,4 +1,4 @@
-"""Reloader: reads the settings again, and changes what can be changed while it runs; all of it, or nothing."""
+"""Reloader: reads the settings again, and applies all that can change without a restart, or nothing."""
 
 import asyncio
 import contextlib

@@ -1,4 +1,4 @@
-"""Robot: what everybody uses of a robot. A LocalRobot has its link here, a RemoteRobot at another daemon."""
+"""Robots as the rest of hostlink uses them: `LocalRobot` has its link here, `RemoteRobot` at another daemon."""
 
 import asyncio
 import dataclasses

@@ -1,4 +1,4 @@
-"""Robots: the registry of links and robots: which link is which device, which device is which robot, what drives it."""
+"""Robots: the registry of links, devices, robots and their gates, and the retention of robots that disconnected."""
 
 import asyncio
 import contextlib

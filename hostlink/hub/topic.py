@@ -1,4 +1,4 @@
-"""Topic: one name in the graph, who publishes it and who subscribes to it."""
+"""Topics of the graph: publishers, subscribers, latched messages, and the order in which messages are delivered."""
 
 import asyncio
 import itertools

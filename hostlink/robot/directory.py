@@ -1,4 +1,4 @@
-"""Directory: which device is which robot, and which device is another one that came back."""
+"""Directory: which robot a device is, which name the robot gets, and whether a device is one that reconnected."""
 
 import itertools
 import math

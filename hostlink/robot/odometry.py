@@ -1,4 +1,4 @@
-"""OdometryEstimator: what is known of where a robot is and how it moves, from the poses that it publishes."""
+"""Odometry: poses read from a device, corrected by its calibration, and the motion that they mean. Pure."""
 
 import itertools
 import math
