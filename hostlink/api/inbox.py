@@ -12,6 +12,7 @@ from hostlink.errors import BadPayload
 from hostlink.hub.topic_graph import TopicGraph
 from hostlink.robot.velocity import Twist
 
+_NUMBERS = frozenset((int, float))  # exactly: JSON's true and false are none
 _NONE = (None, False)  # no velocity, or one that is wrong: that is refused, and not replaced
 
 
@@ -22,10 +23,11 @@ def velocity_of_request(request: Request, topics: TopicGraph) -> tuple[Hashable,
     if not isinstance(priority, int | None):
         return _NONE
     if request.op == "drive":
-        robot, velocity = fields.get("robot"), (fields.get("linear"), fields.get("angular"), fields.get("linear_y", 0))
-        if not (isinstance(robot, str) and all(map(_is_number, velocity))):
+        robot = fields.get("robot")
+        x, y, yaw = fields.get("linear"), fields.get("linear_y", 0), fields.get("angular")
+        if not (type(robot) is str and type(x) in _NUMBERS and type(y) in _NUMBERS and type(yaw) in _NUMBERS):
             return _NONE
-        return ("drive", robot, priority), not any(velocity)
+        return ("drive", robot, priority), not (x or y or yaw)
     name = fields.get("topic")
     topic = topics.find_or_none(name) if request.op == "publish" and isinstance(name, str) else None
     if topic is None or not topic.is_gated:
@@ -60,7 +62,7 @@ def _is_zero_message(fields: dict[str, Any]) -> bool | None:
         if not isinstance(vector, dict):
             return None
         numbers += vector.values()
-    return not any(numbers) if all(map(_is_number, numbers)) else None
+    return not any(numbers) if _NUMBERS.issuperset(map(type, numbers)) else None
 
 
 def _is_zero_payload(payload: bytes) -> bool | None:
@@ -69,10 +71,6 @@ def _is_zero_payload(payload: bytes) -> bool | None:
         return Twist.decode(payload[-len(Twist().encode()) :]).is_zero
     except BadPayload:
         return None
-
-
-def _is_number(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)
 
 
 MANY = 64  # messages that one who drives may send while the daemon is busy: more than a second's worth at 50 Hz

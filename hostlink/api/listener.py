@@ -13,6 +13,7 @@ from aiohttp import web
 
 from hostlink.acceptor import Acceptor
 from hostlink.api.connections import Connection, Connections
+from hostlink.forwarding_protocol import ForwardingProtocol
 from hostlink.hub.byte_budget import Share
 from hostlink.hub.hub import Hub
 from hostlink.link.fair_share import Turns
@@ -27,7 +28,7 @@ LARGE_BYTES = SOCKET_BYTES  # a message above it needs room in the budget before
 _INTO = memoryview(bytearray(SOCKET_BYTES))  # of all connections: what came is copied out of it before the next reads
 
 
-class PacedReading(asyncio.BufferedProtocol):
+class PacedReading(ForwardingProtocol, asyncio.BufferedProtocol):
     """The protocol of one connection, around the one that understands it.
 
     | it speaks   | what is read                                                                                       |
@@ -52,7 +53,7 @@ class PacedReading(asyncio.BufferedProtocol):
 
         `behind_since_s`: since when the connection may have waited to be accepted, and its first bytes with it.
         """
-        self._inner = inner
+        super().__init__(inner)
         self.came_s = behind_since_s or 0.0  # when what was read last came, at the earliest
         self.request_came_s = 0.0  # the request that is being answered
         self._turns, self._share, self._came = turns, share, came_s
@@ -107,14 +108,18 @@ class PacedReading(asyncio.BufferedProtocol):
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         self._transport = transport  # type: ignore[assignment]  # uvloop's is no subclass of asyncio's
-        self._inner.connection_made(transport)
+        super().connection_made(transport)
 
     def get_buffer(self, sizehint: int) -> memoryview:  # noqa: ARG002 - asyncio's signature
         return _INTO[: SOCKET_BYTES if self._is_web_socket else REQUEST_BYTES]
 
     def buffer_updated(self, nbytes: int) -> None:
         data = bytes(_INTO[:nbytes])
-        self._note(nbytes)
+        if not self._is_behind:  # it came after the turn of the loop before this one
+            self.came_s = self._came(self._loop.time())
+        self._is_behind = nbytes == (SOCKET_BYTES if self._is_web_socket else REQUEST_BYTES)
+        if self._next_request_came_s is None:
+            self._next_request_came_s = self.came_s
         if self._held or self._is_refusing:
             self._hold(data)
         elif self._is_web_socket:
@@ -128,29 +133,18 @@ class PacedReading(asyncio.BufferedProtocol):
     def connection_lost(self, exc: Exception | None) -> None:
         self._is_lost, self._held = True, b""
         self._give_room()
-        self._inner.connection_lost(exc)
-
-    def eof_received(self) -> bool | None:
-        return self._inner.eof_received()
+        super().connection_lost(exc)
 
     def pause_writing(self) -> None:
         self.is_writing_paused = True
-        self._inner.pause_writing()
+        super().pause_writing()
 
     def resume_writing(self) -> None:
         self.is_writing_paused = False
-        self._inner.resume_writing()
+        super().resume_writing()
         self._on_writable()
 
     # -- its parts ----------------------------------------------------------------------------------------------------
-
-    def _note(self, nbytes: int) -> None:
-        """When it came: after the turn of the loop before this one, unless there was more than that turn has read."""
-        if not self._is_behind:
-            self.came_s = self._came(self._loop.time())
-        self._is_behind = nbytes == (SOCKET_BYTES if self._is_web_socket else REQUEST_BYTES)
-        if self._next_request_came_s is None:
-            self._next_request_came_s = self.came_s
 
     def _hold(self, data: bytes) -> None:
         self._held = b"" if self._is_refusing else self._held + data

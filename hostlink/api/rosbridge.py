@@ -440,17 +440,15 @@ class RosbridgeClient:
             self._put_error(operation.content)
             return
         request = operation.content
-        request.replaced = [each for each in operation.replaced if isinstance(each, Request)]
-        self._do(request)
-
-    def _do(self, request: Request) -> None:
+        if operation.replaced:
+            request.replaced = [each for each in operation.replaced if isinstance(each, Request)]
         try:
-            operation = self._operations.get(request.op)
-            if operation is None:
+            act = self._operations.get(request.op)
+            if act is None:
                 self._log_unknown(request.op)
                 raise BadRequest(f"unknown op {printable(request.op)!r}")
             self.participant.check(Role.READ if request.op in _ONLY_READS else Role.DRIVE, request.op)
-            operation(request)
+            act(request)
         except HostlinkError as error:
             self._put_error(error, request)
 

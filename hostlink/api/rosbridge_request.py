@@ -25,7 +25,10 @@ class Request:
         self.fields, self.size_bytes = fields, size_bytes
         self.came_s: float | None = None  # when it came, at the earliest; None: now
         self.replaced: list[Request] = []  # velocities in the place of which it is done
-        self.op: str = self._operation()
+        op = fields["op"]
+        if not isinstance(op, str) or not op:
+            raise BadRequest(f"{reprlib.repr(op)}: op must be a text")
+        self.op = op
 
     @classmethod
     def read(cls, text: str | bytes) -> "Request":
@@ -115,12 +118,6 @@ class Request:
     def is_set(self, key: str) -> bool:
         """Whether a switch is on."""
         return self.fields.get(key) is True
-
-    def _operation(self) -> str:
-        value = self.fields["op"]
-        if not isinstance(value, str) or not value:
-            raise BadRequest(f"{reprlib.repr(value)}: op must be a text")
-        return value
 
 
 MAX_PENDING = 4  # messages of a client that are not whole yet

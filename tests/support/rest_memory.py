@@ -1,0 +1,77 @@
+"""The REST API without a socket: routes, handlers and the statuses of errors, on a hub with a robot in memory."""
+
+import asyncio
+import contextlib
+import json
+from collections.abc import AsyncIterator, Sequence
+from typing import Any
+
+from aiohttp import web
+from aiohttp.test_utils import make_mocked_request
+
+from hostlink.api.access import GRANT, Grant
+from hostlink.api.clients import Clients
+from hostlink.api.rest import Owners, Rest
+from hostlink.api.routes import BODY, CAME, Route, explain_errors
+from hostlink.config import Config
+from hostlink.hub.hub import Hub
+from hostlink.hub.node import Role
+from hostlink.protocol.control import TopicInfo
+from tests.support.fake_device import CATALOG, robot_topics
+from tests.support.participants import ODOMETRY_ID, POSE, ROBOT
+from tests.support.scripted_device import ScriptedDevice
+
+
+class RestMemory:
+    """A daemon's REST API, and the device of its robot."""
+
+    def __init__(self, topics: Sequence[TopicInfo]) -> None:
+        self.hub = Hub(Config(), CATALOG, reraises=True)
+        self.owners = Owners(self.hub)
+        self._topics = topics
+        self._app = web.Application()
+        self.device: ScriptedDevice
+
+    async def begin(self) -> None:
+        self.add(Rest(self.hub, Clients(4, max_per_address=4), self.owners).routes())
+        self.device = ScriptedDevice(self.hub, self._topics, address="10.0.0.1")
+        await asyncio.sleep(0.5)
+
+    def add(self, routes: Sequence[Route]) -> None:
+        """Offer more paths."""
+        for route in routes:
+            self._app.router.add_route(route.method, route.path, route.handler)
+
+    async def call(
+        self, method: str, path: str, body: object = b"", *, role: Role = Role.DRIVE, who: str = "phone"
+    ) -> tuple[int, Any]:
+        """Return the status and the JSON of an answer. `body` is JSON unless it is bytes."""
+        match = await self._app.router.resolve(make_mocked_request(method, path))
+        request = make_mocked_request(method, path, match_info=dict(match))
+        request[GRANT], request[CAME] = Grant(who, role), asyncio.get_running_loop().time()
+        request[BODY] = body if isinstance(body, bytes) else json.dumps(body).encode()
+        answer = await explain_errors(request, match.handler)
+        assert isinstance(answer, web.Response)
+        assert isinstance(answer.body, bytes)
+        return answer.status, json.loads(answer.body)
+
+    async def move_to(self, x_m: float, y_m: float, theta_rad: float) -> None:
+        """Publish a pose of the robot."""
+        await self.device.send(ODOMETRY_ID, POSE.pack(x_m, y_m, theta_rad))
+        await asyncio.sleep(0.05)
+
+
+@contextlib.asynccontextmanager
+async def rest_memory(topics: Sequence[TopicInfo] | None = None) -> AsyncIterator[RestMemory]:
+    """A running hub with one robot, for virtual time."""
+    made = RestMemory(robot_topics(ROBOT) if topics is None else topics)
+    async with asyncio.TaskGroup() as tasks:
+        running = tasks.create_task(made.hub.run())
+        await made.hub.is_running.wait()
+        try:
+            await made.begin()
+            yield made
+        finally:
+            for task in asyncio.all_tasks() - {asyncio.current_task()}:
+                task.cancel()
+            running.cancel()

@@ -1,0 +1,384 @@
+"""ClientSocket without a socket: what is done and sent in one turn of the loop, and when a client is cut off."""
+
+import asyncio
+import contextlib
+import json
+from collections.abc import AsyncIterator, Callable
+from typing import Any, cast
+
+import pytest
+from aiohttp import WSMessage, WSMsgType, web
+from structlog.testing import capture_logs
+
+from hostlink.api.clients import Client, ClientQueue, Outgoing
+from hostlink.api.inbox import Operation
+from hostlink.api.listener import PacedReading
+from hostlink.api.web_socket import READY_TIMEOUT_S, SEND_BATCH, SEND_TIMEOUT_S, WRITE_BYTES, ClientSocket, frame_head
+from hostlink.hub.queue import MAX_RESULTS
+from hostlink.latency import Latency
+from hostlink.link.fair_share import FairShare, Turns
+from tests.support.virtual_loop import run_virtual
+
+TEXT, BINARY = 0x81, 0x82
+
+
+class Socket:
+    """What ClientSocket uses of aiohttp's WebSocket, of its connection and of the API's client."""
+
+    def __init__(self) -> None:
+        self.messages = asyncio.Queue[WSMessage]()
+        self.written: list[bytes] = []
+        self.pings = self.pongs = 0
+        self.close_code: int | None = None
+        self.closed = self.is_writing_paused = False
+        self.came_s = 0.0
+        self.kind = "rosbridge"
+        self.messages_from_client = self.messages_to_client = self.bytes_to_client = 0
+        self.on_read: Callable[[], None]
+        self.on_writable: Callable[[], None]
+
+    def put(self, *texts: str) -> None:
+        """Messages of one read."""
+        for text in texts:
+            self.messages.put_nowait(WSMessage(WSMsgType.TEXT, text, None))
+
+    async def receive(self) -> WSMessage:
+        return await self.messages.get()
+
+    async def ping(self) -> None:
+        self.pings += 1
+
+    async def pong(self, _: bytes) -> None:
+        self.pongs += 1
+
+    async def close(self, *, code: int, message: bytes, drain: bool) -> None:  # noqa: ARG002 - aiohttp's signature
+        self.close_code, self.closed = code, True
+
+    def write(self, data: bytes) -> None:
+        self.written.append(data)
+
+    def is_closing(self) -> bool:
+        return self.closed
+
+    def become_web_socket(self, *, on_read: Callable[[], None], on_writable: Callable[[], None]) -> None:
+        self.on_read, self.on_writable = on_read, on_writable
+
+    def leave_web_socket(self) -> None: ...
+    def receive_message(self) -> None: ...
+    def receive_control(self, _: int) -> None: ...
+
+
+class Echo:
+    """A program that answers each word with the word; `fail` fails, and `robot=2` is a velocity."""
+
+    def __init__(self, queue: ClientQueue) -> None:
+        self.queue, self.done, self.is_crowded, self.is_closed = queue, list[str](), False, False
+        self.held_back: list[tuple[float, str]] = []  # what is due, and when
+
+    def read(self, data: str | bytes, came_s: float) -> Operation[str]:
+        robot, is_velocity, value = str(data).partition("=")
+        return Operation(str(data), came_s, robot if is_velocity else None, value == "0")
+
+    def do(self, operation: Operation[str]) -> None:
+        if operation.content == "fail":
+            raise ValueError("a defect")
+        self.done.append(operation.content)
+        self.queue.put_result(Outgoing(operation.content.encode()))
+
+    def flush(self, now_s: float) -> float | None:
+        for due_s, word in list(self.held_back):
+            if due_s <= now_s:
+                self.held_back.remove((due_s, word))
+                self.queue.put_message("topic", Outgoing(word.encode()))
+        return min((due_s for due_s, _ in self.held_back), default=None)
+
+    def close(self) -> None:
+        self.is_closed = True
+
+
+class Connected:
+    """One ClientSocket that runs."""
+
+    def __init__(self, tasks: asyncio.TaskGroup, kind: str, max_messages_s: float) -> None:
+        self.socket, self.queue = Socket(), ClientQueue()
+        self.socket.kind = kind
+        self.program, self.latency, self.replaced = Echo(self.queue), Latency(), 0
+        self.connection = ClientSocket(
+            cast(web.WebSocketResponse, self.socket),
+            cast(asyncio.Transport, self.socket),
+            cast(PacedReading, self.socket),
+            cast(Client, self.socket),
+            cast(Any, self.program),
+            self.queue,
+            Turns(FairShare()),
+            tasks=tasks,
+            max_messages_s=max_messages_s,
+            on_replaced=self._note_replaced,
+            to_client=self.latency,
+        )
+        tasks.create_task(self.connection.receive())
+
+    def _note_replaced(self) -> None:
+        self.replaced += 1
+
+    def written(self) -> list[bytes]:
+        """Payloads of short frames, one list item for each write."""
+        return [data[2:] for data in self.socket.written]
+
+    async def leave(self) -> None:
+        self.socket.messages.put_nowait(WSMessage(WSMsgType.CLOSE, None, None))
+        await asyncio.sleep(0.01)
+
+
+@contextlib.asynccontextmanager
+async def connected(kind: str = "rosbridge", max_messages_s: float = 1000.0) -> AsyncIterator[Connected]:
+    async with asyncio.TaskGroup() as tasks:
+        made = Connected(tasks, kind, max_messages_s)
+        await asyncio.sleep(0.01)
+        yield made
+        if not made.socket.closed:
+            await made.leave()
+            assert made.program.is_closed
+
+
+@pytest.mark.parametrize(
+    ("size_bytes", "head"),
+    [
+        (0, bytes((TEXT, 0))),
+        (125, bytes((TEXT, 125))),
+        (126, bytes((TEXT, 126, 0, 126))),
+        (0xFFFF, bytes((TEXT, 126, 255, 255))),
+        (0x10000, bytes((TEXT, 127, 0, 0, 0, 0, 0, 1, 0, 0))),
+    ],
+)
+def test_frame_head_has_the_length_in_as_few_bytes_as_the_rfc_demands(size_bytes: int, head: bytes) -> None:
+    assert frame_head(size_bytes, is_binary=False) == head
+    assert frame_head(size_bytes, is_binary=True) == bytes((BINARY,)) + head[1:]
+
+
+def test_messages_of_one_read_are_answered_in_one_write() -> None:
+    async def run() -> None:
+        async with connected() as client:
+            client.socket.put("one", "two", "three")
+            await asyncio.sleep(0.01)
+            assert client.socket.written == [b"\x81\x03one\x81\x03two\x81\x05three"]
+            assert (client.socket.messages_from_client, client.socket.messages_to_client) == (3, 3)
+            assert client.socket.bytes_to_client == len("onetwothree")
+            assert sum(client.latency.counts) == 3
+
+    run_virtual(run())
+
+
+def test_of_velocities_of_one_read_only_the_newest_is_done() -> None:
+    async def run() -> None:
+        async with connected() as client:
+            client.socket.put("a=1", "a=2", "a=3")
+            await asyncio.sleep(0.01)
+            assert (client.program.done, client.replaced) == (["a=3"], 2)
+
+    run_virtual(run())
+
+
+def test_messages_of_a_topic_that_are_queued_in_one_turn_are_one_write() -> None:
+    async def run() -> None:
+        async with connected() as client:
+            for word in (b"a", b"b"):
+                client.queue.put_message("topic", Outgoing(word, is_binary=True, before=b"time"))
+            await asyncio.sleep(0.01)
+            assert client.socket.written == [b"\x82\x04time\x82\x01a\x82\x04time\x82\x01b"]
+
+    run_virtual(run())
+
+
+def test_many_messages_are_written_in_batches() -> None:
+    async def run() -> None:
+        async with connected() as client:
+            for _ in range(SEND_BATCH + 1):
+                client.queue.put_message("topic", Outgoing(b"x"))
+            await asyncio.sleep(0.01)
+            assert [len(data) for data in client.socket.written] == [3 * SEND_BATCH, 3]
+
+    run_virtual(run())
+
+
+def test_a_write_ends_with_the_message_that_fills_it() -> None:
+    async def run() -> None:
+        async with connected() as client:
+            for size in (WRITE_BYTES - 1, 1, 1):
+                client.queue.put_message("topic", Outgoing(b"x" * size))
+            await asyncio.sleep(0.01)
+            assert len(client.socket.written) == 2
+
+    run_virtual(run())
+
+
+def test_nothing_is_written_while_the_transport_is_full() -> None:
+    async def run() -> None:
+        async with connected() as client:
+            client.socket.is_writing_paused = True
+            client.queue.put_message("topic", Outgoing(b"x"))
+            await asyncio.sleep(0.01)
+            assert client.socket.written == []
+            assert client.queue.waiting_messages == 1
+            client.socket.is_writing_paused = False
+            client.socket.on_writable()
+            await asyncio.sleep(0.01)
+            assert client.written() == [b"x"]
+
+    run_virtual(run())
+
+
+def test_a_client_that_reads_nothing_is_cut_off_in_time() -> None:
+    async def run() -> None:
+        async with connected() as client:
+
+            def fill(data: bytes) -> None:
+                client.socket.is_writing_paused = True
+                client.socket.written.append(data)
+
+            client.socket.write = fill  # type: ignore[method-assign]
+            client.queue.put_message("topic", Outgoing(b"x"))
+            await asyncio.sleep(SEND_TIMEOUT_S - 0.1)
+            client.socket.on_writable()
+            client.socket.is_writing_paused = False
+            client.queue.put_message("topic", Outgoing(b"x"))
+            await asyncio.sleep(SEND_TIMEOUT_S + 0.1)
+            raise AssertionError("it was not cut off")
+
+    with pytest.raises(ExceptionGroup) as caught:
+        run_virtual(run())
+    assert caught.group_contains(TimeoutError, match="it reads nothing")
+
+
+def test_a_client_whose_answers_pile_up_is_closed_and_logged() -> None:
+    async def run() -> Connected | None:
+        client = None
+        with contextlib.suppress(*[ExceptionGroup]):
+            async with connected() as client:
+                for _ in range(MAX_RESULTS + 1):
+                    client.queue.put_result(Outgoing(b"x"))
+                await asyncio.sleep(0.01)
+        return client
+
+    with capture_logs() as lines:
+        client = run_virtual(run())
+    assert client is not None
+    assert client.socket.close_code == 1008
+    assert [line["event"] for line in lines] == ["client.too_slow"]
+
+
+def test_a_client_whose_participant_has_ended_is_closed() -> None:
+    async def run() -> Connected | None:
+        client = None
+        with contextlib.suppress(*[ExceptionGroup]):
+            async with connected() as client:
+                client.queue.close()
+                await asyncio.sleep(0.01)
+        return client
+
+    client = run_virtual(run())
+    assert client is not None
+    assert client.socket.close_code == 1011
+
+
+def test_a_defect_ends_the_client_s_tasks() -> None:
+    async def run() -> None:
+        async with connected() as client:
+            client.socket.put("fail")
+            await asyncio.sleep(1)
+
+    with pytest.raises(ExceptionGroup) as caught:
+        run_virtual(run())
+    assert caught.group_contains(ValueError, match="a defect")
+
+
+def test_a_flood_of_messages_is_refused() -> None:
+    async def run() -> Connected:
+        async with connected(max_messages_s=10.0) as client:
+            client.socket.put(*["x"] * 21)
+            await asyncio.sleep(0.01)
+            assert client.socket.close_code == 1008
+            return client
+
+    with capture_logs() as lines:
+        assert run_virtual(run()).program.is_closed
+    assert lines[0]["event"] == "client.too_fast"
+
+
+def test_two_seconds_of_messages_at_once_are_accepted() -> None:
+    async def run() -> None:
+        async with connected(max_messages_s=10.0) as client:
+            client.socket.put(*["x"] * 20)
+            await asyncio.sleep(0.01)
+            assert client.socket.close_code is None
+            assert len(client.program.done) == 20
+
+    run_virtual(run())
+
+
+@pytest.mark.parametrize("answers", [True, False])
+def test_foxglove_is_sent_nothing_before_it_answers_a_ping_or_a_second_is_over(answers: bool) -> None:
+    async def run() -> None:
+        async with connected("foxglove") as client:
+            client.queue.put_result(Outgoing(b"hello"))
+            await asyncio.sleep(0.1)
+            assert (client.socket.pings, client.socket.written) == (1, [])
+            if answers:
+                client.socket.messages.put_nowait(WSMessage(WSMsgType.PONG, b"", None))
+                await asyncio.sleep(0.01)
+            else:
+                await asyncio.sleep(READY_TIMEOUT_S)
+            assert client.written() == [b"hello"]
+
+    run_virtual(run())
+
+
+def test_a_ping_is_answered() -> None:
+    async def run() -> None:
+        async with connected() as client:
+            client.socket.messages.put_nowait(WSMessage(WSMsgType.PING, b"", None))
+            await asyncio.sleep(0.01)
+            assert client.socket.pongs == 1
+
+    run_virtual(run())
+
+
+def test_what_is_held_back_is_sent_when_it_is_due() -> None:
+    async def run() -> None:
+        async with connected() as client:
+            now_s = asyncio.get_running_loop().time()
+            client.program.held_back = [(now_s + 2.0, "late"), (now_s + 1.0, "soon")]
+            client.queue.wake()
+            await asyncio.sleep(0.9)
+            assert client.written() == []
+            await asyncio.sleep(0.2)
+            assert client.written() == [b"soon"]
+            await asyncio.sleep(1.0)
+            assert client.written() == [b"soon", b"late"]
+
+    run_virtual(run())
+
+
+def test_a_client_that_leaves_has_done_all_that_it_sent() -> None:
+    async def run() -> None:
+        async with connected() as client:
+            client.socket.put("one", "two")
+            await client.leave()
+            assert client.program.done == ["one", "two"]
+
+    run_virtual(run())
+
+
+def test_nothing_more_is_done_while_answers_have_no_room() -> None:
+    async def run() -> None:
+        async with connected(max_messages_s=1e6) as client:
+            client.socket.is_writing_paused = True
+            client.socket.put(*[json.dumps(number) for number in range(200)])
+            await asyncio.sleep(0.01)
+            assert len(client.program.done) == MAX_RESULTS // 2 + 1
+            client.socket.is_writing_paused = False
+            client.socket.on_writable()
+            await asyncio.sleep(0.01)
+            assert len(client.program.done) == 200
+
+    run_virtual(run())
