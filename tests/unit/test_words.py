@@ -12,7 +12,7 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 REVISED = (
-    "board", "diagnosis", "guardian", "link", "listeners", "messages", "protocol", "recording", "transport",
+    "board", "client", "diagnosis", "guardian", "link", "listeners", "messages", "protocol", "recording", "transport",
 )  # fmt: skip
 REVISED_TESTS = (
     "property/test_board_headers.py", "property/test_codec.py", "property/test_guardian_frames.py",
