@@ -56,7 +56,7 @@ def source() -> str:
     text = HEAD + "\n".join(
         [
             *class_lines("BlockingRobot", "One robot of a host; get one from `BlockingHost.robot`.", robot, "robot"),
-            *class_lines("HostCalls", "What BlockingHost has of Host.", host, "host"),
+            *class_lines("HostCalls", "Methods of BlockingHost that correspond to those of Host.", host, "host"),
         ]
     )
     formatter = Path(sys.executable).parent / "ruff"
@@ -88,8 +88,8 @@ def class_lines(name: str, text: str, original: ast.ClassDef, field: str) -> Ite
 def attributes(field: str) -> list[tuple[str, str, str]]:
     """Attributes that the constructor sets."""
     if field == "host":
-        return [("url", "str", "Where the daemon is.")]
-    return [("name", "str", "Without a slash."), ("priority", "int", "Of its commands.")]
+        return [("url", "str", "Address of the daemon.")]
+    return [("name", "str", "Name without a slash."), ("priority", "int", "Priority of its commands, 0 to 100.")]
 
 
 def method_lines(method: Method, owner: str) -> Iterator[str]:

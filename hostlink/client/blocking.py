@@ -38,7 +38,7 @@ class BlockingHost(HostCalls):
         """Close the connection; what it drives stops.
 
         Raises:
-            HostlinkError: a message that was published was refused, and nobody has been told.
+            HostlinkError: a published message was refused, and the refusal was not reported yet.
         """
         self._loop.close()
 
@@ -46,7 +46,7 @@ class BlockingHost(HostCalls):
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        """An error in the block goes before what `close` has to report."""
+        """Close the connection. An error in the block takes precedence over one that `close` raises."""
         try:
             self.close()
         except HostlinkError:

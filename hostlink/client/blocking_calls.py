@@ -20,12 +20,12 @@ class BlockingRobot:
 
     @property
     def name(self) -> str:
-        """Without a slash."""
+        """Name without a slash."""
         return self._robot.name
 
     @property
     def priority(self) -> int:
-        """Of its commands."""
+        """Priority of its commands, 0 to 100."""
         return self._robot.priority
 
     @property
@@ -35,7 +35,7 @@ class BlockingRobot:
 
     @property
     def client_name(self) -> str | None:
-        """What the daemon calls this connection, as in `holder` of `state()`; None: nothing was commanded yet."""
+        """Name of this connection at the daemon, as in `holder` of `state()`; None before the first command."""
         return self._robot.client_name
 
     def state(self) -> RobotState:
@@ -51,10 +51,10 @@ class BlockingRobot:
 
         m/s forward, rad/s counter-clockwise, m/s to the left. Returns when the daemon has accepted the command, with
         what the robot's limits have made of it; it is then repeated ten times a second. `drive(0, 0)` slows down and
-        goes on driving; `stop()` stops and lets go. A stop or a lock by any program ends it as a refusal does.
+        continues to drive; `stop()` stops and lets go. A stop or a lock by any program ends it as a refusal does.
 
         Raises:
-            HostlinkError: and the robot is not driven: no robot of that name, its device is not connected, somebody
+            HostlinkError: and the robot is not driven: no robot of that name, its device is not connected, a source
                 with a higher priority drives it or it is locked, the numbers are not finite, it cannot move sideways,
                 there is no connection to hostlink. Also once after the velocity that was held before was dropped: by a
                 cut of the connection, by such a refusal, by a stop, because the robot's device connected again or this
@@ -80,14 +80,14 @@ class BlockingRobot:
 
     @property
     def refusal(self) -> Refusal | None:
-        """Why the newest `command` that was answered was refused; None: it was not."""
+        """Reason why the newest answered `command` was refused; None if it was accepted."""
         return self._robot.refusal
 
     def stop(self, *, wait_s: float = WAIT_S) -> Standstill:
-        """Stop, whoever drives, as fast as the robot's decelerations allow; returns what was measured since.
+        """Stop the robot, also if others drive it; return what was measured since. Its decelerations apply.
 
-        The stop is sent at once. The measurement takes until the robot stands, `wait_s` seconds at most; 0 does not
-        wait. A source that was driving must let go before it can drive again.
+        The stop is sent at once. The measurement lasts until the robot has stopped, at most `wait_s` seconds; 0 does
+        not wait. A source that was driving must let go before it can drive again.
 
         Raises:
             HostlinkError: hostlink was not reached within a second; what this script held ends anyway.
@@ -125,8 +125,8 @@ class BlockingRobot:
     def odometry(self) -> Stream[Odometry]:
         """The newest pose (m, rad), then each new one once, with twist (m/s, rad/s), stamp (ns), age (s) and rate (Hz).
 
-        It waits while the robot or the connection is gone, and goes on when it is back. A reader that is slow gets
-        fewer of them.
+        It pauses while the robot or the connection is gone, and continues afterwards. A slow reader gets fewer
+        of them.
 
         Raises:
             HostlinkError: when it begins: no robot of that name, no hostlink; with `reconnect=False` also when the
@@ -139,14 +139,14 @@ class BlockingRobot:
 
 
 class HostCalls:
-    """What BlockingHost has of Host."""
+    """Methods of BlockingHost that correspond to those of Host."""
 
     def __init__(self, loop: LoopThread, host: Host) -> None:
         self._loop, self._host = loop, host
 
     @property
     def url(self) -> str:
-        """Where the daemon is."""
+        """Address of the daemon."""
         return self._host.url
 
     def robots(self) -> list[RobotState]:
@@ -162,11 +162,11 @@ class HostCalls:
         return self._loop.run(self._host.links())
 
     def watch(self) -> Stream[Event]:
-        """What the daemon shows, as it changes: robots, links, clients, and the devices' log lines.
+        """State of the daemon as it changes: robots, links, clients, and the devices' log lines.
 
         The newest of each first, then `robots` when one of them changes, ten times a second at most, `links` and
-        `clients` once a second, and each `log` line. It waits while the connection is gone, and goes on when it is
-        back. A reader that is slow gets fewer states, always the newest.
+        `clients` once a second, and each `log` line. It pauses while the connection is lost, and continues
+        afterwards. A reader that is slow gets fewer states, always the newest.
 
         Raises:
             HostlinkError: in the iteration: when it begins, hostlink refuses or is not there; with `reconnect=False`
@@ -183,7 +183,7 @@ class HostCalls:
         return BlockingRobot(self._loop, self._host.robot(name, priority=priority))
 
     def stop_all(self, *, wait_s: float = WAIT_S) -> dict[str, Standstill]:
-        """Stop every robot, whoever drives; returns what was measured of each since, as `Robot.stop` does.
+        """Stop every robot, also those that others drive; return what was measured since, as `Robot.stop` does.
 
         Raises:
             HostlinkError: hostlink was not reached, or another daemon of the fleet has not answered.
@@ -191,7 +191,7 @@ class HostCalls:
         return self._loop.run(self._host.stop_all(wait_s=wait_s))
 
     def standstill(self, *, wait_s: float = WAIT_S) -> dict[str, Standstill]:
-        """Whether each robot stands, by odometry that comes from now on, for `wait_s` seconds at most.
+        """Measure by new odometry whether each robot has stopped, for at most `wait_s` seconds.
 
         Raises:
             HostlinkError: hostlink was not reached.
@@ -218,13 +218,13 @@ class HostCalls:
         return self._loop.run(self._host.publish_raw(topic, payload, type_name=type_name, priority=priority))
 
     def pop_refusal(self, topic: str) -> str:
-        """Why a message that was published on the topic was refused since the last call; empty if none was."""
+        """Return why a message on the topic was refused since the last call; empty if none was."""
         return self._host.pop_refusal(topic)
 
     def advertise(self, topic: str, type_name: str, *, is_latched: bool = False) -> Opened:
         """Be a publisher of the topic for the length of the block, across losses of the connection too.
 
-        With `is_latched` the last message goes to programs that subscribe later.
+        With `is_latched` programs that subscribe later get the last message.
 
         Raises:
             HostlinkError: when it begins, there is no connection. An unknown type is raised by the next `publish`.
@@ -253,7 +253,8 @@ class HostCalls:
     def subscribe_raw(self, topic: str, *, type_name: str = "") -> Messages[RawMessage]:
         """The messages of a topic as bytes, with the time at which each reached the daemon; else as `subscribe`.
 
-        Not beside a `subscribe` of the same topic on one connection: the daemon sends each message once, in one form.
+        Do not combine it with a `subscribe` of the same topic on one connection: the daemon sends each message once,
+        in one form.
 
         Raises:
             HostlinkError: there is no connection when it begins; in the iteration: the subscription was refused.
@@ -289,7 +290,7 @@ class HostCalls:
 
         Raises:
             HostlinkError: no such service, it failed, it did not answer within `timeout_s`, or the connection was lost
-                meanwhile: then nobody knows whether it was done, and it is not called again.
+                meanwhile: then it is unknown whether the service ran, and it is not called again.
         """
         return self._loop.run(self._host.call(service, arguments, timeout_s=timeout_s))
 
@@ -338,7 +339,7 @@ class HostCalls:
         """Wait until the daemon has read what was sent so far.
 
         Raises:
-            HostlinkError: a message that was published was refused, and nobody has been told; there is no connection,
-                or it is lost meanwhile.
+            HostlinkError: a published message was refused, and the refusal was not reported yet; there is no
+                connection, or it is lost meanwhile.
         """
         return self._loop.run(self._host.settle())

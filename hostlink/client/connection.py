@@ -20,7 +20,7 @@ from hostlink.client.views import Event
 from hostlink.errors import HostlinkError, Refused
 
 PING_INTERVAL_S = 0.2
-SILENCE_S = 0.6  # three pings without an answer; the robot's lease is 0.5 s, so it stands by then
+SILENCE_S = 0.6  # three pings without an answer; the robot's lease is 0.5 s, so it has stopped by then
 SECOND_CHANCE_S = 0.25  # for a pong when it was this program that did not run
 LATE_S = 0.1  # a timer that is later: this program did not run
 FIRST_WAIT_S = 0.05
@@ -32,7 +32,7 @@ Message = dict[str, Any]
 
 
 class Connection:
-    """`run` it, beside whoever uses it.
+    """WebSocket with reconnection. `run` must run while it is used.
 
     | state     | event                               | next      | then                                             |
     |-----------|-------------------------------------|-----------|--------------------------------------------------|
@@ -46,7 +46,7 @@ class Connection:
         self.is_connected = False
         self.handlers: defaultdict[str, list[Callable[[Message], None]]] = defaultdict(
             list
-        )  # by op, for what is no answer to `request`
+        )  # by op, for messages that do not answer a `request`
         self.on_open: list[Callable[[], Awaitable[None]]] = []
         self.on_lost: list[Callable[[HostlinkError], None]] = []
         self._http = http
@@ -96,7 +96,7 @@ class Connection:
         """Send an operation that is answered.
 
         Raises:
-            HostlinkError: it is refused, or no answer comes.
+            HostlinkError: it is refused, or not answered within timeout_s seconds.
         """
         key = f"{request['op']}:{next(self._numbers)}"
         waiting: asyncio.Future[Message | None] = asyncio.get_running_loop().create_future()
@@ -134,7 +134,7 @@ class Connection:
             await self.back()
 
     async def aclose(self) -> None:
-        """Close it in good order; whatever was sent before arrives before."""
+        """Close the WebSocket; messages that were sent earlier arrive first."""
         if self._socket is not None and self.is_connected:
             self.is_connected = False
             await self._socket.close()
@@ -203,7 +203,7 @@ class Connection:
     # -- losing it and coming back ------------------------------------------------------------------------------------
 
     async def _lose(self, reason: str) -> None:
-        """Nobody waits for it in vain, and nothing of it is sent any more."""
+        """Fail every pending request, and discard what was not sent yet."""
         self.is_connected = False
         self._is_open.clear()
         self._reason = reason
@@ -245,7 +245,7 @@ def waits() -> Iterator[float]:
     """Seconds before each attempt: doubling, and up to half shorter by chance: many clients must not come at once."""
     wait_s = FIRST_WAIT_S
     while True:
-        yield wait_s * random.uniform(0.5, 1.0)  # noqa: S311 - nobody gains by guessing it
+        yield wait_s * random.uniform(0.5, 1.0)  # noqa: S311 - not for security
         wait_s = min(2 * wait_s, LONGEST_WAIT_S)
 
 

@@ -24,7 +24,9 @@ REPEAT_INTERVAL_S = 0.1  # a fifth of the lease that a command has
 _COMMAND = "command:"
 
 ANSWER_TIMEOUT_S = 1.0
-_CLOCK = getattr(time, "CLOCK_BOOTTIME", time.CLOCK_MONOTONIC)  # goes on while the computer sleeps, where there is one
+_CLOCK = getattr(
+    time, "CLOCK_BOOTTIME", time.CLOCK_MONOTONIC
+)  # it also counts while the computer sleeps, where the system has such a clock
 calling_thread: contextvars.ContextVar[threading.Thread | None] = contextvars.ContextVar("calling_thread", default=None)
 
 
@@ -58,15 +60,15 @@ class _Repeated:
 
 
 class Driver:
-    """Who is driven how.
+    """Velocities that this client commands.
 
     A repeated command ends by the next `drive` or `stop`; it is broken off by a refusal, by the loss of the connection,
     by a new connection of the robot's device, and when this program did not run for longer than a command holds. Then
-    the robot stands, and the next `drive` raises why, once, instead of driving.
+    the robot stops, and the next `drive` raises why, once, instead of driving.
     """
 
     def __init__(self, connection: Connection, clock: Callable[[], float] = boot_s) -> None:
-        """`clock`: in seconds; it goes on while the computer sleeps."""
+        """`clock`: in seconds; it also counts while the computer sleeps."""
         self.refusals: dict[str, Refusal | None] = {}  # by robot: of the newest answered `command`
         self.client_name: str | None = None  # as the daemon's newest answer calls this connection
         self._connection, self._now_s = connection, clock
@@ -86,7 +88,7 @@ class Driver:
 
     @property
     def robots_of_ended_threads(self) -> tuple[str, ...]:
-        """Those of them whose newest `drive` came from a thread that is over."""
+        """Names of the driven robots whose newest `drive` was called in a thread that has ended."""
         threads = {robot: repeated.thread for robot, repeated in self._repeated.items()}
         return tuple(robot for robot, thread in threads.items() if thread is not None and not thread.is_alive())
 
@@ -99,7 +101,7 @@ class Driver:
         before = self._repeated.get(robot)
         try:
             request = _request(robot, velocity, priority)
-        except BaseException:  # what was held is not meant any more, and what is meant nobody knows
+        except BaseException:  # the earlier velocity is outdated, and the new one is invalid
             self.stop_repeating(robot)
             raise
         if (reason := self._broken.pop(robot, None)) is not None:
@@ -113,7 +115,7 @@ class Driver:
         except KeyError as missing:
             self.stop_repeating(robot)
             raise HostlinkError(f"hostlink is of another version than this one: its answer has no {missing}") from None
-        except BaseException as ended:  # a cancellation too: what nobody waits for is not repeated
+        except BaseException as ended:  # a cancellation too: an abandoned command is not repeated
             if self._repeated.get(robot, repeated) is repeated:  # or it was broken off, which is raised here
                 self.stop_repeating(robot)
                 if not isinstance(ended, HostlinkError | GeneratorExit):  # it may be on its way, and hold for a lease
@@ -194,7 +196,7 @@ class Driver:
         self._broken.pop(robot, None)
 
     async def send_zero(self, robot: str, priority: int) -> None:
-        """Follow the commands that may still be on their way with a zero: a stop goes another way, and overtakes them.
+        """Send a zero after commands that may still be in transit: a stop by REST overtakes them.
 
         It is never too late, and not repeated; without a connection nothing is on its way.
         """
@@ -228,7 +230,7 @@ class Driver:
             await self._connection.send({**repeated.request, **request})
 
     def _receive_answer(self, answer: dict[str, Any]) -> None:
-        """Of a command that nobody waits for."""
+        """Handle the answer to a single command or to a repetition."""
         self._remember_name(answer)
         key = str(answer["id"])
         refusal = None if answer["result"] else Refusal(str(answer["kind"]), str(answer["reason"]))

@@ -78,11 +78,11 @@ class Host:
         return cast(list[dict[str, Any]], (await self.get("/api/links"))["links"])
 
     def watch(self) -> AsyncGenerator[Event, None]:
-        """What the daemon shows, as it changes: robots, links, clients, and the devices' log lines.
+        """State of the daemon as it changes: robots, links, clients, and the devices' log lines.
 
         The newest of each first, then `robots` when one of them changes, ten times a second at most, `links` and
-        `clients` once a second, and each `log` line. It waits while the connection is gone, and goes on when it is
-        back. A reader that is slow gets fewer states, always the newest.
+        `clients` once a second, and each `log` line. It pauses while the connection is lost, and continues
+        afterwards. A reader that is slow gets fewer states, always the newest.
 
         Raises:
             HostlinkError: in the iteration: when it begins, hostlink refuses or is not there; with `reconnect=False`
@@ -99,7 +99,7 @@ class Host:
         return Robot(name, priority, http=self._http, driver=self._driver, connection=self._connection)
 
     async def stop_all(self, *, wait_s: float = WAIT_S) -> dict[str, Standstill]:
-        """Stop every robot, whoever drives; returns what was measured of each since, as `Robot.stop` does.
+        """Stop every robot, also those that others drive; return what was measured since, as `Robot.stop` does.
 
         Raises:
             HostlinkError: hostlink was not reached, or another daemon of the fleet has not answered.
@@ -113,7 +113,7 @@ class Host:
         return await self.standstill(wait_s=wait_s) if wait_s > 0 else _measured(answer)
 
     async def standstill(self, *, wait_s: float = WAIT_S) -> dict[str, Standstill]:
-        """Whether each robot stands, by odometry that comes from now on, for `wait_s` seconds at most.
+        """Measure by new odometry whether each robot has stopped, for at most `wait_s` seconds.
 
         Raises:
             HostlinkError: hostlink was not reached.
@@ -145,7 +145,7 @@ class Host:
         await self._topics.publish_raw(topic, payload, type_name, priority)
 
     def pop_refusal(self, topic: str) -> str:
-        """Why a message that was published on the topic was refused since the last call; empty if none was."""
+        """Return why a message on the topic was refused since the last call; empty if none was."""
         return self._topics.pop_refusal(topic)
 
     def advertise(
@@ -153,7 +153,7 @@ class Host:
     ) -> contextlib.AbstractAsyncContextManager[None]:
         """Be a publisher of the topic for the length of the block, across losses of the connection too.
 
-        With `is_latched` the last message goes to programs that subscribe later.
+        With `is_latched` programs that subscribe later get the last message.
 
         Raises:
             HostlinkError: when it begins, there is no connection. An unknown type is raised by the next `publish`.
@@ -179,7 +179,8 @@ class Host:
     ) -> contextlib.AbstractAsyncContextManager[RawSubscription]:
         """The messages of a topic as bytes, with the time at which each reached the daemon; else as `subscribe`.
 
-        Not beside a `subscribe` of the same topic on one connection: the daemon sends each message once, in one form.
+        Do not combine it with a `subscribe` of the same topic on one connection: the daemon sends each message once,
+        in one form.
 
         Raises:
             HostlinkError: there is no connection when it begins; in the iteration: the subscription was refused.
@@ -215,7 +216,7 @@ class Host:
 
         Raises:
             HostlinkError: no such service, it failed, it did not answer within `timeout_s`, or the connection was lost
-                meanwhile: then nobody knows whether it was done, and it is not called again.
+                meanwhile: then it is unknown whether the service ran, and it is not called again.
         """
         request = {"op": "call_service", "service": service, "args": arguments or {}, "timeout": timeout_s}
         answer = await self._connection.request(request, timeout_s=timeout_s + CLOSE_TIMEOUT_S)
@@ -272,8 +273,8 @@ class Host:
         """Wait until the daemon has read what was sent so far.
 
         Raises:
-            HostlinkError: a message that was published was refused, and nobody has been told; there is no connection,
-                or it is lost meanwhile.
+            HostlinkError: a published message was refused, and the refusal was not reported yet; there is no
+                connection, or it is lost meanwhile.
         """
         await self._round_trip()
         self._topics.raise_refusals()
@@ -352,7 +353,7 @@ def connect(
 
     `url`: http, https, ws or wss. `token`: one of the daemon's configuration, also as `?token=` in the URL.
     `ssl`: trust a certificate of your own. `reconnect`: when the connection is lost it is made again, subscriptions
-    and advertisements too, velocities never; without it, whatever waits for a message raises. `group`: of a bridge
+    and advertisements too, velocities never; without it, every wait for a message raises. `group`: of a bridge
     to another graph, as ROS 2: it receives nothing that a connection of the same group has published.
 
     Raises:

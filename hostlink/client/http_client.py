@@ -26,12 +26,12 @@ def encode(message: Any) -> bytes:
     """
     try:
         return _ENCODER.encode(message)
-    except TypeError as error:  # a key that is no text
+    except TypeError as error:  # a key that is not a string
         raise HostlinkError(f"a message cannot contain this: {error}") from error
 
 
 def _plain(value: Any) -> Any:
-    """What msgspec does not know: numpy's scalars and arrays turn themselves into Python's."""
+    """Convert numpy's scalars and arrays to Python's."""
     if hasattr(value, "tolist"):
         return value.tolist()
     raise HostlinkError(f"a message cannot contain a {type(value).__name__}: numbers, texts, lists and dicts are fine")
@@ -44,7 +44,7 @@ _ENCODER = msgspec.json.Encoder(enc_hook=_plain)
 
 
 class EventStream:
-    """What hostlink sends of the format: one `event` line and one `data` line of JSON; comments are skipped."""
+    """Parser of hostlink's events: one `event` line and one `data` line of JSON each; comments are skipped."""
 
     def __init__(self) -> None:
         self._pending = bytearray()
@@ -88,14 +88,14 @@ class HttpClient:
         """`url` may be http, https, ws or wss, or a host with or without a port, and may end in `?token=...`.
 
         Raises:
-            HostlinkError: it is none of these, or the token is none.
+            HostlinkError: the address or the token is invalid.
         """
         parts = _parts(url)
         port = f":{DEFAULT_PORT}" if "://" not in url and parts.port is None else ""
         self.url = f"{_SCHEMES[parts.scheme]}://{parts.netloc}{port}{parts.path.rstrip('/')}"
         token = token or parse_qs(parts.query).get("token", [""])[0]
         if not token.isprintable():
-            raise HostlinkError("the token has a character that is none, as the end of a line: give it without that")
+            raise HostlinkError("the token has a character that is not printable, such as the end of a line: remove it")
         self._has_token = bool(token)
         self._session = aiohttp.ClientSession(
             timeout=aiohttp.ClientTimeout(total=REQUEST_TIMEOUT_S),
@@ -117,7 +117,7 @@ class HttpClient:
         """A new WebSocket; its pings and pongs are the caller's. `group`: as of `connect`.
 
         Raises:
-            HostlinkError: it is refused, or nobody answers.
+            HostlinkError: it is refused, or not answered.
         """
         timeout = aiohttp.ClientWSTimeout(ws_close=CLOSE_TIMEOUT_S)
         try:
@@ -155,7 +155,7 @@ class HttpClient:
             raise HostlinkError(self._explain(error)) from error
 
     async def measure(self, path: str, wait_s: float) -> Standstill:
-        """What a robot does after a stop that has arrived; a daemon that does not answer has not undone the stop."""
+        """Measure a robot after a stop. Without an answer the state is unknown; the stop remains valid."""
         try:
             answer = await self.request("GET", f"{path}?wait_s={wait_s:g}", timeout_s=wait_s + REQUEST_TIMEOUT_S)
         except HostlinkError as error:
@@ -250,20 +250,20 @@ class HttpClient:
 
 
 def measured(robot: Mapping[str, Any]) -> Standstill:
-    """What was measured of a robot, in an answer of the REST API."""
+    """Read the standstill of a robot from an answer of the REST API."""
     standstill = dict(robot["standstill"])
     return Standstill(StandstillState(standstill.pop("state")), **standstill)
 
 
 def _parts(url: str) -> SplitResult:
     """Raises:
-    HostlinkError: it is no address.
+    HostlinkError: it is not an address.
     """
     try:
         parts = urlsplit(url if "://" in url else f"http://{url}")
         is_address = parts.scheme in _SCHEMES and bool(parts.hostname) and parts.port != 0
-    except ValueError:  # a port that is no number, brackets that do not match
+    except ValueError:  # the port is not a number, or brackets do not match
         is_address = False
     if not is_address:
-        raise HostlinkError(f"{url!r} is no address of a hostlink: write it as http://HOST:{DEFAULT_PORT}")
+        raise HostlinkError(f"{url!r} is not an address of a hostlink: write it as http://HOST:{DEFAULT_PORT}")
     return parts

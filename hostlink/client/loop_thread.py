@@ -121,7 +121,7 @@ Result = TypeVar("Result")
 class LoopThread:
     """Runs coroutines of the connection for other threads.
 
-    It ends by itself when nobody has it any more: the thread knows `_Life` only.
+    It ends with its last reference, because the thread refers to `_Life` only.
     """
 
     def __init__(self, connecting: Connecting) -> None:
@@ -131,7 +131,7 @@ class LoopThread:
             HostlinkError: that cannot be done.
         """
         self._life = life = _Life(connecting)
-        self.kept: set[object] = set()  # what lasts although nobody has it
+        self.kept: set[object] = set()  # kept open without a reference
         self._process, self._is_closed = os.getpid(), False
         threading.Thread(target=life.run, name="hostlink", daemon=True).start()
         watch(life)
@@ -143,7 +143,7 @@ class LoopThread:
             raise
 
     def run(self, work: Coroutine[Any, Any, Result]) -> Result:
-        """What comes of it; a caller that is interrupted cancels it.
+        """Return the result of a coroutine; an interrupted caller cancels it.
 
         Raises:
             HostlinkError: the connection is closed, or belongs to another process; and what `work` raises.
@@ -161,7 +161,7 @@ class LoopThread:
             call.cancel()
 
     def call(self, function: Callable[[], Result]) -> Result:
-        """What a function returns that does not wait, and must not run beside the connection.
+        """Call a function in the connection's thread, and return its result.
 
         Raises:
             HostlinkError: as `run`.
@@ -173,7 +173,7 @@ class LoopThread:
         return self.run(work())
 
     def begin(self, work: Coroutine[Any, Any, object]) -> None:
-        """Run it without waiting for it; whoever is about to forget something uses it."""
+        """Start a coroutine without waiting for it, for finalizers."""
         if os.getpid() == self._process:
             self._life.begin(work)
         else:
@@ -183,7 +183,7 @@ class LoopThread:
         """End the connection; what is driven stops.
 
         Raises:
-            HostlinkError: a message that was published was refused, and nobody has been told.
+            HostlinkError: a published message was refused, and the refusal was not reported yet.
         """
         if os.getpid() == self._process and not self._is_closed:
             self._is_closed = True
@@ -193,7 +193,7 @@ class LoopThread:
 
 
 def _result(future: "concurrent.futures.Future[Result]", timeout_s: float | None = None) -> Result:
-    """What came of it; an error without the way that it made through the other thread, which explains nothing."""
+    """Return the result of a call; an error is raised without the other thread's traceback."""
     try:
         return future.result(timeout_s)
     except HostlinkError as error:
@@ -225,7 +225,7 @@ class _Life:
             for future in (self.opened, self.ended):
                 if not future.done():
                     future.set_exception(HostlinkError("the connection has crashed; its thread shows why"))
-            for call in list(self._calls):  # that came when the loop did not run any more
+            for call in list(self._calls):  # that came after the loop had ended
                 call.cancel()
 
     async def _live(self) -> None:
@@ -234,7 +234,7 @@ class _Life:
             await self._ending.wait()
 
     def _close_loop(self) -> None:
-        """As asyncio.Runner does, but for the threads that resolve names: at the end of a program nobody can wait."""
+        """Close the loop as asyncio.Runner does, without waiting for threads that resolve names."""
         calls = asyncio.all_tasks(self._loop)
         for call in calls:
             call.cancel()
@@ -244,7 +244,7 @@ class _Life:
         self._loop.close()
 
     def begin(self, work: Coroutine[Any, Any, Result]) -> "concurrent.futures.Future[Result]":
-        """Run it beside the others; it is cancelled when the connection ends before it."""
+        """Start a coroutine; it is cancelled when the connection ends first."""
         try:
             call = asyncio.run_coroutine_threadsafe(work, self._loop)
         except RuntimeError:  # the loop is closed
@@ -327,11 +327,11 @@ class Messages(Stream[Item]):
 
     @property
     def dropped(self) -> int:
-        """How many items the reader was too slow for."""
+        """Number of items that were dropped because the reader was too slow."""
         return self._mailbox.dropped
 
     def pop_all(self) -> list[Item]:
-        """What waits now, without waiting.
+        """Return the items that have arrived, without waiting.
 
         Raises:
             HostlinkError: the subscription was refused, or the connection is lost for good.
@@ -339,7 +339,7 @@ class Messages(Stream[Item]):
         return self._loop.call(self._mailbox.pop_all)
 
     def close(self) -> None:
-        """Unsubscribe; whoever iterates gets an error."""
+        """Unsubscribe; a running iteration raises an error."""
         if self._forgotten.detach() is not None:
             with contextlib.suppress(HostlinkError):  # the connection is closed, and so is this
                 self._loop.run(_exit(self._opened))
@@ -350,7 +350,7 @@ class Messages(Stream[Item]):
 
 
 class Opened:
-    """It lasts until `close`, the end of its `with` block, or that of the connection; nobody needs to keep it."""
+    """Advertisement or service. It lasts until `close`, the end of its `with` block, or that of the connection."""
 
     def __init__(self, loop: LoopThread, opened: contextlib.AbstractAsyncContextManager[None], name: str) -> None:
         self._loop, self._opened, self._name = loop, opened, name

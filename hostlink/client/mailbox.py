@@ -1,4 +1,4 @@
-"""Mailbox: what came for one reader, as an asynchronous iterator. Bounded: the oldest goes, and is counted."""
+"""Mailbox: bounded queue of one reader, as an asynchronous iterator. The oldest item is dropped and counted."""
 
 import asyncio
 from typing import Generic, TypeVar
@@ -14,7 +14,7 @@ class Mailbox(Generic[Item]):
     """Iterate over it with `async for`; `dropped` counts what the reader was too slow for."""
 
     def __init__(self, name: str = "") -> None:
-        """`name`: what comes, for people."""
+        """`name`: of the content, for people."""
         self.name = name
         self.dropped = 0
         self._queue: asyncio.Queue[Item | HostlinkError] = asyncio.Queue(MAX_ITEMS)
@@ -27,7 +27,7 @@ class Mailbox(Generic[Item]):
         self._queue.put_nowait(item)
 
     def pop_all(self) -> list[Item]:
-        """What waits now, without waiting.
+        """Return the items that have arrived, without waiting.
 
         Raises:
             HostlinkError: the error that ends the iteration is among it.

@@ -34,7 +34,7 @@ class Robot:
 
     @property
     def client_name(self) -> str | None:
-        """What the daemon calls this connection, as in `holder` of `state()`; None: nothing was commanded yet."""
+        """Name of this connection at the daemon, as in `holder` of `state()`; None before the first command."""
         return self._driver.client_name
 
     async def state(self) -> RobotState:
@@ -50,10 +50,10 @@ class Robot:
 
         m/s forward, rad/s counter-clockwise, m/s to the left. Returns when the daemon has accepted the command, with
         what the robot's limits have made of it; it is then repeated ten times a second. `drive(0, 0)` slows down and
-        goes on driving; `stop()` stops and lets go. A stop or a lock by any program ends it as a refusal does.
+        continues to drive; `stop()` stops and lets go. A stop or a lock by any program ends it as a refusal does.
 
         Raises:
-            HostlinkError: and the robot is not driven: no robot of that name, its device is not connected, somebody
+            HostlinkError: and the robot is not driven: no robot of that name, its device is not connected, a source
                 with a higher priority drives it or it is locked, the numbers are not finite, it cannot move sideways,
                 there is no connection to hostlink. Also once after the velocity that was held before was dropped: by a
                 cut of the connection, by such a refusal, by a stop, because the robot's device connected again or this
@@ -82,14 +82,14 @@ class Robot:
 
     @property
     def refusal(self) -> Refusal | None:
-        """Why the newest `command` that was answered was refused; None: it was not."""
+        """Reason why the newest answered `command` was refused; None if it was accepted."""
         return self._driver.refusals.get(self.name)
 
     async def stop(self, *, wait_s: float = WAIT_S) -> Standstill:
-        """Stop, whoever drives, as fast as the robot's decelerations allow; returns what was measured since.
+        """Stop the robot, also if others drive it; return what was measured since. Its decelerations apply.
 
-        The stop is sent at once. The measurement takes until the robot stands, `wait_s` seconds at most; 0 does not
-        wait. A source that was driving must let go before it can drive again.
+        The stop is sent at once. The measurement lasts until the robot has stopped, at most `wait_s` seconds; 0 does
+        not wait. A source that was driving must let go before it can drive again.
 
         Raises:
             HostlinkError: hostlink was not reached within a second; what this script held ends anyway.
@@ -137,8 +137,8 @@ class Robot:
     async def odometry(self) -> AsyncIterator[Odometry]:
         """The newest pose (m, rad), then each new one once, with twist (m/s, rad/s), stamp (ns), age (s) and rate (Hz).
 
-        It waits while the robot or the connection is gone, and goes on when it is back. A reader that is slow gets
-        fewer of them.
+        It pauses while the robot or the connection is gone, and continues afterwards. A slow reader gets fewer
+        of them.
 
         Raises:
             HostlinkError: when it begins: no robot of that name, no hostlink; with `reconnect=False` also when the

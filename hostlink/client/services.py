@@ -71,7 +71,9 @@ class ProvidedServices:
         response = {"op": "service_response", "id": call["id"], "service": call["service"]}
         try:
             await self._connection.send(response | {"values": values, "result": is_right})
-        except HostlinkError as error:  # the values have no JSON; or the connection is gone, and nobody waits for them
+        except (
+            HostlinkError
+        ) as error:  # the values have no JSON; or the connection is gone, and the answer is not needed
             with contextlib.suppress(HostlinkError):
                 await self._connection.send(response | {"values": str(error), "result": False})
 

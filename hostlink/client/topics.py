@@ -67,12 +67,12 @@ class Topics:
         await self._connection.send({**request, **message})
 
     def pop_refusal(self, topic: str) -> str:
-        """Why a message that was published on the topic was refused since the last call; empty if none was."""
+        """Return why a message on the topic was refused since the last call; empty if none was."""
         refusal = self._refusals.pop(topic, None)
         return "" if refusal is None else refusal.reason
 
     def raise_refusals(self) -> None:
-        """Report each refusal that nobody has been told, once.
+        """Raise the refusals that were not reported yet.
 
         Raises:
             HostlinkError: there are some.
@@ -138,7 +138,7 @@ class Topics:
                 await self._connection.send({"op": "unsubscribe", "id": key, "topic": topic})
 
     def end(self, error: HostlinkError) -> None:
-        """Nothing will come any more: every iteration raises."""
+        """End every subscription: each iteration raises the error."""
         for subscribed in self._subscribed.values():
             subscribed.mailbox.put(error)
 
@@ -175,7 +175,7 @@ Graphs = Mailbox[dict[str, Any]]
 
 
 class GraphWatch:
-    """Nothing is requested while nobody watches."""
+    """Watchers of the graph. Nothing is requested without a watcher."""
 
     def __init__(self, connection: Connection) -> None:
         self._connection = connection

@@ -1,11 +1,11 @@
-"""What the client returns to its users: the JSON of hostlink's REST API as typed dicts; numbers carry their unit."""
+"""Results of the client: the JSON of hostlink's REST API as typed dicts; numbers carry their unit."""
 
 from dataclasses import dataclass
 from typing import Any, NamedTuple, NotRequired, TypedDict
 
 
 class Pose(TypedDict):
-    """Where the robot is by its own odometry, in the frame in which its odometry began (REP 103)."""
+    """Place of a robot by its own odometry, in the frame in which the odometry began (REP 103)."""
 
     x_m: float
     y_m: float
@@ -13,7 +13,7 @@ class Pose(TypedDict):
 
 
 class Twist(TypedDict):
-    """How the robot moves: forward, counter-clockwise, and to the left."""
+    """Velocity of a robot: forward, counter-clockwise, and to the left."""
 
     linear_m_s: float
     angular_rad_s: float
@@ -45,7 +45,7 @@ class RobotState(TypedDict):
     velocity: Twist  # as commanded, within the limits
     odometry: Odometry | None  # None: no pose came yet
     priority: NotRequired[int | None]  # of who drives it
-    played: NotRequired[bool]  # its device is a recording, which obeys nobody
+    played: NotRequired[bool]  # its device is a recording, which obeys no command
     locked: NotRequired[bool]
     lock_reason: NotRequired[str | None]
     host: NotRequired[str | None]  # the daemon that has it; None: the one that sent this
@@ -67,7 +67,7 @@ class TopicState(TypedDict):
     """A topic of the graph."""
 
     name: str
-    type: str  # as geometry_msgs/Twist; empty while nobody has named it
+    type: str  # as geometry_msgs/Twist; empty while it is unknown
     publishers: int
     subscribers: int
     messages: int  # that have passed
@@ -81,7 +81,7 @@ class RawMessage(NamedTuple):
 
 
 class Driven(NamedTuple):
-    """What the robot's gate made of a `drive`."""
+    """Velocity that the robot receives after a `drive`, within its limits."""
 
     linear_m_s: float  # that the robot receives, once its accelerations are over
     angular_rad_s: float
@@ -91,7 +91,7 @@ class Driven(NamedTuple):
 
 
 class Refusal(NamedTuple):
-    """Why a command was refused: a kind for programs (`locked`, `held`, `disarmed`, ...), a reason for people."""
+    """Reason of a refused command: a kind for programs (`locked`, `held`, `disarmed`, ...), a reason for people."""
 
     kind: str
     reason: str
@@ -99,7 +99,7 @@ class Refusal(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """What the daemon shows, as it is now: `robots`, `links` or `clients`; or a `log` line of a device."""
+    """State of the daemon: `robots`, `links` or `clients`; or a `log` line of a device."""
 
     name: str
     data: dict[str, Any]  # the JSON of GET /api/robots, /api/links, /api/clients; a rosgraph_msgs/Log

@@ -612,7 +612,7 @@ async def test_a_refused_connection_raises_with_advice(status: int, advice: str)
 
 
 async def test_a_token_with_the_end_of_a_line_is_told_so() -> None:
-    with pytest.raises(HostlinkError, match="the token has a character that is none, as the end of a line"):
+    with pytest.raises(HostlinkError, match="the token has a character that is not printable"):
         async with connect("http://127.0.0.1:1", token="secret\r"):
             pass
 
@@ -624,10 +624,10 @@ async def test_a_token_with_the_end_of_a_line_is_told_so() -> None:
             "http://127.0.0.1:1",
             "no hostlink at http://127.0.0.1:1: is `hostlink serve` running there? Nothing listens;",
         ),
-        ("ftp://127.0.0.1", "'ftp://127.0.0.1' is no address of a hostlink: write it as http://HOST:9090"),
-        ("http://", "'http://' is no address of a hostlink"),
-        ("127.0.0.1:909o", "'127.0.0.1:909o' is no address of a hostlink"),
-        ("http://[::1", "'http://[::1' is no address of a hostlink"),
+        ("ftp://127.0.0.1", "'ftp://127.0.0.1' is not an address of a hostlink: write it as http://HOST:9090"),
+        ("http://", "'http://' is not an address of a hostlink"),
+        ("127.0.0.1:909o", "'127.0.0.1:909o' is not an address of a hostlink"),
+        ("http://[::1", "'http://[::1' is not an address of a hostlink"),
         ("127.0.0.77", "no hostlink at http://127.0.0.77:9090: "),
         ("http://127.0.0.1:1/", "no hostlink at http://127.0.0.1:1: "),
     ],

@@ -1,4 +1,4 @@
-"""A connection that nobody has opened explains how it is opened."""
+"""A connection that is not open yet explains how to open it."""
 
 from contextlib import AbstractContextManager
 from typing import Any, cast

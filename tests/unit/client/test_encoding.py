@@ -29,6 +29,6 @@ def test_numpy_is_as_good_as_plain_python(value: Any, text: bytes) -> None:
 
 
 @pytest.mark.parametrize("value", [{"data": object()}, {"data": 1j}, [print], {object(): 1}])
-def test_what_has_no_json_is_an_error_in_words(value: Any) -> None:
+def test_value_without_json_raises_an_error_that_names_its_type(value: Any) -> None:
     with pytest.raises(HostlinkError, match="a message cannot contain"):
         encode(value)

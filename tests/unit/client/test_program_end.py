@@ -1,4 +1,4 @@
-"""What ends the drives of a program: without connections, by what they are asked to do."""
+"""End of a program: the calls that each connection receives."""
 
 import concurrent.futures
 import threading
@@ -8,7 +8,7 @@ from hostlink.client import loop_thread
 
 
 class SilentConnection:
-    """Of a daemon that does not answer."""
+    """Connection to a daemon that does not answer."""
 
     def __init__(self, order: list[str]) -> None:
         self._order = order
