@@ -6,7 +6,7 @@ import pytest
 
 from hostlink.errors import UnknownTopic
 from tests.support.virtual_loop import run_virtual
-from tests.support.waiting import described, expect, expect_never, is_soon
+from tests.support.waiting import TIMEOUT_S, described, expect, expect_never, is_soon
 
 
 class Counter:
@@ -31,7 +31,9 @@ def test_it_returns_with_the_first_true_value() -> None:
 
 def test_a_failure_has_the_condition_and_the_values_in_it() -> None:
     counter = Counter()
-    with pytest.raises(AssertionError, match=r"not within 5 s: counter.count == 7\n  last value: 0 == 7\n"):
+    with pytest.raises(
+        AssertionError, match=rf"not within {TIMEOUT_S:g} s: counter.count == 7\n  last value: 0 == 7\n"
+    ):
         run_virtual(expect(lambda: counter.count == 7))
 
 
