@@ -16,7 +16,7 @@ from hypothesis import HealthCheck, settings
 from tests.support import requirements
 
 _EXAMPLES, _EXAMPLES_OF_UNIT = 100, 20
-_COMMON = {"deadline": None, "suppress_health_check": [HealthCheck.too_slow]}
+_COMMON: dict[str, Any] = {"deadline": None, "suppress_health_check": [HealthCheck.too_slow]}
 _FUZZ = settings(max_examples=_EXAMPLES * 50, **_COMMON)
 _PROFILE = os.environ.get("HYPOTHESIS_PROFILE", "default")
 

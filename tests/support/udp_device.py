@@ -8,7 +8,8 @@ from collections.abc import AsyncIterator
 from hostlink.protocol.control import TopicInfo
 from hostlink.protocol.frame import Frame, Id, encode
 from hostlink.protocol.stream import FrameStream
-from tests.support.fake_device import TIMEOUT_S, FakeDevice
+from tests.support.fake_device import FakeDevice
+from tests.support.waiting import TIMEOUT_S
 
 GREETING = encode(Id.TIME, bytes(8))
 

@@ -6,7 +6,7 @@ import pytest
 
 from hostlink.errors import UnknownTopic
 from tests.support.virtual_loop import run_virtual
-from tests.support.waiting import described, expect, expect_never, is_soon
+from tests.support.waiting import TIMEOUT_S, described, expect, expect_never, is_soon
 
 
 class Counter:
@@ -23,7 +23,7 @@ class Counter:
         return self.count > 100
 
 
-def test_expect_returns_with_the_first_true_value() -> None:
+def test_it_returns_with_the_first_true_value() -> None:
     counter = Counter()
     run_virtual(expect(counter.reaches_five))
     assert counter.count == 5
@@ -31,7 +31,9 @@ def test_expect_returns_with_the_first_true_value() -> None:
 
 def test_a_failure_has_the_condition_and_the_values_in_it() -> None:
     counter = Counter()
-    with pytest.raises(AssertionError, match=r"not within 30 s: counter.count == 7\n  last value: 0 == 7\n"):
+    with pytest.raises(
+        AssertionError, match=rf"not within {TIMEOUT_S:g} s: counter.count == 7\n  last value: 0 == 7\n"
+    ):
         run_virtual(expect(lambda: counter.count == 7))
 
 
@@ -81,7 +83,7 @@ def test_other_errors_end_the_wait_at_once() -> None:
     assert counter.count == 1
 
 
-def test_expect_never_watches_for_the_whole_time() -> None:
+def test_what_must_never_be_is_watched_for_the_whole_time() -> None:
     counter = Counter()
 
     async def wait() -> float:
