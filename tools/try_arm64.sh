@@ -6,11 +6,13 @@ cd "$(dirname "$0")/.."
 mirror=${MIRROR:-http://deb.debian.org/debian}
 work=$PWD/build/arm64
 root=$work/root
+certificates=/etc/ssl/certs/ca-certificates.crt
 mkdir -p "$work"
 
 emulated() {
-  proot -0 -q qemu-aarch64-static -r "$root" -b /dev -b /proc -b /sys -b /etc/resolv.conf -w / \
-    /usr/bin/env -i HOME=/root PATH=/usr/sbin:/usr/bin:/sbin:/bin LC_ALL=C.UTF-8 DEBIAN_FRONTEND=noninteractive "$@"
+  proot -0 -q qemu-aarch64-static -r "$root" -b /dev -b /proc -b /sys -b /etc/resolv.conf -b "$certificates" -w / \
+    /usr/bin/env -i HOME=/root PATH=/usr/sbin:/usr/bin:/sbin:/bin LC_ALL=C.UTF-8 DEBIAN_FRONTEND=noninteractive \
+    PIP_CERT="$certificates" "$@"
 }
 
 step() {  # NAME COMMAND...: its log is NAME.log
@@ -40,12 +42,15 @@ cp -r tests tools pyproject.toml hostlink firmware docs "$root/srv/hostlink/"
 rm -rf "$root/srv/hostlink/tests/clients/node_modules" "$root/srv/hostlink/hostlink/api/web/node_modules"
 cp tools/try_drive.py "$root/srv/hostlink/"
 
+# proot does not translate statx: what uses it, as ls and stat, looks at the files of this computer.
 step deb-install emulated dpkg -i /srv/hostlink/hostlink.deb
+stat -c '%A %n' "$root/etc/hostlink/hostlink.toml" "$root/lib/systemd/system/hostlink.service" "$root/lib/udev/rules.d/70-hostlink.rules"
 step deb-drive emulated python3 /srv/hostlink/try_drive.py /usr/bin/hostlink
 step deb-remove emulated dpkg --remove hostlink
 step deb-purge emulated dpkg --purge hostlink
+[ ! -e "$root/etc/hostlink" ] && [ ! -e "$root/usr/lib/hostlink" ]
 step wheel-install emulated sh -c 'rm -rf /srv/venv && python3 -m venv /srv/venv && cd /srv/hostlink &&
-  /srv/venv/bin/pip install --no-compile "$(ls -d /srv/hostlink/*.whl)[sim]" pytest pytest-asyncio pytest-timeout hypothesis'
+  /srv/venv/bin/pip install --no-compile "$(echo /srv/hostlink/*.whl)[sim]" pytest pytest-asyncio pytest-timeout hypothesis'
 step wheel-drive emulated python3 /srv/hostlink/try_drive.py /srv/venv/bin/hostlink
 step unit-tests emulated sh -c 'cd /srv/hostlink && HYPOTHESIS_PROFILE=ci /srv/venv/bin/python -m pytest -q -p no:cacheprovider --timeout 1200 \
   tests/unit/protocol tests/unit/messages tests/unit/robot tests/unit/hub'

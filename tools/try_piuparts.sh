@@ -12,16 +12,16 @@ deb=${packages[-1]}
 work=build/piuparts
 mkdir -p "$work"
 # The same package with a lower version: the upgrade starts from it.
-rm -rf "$work"/earlier "$work"/*.deb && dpkg-deb -R "$deb" "$work/earlier"
+rm -rf "$work/earlier" "$work/archive" && mkdir "$work/archive" && dpkg-deb -R "$deb" "$work/earlier"
 sed -i 's/^Version: /Version: 0~/' "$work/earlier/DEBIAN/control"
-dpkg-deb --root-owner-group -Zgzip -z1 --build "$work/earlier" "$work/earlier.deb" >/dev/null
+dpkg-deb --root-owner-group -Zgzip -z1 --build "$work/earlier" "$work/archive/earlier.deb" >/dev/null
 if [ ! -f "$work/bookworm.tar.gz" ]; then
   debootstrap --variant=minbase --include=ca-certificates bookworm "$work/root" "$mirror" >"$work/debootstrap.log"
   tar -C "$work/root" -czf "$work/bookworm.tar.gz" . && rm -rf "$work/root"
 fi
 # piuparts upgrades from the version that an archive has: this folder is one.
-(cd "$work" && dpkg-scanpackages --multiversion . /dev/null >Packages 2>/dev/null)
+(cd "$work/archive" && dpkg-scanpackages --multiversion . /dev/null >Packages 2>/dev/null)
 log=$work/piuparts.log
 piuparts --basetgz "$work/bookworm.tar.gz" --distribution bookworm --mirror "$mirror main" --no-eatmydata \
-  --testdebs-repo "$PWD/$work" --bindmount "$PWD/$work" --log-file "$log" "$deb" >/dev/null || { tail -n 40 "$log"; exit 1; }
+  --extra-repo "deb [trusted=yes] file://$PWD/$work/archive ./" --bindmount "$PWD/$work/archive" --log-file "$log" "$deb" >/dev/null || { tail -n 40 "$log"; exit 1; }
 grep -E "PASS|FAIL|WARN" "$log"
