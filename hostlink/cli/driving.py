@@ -125,7 +125,8 @@ class Driving:
     """Which keys are held, and the velocity that they add up to.
 
     A terminal sends presses and repeats, few send releases: a key lives for GRACE_S after its first press and for
-    HOLD_S after each repeat. Any key without a meaning stops.
+    HOLD_S after each repeat. Any key without a meaning stops; keys that are still held then move nothing until they are
+    released and pressed again.
     """
 
     def __init__(self, *, layout: str, linear_m_s: float, angular_rad_s: float) -> None:
@@ -150,7 +151,7 @@ class Driving:
             is_repeat = self._held.get(key.name, float("-inf")) > now_s
             self._held[key.name] = now_s + (HOLD_S if is_repeat else GRACE_S)
         else:
-            self.stop()
+            self.bar(now_s)
 
     def bar(self, now_s: float) -> None:
         """Release everything; what is held moves nothing until it was released and pressed again."""

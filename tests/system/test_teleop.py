@@ -12,6 +12,7 @@ import pytest
 
 from hostlink.cli.driving import HOLD_S
 from hostlink.client import connect
+from hostlink.hub.robot_events import LET_GO, OWNER_LEFT
 from tests.support.fake_device import fake_device, pose, robot_topics
 from tests.support.process import HOSTLINK, Process, serve, simulated
 from tests.support.screen import PATIENCE_S, Screen, screen
@@ -42,6 +43,12 @@ async def expect(daemon: Process, is_so: Callable[[dict[str, Any]], bool]) -> No
         async for event in host.watch():
             if event.name == "robots" and is_so(event.data["robots"][0]):
                 return
+
+
+async def last_drive_ended(daemon: Process) -> str:
+    """Why the newest drive ended."""
+    async with aiohttp.ClientSession() as session, session.get(f"{daemon.url}/api/drives") as response:
+        return str((await response.json())["drives"][0]["end"])
 
 
 def is_driven(observed: dict[str, Any]) -> bool:
@@ -82,27 +89,27 @@ async def test_a_pressed_key_drives_and_a_released_one_stops(layout: str, key: s
         async with moving(terminal, daemon, key):
             assert "driven by you" in await terminal.shows("asked     +0.20 m/s")
         await expect(daemon, stands)
+        assert await last_drive_ended(daemon) == LET_GO
         await terminal.shows("driven by nobody")
 
 
 @pytest.mark.parametrize("key", ["Space", "k"])
-async def test_a_stop_key_stops_whoever_drives(key: str) -> None:
+async def test_stop_key_stops_the_robot_though_a_driving_key_is_still_held(key: str) -> None:
     """The epoch shows that it was a stop, and not only the end of the commands."""
-    async with driving() as (daemon, terminal):
-        async with moving(terminal, daemon):
-            epoch = (await robot(daemon))["epoch"]
+    async with driving() as (daemon, terminal), moving(terminal, daemon):
+        epoch = (await robot(daemon))["epoch"]
         await terminal.keys(key)
         await expect(daemon, lambda observed: observed["epoch"] > epoch)
         await expect(daemon, stands)
+        assert not await _moves_within(daemon, OBSERVATIONS)
 
 
-async def test_another_key_lets_go() -> None:
-    """tests/unit/cli/test_driving.py has the time: at once."""
-    async with driving() as (daemon, terminal):
-        async with moving(terminal, daemon):
-            pass
+async def test_key_without_a_meaning_lets_go_though_a_driving_key_is_still_held() -> None:
+    async with driving() as (daemon, terminal), moving(terminal, daemon):
         await terminal.keys("p")
         await expect(daemon, stands)
+        assert await last_drive_ended(daemon) == LET_GO
+        assert not await _moves_within(daemon, OBSERVATIONS)
 
 
 @pytest.mark.parametrize("way", ["C-c", "TERM", "HUP", "KILL", "close"])
@@ -117,6 +124,7 @@ async def test_every_way_out_stops_the_robot(way: str) -> None:
             else:
                 os.kill(process, getattr(signal, f"SIG{way}"))
             await expect(daemon, stands)
+            assert await last_drive_ended(daemon) in (OWNER_LEFT, LET_GO)  # and not the end of the lease
 
 
 @pytest.mark.parametrize("way", ["C-c", "TERM"])

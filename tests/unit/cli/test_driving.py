@@ -82,6 +82,17 @@ def test_every_key_without_a_meaning_stops(key: str) -> None:
     assert made.velocity(0.1) == (0.0, 0.0)
 
 
+def test_key_that_repeats_after_a_stop_moves_nothing_until_it_was_released() -> None:
+    made = driving()
+    made.receive(Key("w"), 0.0)
+    made.receive(Key("space"), 0.1)
+    for tick in range(4, 100):
+        made.receive(Key("w"), tick * 0.033)
+        assert made.velocity(tick * 0.033) == (0.0, 0.0)
+    made.receive(Key("w"), 100 * 0.033 + HOLD_S)
+    assert made.velocity(100 * 0.033 + HOLD_S) == (V, 0.0)
+
+
 def test_keys_add_up() -> None:
     made = driving()
     made.receive(Key("up"), 0.0)
