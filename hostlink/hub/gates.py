@@ -96,7 +96,7 @@ _NS_PER_S = 1_000_000_000
 ENDING = "hostlink is stopping, and drives no robot any more"
 
 
-@mypyc_attr(native_class=False)  # robots inherit from both
+@mypyc_attr(native_class=False, allow_interpreted_subclasses=True)  # robots inherit from both
 class Driven(ABC):
     """Whatever velocities can be published to: a velocity topic of a device here, or a robot of another daemon."""
 
@@ -164,7 +164,7 @@ class Connection(Protocol):
     diagnosis: Diagnosis
 
 
-@mypyc_attr(native_class=False)
+@mypyc_attr(native_class=False, allow_interpreted_subclasses=True)
 @dataclass(eq=False, kw_only=True)
 class Drivable(Driven):
     """A velocity topic of a device, behind the gate that is its only subscriber in the graph.
