@@ -44,6 +44,7 @@ help:
 	@echo "make release  wheel, source distribution and Debian packages, tried in empty environments of Python 3.11, 3.12 and 3.13"
 	@echo "make piuparts  install, upgrade, remove and purge the Debian package for amd64 (as root)"
 	@echo "make arm64   install the Debian package and the wheel in an emulated arm64, drive there and run unit tests (an hour)"
+	@echo "make compiled  the wheel of the same sources compiled with mypyc, for this machine, into build/release"
 	@echo "make check   format, lint, types, import rules"
 	@echo "make bench   measure, write the figures to build/bench*.json"
 	@echo "make ros2-venv  rclpy from PyPI and hostlink, into build/ros2-venv"
@@ -143,6 +144,9 @@ piuparts: $(VENV)/.dev
 arm64: $(VENV)/.dev
 	@tools/require.sh $(DEB_PACKAGES) debootstrap proot qemu-user-static
 	tools/try_arm64.sh
+
+compiled: $(VENV)/.dev
+	$(BIN)/python tools/compiled.py --into build/release
 
 mutants: $(VENV)/.dev
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[mutants]'

@@ -14,7 +14,6 @@ from typing import Any, Protocol
 
 import structlog
 
-from hostlink.compiled import mypyc_attr
 from hostlink.errors import CommandRefused, DeviceGone, HostlinkError, RefusalKind, WrongType
 from hostlink.host_pauses import HostPauses
 from hostlink.hub.diagnoses import Diagnosis
@@ -96,7 +95,6 @@ _NS_PER_S = 1_000_000_000
 ENDING = "hostlink is stopping, and drives no robot any more"
 
 
-@mypyc_attr(native_class=False)  # robots inherit from both
 class Driven(ABC):
     """Whatever velocities can be published to: a velocity topic of a device here, or a robot of another daemon."""
 
@@ -164,7 +162,6 @@ class Connection(Protocol):
     diagnosis: Diagnosis
 
 
-@mypyc_attr(native_class=False)
 @dataclass(eq=False, kw_only=True)
 class Drivable(Driven):
     """A velocity topic of a device, behind the gate that is its only subscriber in the graph.

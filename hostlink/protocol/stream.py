@@ -55,8 +55,8 @@ class FrameStream:
     """
 
     __slots__ = (
-        "_base", "_candidates", "_claimed_bytes", "_ends", "_false_starts", "_fixed_bytes", "_searched", "limit_bytes",
-        "pending", "rejected",
+        "_base", "_candidates", "_claimed_bytes", "_ends", "_false_starts", "_fixed_bytes", "_searched", "_taken",
+        "limit_bytes", "pending", "rejected",
     )  # fmt: skip
 
     def __init__(self, *, limit_bytes: int = DEFAULT_LIMIT_BYTES, fixed_bytes: Mapping[int, int] | None = None) -> None:
@@ -64,7 +64,8 @@ class FrameStream:
         self.limit_bytes = limit_bytes
         self.rejected: Counter[Rejection] = Counter()
         self._fixed_bytes: Mapping[int, int] = {} if fixed_bytes is None else fixed_bytes
-        self.pending = bytearray()  # bytes that are neither part of a frame nor skipped yet
+        self.pending = bytearray()  # bytes that are neither part of a frame nor skipped yet, after `feed`
+        self._taken = 0  # bytes at the head that were yielded as frames, and are not dropped yet
         self._base = 0  # stream offset of the first buffered byte
         self._candidates: OrderedDict[int, int] = OrderedDict()  # start -> end of the undecided candidates, by start
         self._ends: list[tuple[int, int]] = []  # (end, start) of the same candidates, sorted by end
@@ -78,31 +79,31 @@ class FrameStream:
         The iterator is lazy, so that a change of the limit or of the sizes after one frame applies to the next.
         """
         buffer, unpack = self.pending, HEADER.unpack_from
+        if self._taken:  # the caller of the last `feed` stopped iterating; `finally` would need its generator's end
+            self._drop(self._taken)
         is_short = len(data) < len(buffer)  # a copy of the buffer would cost more than linear work
         buffer += data
         source = buffer if is_short else bytes(buffer)  # slicing bytes is faster
         while source:
             at, last = 0, len(source) - OVERHEAD_BYTES  # last possible start of a frame
-            try:
-                while at <= last:  # fast path: frames at the head that are complete, correct and without a sync inside
-                    sync, size, check, topic_id = unpack(source, at)
-                    end = at + size + OVERHEAD_BYTES
-                    if (
-                        sync != SYNC_WORD
-                        or size > last - at
-                        or size > self.limit_bytes
-                        or (size + (size >> 8) + check) & 0xFF != _SUM_IS_RIGHT
-                        or source.find(SYNC, at + 2, end) >= 0
-                        or byte_sum(source[at + 5 : end]) & 0xFF != _SUM_IS_RIGHT
-                        or self._fixed_bytes.get(topic_id, size) != size
-                    ):
-                        break
-                    frame = new_frame(Frame, (topic_id, bytes(source[at + 7 : end - 1])))
-                    at = end
-                    yield frame
-            finally:  # also when the caller stops iterating
-                if at:
-                    self._drop(at)
+            while at <= last:  # fast path: frames at the head that are complete, correct and without a sync inside
+                sync, size, check, topic_id = unpack(source, at)
+                end = at + size + OVERHEAD_BYTES
+                if (
+                    sync != SYNC_WORD
+                    or size > last - at
+                    or size > self.limit_bytes
+                    or (size + (size >> 8) + check) & 0xFF != _SUM_IS_RIGHT
+                    or source.find(SYNC, at + 2, end) >= 0
+                    or byte_sum(source[at + 5 : end]) & 0xFF != _SUM_IS_RIGHT
+                    or self._fixed_bytes.get(topic_id, size) != size
+                ):
+                    break
+                frame = new_frame(Frame, (topic_id, bytes(source[at + 7 : end - 1])))
+                at = self._taken = end
+                yield frame
+            if at:
+                self._drop(at)
             source = buffer
             if buffer:
                 event = self._contested()
@@ -112,6 +113,8 @@ class FrameStream:
 
     def give_up(self) -> Iterator[Frame | Skipped]:
         """Stop waiting for the frame at the head. Read again from the byte after it."""
+        if self._taken:
+            self._drop(self._taken)
         if self.pending:
             self._reject(self._base, Rejection.INCOMPLETE)
             end = self._candidates.get(self._base)
@@ -213,6 +216,7 @@ class FrameStream:
     def _drop(self, size: int) -> None:
         """Remove frames from the head, and the candidates that overlap them."""
         del self.pending[:size]
+        self._taken = 0
         self._base += size
         self._searched = self._base
         if self._ends:

@@ -358,7 +358,7 @@ class OdometryEstimator:
         if span_s < SHORTEST_S:
             return PlanarVelocity()
         moves = [_move(before.pose, after.pose) for before, after in itertools.pairwise(self._window)]
-        forward_m, left_m, turned_rad = map(sum, zip(*moves, strict=True))
+        forward_m, left_m, turned_rad = map(math.fsum, zip(*moves, strict=True))
         return PlanarVelocity(forward_m / span_s, 0.0 if self.is_differential else left_m / span_s, turned_rad / span_s)
 
 
