@@ -22,6 +22,7 @@ fi
 # piuparts upgrades from the version that an archive has: this folder is one.
 (cd "$work/archive" && dpkg-scanpackages --multiversion . /dev/null >Packages 2>/dev/null)
 log=$work/piuparts.log
+rm -f "$log"  # piuparts appends
 piuparts --basetgz "$work/bookworm.tar.gz" --distribution bookworm --mirror "$mirror main" --no-eatmydata \
   --extra-repo "deb [trusted=yes] file://$PWD/$work/archive ./" --bindmount "$PWD/$work/archive" --log-file "$log" "$deb" >/dev/null || { tail -n 40 "$log"; exit 1; }
 grep -E "PASS|FAIL|WARN" "$log"
