@@ -310,3 +310,5 @@ class DriveLog:
                 log.warning("drives.lost", file=str(self._folder / NAME), reason=error.strerror or str(error))
             self._is_failing = True
             self.lost += sum(bool(drive.end) for drive in drives)  # a later line has the complete data of the others
+        else:
+            self._is_failing = False

@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import shutil
 from collections.abc import AsyncIterator
 from dataclasses import replace
 from pathlib import Path
@@ -230,6 +231,21 @@ async def test_unwritable_drive_log_is_logged_once_and_counts_lost_drives(tmp_pa
         assert made.lost == 3
         assert [line["event"] for line in logs] == ["drives.lost"]
         assert len(made.newest_first()) == 3
+
+
+async def test_drive_log_that_fails_again_after_it_could_be_written_is_logged_again(tmp_path: Path) -> None:
+    folder = tmp_path / "drives"
+    folder.write_text("")
+    async with drive_log(folder) as made:
+        with capture_logs() as logs:
+            await made._keep([DRIVE])
+            folder.unlink()
+            await made._keep([DRIVE])
+            shutil.rmtree(folder)
+            folder.write_text("")
+            await made._keep([DRIVE])
+        assert made.lost == 2
+        assert [line["event"] for line in logs] == ["drives.lost", "drives.lost"]
 
 
 async def test_drive_log_that_keeps_no_file_writes_none(tmp_path: Path) -> None:
