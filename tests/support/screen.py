@@ -30,15 +30,24 @@ class Screen:
 
     async def run(self) -> None:
         """Serve the control client until tmux ends."""
-        self._control = await asyncio.create_subprocess_exec(
+        child = self._control = await asyncio.create_subprocess_exec(
             "tmux", "-L", self._name, "-C", "attach", "-f", "ignore-size", "-t", "main",
             stdin=asyncio.subprocess.PIPE, stdout=asyncio.subprocess.PIPE,
         )  # fmt: skip
+        try:
+            await self._serve(child)
+        finally:
+            self._control = None
+            if child.returncode is None:
+                child.kill()
+            await child.communicate()  # closes its pipes
+
+    async def _serve(self, child: asyncio.subprocess.Process) -> None:
         self._answers.append(asyncio.get_running_loop().create_future())  # of `attach` itself
         self.attached.set()
-        assert self._control.stdout is not None
+        assert child.stdout is not None
         block: list[str] | None = None
-        async for raw in self._control.stdout:
+        async for raw in child.stdout:
             line = raw.decode(errors="replace").rstrip("\n")
             if block is None and line.startswith("%begin "):
                 block = []

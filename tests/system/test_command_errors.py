@@ -14,7 +14,6 @@ from tests.support.waiting import TIMEOUT_S
 FULL = "/dev/full"
 INTERRUPTED_IMPORT = """
 import os, runpy, signal, sys
-from tests.support.waiting import TIMEOUT_S
 class Interrupts:
     def find_spec(self, name, path=None, target=None):
         if name == "typer":

@@ -16,7 +16,6 @@ from tests.support.waiting import TIMEOUT_S
 BEGIN_NS, STEP_NS, COUNT = 1_700_000_000_000_000_000, 100_000_000, 20
 READ = """
 import json, sys, rosbag
-from tests.support.waiting import TIMEOUT_S
 with rosbag.Bag(sys.argv[1]) as bag:
     rows = [(topic, message, at.to_nsec()) for topic, message, at in bag.read_messages()]
     types = {topic: info.msg_type for topic, info in bag.get_type_and_topic_info().topics.items()}
