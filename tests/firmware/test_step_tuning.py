@@ -64,6 +64,7 @@ def overshoots_percent(worlds: list[tuple[WorldParameters, Gains]], speed_m_s: f
     return [percent for world, gains in worlds for percent in drive(world, gains, step).overshoots_percent.values()]
 
 
+@pytest.mark.timeout(600)  # a minute and a half on a quiet machine
 @pytest.mark.parametrize(
     ("speed_m_s", "median_percent", "worst_percent"), [(0.1, 3.0, 9.5), (0.2, 0.2, 1.7), (0.3, 0.1, 0.5)]
 )
@@ -78,6 +79,7 @@ def test_true_speed_of_a_hundred_tuned_robots_overshoots_as_the_document_says(
     assert max(found) <= worst_percent
 
 
+@pytest.mark.timeout(600)  # a minute and a half on a quiet machine
 @pytest.mark.parametrize("speed_m_s", SPEEDS_M_S)
 def test_true_speed_of_a_hundred_robots_with_table_1_overshoots_by_at_most_one_percent(
     tuned_worlds: list[tuple[WorldParameters, Gains]], speed_m_s: float

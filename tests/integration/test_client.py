@@ -116,6 +116,7 @@ async def test_two_robots_are_driven_at_once() -> None:
             assert await second.velocity_other_than(ZERO) == (0.1, 0.0)
 
 
+@pytest.mark.quiet
 async def test_a_stop_that_is_not_answered_delays_none_of_another_robot() -> None:
     """The daemon answers when other daemons have: one of them may have gone."""
     async with (

@@ -84,6 +84,7 @@ async def test_velocity_latched_before_the_robot_connected_does_not_move_it(made
             assert set(await there.velocities()) == {0.2}
 
 
+@pytest.mark.quiet
 async def test_velocity_latched_by_a_publisher_that_comes_later_drives_once(made: Scene) -> None:
     """As `rostopic pub -1` sends it; when the connection breaks, the same one comes again."""
     await made.master.knows("Subscriber", VELOCITY)

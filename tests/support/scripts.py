@@ -53,7 +53,7 @@ class DrivenRobot:
         """Whether a source drives it and has not let go, in the daemon's view."""
         robot = self.host.hub.robots.find("robot_0")
         assert isinstance(robot, Robot)
-        return (robot.gate.owner is not None and not robot.gate.is_let_go) or not robot.gate.current.is_zero
+        return (robot.gate.owner is not None and not robot.gate.target.is_zero) or not robot.gate.current.is_zero
 
     async def moves(self) -> None:
         await expect(lambda: self.is_held and self.body.speed_m_s > 0.02)

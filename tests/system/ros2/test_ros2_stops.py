@@ -53,7 +53,7 @@ class World:
         """Seconds until nobody drives, and the velocity that is commanded is a zero."""
         loop = asyncio.get_running_loop()
         begun_s = loop.time()
-        await expect(lambda: self.gate.owner is None or self.gate._target.is_zero)
+        await expect(lambda: self.gate.owner is None or self.gate.target.is_zero)
         return loop.time() - begun_s
 
     async def drives_after_a_zero_and_not_for(self, seconds: float) -> None:
@@ -64,7 +64,7 @@ class World:
         await asyncio.sleep(0.2)
         await self.driver.do("silence", topic=CMD_VEL)
         await drive(self.driver)
-        await expect(lambda: self.gate.owner is not None and not self.gate._target.is_zero)
+        await expect(lambda: self.gate.owner is not None and not self.gate.target.is_zero)
 
 
 async def drive(other: Peer, topic: str = CMD_VEL, *, type_name: str = TWIST, linear_m_s: float = 0.2) -> None:
@@ -233,7 +233,7 @@ async def test_each_publisher_is_an_owner_of_its_own_so_that_an_idle_one_stops_n
         gate, owner = world.gate, world.gate.owner
         await drive(idle, linear_m_s=0.0)
         await expect_never(lambda: gate.owner not in (owner, None), for_s=1.5)
-        await expect_never(lambda: gate.owner == owner and gate._target.is_zero, for_s=1.0)
+        await expect_never(lambda: gate.owner == owner and gate.target.is_zero, for_s=1.0)
         await expect(lambda: gate.owner == owner)
 
 
