@@ -3,17 +3,18 @@
 import asyncio
 
 
-class ForwardingProtocol(asyncio.Protocol):
-    """Forwards every call. A subclass extends `connection_made` and `connection_lost`."""
+class ForwardingProtocol(asyncio.BaseProtocol):
+    """Forwards every call except those with received bytes.
+
+    A subclass is an asyncio.Protocol or an asyncio.BufferedProtocol too, never both: uvloop calls `data_received` of a
+    class that is both, and asyncio calls `buffer_updated`.
+    """
 
     def __init__(self, inner: asyncio.Protocol) -> None:
         self._inner = inner
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         self._inner.connection_made(transport)
-
-    def data_received(self, data: bytes) -> None:
-        self._inner.data_received(data)
 
     def eof_received(self) -> bool | None:
         return self._inner.eof_received()

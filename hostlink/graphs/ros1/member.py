@@ -268,7 +268,7 @@ def _refuse(*_: object) -> _Answer:
     raise BadXml("unknown method")
 
 
-class _Aged(ForwardingProtocol):
+class _Aged(ForwardingProtocol, asyncio.Protocol):
     """Connection to the slave API that is closed after MAX_AGE_S, so that idle connections free their places."""
 
     is_replaceable = True  # a call is over within milliseconds, and who calls again connects again
@@ -280,6 +280,9 @@ class _Aged(ForwardingProtocol):
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         self._timer = asyncio.get_running_loop().call_later(MAX_AGE_S, transport.close)
         super().connection_made(transport)
+
+    def data_received(self, data: bytes) -> None:
+        self._inner.data_received(data)
 
     def connection_lost(self, exc: Exception | None) -> None:
         if self._timer is not None:
