@@ -3,8 +3,8 @@
 The groups are the pure packages with their branches counted, all other tests, those that a busy machine disturbs
 (marked `quiet`), and those that need the machine for themselves (marked `alone`).
 
-With `--repeat N`, up to N failed tests of a group are run once more alone, for machines whose other work nobody controls.
-The table names a test that passed only then: mend it.
+With `--repeat N`, up to N failed tests of a group are run once more alone, for a machine that has other work. The table
+names a test that passed only then: mend it.
 
 Tests whose programs are not installed (`tests/support/requirements.py`) are listed as not run. They fail the run only
 where CI=true.

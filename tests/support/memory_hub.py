@@ -78,7 +78,7 @@ class MemoryHub:
 def in_hub(
     test: Callable[[MemoryHub], Awaitable[None]], config: Config | None = None, *, reraises: bool = True
 ) -> None:
-    """Run a test beside a hub, in virtual time."""
+    """Run a test with a running hub, in virtual time."""
 
     async def run(logs: list[EventDict]) -> None:
         guard = RecordingGuard()

@@ -1,4 +1,4 @@
-"""What tests need beside Python, and which tests are not run where it is missing.
+"""Requirements of tests other than Python packages. A test whose requirement is missing is not run.
 
 A requirement is found by a program or a file, so that it does not depend on the distribution. `make test` installs the
 Debian packages where it may; `tests/conftest.py` skips the tests of what is still missing.
@@ -25,7 +25,7 @@ class Requirement:
 
     @property
     def reason(self) -> str:
-        """Why a test is skipped."""
+        """Reason for which a test is skipped."""
         return f"{REASON}{self.source}"
 
 

@@ -11,7 +11,7 @@ class Stopwatch:
     """Measures from its creation on.
 
     The kernel counts for each thread how long it was ready and did not run. This time of the main threads of the test
-    and of the processes `pids` is left out: a limit holds for the program, and not for what runs beside it.
+    and of the processes `pids` is left out: a limit holds for the program, and not for other programs.
     """
 
     def __init__(self, *pids: int) -> None:

@@ -23,7 +23,7 @@ class Counter:
         return self.count > 100
 
 
-def test_it_returns_with_the_first_true_value() -> None:
+def test_expect_returns_with_the_first_true_value() -> None:
     counter = Counter()
     run_virtual(expect(counter.reaches_five))
     assert counter.count == 5
@@ -83,7 +83,7 @@ def test_other_errors_end_the_wait_at_once() -> None:
     assert counter.count == 1
 
 
-def test_what_must_never_be_is_watched_for_the_whole_time() -> None:
+def test_expect_never_watches_for_the_whole_time() -> None:
     counter = Counter()
 
     async def wait() -> float:
