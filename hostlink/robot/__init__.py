@@ -1,1 +1,1 @@
-"""What makes a device a robot: kinematics, velocity gate, odometry; pure."""
+"""Rules that make a device a robot: admission, kinematics, velocity gate, odometry, names; pure."""

@@ -3,7 +3,7 @@
 Every way in (rosbridge, REST, the page, Foxglove, the client, ROS, the fleet, recordings) fills in a `Command`. The
 robot's `Admission` answers with a `Decision`. No other module compares ages, epochs, locks or leases.
 
-A *source* is whatever commands: a program, a REST owner, a publisher of another graph. It is in one of three states:
+A *source* of commands is a program, a REST owner, a publisher of another graph. It is in one of three states:
 
 | state    | event                                                     | next     | decision              |
 |----------|-----------------------------------------------------------|----------|-----------------------|
@@ -59,7 +59,7 @@ DRIFT = 0.001  # two clocks drift far less; a route that became slower for good 
 
 
 class Freshness:
-    """How much longer than the quickest of its kind something was on its way, by the sender's clock and ours."""
+    """Delay of a message beyond the quickest of its kind, by the sender's clock and ours."""
 
     def __init__(self) -> None:
         self._quickest_s = float("inf")  # the smallest difference of the clocks: no wait in it
@@ -117,7 +117,7 @@ class EarlierMotion:
 
     @classmethod
     def within_a_lease(cls, now_s: float) -> Self:
-        """What is streamed comes within a lease."""
+        """An earlier motion whose first velocity arrives within a lease."""
         return cls(now_s + LEASE_S)
 
     def pop_epoch(self, received_s: float) -> int | None:
@@ -132,9 +132,9 @@ MAX_EARLIER = 1024  # commands to what does not exist, of the last lease
 
 @dataclass(slots=True)
 class EarlierCommands:
-    """Who commanded a robot or a topic that did not exist.
+    """Sources that commanded a robot or a topic before it existed.
 
-    A source that goes on when it exists is in the middle of a motion. The newest MAX_EARLIER of one lease are known.
+    A source that continues when it exists is in the middle of a motion. The newest MAX_EARLIER of one lease are known.
     """
 
     _at_s: dict[tuple[str, Hashable], float] = field(default_factory=dict)  # the newest is the last one
@@ -182,7 +182,7 @@ ADMITTED = Decision()
 
 @dataclass(slots=True)
 class _Source:
-    """What is known of one source of commands."""
+    """Record of one source of commands."""
 
     is_armed: bool = True
     commanded_s: float = float("-inf")  # the newest non-zero command, admitted or not; a zero resets it
@@ -201,7 +201,7 @@ class _Source:
 
 @dataclass(slots=True, eq=False)
 class Admission:
-    """Who may move one robot. A robot with several velocity topics has one `Admission` and one driver for each topic.
+    """Rule for one robot. A robot with several velocity topics has one `Admission` and one driver for each topic.
 
     Methods take the loop time `now_s`, which never decreases.
     """
@@ -238,7 +238,7 @@ class Admission:
         if joined is not None and command.epoch is None:
             command = command._replace(epoch=joined.pop_epoch(command.received_s))
         if command.epoch not in (None, self.epoch):
-            source.is_armed = False  # whatever refuses this command: the next one continues its motion
+            source.is_armed = False  # also if this command is refused: the next one continues its motion
         if not velocity.is_finite:
             return self._refuse(RefusalKind.NOT_FINITE, "a velocity must consist of finite numbers")
         if not command.is_planar:
@@ -294,7 +294,7 @@ class Admission:
     def _source(self, command: Command[Any], now_s: float) -> _Source | None:
         """Return the record of a source, the last of all; None where there is room for no other.
 
-        A record of a source that is quiet is no loss: a new source is armed. A disarmed one is never forgotten.
+        A record of a quiet source may be dropped, because a new source is armed. A disarmed one is never forgotten.
         """
         source = self._sources.pop(command.source, None)
         if source is None:
@@ -371,7 +371,7 @@ class Admission:
         self._drivers.clear()
         for source in self._sources.values():
             if source.has_lost_device or since_s < source.commanded_s + self.lease_s:
-                # What waited through a pause comes now: the lease without commands begins now, too.
+                # Commands that waited through a pause are read now, so a lease without commands begins now.
                 source.is_armed, source.commanded_s = False, now_s
 
     def lock(self, reason: str, now_s: float) -> None:

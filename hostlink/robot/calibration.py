@@ -1,6 +1,6 @@
 """Calibration: a robot's wheels from drives, their odometry, and their ends as a tape measure has them. Pure.
 
-Two methods stand beside each other. UMBmark (J. Borenstein, L. Feng, IEEE Trans. Robotics and Automation 12(6), 1996)
+There are two methods. UMBmark (J. Borenstein, L. Feng, IEEE Trans. Robotics and Automation 12(6), 1996)
 reads the wheels off the four mean errors of squares driven both ways. Least squares over the recorded ways of the
 wheels (after G. Antonelli, S. Chiaverini, G. Fusco, IEEE Trans. Robotics 21(5), 2005) uses every number of every drive,
 and knows how certain it is. Both integrate the recorded drives anew until nothing changes, so neither is bound to small
@@ -33,7 +33,7 @@ _Array = NDArray[np.float64]
 
 
 class Kind(StrEnum):
-    """What a drive is."""
+    """Kind of a drive."""
 
     STRAIGHT = "straight"
     TURNS_CCW = "turns_ccw"
@@ -56,7 +56,7 @@ class WheelGeometry(NamedTuple):
 
 
 class Measurement(NamedTuple):
-    """Where the axle's middle truly was at the end, from where it stood at the start, x to where it pointed then."""
+    """True position of the axle's middle at the end, relative to the start; x is the heading at the start."""
 
     x_m: float
     y_m: float
@@ -114,7 +114,7 @@ class Calibration:
 
     @property
     def umbmark_geometry(self) -> WheelGeometry:
-        """The same by UMBmark."""
+        """Wheels by UMBmark."""
         return self.nominal.corrected(self.umbmark)
 
 
@@ -143,7 +143,7 @@ def calibrated(runs: Iterable[MeasuredRun], nominal: WheelGeometry) -> Calibrati
 
 
 def end_of(run: MeasuredRun, correction: OdometryCorrection) -> Measurement:
-    """Where the corrected odometry is at the end of a drive."""
+    """Position of the corrected odometry at the end of a drive."""
     x_m, y_m, theta_rad = _Drive(run, correction.nominal_separation_m).end(correction)
     return Measurement(x_m, y_m, theta_rad)
 
@@ -180,7 +180,7 @@ class _Drive:
         return self.kind is Kind.STRAIGHT
 
     def end(self, correction: OdometryCorrection) -> tuple[float, float, float]:
-        """Where it ends by the corrected odometry; whole turns stay in the angle."""
+        """End of a drive by the corrected odometry; whole turns stay in the angle."""
         left_m = self._ways[:, 0] * correction.left_factor
         right_m = self._ways[:, 1] * correction.right_factor
         turned_rad = (right_m - left_m) / correction.separation_m
@@ -265,7 +265,7 @@ def _solve(
 
 def _residuals(drive: _Drive, correction: OdometryCorrection, weight: float) -> _Array:
     x_m, y_m, turned_rad = drive.error(correction)
-    sideways_m = drive.size * MEASURED_RAD if drive.is_straight else 0.0  # the mark's direction is no better
+    sideways_m = drive.size * MEASURED_RAD if drive.is_straight else 0.0  # the mark's direction is not known better
     values = [x_m * weight, y_m / math.hypot(1 / weight, sideways_m)]
     if turned_rad is not None:
         values.append(turned_rad / MEASURED_RAD)

@@ -1,4 +1,4 @@
-"""What is wrong with the numbers that a person read off a tape measure: slips, and sides exchanged. Pure.
+"""Checks of numbers that a person read off a tape measure: slips of the pen, and exchanged sides. Pure.
 
 Each function returns a line for that person; empty: nothing is wrong that can be found so.
 """
@@ -45,7 +45,7 @@ _SQUARES = (Kind.SQUARE_CCW, Kind.SQUARE_CW)
 
 
 def complaint_of_run(run: MeasuredRun, correction: OdometryCorrection) -> str:
-    """Of one drive, against the odometry that led it."""
+    """Check one drive against the odometry that led it."""
     odometry = end_of(run, correction)
     if run.kind is Kind.STRAIGHT:
         return _complaint_of_line(run.measured, odometry, run.size)
@@ -67,7 +67,7 @@ def complaint_of_run(run: MeasuredRun, correction: OdometryCorrection) -> str:
 
 
 def complaint_of_nominal(nominal: WheelGeometry, known: WheelGeometry) -> str:
-    """Of the numbers in which a robot believes, against those that were known: a slip or a unit, by its factor."""
+    """Check the numbers that a robot assumes against known numbers: a slip or a wrong unit, by its factor."""
     names = ("radius of the left wheel", "radius of the right wheel", "wheels' separation")
     for name, value_m, known_m in zip(names, nominal, known, strict=True):
         ratio = max(value_m / known_m, known_m / value_m)
@@ -81,7 +81,7 @@ def complaint_of_nominal(nominal: WheelGeometry, known: WheelGeometry) -> str:
 
 
 def complaint_of_runs(runs: Sequence[MeasuredRun], nominal: WheelGeometry) -> str:
-    """Of all drives together: those that should agree, and the wheels that would explain them."""
+    """Check all drives together: those that should agree, and the wheels that would explain them."""
     if complaint := _complaint_of_repeats(runs, nominal):
         return complaint
     found = calibrated(runs, nominal)
@@ -168,7 +168,7 @@ def _check_squares(calibration: Calibration, runs: Sequence[MeasuredRun]) -> _Ch
 
 
 def _scatter_m(calibration: Calibration) -> float:
-    """Of one more square: each has two numbers, of which two factors were found, and few say little of the scatter."""
+    """Scatter of one more square: few squares show little of it, so the factor of Student's distribution widens it."""
     freedom = 2 * calibration.squares - 2
     spread = calibration.residual_m * math.sqrt(2 * calibration.squares / freedom)
     return spread * student_95(max(freedom, 3)) / student_95(MANY)
@@ -193,7 +193,7 @@ def _complaint_of_line(measured: Measurement, odometry: Measurement, length_m: f
 
 
 def _slip_or_unit(factor: float) -> str:
-    """What a number that is wrong by this factor may be."""
+    """Possible cause of a number that is wrong by this factor."""
     for unit, of_centimetres in UNIT_FACTORS.items():
         if abs(factor / of_centimetres - 1) < MOST_OFF:
             return f"A decimal slip, or was it in {unit}? Enter the unit with the number"
@@ -250,7 +250,7 @@ def _bent_as(lines: Sequence[MeasuredRun], correction: OdometryCorrection) -> Od
 
 
 def _complaint_of_repeats(runs: Sequence[MeasuredRun], nominal: WheelGeometry) -> str:
-    """What differs between two drives alike, apart from their odometry."""
+    """Difference between two drives of one kind, apart from their odometry."""
     none = uncorrected(nominal)
     for one, other in itertools.combinations(runs, 2):
         if one.kind is not other.kind or one.kind in (Kind.TURNS_CCW, Kind.TURNS_CW):

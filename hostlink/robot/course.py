@@ -6,9 +6,9 @@ from typing import NamedTuple
 
 from hostlink.robot.kinematics import Pose, wrap_angle
 
-SETTLE_S = 1.2  # at zero after each leg: a robot stands within 0.6 s, and its poses are a tenth of a second late
+SETTLE_S = 1.2  # at zero after each leg: a robot stops within 0.6 s, and its poses are a tenth of a second late
 STOP_EARLY_S = 0.15  # a pose is so old when the command that it leads to has an effect
-SLOW_M_S, SLOW_RAD_S = 0.08, 0.3  # at the end of a leg; slower, a geared motor stands still
+SLOW_M_S, SLOW_RAD_S = 0.08, 0.3  # at the end of a leg; at lower speeds a geared motor does not turn
 SLOW_FROM_M, SLOW_FROM_RAD = 0.15, 0.5  # what then remains
 HEADING_PER_S = 1.5  # of a heading's error: how a line is followed
 SIDEWAYS_RAD_PER_M = 2.0  # the heading that leads back to the line
@@ -16,7 +16,7 @@ TURN_STEP_RAD_S = 0.1  # a robot that ramps to each new command would never get 
 KEPT_STEPS = 0.6  # what is nearer to the present step leaves it; at a half, each tick of a wheel would change it
 MOST_TURN_RAD_S = 0.3  # while driving on
 STUCK_S = 2.0  # without progress; from rest the paper's firmware has gone 7 cm by then
-STUCK_M, STUCK_RAD = 0.02, 0.05  # less is no progress
+STUCK_M, STUCK_RAD = 0.02, 0.05  # a smaller step does not count as progress
 
 
 class Leg(NamedTuple):
@@ -27,7 +27,7 @@ class Leg(NamedTuple):
 
 
 class Speed(NamedTuple):
-    """How fast a course is driven."""
+    """Speeds of a course."""
 
     linear_m_s: float = 0.2
     angular_rad_s: float = 0.8
@@ -49,7 +49,7 @@ def square(side_m: float, way: int) -> tuple[Leg, ...]:
 
 
 class CourseFollower:
-    """Decides the velocity at each pose. The corners are where the course has them, whatever went wrong before.
+    """Decides the velocity at each pose. The corners are at the places of the course, independent of earlier errors.
 
     A robot whose odometry does not advance as commanded is stopped: it may be driving all the same.
     """
@@ -63,11 +63,11 @@ class CourseFollower:
         self._last: Pose | None = None
         self._settled_at_s: float | None = None
         self._progress = _Progress()
-        self._steps = 0  # of the turn beside the line
+        self._steps = 0  # of the turn back to the line
 
     @property
     def legs_left(self) -> int:
-        """How many legs are not done."""
+        """Number of legs that are not done."""
         return len(self._legs)
 
     def update(self, pose: Pose, now_s: float) -> tuple[float, float]:
@@ -127,7 +127,7 @@ class CourseFollower:
 
 
 class _Progress:
-    """Of one leg."""
+    """Progress on one leg: when it last made a step towards its end."""
 
     def __init__(self) -> None:
         self._left, self._at_s = math.inf, -math.inf

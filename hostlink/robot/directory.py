@@ -11,14 +11,14 @@ from typing import NamedTuple, TypeVar
 
 from hostlink.robot.velocity import TWIST_TYPE
 
-SURE_S = 3.0  # docs/protocol.md#time: whatever lives requests the time every 2.5 s
+SURE_S = 3.0  # docs/protocol.md#time: a live device requests the time every 2.5 s
 SOONEST_S = 0.5  # longer than the project's passthrough waits before it dials again: 0.2 s
 USUAL_GAPS = 5  # a radio makes one or two late, not five
-_KEPT, _ENOUGH = 16, 8  # gaps; their median stands a few that are long
+_KEPT, _ENOUGH = 16, 8  # gaps; their median tolerates a few long ones
 
 
 class Presence:
-    """Of one link. Times are monotonic, in seconds."""
+    """Presence of one link. Times are monotonic, in seconds."""
 
     __slots__ = ("_gaps_s", "received_at_s")
 
@@ -45,12 +45,12 @@ class Presence:
 
 Key = TypeVar("Key")
 
-PLAYED = "a recording"  # the address of whatever is played, wherever that is
-LONGEST_NAME = 64  # characters; a name goes into logs, paths and labels
+PLAYED = "a recording"  # the address of all recordings that are played
+LONGEST_NAME = 64  # characters; names are used in logs, paths and labels
 
 
 class Origin(NamedTuple):
-    """What is known of a device before it has a name: the name that it announces, and where it is."""
+    """Facts about a device before it has a name: the name that it announces, and its address."""
 
     own: str  # the name that it announces
     address: str
@@ -59,9 +59,9 @@ class Origin(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Named:
-    """A name; `is_certain`: it can be nobody else's, because of the configuration or of an address of its own.
+    """A name. `is_certain`: no other device can have it, because of the configuration or of an address of its own.
 
-    `is_new_number`: nobody ever had it; the device is one more of those that announce the same.
+    `is_new_number`: no device had it before; several devices announce the same name.
     """
 
     name: str
@@ -70,7 +70,7 @@ class Named:
 
 
 class Places:
-    """Where robots are configured to be. Making it takes time with thousands of them."""
+    """Addresses of robots by configuration. With thousands of robots its construction takes time."""
 
     def __init__(self, addresses: Mapping[str, str | None]) -> None:
         """`addresses`: robot name -> IP address, also with a port, or serial port."""
@@ -96,12 +96,12 @@ class RobotNames:
     1. the name that it announces, where the configuration gives it to its address;
     2. the name that the same device had before: one that announced the same name from the same address, and best the
        same port; of several the one that came first;
-    3. a name that the configuration gives to its address: those that nobody ever had first, in their order;
-    4. the name that it announces, unless it is another's: somebody has it now, the configuration gives it to an
-       address, or several were seen that announce it, and it is the one of a device elsewhere;
+    3. a name that the configuration gives to its address: first those that no device had before, in their order;
+    4. the name that it announces, unless it is another's: a device has it now, the configuration gives it to an
+       address, or several were seen that announce it, and it is the name of a device at another address;
     5. that name with a number: robot_0_2, robot_0_3, ...
 
-    A recording that is played leaves its name to the robot, and counts as none of those that announce it.
+    A recording that is played leaves its name to the robot, and is not counted among those that announce it.
 
     A name without a device stays its last owner's until it is forgotten.
     """
@@ -115,7 +115,7 @@ class RobotNames:
         self._of_own: defaultdict[str, dict[str, None]] = defaultdict(dict)
 
     def reconfigure(self, places: Places) -> None:
-        """Whoever has another's name by these, or should have another, has none from now on."""
+        """Replace the address-to-name table. Forget every name that the new table contradicts."""
         misplaced = self.misplaced(places)
         self._places = places
         for name in misplaced:
@@ -158,7 +158,7 @@ class RobotNames:
             self._of_own[origin.own][name] = None
 
     def leave(self, name: str) -> None:
-        """Its device is gone; the name stays its own."""
+        """Note that the device has disconnected; it keeps its name."""
         self._live.discard(name)
 
     def forget(self, name: str) -> None:
@@ -210,7 +210,7 @@ LATE_S = 0.1  # what was on its way when the other device announced its topics
 ANSWER_S = 0.5  # a device answers a request for its topics in a turn of its loop, its line may be busy
 AGAIN_S = 10.0  # two that count each other as dead, because their loops are slow, do so within a few seconds
 MOVING_S = 3.0  # by then a link that died has been ended for its silence
-TopicClaim = tuple[str, str, bool]  # name, type, whether it goes to the device
+TopicClaim = tuple[str, str, bool]  # name, type, whether its direction is to the device
 Odometry = tuple[str, str]  # name, type
 
 
@@ -226,7 +226,7 @@ class RobotTopicNames:
 
     @property
     def namespace(self) -> tuple[str, ...]:
-        """What the names of velocity and odometry have in common; else what the velocity's has, or the odometry's."""
+        """Common namespace of velocity and odometry; otherwise that of the velocity, or of the odometry."""
         return _common(_namespace(self.velocity), _namespace(self.odometry))
 
     @property
@@ -270,7 +270,7 @@ class Undecided:
 
 @dataclass(slots=True)
 class _Entry:
-    """What a device claims to be."""
+    """Identity that a device claims."""
 
     origin: Origin
     key: tuple[str, Hashable]  # what it has in common with itself before a reconnect
@@ -298,7 +298,7 @@ class Directory:
     Where two were seen, or one was replaced less than 10 s ago, only after a silence of 3 s one counts as gone.
 
     A robot whose name lives at another address waits for up to 3 s if that one is silent: it may have moved. A
-    recording that is played has a robot's name only until the robot itself comes, whose link replaces its own.
+    recording that is played has a robot's name only until the robot itself connects, whose link replaces its own.
     """
 
     def __init__(self, addresses: Mapping[str, str | None]) -> None:
@@ -377,12 +377,12 @@ class Directory:
         self._presences.pop(link, None)
 
     def forget(self, name: str) -> None:
-        """The robot of that name is forgotten: whoever comes may have it."""
+        """Forget the robot of that name: another device may have it."""
         if name not in self._by_name:
             self._names.forget(name)
 
     def _rivals(self, entry: _Entry, now_s: float) -> tuple[int | None, list[int]]:
-        """Of the links that claim the same: one that is gone, and those that may be."""
+        """Links that claim the same identity: one that has ended, and those that may have."""
         links = self._settled.get(entry.key, {})
         is_again = any(now_s < self._entries[link].replaced_at_s + AGAIN_S for link in links)
         has_twins = is_again or len(links) > 1 or self._names.has_twins(entry.origin)
@@ -400,7 +400,7 @@ class Directory:
         return None, unclear
 
     def _name(self, entry: _Entry, replaces: int | None, now_s: float) -> Named | None:
-        """None: the one that has the name elsewhere may be this one, come from another address."""
+        """None: the device that has the name at another address may be this one, with a new address."""
         name = None if replaces is None else self._entries[replaces].name
         if name is not None:
             return Named(name, not self._names.has_twins(entry.origin))
@@ -414,7 +414,7 @@ class Directory:
         return named
 
     def _played_as(self, named: Named | None) -> int | None:
-        """The link of a recording that has this name; a device gets it only if it is none."""
+        """Link that has this name; None if there is none."""
         return None if named is None else self._by_name.get(named.name)
 
     def _settle(self, link: int, entry: _Entry, named: Named | None, replaces: int | None) -> None:
@@ -482,7 +482,7 @@ def _namespace(topic: str) -> tuple[str, ...]:
 
 
 def _common(velocity: tuple[str, ...], odometry: tuple[str, ...]) -> tuple[str, ...]:
-    """What two namespaces have in common; else the one that there is."""
+    """Common part of two namespaces; otherwise the one that is not empty."""
     pairs = itertools.takewhile(lambda pair: pair[0] == pair[1], zip(velocity, odometry, strict=False))
     return tuple(here for here, _ in pairs) or velocity or odometry
 

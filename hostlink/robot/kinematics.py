@@ -8,7 +8,7 @@ SMALL_ANGLE_RAD = 1e-8  # below it an arc and its chord are equally long to the 
 
 
 class Pose(NamedTuple):
-    """Where the robot is, in the frame in which its odometry began; theta in (-pi, pi]."""
+    """Pose of the robot, in the frame in which its odometry began; theta in (-pi, pi]."""
 
     x_m: float = 0.0
     y_m: float = 0.0
@@ -16,7 +16,7 @@ class Pose(NamedTuple):
 
 
 def wrap_angle(angle_rad: float) -> float:
-    """The same angle in (-pi, pi]; NaN for one that is not finite."""
+    """Wrap an angle to (-pi, pi]; NaN for an angle that is not finite."""
     if not math.isfinite(angle_rad):
         return math.nan
     wrapped = math.remainder(angle_rad, math.tau)
@@ -24,7 +24,7 @@ def wrap_angle(angle_rad: float) -> float:
 
 
 def chord_per_arc(turned_rad: float) -> float:
-    """How long the chord of an arc is in lengths of the arc; 2/pi for half a turn."""
+    """Length of the chord of an arc, in lengths of the arc; 2/pi for half a turn."""
     half_rad = turned_rad / 2
     return 1.0 if abs(turned_rad) < SMALL_ANGLE_RAD else math.sin(half_rad) / half_rad
 
@@ -56,7 +56,7 @@ class DifferentialDrive:
 
     @property
     def metres_per_tick(self) -> float:
-        """How far a wheel rolls in one encoder tick."""
+        """Distance that a wheel rolls in one encoder tick."""
         return math.tau * self.wheel_radius_m / self.ticks_per_turn
 
     def wheel_speeds(self, linear_m_s: float, angular_rad_s: float) -> tuple[float, float]:

@@ -162,12 +162,12 @@ def _fit_linear(record: Record, response: Floats, constant_s: float, dead_time_s
 
 
 def _compared(t_s: Floats) -> Flags:
-    """Which samples count: before, the PWM of a dead time ago is not in the record."""
+    """Samples that count. For earlier ones the PWM of a dead time ago is not in the record."""
     return np.asarray(t_s >= t_s[0] + MOST_DEAD_TIME_S)
 
 
 def _responses(record: Record, constants_s: Floats, dead_time_s: float) -> Floats:
-    """What motors of gain 1 that begin at rest make of the PWM; a row for each time constant."""
+    """Response of motors of gain 1 that begin at rest to the PWM; a row for each time constant."""
     assert record.pwm is not None  # noqa: S101 - of driven_part
     steps = int(np.ceil((record.t_s[-1] - record.t_s[0]) / GRID_S))
     grid_s = record.t_s[0] + GRID_S * np.arange(steps + 1)

@@ -15,7 +15,7 @@ from hostlink.robot.velocity import PlanarVelocity
 
 
 class WheelWay(NamedTuple):
-    """How far each wheel rolled between two poses, by the robot's own numbers."""
+    """Distance that each wheel rolled between two poses, by the robot's own numbers."""
 
     left_m: float
     right_m: float
@@ -23,7 +23,7 @@ class WheelWay(NamedTuple):
 
 
 class OdometryCorrection(NamedTuple):
-    """Of one robot: factors of its wheels' radii, and the separation that it believes and has."""
+    """Correction of one robot: factors of its wheels' radii, and the separation that it assumes and has."""
 
     left_factor: float = 1.0
     right_factor: float = 1.0
@@ -31,7 +31,7 @@ class OdometryCorrection(NamedTuple):
     separation_m: float = 0.210  # the true one
 
     def advance(self, pose: Pose, before: Pose, after: Pose) -> Pose:
-        """Where the robot is that was truly at `pose` when its own odometry went from `before` to `after`."""
+        """Pose of the robot that was truly at `pose` when its own odometry went from `before` to `after`."""
         way = wheel_way(before, after, self.nominal_separation_m)
         left_m, right_m = way.left_m * self.left_factor, way.right_m * self.right_factor
         turned_rad = (right_m - left_m) / self.separation_m
@@ -54,7 +54,7 @@ class OdometryCorrection(NamedTuple):
 
 
 def wheel_way(before: Pose, after: Pose, separation_m: float) -> WheelWay:
-    """How far each wheel rolled along the arc between two poses."""
+    """Distance that each wheel rolled along the arc between two poses."""
     turned_rad = wrap_angle(after.theta_rad - before.theta_rad)
     heading_rad = before.theta_rad + turned_rad / 2  # of the arc's chord
     cos, sin = math.cos(heading_rad), math.sin(heading_rad)
@@ -81,10 +81,10 @@ class OdometryReading(NamedTuple):
 
 
 def read_pose(payload: bytes) -> OdometryReading:
-    """From a geometry_msgs/Pose2D.
+    """Read a geometry_msgs/Pose2D.
 
     Raises:
-        BadPayload: it is none.
+        BadPayload: the payload has another size.
     """
     if len(payload) != _POSE.size:
         raise BadPayload(POSE_TYPE, f"{len(payload)} bytes instead of {_POSE.size}")
@@ -93,10 +93,10 @@ def read_pose(payload: bytes) -> OdometryReading:
 
 
 def read_odometry(payload: bytes) -> OdometryReading:
-    """From a nav_msgs/Odometry.
+    """Read a nav_msgs/Odometry.
 
     Raises:
-        BadPayload: it is none.
+        BadPayload: the payload is not of this type.
     """
     try:
         secs, nsecs, frame_bytes = _HEADER.unpack_from(payload)
@@ -115,7 +115,7 @@ READERS: dict[str, Callable[[bytes], OdometryReading]] = {POSE_TYPE: read_pose, 
 
 
 def _yaw(x: float, y: float, z: float, w: float) -> float:
-    """Of a quaternion of any length: some devices do not normalise."""
+    """Yaw of a quaternion of any length: some devices do not normalise."""
     return wrap_angle(math.atan2(2 * (w * z + x * y), w * w + x * x - y * y - z * z))
 
 
@@ -130,12 +130,12 @@ ORIGIN_RAD = 0.2
 SHAKE_M = 0.02
 SHAKE_RAD = 0.05
 FARTHEST_M = 1e6  # no odometry counts so far; beyond, sums lose the digits that matter
-RESET_WAIT_S = 5.0  # for the first pose after a reset: the longest that a stalled network is waited for elsewhere
+RESET_WAIT_S = 5.0  # for the first pose after a reset: the longest stall of a network
 CLOCK_SET_NS = 10_000_000_000  # a stamp so far back is of a host whose clock was set; smaller steps are ignored
 
 
 LEAP = PlanarVelocity(10.0, yaw_rad_s=20.0)  # faster than any small robot: the odometry was set, or bytes are damaged
-FASTEST = PlanarVelocity(1.0, yaw_rad_s=4.0)  # the limits of a robot that nobody configured
+FASTEST = PlanarVelocity(1.0, yaw_rad_s=4.0)  # the limits of a robot without configuration
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,7 +159,7 @@ class _Sample(NamedTuple):
 
 
 class _Change(Enum):
-    """What lies between two poses of a device."""
+    """Motion between two poses of a device."""
 
     MOTION = auto()
     SILENCE = auto()  # too long for a speed
@@ -172,19 +172,19 @@ _ORIGIN = _NO_FRAME = Pose()
 
 
 class OdometryEstimator:
-    """The newest pose, and the motion over the poses of the last WINDOW_S.
+    """Newest pose of a device, and its motion over the poses of the last WINDOW_S.
 
-    Poses that came in one read have one arrival time; only the last of them counts for the motion, and of a device that
-    publishes hundreds in a second one in CLOSEST_S: each snapshot goes through all of them. One pose from before the
+    Poses of one read have one arrival time; only the last of them counts for the motion. Of a device that publishes
+    hundreds in a second one in CLOSEST_S counts: each snapshot reads all of them. One pose from before the
     window is kept, so that a motion is never measured over the few milliseconds between two late poses.
 
-    A device that restarts begins at the origin again. What is shown continues from where the robot was (REP 105: an
+    A device that restarts begins at the origin again. The shown pose continues from where the robot was (REP 105: an
     odometry does not jump), or begins again with the device if it is not to continue; `restarts` counts them. A reset
     that was requested begins at the origin in any case. One pose that is far from all others is damage that the
     checksum let pass; a second one there is believed.
 
-    With a `correction`, each motion between two poses is shown as the robot truly made it; what the device publishes
-    is judged as it comes.
+    With a `correction`, each motion between two poses is shown as the robot truly made it; the checks
+    apply to the device's own values.
     """
 
     __slots__ = (
@@ -219,7 +219,7 @@ class OdometryEstimator:
         self._window: deque[_Sample] = deque()
 
     def change_fastest(self, fastest: PlanarVelocity) -> None:
-        """What the robot may be commanded from now on."""
+        """Set what the robot may be commanded from now on."""
         self._fastest = fastest
         self._back_at_once = fastest.scaled(RESET_MARGIN)
         self._small_m = min(self._back_at_once.speed_m_s, LEAP.speed_m_s) * SHORTEST_SPAN_S
@@ -262,9 +262,9 @@ class OdometryEstimator:
             self._stamp_ns = wall_ns
 
     def _is_small_motion(self, new: _Sample) -> bool:
-        """Whether it is a step that any robot may make at once: most poses need no more than this.
+        """Whether it is a step that any robot may make at once: most poses need no further check.
 
-        The distance is along the axes, which is never shorter; a NaN is no small motion.
+        The distance is along the axes, which is never shorter; a NaN is not a small motion.
         """
         before = self._newest
         if before is None or self._doubtful is not None or new.at_s <= self._reset_until_s:
@@ -280,7 +280,7 @@ class OdometryEstimator:
         )
 
     def snapshot(self, now_s: float) -> OdometrySnapshot | None:
-        """What is known at this moment; None before the first pose."""
+        """Snapshot of this moment; None before the first pose."""
         if not self._window:
             return None
         first, last = self._window[0], self._window[-1]
@@ -363,7 +363,7 @@ class OdometryEstimator:
 
 
 def _move(before: Pose, after: Pose) -> tuple[float, float, float]:
-    """How far the robot went forward and to the left along its arc, and how far it turned."""
+    """Distance of the robot forward and to the left along its arc, and the angle that it turned."""
     turned_rad = wrap_angle(after.theta_rad - before.theta_rad)
     heading_rad = before.theta_rad + turned_rad / 2  # of the arc's chord
     cos, sin = math.cos(heading_rad), math.sin(heading_rad)

@@ -1,4 +1,4 @@
-"""What ROS programs expect of a robot: nav_msgs/Odometry and a transform, made of what its device publishes.
+"""Messages that ROS programs expect of a robot: nav_msgs/Odometry and a transform, made of its device's messages.
 
 Metres, radians, x forward, y left, z up (REP 103); the pose in `odom`, the motion in `base_link` (REP 105).
 """
@@ -52,7 +52,7 @@ def odometry_of(
 
 
 def variances_of(message: Mapping[str, Any]) -> Variances:
-    """Of a decoded geometry_msgs/Pose2D, which has none, or nav_msgs/Odometry."""
+    """Covariances of a decoded nav_msgs/Odometry; a geometry_msgs/Pose2D has none."""
     if "theta" in message:
         return NO_VARIANCES
     return Variances(message["pose"]["covariance"], message["twist"]["covariance"])
@@ -70,7 +70,7 @@ def transform_of(odometry: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _covariance(published: Sequence[float], variances: tuple[float, ...]) -> list[float]:
-    """What the device publishes; else a diagonal: all zeros would mean that nothing is ever wrong."""
+    """Covariance from the device, otherwise a diagonal: zeros would claim that nothing is ever wrong."""
     if any(published) and all(map(math.isfinite, published)):
         return list(published)
     return [variances[row] if row == column else 0.0 for row in range(_AXES) for column in range(_AXES)]

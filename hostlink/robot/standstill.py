@@ -1,26 +1,26 @@
-"""Standstill: whether a robot stands or moves, by its odometry. Pure: odometry and times come in.
+"""Standstill: whether a robot is stopped or moves, by its odometry. Pure: odometry and times are arguments.
 
 A stop is confirmed by what was measured after it, and a driven robot that does not move is a warning.
 
 | after a stop                                                        | state   |
 |---------------------------------------------------------------------|---------|
-| odometry since then stands still for STEADY_S, in two poses or more | stands  |
-| odometry since then moves                                           | moves   |
-| no odometry since then, or of one standing pose alone               | unknown |
+| odometry since then is still for STEADY_S, in two poses or more     | `stands` |
+| odometry since then moves                                           | `moves`  |
+| no odometry since then, or of one standing pose alone               | `unknown` |
 """
 
 from enum import StrEnum
 from typing import NamedTuple
 
-STILL_M_S = 0.005  # what noise makes of a robot that stands
+STILL_M_S = 0.005  # motion of a stopped robot by noise
 STILL_RAD_S = 0.02
-STEADY_S = 0.08  # two poses at 10 Hz, with their jitter: a robot that reverses stands in one pose
+STEADY_S = 0.08  # two poses at 10 Hz, with their jitter: a robot that reverses is still in one pose
 PATIENCE_S = 1.0  # a heavy robot has begun to move by then
-OLD_S = 1.0  # odometry comes ten times a second and more
+OLD_S = 1.0  # odometry is published ten times a second and more
 
 
 class StandstillState(StrEnum):
-    """What odometry says after a stop."""
+    """Result of odometry after a stop."""
 
     STANDS = "stands"
     MOVES = "moves"
@@ -28,7 +28,7 @@ class StandstillState(StrEnum):
 
 
 class Standstill(NamedTuple):
-    """What was measured. `after_s` is when it stood first, None unless it stands; `reason` is empty if it stands.
+    """Measured motion. `after_s` is when the robot was first stopped; `reason` is empty if it is stopped.
 
     The speeds are the newest; None: no odometry came since the stop.
     """
@@ -41,19 +41,19 @@ class Standstill(NamedTuple):
 
 
 class Speeds(NamedTuple):
-    """Of a robot, along its way and around itself."""
+    """Speeds of a robot, along its path and around its axis."""
 
     speed_m_s: float
     turn_rad_s: float
 
     @property
     def are_still(self) -> bool:
-        """Whether this motion is no more than noise."""
+        """Whether this motion is only noise."""
         return abs(self.speed_m_s) <= STILL_M_S and abs(self.turn_rad_s) <= STILL_RAD_S
 
 
 def sentence(robot: str, measured: Standstill) -> str:
-    """What was measured, for people."""
+    """Measurement as a sentence for people."""
     if measured.state is StandstillState.STANDS:
         return f"{robot} stands ({abs(measured.speed_m_s or 0.0):.2f} m/s after {measured.after_s or 0.0:.1f} s)"
     if measured.state is StandstillState.UNKNOWN:
@@ -88,7 +88,7 @@ class StopWatch:
         return self._still_since_s is not None and self._newest_s >= self._still_since_s + STEADY_S
 
     def result(self, why_moving: str, why_unknown: str) -> Standstill:
-        """What was measured; the reasons are those of what is otherwise known of the robot."""
+        """Result of the measurement. The reasons are from the robot's other state."""
         if self._newest is None:
             return Standstill(StandstillState.UNKNOWN, reason=why_unknown)
         if self._still_since_s is None:

@@ -39,7 +39,7 @@ class RobotState(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     odometry_topic: TopicName
     odometry_type: TypeName
     reset_topic: TopicName | None = None
-    is_played: bool = False  # its device is a recording, which obeys nobody
+    is_played: bool = False  # its device is a recording, which cannot be driven
     holder: Text | None = None  # who drives it
     holder_address: Text | None = None  # from which who drives it is connected; None for a robot of another daemon
     priority: Priority | None = None  # of who drives it
@@ -65,7 +65,7 @@ DEVICE_AWAY: dict[str, Any] = {
 
 
 class BatteryReading(NamedTuple):
-    """What a device measures of its battery; None for what it does not measure."""
+    """Battery values that a device measures; None for those that it does not measure."""
 
     voltage_v: float | None
     percent: float | None

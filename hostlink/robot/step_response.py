@@ -24,7 +24,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Sample:
-    """What one message says of a wheel: speeds in the robot's own unit; `pwm` is None where the robot sends none."""
+    """Values of one wheel in one message: speeds in the robot's own unit; `pwm` is None where the robot sends none."""
 
     set_point: float
     measured: float
@@ -52,7 +52,7 @@ class Record:
         return abs(self.target - float(self.set_point[-CHANGING_SAMPLES])) > 0.001 * abs(self.target)
 
     def forwards(self) -> "Record":
-        """The same, with the signs of a wheel that rolls forwards."""
+        """Samples with the signs of a wheel that rolls forwards."""
         if self.target >= 0:
             return self
         pwm = None if self.pwm is None else -self.pwm
@@ -61,7 +61,7 @@ class Record:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StepFigures:
-    """Of one wheel. None: it did not happen within the record, or the robot does not send what it needs."""
+    """Figures of one wheel. None: not within the record, or the robot does not send the necessary values."""
 
     target: float  # in the unit of the record
     rise_s: float | None  # from 10 to 90 % of the target
@@ -135,7 +135,7 @@ def step_figures(record: Record, *, full_pwm: float = FULL_PWM) -> StepFigures:
 
 
 def crossing_s(t_s: Floats, values: Floats, level: float) -> float | None:
-    """When they first reach a level, on the straight line between two samples."""
+    """Time when the samples first reach a level, on the straight line between two samples."""
     reached = np.flatnonzero(values >= level)
     if not len(reached):
         return None
@@ -159,7 +159,7 @@ def _settling_s(t_s: Floats, measured: Floats, size: float) -> float | None:
 
 
 def _saturated_percent(record: Record, full_pwm: float) -> float | None:
-    """Of the time from the first command."""
+    """Share of the time since the first command with full PWM, in percent; None without PWM."""
     if record.pwm is None:
         return None
     driven = np.abs(record.pwm[record.t_s >= 0])

@@ -14,7 +14,7 @@ _TWIST = struct.Struct("<6d")
 
 
 class Kinematics(StrEnum):
-    """Which components of a velocity a device obeys. The values of PLANAR and DIFFERENTIAL are settings of a robot."""
+    """Components of a velocity that a device obeys. The values of PLANAR and DIFFERENTIAL are settings of a robot."""
 
     SPATIAL = "spatial"  # all six: a velocity topic that belongs to no robot
     PLANAR = ""  # x, y and yaw: a robot about which nothing else is configured
@@ -22,7 +22,7 @@ class Kinematics(StrEnum):
 
 
 class AnyVelocity(Protocol):
-    """What the admission and the gate need to know of a velocity."""
+    """Interface of a velocity for admission and gate."""
 
     @property
     def is_zero(self) -> bool: ...
@@ -47,12 +47,12 @@ class PlanarVelocity(NamedTuple):
     yaw_rad_s: float = 0.0
 
     def encode(self) -> bytes:
-        """As a serialised Twist."""
+        """Encode a serialised Twist."""
         return _TWIST.pack(self.x_m_s, self.y_m_s, 0.0, 0.0, 0.0, self.yaw_rad_s)
 
     @property
     def twist(self) -> "Twist":
-        """As the six numbers of a Twist."""
+        """The six numbers of a Twist."""
         return Twist(self.x_m_s, self.y_m_s, angular_z_rad_s=self.yaw_rad_s)
 
     @property
@@ -67,16 +67,16 @@ class PlanarVelocity(NamedTuple):
 
     @property
     def speed_m_s(self) -> float:
-        """How fast the robot's origin moves: the length of (x, y)."""
+        """Speed of the robot's origin: the length of (x, y)."""
         return math.hypot(self.x_m_s, self.y_m_s)
 
     @property
     def turn_rad_s(self) -> float:
-        """How fast the robot turns, in either direction."""
+        """Turning speed of the robot, in either direction."""
         return abs(self.yaw_rad_s)
 
     def scaled(self, factor: float) -> "PlanarVelocity":
-        """The same curve, slower or faster."""
+        """The velocity on the same curve, slower or faster."""
         return PlanarVelocity(*(component * factor for component in self))
 
     def toward(self, target: "PlanarVelocity", fraction: float) -> "PlanarVelocity":
@@ -115,7 +115,7 @@ class Twist(NamedTuple):
         return cls(*_TWIST.unpack(payload))
 
     def encode(self) -> bytes:
-        """As a serialised Twist."""
+        """Encode a serialised Twist."""
         return _TWIST.pack(*self)
 
     @property

@@ -12,8 +12,8 @@ from hostlink.robot.admission import Admission, Command, Driver
 from hostlink.robot.velocity import AnyVelocity, PlanarVelocity
 
 ZEROS = 3  # a single stop can be lost on a radio
-LONGEST_STEP_S = 0.1  # a step that comes late must not jump
-_ALL_OF_IT = 1 - 1e-9  # whatever the rounding, a way to zero loses speed to its very end, and a step reaches it
+LONGEST_STEP_S = 0.1  # a late step must not jump
+_ALL_OF_IT = 1 - 1e-9  # independent of rounding, a way to zero loses speed to its end, and a step reaches it
 _LIMITS = ("max_linear_m_s", "max_angular_rad_s", "max_wheel_m_s")
 LOCKED_ZERO_INTERVAL_S = 0.5  # a locked robot receives its zero again and again: it may have no watchdog of its own
 
@@ -21,7 +21,7 @@ V = TypeVar("V", bound=AnyVelocity)
 
 
 class Bounds(Protocol[V]):
-    """What a gate does to the velocities that it gives: `Limits` of a robot, or `Unlimited`."""
+    """Interface of the limits of a gate: `Limits` of a robot, or `Unlimited`."""
 
     def apply(self, velocity: V) -> V: ...
 
@@ -48,7 +48,7 @@ class Unlimited(Generic[V]):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Limits:
-    """What a robot may be commanded; None: no limit. Speed is the length of (x, y).
+    """Limits of a robot's commands; None: no limit. Speed is the length of (x, y).
 
     Raises:
         ConfigError: one of them cannot be kept.
@@ -75,7 +75,7 @@ class Limits:
                 raise ConfigError("limits of a robot", f"{name} must be above zero: the robot would never stop")
 
     def apply(self, velocity: PlanarVelocity) -> PlanarVelocity:
-        """The same curve, slow enough for every limit."""
+        """The velocity on the same curve, slow enough for every limit."""
         factor = min(self._factors(velocity))
         return velocity if factor >= 1 else velocity.scaled(factor)
 
@@ -86,7 +86,7 @@ class Limits:
         return _LIMITS[factors.index(smallest)] if smallest < 1 else None
 
     def _factors(self, velocity: PlanarVelocity) -> tuple[float, float, float]:
-        """By how much each of _LIMITS slows it down."""
+        """Factor by which each of _LIMITS slows the velocity down."""
         linear_m_s, angular_rad_s = velocity.speed_m_s, velocity.turn_rad_s
         # A differential drive's faster wheel: |x| + |yaw| * separation / 2; other drives have the length of (x, y).
         wheel_m_s = linear_m_s + angular_rad_s * (self.wheel_separation_m or 0.0) / 2
@@ -118,7 +118,7 @@ class Limits:
 
 @dataclass(slots=True)
 class GateCounts:
-    """What went through a gate. What was refused is counted by its `Admission`."""
+    """Counters of a gate. Its `Admission` counts refused commands."""
 
     commands: int = 0  # that were admitted
     limited: int = 0
@@ -128,7 +128,7 @@ class GateCounts:
 
 @mypyc_attr(allow_interpreted_subclasses=True)
 class VelocityGate(Generic[V]):
-    """What the device of one velocity topic receives: admitted velocities within the limits, and zeros.
+    """Output to the device of one velocity topic: admitted velocities within the limits, and zeros.
 
     Who may command is decided by the robot's `Admission`; the gate is told when its lease ends.
 
@@ -180,7 +180,7 @@ class VelocityGate(Generic[V]):
 
     @property
     def lock_reason(self) -> str | None:
-        """Why the robot is locked; None: it is not."""
+        """Reason of the lock; None: not locked."""
         return self.admission.lock_reason
 
     @property
@@ -232,13 +232,13 @@ class VelocityGate(Generic[V]):
         self._stop(now_s)
 
     def stop_at_once(self) -> None:
-        """End the lease, and give zero at once, whatever the limits."""
+        """End the lease, and give zero at once, without the limit of deceleration."""
         self._end_lease()
         self.current = self.target = self.zero
         self._zeros = ZEROS
 
     def restart(self) -> None:
-        """The device is new: its first velocity is zero, whatever comes."""
+        """Start again for a new device: its first velocity is zero."""
         self.stop_at_once()
         self.is_new_device = True
 
@@ -252,7 +252,7 @@ class VelocityGate(Generic[V]):
         self._expire(now_s)
         step_s = max(now_s - self._stepped_at_s, 0.0)
         self._stepped_at_s = now_s
-        if self.driver is None:  # braking keeps its time even when a step comes late
+        if self.driver is None:  # braking keeps its time even when a step is late
             self.current = self.limits.step(self.current, self.zero, step_s)
             return self._stand(now_s) if self.current.is_zero else self.current
         if self._zeros > 0:
@@ -261,7 +261,7 @@ class VelocityGate(Generic[V]):
         return self.current
 
     def _stand(self, now_s: float) -> V | None:
-        """The zeros that are owed to a robot that stands."""
+        """Zeros that are still to be sent to a robot without a driver."""
         if self._zeros > 0:
             self._zeros -= 1
             self.is_new_device = False
@@ -293,7 +293,7 @@ def _times(rate: float | None, seconds: float) -> float:
 
 
 def _reach(here: tuple[float, ...], there: tuple[float, ...], faster: float, slower: float) -> float:
-    """What fraction of the way from one velocity to another a step may make, 1 at the most.
+    """Fraction of the distance from one velocity to another that a step may make, at most 1.
 
     `faster` and `slower` are how much speed the step may gain or lose. The way is a straight line: it loses speed as
     far as the point that is nearest to zero, and gains it from there.

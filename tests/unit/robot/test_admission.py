@@ -261,7 +261,7 @@ def test_unlock_of_unlocked_robot_interrupts_nothing(driven: Timeline) -> None:
     assert driven.driver() == "ann"
 
 
-def test_command_without_device_is_refused_and_the_device_that_comes_back_stands(robot: Timeline) -> None:
+def test_command_without_device_is_refused_and_does_not_move_the_device_after_reconnect(robot: Timeline) -> None:
     robot.admission.disconnect(robot.now_s)
     for _ in range(5):
         robot.wait(0.1)
@@ -272,7 +272,7 @@ def test_command_without_device_is_refused_and_the_device_that_comes_back_stands
     assert robot.command().kind is RefusalKind.DISARMED
 
 
-def test_device_that_goes_and_one_that_comes_end_lease_and_hold(driven: Timeline) -> None:
+def test_disconnect_and_connect_end_lease_and_hold(driven: Timeline) -> None:
     driven.admission.disconnect(driven.now_s)
     assert driven.driver() is None
     assert not driven.admission.is_held(driven.now_s)
@@ -286,7 +286,7 @@ def test_device_that_goes_and_one_that_comes_end_lease_and_hold(driven: Timeline
 def test_source_that_drove_when_the_device_left_is_disarmed_however_long_it_was_away(
     driven: Timeline, away_s: float
 ) -> None:
-    """A publisher goes on without an answer, and is not seen here while there is no device that subscribes."""
+    """A publisher continues without an answer, and is not visible while no device subscribes."""
     driven.admission.disconnect(driven.now_s)
     driven.wait(away_s)
     driven.admission.disconnect(driven.now_s)  # by another link of it, which was never ready
@@ -309,7 +309,7 @@ def test_source_that_let_go_while_the_device_was_away_is_armed(driven: Timeline)
 
 
 @pytest.mark.parametrize(("away_s", "kind"), [(2.5, None), (3.0, RefusalKind.DISARMED)])
-def test_source_goes_on_when_the_device_was_away_for_less_than_resume_after_reconnect(
+def test_source_continues_after_an_absence_within_resume_after_reconnect(
     away_s: float, kind: RefusalKind | None
 ) -> None:
     robot = Timeline(resume_after_reconnect_s=3.0)
@@ -388,7 +388,7 @@ def test_pause_of_the_daemon_makes_no_later_command_late(robot: Timeline) -> Non
     assert robot.command(sent_s=10.5).is_admitted
 
 
-def test_lower_priority_is_refused_while_a_higher_one_holds_and_goes_on_afterwards(robot: Timeline) -> None:
+def test_lower_priority_is_refused_while_a_higher_one_holds_and_continues_afterwards(robot: Timeline) -> None:
     assert robot.command(source="bob", priority=10).is_admitted
     assert robot.command(source="ann", priority=60).is_admitted
     for _ in range(4):
@@ -625,7 +625,7 @@ def test_sources_that_published_before_the_robot_are_kept_for_a_lease(robot: Tim
 
 
 @pytest.mark.parametrize(("away_s", "is_interruption"), [(0.9, False), (1.0, True)])
-def test_reconnection_within_the_time_to_resume_is_no_interruption(away_s: float, *, is_interruption: bool) -> None:
+def test_reconnection_within_the_time_to_resume_does_not_interrupt(away_s: float, *, is_interruption: bool) -> None:
     robot = Timeline(resume_after_reconnect_s=1.0)
     robot.admission.disconnect(robot.now_s)
     robot.wait(away_s)
@@ -696,7 +696,7 @@ def test_a_route_that_became_slower_is_accepted_at_the_pace_of_a_drifting_clock(
 
 
 @given(st.lists(st.tuples(st.floats(0, 1e6), st.floats(0, 10)), min_size=1, max_size=20))
-def test_nothing_is_early(commands: list[tuple[float, float]]) -> None:
+def test_message_is_never_early(commands: list[tuple[float, float]]) -> None:
     freshness, now_s = Freshness(), 0.0
     for sent_s, wait_s in commands:
         now_s += wait_s

@@ -70,7 +70,7 @@ def test_headings_that_were_measured_count_too() -> None:
     assert calibrated(runs, NOMINAL).geometry == pytest.approx(BAD, rel=1e-4)
 
 
-def test_without_turns_there_is_no_separation_by_turns() -> None:
+def test_calibration_without_turns_has_no_separation_by_turns() -> None:
     runs = [run for run in ExactRobot(NOMINAL, BAD).drives(1) if "turns" not in run.kind]
     assert calibrated(runs, NOMINAL).separation_by_turns_m is None
 

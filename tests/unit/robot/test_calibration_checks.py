@@ -1,4 +1,4 @@
-"""What a person enters wrong is found before it is kept: slips, exchanges, and in the check drive whatever is left."""
+"""Wrong numbers of a person are found before they are kept: slips, exchanges, and the rest in the check drive."""
 
 import dataclasses
 import math

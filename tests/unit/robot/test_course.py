@@ -1,4 +1,4 @@
-"""CourseFollower: courses end where they should, with few commands, whatever the robot believes."""
+"""CourseFollower: courses end at their ends, with few commands, also with wrong odometry."""
 
 import itertools
 import math
@@ -60,7 +60,7 @@ def test_the_command_changes_rarely() -> None:
 
 @pytest.mark.parametrize("heading_rad", [-0.1, -0.0333, 0.0, 0.0333, 0.1])
 def test_a_tick_more_or_less_changes_no_command(heading_rad: float) -> None:
-    """A robot that stands at the boundary of two commands would never start."""
+    """A robot at rest at the boundary of two commands would never start."""
     follower = CourseFollower(straight(3.0))
     follower.update(Pose(), 0.0)
     commands = {follower.update(Pose(0.0, 0.0, heading_rad + 0.003 * (turn % 2)), 0.1 * turn) for turn in range(1, 11)}
@@ -81,7 +81,7 @@ def test_a_course_without_legs_is_done() -> None:
 @pytest.mark.parametrize("way", [0.0, -1.0], ids=["stands", "goes back"])
 @pytest.mark.parametrize("legs", [straight(3.0), turns(1, 1), turns(1, -1)], ids=["line", "left turn", "right turn"])
 def test_a_robot_whose_odometry_does_not_advance_is_driven_no_more(legs: tuple[Leg, ...], way: float) -> None:
-    """Its wheels may turn all the same: an encoder may be dead, a motor connected the wrong way round."""
+    """The wheels may turn although the odometry does not: a dead encoder, or a motor with exchanged wires."""
     follower, now_s, at = CourseFollower(legs), 0.0, 0.0
     while follower.update(Pose(at, 0.0, at), now_s) != (0.0, 0.0):
         assert now_s <= STUCK_S

@@ -54,7 +54,7 @@ def plain_robot() -> list[TopicClaim]:
 
 
 class Clocked:
-    """A directory, and a clock; between two claims so much time passes that whoever said nothing is gone."""
+    """A directory with a clock. Between two claims enough time passes that a silent device counts as disconnected."""
 
     def __init__(self, addresses: Mapping[str, str | None] | None = None) -> None:
         self.directory = Directory(addresses or {})
@@ -82,7 +82,7 @@ def accepted(ours: Clocked, link: int, address: str, topics: list[TopicClaim]) -
 
 
 def beside(ours: Clocked, link: int, address: str, topics: list[TopicClaim], *others: int, port: int = 0) -> str:
-    """The name of a robot that comes while the others talk on."""
+    """Name of a robot that connects while the others still send."""
     ours.talk(*others)
     claim = ours.claim(link, address, topics, port=port)
     while isinstance(claim, Undecided):
@@ -121,12 +121,12 @@ def test_a_robot_without_a_namespace_has_a_name_too() -> None:
         SENSOR,
         [to_device("/a/cmd_vel")],
         [from_device("/a/odometry")],
-        [from_device("/a/plot_data", TWIST), from_device("/a/odometry")],  # a Twist that it tells is no way to drive it
+        [from_device("/a/plot_data", TWIST), from_device("/a/odometry")],  # a Twist from the device does not drive it
         [to_device("/a/cmd_vel"), to_device("/a/goal", POSE)],  # a pose that it takes is not where it is
         [to_device("/a/cmd_vel", "geometry_msgs/TwistStamped"), from_device("/a/odometry")],
     ],
 )
-def test_what_is_no_robot(topics: list[TopicClaim]) -> None:
+def test_device_without_velocity_or_pose_is_not_a_robot(topics: list[TopicClaim]) -> None:
     assert find_robot(topics) is None
 
 
@@ -168,7 +168,7 @@ def test_the_name_is_the_common_namespace(velocity: str, odometry: str, name: st
         (["/r/cmd_vel"], ["/r/pose_b", "/r/pose_a"], ("/r/cmd_vel", "/r/pose_a")),
     ],
 )
-def test_the_likeliest_pair_is_chosen_in_whatever_order_they_come(
+def test_likeliest_pair_of_topics_is_chosen_in_any_order(
     velocities: list[str], odometries: list[str], chosen: tuple[str, str]
 ) -> None:
     topics = [*map(to_device, velocities), *map(from_device, odometries)]
@@ -208,7 +208,7 @@ def test_a_robot_from_the_same_address_replaces_its_older_link() -> None:
     assert accepted(ours, 3, HOME, paper_robot()) == ("robot_0", 2)
 
 
-def test_a_device_that_announces_its_topics_again_replaces_nobody() -> None:
+def test_device_that_announces_its_topics_again_replaces_no_device() -> None:
     ours = directory()
     for _ in range(2):
         assert accepted(ours, 1, HOME, paper_robot()) == ("robot_0", None)
@@ -229,7 +229,7 @@ def test_robots_behind_one_address_live_side_by_side() -> None:
     assert accepted(ours, 3, HOME, paper_robot("robot_0")) == ("robot_0", 1)
 
 
-def test_a_device_that_is_no_robot_is_known_by_its_topics() -> None:
+def test_device_that_is_not_a_robot_is_known_by_its_topics() -> None:
     ours = directory()
     assert accepted(ours, 1, HOME, SENSOR) == (None, None)
     assert accepted(ours, 2, HOME, [*SENSOR, from_device("/light", "std_msgs/Int16")]) == (None, None)
@@ -238,7 +238,7 @@ def test_a_device_that_is_no_robot_is_known_by_its_topics() -> None:
     assert accepted(ours, 5, HOME, paper_robot()) == ("robot_0", None)
 
 
-def test_who_left_is_not_replaced() -> None:
+def test_disconnected_device_is_not_replaced() -> None:
     ours = directory()
     accepted(ours, 1, HOME, paper_robot())
     ours.leave(1)
@@ -263,7 +263,7 @@ def test_two_robots_that_talk_at_once_are_two() -> None:
     assert (claim.own_name, claim.replaces, claim.is_numbered, claim.is_certain) == ("robot_0", None, True, False)
 
 
-def test_who_seldom_sends_gets_a_request_and_stays_if_it_answers() -> None:
+def test_device_that_seldom_sends_gets_a_request_and_stays_if_it_answers() -> None:
     ours = directory()
     accepted(ours, 1, HOME, paper_robot())
     ours.now_s += 2.4  # all but the time between two of its requests for the time
@@ -273,7 +273,7 @@ def test_who_seldom_sends_gets_a_request_and_stays_if_it_answers() -> None:
     assert beside(ours, 2, HOME, paper_robot(), 1) == "robot_0_2"
 
 
-def test_who_does_not_answer_is_gone() -> None:
+def test_device_without_answer_counts_as_disconnected() -> None:
     ours = directory()
     accepted(ours, 1, HOME, paper_robot())
     ours.now_s += 0.1
@@ -284,7 +284,7 @@ def test_who_does_not_answer_is_gone() -> None:
     assert (claim.replaces, claim.is_certain) == (1, True)
 
 
-def test_who_talked_all_the_time_and_stops_is_gone_at_once() -> None:
+def test_busy_device_that_falls_silent_counts_as_disconnected_at_once() -> None:
     ours = directory()
     accepted(ours, 1, HOME, paper_robot())
     ours.talk(1, seconds=2.0)
@@ -294,7 +294,7 @@ def test_who_talked_all_the_time_and_stops_is_gone_at_once() -> None:
     assert claim.replaces == 1
 
 
-def test_where_two_were_present_a_short_silence_proves_nothing() -> None:
+def test_short_silence_of_one_of_two_devices_does_not_replace_it() -> None:
     ours = directory()
     accepted(ours, 1, HOME, paper_robot())
     assert beside(ours, 2, HOME, paper_robot(), 1) == "robot_0_2"
@@ -363,7 +363,7 @@ def test_a_robot_whose_old_link_is_silent_at_another_address_waits_and_has_its_n
     assert beside(ours, 2, AWAY, paper_robot()) == "robot_0"
 
 
-def test_it_does_not_wait_for_ever() -> None:
+def test_moved_robot_does_not_wait_for_ever() -> None:
     ours = directory()
     accepted(ours, 1, "/dev/ttyACM0", paper_robot())  # no silence ends the link of a serial port
     ours.now_s += 60.0
@@ -372,13 +372,13 @@ def test_it_does_not_wait_for_ever() -> None:
     assert beside(ours, 2, AWAY, paper_robot()) == "robot_0_2"
 
 
-def test_a_name_that_is_configured_for_another_address_is_nobody_elses_even_when_nobody_is_there() -> None:
+def test_name_configured_for_another_address_is_reserved_without_its_device() -> None:
     ours = directory({"robot_0": HOME})
     assert accepted(ours, 1, AWAY, paper_robot("robot_0")) == ("robot_0_2", None)
     assert accepted(ours, 2, HOME, paper_robot("robot_0")) == ("robot_0", None)
 
 
-# -- who comes back to its name ---------------------------------------------------------------------------------------
+# -- reconnecting to a name ------------------------------------------------------------------------------------------
 
 
 def test_robots_that_were_present_at_once_come_back_to_their_names_in_any_order() -> None:
@@ -392,7 +392,7 @@ def test_robots_that_were_present_at_once_come_back_to_their_names_in_any_order(
             assert accepted(ours, link, addresses[link], paper_robot()) == (names[link], None)
 
 
-def test_behind_one_address_the_port_identifies_who_comes_back() -> None:
+def test_port_identifies_a_device_that_reconnects_behind_a_shared_address() -> None:
     ours = directory()
     for link, port in ((1, 5001), (2, 5002), (3, 5003)):
         beside(ours, link, HOME, paper_robot(), *range(1, link), port=port)
@@ -415,7 +415,7 @@ def test_one_that_is_alone_keeps_its_name_at_another_address() -> None:
     assert accepted(ours, 2, AWAY, paper_robot()) == ("robot_0", None)
 
 
-def test_one_of_several_leaves_its_name_to_nobody_until_it_is_forgotten() -> None:
+def test_name_of_one_of_several_devices_is_kept_until_it_is_forgotten() -> None:
     ours = directory()
     accepted(ours, 1, HOME, paper_robot())
     beside(ours, 2, AWAY, paper_robot(), 1)
@@ -460,7 +460,7 @@ def test_the_pair_is_the_best_of_all_pairs(topics: list[TopicClaim]) -> None:
 
 
 def unlikelihood(velocity: str, odometry: str) -> tuple[int, bool, bool, str, str]:
-    """Of a pair, as a person would choose it: a usual name, one namespace, a word that says odometry."""
+    """Rank of a pair by a person's choice: a usual name, one namespace, a word for odometry."""
     *velocity_space, velocity_leaf = velocity.split("/")
     *odometry_space, odometry_leaf = odometry.split("/")
     rank = {"velocity_commands": 0, "cmd_vel": 1}.get(velocity_leaf, 2)
@@ -561,7 +561,7 @@ def test_a_recording_has_the_name_of_a_robot_that_was_never_there() -> None:
 
 
 @pytest.mark.parametrize("address", [HOME, AWAY])
-def test_a_robot_that_comes_gets_its_name_from_a_recording_that_is_played(address: str) -> None:
+def test_robot_that_connects_gets_its_name_from_a_played_recording(address: str) -> None:
     ours = directory()
     assert beside(ours, 1, HOME, played()) == "robot_0"
     ours.talk(1)
@@ -589,7 +589,7 @@ def test_a_recording_never_replaces_the_link_of_a_silent_robot(address: str) -> 
     assert accepted(ours, 2, address, played()) == ("robot_0_2", None)
 
 
-def test_two_that_are_played_take_no_name_from_a_robot_that_comes_after_them() -> None:
+def test_two_played_recordings_take_no_name_from_a_robot_that_connects_later() -> None:
     ours = directory()
     assert [beside(ours, link, HOME, played(), *range(1, link), port=link) for link in (1, 2)] == [
         "robot_0",

@@ -136,7 +136,7 @@ def constant(_: np.random.Generator) -> np.ndarray:
 
 
 @pytest.mark.parametrize("speeds", [noise_alone, against_the_pwm, constant])
-def test_what_is_no_motor_is_refused(speeds: object) -> None:
+def test_record_that_does_not_fit_a_motor_is_refused(speeds: object) -> None:
     random = np.random.default_rng(3)
     t_s = np.arange(75) / 10
     pwm = 1000 + 20 * np.arange(75) + 50 * random.normal(size=75)

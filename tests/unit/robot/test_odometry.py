@@ -52,11 +52,11 @@ def twist_of(view: OdometryEstimator) -> PlanarVelocity:
     return observed(view).twist
 
 
-def test_nothing_is_known_before_the_first_pose() -> None:
+def test_estimator_before_the_first_pose_has_no_snapshot() -> None:
     assert OdometryEstimator().snapshot(1.0) is None
 
 
-def test_one_pose_is_no_motion() -> None:
+def test_estimator_with_one_pose_has_no_motion() -> None:
     view = OdometryEstimator()
     view.update(Pose(1.0, 2.0, 0.5), now_s=4.0, wall_ns=17)
     assert view.snapshot(4.25) == OdometrySnapshot(
@@ -124,7 +124,7 @@ def test_twist_of_poses_has_the_sideways_motion_unless_the_drive_is_differential
     assert twist_of(differential) == pytest.approx(twist._replace(y_m_s=0.0), abs=1e-3)
 
 
-def test_a_late_read_cut_in_two_is_no_leap() -> None:
+def test_late_read_in_two_pieces_does_not_leap() -> None:
     poses = arc(0.3, 0.0, 10)
     view = view_of(poses, [0.0, 0.1, 0.2, 0.3, 0.9, 0.9, 0.9, 0.9, 0.9, 0.901])
     assert twist_of(view).x_m_s == pytest.approx(0.3, rel=0.01)
@@ -161,13 +161,13 @@ def test_a_reset_of_the_heading_begins_anew() -> None:
 
 
 def test_a_turn_that_no_robot_makes_begins_anew() -> None:
-    """Told twice it is believed: somebody has set the device's odometry."""
+    """A second pose there is believed: the device's odometry was set."""
     view = view_of([Pose(3.0, 0.0, 0.0), Pose(3.0, 0.0, 0.0), Pose(3.0, 0.0, 3.0), Pose(3.0, 0.0, 3.0)])
     assert twist_of(view) == PlanarVelocity()
     assert (observed(view).restarts, observed(view).ignored) == (1, 1)
 
 
-def test_driving_through_the_origin_is_no_reset() -> None:
+def test_driving_through_the_origin_does_not_count_as_a_reset() -> None:
     view = view_of(arc(0.3, 0.0, 8, Pose(-0.12, 0.0, 0.0)))
     assert twist_of(view) == pytest.approx(PlanarVelocity(0.3, yaw_rad_s=0.0))
 
@@ -207,14 +207,14 @@ def after_a_restart(*, continues: bool) -> OdometryEstimator:
     return view
 
 
-def test_an_odometry_goes_on_over_a_restart_of_the_device() -> None:
+def test_odometry_continues_over_a_restart_of_the_device() -> None:
     view = after_a_restart(continues=True)
     assert shown(view) == pytest.approx(arc(0.3, 0.7, 20, RUN[-1])[-1])
     assert twist_of(view) == pytest.approx(PlanarVelocity(0.3, yaw_rad_s=0.7))
     assert observed(view).restarts == 1
 
 
-def test_it_restarts_with_the_device_if_it_is_to() -> None:
+def test_odometry_restarts_with_the_device_if_configured() -> None:
     view = after_a_restart(continues=False)
     assert shown(view) == AGAIN[-1]
     assert observed(view).restarts == 1
@@ -249,7 +249,7 @@ def test_a_restart_during_a_long_silence_is_detected() -> None:
     assert observed(view).restarts == 1
 
 
-def test_a_connection_that_was_lost_is_no_restart() -> None:
+def test_lost_connection_does_not_count_as_a_restart() -> None:
     """The device kept counting: what it tells now is where the robot is."""
     view = view_of(RUN)
     here = Pose(1.4, 2.1, -2.5)
@@ -258,13 +258,13 @@ def test_a_connection_that_was_lost_is_no_restart() -> None:
     assert observed(view).restarts == 0
 
 
-def test_a_wheel_that_shakes_at_the_origin_is_no_restart() -> None:
+def test_wheel_that_shakes_at_the_origin_does_not_count_as_a_restart() -> None:
     view = view_of([Pose(), Pose(0.0012), Pose(), Pose(-0.0012), Pose()])
     assert shown(view) == Pose()
     assert observed(view).restarts == 0
 
 
-def test_a_fast_robot_that_passes_its_origin_is_no_restart() -> None:
+def test_fast_robot_that_passes_its_origin_does_not_count_as_a_restart() -> None:
     poses = arc(2.8, 0.0, 8, Pose(-0.84, 0.0, 0.0))
     view = OdometryEstimator(fastest=PlanarVelocity(3.0, yaw_rad_s=4.0))
     for number, pose in enumerate(poses):
@@ -293,7 +293,7 @@ def test_a_place_that_is_reported_twice_is_believed_and_shown_without_a_jump() -
 
 
 def has_moved(pose: Pose) -> bool:
-    """By more than a wheel that shakes."""
+    """Move by more than a shaking wheel."""
     return math.hypot(*pose[:2]) > SHAKE_M or abs(pose.theta_rad) > SHAKE_RAD
 
 
@@ -303,8 +303,8 @@ def has_moved(pose: Pose) -> bool:
         max_size=30,
     )
 )
-def test_what_is_shown_never_jumps_but_at_a_reset(history: list[tuple[str, float, float]]) -> None:
-    """The truth is known here: what is shown is where the robot went since its last reset, whatever was forgotten."""
+def test_shown_pose_jumps_only_at_a_reset(history: list[tuple[str, float, float]]) -> None:
+    """The true path is known here: the shown pose is the robot's since its last reset."""
     view, reported, truth, now_s = OdometryEstimator(), Pose(), Pose(), 0.0
     view.update(reported, now_s=now_s, wall_ns=0)
     for event, linear_m_s, angular_rad_s in history:

@@ -48,7 +48,7 @@ def test_wheels_that_are_believed_rightly_change_nothing(left_m: float, right_m:
     assert wrap_angle(shown.theta_rad - after.theta_rad) == pytest.approx(0.0, abs=1e-12)
 
 
-def test_a_motion_that_is_no_arc_is_kept() -> None:
+def test_motion_that_does_not_fit_an_arc_is_kept() -> None:
     way = wheel_way(Pose(), Pose(0.1, 0.02, 0.0), 0.2)
     assert way == pytest.approx((0.1, 0.1, 0.02))
     assert OdometryCorrection(1.1, 1.1).advance(Pose(), Pose(), Pose(0.1, 0.02, 0.0)) == pytest.approx(
@@ -94,7 +94,7 @@ def test_the_estimator_shows_the_truth_over_restarts_resets_and_cuts(history: li
         assert is_at(estimator, truth)
 
 
-def test_what_the_device_says_of_its_motion_is_corrected() -> None:
+def test_motion_reported_by_the_device_is_corrected() -> None:
     estimator = OdometryEstimator(correction=CORRECTION)
     estimator.update(Pose(), now_s=0.0, wall_ns=0, twist=PlanarVelocity(0.2, 0.1, 0.5))
     (_, true) = rolled((0.2, 0.5))

@@ -1,4 +1,4 @@
-"""What is read from the bytes of an odometry is what a full decode says; and nothing that a device sends breaks it."""
+"""Fast reader of odometry: the same values as a full decode, and no payload breaks it."""
 
 import math
 from typing import Any
@@ -80,7 +80,7 @@ def test_an_odometry_is_read_as_the_full_decode_has_it(
     found = (reading.pose.x_m, reading.pose.y_m, *reading.twist)
     assert repr(found) == repr(
         (numbers[0], numbers[1], numbers[7], numbers[8], numbers[10])
-    )  # NaN is no equal of itself
+    )  # NaN does not equal itself
     assert reading.stamp_ns == secs * 1_000_000_000 + nsecs
     estimator = updated(reading)
     assert estimator.count == 1 or estimator.snapshot(0.0) is None
@@ -102,7 +102,7 @@ def test_any_pose2d_leaves_finite_numbers(x: float, y: float, theta: float) -> N
 @example(ODOMETRY_TYPE, bytes(699))
 @example(ODOMETRY_TYPE, bytes(700))
 @example(ODOMETRY_TYPE, bytes(701))
-def test_what_the_full_decode_refuses_is_refused_and_nothing_else(type_name: str, payload: bytes) -> None:
+def test_reader_refuses_exactly_the_payloads_that_the_full_decode_refuses(type_name: str, payload: bytes) -> None:
     try:
         type_of(type_name).decode(payload)
     except BadPayload:

@@ -27,7 +27,7 @@ def claim(directory: Directory, link: int) -> str:
     return accepted.robot.name
 
 
-def test_what_the_configuration_says_of_nobody_changes_nothing() -> None:
+def test_configuration_of_unknown_robots_changes_nothing() -> None:
     directory = Directory({})
     claim(directory, 0)
     assert directory.misplaced(Places({"rover": PLACES[3]})) == {}

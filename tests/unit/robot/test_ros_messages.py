@@ -1,4 +1,4 @@
-"""What ROS programs hear of a robot: right by REP 103 and 105, and encoded and read back by an independent reader."""
+"""Messages for ROS programs: right by REP 103 and 105, and read back by an independent reader."""
 
 import math
 
@@ -43,7 +43,7 @@ def test_a_covariance_that_the_device_publishes_is_kept_and_zeros_or_nan_are_not
         assert message["twist"]["covariance"][0] == 1e-3
 
 
-def test_where_the_covariances_stand() -> None:
+def test_covariances_have_their_places_in_the_matrix() -> None:
     assert variances_of({"x": 0.0, "y": 0.0, "theta": 0.0}) == ((), ())
     assert variances_of({"pose": {"covariance": [1.0]}, "twist": {"covariance": [2.0]}}) == ([1.0], [2.0])
 

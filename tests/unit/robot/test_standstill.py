@@ -1,4 +1,4 @@
-"""Whether a robot stands after a stop, and whether one that is driven moves."""
+"""Standstill of a robot after a stop, and motion of a driven robot."""
 
 import pytest
 from hypothesis import given
@@ -20,7 +20,7 @@ STANDS, MOVES, UNKNOWN = StandstillState.STANDS, StandstillState.MOVES, Standsti
 
 
 def after(*poses: tuple[float, Speeds]) -> Standstill:
-    """What is measured after a stop at 10 s, with odometry received at these times."""
+    """Measurement after a stop at 10 s, with odometry received at these times."""
     watch = StopWatch(10.0)
     for received_s, speeds in poses:
         watch.observe(speeds, received_s)

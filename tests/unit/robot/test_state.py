@@ -110,5 +110,5 @@ def test_the_client_has_the_fields_of_rest_with_their_types() -> None:
 
 
 def _plain(kind: Any) -> Any:
-    """What a field has if it is there."""
+    """Value of a field that is not empty."""
     return get_args(kind)[0] if "NotRequired" in str(kind) else kind

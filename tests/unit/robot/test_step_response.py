@@ -64,7 +64,7 @@ def test_full_pwm_is_a_saturation_from_the_first_command_on() -> None:
 
 
 @pytest.mark.parametrize("when", [slice(-1, None), slice(20, 23), slice(None)])
-def test_a_set_point_that_falls_to_zero_is_no_step(when: slice) -> None:
+def test_set_point_that_falls_to_zero_does_not_count_as_a_step(when: slice) -> None:
     observed = step()
     observed.set_point[when] = 0.0
     with pytest.raises(HostlinkError, match="fell to 0 during the step"):

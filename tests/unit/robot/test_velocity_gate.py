@@ -37,7 +37,7 @@ def test_a_robot_may_move_until_its_last_zero_was_sent() -> None:
     assert sent == [(ZERO, True, True), (ZERO, True, True), (ZERO, False, False)]
 
 
-def test_it_is_stopping_from_a_stop_to_its_last_zero() -> None:
+def test_gate_is_stopping_from_a_stop_to_its_last_zero() -> None:
     ours = driven()
     assert not ours.is_stopping
     ours.stop(now_s=0.1)
@@ -45,7 +45,7 @@ def test_it_is_stopping_from_a_stop_to_its_last_zero() -> None:
     assert stopping == [(True, ZERO), (True, ZERO), (True, ZERO), (False, None)]
 
 
-def test_it_is_driven_until_it_stands_though_zeros_are_on_their_way() -> None:
+def test_gate_is_driven_until_it_has_stopped_though_zeros_are_due() -> None:
     ours = driven()
     assert (ours.is_driven, ours.may_move) == (True, True)
     ours.withdraw("ann", now_s=0.1)
@@ -54,7 +54,7 @@ def test_it_is_driven_until_it_stands_though_zeros_are_on_their_way() -> None:
     assert (ours.is_driven, ours.may_move) == (False, False)
 
 
-def test_it_is_driven_by_a_driver_who_stands_and_while_it_slows_down_for_nobody() -> None:
+def test_gate_has_its_driver_at_zero_and_none_while_it_slows_down() -> None:
     ours = gate()
     ours.drive("ann", ZERO, priority=50, now_s=0.0)
     ours.drive("ann", FORWARD, priority=50, now_s=0.0)
@@ -122,7 +122,7 @@ def test_a_restart_forgets_everything() -> None:
     assert outputs(ours, 0.1) == STOPPED
 
 
-def test_the_first_velocity_of_a_new_device_is_zero_even_when_somebody_drives_at_once() -> None:
+def test_first_velocity_of_a_new_device_is_zero_also_with_a_command_at_once() -> None:
     ours = gate()
     ours.connect(now_s=0.0)
     ours.drive("ann", FORWARD, priority=50, now_s=0.0)

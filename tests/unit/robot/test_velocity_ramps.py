@@ -1,4 +1,4 @@
-"""How a velocity gate gains and loses speed."""
+"""Acceleration and deceleration of a velocity gate."""
 
 import dataclasses
 
@@ -33,7 +33,7 @@ def test_a_late_step_does_not_jump() -> None:
     assert ours.step(0.45) == pytest.approx(PlanarVelocity(0.1))
 
 
-def test_a_clock_that_goes_back_changes_nothing() -> None:
+def test_clock_that_is_set_back_changes_nothing() -> None:
     ours = gate(GENTLE)
     ours.drive("ann", FORWARD, priority=50, now_s=1.0)
     ours.step(1.1)
@@ -90,7 +90,7 @@ def test_every_end_of_a_lease_slows_down_and_then_sends_zero_three_times(way: st
     ]
 
 
-def test_a_step_that_comes_late_has_braked_in_time() -> None:
+def test_late_step_has_braked_in_time() -> None:
     """The device's own watchdog has stopped it by then: nothing may set it going again."""
     ours = moving(HEAVY)
     assert ours.step(1.7) == ZERO
@@ -111,7 +111,7 @@ def test_an_idle_zero_does_not_cut_the_ramp() -> None:
     assert ours.step(1.05) == pytest.approx(PlanarVelocity(0.2))
 
 
-def test_who_drives_while_it_slows_down_continues_from_there() -> None:
+def test_command_while_the_robot_slows_down_continues_from_that_speed() -> None:
     ours = moving(HEAVY)
     ours.stop(now_s=1.0)
     ours.step(1.1)
