@@ -169,6 +169,13 @@ def test_give_up_with_an_empty_buffer_does_nothing() -> None:
     assert stream.rejected == {}
 
 
+def test_give_up_after_an_unfinished_iteration_keeps_the_frames_that_were_not_read() -> None:
+    stream = FrameStream()
+    assert next(stream.feed(WIRE_A + LIAR + WIRE_B)) == A
+    assert list(stream.give_up()) == [Skipped(LIAR), B]
+    assert stream.rejected == {Rejection.INCOMPLETE: 1}
+
+
 def test_half_a_sync_is_given_up_too() -> None:
     stream = FrameStream()
     assert events(stream, b"\xff") == []
