@@ -1,4 +1,4 @@
-"""The panel of topics: a topic's rate, its values, plots of its fields, a form that publishes; and the bounds of lists."""
+"""The panel of topics: rates, values, plots of fields, a form that publishes; and the bounds of lists."""
 
 import asyncio
 import csv

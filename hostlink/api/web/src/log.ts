@@ -43,7 +43,8 @@ export class DeviceLog {
       if (before === undefined) continue;
       if (locked && !before.locked) this.note(name, WARNING, `locked: ${lock_reason ?? ""}`);
       if (!locked && before.locked) this.note(name, INFO, "unlocked");
-      if (connected !== before.connected) this.note(name, connected ? INFO : WARNING, connected ? "connected" : "link lost");
+      if (connected !== before.connected)
+        this.note(name, connected ? INFO : WARNING, connected ? "connected" : "link lost");
     }
   }
 
