@@ -57,7 +57,7 @@ async def test_a_header_that_is_no_text_is_refused(name: str) -> None:
         )
         heard = await exchange(host, sent_bytes, quiet_s=ANSWER_TIMEOUT_S)
     assert heard.startswith(b"HTTP/1.1 400 ")
-    assert heard.endswith(f"the header {name} is no UTF-8".encode() + b'"}}')
+    assert heard.endswith(f"the header {name} is not UTF-8".encode() + b'"}}')
 
 
 @pytest.mark.parametrize("path", ["/api/links/{}/capture", "/api/links/1/capture/{}-0", "/api/links/1/capture/0-{}"])
@@ -87,7 +87,7 @@ async def test_a_web_socket_for_another_protocol_is_refused() -> None:
             assert "topics" in await Client(socket).call("/rosapi/topics")
     assert refusal.value.status == 400
     assert (
-        reason == "odd.v1 is not spoken here, but foxglove.sdk.v1 and foxglove.websocket.v1; rosbridge v2 has no name"
+        reason == "unknown subprotocol odd.v1; use foxglove.sdk.v1 or foxglove.websocket.v1, or none for rosbridge v2"
     )
 
 

@@ -219,6 +219,6 @@ async def test_an_action_is_refused_instead_of_waited_for() -> None:
     async with daemon() as host, client(host) as program:
         await program.send(op="send_action_goal", id="g", action="/dock", action_type="x")
         assert await program.receive() == {
-            "op": "action_result", "id": "g", "action": "/dock", "values": "no actions here", "status": 6,
+            "op": "action_result", "id": "g", "action": "/dock", "values": "actions are unsupported", "status": 6,
             "result": False,
         }  # fmt: skip
