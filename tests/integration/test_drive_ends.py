@@ -82,7 +82,7 @@ async def keys(me: Host, *, is_quit: bool) -> None:
                     driving.stop()
                     await driver.finish()
                     return
-            await driver.send_what_is_due()
+            await driver.send_due()
             await asyncio.sleep(0.03)
 
 

@@ -31,7 +31,7 @@ class Keys:
         until_s = now_s() + seconds
         while now_s() < until_s:
             self.driving.receive(Key(name), now_s())
-            await self.driver.send_what_is_due()
+            await self.driver.send_due()
             await asyncio.sleep(0.02)
 
 

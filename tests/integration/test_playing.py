@@ -26,7 +26,7 @@ from tests.support.waiting import expect
 
 CATALOG = Catalog()
 FORWARD = PlanarVelocity(x_m_s=0.2)
-PACE = play.Pace(rate=1.0, start_s=0.0, is_looped=False, is_stepped=False)
+PLAYBACK = play.Playback(rate=1.0, start_s=0.0, is_looped=False, is_stepped=False)
 POSE = bytes(24)
 
 
@@ -58,7 +58,7 @@ async def robot(name: str = "robot_0") -> AsyncIterator[tuple[Daemon, FakeDevice
 
 
 async def drive(host: Daemon, file: Path) -> None:
-    await play.drive_robot(host.url, None, file, PACE, "robot_0", [])
+    await play.drive_robot(host.url, None, file, PLAYBACK, "robot_0", [])
 
 
 @asynccontextmanager
@@ -121,14 +121,14 @@ async def test_a_text_that_is_said_to_be_a_velocity_drives_nothing(tmp_path: Pat
 @pytest.mark.parametrize("is_looped", [False, True])
 async def test_a_play_of_nothing_is_refused_and_a_loop_of_it_ends(tmp_path: Path, is_looped: bool) -> None:
     file = recording(tmp_path, [(0.0, COMMANDS, FORWARD.encode()), (2.0, ODOMETRY, POSE)])
-    pace = play.Pace(rate=1.0, start_s=100.0, is_looped=is_looped, is_stepped=False)
+    playback = play.Playback(rate=1.0, start_s=100.0, is_looped=is_looped, is_stepped=False)
     async with robot() as (host, _):
         with pytest.raises(HostlinkError, match="the recording has no velocities after 100 s"):
-            await play.drive_robot(host.url, None, file, pace, "robot_0", [])
+            await play.drive_robot(host.url, None, file, playback, "robot_0", [])
         with pytest.raises(HostlinkError, match="the recording has no messages after 100 s"):
-            await play.publish_topics(host.url, None, file, pace, [ODOMETRY.topic])
+            await play.publish_topics(host.url, None, file, playback, [ODOMETRY.topic])
         with pytest.raises(BadRequest, match="has no topic /x that may be published"):
-            await play.publish_topics(host.url, None, file, pace, ["/x"])
+            await play.publish_topics(host.url, None, file, playback, ["/x"])
 
 
 class Terminal(io.StringIO):
@@ -140,7 +140,9 @@ class Terminal(io.StringIO):
 
 def test_a_play_shows_how_far_it_is_also_where_nothing_is_due() -> None:
     async def wait() -> None:
-        clock = play.Clock(play.Pace(rate=2.0, start_s=10.0, is_looped=False, is_stepped=False), "velocities")
+        clock = play.PlaybackClock(
+            play.Playback(rate=2.0, start_s=10.0, is_looped=False, is_stepped=False), "velocities"
+        )
         clock.count = 7
         await clock.reach(3.1)
 
@@ -171,7 +173,7 @@ async def test_a_velocity_that_no_gate_had_seen_is_published_to_nobody(
     file = recording(tmp_path, [(0.1 * number, channel(name, type_name, origin), payload) for number in range(5)])
     async with robot() as (host, _):
         with pytest.raises(BadRequest, match="velocities need --drive"):
-            await play.publish_topics(host.url, None, file, PACE, ["*"])
+            await play.publish_topics(host.url, None, file, PLAYBACK, ["*"])
         assert host.hub.robots.find("robot_0").gate.counts.commands == 0
 
 
@@ -183,7 +185,7 @@ async def test_a_velocity_whose_type_another_program_wrote_is_published_to_nobod
     file = recording(tmp_path, [(0.1 * number, theirs, FORWARD.encode()) for number in range(5)])
     async with robot() as (host, _):
         with pytest.raises(BadRequest, match="velocities need --drive"):
-            await play.publish_topics(host.url, None, file, PACE, ["*"])
+            await play.publish_topics(host.url, None, file, PLAYBACK, ["*"])
         assert host.hub.robots.find("robot_0").gate.counts.commands == 0
 
 
@@ -198,7 +200,7 @@ async def test_a_played_device_drives_no_robot(tmp_path: Path) -> None:
         for each, payload in ((odometry, POSE), (twist, FORWARD.encode()))
     ]
     async with robot() as (host, _):
-        await play.play_devices(recording(tmp_path, moving, [own]), PACE, host.tcp, [])
+        await play.play_devices(recording(tmp_path, moving, [own]), PLAYBACK, host.tcp, [])
         gate = host.hub.robots.find("robot_0").gate
         assert (gate.counts.commands, gate.current) == (0, ZERO)
 
@@ -216,7 +218,7 @@ async def test_a_played_device_whose_name_is_none_drives_no_robot(tmp_path: Path
     ]
     async with daemon() as host, fake_device(host.tcp, driven):
         await expect(lambda: host.hub.robots.has("robot_0"))
-        await play.play_devices(recording(tmp_path, moving, odd), PACE, host.tcp, [])
+        await play.play_devices(recording(tmp_path, moving, odd), PLAYBACK, host.tcp, [])
         assert host.hub.topics.find("/robot_0/drive").publishers
         gate = host.hub.robots.find("robot_0").gate
         assert (gate.counts.commands, gate.current) == (0, ZERO)
@@ -229,7 +231,7 @@ async def test_a_message_that_no_device_can_send_is_left_out(
     long = (100_000).to_bytes(4, "little") + bytes(100_000)
     file = recording(tmp_path, [(0.0, text, long), (0.1, ODOMETRY, POSE), (0.2, ODOMETRY, POSE)], [COMMANDS])
     async with daemon() as host:
-        await play.play_devices(file, PACE, host.tcp, [])
+        await play.play_devices(file, PLAYBACK, host.tcp, [])
         assert host.hub.topics.find("/robot_0/odometry").messages == 2
     assert capsys.readouterr().err.endswith("3 messages played, 1 left out\n")
 
@@ -250,7 +252,7 @@ async def test_a_device_may_drive_another_unless_it_is_played(*, is_played: bool
 
 async def test_a_robot_that_comes_gets_its_name_from_the_one_that_is_played(tmp_path: Path) -> None:
     file = recording(tmp_path, [(0.05 * number, ODOMETRY, POSE) for number in range(200)], [COMMANDS])
-    async with daemon() as host, beside(play.play_devices(file, PACE, host.tcp, [])):
+    async with daemon() as host, beside(play.play_devices(file, PLAYBACK, host.tcp, [])):
         await expect(lambda: host.hub.topics.find_or_none("/robot_0/odometry") is not None)
         async with fake_device(host.tcp, robot_topics()) as device, connect(host.url) as program:
             await expect(lambda: {robot.name for robot in host.hub.robots.all()} == {"robot_0", "robot_0_2"})

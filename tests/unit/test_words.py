@@ -12,7 +12,8 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 REVISED = (
-    "api", "board", "client", "diagnosis", "graphs", "guardian", "lab", "link", "listeners", "messages", "mirror",
+    "api", "board", "cli", "client", "diagnosis", "graphs", "guardian", "lab", "link", "listeners", "messages",
+    "mirror",
     "protocol", "recording", "robot", "sim", "transport",
 )  # fmt: skip
 REVISED_TESTS = (
