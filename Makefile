@@ -29,7 +29,6 @@ MUTANTS_SEED ?= 1
 CORES := $(shell nproc)
 WORKERS ?= $(shell echo $$((3 * $(CORES))))# of make test: two thirds of its time is waiting
 QUIET_WORKERS ?= $(shell echo $$((3 * $(CORES) / 2)))# of the tests that a busy machine disturbs: three fifths of their time is waiting
-REPEAT ?= 0# failed tests of a group that are run once more alone
 unexport PYTHONDONTWRITEBYTECODE # the tests start hostlink some hundred times
 
 .PHONY: help demo docs test quick test-pythons coverage mutants check bench fuzz web screenshots firmware world lab chain soak netns ros2-venv ros-mcp-venv release piuparts arm64 format clean
@@ -123,7 +122,7 @@ test: $(VENV)/.dev
 	@for each in $(CLIENTS) $(ROS2_VENV)/.installed $(ROS_MCP_VENV)/.installed; do \
 	  $(MAKE) --no-print-directory $$each || echo "the tests that need $$each are not run"; done
 	$(BIN)/python -m pytest --collect-only --quiet tests >/dev/null # what pytest compiles: once, not once a worker
-	$(BIN)/python tools/run_tests.py --workers $(WORKERS) --quiet-workers $(QUIET_WORKERS) --repeat $(REPEAT)
+	$(BIN)/python tools/run_tests.py --workers $(WORKERS) --quiet-workers $(QUIET_WORKERS)
 
 quick: $(VENV)/.dev
 	$(BIN)/python -m pytest -q -n $(CORES) -m "not quiet and not alone and not long" tests/unit

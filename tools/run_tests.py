@@ -3,15 +3,11 @@
 The groups are the pure packages with their branches counted, all other tests, those that a busy machine disturbs
 (marked `quiet`), and those that need the machine for themselves (marked `alone`).
 
-With `--repeat N`, up to N failed tests of a group are run once more alone, for a machine that has other work. The table
-names a test that passed only then: mend it.
-
 Tests whose programs are not installed (`tests/support/requirements.py`) are listed as not run. They fail the run only
 where CI=true.
 """
 
 import argparse
-import json
 import os
 import re
 import subprocess
@@ -23,8 +19,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-TESTS_FAILED = 1  # pytest's exit code; others are errors of the call or of pytest itself
-LAST_FAILED = Path(".pytest_cache/v/cache/lastfailed")
 REPORTS = Path("build/tests")
 PURE = ("protocol", "messages", "robot", "diagnosis")
 MISSING = "needs "  # begins the reason of a skip for which something is not installed
@@ -40,7 +34,6 @@ class Result:
     code: int  # exit code of pytest; 0: each test passed or was skipped
     passed: int = 0
     failed: list[str] = field(default_factory=list)  # names of tests
-    repeated: list[str] = field(default_factory=list)  # tests that passed only when they were run again
     skipped: Counter[str] = field(default_factory=Counter)  # tests by reason
     seconds: float = 0.0
 
@@ -69,22 +62,12 @@ def read(report: Path, result: Result) -> None:
             result.passed += 1
 
 
-def run_group(
-    name: str, command: Sequence[str], arguments: Sequence[str], run: Run = run, *, most_repeated: int = 0
-) -> Result:
+def run_group(name: str, command: Sequence[str], arguments: Sequence[str], run: Run = run) -> Result:
     """Run a group with `command`, which is pytest or a program that calls it."""
     began_s, report = time.monotonic(), REPORTS / f"{name}.xml"
     report.unlink(missing_ok=True)
-    LAST_FAILED.unlink(missing_ok=True)
     result = Result(name, run([*command, *arguments, f"--junit-xml={report}"]))
     read(report, result)
-    failed = json.loads(LAST_FAILED.read_text()) if LAST_FAILED.exists() else {}
-    if result.code == TESTS_FAILED and 1 <= len(failed) <= most_repeated:
-        print(f"run again alone: {', '.join(failed)}", flush=True)
-        result.code = run(["-m", "pytest", *failed])
-        if result.code == 0:
-            result.passed += len(result.failed)
-            result.repeated, result.failed = result.failed, []
     result.seconds = time.monotonic() - began_s
     return result
 
@@ -96,7 +79,6 @@ def table(results: Sequence[Result]) -> str:
         failed = str(len(each.failed) or ("yes" if each.code else 0))
         lines.append(f"{each.name:12}{each.passed:>8}{failed:>8}{each.skipped.total():>9}{each.seconds:>9.0f}")
     lines += [f"failed: {test}" for each in results for test in each.failed]
-    lines += [f"passed only when run again: {test}" for each in results for test in each.repeated]
     skipped = sum((each.skipped for each in results), Counter[str]())
     lines += [f"not run: {count} ({reason})" for reason, count in sorted(skipped.items())]
     return "\n".join(lines)
@@ -140,7 +122,6 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--quiet-workers", type=int, default=2)
-    parser.add_argument("--repeat", type=int, default=0, help="failed tests of a group that are run once more alone")
     parser.add_argument("--branches", action="store_true")
     arguments = parser.parse_args()
     if arguments.branches:
@@ -148,7 +129,7 @@ def main() -> int:
     REPORTS.mkdir(parents=True, exist_ok=True)
     results: list[Result] = []
     for name, command, selected in groups(arguments.workers, arguments.quiet_workers):
-        results.append(run_group(name, command, selected, most_repeated=arguments.repeat))
+        results.append(run_group(name, command, selected))
         if name == "pure":
             results.append(covered())
     print(table(results), flush=True)

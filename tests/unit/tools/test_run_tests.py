@@ -47,25 +47,6 @@ def test_group_with_failed_tests_runs_once_and_names_them() -> None:
 
 
 @pytest.mark.usefixtures("in_a_folder")
-@pytest.mark.parametrize(("second", "failed", "repeated"), [(0, 0, 2), (1, 2, 0)])
-def test_failed_tests_are_repeated_once_if_asked_for(second: int, failed: int, repeated: int) -> None:
-    commands = []
-
-    def run(command: list[str]) -> int:
-        commands.append(command)
-        if len(commands) == 2:
-            return second
-        Path(command[-1].partition("=")[2]).write_text(REPORT)
-        run_tests.LAST_FAILED.parent.mkdir(parents=True, exist_ok=True)
-        run_tests.LAST_FAILED.write_text('{"tests/some.py::test_bad": true, "tests/some.py::test_broken": true}')
-        return 1
-
-    result = run_tests.run_group("some", ["-m", "pytest"], [], run, most_repeated=6)
-    assert commands[1] == ["-m", "pytest", "tests/some.py::test_bad", "tests/some.py::test_broken"]
-    assert (result.code, len(result.failed), len(result.repeated)) == (second, failed, repeated)
-
-
-@pytest.mark.usefixtures("in_a_folder")
 def test_group_that_was_killed_without_a_report_is_shown_as_failed() -> None:
     (run_tests.REPORTS / "some.xml").write_text(REPORT)  # of an earlier run
     result = run_tests.run_group("some", ["-m", "pytest"], [], lambda _: 137)
