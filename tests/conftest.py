@@ -70,7 +70,7 @@ def pytest_collection_finish() -> None:
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Skip what needs a missing program, and begin with the longest tests, so that no worker ends with one of them.
+    """Skip what needs a missing program, and mix the order of the files.
 
     Workers take the files in a mixed order: files that wait run beside files that compute, and no core is idle. Files
     that measure times keep their order.
@@ -81,7 +81,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         for reason in requirements.reasons(path, fixtures, absent):
             item.add_marker(pytest.mark.skip(reason=reason))
     has_workers = hasattr(config, "workerinput")
-    items.sort(key=lambda item: (item.get_closest_marker("long") is None, _place(item, config) if has_workers else 0))
+    items.sort(key=lambda item: _place(item, config) if has_workers else 0)
 
 
 def _place(item: pytest.Item, config: pytest.Config) -> int:

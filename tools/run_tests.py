@@ -1,7 +1,8 @@
 """Run the tests in groups. Each group runs, also after another one failed; a table at the end shows all results.
 
 The groups are the pure packages with their branches counted, all other tests, those that a busy machine disturbs
-(marked `quiet`), and those that need the machine for themselves (marked `alone`).
+(marked `quiet`), and those that need the machine for themselves (marked `alone`). Tests marked `long` are in none of
+these groups: `--long` runs them in two groups of their own.
 
 Tests whose programs are not installed (`tests/support/requirements.py`) are listed as not run. They fail the run only
 where CI=true.
@@ -64,7 +65,7 @@ def read(report: Path, result: Result) -> None:
 
 def run_group(name: str, command: Sequence[str], arguments: Sequence[str], run: Run = run) -> Result:
     """Run a group with `command`, which is pytest or a program that calls it."""
-    began_s, report = time.monotonic(), REPORTS / f"{name}.xml"
+    began_s, report = time.monotonic(), REPORTS / f"{name.replace(' ', '-')}.xml"
     report.unlink(missing_ok=True)
     result = Result(name, run([*command, *arguments, f"--junit-xml={report}"]))
     read(report, result)
@@ -85,15 +86,24 @@ def table(results: Sequence[Result]) -> str:
 
 
 def groups(workers: int, quiet_workers: int) -> list[tuple[str, list[str], list[str]]]:
-    """Return the name, the command and the arguments of each group."""
+    """Return the name, the command and the arguments of each group of `make test`."""
     pytest = ["-m", "pytest"]
     pure_tests = [f"tests/unit/{package}" for package in PURE]
     others = [f"--ignore={each}" for each in pure_tests]
     return [
-        ("pure", ["-m", "coverage", "run", *pytest], ["-n", str(max(1, workers // 3)), *pure_tests]),
-        ("others", pytest, ["-n", str(workers), "-m", "not quiet and not alone", *others]),
-        ("quiet", pytest, ["-n", str(quiet_workers), "-m", "quiet and not alone", *marked("quiet")]),
-        ("alone", pytest, ["-m", "alone", *marked("alone")]),
+        ("pure", ["-m", "coverage", "run", *pytest], ["-n", str(quiet_workers), *pure_tests]),
+        ("others", pytest, ["-n", str(workers), "-m", "not quiet and not alone and not long", *others]),
+        ("quiet", pytest, ["-n", str(quiet_workers), "-m", "quiet and not alone and not long", *marked("quiet")]),
+        ("alone", pytest, ["-m", "alone and not long", *marked("alone")]),
+    ]
+
+
+def long_groups(workers: int) -> list[tuple[str, list[str], list[str]]]:
+    """Return the name, the command and the arguments of each group of `make test-long`."""
+    files = marked("long")
+    return [
+        ("long", ["-m", "pytest"], ["-n", str(workers), "-m", "long and not alone", *files]),
+        ("long alone", ["-m", "pytest"], ["-m", "long and alone", *files]),
     ]
 
 
@@ -118,17 +128,23 @@ def exit_code(results: Sequence[Result], *, is_ci: bool) -> int:
 
 
 def main() -> int:
-    """Run each group, or with --branches only check what the last run with coverage took."""
+    """Run each group of `make test` or `make test-long`."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--quiet-workers", type=int, default=2)
-    parser.add_argument("--branches", action="store_true")
+    parser.add_argument("--long", action="store_true", help="only the tests marked long")
+    parser.add_argument("--branches", action="store_true", help="only check what the last run with coverage took")
     arguments = parser.parse_args()
     if arguments.branches:
         return covered().code
     REPORTS.mkdir(parents=True, exist_ok=True)
     results: list[Result] = []
-    for name, command, selected in groups(arguments.workers, arguments.quiet_workers):
+    selections = (
+        long_groups(arguments.quiet_workers)
+        if arguments.long
+        else groups(arguments.workers, arguments.quiet_workers)
+    )
+    for name, command, selected in selections:
         results.append(run_group(name, command, selected))
         if name == "pure":
             results.append(covered())

@@ -61,17 +61,26 @@ def test_missing_requirement_fails_the_run_in_ci_alone() -> None:
     assert [run_tests.exit_code([skipped, each], is_ci=True) for each in (skipped, missing, failed)] == [0, 1, 1]
 
 
-def test_the_groups_take_every_test_once() -> None:
-    selections = {name: arguments for name, _, arguments in run_tests.groups(6, 3)}
-    assert list(selections) == ["pure", "others", "quiet", "alone"]
+def test_groups_of_both_targets_take_every_test_once() -> None:
+    selections = {name: arguments for name, _, arguments in run_tests.groups(6, 3) + run_tests.long_groups(2)}
+    assert list(selections) == ["pure", "others", "quiet", "alone", "long", "long alone"]
     for package in run_tests.PURE:
         assert f"tests/unit/{package}" in selections["pure"]
         assert f"--ignore=tests/unit/{package}" in selections["others"]
-    assert [selections[name][selections[name].index("-m") + 1] for name in ("others", "quiet", "alone")] == [
-        "not quiet and not alone",
-        "quiet and not alone",
-        "alone",
+    assert [selections[name][selections[name].index("-m") + 1] for name in list(selections)[1:]] == [
+        "not quiet and not alone and not long",
+        "quiet and not alone and not long",
+        "alone and not long",
+        "long and not alone",
+        "long and alone",
     ]
+    assert "tests/system/test_chaos.py" in selections["long alone"]
+
+
+@pytest.mark.parametrize("mark", ["quiet", "alone", "long"])
+def test_pure_packages_have_no_test_with_a_mark_that_another_group_selects(mark: str) -> None:
+    files = run_tests.marked(mark)
+    assert [file for file in files if file.startswith(tuple(f"tests/unit/{each}/" for each in run_tests.PURE))] == []
 
 
 def test_requirement_that_is_missing_is_the_reason_for_its_tests_alone() -> None:
