@@ -191,8 +191,9 @@ bench: $(VENV)/.dev $(ROS2_VENV)/.installed
 # Fifty times the examples last longer than the two minutes that other tests have.
 FUZZ_TEST_S := 3600
 fuzz: $(VENV)/.dev
+	@tools/require.sh $(FIRMWARE_PACKAGES)
 	HYPOTHESIS_PROFILE=fuzz $(BIN)/python -m pytest -n auto --timeout $(FUZZ_TEST_S) tests/property
-	HYPOTHESIS_PROFILE=fuzz $(BIN)/python -m pytest -n auto --timeout $(FUZZ_TEST_S) tests/unit -m hypothesis
+	HYPOTHESIS_PROFILE=fuzz $(BIN)/python -m pytest -n auto --timeout $(FUZZ_TEST_S) tests/unit tests/firmware -m hypothesis
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[fuzz]'
 	@tools/require.sh clang libclang-rt-14-dev
 	$(BIN)/python tools/fuzz.py --seconds 60

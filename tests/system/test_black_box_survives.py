@@ -125,6 +125,7 @@ async def test_a_daemon_killed_while_nobody_drives_leaves_what_was_pending_and_n
 
 
 @pytest.mark.alone
+@pytest.mark.long
 async def test_a_daemon_that_ends_with_many_pending_incidents_is_quick_and_loses_none(tmp_path: Path) -> None:
     names = [f"robot_{number}" for number in range(4)]
     words = settings(tmp_path, after_s=60.0)

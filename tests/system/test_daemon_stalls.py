@@ -57,6 +57,7 @@ async def velocities(device: FakeDevice, *, for_s: float) -> set[tuple[float, fl
         return found
 
 
+@pytest.mark.long  # tests/property/test_host_pauses.py has the rule in virtual time
 async def test_a_pause_of_the_daemon_is_no_finding_and_ends_no_link() -> None:
     """Longer than a device may be silent; the device goes on meanwhile."""
     async with serve() as daemon, fake_device(daemon.tcp, robot_topics()) as device, aiohttp.ClientSession() as session:
@@ -77,6 +78,7 @@ async def test_a_pause_of_the_daemon_is_no_finding_and_ends_no_link() -> None:
     assert view["ended"] == []
 
 
+@pytest.mark.long
 async def test_a_restart_of_the_daemon_is_no_finding_about_a_device_whose_requests_had_waited() -> None:
     async with serve() as daemon, aiohttp.ClientSession() as session:
         reader, writer = await asyncio.open_connection(*daemon.tcp)

@@ -24,7 +24,7 @@ pytestmark = [pytest.mark.asyncio(loop_scope="session"), pytest.mark.quiet]
 
 SIZES = ((1280, 800), (1440, 900), (1920, 1080), (1024, 768), (390, 844), (844, 390), (320, 568))
 TWICE = ((640, 400), (512, 384), (568, 320), (960, 540))  # at 200 %: 1280x800, 1024x768, 1920x1080; and a small phone
-SCHEMES: tuple[Literal["light", "dark"], ...] = ("light", "dark")
+Scheme = Literal["light", "dark"]
 LAYOUTS = ("Drive", "Tune", "Fleet", "Watch")
 COLOURS = {
     "runOnly": {"type": "rule", "values": ["color-contrast", "link-in-text-block"]}
@@ -199,13 +199,14 @@ async def scene(browser: Browser) -> AsyncIterator[Scene]:
         yield Scene(server, tab)
 
 
+@pytest.mark.parametrize("schemes", [("light",), pytest.param(("dark",), marks=pytest.mark.long)])
 @pytest.mark.parametrize("name", CASES)
-async def test_every_state_fits_every_size(scene: Scene, name: str) -> None:
+async def test_every_state_fits_every_size(scene: Scene, name: str, schemes: tuple[Scheme, ...]) -> None:
     await scene.tab.layout("Drive")
     await scene.size(*SIZES[0])
     await scene.show(CASES[name])
     found = []
-    for scheme, (width, height) in product(SCHEMES, SIZES):
+    for scheme, (width, height) in product(schemes, SIZES):
         await scene.tab.page.emulate_media(color_scheme=scheme)
         await scene.size(width, height)
         found += [f"{scheme} {width}x{height}: {fault}" for fault in await scene.faults()]
@@ -240,17 +241,31 @@ async def test_a_window_at_twice_its_size_and_a_small_phone_on_its_side_have_roo
     assert not found, "\n".join(found)
 
 
+AXE_RUNS: tuple[tuple[str, Scheme, dict[str, Any] | None], ...] = (
+    ("locked", "light", None),
+    ("locked", "dark", COLOURS),
+    ("gone", "light", None),
+    ("gone", "dark", COLOURS),
+    ("read-only", "light", None),
+    ("read-only", "dark", COLOURS),
+)
+AXE_RUN, *MORE_AXE_RUNS = AXE_RUNS
+
+
+@pytest.mark.parametrize(
+    ("name", "scheme", "options"), [AXE_RUN, *(pytest.param(*each, marks=pytest.mark.long) for each in MORE_AXE_RUNS)]
+)
 @pytest.mark.parametrize("layout", LAYOUTS)
-async def test_axe_finds_nothing_in_any_layout(scene: Scene, layout: str) -> None:
+async def test_axe_finds_nothing_in_any_layout(
+    scene: Scene, layout: str, name: str, scheme: Scheme, options: dict[str, Any] | None
+) -> None:
     await scene.size(*SIZES[0])
-    for name in ("locked", "gone", "read-only"):
-        await scene.tab.layout("Drive")
-        await scene.show(CASES[name])
-        await scene.tab.layout(layout)
-        for scheme, options in (("light", None), ("dark", COLOURS)):
-            await scene.tab.page.emulate_media(color_scheme=scheme)
-            found = await Axe().run(scene.tab.page, options=options)
-            assert found.violations_count == 0, f"{name}, {scheme}: {found.generate_report()}"
+    await scene.tab.layout("Drive")
+    await scene.show(CASES[name])
+    await scene.tab.layout(layout)
+    await scene.tab.page.emulate_media(color_scheme=scheme)
+    found = await Axe().run(scene.tab.page, options=options)
+    assert found.violations_count == 0, found.generate_report()
 
 
 async def test_a_robot_that_falls_silent_is_amber_within_half_a_second_and_red_when_gone(

@@ -62,6 +62,7 @@ async def test_a_robot_that_is_played_says_so_where_others_name_who_drives(brows
 
 
 @pytest.mark.alone
+@pytest.mark.long  # test_page_layout.py measures the same of the page alone
 async def test_a_robot_that_falls_silent_is_amber_within_half_a_second(browser: Browser) -> None:
     async with daemon() as host, visit(browser, host.url) as tab, fake_device(host.tcp, robot_topics()) as device:
 

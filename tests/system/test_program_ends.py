@@ -18,13 +18,13 @@ pytestmark = pytest.mark.quiet
     ("line", "status"),
     [
         ("pass", 0),
-        ("sys.exit(3)", 3),
+        pytest.param("sys.exit(3)", 3, marks=pytest.mark.long),
         ("1 / 0", 1),
         ("raise KeyboardInterrupt", 130),
         ("os._exit(4)", 4),
         ("os.kill(os.getpid(), signal.SIGTERM)", -signal.SIGTERM),
-        ("del robot, host; time.sleep(1)", 0),
-        ("threading.Thread(target=time.sleep, args=(0.3,)).start()", 0),
+        pytest.param("del robot, host; time.sleep(1)", 0, marks=pytest.mark.long),
+        pytest.param("threading.Thread(target=time.sleep, args=(0.3,)).start()", 0, marks=pytest.mark.long),
     ],
 )
 async def test_the_end_of_a_program_stops_what_it_drives(line: str, status: int) -> None:
@@ -44,7 +44,7 @@ async def test_the_end_of_a_program_stops_what_it_drives(line: str, status: int)
     ("number", "line"),
     [
         (signal.SIGINT, "time.sleep(60)"),
-        (signal.SIGINT, "for pose in robot.odometry(): pass"),
+        pytest.param(signal.SIGINT, "for pose in robot.odometry(): pass", marks=pytest.mark.long),
         (signal.SIGKILL, "time.sleep(60)"),
         (signal.SIGHUP, "threading.Thread(target=lambda: (robot.drive(0.2, 0.0), time.sleep(60))).start()"),
     ],

@@ -8,7 +8,6 @@ from tools.bench_ros2 import AT_MOST_MS, measured
 TIMES = 4.0  # of rclpy to rclpy: on a machine that is slower than the one of the promise, both are slower
 
 
-@pytest.mark.quiet
 @pytest.mark.alone
 @pytest.mark.timeout(240)
 async def test_a_message_is_as_quick_as_promised_both_ways() -> None:
