@@ -30,7 +30,7 @@ def address_of(host: Daemon) -> tuple[str, int]:
 
 
 async def run(*command: str) -> Any:
-    """What a program has seen, when it is pointed at a daemon with a simulated robot, through a line that is cut."""
+    """Return what a program has seen of a daemon with a simulated robot, through a line that is cut."""
     async with (
         daemon() as host,
         proxy(address_of(host)) as line,

@@ -1,4 +1,4 @@
-"""Loads of the API's port beside a driver: no velocity is obeyed that is older than its lease."""
+"""Load on the API's port while a robot is driven: no velocity is obeyed that is older than its lease."""
 
 from pathlib import Path
 
@@ -10,7 +10,7 @@ from tests.support.late_commands import measure
 pytestmark = pytest.mark.alone
 
 LEASE_S = 0.5
-# The device's end, in this process, waits for a core beside the load; without bounds velocities are 4 to 17 s old.
+# The device's end, in this process, waits for a core during the load; without bounds velocities are 4 to 17 s old.
 SLACK_S = 0.5
 STOP_S = 0.5  # 0.02 s on a quiet machine; 0.5 to 1 s without bounds
 MOST_MIB = 250  # docs/reliability.md

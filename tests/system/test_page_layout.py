@@ -56,7 +56,7 @@ def silent(**changes: Any) -> State:
 
 
 def drive(owner: str, **changes: Any) -> dict[str, Any]:
-    """Somebody drove robot_0."""
+    """Return a past drive of robot_0."""
     view: dict[str, Any] = {
         "robot": "robot_0",
         "owner": owner,
@@ -74,7 +74,7 @@ def drive(owner: str, **changes: Any) -> dict[str, Any]:
 
 
 def locked() -> State:
-    """Somebody locked it while it was driven."""
+    """Return a state in which robot_0 was locked while it was driven."""
     state = fleet(3, locked=True, lock_reason="somebody stands in front of the third bench by the window")
     state.drives = [
         drive("client 12 (phone)"),
@@ -112,7 +112,7 @@ def played() -> State:
 
 
 def sick() -> State:
-    """Its names and findings are as long as they may be."""
+    """Return a state with the longest names and findings."""
     finding = {
         "code": "no_topics",
         "cause": "The device connects, and then never announces what it publishes or subscribes to.",
@@ -184,7 +184,7 @@ class Scene:
         await self.tab.page.evaluate(SETTLED)
 
     async def picture(self, name: str) -> None:
-        """Where somebody wants to look at it: each takes as long as measuring does."""
+        """Take a picture if they are wanted: each takes as long as measuring does."""
         if TAKES_PICTURES:
             await self.tab.page.screenshot(path=PICTURES / f"{name}.png")
 
@@ -295,7 +295,7 @@ async def test_a_robot_without_odometry_is_silent_by_its_usual_rate(browser: Bro
 
 
 async def noticed_s(server: PageServer, tab: Visit, **changes: Any) -> float:
-    """How long it takes until a robot that falls silent is amber in the list and the drive panel."""
+    """Return the seconds until a robot that falls silent is amber in the list and the drive panel."""
     server.show(fleet(3, **changes))
     await tab.shows("#drive-state", "nobody drives", timeout_s=15.0)
     await expect_never_silent(tab)
@@ -306,7 +306,7 @@ async def noticed_s(server: PageServer, tab: Visit, **changes: Any) -> float:
 
 
 async def expect_never_silent(tab: Visit) -> None:
-    """Also when the daemon sends a little late: a second of a robot that is well."""
+    """Check for a second that a healthy robot is not shown as silent, also when the daemon sends a little late."""
     counts = await tab.page.evaluate(
         """async () => {
           let count = 0;
@@ -398,7 +398,7 @@ async def test_all_locked_robots_are_unlocked_at_the_second_press(browser: Brows
         await expect(button).to_be_disabled()
 
 
-async def test_who_drives_and_who_drove_is_shown_with_the_address(browser: Browser) -> None:
+async def test_present_and_past_drivers_are_shown_with_their_address(browser: Browser) -> None:
     async with page_server() as server, visit(browser, server.url) as tab:
         server.show(fleet(1, holder="client 12 (phone)", holder_address="10.0.0.5", priority=90))
         await tab.shows("#drive-state", "Goes before you: client 12 (phone, 10.0.0.5)")
@@ -448,7 +448,7 @@ PRINTED = """
 """
 
 
-async def test_what_was_asked_is_drawn_beside_what_is(browser: Browser) -> None:
+async def test_requested_velocity_is_drawn_with_the_measured_one(browser: Browser) -> None:
     async with page_server() as server, visit(browser, server.url, script=DASHES) as tab:
         server.show(fleet(1))
         await tab.shows("#drive-state", "nobody drives")
@@ -500,7 +500,7 @@ async def test_a_layout_and_where_its_panels_are_is_remembered(browser: Browser)
         assert await tab.page.locator(".right > #log").count() == 1
 
 
-async def test_it_is_small_and_soon_ready_on_a_slow_processor(browser: Browser) -> None:
+async def test_page_is_small_and_soon_ready_on_a_slow_processor(browser: Browser) -> None:
     size = sum(path.stat().st_size for path in BUILT.rglob("*") if path.is_file())
     assert size < MOST_BYTES
     async with page_server() as server, visit(browser, "about:blank") as tab:

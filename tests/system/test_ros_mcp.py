@@ -30,7 +30,7 @@ def _installed() -> None:
 
 
 async def answers(host: Daemon) -> Any:
-    """Of the tools that publish."""
+    """Return the answer of a tool that publishes."""
     port = host.url.rpartition(":")[2]
     program = await asyncio.create_subprocess_exec(str(PYTHON), str(PROGRAM), port, TOPIC, stdout=PIPE, stderr=PIPE)
     async with asyncio.timeout(TIMEOUT_S):
@@ -40,14 +40,14 @@ async def answers(host: Daemon) -> Any:
 
 
 @pytest.mark.usefixtures("_installed")
-async def test_a_velocity_for_a_locked_robot_is_no_success() -> None:
+async def test_velocity_for_a_locked_robot_is_a_failure() -> None:
     async with daemon() as host, simulated_robot(host.tcp):
         await expect(host.hub.robots.all)
         host.hub.robots.find("robot_0").lock("smoke")
         told = await answers(host)
     assert told["publish_once"].get("success", False) is False
     assert "Publish failed: robot_0: locked: smoke" in told["publish_once"]["error"]
-    several = told["publish_for_durations"]  # its `success` is true whatever happens
+    several = told["publish_for_durations"]  # its `success` is always true
     assert several["published_count"] == 0
     assert "robot_0: locked: smoke" in several["errors"][0]
 

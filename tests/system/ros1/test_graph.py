@@ -1,4 +1,4 @@
-"""Topics, services and parameters between rospy programs and devices, and a master that dies and comes back."""
+"""Topics, services and parameters between rospy programs and devices, and a master that dies and is started again."""
 
 import asyncio
 import signal
@@ -34,7 +34,7 @@ def encoded(type_name: str, **fields: object) -> bytes:
 
 
 async def received(node: Node, **wanted: object) -> None:
-    """Read until a message with these fields comes."""
+    """Read until a message with these fields arrives."""
     while (await node.read("message"))["fields"] != wanted:
         pass
 
@@ -85,7 +85,7 @@ async def test_latched_topic_of_rospy_second_and_rebooted_device_receive_last_me
                 assert await second.frame(102) == encoded(STRING, data="kept")
 
 
-async def test_what_is_latched_here_reaches_those_that_come_later(ros: Graph) -> None:
+async def test_latched_message_of_the_daemon_reaches_later_subscribers(ros: Graph) -> None:
     async with ros.daemon() as daemon, aiohttp.ClientSession() as session, session.ws_connect(daemon.url) as client:
         await client.send_json({"op": "advertise", "topic": "/map_name", "type": STRING, "latch": True})
         await client.send_json({"op": "publish", "topic": "/map_name", "msg": {"data": "hall"}})
@@ -98,7 +98,7 @@ async def test_what_is_latched_here_reaches_those_that_come_later(ros: Graph) ->
                 await received(second, data="yard")
 
 
-async def test_a_program_here_receives_a_topic_of_ros_whose_type_nobody_here_named(ros: Graph) -> None:
+async def test_program_without_a_type_receives_a_topic_of_ros(ros: Graph) -> None:
     async with (
         ros.daemon() as daemon,
         ros.node("talk", "/scan_name", STRING, "{data: front}", "10"),
@@ -354,7 +354,7 @@ async def test_the_end_of_the_daemon_leaves_nothing_in_the_graph(ros: Graph) -> 
 
 
 @pytest.mark.long
-async def test_thirty_robots(ros: Graph) -> None:
+async def test_thirty_robots_are_driven_and_registered_again_at_a_new_master(ros: Graph) -> None:
     async with ros.daemon() as daemon, simulated(daemon.tcp, "--robots", "30"):
         await listed(ros, "/robot_29/odom")
         for number in range(0, 30, 7):

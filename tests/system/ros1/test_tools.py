@@ -1,4 +1,4 @@
-"""What Debian's tools of ROS show of the daemon, and do with it."""
+"""Debian's tools of ROS with the daemon: rostopic, rosnode and rosservice."""
 
 import asyncio
 import re

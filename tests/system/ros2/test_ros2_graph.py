@@ -1,4 +1,4 @@
-"""`hostlink ros2` beside the daemon: what an independent rclpy node finds in its graph, reads, calls and sets."""
+"""`hostlink ros2` with a daemon: an independent rclpy node lists, reads, calls and sets what is in the graph."""
 
 import asyncio
 import math
@@ -108,7 +108,7 @@ async def test_a_type_that_is_not_installed_is_reported_once_by_name_and_the_oth
         assert len([line for line in process.reports if "tf2_msgs" in line]) == 1
 
 
-async def test_what_rclpy_publishes_reaches_the_device_and_programs(environment: dict[str, str]) -> None:
+async def test_message_of_rclpy_reaches_the_device_and_programs(environment: dict[str, str]) -> None:
     async with (
         daemon() as server,
         bridge(environment, server.url),
@@ -132,7 +132,7 @@ async def test_what_rclpy_publishes_reaches_the_device_and_programs(environment:
             assert await anext(chat) == {"data": "hä"}
 
 
-async def test_a_latched_topic_is_there_for_who_comes_later_both_ways(environment: dict[str, str]) -> None:
+async def test_latched_topic_reaches_later_subscribers_both_ways(environment: dict[str, str]) -> None:
     async with (
         daemon() as server,
         bridge(environment, server.url),
@@ -152,7 +152,7 @@ async def test_a_latched_topic_is_there_for_who_comes_later_both_ways(environmen
                 assert await anext(late) == {"data": "b"}
 
 
-async def test_a_topic_that_both_publish_and_read_goes_round_no_circle(environment: dict[str, str]) -> None:
+async def test_topic_that_both_sides_publish_and_read_is_not_sent_back(environment: dict[str, str]) -> None:
     async with (
         daemon() as server,
         bridge(environment, server.url),
@@ -226,7 +226,7 @@ async def test_a_call_that_the_daemon_refuses_is_answered_as_far_as_ros_2_can(en
         assert "the lamp is broken" in answer["msg"]["message"]
 
 
-async def test_who_waits_for_a_service_offers_none(environment: dict[str, str]) -> None:
+async def test_client_that_waits_for_a_service_offers_none(environment: dict[str, str]) -> None:
     """ROS 2 lists a service that has a client and no server: it must not be taken over from who offers it later."""
 
     async def answer(_: object) -> dict[str, object]:

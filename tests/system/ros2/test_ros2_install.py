@@ -28,7 +28,7 @@ async def test_without_rclpy_one_line_says_what_to_do() -> None:
 
 
 @pytest.mark.parametrize("word", ["--nothing", "robot_0"])
-async def test_an_option_that_nobody_knows_is_named(word: str) -> None:
+async def test_ros2_with_an_unknown_option_names_it(word: str) -> None:
     status, _, err = await run("ros2", word)
     assert (status, len(err.splitlines())) == (2, 1)
     assert word in err

@@ -1,4 +1,4 @@
-"""How long a message is on its way between a device and rclpy, beside rclpy alone on the same machine."""
+"""Latency of a message between a device and rclpy, compared with rclpy alone in the same run."""
 
 import pytest
 

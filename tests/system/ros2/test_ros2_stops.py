@@ -1,4 +1,4 @@
-"""How the drivers of ROS 2 end: whatever of them dies or stands still, the robot gets a zero within the lease."""
+"""Every end or pause of a driver in ROS 2 stops the robot within the lease."""
 
 import asyncio
 import contextlib
@@ -50,14 +50,14 @@ class World:
         return self.server.hub.robots.find("robot_0").gate
 
     async def until_stopped(self) -> float:
-        """Seconds until nobody drives, and the velocity that is commanded is a zero."""
+        """Return the seconds until the robot has no driver and its commanded velocity is zero."""
         loop = asyncio.get_running_loop()
         begun_s = loop.time()
         await expect(lambda: self.gate.owner is None or self.gate.target.is_zero)
         return loop.time() - begun_s
 
     async def drives_after_a_zero_and_not_for(self, seconds: float) -> None:
-        """The stream that goes on drives nobody; one that begins after a zero does."""
+        """Check that a continued stream does not drive, and that one that begins after a zero does."""
         await expect_never(lambda: self.gate.owner is not None, for_s=seconds)
         await self.driver.do("silence", topic=CMD_VEL)
         await drive(self.driver, linear_m_s=0.0)
@@ -129,7 +129,7 @@ async def test_a_bridge_that_stands_still_stops_the_robot_and_what_it_held_does_
     async with driven(environment) as world:
         world.bridge.child.send_signal(signal.SIGSTOP)
         assert await world.until_stopped() < LEASE_S + LATE_S
-        world.driver.child.kill()  # nobody means these velocities any more
+        world.driver.child.kill()  # these velocities are too old to be meant
         await asyncio.sleep(1.0)
         world.bridge.child.send_signal(signal.SIGCONT)
         await expect(lambda: world.bridge.has_reported("did not run"))
@@ -226,7 +226,7 @@ async def test_a_bridge_that_is_started_before_the_daemon_waits_for_it(environme
         assert len([line for line in process.reports if "trying again" in line]) == 1
 
 
-async def test_each_publisher_is_an_owner_of_its_own_so_that_an_idle_one_stops_nobody(
+async def test_idle_publisher_does_not_stop_what_another_publisher_drives(
     environment: dict[str, str],
 ) -> None:
     async with driven(environment) as world, peer(environment, "idle") as idle:
