@@ -29,7 +29,7 @@ from hostlink.errors import BadRequest, ConfigError, HostlinkError
 from tests.firmware.sketches import build, running
 from tests.support import compilers
 from tests.support.compilers import SANITIZERS, WARNINGS
-from tests.support.once import BUILD, once_a_run
+from tests.support.once import BUILD, once
 from tests.support.process import HOSTLINK, serve
 from tests.support.pty_pair import pty_pair
 from tests.support.screen import screen
@@ -44,7 +44,7 @@ EMPTY = Path(__file__).parents[1] / "__init__.py"
 
 @pytest.fixture(scope="session", autouse=True)
 def _compiled() -> None:
-    once_a_run("settings_board_program", _compile)
+    once("settings_board_program", _compile, PROGRAM)
     build("board_settings")
 
 
