@@ -140,9 +140,7 @@ def main() -> int:
     REPORTS.mkdir(parents=True, exist_ok=True)
     results: list[Result] = []
     selections = (
-        long_groups(arguments.quiet_workers)
-        if arguments.long
-        else groups(arguments.workers, arguments.quiet_workers)
+        long_groups(arguments.quiet_workers) if arguments.long else groups(arguments.workers, arguments.quiet_workers)
     )
     for name, command, selected in selections:
         results.append(run_group(name, command, selected))

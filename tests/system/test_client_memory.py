@@ -91,6 +91,7 @@ async def test_daemon_keeps_nothing_of_a_disconnected_client(visit: Visit) -> No
         assert in_use() == before
 
 
+@pytest.mark.long
 async def test_daemon_after_2700_clients_is_as_large_as_after_1800() -> None:
     sizes = []
     async with serve() as host:
@@ -123,6 +124,7 @@ async def latching(port: int) -> None:
     writer.close()
 
 
+@pytest.mark.long
 async def test_daemon_whose_clients_latched_large_messages_gives_their_memory_back(tmp_path: Path) -> None:
     config = tmp_path / "hostlink.toml"
     config.write_text("[black_box]\nmax_memory_mb = 2\n")  # it keeps what was published last

@@ -93,6 +93,7 @@ async def parameter(device: FakeDevice, name: str) -> bytes:
     return await device.frame(Id.PARAMETER)
 
 
+@pytest.mark.long
 async def test_two_nodes_in_two_namespaces_share_nothing_but_global_topics(ros: Graph) -> None:
     """Two devices with the same firmware are two robots of one name."""
     spaces = ("r1", "r2")

@@ -24,7 +24,7 @@ MEASURED = Path(__file__).parents[2] / "support" / "until_listening.py"
 MOST = (
     5.0  # times the CPU of a bare server of asyncio; it is 3, and 16 with all imports before it; rosserial_python's 2
 )
-ROUNDS = 5  # the least of each counts: other tests use the processor, too
+ROUNDS = 3  # the least of each counts: other tests use the processor, too
 
 
 async def until_listening(*words: str, port: int) -> dict[str, Any]:

@@ -85,6 +85,7 @@ async def test_latched_topic_of_rospy_second_and_rebooted_device_receive_last_me
                 assert await second.frame(102) == encoded(STRING, data="kept")
 
 
+@pytest.mark.long
 async def test_latched_message_of_the_daemon_reaches_later_subscribers(ros: Graph) -> None:
     async with ros.daemon() as daemon, aiohttp.ClientSession() as session, session.ws_connect(daemon.url) as client:
         await client.send_json({"op": "advertise", "topic": "/map_name", "type": STRING, "latch": True})
@@ -98,6 +99,7 @@ async def test_latched_message_of_the_daemon_reaches_later_subscribers(ros: Grap
                 await received(second, data="yard")
 
 
+@pytest.mark.long
 async def test_program_without_a_type_receives_a_topic_of_ros(ros: Graph) -> None:
     async with (
         ros.daemon() as daemon,
@@ -110,6 +112,7 @@ async def test_program_without_a_type_receives_a_topic_of_ros(ros: Graph) -> Non
             assert (await client.receive_json())["msg"] == {"data": "front"}
 
 
+@pytest.mark.long
 async def test_a_publisher_of_another_type_is_logged_and_the_others_are_heard(ros: Graph) -> None:
     topics = [*robot_topics(), topic(Id.SUBSCRIBER, 102, "/text", STRING)]
     async with (
@@ -150,6 +153,7 @@ async def test_a_program_calls_the_service_of_a_device(ros: Graph) -> None:
         assert (await caller.read("answered"))["fields"] == {"success": True, "message": "up"}
 
 
+@pytest.mark.long
 async def test_a_device_that_does_not_answer_fails_the_call_with_its_reason(ros: Graph) -> None:
     async with (
         ros.daemon() as daemon,
@@ -256,6 +260,7 @@ async def test_a_device_reads_parameters_of_the_master_as_rosserial_python_resol
         assert await requested(robot, "~kp") == ([], [3.5], [])
 
 
+@pytest.mark.long
 async def test_devices_are_given_the_time_of_the_clock_topic(ros: Graph) -> None:
     await ros.lines("rosparam", "set", "/use_sim_time", "true")
     async with (
@@ -290,6 +295,7 @@ async def listed(ros: Graph, name: str, *, is_there: bool = True) -> list[str]:
     raise AssertionError(f"{name} is {'not ' if is_there else ''}there: {found}")
 
 
+@pytest.mark.long
 async def test_a_robot_that_leaves_takes_its_topics_out_of_the_graph(ros: Graph) -> None:
     async with ros.daemon() as daemon:
         async with living_device(daemon.tcp, robot_topics()):
@@ -333,6 +339,7 @@ async def test_the_daemon_starts_before_its_master(ros: Graph) -> None:
         await listed(ros, ODOMETRY)
 
 
+@pytest.mark.long
 async def test_another_node_of_the_same_name_takes_its_place(ros: Graph) -> None:
     async with ros.daemon() as daemon, living_device(daemon.tcp, robot_topics()):
         await listed(ros, ODOMETRY)
