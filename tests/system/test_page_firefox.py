@@ -51,13 +51,13 @@ async def stands(host: Daemon, name: str = "robot_0") -> None:
 
 
 async def stays_at_rest(host: Daemon) -> None:
-    """Also while what was held is still held."""
+    """Check that the robot stays stopped while the key is still held."""
     await stands(host)
     await asyncio.sleep(SENT_AGAIN_S)
     assert commanded(host) == (0.0, None)
 
 
-async def test_it_shows_the_robot_and_its_link(scene: Scene) -> None:
+async def test_page_shows_the_robot_and_its_link(scene: Scene) -> None:
     _, _, tab = scene
     await tab.shows("#link", "Hz")
     await tab.shows("#clients", "client")
@@ -92,7 +92,7 @@ async def test_the_stop_stops_what_another_drives(scene: Scene) -> None:
 
 
 @pytest.mark.parametrize("lost", ["contextmenu", "dragstart", "blur"])
-async def test_what_swallows_the_release_of_a_key_stops(scene: Scene, lost: str) -> None:
+async def test_event_that_swallows_the_release_of_a_key_stops_the_robot(scene: Scene, lost: str) -> None:
     host, _, tab = scene
     await tab.press(ARROW_UP)
     await expect(lambda: commanded(host)[0] > 0)

@@ -36,7 +36,7 @@ def config(folder: Path, api: ApiConfig | None = None) -> Config:
 
 
 async def count(chart: Locator) -> int:
-    """How many samples a chart has."""
+    """Return the number of samples of a chart."""
     return int(await chart.locator(".uplot").get_attribute("data-count") or 0)
 
 
@@ -203,7 +203,7 @@ async def test_a_remove_that_is_to_be_confirmed_outlives_another_recording(brows
         await expect_page(tab.page.locator("#recordings .files li")).to_have_count(0)
 
 
-async def test_what_somebody_else_records_is_shown_and_names_stay_text(browser: Browser, tmp_path: Path) -> None:
+async def test_recording_of_another_client_is_shown_and_names_stay_text(browser: Browser, tmp_path: Path) -> None:
     async with (
         daemon(config(tmp_path), has_black_box=True) as host,
         simulated_robot(host.tcp),

@@ -73,7 +73,7 @@ async def test_a_short_step_has_no_figures(browser: Browser) -> None:
         await tab.shows("#step-left", "–")
 
 
-async def test_enter_holds_it_too_and_the_stop_ends_it(browser: Browser) -> None:
+async def test_enter_holds_the_step_button_and_the_stop_ends_the_step(browser: Browser) -> None:
     async with bench(browser) as (host, robot, tab):
         await tab.page.locator("#step").focus()
         await tab.page.keyboard.down("Enter")

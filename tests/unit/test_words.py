@@ -31,6 +31,7 @@ TEST_PLACES = (
     *(f"tests/unit/{name}" for name in REVISED),
     *(f"tests/{name}" for name in REVISED_TESTS),
     "tests/firmware",
+    "tests/system",
 )
 
 NO_SUBJECT = re.compile(
