@@ -109,7 +109,7 @@ async def test_event_streams_leave_room_for_a_stop() -> None:
         assert await stop(host) == 200
 
 
-async def test_who_reads_no_answer_gives_way() -> None:
+async def test_clients_that_read_no_answer_leave_room_for_a_stop() -> None:
     requests = b"GET /api/openapi.json HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n" * 30
     async with daemon(SMALL) as host, connections(host, 40, requests):
         assert await stop(host) == 200

@@ -74,7 +74,7 @@ async def test_a_robot_is_driven_while_the_program_computes_and_stops_at_the_end
         assert (gate.owner_name, gate.counts.expired, gate.counts.stops) == (None, 0, 0)  # it let go: nobody else must
 
 
-async def test_it_works_without_with_in_a_thread_with_a_loop_and_after_an_error() -> None:
+async def test_blocking_client_works_without_with_in_a_thread_with_a_loop_and_after_an_error() -> None:
     """As a notebook has it: its cells run in a loop, which nothing of this may need."""
     async with world() as (host, device):
         me = await asyncio.to_thread(connect_blocking, host.url)
@@ -93,7 +93,7 @@ async def test_it_works_without_with_in_a_thread_with_a_loop_and_after_an_error(
             me.robots()
 
 
-async def test_what_nobody_has_any_more_drives_nothing() -> None:
+async def test_robot_of_a_collected_connection_is_not_driven() -> None:
     async with world() as (host, _):
         me = await asyncio.to_thread(connect_blocking, host.url)
         robot = me.robot("robot_0")
@@ -201,7 +201,7 @@ async def test_without_a_daemon_the_error_is_the_same_and_no_thread_stays() -> N
     await expect(lambda: not threads())
 
 
-async def test_who_waits_in_another_thread_is_released_by_close() -> None:
+async def test_close_releases_a_call_that_waits_in_another_thread() -> None:
     async with world() as (host, _):
         me = await asyncio.to_thread(connect_blocking, host.url)
         stream = await asyncio.to_thread(me.subscribe, "/chat", type_name="std_msgs/String")

@@ -124,7 +124,7 @@ async def test_a_lock_and_a_velocity_need_no_room_that_the_bodies_of_others_have
         assert host.hub.robots.find("robot_0").gate.lock_reason == "fire"
 
 
-async def test_a_velocity_whose_body_came_a_lease_after_its_head_drives_nobody_and_a_zero_stops() -> None:
+async def test_velocity_whose_body_arrived_a_lease_after_its_head_is_refused_and_a_zero_stops() -> None:
     async with daemon() as host, fake_device(host.tcp, robot_topics()):
         for linear, status in (("0.2", b"409"), ("0", b"200")):
             body = f'{{"linear": {linear}, "angular": 0}}'.encode()

@@ -105,7 +105,7 @@ async def test_a_device_that_is_silent_after_a_late_beginning_is_still_found(tmp
     assert [each["code"] for each in link["diagnosis"]] == ["went_silent"]
 
 
-async def test_what_passed_before_new_topics_is_read_by_the_old_ones(tmp_path: Path) -> None:
+async def test_frames_before_new_topics_are_read_by_the_old_topics(tmp_path: Path) -> None:
     """A device that begins anew gives the id of its odometry to another topic."""
     again = [topic(Id.PUBLISHER, 125, "/bumper", "std_msgs/Bool"), topic(Id.SUBSCRIBER, 100, "/led", "std_msgs/Bool")]
     async with daemon() as host, fake_device(host.tcp, robot_topics()) as device:

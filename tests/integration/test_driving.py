@@ -90,7 +90,7 @@ async def test_a_device_cannot_drive_another_past_its_gate() -> None:
 
 
 @pytest.mark.parametrize("resume_s", [0.0, 20.0])
-async def test_a_source_that_keeps_commanding_goes_on_after_an_absence_that_is_configured(resume_s: float) -> None:
+async def test_stream_resumes_after_an_absence_within_the_configured_time(resume_s: float) -> None:
     async def command() -> None:
         while True:
             with contextlib.suppress(CommandRefused):
@@ -112,7 +112,7 @@ async def test_a_source_that_keeps_commanding_goes_on_after_an_absence_that_is_c
         commanding.cancel()
 
 
-async def test_a_robot_that_comes_back_while_its_old_link_seems_alive_replaces_it_at_once() -> None:
+async def test_robot_that_reconnects_while_its_old_link_seems_alive_replaces_it_at_once() -> None:
     with capture_logs() as lines:
         async with daemon() as host, fake_device(host.tcp, robot_topics()) as old:
             await greeted(old)
@@ -233,7 +233,7 @@ async def test_a_lock_waits_for_no_body_and_holds_without_it(announced_bytes: in
             drive(host)
 
 
-async def test_a_lock_whose_reason_comes_late_has_it() -> None:
+async def test_lock_request_with_a_late_body_has_its_reason() -> None:
     async with daemon() as host, fake_device(host.tcp, robot_topics()) as device:
         await greeted(device)
         reader, writer = await asyncio.open_connection("127.0.0.1", int(host.url.rpartition(":")[2]))

@@ -195,7 +195,7 @@ async def test_two_hundred_robots_stop_at_once_and_one_that_reads_nothing_delays
                 assert peer.read_all()[0] == SEQUENCE[56:]
 
 
-async def test_what_a_device_goes_on_sending_does_not_reset_its_connection_before_it_has_read_all() -> None:
+async def test_device_that_keeps_sending_reads_all_before_its_connection_ends() -> None:
     with connections() as (peer,):
         peer.theirs.sendall(bytes(100_000))
         async with guardian() as ours:
@@ -227,7 +227,7 @@ async def received(peer: Peer, wanted: bytes) -> None:
     assert data == wanted
 
 
-async def test_a_daemon_that_hangs_leaves_zeros_to_what_is_driven_and_goes_on_with_its_connections() -> None:
+async def test_guardian_of_a_hanging_daemon_sends_zeros_to_driven_robots_and_keeps_their_connections() -> None:
     with connections(2) as peers, capture_logs() as lines:
         async with guardian(ping_s=0.05) as ours:
             watch(ours, peers)
@@ -252,7 +252,7 @@ async def test_a_daemon_that_hangs_leaves_zeros_to_what_is_driven_and_goes_on_wi
     assert [line["robots"] for line in lines if line["event"] == "guardian.stopped_robots"][:1] == [1]
 
 
-async def test_a_daemon_that_beats_or_drives_nobody_is_left_alone() -> None:
+async def test_guardian_of_a_daemon_that_beats_or_drives_no_robot_sends_nothing() -> None:
     with connections() as (peer,):
         async with guardian() as ours:
             watch(ours, [peer])
@@ -395,7 +395,7 @@ async def test_signals_to_the_whole_group_or_service_do_not_end_it() -> None:
         assert peer.read_all()[0] == SEQUENCE
 
 
-async def test_it_has_no_descriptor_but_its_own_and_little_memory() -> None:
+async def test_guardian_has_only_its_own_descriptors_and_little_memory() -> None:
     async with guardian() as ours:
         await expect(lambda: guarded(ours) == 0)
         assert descriptors(pid(ours)) == ["/dev/null", "/dev/null", "/dev/null", "socket"]
@@ -412,7 +412,7 @@ async def test_it_has_no_descriptor_but_its_own_and_little_memory() -> None:
         assert sizes["Rss"] < most_kib
 
 
-def test_its_program_needs_the_standard_library_alone() -> None:
+def test_guardian_program_imports_the_standard_library_alone() -> None:
     """-I and -S: no site-packages; the modules that are there afterwards are few."""
     listing = "; import sys; sys.stdout.write(' '.join(sys.modules))"
     code = CODE.replace("main(int(sys.argv[2]))", "pass") + listing

@@ -218,7 +218,7 @@ def test_a_device_with_more_topics_than_are_allowed_has_so_many_and_no_more() ->
 
 
 @pytest.mark.parametrize("is_alike", [True, False], ids=["flashed alike", "each its own"])
-def test_a_robot_that_comes_or_leaves_costs_the_same_however_many_are_there(is_alike: bool) -> None:
+def test_cost_of_a_connection_is_independent_of_the_number_of_robots(is_alike: bool) -> None:
     def seconds(count: int) -> float:
         spent_s = 0.0
 

@@ -164,7 +164,7 @@ def test_the_panels_do_not_overlap() -> None:
                 places.add((x, y))
 
 
-async def test_how_a_robot_is_driven() -> None:
+async def test_metrics_show_how_a_robot_is_driven() -> None:
     async with daemon() as host, fake_device(host.tcp, [*robot_topics(), BATTERY]) as device:
         await expect(lambda: host.hub.robots.has("robot_0"))
         for number in range(3):
@@ -187,7 +187,7 @@ async def test_how_a_robot_is_driven() -> None:
         assert found["hostlink_robot_locked[('robot', 'robot_0')]"] == 1
 
 
-async def test_the_battery_of_a_robot_that_is_gone_or_measures_none_is_no_figure() -> None:
+async def test_battery_of_a_robot_that_is_disconnected_or_has_none_is_not_a_metric() -> None:
     async with daemon() as host:
         async with fake_device(host.tcp, [*robot_topics(), BATTERY]) as device:
             await device.send(battery(6.0))

@@ -149,7 +149,7 @@ async def test_patterns_and_robots_choose(tmp_path: Path) -> None:
     assert (status, refusal["error"]["kind"]) == (404, "UnknownTopic")
 
 
-async def test_a_topic_that_comes_later_is_recorded_and_one_that_goes_is_let_go(tmp_path: Path) -> None:
+async def test_topic_that_appears_later_is_recorded_and_one_that_disappears_is_released(tmp_path: Path) -> None:
     async with daemon(config(tmp_path)) as host:
         await start(host, name="run")
         async with fake_device(host.tcp, robot_topics()) as device:
@@ -185,7 +185,7 @@ async def test_a_recording_is_listed_fetched_by_ranges_and_removed(tmp_path: Pat
     assert names(tmp_path) == []
 
 
-async def test_a_page_of_elsewhere_reads_a_recording_as_lichtblick_does(tmp_path: Path) -> None:
+async def test_page_of_another_origin_reads_a_recording_as_lichtblick_does(tmp_path: Path) -> None:
     """Its reader gets the headers of the whole file first, and then ranges; a browser shows it what is exposed."""
     page = "https://app.example"
     settings = replace(config(tmp_path), api=ApiConfig(origins=(page,)))
@@ -214,7 +214,7 @@ async def test_a_page_of_elsewhere_reads_a_recording_as_lichtblick_does(tmp_path
 
 
 @pytest.mark.parametrize("name", ["..", "../secret", "a/b", "%2e%2e%2fsecret", "a..b", ".hidden", "x" * 101, "a\nb"])
-async def test_a_name_is_no_way_out_of_the_folder(tmp_path: Path, name: str) -> None:
+async def test_name_cannot_leave_the_folder(tmp_path: Path, name: str) -> None:
     secret = tmp_path / "secret.mcap"
     secret.write_bytes(b"not yours")
     inside = tmp_path / "recordings"
@@ -405,7 +405,7 @@ async def test_a_channel_says_whose_it_is_and_who_publishes_it(tmp_path: Path) -
     }
 
 
-async def test_a_recording_whose_next_name_is_taken_goes_on_with_another(tmp_path: Path) -> None:
+async def test_recording_whose_next_name_exists_continues_under_another(tmp_path: Path) -> None:
     """run.mcap was removed for the budget, and run_2.mcap was not."""
     (tmp_path / "run_2.mcap").write_bytes(b"of yesterday")
     async with recorded(config(tmp_path, max_file_s=0.5)) as (host, device):

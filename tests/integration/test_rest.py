@@ -32,7 +32,7 @@ async def test_a_robot_and_its_odometry() -> None:
     assert odometry["stamp_ns"] > 1_700_000_000_000_000_000
 
 
-async def test_what_a_device_tells_of_itself_is_shown_while_it_is_connected() -> None:
+async def test_board_description_is_shown_while_the_device_is_connected() -> None:
     keys = ("battery_v", "battery_percent", "signal_dbm", "firmware", "device_errors")
     async with daemon() as host:
         async with fake_device(host.tcp, [*robot_topics(), BATTERY]) as device:

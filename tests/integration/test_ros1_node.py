@@ -85,7 +85,7 @@ async def test_velocity_latched_before_the_robot_connected_does_not_move_it(made
 
 
 @pytest.mark.quiet
-async def test_velocity_latched_by_a_publisher_that_comes_later_drives_once(made: Scene) -> None:
+async def test_velocity_latched_by_a_publisher_that_joins_later_drives_once(made: Scene) -> None:
     """As `rostopic pub -1` sends it; when the connection breaks, the same one comes again."""
     await made.master.knows("Subscriber", VELOCITY)
     async with fake_publisher(TWIST_TYPE, is_latched=True, first=twist(0.3)) as publisher:
@@ -232,7 +232,7 @@ async def test_each_publisher_is_a_driver_of_its_own(made: Scene) -> None:
         await expect(lambda: robot.gate.owner_name is None)
 
 
-async def test_a_velocity_that_is_no_number_is_refused_and_ends_nothing(made: Scene) -> None:
+async def test_velocity_that_is_not_finite_is_refused_and_ends_nothing(made: Scene) -> None:
     async with fake_publisher(TWIST_TYPE) as publisher:
         await made.update(VELOCITY, publisher.uri)
         peer = await publisher.connected()
@@ -321,7 +321,7 @@ async def test_latched_topic_each_program_of_the_api_receives_last_message(made:
             assert heard == [OLD]
 
 
-async def test_latched_velocity_of_program_moves_no_robot_that_comes_later(made: Scene) -> None:
+async def test_latched_velocity_of_program_moves_no_robot_that_connects_later(made: Scene) -> None:
     """Also where it was latched while no robot had the topic, and nothing marked it as a velocity."""
     program = made.daemon.hub.join("program")
     program.advertise("/red/velocity_commands", TWIST_TYPE, is_latched=True)
@@ -352,7 +352,7 @@ async def test_latched_odometry_reset_is_not_repeated_to_device_that_announces_a
 
 
 @pytest.mark.parametrize("payload", [b"", b"\x00", struct.pack("<I", 100) + b"a", struct.pack("<I", 1) + b"ab"])
-async def test_what_is_not_of_the_type_that_was_agreed_upon_reaches_no_device(made: Scene, payload: bytes) -> None:
+async def test_message_of_another_type_than_negotiated_reaches_no_device(made: Scene, payload: bytes) -> None:
     async with fake_publisher(STRING) as publisher:
         await made.update("/text", publisher.uri)
         peer = await publisher.connected()

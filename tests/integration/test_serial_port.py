@@ -71,7 +71,7 @@ def is_connected(hub: Hub) -> Callable[[], bool]:
     return lambda: hub.robots.find("robot_0").link is not None
 
 
-async def test_a_board_that_comes_back_under_another_name_is_found_again(tmp_path: Path) -> None:
+async def test_board_that_returns_under_another_port_name_is_found(tmp_path: Path) -> None:
     by_id = tmp_path / "usb-Arduino_7543-if00"
     with capture_logs() as lines:
         async with served(SerialConfig(path=str(tmp_path / "usb-Arduino_*"))) as host:
@@ -156,7 +156,7 @@ def test_a_reset_lets_the_line_go_for_a_tenth_of_a_second() -> None:
     assert line.states == [(0.0, False), (DTR_PULSE_S, True)]
 
 
-async def test_an_opening_that_nobody_waits_for_any_more_leaves_no_port_open() -> None:
+async def test_cancelled_opening_leaves_no_port_open() -> None:
     with contextlib.ExitStack() as lines:
         paths = [lines.enter_context(pty_pair())[1] for _ in range(20)]
         before = open_descriptors()

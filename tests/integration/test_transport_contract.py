@@ -282,9 +282,7 @@ class TestContract:
         with pytest.raises(OSError, match=r"."):
             await send_without_end(transport)
 
-    async def test_send_waits_for_a_peer_that_does_not_read_and_goes_on_when_it_does(
-        self, connected_ends: tuple[Transport, Peer]
-    ) -> None:
+    async def test_send_waits_until_the_peer_reads(self, connected_ends: tuple[Transport, Peer]) -> None:
         transport, peer = connected_ends
         data = DATA * 256
         async with asyncio.TaskGroup() as tasks:
@@ -334,7 +332,7 @@ class TestContract:
             await transport.aclose()
         assert reading.result()
 
-    async def test_what_was_sent_before_closing_still_arrives(self, ends: tuple[Transport, Peer]) -> None:
+    async def test_bytes_sent_before_closing_still_arrive(self, ends: tuple[Transport, Peer]) -> None:
         transport, peer = ends
         async with asyncio.TaskGroup() as tasks:
             reading = tasks.create_task(peer.receive(len(DATA)))

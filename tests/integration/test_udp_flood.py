@@ -88,7 +88,7 @@ async def test_a_stop_is_on_time_and_the_robots_own_datagrams_arrive(data: bytes
         await expect(lambda: host.hub.topics.find("/robot_0/odometry").messages == STOPS)
 
 
-async def test_a_robot_comes_in_beside_a_flood_of_greetings() -> None:
+async def test_robot_connects_during_a_flood_of_greetings() -> None:
     udp = UdpConfig(host="127.0.0.1", port=0, trusted=(f"{ROBOT}/32",))
     async with daemon(Config(udp=udp)) as host, flood(host.udp, GREETING, sockets=200):
         await asyncio.sleep(0.2)

@@ -69,7 +69,7 @@ def use(velocity: PlanarVelocity, limits: Limits) -> float:
 
 
 @given(limits_of_speed, velocities)
-def test_a_limited_velocity_keeps_its_curve_and_is_as_fast_as_may_be(limits: Limits, requested: PlanarVelocity) -> None:
+def test_limited_velocity_keeps_its_curve_and_reaches_the_limit(limits: Limits, requested: PlanarVelocity) -> None:
     given_ = limits.apply(requested)
     factor = min(1.0, 1 / max(use(requested, limits), 1e-300))
     assert given_ == pytest.approx(requested.scaled(factor), rel=1e-9)
