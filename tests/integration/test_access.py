@@ -1,4 +1,4 @@
-"""The guarded API: tokens on every way in, pages of elsewhere, TLS, and limits that hold."""
+"""Access to the API: tokens on every entry point, pages of other origins, TLS, and rate limits."""
 
 import asyncio
 import json
@@ -64,7 +64,7 @@ async def test_roles_on_the_rest_api() -> None:
         assert await status(host, "POST", "/api/robots/robot_0/odometry/reset", **bearer(READ)) == 403
         assert await status(host, "GET", "/api/robots", **bearer(READ)) == 200
         assert await status(host, "GET", f"/api/robots?token={READ}") == 200
-        assert await status(host, "POST", "/api/robots/robot_0/stop", **bearer(READ)) == 200  # whoever looks may stop
+        assert await status(host, "POST", "/api/robots/robot_0/stop", **bearer(READ)) == 200  # every role may stop
 
 
 async def test_roles_on_the_websocket() -> None:

@@ -75,7 +75,7 @@ class Robot:
         return self.made.speeds()[-1]
 
     async def stands(self, for_s: float) -> None:
-        """It has stopped within the time of a frame, and stays so."""
+        """Check that the robot stops within the time of a frame and stays stopped."""
         await asyncio.sleep(0.05)
         before = len(self.made.speeds())
         await asyncio.sleep(for_s)

@@ -19,7 +19,7 @@ from tests.support.rosbridge import Client
 
 REQUESTS = 800
 AT_ONCE = 20
-QUIET_S = 0.1  # without a byte: no answer comes, or an endless one
+QUIET_S = 0.1  # without a byte: there is no answer, or an endless one
 ANSWER_TIMEOUT_S = 20.0  # where an answer must come
 FEW_LINES = 12  # of warnings in LOG_INTERVAL_S, for thousands of wrong requests
 OF_THE_ROBOT = {"robot.locked", "robot.unlocked", "link.diagnosed"}  # it sends nothing, which is diagnosed in time

@@ -1,4 +1,4 @@
-"""What a bridge to another graph needs of the API: the graph as it changes, bytes both ways, no echo, services."""
+"""API that a bridge to another graph uses: the graph as it changes, bytes in both directions, no echo, services."""
 
 import asyncio
 import struct

@@ -1,4 +1,4 @@
-"""What programs make the daemon keep: within a budget, and given back."""
+"""Byte budget of everything that clients make the daemon keep, and its release."""
 
 import asyncio
 

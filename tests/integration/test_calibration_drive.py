@@ -104,7 +104,7 @@ async def test_driver_that_takes_the_robot_over_keeps_it() -> None:
 
 
 async def test_a_robot_that_another_drives_is_left_to_him() -> None:
-    """Even somebody less important: his program would drive on while a person measures."""
+    """A driver of lower priority would drive on while a person measures."""
     async with daemon() as host, simulated_robot(host.tcp), connect(host.url) as other:
         await expect(lambda: host.hub.robots.find("robot_0").odometry.count > 0)
         program = other.robot("robot_0", priority=10)

@@ -45,21 +45,21 @@ class Unanswered(RemoteHosts):
 
 
 async def refused(host: Host, *, name: str = "robot_0", linear_m_s: float = 0.2) -> str:
-    """Why a drive is refused."""
+    """Return the reason why a drive is refused."""
     with pytest.raises(HostlinkError) as caught:
         await host.robot(name).drive(linear_m_s, 0.0)
     return str(caught.value)
 
 
 def drive_as_a_person(host: Daemon) -> None:
-    """As a person at the keys."""
+    """Drive with the priority of a person at the keys."""
     robot = host.hub.robots.find("robot_0")
     drive_gate(robot, PlanarVelocity(x_m_s=0.1), owner="a person", priority=60)
 
 
 @contextlib.asynccontextmanager
 async def serving(answer: Callable[[web.Request], Awaitable[web.StreamResponse]]) -> AsyncIterator[str]:
-    """Something on HTTP that is no hostlink."""
+    """Run an HTTP server that is not hostlink."""
     app = web.Application()
     app.router.add_get("/{path:.*}", answer)
     runner = web.AppRunner(app, shutdown_timeout=0.1)
@@ -302,7 +302,7 @@ async def test_script_drives_at_once_after_its_own_unlock() -> None:
 
 
 async def test_epoch_of_an_unlock_is_of_no_use_after_a_lease() -> None:
-    """By then the script has let go, and later interruptions are nothing to it."""
+    """The script has stopped driving by then, and later interruptions do not concern it."""
     async with (
         daemon() as host,
         fake_device(host.tcp, robot_topics()),
@@ -353,7 +353,7 @@ async def test_a_drive_that_is_cancelled_is_not_repeated() -> None:
 
 
 async def test_a_drive_that_is_cancelled_is_followed_by_a_zero() -> None:
-    """Its command may be on its way: a person who ends a script does not wait for the end of a lease."""
+    """A cancelled command may be on its way, and a person who ends a script does not wait for the end of a lease."""
     async with daemon() as host, fake_device(host.tcp, robot_topics()) as device, connect(host.url) as me:
         with pytest.raises(TimeoutError):
             async with asyncio.timeout(0):
@@ -571,7 +571,7 @@ async def test_every_request_carries_the_token() -> None:
 
 
 async def test_a_daemon_of_another_version_drives_nothing_that_the_program_does_not_know_of() -> None:
-    """Its answer lacks what this client needs: `drive` raises, so nothing may be repeated."""
+    """The daemon's answer lacks a field that this client needs: `drive` raises, and the client repeats nothing."""
 
     async def answer(request: web.Request) -> web.StreamResponse:
         socket = web.WebSocketResponse()

@@ -1,4 +1,4 @@
-"""What a script learns of its own calls: limits, refusals, names; numbers of numpy go in."""
+"""Results of a script's own calls: limits, refusals, names, and numpy numbers as arguments."""
 
 import contextlib
 from collections.abc import AsyncIterator, Mapping

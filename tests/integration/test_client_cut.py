@@ -28,7 +28,7 @@ BACK_S = 3.0
 
 @dataclass
 class World:
-    """A robot that is driven by a script, whose connection goes over a line that can be cut."""
+    """Robot that a script drives over a connection that can be cut."""
 
     host: Daemon
     line: Proxy
@@ -55,12 +55,12 @@ class World:
         return change
 
     async def stands(self) -> None:
-        """The robot stands, in the daemon's view and in truth."""
+        """Check that the robot is stopped, in the daemon's view and in its world."""
         await expect(lambda: self.known.gate.owner_name is None and self.known.gate.current.is_zero)
         await expect(lambda: abs(self.body.speed_m_s) < STOPPED_M_S)
 
     async def stays(self, seconds: float = 0.4) -> None:
-        """Nothing drives it by itself."""
+        """Check that the robot is not driven and does not move."""
         await expect_never(
             lambda: self.known.gate.owner_name is not None or abs(self.body.speed_m_s) > STOPPED_M_S, for_s=seconds
         )

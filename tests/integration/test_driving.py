@@ -77,7 +77,7 @@ async def test_limits_scale_both_speeds_so_that_the_curve_stays() -> None:
 
 
 async def test_a_device_cannot_drive_another_past_its_gate() -> None:
-    """A message on a velocity topic is a command, whoever sends it: here one device drives the other."""
+    """A message on a velocity topic is a command, also from a device: here one device drives the other."""
     remote = [robot_topics("robot_0")[1]._replace(kind=Id.PUBLISHER, topic_id=125)]
     async with daemon() as host, fake_device(host.tcp, robot_topics()) as device:
         await greeted(device)
@@ -85,7 +85,7 @@ async def test_a_device_cannot_drive_another_past_its_gate() -> None:
             twist = host.hub.catalog.message("geometry_msgs/Twist")
             assert twist is not None
             await sender.send(encode(125, twist.encode({"linear": {"x": 5.0}})))
-            assert await device.velocity() == (1.0, 0.0)  # the limit of a robot that nobody configured
+            assert await device.velocity() == (1.0, 0.0)  # the limit of a robot without configuration
         assert await device.velocity_other_than((1.0, 0.0)) == ZERO
 
 

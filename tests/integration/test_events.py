@@ -89,7 +89,7 @@ async def test_a_stream_without_news_has_a_heartbeat_three_times_a_second() -> N
 
 
 async def test_a_slow_reader_is_sent_the_newest_and_not_what_was_true_in_between() -> None:
-    """Nothing queues up in the kernel: what lies there would arrive long after it was true."""
+    """No event waits in the kernel: it would arrive long after it was true."""
     names = [f"robot_{number}" for number in range(ROBOTS)]
     async with daemon() as host, contextlib.AsyncExitStack() as stack:
         devices = [await stack.enter_async_context(fake_device(host.tcp, robot_topics(name))) for name in names]

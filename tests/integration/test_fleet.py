@@ -1,4 +1,4 @@
-"""Robots that were flashed alike: each has a name, topics, poses and commands of its own, whatever they tell."""
+"""Robots that were flashed alike: each has a name, topics, poses and commands of its own."""
 
 import asyncio
 import contextlib
@@ -218,7 +218,7 @@ async def test_driver_of_the_old_link_does_not_drive_the_new_link() -> None:
 
 
 async def test_robot_that_may_be_a_locked_robot_is_locked() -> None:
-    """It left from an address that no other has now, and comes under another name."""
+    """The locked robot left from an address that no other robot has now, and connects under another name."""
     async with daemon() as host:
         async with fake_device(host.tcp, robot_topics(), local_host=ONE):
             await expect(lambda: host.hub.robots.find("robot_0").link)
@@ -261,7 +261,7 @@ async def test_messages_before_identification_are_delivered_afterwards() -> None
 
 
 async def test_a_robot_that_drives_and_announces_its_topics_without_its_odometry_again_and_again_is_stopped() -> None:
-    """It is no robot any more: nobody could stop it."""
+    """A device without odometry is not a robot: a client could not stop it."""
 
     async def drive() -> None:
         robot = host.hub.robots.find("robot_0")

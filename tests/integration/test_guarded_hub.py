@@ -1,4 +1,4 @@
-"""Which connections the hub gives its guard, and when it takes them back."""
+"""Connections that the hub hands to its guard, and their release."""
 
 import asyncio
 import contextlib

@@ -1,4 +1,4 @@
-"""What teleop sends for a key that is held: only for the device that was there when it was pressed, and never late."""
+"""Commands of teleop for a held key: only to the device that was connected at the key press, and never late."""
 
 import asyncio
 import contextlib

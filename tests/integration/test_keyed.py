@@ -1,4 +1,4 @@
-"""A device port with a key: who has it comes in, who has not is refused before the first byte of rosserial."""
+"""Device port with a key: a device without it is refused before the first byte of rosserial."""
 
 import asyncio
 import contextlib
@@ -93,7 +93,7 @@ def test_a_silent_device_is_given_up() -> None:
 
 
 async def test_no_answer_is_good_twice(config: Config) -> None:
-    """What was heard on one connection does not open another: the host's random bytes differ."""
+    """An answer recorded on one connection does not open another, because the host's random bytes differ."""
     async with daemon(config) as host, connection(host.tcp) as (reader, _), connection(host.tcp) as (other, _):
         assert await reader.readexactly(20) != await other.readexactly(20)
 

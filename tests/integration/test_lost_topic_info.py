@@ -106,7 +106,7 @@ async def test_a_robot_whose_odometry_is_lost_drives_on_and_its_topics_are_reque
 async def test_robot_without_odometry_or_velocity_is_stopped_after_the_third_announcement_without_it(
     type_name: str,
 ) -> None:
-    """It is driven all the while."""
+    """A client drives the robot all the time."""
     async with daemon() as host, fake_device(host.tcp, VELOCITY_FIRST) as device:
         await moving(host, device, 100)
         robot = host.hub.robots.find("robot_0")

@@ -1,4 +1,4 @@
-"""What Prometheus reads."""
+"""Metrics that Prometheus reads."""
 
 import asyncio
 import json
@@ -31,7 +31,7 @@ from tests.support.waiting import TIMEOUT_S, expect
 
 
 async def metrics(host: Daemon) -> dict[str, float]:
-    """By name and labels, as Prometheus writes them."""
+    """Return the metrics by name and labels, as Prometheus writes them."""
     async with host.session.get(host.url + "/metrics") as response:
         assert response.status == 200
         text = await response.text()
@@ -46,7 +46,7 @@ async def test_links_robots_and_clients() -> None:
     device_labels = "[('peer', '127.0.0.1'), ('robot', 'robot_0')]"
     async with daemon() as host, fake_device(host.tcp, robot_topics()) as device, client(host) as program:
         await program.send(op="subscribe", topic="/robot_0/odometry")
-        await program.call("/rosapi/get_time")  # by now the subscription stands
+        await program.call("/rosapi/get_time")  # the answer follows the subscription
         await device.send(b"noise" + pose(1.0, 2.0, 0.5))
         await program.receive()
         await expect(lambda: host.hub.robots.find("robot_0").odometry.count == 1)

@@ -1,4 +1,4 @@
-"""What devices call their topics is their own affair: it costs no other device anything."""
+"""Topic names that two devices share: neither device loses anything by them."""
 
 import struct
 

@@ -1,4 +1,4 @@
-"""What holds for every kind of participant: what it does, how it leaves, and that nobody else is touched by it."""
+"""Contract of every kind of participant: its functions, its departure, and the isolation of all others."""
 
 import asyncio
 from collections import Counter

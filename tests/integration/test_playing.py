@@ -1,4 +1,4 @@
-"""What a recording may do to robots that are really there: nothing that nobody meant."""
+"""Recordings that are played to connected robots: no robot moves unless it was named."""
 
 import asyncio
 import contextlib
@@ -63,7 +63,7 @@ async def drive(host: Daemon, file: Path) -> None:
 
 @asynccontextmanager
 async def beside(work: Coroutine[None, None, None]) -> AsyncIterator[asyncio.Task[None]]:
-    """It runs for the length of the block at most."""
+    """Run the work for the length of the block at most."""
     async with asyncio.TaskGroup() as tasks:
         task = tasks.create_task(work)
         yield task
@@ -71,7 +71,7 @@ async def beside(work: Coroutine[None, None, None]) -> AsyncIterator[asyncio.Tas
 
 
 async def refusal(host: Daemon, file: Path) -> str:
-    """Why the play ended."""
+    """Return the reason why the play ended."""
     with pytest.raises(HostlinkError) as caught:
         await drive(host, file)
     return str(caught.value)
@@ -132,7 +132,7 @@ async def test_a_play_of_nothing_is_refused_and_a_loop_of_it_ends(tmp_path: Path
 
 
 class Terminal(io.StringIO):
-    """Standard error of somebody who watches."""
+    """Standard error of a terminal."""
 
     def isatty(self) -> bool:
         return True
@@ -167,7 +167,7 @@ def test_a_robot_is_not_driven_by_the_enter_key(tmp_path: Path) -> None:
 async def test_recorded_velocity_that_no_gate_sent_is_not_published(
     tmp_path: Path, name: str, type_name: str, payload: bytes, origin: str
 ) -> None:
-    """It was recorded while the robot was not there, or by a device that drives another."""
+    """The velocity was recorded while the robot was disconnected, or from a device that drives another."""
     file = recording(tmp_path, [(0.1 * number, channel(name, type_name, origin), payload) for number in range(5)])
     async with robot() as (host, _):
         with pytest.raises(BadRequest, match="velocities need --drive"):
@@ -203,7 +203,7 @@ async def test_a_played_device_drives_no_robot(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", ["joy stick", "joy\n", "\u00e9", "x" * 300, "x" * 70_000])
 async def test_a_played_device_whose_name_is_none_drives_no_robot(tmp_path: Path, name: str) -> None:
-    """Its topic that says that it is played has a name, too."""
+    """The topic that marks the device as played contains its name, too."""
     twist = channel("/robot_0/drive", "geometry_msgs/Twist", DEVICE, robot=name)
     odometry = channel("/joystick/odometry", "geometry_msgs/Pose2D", DEVICE, robot=name)
     odd = [channel(each, "std_msgs/String", DEVICE, robot=name) for each in ("/a b", "", "/" + "x" * 70_000)]

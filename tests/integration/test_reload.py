@@ -141,7 +141,7 @@ async def test_configured_name_is_kept_after_a_reconnection() -> None:
 
 @pytest.mark.parametrize("is_locked", [False, True], ids=["driven", "locked"])
 async def test_a_robot_that_is_driven_or_locked_keeps_its_name(is_locked: bool) -> None:
-    """Who drives it, and who has locked it, knows it by that."""
+    """Clients that drive or locked the robot know it by this name."""
     async with served(Config()) as (host, file), fake_device(host.tcp, robot_topics()):
         await expect(lambda: host.hub.robots.has("robot_0"))
         if is_locked:

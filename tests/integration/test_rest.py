@@ -133,7 +133,7 @@ async def test_the_page_and_its_files() -> None:
                 assert "unsafe" not in policy
                 assert response.headers["Cache-Control"] == "no-store"
         async with host.session.get(host.url + "/") as response:
-            assert "http" not in await response.text()  # nothing from elsewhere
+            assert "http" not in await response.text()  # the page loads nothing from other hosts
 
 
 @pytest.mark.parametrize("name", ["..%2Findex.html", "..%2Fserver.py", "..%2F..%2F..%2Fserver.py", "x"])

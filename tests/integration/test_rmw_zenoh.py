@@ -76,7 +76,7 @@ async def lists(peer: Ros2Peer, topics: dict[str, set[str]]) -> None:
 
 
 def heard(world: Bridged, topic: str, type_name: str = "") -> list[bytes]:
-    """What a program receives on a topic from now on."""
+    """Return the list of messages that a program receives on a topic from now on."""
     received = list[bytes]()
 
     def receive(message: Message) -> None:
@@ -401,7 +401,7 @@ async def test_commands_that_a_network_held_back_move_nothing_when_it_works_agai
 
 
 def publishers(world: Bridged) -> list[str]:
-    """Of the robot's velocity, in the hub."""
+    """Return the publishers of the robot's velocity in the hub."""
     found = world.daemon.hub.topics.find_or_none("/robot_0/cmd_vel")
     return [] if found is None else [str(each) for each in found.publishers if str(each).startswith("ros2")]
 
@@ -542,7 +542,7 @@ async def test_a_robot_of_a_fleet_is_shown_in_ros_2_by_its_own_daemon_alone() ->
 
 
 def tokens_of(session: Any) -> list[str]:
-    """Of all nodes of the domain 0."""
+    """Return the tokens of all nodes of domain 0."""
     replies = session.liveliness().get("@ros2_lv/0/**", timeout=2.0)
     return [str(reply.ok.key_expr) for reply in replies if reply.ok is not None]
 

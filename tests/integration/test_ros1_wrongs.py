@@ -83,7 +83,7 @@ async def test_connections_over_the_bound_are_closed_and_counted() -> None:
 
 
 async def test_connections_without_a_header_keep_no_subscriber_out() -> None:
-    """The oldest of them goes at once for a node that comes, not after the deadline for its header."""
+    """The oldest of these connections is closed as soon as a node connects, not after the deadline for its header."""
     async with fake_master() as master, scene(master, max_connections=4) as made, contextlib.AsyncExitStack() as stack:
         address = await made.tcpros()
         silent = [await stack.enter_async_context(connection(address)) for _ in range(4)]
@@ -120,7 +120,7 @@ async def test_slave_api_peer_outside_allow_list_is_disconnected() -> None:
 
 
 async def test_a_subscriber_that_never_reads_costs_the_others_nothing(made: Scene) -> None:
-    """What waits for it is bounded, the oldest is dropped and counted, and it gets the newest when it reads again."""
+    """The subscriber has a bounded queue. The oldest message is dropped and counted, and the newest is sent later."""
     wide = topic(Id.PUBLISHER, 126, "/blob", STRING, buffer_bytes=20_000)
     async with fake_device(made.daemon.tcp, [wide], local_host="127.0.0.3") as device:
         await made.master.knows("Publisher", "/blob")

@@ -1,4 +1,4 @@
-"""What rosbridge's clients ask of the graph, binary messages, and services that programs offer."""
+"""Graph queries of rosbridge clients, binary messages, and services that programs offer."""
 
 import asyncio
 import struct

@@ -1,4 +1,4 @@
-"""A serial port that vanishes, comes back under another name, or talks at a rate that must be found."""
+"""Serial port that disappears, returns under another name, or has a baud rate that must be found."""
 
 import asyncio
 import contextlib
@@ -46,7 +46,7 @@ class Board:
         asyncio.get_running_loop().add_reader(self.descriptor, self._answer)
 
     def _answer(self) -> None:
-        with contextlib.suppress(OSError):  # nobody has the other end open
+        with contextlib.suppress(OSError):  # the other end is closed
             if encode(Id.PUBLISHER, b"") in os.read(self.descriptor, 4096):
                 speed = termios.tcgetattr(self.descriptor)[OUTPUT_SPEED]
                 self.speeds_set.append(speed)
@@ -91,7 +91,7 @@ async def test_board_that_returns_under_another_port_name_is_found(tmp_path: Pat
 
 async def test_the_rates_are_tried_until_frames_come() -> None:
     board = Board(baud=115200)
-    config = SerialConfig(path=board.path, baud=(57600, 115200), baud_try_s=1.5)  # the second request comes after 2 s
+    config = SerialConfig(path=board.path, baud=(57600, 115200), baud_try_s=1.5)  # the second request is sent after 2 s
     with capture_logs() as lines:
         async with served(config) as host:
             await expect(is_connected(host.hub))

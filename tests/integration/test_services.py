@@ -169,7 +169,7 @@ async def test_a_device_cannot_replace_hostlinks_own_services() -> None:
 
 
 def test_a_call_occupies_a_device_for_a_minute_at_most() -> None:
-    """Its request may be lost on the way, and others wait."""
+    """The request may be lost on the way, and other calls wait."""
     sent: list[float] = []
 
     async def run() -> list[str]:

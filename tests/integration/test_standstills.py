@@ -23,7 +23,7 @@ SPEED_M_S = 0.15
 
 @contextlib.asynccontextmanager
 async def moving(device: FakeDevice) -> AsyncIterator[None]:
-    """Whatever it is sent, the device's odometry moves at SPEED_M_S."""
+    """Send odometry that moves at SPEED_M_S, regardless of commands."""
 
     async def send() -> None:
         for number in itertools.count():
@@ -52,7 +52,7 @@ async def test_stop_answer_has_the_measured_time_and_speed(what: str) -> None:
                 await drive(host)
                 await asyncio.sleep(0.1)
 
-        async with meanwhile(repeat()):  # it goes on without looking at the answers
+        async with meanwhile(repeat()):  # the source continues without reading the answers
             await expect(lambda: body.speed_m_s > 0.1)
             status, robot = await host.rest("POST", f"/api/robots/robot_0/{what}")
             assert (status, robot["name"], robot["locked"]) == (200, "robot_0", what == "lock")
@@ -90,7 +90,7 @@ async def test_a_source_that_drives_again_is_named() -> None:
         await expect(lambda: host.hub.robots.has("robot_0"))
 
         async def insist() -> None:
-            """It reads the epoch, and means it."""
+            """Drive with the current epoch, again and again."""
             robot = host.hub.robots.find("robot_0")
             while True:
                 await planner.robot("robot_0").command(SPEED_M_S, 0.0, epoch=robot.gate.admission.epoch)

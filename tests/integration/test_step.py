@@ -113,7 +113,7 @@ async def test_driver_of_lower_priority_is_stopped_before_the_step() -> None:
 
 
 async def test_driver_of_lower_priority_that_begins_meanwhile_does_not_disturb_the_step() -> None:
-    """As the demo does: it drives whenever nobody else has for a while."""
+    """The demo is such a driver: it drives whenever the robot was idle for a while."""
     async with bench() as (host, _, me), asyncio.TaskGroup() as tasks:
         idle = host.hub.join("demo", priority=0)
         step = tasks.create_task(record(me))
@@ -141,7 +141,7 @@ async def test_a_cancelled_step_stops_the_robot_at_once() -> None:
         await stands(robot)
 
 
-# -- what comes between -----------------------------------------------------------------------------------------------
+# -- interruptions ----------------------------------------------------------------------------------------------------
 
 
 async def test_a_person_who_takes_over_ends_the_step_and_keeps_the_robot() -> None:
@@ -281,7 +281,7 @@ async def run_away(device: FakeDevice) -> None:
 
 
 def motor_record() -> Record:
-    """Of a motor with K 0.07, T 0.4 s and no dead time, along a ramp."""
+    """Return the record of a motor with K 0.07, T 0.4 s and no dead time, along a ramp."""
     t_s = np.arange(80) / 10
     pwm = 900 + 1500 * np.clip((t_s - 1) / 3, 0, 1)
     measured = np.zeros(80)

@@ -66,7 +66,7 @@ async def driven(made: World, seconds: float = 1.0) -> None:
 
 
 def received_at_s(robot: NumberedRobot, since_s: float) -> float:
-    """When the first stop after `since_s` reached the robot; nothing else may come after it."""
+    """Return when the first stop after `since_s` reached the robot. Check that only stops follow."""
     later = [(at_s, payload) for at_s, payload in robot.commands if at_s >= since_s]
     first = next(number for number, (_, payload) in enumerate(later) if payload == STOP)
     assert {payload for _, payload in later[first:]} == {STOP}
@@ -152,7 +152,7 @@ def test_a_thousand_messages_of_other_topics_do_not_delay_a_stop() -> None:
 
 
 def test_stalled_daemon_sends_only_zero_afterwards() -> None:
-    """Nobody but the robot's own watchdog can stop it then; what was commanded before must not move it afterwards."""
+    """Only the robot's own watchdog can stop it during the stall. Earlier commands must not move it afterwards."""
 
     async def run() -> None:
         program = FirmwareProgram()
@@ -214,7 +214,7 @@ def test_robot_that_was_idle_for_minutes_is_driven_at_once_unless_the_daemon_sta
 
 
 class OtherDaemon:
-    """Another daemon, with one robot. It takes whatever it receives for new."""
+    """Another daemon with one robot, which takes any received velocity as new."""
 
     def __init__(self) -> None:
         self.driven: list[PlanarVelocity] = []
@@ -349,7 +349,7 @@ async def deaf(room_bytes: int, write_timeout_s: float = 5.0) -> AsyncIterator[D
 
 
 def test_a_socket_that_was_full_delivers_the_stop_and_nothing_that_was_commanded_before_it() -> None:
-    """What the kernel has taken cannot be taken back: here two frames. Of all later ones only the newest is left."""
+    """Frames in the kernel's buffer cannot be taken back: here two. Of all later frames only the newest is left."""
 
     async def run() -> None:
         async with deaf(room_bytes=2 * 56) as device:
@@ -385,7 +385,7 @@ def test_a_socket_that_stays_full_ends_its_link() -> None:
 
 
 def test_a_velocity_that_waited_for_the_loop_has_the_rest_of_its_lease_alone() -> None:
-    """It may have come when the turn of the loop began that took 0.4 s."""
+    """The velocity may have arrived when the turn of the loop began that lasted 0.4 s."""
 
     async def check(made: World, robot: NumberedRobot) -> None:
         loop().burn(0.4)

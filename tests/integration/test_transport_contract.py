@@ -1,4 +1,4 @@
-"""What every transport promises, checked on TCP, on UDP, on a serial line (a pseudo terminal) and in memory."""
+"""Contract of every transport, checked on TCP, UDP, a serial line (a pseudo terminal) and in memory."""
 
 import asyncio
 import contextlib
@@ -200,7 +200,7 @@ async def ends(request: pytest.FixtureRequest) -> AsyncIterator[tuple[Transport,
 
 @pytest.fixture(params=[tcp, serial, memory], ids=lambda opened: opened.__name__)
 async def connected_ends(request: pytest.FixtureRequest) -> AsyncIterator[tuple[Transport, Peer]]:
-    """Of those that know when the peer is gone or behind: a sender of datagrams learns neither."""
+    """Return both ends of transports that notice a slow or closed peer. A sender of datagrams notices neither."""
     async with request.param() as pair:
         yield pair
 
@@ -228,7 +228,7 @@ async def has_ended(transport: Transport) -> bool:
 
 
 class TestContract:
-    """The same for all."""
+    """Rules that hold for every transport."""
 
     @pytest.mark.parametrize("piece_bytes", [1, 7, 100, 1024, len(DATA)])
     async def test_bytes_arrive_in_order_however_split(self, ends: tuple[Transport, Peer], piece_bytes: int) -> None:
@@ -252,7 +252,7 @@ class TestContract:
                 reading = tasks.create_task(transport.receive())
                 await asyncio.sleep(0)
                 await peer.send(piece)
-                for _ in range(number % 6):  # the cancel comes before, with and after the bytes
+                for _ in range(number % 6):  # the cancellation is before, with and after the bytes
                     await asyncio.sleep(0)
                 reading.cancel()
                 with contextlib.suppress(asyncio.CancelledError):

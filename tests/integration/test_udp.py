@@ -43,7 +43,7 @@ async def host_of(udp: UdpConfig = UDP, **parts: object) -> AsyncIterator[Daemon
 
 @contextlib.contextmanager
 def blind_sockets(count: int, to: tuple[str, int], *, local_host: str = VICTIM) -> Iterator[list[socket.socket]]:
-    """Each from a port of its own, as forged sources would be: what comes back is never read in between."""
+    """Open sockets on ports of their own, as forged sources have. Their answers are never read in between."""
     with contextlib.ExitStack() as opened:
         made = []
         for _ in range(count):
@@ -56,7 +56,7 @@ def blind_sockets(count: int, to: tuple[str, int], *, local_host: str = VICTIM) 
 
 
 def came_back(sender: socket.socket) -> int:
-    """How many bytes."""
+    """Return the number of received bytes."""
     total = 0
     with contextlib.suppress(BlockingIOError):
         while True:
@@ -145,7 +145,7 @@ class TestSession:
                 await goes.send(pose(0.0))
                 await expect(lambda: len(host.hub.robots.all()) == 2)
             gone = host.hub.robots.find("goes")
-            for _ in range(5):  # the system of the device answers that nobody has its port
+            for _ in range(5):  # the device's kernel answers that its port is closed
                 await host.rest("PUT", "/api/robots/goes/velocity", b'{"linear": 0.2, "angular": 0}')
                 await asyncio.sleep(0.02)
             await expect(lambda: gone.link is None)

@@ -1,4 +1,4 @@
-"""How much of what was written to a connection has not arrived."""
+"""Number of written bytes of a connection that have not arrived."""
 
 import asyncio
 import contextlib

@@ -1,4 +1,4 @@
-"""Whatever `serve` would refuse, the check refuses, and nothing else: drawn from settings that are right and wrong."""
+"""The configuration check refuses exactly what `serve` would refuse, for drawn right and wrong settings."""
 
 import asyncio
 import contextlib
@@ -101,7 +101,7 @@ configs = st.builds(
 
 
 def with_free_ports(config: Config) -> Config:
-    """What is not drawn must not be another daemon's."""
+    """Replace ports that were not drawn by free ones, because another daemon may have them."""
     tcp = config.tcp if config.tcp.port != TcpConfig().port else dataclasses.replace(config.tcp, port=0)
     api = config.api if config.api.port != ApiConfig().port else dataclasses.replace(config.api, port=0)
     return dataclasses.replace(config, tcp=tcp, api=api)

@@ -1,8 +1,8 @@
 """Any mix of topics, services, types and names over several devices, in virtual time: two honest robots that were
 flashed alike go on.
 
-What must hold: nothing crashes; each honest robot keeps its link and its name; its poses are its own; what drives it by
-its name reaches it, and nobody else.
+Invariants: nothing crashes; each honest robot keeps its link, its name and its poses; a command by its name reaches
+that robot alone.
 """
 
 import asyncio
@@ -189,7 +189,7 @@ class Clashes(RuleBasedStateMachine):
 
     @rule(number=st.sampled_from([0, 1]), by=st.sampled_from(["name", "velocity_commands", "cmd_vel"]))
     def drive(self, number: int, by: str) -> None:
-        """At a speed that nobody was driven at before."""
+        """Drive at a speed that no robot was driven at before."""
         self.speeds += 1
         speed = self.speeds / 10_000
 

@@ -204,7 +204,7 @@ class Drivers(RuleBasedStateMachine):
     @precondition(lambda self: self.link is None)
     @rule(is_eager=st.booleans())
     def find_the_link(self, is_eager: bool) -> None:
-        """Somebody may command the very moment that the robot appears."""
+        """Connect the device again. An eager driver commands at the very moment that the robot appears."""
         self.is_eager = is_eager
         self.runner.run(self.connect())
 

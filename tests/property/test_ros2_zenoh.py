@@ -1,4 +1,4 @@
-"""Whatever comes from ROS 2 is a message or a BadPayload, and whatever tokens come and go, nobody signs for another."""
+"""Any bytes from ROS 2 are a message or a BadPayload, and no publisher signs for another after any order of tokens."""
 
 from collections import Counter
 

@@ -1,4 +1,4 @@
-"""What one client of rosbridge may cost, whatever it sends and however often."""
+"""Bounds of what one rosbridge client costs, for any number of any requests."""
 
 import tracemalloc
 from typing import Any

@@ -355,7 +355,7 @@ async def test_a_daemon_that_ends_takes_its_robots_with_it_and_its_drivers() -> 
 
 
 def threads() -> int:
-    """Of this process, Zenoh's own included."""
+    """Return the number of threads of this process, including Zenoh's."""
     return len(list(Path("/proc/self/task").iterdir()))
 
 

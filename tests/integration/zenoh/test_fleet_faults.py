@@ -1,4 +1,4 @@
-"""What networks, peers and certificates do to a fleet: robots stop, names stay, who may only read does not drive."""
+"""Faults of networks, peers and certificates in a fleet: robots stop, names stay, read-only peers do not drive."""
 
 import asyncio
 import contextlib
@@ -47,7 +47,7 @@ async def test_cut_network_ends_the_lease_and_remote_daemons_show_it() -> None:
     loop = asyncio.get_running_loop()
     async with apart() as (a, b, line), fake_device(a.tcp, robot_topics("robot_7")) as device:
         before = (await shown(b, "robot_7")).link
-        with contextlib.suppress(ExceptionGroup):  # a driver learns that he cannot drive any more
+        with contextlib.suppress(ExceptionGroup):  # the driver is told that it can no longer drive
             async with driven(b, "robot_7", 0.2):
                 assert await device.velocity_other_than(STILL) == MOVING
                 line.set_line(Line.SWALLOWS)
@@ -59,7 +59,7 @@ async def test_cut_network_ends_the_lease_and_remote_daemons_show_it() -> None:
         line.set_line(Line.WORKS)
         line.break_off()
         await expect(lambda: b.hub.robots.remote["robot_7"].link)
-        assert b.hub.robots.remote["robot_7"].link != before  # whoever drove must drive again
+        assert b.hub.robots.remote["robot_7"].link != before  # every driver must drive again
         await expect(lambda: a.hub.counts.graphs["fleet"]()["met"] == 2)
         assert (await drive(b, "robot_7", 0.1))[0] == 200
 
@@ -261,7 +261,7 @@ async def test_flood_of_commands_delays_no_stop() -> None:
 
 
 async def test_a_peer_with_many_robots_keeps_the_loop_for_no_stop() -> None:
-    """What 256 robots change is shown a slice in each turn: others have their turns meanwhile."""
+    """Changes of 256 robots are processed in slices, so that other tasks run in between."""
     async with lied_to() as (a, _, liar):
         await _until_heard(a, liar, "robot_66")
         names = [f"claimed_{number}" for number in range(MAX_ROBOTS)]
