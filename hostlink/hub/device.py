@@ -2,7 +2,6 @@
 
 import struct
 import time
-from collections import deque
 from collections.abc import Callable
 from functools import partial
 from typing import TYPE_CHECKING
@@ -331,7 +330,7 @@ class EarlyMessages:
     """What a device sent while it was not known who it is, to be passed on later; over a bound the oldest goes."""
 
     def __init__(self) -> None:
-        self._waiting: deque[tuple[MessageReceived, float]] = deque()
+        self._waiting: list[tuple[MessageReceived, float]] = []
         self._bytes = 0
 
     def __len__(self) -> int:
@@ -343,12 +342,10 @@ class EarlyMessages:
         self._waiting.append((message, at_s))
         self._bytes += len(message.payload)
         while len(self._waiting) > EARLY_MESSAGES or self._bytes > EARLY_BYTES:
-            self._bytes -= len(self._waiting.popleft()[0].payload)
+            self._bytes -= len(self._waiting.pop(0)[0].payload)
         return before + 1 - len(self._waiting)
 
     def pop_all(self) -> list[tuple[MessageReceived, float]]:
         """All of them, and when they arrived; none is left."""
-        waiting = list(self._waiting)
-        self._waiting.clear()
-        self._bytes = 0
+        waiting, self._waiting, self._bytes = self._waiting, [], 0
         return waiting

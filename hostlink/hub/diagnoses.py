@@ -50,7 +50,7 @@ class Diagnosis:
     last_evidence: Evidence | None = None  # of a link that has ended, until it is evaluated
     robot: str = ""  # what its robot is called here; also once the link has ended
     own_name: str = ""  # what that calls itself, if it had to be given a number
-    _announced: deque[tuple[int, Announced]] = field(default_factory=lambda: deque(maxlen=MAX_ANNOUNCED))
+    _announced: list[tuple[int, Announced]] = field(default_factory=list)
 
     @property
     def baud(self) -> int | None:
@@ -74,6 +74,7 @@ class Diagnosis:
         topics = (*session.topics, *(info for info, _ in session.refusals))
         if not self._announced or self._announced[-1][1] != topics:
             self._announced.append((session.counts.bytes_from_device, topics))
+            del self._announced[:-MAX_ANNOUNCED]
 
     def announced_before(self, position: int) -> bytes:
         """The device's announcement of its topics with its first `position` bytes; its first one, if that was later."""

@@ -15,7 +15,8 @@ Unsubscribe = Callable[[], None]
 
 def resolve(name: str) -> str:
     """The full name of a topic or service: `odom`, `/odom` and `~odom` are one."""
-    return "/" + name.lstrip("/~")
+    full = "/" + name.lstrip("/~")
+    return name if full == name else full  # a thousand robots keep their names once
 
 
 class TopicGraph:
