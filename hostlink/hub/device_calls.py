@@ -49,7 +49,7 @@ LAST_S = 1.0  # for an answer that is late already to find room in the queue of 
 _Outcome = Mapping[str, object] | bytes | HostlinkError
 
 
-class _Call:
+class _DeviceCall:
     """A request of a device, until it is answered."""
 
     def __init__(self, link: Link, event: ServiceRequested, now_s: float) -> None:
@@ -94,11 +94,11 @@ class DeviceCalls:
         self._services, self._catalog = services, catalog
         self._spawn, self._give_up, self._name_of = spawn, give_up, name_of
         self._turns = turns
-        self._calls: dict[int, dict[int, deque[_Call]]] = {}  # by link, by endpoint
+        self._calls: dict[int, dict[int, deque[_DeviceCall]]] = {}  # by link, by endpoint
 
     def accept(self, link: Link, event: ServiceRequested) -> None:
         """A device calls a service, and waits from now on."""
-        call = _Call(link, event, asyncio.get_running_loop().time())
+        call = _DeviceCall(link, event, asyncio.get_running_loop().time())
         of_link = self._calls.setdefault(link.number, {})
         waiting = of_link.get(event.service.topic_id)
         if waiting is None and _count(of_link) < MAX_CALLS:
@@ -119,7 +119,7 @@ class DeviceCalls:
             for call in waiting:
                 call.drop()
 
-    def _refuse(self, call: _Call, *, is_only: bool) -> None:
+    def _refuse(self, call: _DeviceCall, *, is_only: bool) -> None:
         """Fail at once; what finds no room among the replies is answered by those that are there, unless none is."""
         self.refused += 1
         try:
@@ -128,7 +128,7 @@ class DeviceCalls:
             if is_only:
                 self._spawn(self._end(call, error), name=f"end of link {call.link.number}")
 
-    async def _work(self, of_link: dict[int, deque[_Call]], topic_id: int) -> None:
+    async def _work(self, of_link: dict[int, deque[_DeviceCall]], topic_id: int) -> None:
         waiting = of_link[topic_id]
         try:
             while waiting:
@@ -141,7 +141,7 @@ class DeviceCalls:
         finally:
             del of_link[topic_id]
 
-    async def _finish(self, call: _Call) -> None:
+    async def _finish(self, call: _DeviceCall) -> None:
         outcome: _Outcome = ServiceFailed.timeout(call.endpoint.name, DEVICE_TIMEOUT_S)
         with contextlib.suppress(TimeoutError):
             async with call.until(call.deadline_s):
@@ -153,7 +153,7 @@ class DeviceCalls:
         except (TimeoutError, HostlinkError) as error:
             await self._end(call, error)
 
-    async def _outcome(self, call: _Call) -> _Outcome:
+    async def _outcome(self, call: _DeviceCall) -> _Outcome:
         """What the service answers, or why it does not."""
         if call.is_over:
             return DeviceGone(call.endpoint.name)
@@ -167,7 +167,7 @@ class DeviceCalls:
         except HostlinkError as error:
             return error
 
-    async def _pass_on(self, call: _Call) -> bytes:
+    async def _pass_on(self, call: _DeviceCall) -> bytes:
         """Let another device answer whose program was built from the same definition: nobody else need know it."""
         service = self._services.of_device(self._name_of(call.link, call.endpoint.name))
         sums = (call.endpoint.md5, call.link.session.response_endpoint(call.endpoint).md5)
@@ -175,7 +175,7 @@ class DeviceCalls:
             return await service.call(call.payload, timeout_s=DEVICE_TIMEOUT_S)
         raise WrongType(call.endpoint.name, "a service type with a definition", call.endpoint.type)
 
-    async def _deliver(self, call: _Call, outcome: _Outcome) -> None:
+    async def _deliver(self, call: _DeviceCall, outcome: _Outcome) -> None:
         """Queue the answer as soon as there is room, and the device has announced where it goes."""
         if isinstance(outcome, HostlinkError) and not call.is_over:
             log.warning(
@@ -189,7 +189,7 @@ class DeviceCalls:
             else:
                 return
 
-    def _respond(self, call: _Call, outcome: _Outcome) -> None:
+    def _respond(self, call: _DeviceCall, outcome: _Outcome) -> None:
         session = call.link.session
         response = session.response_endpoint(call.endpoint)
         known = None if session.is_refused(response) else self._catalog.service(response.type)
@@ -202,7 +202,7 @@ class DeviceCalls:
             session.too_large = str(problem) if is_cut else session.too_large  # the diagnosis knows what to do
         call.link.wake()
 
-    async def _end(self, call: _Call, error: Exception) -> None:
+    async def _end(self, call: _DeviceCall, error: Exception) -> None:
         """A device that would wait without end begins anew instead; one that has other topics now has begun anew."""
         if not call.is_over and call.link.session.has(call.endpoint):
             reason = printable(str(error), MAX_REASON) or "no room for the answer"
@@ -253,5 +253,5 @@ def _too_large(response: TopicInfo, payload_bytes: int) -> FrameTooLarge:
     return FrameTooLarge(response.name, payload_bytes + OVERHEAD_BYTES, limit_bytes + OVERHEAD_BYTES)
 
 
-def _count(of_link: Mapping[int, deque[_Call]]) -> int:
+def _count(of_link: Mapping[int, deque[_DeviceCall]]) -> int:
     return sum(map(len, of_link.values()))

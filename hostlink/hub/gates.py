@@ -1,6 +1,6 @@
 """Gates: every velocity gate, and the one clock of all. No velocity reaches a device but through here.
 
-`Driven` is whatever velocities can be published to, `Drivable` a velocity topic of a device here with its gate.
+`VelocityTarget` is whatever velocities can be published to, `Drivable` a velocity topic of a device here with its gate.
 """
 
 import asyncio
@@ -95,7 +95,7 @@ _NS_PER_S = 1_000_000_000
 ENDING = "hostlink is stopping, and drives no robot any more"
 
 
-class Driven(ABC):
+class VelocityTarget(ABC):
     """Whatever velocities can be published to: a velocity topic of a device here, or a robot of another daemon."""
 
     name: str
@@ -153,7 +153,7 @@ class Driven(ABC):
                 raise
 
 
-class Connection(Protocol):
+class RegisteredDevice(Protocol):
     """A device's place in the registry of links (`Robots.devices`), as gates and robots use it."""
 
     link: Link
@@ -163,7 +163,7 @@ class Connection(Protocol):
 
 
 @dataclass(eq=False, kw_only=True)
-class Drivable(Driven):
+class Drivable(VelocityTarget):
     """A velocity topic of a device, behind the gate that is its only subscriber in the graph.
 
     It is a robot's own velocity topic, another one of it, or that of a device which publishes no pose.
@@ -173,7 +173,7 @@ class Drivable(Driven):
     velocity_topic: str  # as the device names it
     gate: VelocityGate[Any]  # of a PlanarVelocity for a robot, else of a Twist
     gates: "Gates"
-    connection: Connection | None = None
+    connection: RegisteredDevice | None = None
     echoes: dict[str, Topic] = field(default_factory=dict)  # topics of its gate, where all receive what it sent
     last_frame: bytes = b""  # its zero, as the device receives it
     resumed_link: int = 0  # the link since which no reconnection was an interruption
@@ -243,7 +243,7 @@ class Gates:
 
     # -- which there are ----------------------------------------------------------------------------------------------
 
-    def attach(self, drivable: Drivable, connection: Connection) -> None:
+    def attach(self, drivable: Drivable, connection: RegisteredDevice) -> None:
         """Its device is ready: no earlier command is valid any more, and its first velocity is zero."""
         drivable.connection, drivable.last_frame = connection, b""
         self.register(drivable.admission)
@@ -256,7 +256,7 @@ class Gates:
         self._guard(drivable, connection)
         self._activate(drivable)
 
-    def detach(self, connection: Connection) -> None:
+    def detach(self, connection: RegisteredDevice) -> None:
         """Nothing is driven by this link any more: what may move is sent a zero."""
         drivables, connection.drivables = connection.drivables, []
         for drivable in drivables:
@@ -293,7 +293,7 @@ class Gates:
     # -- driving ------------------------------------------------------------------------------------------------------
 
     def command(self, drivable: Drivable, command: Command[V]) -> V:
-        """Drive a device here for the length of a lease, if the command is admitted; as `Driven.command`."""
+        """Drive a device here for the length of a lease, if the command is admitted; as `VelocityTarget.command`."""
         gate: VelocityGate[V] = drivable.gate
         velocity, owner = command.velocity, command.source
         facts = {"owner": str(owner), "address": address_of(owner), "priority": command.priority, "velocity": velocity}
@@ -542,7 +542,7 @@ class Gates:
         if self._guardian is not None:
             self._guardian.beat(driven)
 
-    def _guard(self, drivable: Drivable, connection: Connection) -> None:
+    def _guard(self, drivable: Drivable, connection: RegisteredDevice) -> None:
         """Let link and guard stop it when nobody else can; what subscribes to no velocity cannot be driven."""
         link, guarded_ids = connection.link, connection.guarded_ids
         with contextlib.suppress(HostlinkError):

@@ -11,7 +11,7 @@ LATEST_S = 0.5  # however much they cost
 MAX_KEPT = 1024  # names that have changed; who has not read more than that begins anew
 
 
-class Kind(Enum):
+class GraphKind(Enum):
     """Of what has a name in the graph."""
 
     TOPIC = "topic"
@@ -26,7 +26,7 @@ class GraphChanges:
         """`computed_s`: how long this thread has computed; that it waited for a core is no watcher's fault."""
         self._computed_s = computed_s
         self.version = 0  # grows with each change
-        self._kept: dict[tuple[Kind, str], int] = {}  # the version in which each changed last, oldest first
+        self._kept: dict[tuple[GraphKind, str], int] = {}  # the version in which each changed last, oldest first
         self._forgotten = 0  # the version of the newest change that is not kept
         self._watchers: dict[Hashable, Callable[[], None]] = {}
         self._due: dict[Hashable, None] = {}  # watchers that are to be called in this round
@@ -42,7 +42,7 @@ class GraphChanges:
         """End the watching of a key; one that watches nothing is no error."""
         self._watchers.pop(key, None)
 
-    def note(self, kind: Kind, name: str) -> None:
+    def note(self, kind: GraphKind, name: str) -> None:
         """Something of this name has changed, has come or has gone."""
         self.version += 1
         self._kept.pop((kind, name), None)
@@ -51,7 +51,7 @@ class GraphChanges:
             self._forgotten = self._kept.pop(next(iter(self._kept)))
         self._expect()
 
-    def since(self, version: int) -> list[tuple[Kind, str]] | None:
+    def since(self, version: int) -> list[tuple[GraphKind, str]] | None:
         """What has changed after this version; None: too much."""
         if version < self._forgotten:
             return None

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Generic, Protocol, TypeVar
 from weakref import WeakValueDictionary
 
-from hostlink.hub.graph_changes import GraphChanges, Kind
+from hostlink.hub.graph_changes import GraphChanges, GraphKind
 from hostlink.hub.node import Node, is_of
 from hostlink.hub.services import DeviceService, Provider, Services
 from hostlink.hub.topic import Topic
@@ -113,20 +113,20 @@ class GraphView:
         if changed is None:
             topics: dict[str, GraphTopic | None] = {topic.name: topic for topic in self._topics.entries()}
             return GraphNews(self._version, topics, frozenset(), is_whole=True)
-        names = [name for kind, name in changed if kind is Kind.TOPIC]
-        robots = frozenset(name for kind, name in changed if kind is Kind.ROBOT)
+        names = [name for kind, name in changed if kind is GraphKind.TOPIC]
+        robots = frozenset(name for kind, name in changed if kind is GraphKind.ROBOT)
         return GraphNews(self._version, {name: self._topics.get(name) for name in names}, robots, is_whole=False)
 
     def _update(self) -> None:
         changed = None if self._version < 0 else self._changes.since(self._version)
         self._version = self._changes.version
         if changed is None:
-            changed = [(Kind.TOPIC, name) for name in {*self._topics.names(), *self._all_topics.names()}]
-            changed += [(Kind.SERVICE, name) for name in {*self._services.names(), *self._all_services.names()}]
+            changed = [(GraphKind.TOPIC, name) for name in {*self._topics.names(), *self._all_topics.names()}]
+            changed += [(GraphKind.SERVICE, name) for name in {*self._services.names(), *self._all_services.names()}]
         for kind, name in changed:
-            if kind is Kind.TOPIC:
+            if kind is GraphKind.TOPIC:
                 self._topics.put(name, self._make_topic(name))
-            elif kind is Kind.SERVICE:
+            elif kind is GraphKind.SERVICE:
                 self._services.put(name, self._make_service(name))
 
     def _make_topic(self, name: str) -> GraphTopic | None:

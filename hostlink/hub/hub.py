@@ -14,7 +14,7 @@ from hostlink.hub.byte_budget import ByteBudget
 from hostlink.hub.diagnoses import Diagnoses
 from hostlink.hub.diagnostics_topic import DiagnosticsTopic
 from hostlink.hub.gates import Gates, Guard
-from hostlink.hub.graph_changes import GraphChanges, Kind
+from hostlink.hub.graph_changes import GraphChanges, GraphKind
 from hostlink.hub.graph_view import GraphViews
 from hostlink.hub.isolation import Isolation
 from hostlink.hub.links import Links, addresses_of
@@ -174,7 +174,7 @@ class Hub:
 
     def _note_robot(self, name: str) -> None:
         """A robot of this name has come, has left or is forgotten."""
-        self.changes.note(Kind.ROBOT, name)
+        self.changes.note(GraphKind.ROBOT, name)
         self._lock_services.update(name)
 
     def _forget_robot(self, robot: LocalRobot) -> None:

@@ -14,7 +14,7 @@ import structlog
 
 from hostlink.config import CalibrationConfig, RobotConfig
 from hostlink.errors import BadPayload, CommandRefused, DeviceGone, HostlinkError
-from hostlink.hub.gates import Drivable, Driven, Gates, RemoteHosts
+from hostlink.hub.gates import Drivable, Gates, RemoteHosts, VelocityTarget
 from hostlink.hub.message import Message
 from hostlink.hub.node import Node, address_of
 from hostlink.hub.robot_events import EventKind
@@ -85,7 +85,7 @@ LOCK_REASON = "emergency stop"  # where none was given
 Follow = Callable[[Message | None], None]
 
 
-class Robot(Driven):
+class Robot(VelocityTarget):
     """A robot, connected or not. Methods are synchronous; what is asked of another daemon is answered later."""
 
     host: str | None  # the name of the daemon that has it; None: this one
@@ -105,7 +105,7 @@ class Robot(Driven):
 
     @abstractmethod
     def command(self, command: Command[PlanarVelocity]) -> PlanarVelocity:
-        """Drive for the length of a lease; as `Driven.command`."""
+        """Drive for the length of a lease; as `VelocityTarget.command`."""
 
     @abstractmethod
     def answer(self, owner: Hashable) -> Awaitable[PlanarVelocity] | None:

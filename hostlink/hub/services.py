@@ -22,7 +22,7 @@ from hostlink.errors import (
     UnknownTopic,
     WrongType,
 )
-from hostlink.hub.graph_changes import GraphChanges, Kind
+from hostlink.hub.graph_changes import GraphChanges, GraphKind
 from hostlink.hub.node import Node
 from hostlink.hub.topic_graph import resolve
 from hostlink.logs import printable
@@ -224,7 +224,7 @@ class Services:
             log.warning("service.taken_over", service=printable(service.name), by=str(service.key))
         offers[service.key] = service
         self._names[service.key].add(service.name)
-        self._changes.note(Kind.SERVICE, service.name)
+        self._changes.note(GraphKind.SERVICE, service.name)
 
     def provide(self, provider: Provider) -> None:
         """A program offers a service.
@@ -246,7 +246,7 @@ class Services:
         offers.pop(provider.key, None)
         offers[provider.key] = provider
         self._names[provider.key].add(name)
-        self._changes.note(Kind.SERVICE, name)
+        self._changes.note(GraphKind.SERVICE, name)
 
     def _remove_device_services(self, name: str) -> None:
         for key, service in self._devices.pop(name, {}).items():
@@ -260,12 +260,12 @@ class Services:
         if provider is not None:
             provider.withdraw()
             self._names[key].discard(name)
-            self._changes.note(Kind.SERVICE, name)
+            self._changes.note(GraphKind.SERVICE, name)
 
     def leave(self, key: Hashable) -> None:
         """`key` is gone with all that it offered."""
         for name in self._names.pop(key, set()):
-            self._changes.note(Kind.SERVICE, name)
+            self._changes.note(GraphKind.SERVICE, name)
             service = _remove(self._devices, name, key)
             if service is not None:
                 service.close()

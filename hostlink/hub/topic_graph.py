@@ -5,7 +5,7 @@ from collections.abc import Callable, Hashable, Iterable
 
 from hostlink.errors import UnknownTopic, WrongType
 from hostlink.hub.byte_budget import ByteBudget
-from hostlink.hub.graph_changes import GraphChanges, Kind
+from hostlink.hub.graph_changes import GraphChanges, GraphKind
 from hostlink.hub.topic import DEVICE_RANK, PROGRAM_RANK, Deliveries, DeviceSubscription, Subscriber, Topic, rank_of
 from hostlink.messages.catalog import Catalog
 from hostlink.robot.admission import EarlierCommands
@@ -161,14 +161,14 @@ class TopicGraph:
         elif plain_name:
             topic.rank = max(topic.rank, rank)
         self._topics[resolved] = topic
-        self._changes.note(Kind.TOPIC, resolved)
+        self._changes.note(GraphKind.TOPIC, resolved)
         return topic
 
     def _settle(self, topic: Topic) -> None:
         """Somebody left: a topic without users goes; one that has subscribers alone has the type that they expect."""
         if self._topics.get(topic.name) is not topic:
             return
-        self._changes.note(Kind.TOPIC, topic.name)
+        self._changes.note(GraphKind.TOPIC, topic.name)
         topic.rank = topic.highest_rank
         if not topic.is_used:
             del self._topics[topic.name]
