@@ -495,7 +495,7 @@ class Link:
         if not self._is_behind.is_set():
             wait_s = self.session.outbox.wait_s(now_s)
             next_s = min(next_s, self.session.deadline_s())
-            if wait_s is None:
+            if wait_s is None and self._drained is not None:
                 self._note_drained()
         if next_s <= now_s + SOON_S:  # due work was postponed: waiting bytes are read first
             next_s = now_s + AGAIN_S

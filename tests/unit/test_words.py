@@ -12,8 +12,8 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 REVISED = (
-    "board", "client", "diagnosis", "graphs", "guardian", "lab", "link", "listeners", "messages", "mirror", "protocol",
-    "recording", "robot", "sim", "transport",
+    "board", "client", "diagnosis", "graphs", "guardian", "hub", "lab", "link", "listeners", "messages", "mirror",
+    "protocol", "recording", "robot", "sim", "transport",
 )  # fmt: skip
 REVISED_TESTS = (
     "property/test_board_headers.py", "property/test_codec.py", "property/test_guardian_frames.py",
