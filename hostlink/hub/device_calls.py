@@ -40,10 +40,10 @@ from hostlink.protocol.session import response_bytes
 log = structlog.get_logger()
 
 CALL_S = 0.0003  # what a call costs
-MAX_CALLS = 16  # of one device, under way and waiting; ros_lib makes one and stands still
-MAX_WAITING = 4  # of them for one service, behind the one that is under way
+MAX_CALLS = 16  # of one device, active and waiting; ros_lib makes one and blocks
+MAX_WAITING = 4  # of one service, behind the active call
 RETRY_S = 0.05  # between two checks for room among the replies
-MAX_REASON = 256  # characters of a reason in the log; names of devices stand in it
+MAX_REASON = 256  # characters of a reason in the log; it contains names from devices
 LAST_S = 1.0  # for an answer that is late already to find room in the queue of the replies
 
 _Outcome = Mapping[str, object] | bytes | HostlinkError
@@ -54,14 +54,14 @@ class _DeviceCall:
 
     def __init__(self, link: Link, event: ServiceRequested, now_s: float) -> None:
         self.link, self.endpoint, self.payload = link, event.service, event.payload
-        self.negotiations = link.session.counts.negotiations  # when it came
+        self.negotiations = link.session.counts.negotiations  # before the call
         self.deadline_s = now_s + DEVICE_TIMEOUT_S
-        self.is_over = False  # nobody waits for the answer any more
+        self.is_over = False  # the device no longer waits for the answer
         self._timeout: asyncio.Timeout | None = None
 
     @contextlib.asynccontextmanager
     async def until(self, deadline_s: float) -> AsyncIterator[None]:
-        """The block has until then, or until the call is over; then TimeoutError."""
+        """Limit the block to the deadline, or to the end of the call. Then raise TimeoutError."""
         async with asyncio.timeout_at(deadline_s) as timeout:
             self._timeout = timeout
             try:
@@ -70,14 +70,14 @@ class _DeviceCall:
                 self._timeout = None
 
     def drop(self) -> None:
-        """Nobody waits for the answer any more."""
+        """End the call: the device no longer waits for the answer."""
         self.is_over = True
         if self._timeout is not None:
             expire(self._timeout)
 
 
 class DeviceCalls:
-    """One call of an endpoint after another; bounded for each device, and what is over the bound fails at once."""
+    """Calls of devices to services: one after another for each endpoint. Calls over the bound fail at once."""
 
     def __init__(
         self,
@@ -90,14 +90,14 @@ class DeviceCalls:
         turns: Turns,
     ) -> None:
         """`give_up` ends the link of a device that cannot be answered; `name_of`: the service that a device means."""
-        self.refused = 0  # over a bound
+        self.refused = 0  # calls over a bound
         self._services, self._catalog = services, catalog
         self._spawn, self._give_up, self._name_of = spawn, give_up, name_of
         self._turns = turns
         self._calls: dict[int, dict[int, deque[_DeviceCall]]] = {}  # by link, by endpoint
 
     def accept(self, link: Link, event: ServiceRequested) -> None:
-        """A device calls a service, and waits from now on."""
+        """Start a call of a device, or queue it behind earlier ones."""
         call = _DeviceCall(link, event, asyncio.get_running_loop().time())
         of_link = self._calls.setdefault(link.number, {})
         waiting = of_link.get(event.service.topic_id)
@@ -114,13 +114,13 @@ class DeviceCalls:
             waiting.append(call)
 
     def leave(self, link: Link) -> None:
-        """The device is gone, and waits for nothing."""
+        """Drop all calls of a device that disconnected."""
         for waiting in self._calls.pop(link.number, {}).values():
             for call in waiting:
                 call.drop()
 
     def _refuse(self, call: _DeviceCall, *, is_only: bool) -> None:
-        """Fail at once; what finds no room among the replies is answered by those that are there, unless none is."""
+        """Answer with DeviceBusy. Without room for the answer, end the link unless earlier answers are queued."""
         self.refused += 1
         try:
             self._respond(call, DeviceBusy(call.endpoint.name, MAX_CALLS))
@@ -154,7 +154,7 @@ class DeviceCalls:
             await self._end(call, error)
 
     async def _outcome(self, call: _DeviceCall) -> _Outcome:
-        """What the service answers, or why it does not."""
+        """Call the service, and return its answer or its error."""
         if call.is_over:
             return DeviceGone(call.endpoint.name)
         type_ = self._catalog.service(call.endpoint.type)
@@ -168,7 +168,7 @@ class DeviceCalls:
             return error
 
     async def _pass_on(self, call: _DeviceCall) -> bytes:
-        """Let another device answer whose program was built from the same definition: nobody else need know it."""
+        """Call a device whose program was built from the same definition. The host needs no definition then."""
         service = self._services.of_device(self._name_of(call.link, call.endpoint.name))
         sums = (call.endpoint.md5, call.link.session.response_endpoint(call.endpoint).md5)
         if service is not None and service.md5_sums == sums:
@@ -176,7 +176,7 @@ class DeviceCalls:
         raise WrongType(call.endpoint.name, "a service type with a definition", call.endpoint.type)
 
     async def _deliver(self, call: _DeviceCall, outcome: _Outcome) -> None:
-        """Queue the answer as soon as there is room, and the device has announced where it goes."""
+        """Queue the answer as soon as there is room and the device has announced the endpoint of the response."""
         if isinstance(outcome, HostlinkError) and not call.is_over:
             log.warning(
                 "service.failed", service=printable(call.endpoint.name), reason=printable(str(outcome), MAX_REASON)
@@ -203,7 +203,7 @@ class DeviceCalls:
         call.link.wake()
 
     async def _end(self, call: _DeviceCall, error: Exception) -> None:
-        """A device that would wait without end begins anew instead; one that has other topics now has begun anew."""
+        """End the link of a device that would wait without end. A device with other topics has restarted already."""
         if not call.is_over and call.link.session.has(call.endpoint):
             reason = printable(str(error), MAX_REASON) or "no room for the answer"
             log.error("service.unanswerable", service=printable(call.endpoint.name), reason=reason)
@@ -213,9 +213,9 @@ class DeviceCalls:
 def encode_response(
     type_: MessageType | None, outcome: _Outcome, response: TopicInfo
 ) -> tuple[bytes | None, HostlinkError | None]:
-    """As much of an answer as fits the device's buffer, and what is wrong with an answer that does not.
+    """Encode as much of an answer as fits the device's buffer; also return the problem of an answer that does not fit.
 
-    None for a payload: only zeros are possible, for nobody here knows the layout.
+    A payload of None means zeros: the layout is unknown here.
 
     Raises:
         FrameTooLarge: the device's buffer is smaller than the shortest response.
@@ -240,7 +240,7 @@ def encode_response(
 
 
 def _encode_failure(type_: MessageType, reason: HostlinkError, response: TopicInfo) -> bytes:
-    """Defaults, and the reason as far as there is room for it."""
+    """Encode default values, and as much of the reason as there is room for."""
     has_message = any(field.name == "message" and field.type_text == "string" for field in type_.fields)
     payload = encode_within(type_, {"message": str(reason)} if has_message else {}, response_bytes(response))
     if payload is None:

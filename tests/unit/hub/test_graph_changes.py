@@ -1,4 +1,4 @@
-"""Who is called after a change, when, and what has changed."""
+"""GraphChanges: which watchers are called after a change, when, and with which changes."""
 
 import asyncio
 
@@ -53,10 +53,10 @@ def test_watchers_that_cost_much_are_called_less_often_and_leave_most_of_the_loo
 
     assert run_virtual(run(0.04)) <= SHARE * 1.1
     assert run_virtual(run(0.001)) > 0.01  # each 50 ms
-    assert run_virtual(run(1.0)) > 1 / (1 + LATEST_S) - 0.1  # nobody waits without end for news
+    assert run_virtual(run(1.0)) > 1 / (1 + LATEST_S) - 0.1  # no watcher waits without end
 
 
-def test_what_changed_is_kept_by_name_newest_first_as_far_as_there_is_room() -> None:
+def test_changes_are_kept_by_name_newest_first_up_to_a_bound() -> None:
     changes = GraphChanges()
     before = changes.version
     changes.note(GraphKind.TOPIC, "/a")
