@@ -137,7 +137,7 @@ class Turns:
 
 
 class ReadSource(Protocol):
-    """Received bytes of a connection: a Transport, or a Connection of ROS 1."""
+    """Received bytes of a connection: a Transport, or a BufferedConnection of ROS 1."""
 
     @property
     def unread_bytes(self) -> int: ...

@@ -169,8 +169,8 @@ class Link:
     """Owner of one connection's transport and session."""
 
     __slots__ = (
-        "_config", "_context", "_end", "_failure", "_finished", "_from_device", "_idle_limit_s",
-        "_is_behind", "_is_drained", "_is_write_due", "_now_s", "_on_event", "_pauses", "_piece", "_reader",
+        "_config", "_context", "_drained", "_end", "_failure", "_finished", "_from_device", "_idle_limit_s",
+        "_is_behind", "_is_write_due", "_now_s", "_on_event", "_pauses", "_piece", "_reader",
         "_regular_limit_s", "_timer", "_timer_s", "_to_device", "_transport", "_trouble", "_turns", "_wall_ns",
         "address", "command_latency", "kind", "last_frame", "number", "opened_at_s", "peer", "received_at_s",
         "session",
@@ -208,7 +208,7 @@ class Link:
         self._turns = Turns(FairShare() if share is None else share)
         self._reader = self._turns.reader(transport, self._read_guarded, self._read_end)
         self._piece = PieceSize()
-        self._is_drained = asyncio.Event()
+        self._drained: asyncio.Event | None = None  # while a caller waits until every queued frame was sent
         # Nothing may be written: not open yet, the device is behind, or the link has ended.
         self._is_behind = asyncio.Event()
         self._is_behind.set()
@@ -265,7 +265,7 @@ class Link:
     def _close(self) -> None:
         """Stop reading and writing."""
         self._is_behind.set()
-        self._is_drained.set()
+        self._note_drained()
         self._reader.stop()
         if not self._finished.done():
             self._finished.cancel()
@@ -289,7 +289,6 @@ class Link:
         """Write newly queued frames in the next turn of the loop."""
         if self._finished.done():
             return
-        self._is_drained.clear()
         loop = asyncio.get_running_loop()
         self.session.outbox.begin_waiting(loop.time())  # also while the device is behind
         if not self._is_write_due:
@@ -297,8 +296,18 @@ class Link:
             loop.call_soon(self._write_due, context=self._context)
 
     async def drained(self) -> None:
-        """Wait until every queued frame was sent."""
-        await self._is_drained.wait()
+        """Wait until every queued frame was sent, or the link ends."""
+        if self._finished.done():
+            return
+        if self._drained is None:
+            self._drained = asyncio.Event()
+            self.wake()  # the next write notes it
+        await self._drained.wait()
+
+    def _note_drained(self) -> None:
+        if self._drained is not None:
+            self._drained.set()
+            self._drained = None
 
     def descriptor(self) -> int | None:
         """File descriptor of the connection; None when it has none or is closed."""
@@ -486,8 +495,8 @@ class Link:
         if not self._is_behind.is_set():
             wait_s = self.session.outbox.wait_s(now_s)
             next_s = min(next_s, self.session.deadline_s())
-            if wait_s is None:
-                self._is_drained.set()
+            if wait_s is None and self._drained is not None:
+                self._note_drained()
         if next_s <= now_s + SOON_S:  # due work was postponed: waiting bytes are read first
             next_s = now_s + AGAIN_S
         if wait_s is not None:

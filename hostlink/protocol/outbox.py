@@ -183,14 +183,24 @@ class Outbox:
 
         None: no frame is queued that may be sent while the robot moves.
         """
-        if not self.is_stopped and (self.is_time_due or self._is_request_due):
-            return self._uart_wait_s(TIME_BYTES, now_s)
-        head = self._head()
-        if head is not None:
-            queues, key = head
-            is_urgent = queues is self._urgent
-            return self._uart_wait_s(len(queues[key][0].frame), now_s, spare_bytes=0 if is_urgent else CONTROL_BYTES)
-        return self._uart_wait_s(len(STOP_REQUEST), now_s) if self._is_stop_due else None
+        size_bytes, spare_bytes = TIME_BYTES, 0
+        if self.is_stopped or not (self.is_time_due or self._is_request_due):
+            head = self._head()
+            if head is not None:
+                queues, key = head
+                size_bytes = len(queues[key][0].frame)
+                spare_bytes = 0 if queues is self._urgent else CONTROL_BYTES
+            elif self._is_stop_due:
+                size_bytes = len(STOP_REQUEST)
+            else:
+                return None
+        if self._uart_bytes_s is None:
+            return 0.0
+        left_bytes = (self._busy_until_s - now_s) * self._uart_bytes_s  # with the frame they must fit into one LOOP_S
+        allowed_bytes = max(self._loop_bytes - spare_bytes - size_bytes, 0.0)
+        if left_bytes < allowed_bytes + 1:  # a difference below one byte may be rounding, which no clock can wait for
+            return 0.0
+        return (left_bytes - allowed_bytes) / self._uart_bytes_s
 
     def oldest_s(self, now_s: float) -> float:
         """Age of the oldest queued frame in seconds; 0 when the queues are empty."""
@@ -224,13 +234,3 @@ class Outbox:
 
     def _is_delayed(self, waiting: _QueuedFrame) -> bool:
         return self.robot_moves and not waiting.is_awaited and len(waiting.frame) > self.prompt_bytes
-
-    def _uart_wait_s(self, size_bytes: int, now_s: float, *, spare_bytes: int = 0) -> float:
-        """Seconds until a frame may be sent: backlog, frame and spare bytes must fit into one LOOP_S."""
-        if self._uart_bytes_s is None:
-            return 0.0
-        left_bytes = (self._busy_until_s - now_s) * self._uart_bytes_s
-        allowed_bytes = max(self._loop_bytes - spare_bytes - size_bytes, 0.0)
-        if left_bytes < allowed_bytes + 1:  # a difference below one byte may be rounding, which no clock can wait for
-            return 0.0
-        return (left_bytes - allowed_bytes) / self._uart_bytes_s

@@ -8,7 +8,7 @@ from typing import Generic, Protocol, TypeVar
 
 from hostlink.compiled import mypyc_attr
 from hostlink.errors import CommandRefused, ConfigError
-from hostlink.robot.admission import Admission, Command, Driver
+from hostlink.robot.admission import Admission, Command, Lease
 from hostlink.robot.velocity import AnyVelocity, PlanarVelocity
 
 ZEROS = 3  # a single stop can be lost on a radio
@@ -158,7 +158,7 @@ class VelocityGate(Generic[V]):
         self.zero = self.current = zero
         self.is_new_device = False  # it has not been given its first zero
         self.counts = GateCounts()
-        self.driver: Driver | None = None  # the source that drives, and the end of its lease
+        self.driver: Lease | None = None  # the source that drives, and the end of its lease
         self.target = self.zero  # the newest command within the limits
         self._zeros = 0
         self._zero_at_s = self._stepped_at_s = float("-inf")

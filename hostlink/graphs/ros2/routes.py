@@ -37,7 +37,7 @@ from hostlink.graphs.ros2.plan import (
 )
 from hostlink.graphs.ros2.velocity import VelocityDriver
 from hostlink.graphs.ros2_names import ros1_type, ros2_type
-from hostlink.mirror.inbox import Inbox
+from hostlink.mirror.inbox import ThreadInbox
 from hostlink.robot.velocity import Twist
 
 
@@ -162,7 +162,7 @@ class Routes:
 
     async def _receive(self, route: Reception) -> None:
         cls = await self._types.message(self._host, route.type_name, route.ros2_type)
-        inbox: Inbox[bytes] = Inbox(max_waiting=INBOX_DEPTH)
+        inbox: ThreadInbox[bytes] = ThreadInbox(max_waiting=INBOX_DEPTH)
         echoes = self._echoes[route.topic]
         async with (
             self._host.advertise(route.topic, route.type_name, is_latched=route.qos.is_latched),
@@ -182,7 +182,7 @@ class Routes:
 
     async def _drive(self, route: VelocityInput) -> None:
         cls, is_stamped = load_type(route.ros2_type), route.ros2_type == TWIST_STAMPED
-        inbox: Inbox[tuple[Any, Mapping[str, Any]]] = Inbox(max_waiting=COMMAND_INBOX_DEPTH)
+        inbox: ThreadInbox[tuple[Any, Mapping[str, Any]]] = ThreadInbox(max_waiting=COMMAND_INBOX_DEPTH)
 
         def receive(message: Any, info: Mapping[str, Any]) -> None:
             inbox.put("", (message, info))

@@ -292,7 +292,7 @@ def test_published_twist_that_is_not_planar_is_refused_for_a_robot() -> None:
     in_hub(test)
 
 
-def test_published_zero_beside_a_driver_is_no_error() -> None:
+def test_published_zero_while_another_source_drives_is_ignored() -> None:
     async def test(made: MemoryHub) -> None:
         await made.connect()
         drive_gate(made.robot(), SLOW, owner="ann")
@@ -322,7 +322,7 @@ def test_stamped_twist_older_than_the_robot_allows_is_refused() -> None:
         with pytest.raises(CommandRefused) as refused:
             participant.publish("/robot_0/cmd_vel_stamped", stamped(1000))
         assert refused.value.kind is RefusalKind.LATE
-        participant.publish("/robot_0/cmd_vel_stamped", stamped(0))  # a stamp of zero is none
+        participant.publish("/robot_0/cmd_vel_stamped", stamped(0))  # a stamp of zero is ignored
         assert made.robot().gate.owner == participant
 
     in_hub(test, Config(robots={"robot_0": RobotConfig(cmd_vel_max_age_s=1.0)}))
