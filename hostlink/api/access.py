@@ -17,7 +17,7 @@ from urllib.parse import SplitResult, urlsplit
 import structlog
 from aiohttp import web
 
-from hostlink.api.connections import KEPT_FOR_REQUESTS
+from hostlink.api.listener import KEPT_FOR_REQUESTS
 from hostlink.config import ApiConfig, TokenConfig
 from hostlink.errors import ConfigError
 from hostlink.hub.node import Role

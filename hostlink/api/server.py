@@ -19,12 +19,10 @@ from hostlink.acceptor import bind, why
 from hostlink.api.access import GRANT, Access, Grant, Grants, check_role, tls_context, token_of
 from hostlink.api.captures import Captures
 from hostlink.api.clients import Client, ClientQueue, Clients
-from hostlink.api.connections import KEPT_FOR_REQUESTS, Connections
 from hostlink.api.events import Events
-from hostlink.api.foxglove import FoxgloveClient
-from hostlink.api.foxglove_directory import FoxgloveDirectory
+from hostlink.api.foxglove import FoxgloveClient, FoxgloveDirectory
 from hostlink.api.history import HistoryRoutes, IncidentRoutes
-from hostlink.api.listener import ApiListener, MakeProtocol
+from hostlink.api.listener import KEPT_FOR_REQUESTS, ApiConnections, ApiListener, MakeProtocol, reading_of
 from hostlink.api.metrics import Metrics
 from hostlink.api.rate_limit import RateLimit
 from hostlink.api.recordings import RecordingRoutes
@@ -110,7 +108,7 @@ class ApiServer:
         self._config = config
         self._access = Access(config)
         self._limit = RateLimit(config.max_requests_s)
-        connections = Connections(
+        connections = ApiConnections(
             config.max_connections,
             config.max_connections_per_address,
             request_timeout_s=config.request_timeout_s,
@@ -180,14 +178,18 @@ class ApiServer:
     @web.middleware
     async def _admit(self, request: web.Request, handler: Handler) -> web.StreamResponse:
         """Check a request before any other code reads it."""
-        reading = self.listener.reading(request)
-        with self.listener.answering(request.transport):
-            request[CAME] = asyncio.get_running_loop().time() if reading is None else reading.request_came_s
-            try:
-                return await self._answer(request, handler)
-            finally:
-                if reading is not None and not request.content.is_eof() and not _has_small_body(request):
-                    reading.refuse_body()
+        reading = reading_of(request)
+        if reading is None:
+            request[CAME] = asyncio.get_running_loop().time()
+            return await self._answer(request, handler)
+        reading.begin_request()
+        request[CAME] = reading.request_came_s
+        try:
+            return await self._answer(request, handler)
+        finally:
+            if not request.content.is_eof() and not _has_small_body(request):
+                reading.refuse_body()
+            reading.end_request()
 
     async def _answer(self, request: web.Request, handler: Handler) -> web.StreamResponse:
         origin = request.headers.get("Origin")
@@ -246,7 +248,8 @@ class ApiServer:
             raise web.HTTPServiceUnavailable(reason="too many bodies at once", headers={"Retry-After": "1"})
         timeout_s, body = self._config.request_timeout_s, bytearray()
         try:
-            with self.listener.receiving(request.transport):
+            reading = reading_of(request)
+            with contextlib.nullcontext() if reading is None else reading.receiving_body():
                 async with asyncio.timeout(timeout_s):
                     while piece := await content.readany():
                         body += piece
@@ -279,7 +282,7 @@ class ApiServer:
         with bound_contextvars(client=client.name, peer=request.remote):
             try:
                 await socket.prepare(request)
-                reading, transport = self.listener.reading(request), request.transport
+                reading, transport = reading_of(request), request.transport
                 if reading is None or transport is None:
                     raise ConnectionResetError("the connection was closed during the handshake")
                 _bound_buffers(transport)
