@@ -224,7 +224,8 @@ class Grants:
     @contextlib.contextmanager
     def using(self, grant: Grant) -> Iterator[None]:
         """Register the current task under the grant within the block."""
-        task = _present_task()
+        task = asyncio.current_task()
+        assert task is not None  # noqa: S101 - called in a coroutine
         self._tasks[task] = grant
         try:
             yield
@@ -237,9 +238,3 @@ class Grants:
         for task, grant in self._tasks.items():
             if grant.who in revoked and task is not present:
                 task.cancel()
-
-
-def _present_task() -> Answering:
-    task = asyncio.current_task()
-    assert task is not None  # noqa: S101 - called in a coroutine
-    return task

@@ -75,19 +75,16 @@ class OperationQueue(Generic[Content]):
         self.is_flooding = False  # more than MANY wait: executed after other clients' turns until none waits
         self.has_room = True  # otherwise the rest waits in the socket
         self._came_s: float | None = None  # of the newest message; None: none yet
-        self._messages_s, self._credit = messages_s, messages_s  # a token bucket; messages over its rate are counted
+        self._messages_s, self._credit = messages_s, messages_s  # a token bucket
         self._credit_at_s = float("-inf")
-
-    @property
-    def debt_s(self) -> float:
-        """Time for which the client must be silent to be within its message rate again."""
-        return -self._credit / self._messages_s if self._credit < 0 else 0.0
+        self.debt_s = 0.0  # time for which the client must be silent to be within its message rate again
 
     def put(self, data: str | bytes, came_s: float, now_s: float, *, is_behind: bool = False) -> None:
         """Add a message. One that was available without waiting, `is_behind`, may be as old as the one before it."""
         credit = self._credit + (now_s - self._credit_at_s) * self._messages_s
         self._credit = (credit if credit < self._messages_s else self._messages_s) - 1
         self._credit_at_s = now_s
+        self.debt_s = -self._credit / self._messages_s if self._credit < 0 else 0.0
         if self._came_s is None or not is_behind:
             self._came_s = came_s
         self._messages.append((data, self._came_s))

@@ -417,15 +417,12 @@ class _ClientSubscription:
         self.form = max((each.form for each in options), key=_FORMS.index)
         return min(each.interval_s for each in options), min(each.queue_length for each in options)
 
-    def encoded(self, message: Message) -> bytes:
-        """Return the encoded `publish`, made once for all clients with the same encoding and name.
+    def encode(self, message: Message) -> bytes:
+        """Encode a `publish` operation.
 
         Raises:
             BadPayload: the bytes do not fit the type, or the type is unknown.
         """
-        return message.made((self.form, self.name), self._encode)
-
-    def _encode(self, message: Message) -> bytes:
         encode = _BINARY.get(self.form)
         return self._prefix + message.made("json", encode_json) + b"}" if encode is None else encode(self.name, message)
 
@@ -484,7 +481,7 @@ class ClientSubscriptions:
         interval_s, queue_length = mine.merge()
         mine.subscription = self._participant.subscribe(
             mine.name,
-            lambda message: self._put(mine, message),
+            functools.partial(self._put, mine),
             type_name=type_name,
             interval_s=interval_s,
             queue_length=queue_length,
@@ -499,8 +496,9 @@ class ClientSubscriptions:
             self._queue.wake()
 
     def _put(self, mine: _ClientSubscription, message: Message) -> None:
+        """Queue a message. It is encoded once for all clients with the same encoding and name."""
         try:
-            outgoing = Outgoing(mine.encoded(message), mine.form in _BINARY)
+            outgoing = Outgoing(message.made((mine.form, mine.name), mine.encode), mine.form in _BINARY)
         except BadPayload as error:
             self._warn(str(error))
         else:

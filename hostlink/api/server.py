@@ -5,7 +5,7 @@ import contextlib
 import errno
 import mimetypes
 import socket as sockets
-from collections.abc import AsyncIterator, Callable, Iterator
+from collections.abc import AsyncIterator, Callable
 from http import HTTPStatus
 from importlib.resources import files
 from typing import TypedDict
@@ -197,7 +197,8 @@ class ApiServer:
         if request.method == "OPTIONS" and origin is not None:  # preflight of a browser for a page of another origin
             answer: web.StreamResponse = web.Response(status=HTTPStatus.NO_CONTENT)
         else:
-            with self._granted(request):
+            grant = self._check(request)  # may be revoked within the block
+            with contextlib.nullcontext() if grant is None else self._grants.using(grant):
                 await self._turns.wait(REQUEST_S)
                 await self._receive_body(request)
                 answer = await handler(request)
@@ -209,14 +210,8 @@ class ApiServer:
             answer.headers["Vary"] = "Origin"
         return answer
 
-    @contextlib.contextmanager
-    def _granted(self, request: web.Request) -> Iterator[None]:
-        """Check a request. Its grant may be revoked within the block."""
-        grant = self._check(request)
-        with contextlib.nullcontext() if grant is None else self._grants.using(grant):
-            yield
-
     def _check(self, request: web.Request) -> Grant | None:
+        """Check the rate and the token of a request. Return None if its route needs no token."""
         route = self._by_handler.get(request.match_info.handler)
         is_limited = route is None or route.is_limited
         if is_limited and not self._limit.allows(request.remote, asyncio.get_running_loop().time()):

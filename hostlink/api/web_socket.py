@@ -150,7 +150,7 @@ class ClientSocket:
         if self._is_ended:
             return
         operations, queue, turns = self._operations, self._queue, self._turns
-        was_send_due, self._is_send_due = self._is_send_due, True  # the answers are sent together, at the end
+        self._is_send_due = True  # the answers are sent together, at the end
         try:
             while operations.waiting and not self._is_work_due:
                 if is_admitted or turns.share.is_free(is_flooding=operations.is_flooding):
@@ -172,7 +172,6 @@ class ClientSocket:
                     turns.call(work, is_flooding=operations.is_flooding)
         except Exception as error:  # noqa: BLE001 - raised in the client's task group
             self._fail(error)
-        self._is_send_due = was_send_due
         self._send()
 
     async def _work_with_room(self) -> None:
@@ -185,14 +184,11 @@ class ClientSocket:
         """Schedule one write for all messages of this turn of the loop."""
         if not self._is_send_due and not self._is_ended:
             self._is_send_due = True
-            self._loop.call_soon(self._send_due, context=self._context)
-
-    def _send_due(self) -> None:
-        self._is_send_due = False
-        self._send()
+            self._loop.call_soon(self._send, context=self._context)
 
     def _send(self) -> None:
         """Write what is queued, up to a bound, and schedule the rest."""
+        self._is_send_due = False
         if self._is_ended or not self._is_ready or self._reading.is_writing_paused:
             return
         queue = self._queue
