@@ -330,7 +330,7 @@ class ApiListener:
     """Accepts connections, and aborts those that wait too long or are too many."""
 
     def __init__(self, connections: ApiConnections, hub: Hub) -> None:
-        self._connections, self._hub = connections, hub
+        self.connections, self._hub = connections, hub
         self._sweeper: asyncio.TimerHandle
         self._log_at_s = float("-inf")
         self._logged: Counter[str] = Counter()
@@ -342,7 +342,7 @@ class ApiListener:
         """Accept connections within the block. Connections that are open at its end belong to their protocols."""
 
         def accepted(sock: socket.socket, address: str, since_s: float) -> None:
-            new, leaving = self._connections.enter(address, _now_s())
+            new, leaving = self.connections.enter(address, _now_s())
             if leaving is not None:
                 leaving.abort()
             if new is None:
@@ -360,7 +360,7 @@ class ApiListener:
         finally:
             self._sweeper.cancel()
             acceptor.close()
-            for connection in self._connections.all():
+            for connection in self.connections.all():
                 if connection.accepted is not None:
                     connection.abort()
 
@@ -374,10 +374,10 @@ class ApiListener:
     ) -> None:
         """Hand the socket to its protocol, after the TLS handshake if there is one. No command arrives before that."""
         behind_since_s = since_s if tls is None else None
-        timeout_s = None if tls is None else self._connections.request_timeout_s
+        timeout_s = None if tls is None else self.connections.request_timeout_s
         try:
             await asyncio.get_running_loop().connect_accepted_socket(
-                lambda: PacedReading(make_protocol(), self._hub, self._connections, connection, behind_since_s),
+                lambda: PacedReading(make_protocol(), self._hub, self.connections, connection, behind_since_s),
                 sock,
                 ssl=tls,
                 ssl_handshake_timeout=timeout_s,
@@ -387,16 +387,16 @@ class ApiListener:
         finally:
             connection.accepted = None
             if connection.transport is None:
-                self._connections.leave(connection)
+                self.connections.leave(connection)
                 sock.close()
 
     def _sweep(self) -> None:
         self._sweeper = asyncio.get_running_loop().call_later(SWEEP_INTERVAL_S, self._sweep)
-        for connection in self._connections.overdue(_now_s()):
+        for connection in self.connections.overdue(_now_s()):
             connection.abort()
 
     def _note_exhausted(self) -> None:
-        self._connections.closed["no_descriptors"] += 1
+        self.connections.closed["no_descriptors"] += 1
         self._log_crowd("")
 
     def _log_crowd(self, address: str) -> None:
@@ -404,9 +404,9 @@ class ApiListener:
         now_s = _now_s()
         if now_s >= self._log_at_s:
             self._log_at_s = now_s + LOG_INTERVAL_S
-            news = self._connections.closed - self._logged
-            self._logged = self._connections.closed.copy()
-            log.warning("client.crowded", peer=address, connections=len(self._connections), **news)
+            news = self.connections.closed - self._logged
+            self._logged = self.connections.closed.copy()
+            log.warning("client.crowded", peer=address, connections=len(self.connections), **news)
 
 
 def reading_of(request: web.Request) -> PacedReading | None:

@@ -345,6 +345,11 @@ def _is_websocket(request: web.Request) -> bool:
     return request.headers.get("Upgrade", "").lower() == "websocket"
 
 
+def url_of(host: str, port: int, *, has_tls: bool) -> str:
+    """Return the URL of an address."""
+    return f"{'https' if has_tls else 'http'}://{f'[{host}]' if ':' in host else host}:{port}"
+
+
 @contextlib.asynccontextmanager
 async def serve_api(config: ApiConfig, hub: Hub, recordings: Recordings, reloader: Reloader) -> AsyncIterator[str]:
     """Serve within the block. Yields the address as a URL.
@@ -367,13 +372,14 @@ async def serve_api(config: ApiConfig, hub: Hub, recordings: Recordings, reloade
     try:
         listening = await _bind(config)
         host, port = listening[0].getsockname()[:2]
-        async with server.listener.serving(listening, _protocols(runner), tls):
-            yield f"{'http' if tls is None else 'https'}://{f'[{host}]' if ':' in host else host}:{port}"
+        async with server.listener.serving(listening, protocols_of(runner), tls):
+            yield url_of(host, port, has_tls=tls is not None)
     finally:
         await runner.cleanup()
 
 
-def _protocols(runner: web.AppRunner) -> MakeProtocol:
+def protocols_of(runner: web.AppRunner) -> MakeProtocol:
+    """Return the factory of HTTP protocols, which refuse unreadable heads."""
     assert runner.server is not None  # noqa: S101 - set by setup()
     runner.server.request_handler = refuse_unreadable(runner.server.request_handler)
     return runner.server
