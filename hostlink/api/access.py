@@ -17,7 +17,7 @@ from urllib.parse import SplitResult, urlsplit
 import structlog
 from aiohttp import web
 
-from hostlink.api.connections import KEPT_FOR_REQUESTS
+from hostlink.api.listener import KEPT_FOR_REQUESTS
 from hostlink.config import ApiConfig, TokenConfig
 from hostlink.errors import ConfigError
 from hostlink.hub.node import Role
@@ -224,7 +224,8 @@ class Grants:
     @contextlib.contextmanager
     def using(self, grant: Grant) -> Iterator[None]:
         """Register the current task under the grant within the block."""
-        task = _present_task()
+        task = asyncio.current_task()
+        assert task is not None  # noqa: S101 - called in a coroutine
         self._tasks[task] = grant
         try:
             yield
@@ -237,9 +238,3 @@ class Grants:
         for task, grant in self._tasks.items():
             if grant.who in revoked and task is not present:
                 task.cancel()
-
-
-def _present_task() -> Answering:
-    task = asyncio.current_task()
-    assert task is not None  # noqa: S101 - called in a coroutine
-    return task

@@ -23,7 +23,7 @@ from aiohttp import web
 from hostlink.api.access import GRANT
 from hostlink.api.clients import Backlog, Client, Clients
 from hostlink.api.recordings import recording_view
-from hostlink.api.rosbridge_subscriptions import encode_json
+from hostlink.api.rosbridge import encode_json
 from hostlink.api.routes import Route
 from hostlink.api.views import RobotView, Slices, links_view, odometry_view, robot_view
 from hostlink.errors import BadPayload

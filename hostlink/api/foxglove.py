@@ -5,19 +5,23 @@ https://github.com/foxglove/ws-protocol/blob/main/docs/spec.md
 
 import asyncio
 import contextlib
+import itertools
 import math
+import os
 import time
-from collections.abc import Callable, Coroutine, Iterable, Mapping, Sequence
+from collections import defaultdict
+from collections.abc import Callable, Coroutine, Hashable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, NamedTuple, TypeVar, assert_never
 
 import msgspec
 import structlog
 
-from hostlink.api.clients import ClientQueue, Outgoing, put_json
-from hostlink.api.foxglove_directory import Channel, ConnectionGraph, FoxgloveDirectory, Names, Offers, Service
+from hostlink.api.clients import ClientQueue, Operation, Outgoing, put_json, velocity_of_payload
 from hostlink.api.foxglove_protocol import (
     MAX_ITEMS,
     ROS1,
+    ROS1_SCHEMA,
     Advertise,
     ClientChannel,
     GetParameters,
@@ -40,12 +44,13 @@ from hostlink.api.foxglove_protocol import (
     encode_response,
     encode_time,
 )
-from hostlink.api.inbox import Operation, velocity_of_payload
-from hostlink.api.parameters import Parameters
 from hostlink.api.rate_limit import REFUSED_VELOCITIES_S, RateLimit
+from hostlink.api.rosapi import Parameters
+from hostlink.api.views import node_name, receivers
 from hostlink.config import ParameterValue
 from hostlink.errors import BadPayload, BadRequest, HostlinkError
 from hostlink.hub.byte_budget import Share
+from hostlink.hub.graph_view import Graph
 from hostlink.hub.hub import Hub
 from hostlink.hub.message import Message
 from hostlink.hub.node import Role
@@ -53,7 +58,151 @@ from hostlink.hub.participant import MAX_ADVERTISED, MAX_CALLS, Participant
 from hostlink.hub.subscription import Subscription
 from hostlink.hub.topic_graph import TopicGraph, resolve
 from hostlink.messages.catalog import CLOCK, CLOCK_TYPE, decode_clock
-from hostlink.messages.message_type import MessageType
+from hostlink.messages.message_type import MessageType, ServiceType
+
+Names = Mapping[str, tuple[str, ...]]
+_Entry = TypeVar("_Entry")
+
+
+class FoxgloveChannel(NamedTuple):
+    """A topic as it is advertised."""
+
+    id: int
+    topic: str
+    type: MessageType
+    json: msgspec.Raw
+
+
+class FoxgloveService(NamedTuple):
+    """A service as it is advertised."""
+
+    id: int
+    name: str
+    type: ServiceType
+    json: msgspec.Raw
+
+
+@dataclass(frozen=True, slots=True)
+class Offers:
+    """All channels and services by id. An id is never reused."""
+
+    channels: Mapping[int, FoxgloveChannel]
+    services: Mapping[int, FoxgloveService]
+    undefined: tuple[tuple[str, str], ...]  # topics that no client can decode, and their types
+
+
+@dataclass(frozen=True, slots=True)
+class ConnectionGraph:
+    """Nodes of the graph by what they publish, subscribe to and provide."""
+
+    publishers: Names
+    subscribers: Names
+    providers: Names
+
+
+class FoxgloveDirectory:
+    """Channels, services and nodes of the graph, for all clients."""
+
+    def __init__(self, hub: Hub) -> None:
+        self.session_id = os.urandom(8).hex()  # tells a client that reconnects whether the daemon was restarted
+        self._hub = hub
+        self._participant = hub.join_daemon()
+        self._numbers = itertools.count(1)
+        self._channels: dict[Hashable, FoxgloveChannel] = {}
+        self._services: dict[Hashable, FoxgloveService] = {}
+        self._offers: Offers | None = None
+        self._nodes: ConnectionGraph | None = None
+        self._participant.watch_graph(self._forget)
+
+    def offers(self) -> Offers:
+        """Return the present channels and services: the same object until they may have changed."""
+        if self._offers is None:
+            self._offers = self._make_offers(self._participant.graph())
+        return self._offers
+
+    def connection_graph(self) -> ConnectionGraph:
+        """Return the present nodes."""
+        if self._nodes is None:
+            self._nodes = self._make_nodes()
+        return self._nodes
+
+    def _forget(self) -> None:
+        self._offers = self._nodes = None
+
+    def _make_offers(self, graph: Graph) -> Offers:
+        topics = [topic for topic in graph.topics if topic.type_name and (topic.is_published or topic.is_velocity)]
+        channels: dict[Hashable, tuple[str, MessageType]] = {
+            (topic.name, topic.type.md5): (topic.name, topic.type) for topic in topics if topic.type is not None
+        }
+        typed = ((each.name, self._hub.services.type_of(each.name)) for each in graph.services)
+        services: dict[Hashable, tuple[str, ServiceType]] = {
+            (name, type_.name, type_.md5): (name, type_) for name, type_ in typed if type_ is not None
+        }
+        self._channels = _renewed(self._channels, channels, lambda offer: _channel(next(self._numbers), *offer))
+        self._services = _renewed(self._services, services, lambda offer: _service(next(self._numbers), *offer))
+        return Offers(
+            {channel.id: channel for channel in self._channels.values()},
+            {service.id: service for service in self._services.values()},
+            tuple((topic.name, topic.type_name) for topic in topics if topic.type is None),
+        )
+
+    def _make_nodes(self) -> ConnectionGraph:
+        topics, services = self._hub.topics.all(), self._hub.services
+        providers: defaultdict[str, set[str]] = defaultdict(set)
+        for name, _ in services.all():
+            providers[name].add(self._node(services.find(name).key))
+        return ConnectionGraph(
+            _sorted({topic.name: set(map(self._node, topic.publishers)) for topic in topics}),
+            _sorted({topic.name: set(map(self._node, receivers(topic))) for topic in topics}),
+            _sorted(providers),
+        )
+
+    def _node(self, key: Hashable) -> str:
+        return node_name(self._hub, key)
+
+
+_Offer = TypeVar("_Offer")
+
+
+def _renewed(
+    before: Mapping[Hashable, _Entry], offers: Mapping[Hashable, _Offer], make: Callable[[_Offer], _Entry]
+) -> dict[Hashable, _Entry]:
+    """Return an entry for each offer, reusing the entry and id of one that existed before."""
+    return {key: before[key] if key in before else make(offer) for key, offer in offers.items()}
+
+
+def _channel(number: int, topic: str, type_: MessageType) -> FoxgloveChannel:
+    advertised = {
+        "id": number,
+        "topic": topic,
+        "encoding": ROS1,
+        "schemaName": type_.name,
+        "schema": type_.full_definition,
+        "schemaEncoding": ROS1_SCHEMA,
+    }
+    return FoxgloveChannel(number, topic, type_, msgspec.Raw(msgspec.json.encode(advertised)))
+
+
+def _service(number: int, name: str, type_: ServiceType) -> FoxgloveService:
+    advertised = {
+        "id": number,
+        "name": name,
+        "type": type_.name,
+        "request": _schema(f"{type_.name}_Request", type_.request),
+        "response": _schema(f"{type_.name}_Response", type_.response),
+        "requestSchema": type_.request.full_definition,  # for older clients
+        "responseSchema": type_.response.full_definition,
+    }
+    return FoxgloveService(number, name, type_, msgspec.Raw(msgspec.json.encode(advertised)))
+
+
+def _schema(name: str, type_: MessageType) -> dict[str, str]:
+    return {"encoding": ROS1, "schemaName": name, "schemaEncoding": ROS1_SCHEMA, "schema": type_.full_definition}
+
+
+def _sorted(nodes: Mapping[str, set[str]]) -> dict[str, tuple[str, ...]]:
+    return {name: tuple(sorted(found)) for name, found in nodes.items() if found}
+
 
 NO_GRAPH = ConnectionGraph({}, {}, {})
 
@@ -220,10 +369,10 @@ class FoxgloveSubscriptions:
 
     def __init__(self, participant: Participant, queue: ClientQueue, time: FoxgloveTime) -> None:
         self._participant, self._queue, self._time = participant, queue, time
-        self._subscriptions: dict[int, tuple[Channel, Subscription]] = {}
+        self._subscriptions: dict[int, tuple[FoxgloveChannel, Subscription]] = {}
         self._of_channel: dict[int, int] = {}  # subscription id by channel id
 
-    def subscribe(self, wanted: WantedChannel, channel: Channel | None) -> None:
+    def subscribe(self, wanted: WantedChannel, channel: FoxgloveChannel | None) -> None:
         """Send the messages of a channel from now on, the latched one first.
 
         Raises:
@@ -274,7 +423,7 @@ class FoxgloveServices:
         self._share = share
         self._participant, self._queue, self._spawn = participant, queue, spawn
 
-    def call(self, call: ServiceCall, service: Service | None) -> None:
+    def call(self, call: ServiceCall, service: FoxgloveService | None) -> None:
         """Call a service and send its response."""
         if self.calls >= MAX_CALLS:
             self._fail(call, f"more than {MAX_CALLS} calls are pending")
@@ -286,7 +435,7 @@ class FoxgloveServices:
             self.calls += 1
             self._spawn(self._finish(call, service))
 
-    async def _finish(self, call: ServiceCall, service: Service) -> None:
+    async def _finish(self, call: ServiceCall, service: FoxgloveService) -> None:
         try:
             with self._share.holding(len(call.payload), "pending calls"):
                 response = await self._participant.call(service.name, _decode(call, service))
@@ -302,7 +451,7 @@ class FoxgloveServices:
         put_json(self._queue, failure | {"message": reason})
 
 
-def _decode(call: ServiceCall, service: Service) -> dict[str, object]:
+def _decode(call: ServiceCall, service: FoxgloveService) -> dict[str, object]:
     """Decode the fields of a request.
 
     Raises:
@@ -510,9 +659,9 @@ class FoxgloveClient:
         return min((at_s for at_s in due_s if at_s is not None), default=None)
 
     @property
-    def is_crowded(self) -> bool:
-        """Whether more than half of the allowed service calls are pending."""
-        return self._services.calls > MAX_CALLS // 2
+    def calls(self) -> int:
+        """Number of pending service calls."""
+        return self._services.calls
 
     def close(self) -> None:
         """End the participant and release everything that it has."""
@@ -639,7 +788,7 @@ class FoxgloveClient:
             text = f"{topic}: {type_name} has no definition; put its .msg into a folder named in message_folders"
             self._put_status(_WARNING, text, topic)
 
-    def _advertise(self, op: str, key: str, offers: Sequence[Channel | Service]) -> None:
+    def _advertise(self, op: str, key: str, offers: Sequence[FoxgloveChannel | FoxgloveService]) -> None:
         for start in range(0, len(offers), BATCH):
             put_json(self._queue, {"op": op, key: [offer.json for offer in offers[start : start + BATCH]]})
 

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Final, NamedTuple
 
 import msgspec
 
-from hostlink.api.rosbridge_request import MAX_TEXT
+from hostlink.api.rosbridge import MAX_TEXT
 from hostlink.errors import BadRequest
 
 ROS1: Final = "ros1"  # encoding of messages, requests and responses; rosserial serialises alike

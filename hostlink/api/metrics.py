@@ -19,7 +19,7 @@ from prometheus_client.registry import Collector
 
 from hostlink import logs
 from hostlink.api.clients import Clients
-from hostlink.api.connections import Connections
+from hostlink.api.listener import ApiConnections
 from hostlink.api.rate_limit import RateLimit
 from hostlink.api.rest import Owners
 from hostlink.api.routes import Route
@@ -163,7 +163,7 @@ class Metrics:
         hub: Hub,
         clients: Clients,
         limit: RateLimit,
-        connections: Connections,
+        connections: ApiConnections,
         owners: Owners,
         recordings: Recordings,
     ) -> None:
@@ -198,7 +198,7 @@ class _Graph(Collector):
         hub: Hub,
         clients: Clients,
         limit: RateLimit,
-        connections: Connections,
+        connections: ApiConnections,
         owners: Owners,
         to_client: Latency,
     ) -> None:

@@ -13,20 +13,6 @@ class _Bucket(NamedTuple):
     at_s: float
 
 
-class Bucket:
-    """Token bucket of one client. It measures excess, and does not refuse single messages."""
-
-    def __init__(self, per_s: float, now_s: float) -> None:
-        self._per_s, self._left, self._at_s = per_s, per_s, now_s
-
-    def debt_s(self, now_s: float) -> float:
-        """Count a message. Return for how many seconds the client must be silent to be within its rate."""
-        left = self._left + (now_s - self._at_s) * self._per_s
-        self._at_s = now_s
-        self._left = (left if left < self._per_s else self._per_s) - 1
-        return -self._left / self._per_s if self._left < 0 else 0.0
-
-
 class RateLimit:
     """At most `per_s` requests a second on average, with bursts of one second's worth."""
 

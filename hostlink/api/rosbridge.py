@@ -2,38 +2,512 @@
 
 import asyncio
 import base64
+import binascii
+import functools
 import itertools
+import math
 import reprlib
+import struct
 import time
 from collections import defaultdict
-from collections.abc import Awaitable, Callable, Coroutine, Mapping
+from collections.abc import Awaitable, Callable, Coroutine, Hashable, Mapping
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple, TypedDict
 
+import cbor2
 import msgspec
 import structlog
 
-from hostlink.api.clients import ClientQueue, Outgoing, put_json
-from hostlink.api.inbox import Operation, velocity_of_request
+from hostlink.api.clients import ClientQueue, Operation, Outgoing, is_zero_payload, put_json
 from hostlink.api.rate_limit import REFUSED_VELOCITIES_S, RateLimit
-from hostlink.api.rosbridge_request import MAX_PIECES, Fragments, Request, fill_stamps
-from hostlink.api.rosbridge_subscriptions import ClientSubscriptions
 from hostlink.api.views import velocity_answer
-from hostlink.errors import BadRequest, CommandRefused, HostlinkError, ServiceFailed
+from hostlink.errors import BadPayload, BadRequest, CommandRefused, HostlinkError, ServiceFailed
+from hostlink.hub.byte_budget import Share
 from hostlink.hub.graph_view import Graph, GraphTopic
 from hostlink.hub.hub import Hub
-from hostlink.hub.message import PROGRAM_PRIORITY
+from hostlink.hub.message import PROGRAM_PRIORITY, Message
 from hostlink.hub.node import Role
-from hostlink.hub.participant import MAX_ADVERTISED, MAX_CALLS, Participant
+from hostlink.hub.participant import MAX_ADVERTISED, MAX_CALLS, MAX_SUBSCRIPTIONS, Participant
 from hostlink.hub.robot import LocalRobot, Robot
 from hostlink.hub.robot_topic_publisher import command_topics
 from hostlink.hub.robots import Robots
-from hostlink.hub.topic_graph import resolve
+from hostlink.hub.subscription import Subscription
+from hostlink.hub.topic_graph import TopicGraph, resolve
 from hostlink.logs import printable
 from hostlink.messages.catalog import Catalog
+from hostlink.messages.fields import SCALAR
 from hostlink.messages.message_type import MessageType, ServiceType
 from hostlink.robot.admission import EARLIER_EPOCH
 from hostlink.robot.state import MAX_PRIORITY
 from hostlink.robot.velocity import TWIST_TYPE, PlanarVelocity
+
+MAX_TEXT = 1024  # characters of a name or an id; roslib's longest ids are a name and 50 more
+
+
+class Request:
+    """A JSON object with an `op`. Methods raise a BadRequest that names the invalid field."""
+
+    def __init__(self, fields: dict[str, Any], size_bytes: int = 0) -> None:
+        """Check `op`. `size_bytes`: size of the message."""
+        self.fields, self.size_bytes = fields, size_bytes
+        self.came_s: float | None = None  # earliest time of arrival; None: now
+        self.replaced: list[Request] = []  # velocities that this one replaces
+        op = fields["op"]
+        if not isinstance(op, str) or not op:
+            raise BadRequest(f"{reprlib.repr(op)}: op must be a text")
+        self.op = op
+
+    @classmethod
+    def read(cls, text: str | bytes) -> "Request":
+        """Decode one message of a client.
+
+        Raises:
+            BadRequest: the text is not JSON, or not an object with an `op`.
+        """
+        try:
+            fields = msgspec.json.decode(text)
+        except (msgspec.DecodeError, UnicodeError) as error:
+            raise BadRequest(f"invalid JSON: {error}") from None
+        except RecursionError:
+            raise BadRequest("invalid JSON: nested too deeply") from None
+        if not isinstance(fields, dict) or "op" not in fields:
+            raise BadRequest('a message is a JSON object with an "op"')
+        return cls(fields, len(text))
+
+    @property
+    def id(self) -> object:
+        """Return the id as the client wrote it; None without an id.
+
+        Raises:
+            BadRequest: the id is neither a number nor a short text.
+        """
+        found = self.fields.get("id")
+        if isinstance(found, list | dict) or (isinstance(found, str) and len(found) > MAX_TEXT):
+            raise BadRequest(f"{self.op}: id must be a number, or a text of at most {MAX_TEXT} characters")
+        return found
+
+    def text(self, key: str) -> str:
+        """Return a required text.
+
+        Raises:
+            BadRequest: the field is missing, not a text, or too long.
+        """
+        value = self.fields.get(key)
+        if not isinstance(value, str) or not value:
+            raise BadRequest(f"{self.op}: {key} must be a text")
+        if len(value) > MAX_TEXT:
+            raise BadRequest(f"{self.op}: {key} is longer than {MAX_TEXT} characters")
+        return value
+
+    def text_or(self, key: str, default: str) -> str:
+        """Return a text; `default` if it is missing, empty or null.
+
+        Raises:
+            BadRequest: the field is not a text, or too long.
+        """
+        return self.text(key) if self.fields.get(key) else default
+
+    def number_or(self, key: str, default: float) -> float:
+        """Return a number of 0 or more; `default` if it is missing or null.
+
+        Raises:
+            BadRequest: the field is not such a number.
+        """
+        value = self.fields.get(key)
+        if value is None:
+            return default
+        if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value < math.inf:
+            raise BadRequest(f"{self.op}: {key} must be a number of 0 or more")
+        return float(min(value, 2**53))  # an integer may be too large for a float
+
+    def whole(self, key: str, default: int, largest: int) -> int:
+        """Return an integer from 0 to `largest`.
+
+        Raises:
+            BadRequest: the field is not such an integer.
+        """
+        value = self.fields.get(key, default)
+        if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value <= largest:
+            raise BadRequest(f"{self.op}: {key} must be an integer from 0 to {largest}")
+        return value
+
+    def table(self, key: str) -> dict[str, Any]:
+        """Return an object; an empty one if the field is missing.
+
+        Raises:
+            BadRequest: the field is not an object.
+        """
+        value = self.fields.get(key, {})
+        if not isinstance(value, dict):
+            raise BadRequest(f"{self.op}: {key} must be an object")
+        return value
+
+    def is_set(self, key: str) -> bool:
+        """Whether a field is true."""
+        return self.fields.get(key) is True
+
+
+MAX_PENDING = 4  # incomplete messages of one client
+MAX_PIECES = 1024  # fragments of one message
+TIMEOUT_S = 60.0  # since the last fragment of a message
+
+
+@dataclass(slots=True)
+class _Pending:
+    total: int
+    fed_at_s: float
+    pieces: dict[int, str] = field(default_factory=dict)
+
+
+class Fragments:
+    """Incomplete messages of one client by id. Together they are at most as large as one message."""
+
+    def __init__(self, max_bytes: int, share: Share) -> None:
+        """Create the store of one client. `share`: byte budget of all clients."""
+        self._max_bytes, self._share = max_bytes, share
+        self._bytes = 0
+        self._pending: dict[object, _Pending] = {}
+
+    def add(self, key: object, *, number: int, total: int, data: str, now_s: float) -> str | None:
+        """Add a fragment. Return the whole message with its last one.
+
+        Raises:
+            BadRequest: the fragment is invalid or has no room; its message is dropped.
+        """
+        self._expire(now_s)
+        pending = self._pending.get(key)
+        if pending is None:
+            if len(self._pending) >= MAX_PENDING:
+                raise BadRequest(f"fragment: more than {MAX_PENDING} messages are incomplete")
+            pending = self._pending[key] = _Pending(total, now_s)
+        problem = self._problem(pending, number, total, data)
+        if problem:
+            self._drop(key)
+            raise BadRequest(f"fragment: {problem}; the message is dropped")
+        size = _size(data)
+        if not self._share.take(size):
+            self._drop(key)
+            raise BadRequest(
+                f"fragment: all clients together have {self._share.max_bytes} bytes of fragments; send it later"
+            )
+        pending.pieces[number] = data
+        pending.fed_at_s = now_s
+        self._bytes += size
+        if len(pending.pieces) < total:
+            return None
+        self._drop(key)
+        return "".join(pending.pieces[index] for index in range(total))
+
+    def close(self) -> None:
+        """Drop everything: the client has disconnected."""
+        for key in list(self._pending):
+            self._drop(key)
+
+    def _problem(self, pending: _Pending, number: int, total: int, data: str) -> str:
+        if not 1 <= total <= MAX_PIECES:
+            return f"total must be from 1 to {MAX_PIECES}"
+        if total != pending.total:
+            return f"total was {pending.total} and is {total}"
+        if not 0 <= number < total:
+            return f"num must be from 0 to {total - 1}"
+        if number in pending.pieces:
+            return f"fragment {number} was sent twice"
+        if self._bytes + _size(data) > self._max_bytes:
+            return f"more than {self._max_bytes} bytes of fragments"
+        return ""
+
+    def _expire(self, now_s: float) -> None:
+        for key in [key for key, pending in self._pending.items() if now_s >= pending.fed_at_s + TIMEOUT_S]:
+            self._drop(key)
+
+    def _drop(self, key: object) -> None:
+        size = sum(map(_size, self._pending.pop(key).pieces.values()))
+        self._bytes -= size
+        self._share.give(size)
+
+
+def _size(data: str) -> int:
+    return len(data.encode("utf-8", "surrogatepass"))
+
+
+HEADER = "std_msgs/Header"
+MAX_PARTS = 2000  # about 15 ms; a path of a small robot has a few hundred poses
+_NS_PER_S = 1_000_000_000
+
+
+def fill_stamps(type_: MessageType, message: dict[str, Any], now_ns: int) -> dict[str, Any]:
+    """Return the message with its times filled in. Values that do not fit the type are left to the codec.
+
+    Raises:
+        BadRequest: more than MAX_PARTS parts have times; walking through them would delay commands.
+    """
+    return _Filler(to_time(now_ns)).fill(type_, message) if type_.has_time else message
+
+
+def to_time(stamp_ns: int) -> dict[str, int]:
+    """Return a time as a message has it."""
+    secs, nsecs = divmod(stamp_ns, _NS_PER_S)
+    return {"secs": secs, "nsecs": nsecs}
+
+
+class _Filler:
+    """Fills in the times of one message, part by part."""
+
+    def __init__(self, now: dict[str, int]) -> None:
+        self._now = now
+        self._parts = 0
+
+    def fill(self, type_: MessageType, message: dict[str, Any]) -> dict[str, Any]:
+        self._parts += 1
+        if self._parts > MAX_PARTS:
+            raise BadRequest(f"more than {MAX_PARTS} parts with times: fill in the times, or send several messages")
+        filled = dict(message)
+        if type_.name == HEADER:
+            filled = {name: value for name, value in message.items() if value is not None}  # roslibpy's unset
+            if _is_zero(filled.get("stamp")):
+                filled["stamp"] = self._now
+        for each in type_.fields:
+            nested = type_.nested.get(each.type)
+            if each.type == "time":
+                if each.name in filled:
+                    filled[each.name] = _each(filled[each.name], self._time)
+            elif nested is not None and nested.has_time and (each.name in filled or each.array_length == SCALAR):
+                part = filled.get(each.name, {})
+                filled[each.name] = _each(part, functools.partial(self._nested, nested))
+        return filled
+
+    def _time(self, value: Any) -> Any:
+        return self._now if value == "now" else value
+
+    def _nested(self, type_: MessageType, value: Any) -> Any:
+        return self.fill(type_, value) if isinstance(value, dict) else value
+
+
+def _each(value: Any, fill: Callable[[Any], Any]) -> Any:
+    return [fill(item) for item in value] if isinstance(value, list) else fill(value)
+
+
+def _is_zero(stamp: object) -> bool:
+    return stamp is None or (isinstance(stamp, dict) and not any(stamp.values()))
+
+
+_NUMBERS = frozenset((int, float))  # exact types: JSON's true and false are not numbers
+_NONE = (None, False)  # not a velocity, or an invalid one, which is refused and not replaced
+
+
+def velocity_of_request(request: Request, topics: TopicGraph) -> tuple[Hashable, bool]:
+    """Return the key of a velocity (None: not a velocity) and whether it is zero. The key has robot and priority."""
+    fields = request.fields
+    priority = fields.get("priority")
+    if not isinstance(priority, int | None):
+        return _NONE
+    if request.op == "drive":
+        robot = fields.get("robot")
+        x, y, yaw = fields.get("linear"), fields.get("linear_y", 0), fields.get("angular")
+        if not (type(robot) is str and type(x) in _NUMBERS and type(y) in _NUMBERS and type(yaw) in _NUMBERS):
+            return _NONE
+        return ("drive", robot, priority), not (x or y or yaw)
+    name = fields.get("topic")
+    topic = topics.find_or_none(name) if request.op == "publish" and isinstance(name, str) else None
+    if topic is None or not topic.is_gated:
+        return _NONE
+    is_zero = _is_zero_message(fields)
+    return _NONE if is_zero is None else (("publish", topic.name, priority), is_zero)
+
+
+def _is_zero_message(fields: dict[str, Any]) -> bool | None:
+    """Whether a Twist or a TwistStamped (JSON, or bytes in base64) is zero; None for another message."""
+    raw, message = fields.get("raw"), fields.get("msg")
+    if raw is not None:
+        try:
+            return is_zero_payload(base64.b64decode(raw, validate=True))
+        except (TypeError, ValueError, binascii.Error):
+            return None
+    if not isinstance(message, dict):
+        return None
+    twist = message.get("twist", message)
+    if not isinstance(twist, dict):
+        return None
+    numbers: list[Any] = []
+    for name in ("linear", "angular"):
+        vector = twist.get(name, {})
+        if not isinstance(vector, dict):
+            return None
+        numbers += vector.values()
+    return not any(numbers) if _NUMBERS.issuperset(map(type, numbers)) else None
+
+
+_NS_PER_S = 1_000_000_000
+# RFC 8746, little-endian: the tags that roslibjs reads.
+_TAGS = {
+    "uint16": (69, "H"),
+    "uint32": (70, "I"),
+    "uint64": (71, "Q"),
+    "int8": (72, "b"),
+    "int16": (77, "h"),
+    "int32": (78, "i"),
+    "int64": (79, "q"),
+    "float32": (85, "f"),
+    "float64": (86, "d"),
+}
+
+
+def encode_cbor(topic: str, message: Message) -> bytes:
+    """Encode the `publish` operation with the fields of the message.
+
+    Raises:
+        BadPayload: the bytes are not a message of the type.
+    """
+    fields: Any = message.decoded
+    if message.type is not None:
+        fields = _with_typed_arrays(message.type, message.decoded)
+    return cbor2.dumps({"op": "publish", "topic": topic, "msg": fields})
+
+
+def encode_cbor_raw(topic: str, message: Message) -> bytes:
+    """Encode the `publish` operation with the serialised message: rosserial and ROS 1 serialise alike."""
+    secs, nsecs = divmod(message.stamp_ns, _NS_PER_S)
+    raw = {"secs": secs, "nsecs": nsecs, "bytes": message.payload}
+    return cbor2.dumps({"op": "publish", "topic": topic, "msg": raw})
+
+
+def _with_typed_arrays(type_: MessageType, fields: Mapping[str, Any]) -> dict[str, Any]:
+    shaped = dict(fields)
+    for each in type_.fields:
+        value, nested = fields[each.name], type_.nested.get(each.type)
+        if nested is not None:
+            is_list = isinstance(value, list)
+            shaped[each.name] = (
+                [_with_typed_arrays(nested, item) for item in value] if is_list else _with_typed_arrays(nested, value)
+            )
+        elif isinstance(value, list) and each.type in _TAGS:
+            tag, layout = _TAGS[each.type]
+            shaped[each.name] = cbor2.CBORTag(tag, struct.pack(f"<{len(value)}{layout}", *value))
+    return shaped
+
+
+MAX_QUEUE_LENGTH = 256
+Warn = Callable[[str], None]
+
+_BINARY = {"cbor": encode_cbor, "cbor-raw": encode_cbor_raw}
+_FORMS = ("none", "cbor", "cbor-raw")  # the highest counts where ids of one topic differ, as in rosbridge
+
+
+class _SubscriptionOptions(NamedTuple):
+    """Options of one id of a subscribed topic."""
+
+    interval_s: float
+    queue_length: int
+    form: str
+
+
+class _ClientSubscription:
+    """One topic as the client spells it. Several ids may share it; each message is sent once."""
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self.form = "none"
+        self.options: dict[object, _SubscriptionOptions] = {}
+        self.subscription: Subscription | None = None
+        self._prefix = msgspec.json.encode({"op": "publish", "topic": name})[:-1] + b',"msg":'
+
+    def merge(self) -> tuple[float, int]:
+        """Set the highest encoding of all ids. Return the shortest interval and the shortest queue."""
+        options = self.options.values()
+        self.form = max((each.form for each in options), key=_FORMS.index)
+        return min(each.interval_s for each in options), min(each.queue_length for each in options)
+
+    def encode(self, message: Message) -> bytes:
+        """Encode a `publish` operation.
+
+        Raises:
+            BadPayload: the bytes do not fit the type, or the type is unknown.
+        """
+        encode = _BINARY.get(self.form)
+        return self._prefix + message.made("json", encode_json) + b"}" if encode is None else encode(self.name, message)
+
+
+class ClientSubscriptions:
+    """Subscriptions by topic as the client spells it: `odom` and `/odom` are two, and each has its own messages."""
+
+    def __init__(self, participant: Participant, queue: ClientQueue, warn: Warn) -> None:
+        self._participant, self._queue, self._warn = participant, queue, warn
+        self._subscriptions: dict[str, _ClientSubscription] = {}
+
+    def subscribe(self, request: Request) -> None:
+        """Add an id to a topic, or change its options.
+
+        Raises:
+            BadRequest: a field is wrong, or there are too many subscriptions.
+            WrongType: the topic is in use with another type.
+        """
+        name, form = request.text("topic"), request.text_or("compression", "none")
+        chosen = _SubscriptionOptions(
+            request.number_or("throttle_rate", 0.0) / 1000,
+            min(int(request.number_or("queue_length", 0.0)), MAX_QUEUE_LENGTH),
+            form if form in _FORMS else "none",
+        )
+        known = self._subscriptions.get(name)
+        is_new = known is None or request.id not in known.options
+        if is_new and sum(len(other.options) for other in self._subscriptions.values()) >= MAX_SUBSCRIPTIONS:
+            raise BadRequest(f"more than {MAX_SUBSCRIPTIONS} subscriptions")
+        mine = _ClientSubscription(name) if known is None else known
+        mine.options[request.id] = chosen
+        if mine.subscription is None:
+            self._subscribe(mine, request.text_or("type", ""))
+        else:
+            self._update(mine)
+        if form not in _FORMS:
+            self._warn(f"subscribe: compression {form} is not offered, {name} is sent as JSON")
+
+    def unsubscribe(self, request: Request) -> None:
+        """Remove one id, or without an id the whole topic. An unknown id is ignored."""
+        name = request.text("topic")
+        mine = self._subscriptions.get(name)
+        if mine is None:
+            return
+        if request.id is None:
+            mine.options.clear()
+        mine.options.pop(request.id, None)
+        if mine.options:
+            self._update(mine)
+            return
+        del self._subscriptions[name]
+        self._queue.forget(name)
+        if mine.subscription is not None:
+            mine.subscription.close()
+
+    def _subscribe(self, mine: _ClientSubscription, type_name: str) -> None:
+        interval_s, queue_length = mine.merge()
+        mine.subscription = self._participant.subscribe(
+            mine.name,
+            functools.partial(self._put, mine),
+            type_name=type_name,
+            interval_s=interval_s,
+            queue_length=queue_length,
+            on_throttled=self._queue.wake,
+        )
+        self._subscriptions[mine.name] = mine
+
+    def _update(self, mine: _ClientSubscription) -> None:
+        interval_s, queue_length = mine.merge()
+        if mine.subscription is not None:
+            mine.subscription.change(interval_s=interval_s, queue_length=queue_length)
+            self._queue.wake()
+
+    def _put(self, mine: _ClientSubscription, message: Message) -> None:
+        """Queue a message. It is encoded once for all clients with the same encoding and name."""
+        try:
+            outgoing = Outgoing(message.made((mine.form, mine.name), mine.encode), mine.form in _BINARY)
+        except BadPayload as error:
+            self._warn(str(error))
+        else:
+            self._queue.put_message(mine.name, outgoing, message.at_s)
+
+
+def encode_json(message: Message) -> bytes:
+    """Encode the fields as JSON: NaN is null, uint8[] is base64."""
+    return msgspec.json.encode(message.decoded)
 
 
 class ClientTopics:
@@ -82,7 +556,7 @@ class ClientTopics:
 Values = Mapping[str, object]
 
 
-class _Call(NamedTuple):
+class _PendingCall(NamedTuple):
     """A service call that the client has not answered yet."""
 
     service: str  # name as the client spells it
@@ -111,7 +585,7 @@ class ClientServices:
         """Create the services of one participant. `warn` sends the client a status of level warning."""
         self._participant, self._catalog, self._queue, self._warn = participant, catalog, queue, warn
         self._numbers = itertools.count(1)
-        self._waiting: dict[str, _Call] = {}
+        self._waiting: dict[str, _PendingCall] = {}
 
     def advertise(self, request: Request) -> None:
         """Provide a service. The newest provider of a name replaces the others.
@@ -146,7 +620,7 @@ class ClientServices:
             call.fail(error)
             raise
 
-    def _accept(self, call: _Call, request: Request) -> None:
+    def _accept(self, call: _PendingCall, request: Request) -> None:
         """Pass an object to the caller even if `result` is false, as rosbridge does: success is a field of the object.
 
         Fail the call only if the response cannot be one of the service.
@@ -167,7 +641,7 @@ class ClientServices:
         if type_ is not None:
             arguments = type_.request.decode(type_.request.encode(arguments))
         key = f"{self._participant.name} {next(self._numbers)}"
-        call = self._waiting[key] = _Call(name, type_, asyncio.get_running_loop().create_future())
+        call = self._waiting[key] = _PendingCall(name, type_, asyncio.get_running_loop().create_future())
         request = {"op": "call_service", "id": key, "service": name, "args": arguments}
         try:
             put_json(self._queue, request)
@@ -179,7 +653,7 @@ class ClientServices:
 MAX_ANSWERS = 64  # calls of one client that wait for another daemon
 
 
-class DriveRequest(msgspec.Struct):
+class DriveOperation(msgspec.Struct):
     """Fields of the operation `drive`: m/s and rad/s, counter-clockwise positive; `linear_y` is to the left.
 
     Only programs that send commands by themselves need the fields from `sent_s` on.
@@ -196,7 +670,7 @@ class DriveRequest(msgspec.Struct):
     link: int | None = None  # number of the device's connection; for another number the epoch counts as an earlier one
 
 
-class Drive:
+class DriveCommands:
     """Velocity commands of one client. Each is answered, so that the client learns of a refusal at once.
 
     A robot of another daemon is answered for by that daemon, at most MAX_ANSWERS commands at a time. Above that the
@@ -218,7 +692,21 @@ class Drive:
     def receive(self, request: Request) -> None:
         """Execute a `drive`. The answer is also sent for each operation that it replaced."""
         try:
-            robot, velocity, limited = self._command(request)
+            try:
+                wanted = msgspec.convert(request.fields, DriveOperation)
+            except msgspec.ValidationError as error:
+                raise BadRequest(f"drive: {error}") from error
+            if not 0 <= wanted.priority <= MAX_PRIORITY:
+                raise BadRequest(f"drive: priority must be a number from 0 to {MAX_PRIORITY}")
+            velocity = PlanarVelocity(wanted.linear, wanted.linear_y, wanted.angular)
+            robot = self._robots.find(wanted.robot, driver=None if velocity.is_zero else lambda: self._participant)
+            epoch = wanted.stops if wanted.epoch is None else wanted.epoch
+            if wanted.link is not None and robot.link is not None:
+                is_same = robot.resumed_link <= wanted.link <= robot.link.number
+                epoch = epoch if is_same else EARLIER_EPOCH
+            limited = self._participant.drive(
+                robot, velocity, priority=wanted.priority, received_s=request.came_s, sent_s=wanted.sent_s, epoch=epoch
+            )
         except HostlinkError as error:
             self._refuse(request, error)
             return
@@ -240,19 +728,17 @@ class Drive:
             self._waiting -= 1
 
     def _accept(self, request: Request, robot: Robot, velocity: PlanarVelocity, limited: PlanarVelocity) -> None:
-        link = None if robot.link is None else robot.link.number
-        answer = {
+        answer: dict[str, object] = {
             "op": "drive_result",
             "result": True,
-            "link": link,
-            "epoch": robot.admission.epoch,
+            "link": None if robot.link is None else robot.link.number,
             "stops": robot.admission.epoch,
             "client": self._participant.name,
         }
         self._put(request, answer | velocity_answer(robot, velocity, limited))
 
     def _refuse(self, request: Request, error: HostlinkError) -> None:
-        answer = {"op": "drive_result", "result": False, "kind": error.kind, "reason": str(error)}
+        answer: dict[str, object] = {"op": "drive_result", "result": False, "kind": error.kind, "reason": str(error)}
         if isinstance(error, CommandRefused):
             answer["epoch"] = self._robots.find(error.robot).admission.epoch
         self._put(request, answer)
@@ -260,25 +746,8 @@ class Drive:
     def _put(self, request: Request, answer: dict[str, object]) -> None:
         for replaced in request.replaced:
             put_json(self._queue, answer | {"id": replaced.fields.get("id"), "is_replaced": True})
-        put_json(self._queue, answer | {"id": request.fields.get("id")})
-
-    def _command(self, request: Request) -> tuple[Robot, PlanarVelocity, PlanarVelocity]:
-        try:
-            wanted = msgspec.convert(request.fields, DriveRequest)
-        except msgspec.ValidationError as error:
-            raise BadRequest(f"drive: {error}") from error
-        if not 0 <= wanted.priority <= MAX_PRIORITY:
-            raise BadRequest(f"drive: priority must be a number from 0 to {MAX_PRIORITY}")
-        velocity = PlanarVelocity(wanted.linear, wanted.linear_y, wanted.angular)
-        robot = self._robots.find(wanted.robot, driver=None if velocity.is_zero else lambda: self._participant)
-        epoch = wanted.stops if wanted.epoch is None else wanted.epoch
-        if wanted.link is not None and robot.link is not None:
-            is_same = robot.resumed_link <= wanted.link <= robot.link.number
-            epoch = epoch if is_same else EARLIER_EPOCH
-        limited = self._participant.drive(
-            robot, velocity, priority=wanted.priority, received_s=request.came_s, sent_s=wanted.sent_s, epoch=epoch
-        )
-        return robot, velocity, limited
+        answer["id"] = request.fields.get("id")
+        self._queue.put_result(Outgoing(msgspec.json.encode(answer)))
 
 
 class GraphTopicView(TypedDict):
@@ -394,12 +863,12 @@ class RosbridgeClient:
         self._hub = hub
         self._queue = queue
         self._spawn = spawn
-        self._calls = 0
+        self.calls = 0  # pending
         self._status_from: int | None = None  # index in _LEVELS; None: not set by the client
         self._refused_velocities = RateLimit(REFUSED_VELOCITIES_S)
         self._unknown_ops: set[str] = set()
         self._fragments = Fragments(hub.config.api.max_message_bytes, hub.budget["fragments"])
-        self._drive = Drive(self.participant, hub.robots, queue, spawn=spawn)
+        self._drive = DriveCommands(self.participant, hub.robots, queue, spawn=spawn)
         self._operations: dict[str, Callable[[Request], None]] = {
             "advertise": self._topics.advertise,
             "unadvertise": self._topics.unadvertise,
@@ -456,11 +925,6 @@ class RosbridgeClient:
         """Queue messages that throttled subscriptions hold back. Return when the next one is due."""
         return self.participant.flush(now_s)
 
-    @property
-    def is_crowded(self) -> bool:
-        """Whether more than half of the allowed service calls are pending."""
-        return self._calls > MAX_CALLS // 2
-
     def close(self) -> None:
         """End the participant and release everything that it has."""
         self.participant.leave()
@@ -482,11 +946,11 @@ class RosbridgeClient:
         self.participant.publish(topic, payload, priority=priority, at_s=request.came_s)
 
     def _call_service(self, request: Request) -> None:
-        if self._calls >= MAX_CALLS:
+        if self.calls >= MAX_CALLS:
             self._answer(request, f"more than {MAX_CALLS} calls are pending", is_right=False)
             return
         request.id  # noqa: B018 - raises for an invalid id before the service is called
-        self._calls += 1
+        self.calls += 1
         self._spawn(self._finish_call(request))
 
     async def _finish_call(self, request: Request) -> None:
@@ -500,7 +964,7 @@ class RosbridgeClient:
         except HostlinkError as error:
             self._answer(request, str(error), is_right=False)
         finally:
-            self._calls -= 1
+            self.calls -= 1
 
     def _add_fragment(self, request: Request) -> None:
         data = request.fields.get("data")

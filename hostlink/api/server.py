@@ -5,7 +5,7 @@ import contextlib
 import errno
 import mimetypes
 import socket as sockets
-from collections.abc import AsyncIterator, Callable, Iterator
+from collections.abc import AsyncIterator, Callable
 from http import HTTPStatus
 from importlib.resources import files
 from typing import TypedDict
@@ -19,12 +19,10 @@ from hostlink.acceptor import bind, why
 from hostlink.api.access import GRANT, Access, Grant, Grants, check_role, tls_context, token_of
 from hostlink.api.captures import Captures
 from hostlink.api.clients import Client, ClientQueue, Clients
-from hostlink.api.connections import KEPT_FOR_REQUESTS, Connections
 from hostlink.api.events import Events
-from hostlink.api.foxglove import FoxgloveClient
-from hostlink.api.foxglove_directory import FoxgloveDirectory
+from hostlink.api.foxglove import FoxgloveClient, FoxgloveDirectory
 from hostlink.api.history import HistoryRoutes, IncidentRoutes
-from hostlink.api.listener import ApiListener, MakeProtocol
+from hostlink.api.listener import KEPT_FOR_REQUESTS, ApiConnections, ApiListener, MakeProtocol, reading_of
 from hostlink.api.metrics import Metrics
 from hostlink.api.rate_limit import RateLimit
 from hostlink.api.recordings import RecordingRoutes
@@ -110,7 +108,7 @@ class ApiServer:
         self._config = config
         self._access = Access(config)
         self._limit = RateLimit(config.max_requests_s)
-        connections = Connections(
+        connections = ApiConnections(
             config.max_connections,
             config.max_connections_per_address,
             request_timeout_s=config.request_timeout_s,
@@ -180,14 +178,18 @@ class ApiServer:
     @web.middleware
     async def _admit(self, request: web.Request, handler: Handler) -> web.StreamResponse:
         """Check a request before any other code reads it."""
-        reading = self.listener.reading(request)
-        with self.listener.answering(request.transport):
-            request[CAME] = asyncio.get_running_loop().time() if reading is None else reading.request_came_s
-            try:
-                return await self._answer(request, handler)
-            finally:
-                if reading is not None and not request.content.is_eof() and not _has_small_body(request):
-                    reading.refuse_body()
+        reading = reading_of(request)
+        if reading is None:
+            request[CAME] = asyncio.get_running_loop().time()
+            return await self._answer(request, handler)
+        reading.begin_request()
+        request[CAME] = reading.request_came_s
+        try:
+            return await self._answer(request, handler)
+        finally:
+            if not request.content.is_eof() and not _has_small_body(request):
+                reading.refuse_body()
+            reading.end_request()
 
     async def _answer(self, request: web.Request, handler: Handler) -> web.StreamResponse:
         origin = request.headers.get("Origin")
@@ -195,7 +197,8 @@ class ApiServer:
         if request.method == "OPTIONS" and origin is not None:  # preflight of a browser for a page of another origin
             answer: web.StreamResponse = web.Response(status=HTTPStatus.NO_CONTENT)
         else:
-            with self._granted(request):
+            grant = self._check(request)  # may be revoked within the block
+            with contextlib.nullcontext() if grant is None else self._grants.using(grant):
                 await self._turns.wait(REQUEST_S)
                 await self._receive_body(request)
                 answer = await handler(request)
@@ -207,14 +210,8 @@ class ApiServer:
             answer.headers["Vary"] = "Origin"
         return answer
 
-    @contextlib.contextmanager
-    def _granted(self, request: web.Request) -> Iterator[None]:
-        """Check a request. Its grant may be revoked within the block."""
-        grant = self._check(request)
-        with contextlib.nullcontext() if grant is None else self._grants.using(grant):
-            yield
-
     def _check(self, request: web.Request) -> Grant | None:
+        """Check the rate and the token of a request. Return None if its route needs no token."""
         route = self._by_handler.get(request.match_info.handler)
         is_limited = route is None or route.is_limited
         if is_limited and not self._limit.allows(request.remote, asyncio.get_running_loop().time()):
@@ -246,7 +243,8 @@ class ApiServer:
             raise web.HTTPServiceUnavailable(reason="too many bodies at once", headers={"Retry-After": "1"})
         timeout_s, body = self._config.request_timeout_s, bytearray()
         try:
-            with self.listener.receiving(request.transport):
+            reading = reading_of(request)
+            with contextlib.nullcontext() if reading is None else reading.receiving_body():
                 async with asyncio.timeout(timeout_s):
                     while piece := await content.readany():
                         body += piece
@@ -279,7 +277,7 @@ class ApiServer:
         with bound_contextvars(client=client.name, peer=request.remote):
             try:
                 await socket.prepare(request)
-                reading, transport = self.listener.reading(request), request.transport
+                reading, transport = reading_of(request), request.transport
                 if reading is None or transport is None:
                     raise ConnectionResetError("the connection was closed during the handshake")
                 _bound_buffers(transport)
@@ -347,6 +345,11 @@ def _is_websocket(request: web.Request) -> bool:
     return request.headers.get("Upgrade", "").lower() == "websocket"
 
 
+def url_of(host: str, port: int, *, has_tls: bool) -> str:
+    """Return the URL of an address."""
+    return f"{'https' if has_tls else 'http'}://{f'[{host}]' if ':' in host else host}:{port}"
+
+
 @contextlib.asynccontextmanager
 async def serve_api(config: ApiConfig, hub: Hub, recordings: Recordings, reloader: Reloader) -> AsyncIterator[str]:
     """Serve within the block. Yields the address as a URL.
@@ -369,13 +372,14 @@ async def serve_api(config: ApiConfig, hub: Hub, recordings: Recordings, reloade
     try:
         listening = await _bind(config)
         host, port = listening[0].getsockname()[:2]
-        async with server.listener.serving(listening, _protocols(runner), tls):
-            yield f"{'http' if tls is None else 'https'}://{f'[{host}]' if ':' in host else host}:{port}"
+        async with server.listener.serving(listening, protocols_of(runner), tls):
+            yield url_of(host, port, has_tls=tls is not None)
     finally:
         await runner.cleanup()
 
 
-def _protocols(runner: web.AppRunner) -> MakeProtocol:
+def protocols_of(runner: web.AppRunner) -> MakeProtocol:
+    """Return the factory of HTTP protocols, which refuse unreadable heads."""
     assert runner.server is not None  # noqa: S101 - set by setup()
     runner.server.request_handler = refuse_unreadable(runner.server.request_handler)
     return runner.server

@@ -336,7 +336,11 @@ def velocity_view(velocity: PlanarVelocity) -> VelocityView:
 def velocity_answer(robot: Robot, requested: PlanarVelocity, limited: PlanarVelocity) -> VelocityAnswer:
     """Return the velocity after the limits, with what reduced it."""
     return {
-        "velocity": velocity_view(limited),
+        "velocity": {
+            "linear_m_s": limited.x_m_s,
+            "linear_y_m_s": limited.y_m_s,
+            "angular_rad_s": limited.yaw_rad_s,
+        },
         "is_limited": limited != requested,
         "limited_by": robot.limited_by(requested),
         "lease_s": robot.admission.lease_s,

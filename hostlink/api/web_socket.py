@@ -6,16 +6,14 @@ import contextvars
 import struct
 from collections.abc import Callable
 from functools import partial
-from typing import Any, Protocol
+from typing import Any
 
 import structlog
 from aiohttp import WSCloseCode, WSMsgType, web
 
-from hostlink.api.clients import Client, ClientQueue
-from hostlink.api.inbox import Inbox
-from hostlink.api.inbox import Program as InboxProgram
+from hostlink.api.clients import Client, ClientProgram, ClientQueue, OperationQueue
 from hostlink.api.listener import PacedReading
-from hostlink.api.rate_limit import Bucket
+from hostlink.hub.participant import MAX_CALLS
 from hostlink.latency import Latency
 from hostlink.link.fair_share import Turns
 
@@ -32,27 +30,13 @@ _FINAL_TEXT, _FINAL_BINARY = 0x81, 0x82  # first bytes of a frame: RFC 6455, 5.2
 _MAX_SHORT, _MAX_MEDIUM = 125, 0xFFFF  # largest payloads whose length takes one byte and two bytes
 
 
-class Program(InboxProgram[Any], Protocol):
-    """Protocol of a client: RosbridgeClient or FoxgloveClient."""
-
-    @property
-    def is_crowded(self) -> bool:
-        """Whether many service calls are pending."""
-
-    def flush(self, now_s: float) -> float | None:
-        """Queue what was held back until now. Return when more is due."""
-
-    def close(self) -> None:
-        """End the participant."""
-
-
 class ClientSocket:
     """The WebSocket of one client: a task that receives, and callbacks of the event loop that execute and send.
 
     | turn of the loop | what happens                                                                                  |
     |------------------|-----------------------------------------------------------------------------------------------|
     | bytes are read   | PacedReading passes them to aiohttp, which decodes the messages                               |
-    | the next one     | `receive` puts all of them into the inbox; `_work` does them, and writes the answers at once  |
+    | the next one     | `receive` queues all of them; `_work` executes them, and writes the answers at once           |
     | a device's bytes | the hub queues messages                                                                       |
     | the next one     | `_send` writes all of them at once                                                            |
 
@@ -65,7 +49,7 @@ class ClientSocket:
         transport: asyncio.Transport,
         reading: PacedReading,
         client: Client,
-        program: Program,
+        program: ClientProgram[Any],
         queue: ClientQueue,
         turns: Turns,
         *,
@@ -80,10 +64,9 @@ class ClientSocket:
         self._turns, self._tasks, self._to_client = turns, tasks, to_client
         self._loop = asyncio.get_running_loop()
         self._context = contextvars.copy_context()  # so that log lines of callbacks name the client
-        self._inbox: Inbox[Any] = Inbox(program, on_replaced)
-        self._progress = asyncio.Event()  # set when the inbox has become shorter
+        self._operations = OperationQueue[Any](program, on_replaced, max_messages_s)
+        self._progress = asyncio.Event()  # set when an operation was executed
         self._max_messages_s = max_messages_s
-        self._bucket = Bucket(max_messages_s, self._loop.time())
         self._is_ended = False
         self._is_work_due = self._is_send_due = False  # whether a callback is scheduled
         self._is_ready = client.kind != "foxglove"  # rosbridge clients send first
@@ -97,7 +80,7 @@ class ClientSocket:
 
     async def receive(self) -> None:
         """Receive until the client disconnects, then end its participant."""
-        inbox, loop, reading = self._inbox, self._loop, self._reading
+        operations, loop, reading = self._operations, self._loop, self._reading
         try:
             if self._is_ready:
                 self._note_news()
@@ -105,26 +88,26 @@ class ClientSocket:
                 await self._socket.ping()
                 loop.call_later(READY_TIMEOUT_S, self._become_ready, context=self._context)
             while True:
-                inbox.is_behind = True  # unless the event loop runs a turn before the next message
-                waiting = loop.call_soon(inbox.note_wait)
+                reads = reading.reads
                 message = await self._socket.receive()
-                waiting.cancel()
                 if message.type in CLOSING:
-                    await self._until(lambda: not inbox)
+                    await self._until(lambda: not operations.waiting)
                     return
                 if message.type not in (WSMsgType.TEXT, WSMsgType.BINARY):
                     await self._receive_control(message.type, message.data)
                     continue
                 self._client.messages_from_client += 1
-                inbox.put(message.data, reading.came_s)
+                operations.put(message.data, reading.came_s, loop.time(), is_behind=reading.reads == reads)
                 if not self._is_work_due:
                     self._expect_work()
-                if self._bucket.debt_s(loop.time()) > DEBT_S:
+                if operations.debt_s > DEBT_S:
                     await self._refuse_flood()
                     return
-                if not inbox.has_room:
-                    await self._until(lambda: inbox.has_room)
-                reading.receive_message()
+                if not operations.has_room:
+                    await self._until(lambda: operations.has_room)
+                reading.unread_bytes = 0
+                if reading.has_room:
+                    reading.give_room()
         finally:
             self._is_ended = True
             for timer in (self._flush_timer, self._stuck_timer):
@@ -142,7 +125,7 @@ class ClientSocket:
             self._reading.receive_control(len(data or b""))
 
     async def _until(self, is_right: Callable[[], bool]) -> None:
-        """Wait until a condition of the inbox holds."""
+        """Wait until a condition of the operations holds."""
         while not is_right():
             self._progress.clear()
             await self._progress.wait()
@@ -156,7 +139,7 @@ class ClientSocket:
     # -- its turns ----------------------------------------------------------------------------------------------------
 
     def _expect_work(self) -> None:
-        """Schedule work for when all that was read is in the inbox, so that only the newest velocity is executed."""
+        """Schedule work for when all that was read is queued, so that only the newest velocity is executed."""
         if not self._is_work_due:
             self._is_work_due = True
             self._loop.call_soon(self._work, context=self._context)
@@ -166,35 +149,30 @@ class ClientSocket:
         self._is_work_due = False
         if self._is_ended:
             return
-        inbox, turns = self._inbox, self._turns
-        was_send_due, self._is_send_due = self._is_send_due, True  # the answers are sent together, at the end
+        operations, queue, turns = self._operations, self._queue, self._turns
+        self._is_send_due = True  # the answers are sent together, at the end
         try:
-            while inbox and not self._is_work_due:
-                if is_admitted or turns.share.is_free(is_flooding=inbox.is_flooding):
+            while operations.waiting and not self._is_work_due:
+                if is_admitted or turns.share.is_free(is_flooding=operations.is_flooding):
                     is_admitted = False
                     began_s = self._loop.time()
                     try:
-                        inbox.work()
+                        operations.work()
                     finally:
                         turns.end(began_s)
                         self._progress.set()
-                    self._wait_for_answers()
+                    if not queue.has_room:  # a client that does not read its answers is not read from
+                        self._is_work_due = True
+                        self._tasks.create_task(self._work_with_room(), context=self._context)
+                    elif self._program.calls > MAX_CALLS // 2:  # most calls of one read are answered at once
+                        self._expect_work()
                 else:
                     self._is_work_due = True
                     work = partial(self._context.run, partial(self._work, is_admitted=True))
-                    turns.call(work, is_flooding=inbox.is_flooding)
+                    turns.call(work, is_flooding=operations.is_flooding)
         except Exception as error:  # noqa: BLE001 - raised in the client's task group
             self._fail(error)
-        self._is_send_due = was_send_due
         self._send()
-
-    def _wait_for_answers(self) -> None:
-        """Pause until there is room for answers: a client that does not read its answers is not read from."""
-        if not self._queue.has_room:
-            self._is_work_due = True
-            self._tasks.create_task(self._work_with_room(), context=self._context)
-        elif self._program.is_crowded:  # many calls came in one read, and most are answered at once
-            self._expect_work()
 
     async def _work_with_room(self) -> None:
         await self._queue.room()
@@ -206,14 +184,11 @@ class ClientSocket:
         """Schedule one write for all messages of this turn of the loop."""
         if not self._is_send_due and not self._is_ended:
             self._is_send_due = True
-            self._loop.call_soon(self._send_due, context=self._context)
-
-    def _send_due(self) -> None:
-        self._is_send_due = False
-        self._send()
+            self._loop.call_soon(self._send, context=self._context)
 
     def _send(self) -> None:
         """Write what is queued, up to a bound, and schedule the rest."""
+        self._is_send_due = False
         if self._is_ended or not self._is_ready or self._reading.is_writing_paused:
             return
         queue = self._queue
@@ -222,32 +197,32 @@ class ClientSocket:
             return
         if self._socket.closed or self._transport.is_closing():
             return
+        now_s = self._loop.time()
         try:
-            self._write(queue, self._loop.time())
-        except Exception as error:  # noqa: BLE001 - raised in the client's task group
-            self._fail(error)
-
-    def _write(self, queue: ClientQueue, now_s: float) -> None:
-        if queue.is_flush_due or (self._flush_due_s is not None and now_s >= self._flush_due_s):
-            self._flush(now_s)
-        pieces: list[bytes] = []
-        count = size_bytes = 0
-        while count < SEND_BATCH and size_bytes < WRITE_BYTES and (waiting := queue.pop()) is not None:
-            item = waiting.item
-            if item.before:
-                pieces += (frame_head(len(item.before), is_binary=True), item.before)
-            pieces += (frame_head(len(item.data), is_binary=item.is_binary), item.data)
-            count += 1
-            size_bytes += waiting.size_bytes
-            self._to_client.add(now_s - waiting.since_s)
-        if count:
+            if queue.is_flush_due or (self._flush_due_s is not None and now_s >= self._flush_due_s):
+                self._flush(now_s)
+            pieces: list[bytes] = []
+            count = size_bytes = 0
+            while count < SEND_BATCH and size_bytes < WRITE_BYTES and (waiting := queue.pop()) is not None:
+                item = waiting.item
+                if item.before:
+                    pieces += (frame_head(len(item.before), is_binary=True), item.before)
+                pieces += (frame_head(len(item.data), is_binary=item.is_binary), item.data)
+                count += 1
+                size_bytes += waiting.size_bytes
+                self._to_client.add(now_s - waiting.since_s)
+            if not count:
+                return
             self._client.messages_to_client += count
             self._client.bytes_to_client += size_bytes
             self._transport.write(b"".join(pieces))
-            if self._reading.is_writing_paused:
-                self._stuck_timer = self._loop.call_later(SEND_TIMEOUT_S, self._fail, TimeoutError("it does not read"))
-            elif queue.waiting_messages:
-                self._note_news()
+        except Exception as error:  # noqa: BLE001 - raised in the client's task group
+            self._fail(error)
+            return
+        if self._reading.is_writing_paused:
+            self._stuck_timer = self._loop.call_later(SEND_TIMEOUT_S, self._fail, TimeoutError("it does not read"))
+        elif queue.waiting_messages:
+            self._note_news()
 
     def _flush(self, now_s: float) -> None:
         """Queue messages that throttled subscriptions held back until now."""

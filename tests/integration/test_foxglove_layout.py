@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from hostlink.api.foxglove_directory import FoxgloveDirectory
+from hostlink.api.foxglove import FoxgloveDirectory
 from hostlink.config import RobotConfig
 from hostlink.hub.robot_topic_publisher import frames_of
 from hostlink.messages.message_type import MessageType

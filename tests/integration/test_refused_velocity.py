@@ -12,8 +12,7 @@ import pytest
 from structlog.testing import capture_logs
 
 from hostlink.api.clients import ClientQueue
-from hostlink.api.foxglove import FoxgloveClient
-from hostlink.api.foxglove_directory import FoxgloveDirectory
+from hostlink.api.foxglove import FoxgloveClient, FoxgloveDirectory
 from hostlink.api.rosbridge import RosbridgeClient
 from hostlink.client import CommandRefused, Refused, connect
 from hostlink.config import Config

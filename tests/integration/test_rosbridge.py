@@ -106,7 +106,7 @@ async def test_a_service_of_a_device_is_called_and_a_failure_has_a_reason() -> N
 @pytest.mark.parametrize(
     ("request_text", "reason"),
     [
-        ("{", "no JSON"),
+        ("{", "invalid JSON"),
         ("[1]", 'a message is a JSON object with an "op"'),
         ('{"op": 7}', "7: op must be a text"),
         ('{"op": "dance"}', "unknown op 'dance'"),

@@ -10,7 +10,7 @@ from typing import Any
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from hostlink.api.connections import KEPT_FOR_REQUESTS
+from hostlink.api.listener import KEPT_FOR_REQUESTS
 from hostlink.cli.check import FEWEST, NODE_SHARES, check, fitted
 from hostlink.cli.serve import running
 from hostlink.config import (

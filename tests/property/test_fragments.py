@@ -3,7 +3,7 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hostlink.api.rosbridge_request import Fragments
+from hostlink.api.rosbridge import Fragments
 from hostlink.hub.byte_budget import Share
 
 

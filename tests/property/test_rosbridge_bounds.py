@@ -3,7 +3,7 @@
 import tracemalloc
 from typing import Any
 
-from hostlink.api.rosbridge_request import MAX_TEXT
+from hostlink.api.rosbridge import MAX_TEXT
 from hostlink.hub.participant import MAX_ADVERTISED, MAX_LATCHED, MAX_SERVICES, MAX_SUBSCRIPTIONS
 from tests.support.rosbridge_memory import world
 
@@ -37,7 +37,7 @@ async def test_a_gigabyte_of_nesting_costs_no_memory() -> None:
         deep = ["[" * 1_000_000, '{"op":' * 160_000, '{"op":"publish","topic":"/x","msg":' + '{"a":' * 200_000]
         for text in deep:
             peer.client.receive(text)
-        assert all("no JSON" in text for text in statuses(peer.received()))
+        assert all("invalid JSON" in text for text in statuses(peer.received()))
         tracemalloc.start()
         for _ in range(340):
             for text in deep:

@@ -19,8 +19,7 @@ from aiohttp.test_utils import make_mocked_request
 
 from hostlink.api.access import GRANT, Grant
 from hostlink.api.clients import ClientQueue, Clients
-from hostlink.api.foxglove import FoxgloveClient
-from hostlink.api.foxglove_directory import FoxgloveDirectory
+from hostlink.api.foxglove import FoxgloveClient, FoxgloveDirectory
 from hostlink.api.rest import Owners, Rest
 from hostlink.api.rosbridge import RosbridgeClient
 from hostlink.api.routes import BODY, CAME

@@ -13,8 +13,7 @@ from weakref import WeakKeyDictionary
 from structlog.testing import capture_logs
 
 from hostlink.api.clients import ClientQueue, Outgoing
-from hostlink.api.foxglove import FoxgloveClient
-from hostlink.api.foxglove_directory import FoxgloveDirectory
+from hostlink.api.foxglove import FoxgloveClient, FoxgloveDirectory
 from hostlink.api.rest import Owners
 from hostlink.api.rosbridge import RosbridgeClient
 from hostlink.config import Config

@@ -394,7 +394,7 @@ async def test_a_daemon_that_is_gone_is_waited_for(scene: Scene) -> None:
 async def test_page_shows_which_client_drives_and_which_has_priority(scene: Scene) -> None:
     async with connected(scene) as tab:
         async with driven_by_a_program(scene, priority=50):
-            await tab.shows("#drive-state", "Your stick takes over")
+            await tab.shows("#drive-state", "your stick takes over")
         await scene.stands()
         async with driven_by_a_program(scene, priority=90):
             await tab.shows("#drive-state", "with a higher priority")

@@ -120,7 +120,7 @@ async def one_instant_everywhere(opened: Locator) -> None:
     await expect_page(opened.locator("[aria-current]")).to_have_count(1)
     await opened.locator("#incident-plot-turn .u-over").hover(position={"x": 3, "y": 20})
     await expect_page(opened.locator(".timebar output")).to_have_text(re.compile(r"^−"))
-    await expect_page(opened.locator("[role=log] .later", has_text="gone")).to_have_count(1)
+    await expect_page(opened.locator("[role=log] .later", has_text="link lost")).to_have_count(1)
     before = await slider.get_attribute("aria-valuetext")
     await opened.get_by_role("button", name="show less time").click()
     assert await slider.get_attribute("aria-valuetext") == before  # zooming keeps the instant

@@ -140,3 +140,7 @@ def test_tls_needs_valid_certificate_and_key(tmp_path: Path) -> None:
     (tmp_path / "cert.pem").write_text("no certificate")
     with pytest.raises(ConfigError, match=r"cert\.pem"):
         tls_context(ApiConfig(certificate=tmp_path / "cert.pem", key=tmp_path / "cert.pem"))
+
+
+def test_limits_of_one_are_accepted() -> None:
+    Access(ApiConfig(max_clients=1, max_message_bytes=1, max_requests_s=1.0))

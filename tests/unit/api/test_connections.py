@@ -3,16 +3,16 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hostlink.api.connections import IDLE_TIMEOUT_S, Connection, Connections
+from hostlink.api.listener import IDLE_TIMEOUT_S, ApiConnection, ApiConnections
 
 HERE, THERE = "127.0.0.1", "10.0.0.5"
 
 
-def crowd(*, most: int = 4, of_address: int = 3) -> Connections:
-    return Connections(most, of_address, request_timeout_s=10.0)
+def crowd(*, most: int = 4, of_address: int = 3) -> ApiConnections:
+    return ApiConnections(most, of_address, request_timeout_s=10.0)
 
 
-def enter(connections: Connections, address: str, now_s: float = 0.0) -> Connection:
+def enter(connections: ApiConnections, address: str, now_s: float = 0.0) -> ApiConnection:
     new, _ = connections.enter(address, now_s)
     assert new is not None
     return new
@@ -81,7 +81,7 @@ def test_bounds_are_kept_and_complete_requests_are_never_evicted(
     script: list[tuple[str, int]], most: int, of_address: int
 ) -> None:
     connections = crowd(most=most, of_address=of_address)
-    here: dict[int, Connection] = {}
+    here: dict[int, ApiConnection] = {}
     served: set[int] = set()
     for step, choice in script:
         chosen = sorted(here)[choice % len(here)] if here else None

@@ -14,9 +14,9 @@ from hostlink.api.foxglove import (
     INTERVAL_S,
     NO_GRAPH,
     STEP_S,
+    ConnectionGraph,
     graph_update,
 )
-from hostlink.api.foxglove_directory import ConnectionGraph
 from hostlink.api.foxglove_protocol import ServiceCall, decode_frame, encode_message, encode_response
 from hostlink.errors import BadRequest
 from hostlink.hub.node import Role

@@ -2,7 +2,7 @@
 
 import pytest
 
-from hostlink.api.rosbridge_request import MAX_PENDING, MAX_PIECES, TIMEOUT_S, Fragments
+from hostlink.api.rosbridge import MAX_PENDING, MAX_PIECES, TIMEOUT_S, Fragments
 from hostlink.errors import BadRequest
 from hostlink.hub.byte_budget import Share
 

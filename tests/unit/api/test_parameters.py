@@ -2,7 +2,7 @@
 
 import pytest
 
-from hostlink.api.parameters import MAX_PARAMETERS, MAX_VALUE_CHARACTERS, Parameters
+from hostlink.api.rosapi import MAX_PARAMETERS, MAX_VALUE_CHARACTERS, Parameters
 from hostlink.config import ParameterValue
 from hostlink.errors import BadRequest, UnknownTopic, WrongType
 

@@ -1,10 +1,9 @@
 """Token buckets of the API's clients."""
 
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hostlink.api.rate_limit import MAX_KEYS, Bucket, RateLimit
+from hostlink.api.rate_limit import MAX_KEYS, RateLimit
 
 
 def test_rate_limit_allows_a_burst_of_one_second() -> None:
@@ -13,14 +12,6 @@ def test_rate_limit_allows_a_burst_of_one_second() -> None:
     assert not limit.allows("a", 5.05)
     assert limit.allows("a", 5.1 + 1e-9)
     assert limit.refused == 2
-
-
-def test_bucket_of_a_fast_client_has_debt() -> None:
-    bucket = Bucket(10, 5.0)
-    assert [bucket.debt_s(5.0) for _ in range(10)] == [0.0] * 10
-    assert bucket.debt_s(5.0) == pytest.approx(0.1)
-    assert bucket.debt_s(5.0) == pytest.approx(0.2)
-    assert bucket.debt_s(5.2) == pytest.approx(0.1)
 
 
 def test_rate_limit_is_separate_for_each_key() -> None:
@@ -37,12 +28,8 @@ def test_rate_limit_keeps_a_bounded_number_of_keys() -> None:
 
 @given(st.floats(1, 1000), st.lists(st.floats(0, 0.5), max_size=200))
 def test_rate_limit_never_allows_more_than_rate_and_burst(per_s: float, pauses_s: list[float]) -> None:
-    limit, bucket = RateLimit(per_s), Bucket(per_s, 0.0)
-    now_s, passed, sent, silent_until_s = 0.0, 0, 0, 0.0
+    limit, now_s, passed = RateLimit(per_s), 0.0, 0
     for pause_s in pauses_s:
         now_s += pause_s
         passed += limit.allows("a", now_s)
-        silent_until_s += bucket.debt_s(silent_until_s)
-        sent += 1
     assert passed <= per_s * now_s + per_s + 1e-6
-    assert sent <= per_s * silent_until_s + per_s + 1e-6

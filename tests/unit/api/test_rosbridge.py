@@ -291,7 +291,7 @@ async def test_many_quick_calls_in_one_read_are_all_answered() -> None:
         caller, answers = here.client(), []
         for number in range(200):
             caller.send(op="call_service", id=number, service="/rosapi/get_time")
-            if caller.client.is_crowded:
+            if caller.client.calls > MAX_CALLS // 2:
                 await asyncio.sleep(0)
             answers += caller.received()
         answers += await caller.answers()

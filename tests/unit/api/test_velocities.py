@@ -5,8 +5,8 @@ from typing import Any
 
 import pytest
 
-from hostlink.api.inbox import velocity_of_payload, velocity_of_request
-from hostlink.api.rosbridge_request import Request
+from hostlink.api.clients import velocity_of_payload
+from hostlink.api.rosbridge import Request, velocity_of_request
 from hostlink.hub.topic import DeviceSubscription
 from hostlink.hub.topic_graph import TopicGraph
 from hostlink.robot.velocity import TWIST_TYPE, ZERO, PlanarVelocity

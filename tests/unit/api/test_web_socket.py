@@ -10,8 +10,7 @@ import pytest
 from aiohttp import WSMessage, WSMsgType, web
 from structlog.testing import capture_logs
 
-from hostlink.api.clients import Client, ClientQueue, Outgoing
-from hostlink.api.inbox import Operation
+from hostlink.api.clients import Client, ClientQueue, Operation, Outgoing
 from hostlink.api.listener import PacedReading
 from hostlink.api.web_socket import READY_TIMEOUT_S, SEND_BATCH, SEND_TIMEOUT_S, WRITE_BYTES, ClientSocket, frame_head
 from hostlink.hub.queue import MAX_RESULTS
@@ -32,6 +31,8 @@ class Socket:
         self.close_code: int | None = None
         self.closed = self.is_writing_paused = False
         self.came_s = 0.0
+        self.reads = self.unread_bytes = 0
+        self.has_room = False
         self.kind = "rosbridge"
         self.messages_from_client = self.messages_to_client = self.bytes_to_client = 0
         self.on_read: Callable[[], None]
@@ -64,7 +65,6 @@ class Socket:
         self.on_read, self.on_writable = on_read, on_writable
 
     def leave_web_socket(self) -> None: ...
-    def receive_message(self) -> None: ...
     def receive_control(self, _: int) -> None: ...
 
 
@@ -72,7 +72,7 @@ class Echo:
     """A program that answers each word with the word; `fail` fails, and `robot=2` is a velocity."""
 
     def __init__(self, queue: ClientQueue) -> None:
-        self.queue, self.done, self.is_crowded, self.is_closed = queue, list[str](), False, False
+        self.queue, self.done, self.calls, self.is_closed = queue, list[str](), 0, False
         self.held_back: list[tuple[float, str]] = []  # what is due, and when
 
     def read(self, data: str | bytes, came_s: float) -> Operation[str]:
