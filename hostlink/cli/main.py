@@ -113,7 +113,7 @@ PANELS = {
     },
     "Topics, services, parameters": {
         "topics": "List the topics.",
-        "info": "Show the publishers and subscribers of a topic or a node, or the content of a recording.",
+        "info": "Show publishers and subscribers of a topic or a node, or the content of a recording.",
         "type": "Show the type of a topic or a service.",
         "find": "List the topics and services of a type.",
         "echo": "Print the messages of a topic.",

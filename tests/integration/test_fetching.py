@@ -21,6 +21,6 @@ async def test_what_somebody_else_put_there_meanwhile_stays(tmp_path: Path) -> N
         await fetch(program, "/api/recordings/run.mcap", target)
         assert target.read_bytes() == b"of the daemon"
         target.write_bytes(b"of somebody else")
-        with pytest.raises(HostlinkError, match="File exists; the daemon still has it"):
+        with pytest.raises(HostlinkError, match="File exists; the daemon still has the recording"):
             await fetch(program, "/api/recordings/run.mcap", target)
     assert target.read_bytes() == b"of somebody else"

@@ -353,7 +353,7 @@ class TestInvitation:
             assert host.hub.links.all()[0].peer == "{}:{}".format(*local)
 
     @pytest.mark.parametrize("text", ["192.168.4.2", "robot:11411", "192.168.4.2:0", "192.168.4.2:65536", ":11411"])
-    def test_what_is_no_address_is_refused(self, text: str) -> None:
+    def test_udp_option_that_is_not_an_address_is_refused(self, text: str) -> None:
         with pytest.raises(ValueError, match=r"HOST:PORT|does not appear to be"):
             UdpConfig(devices=(text,))
 

@@ -29,7 +29,7 @@ async def test_both_refuse_it_with_one_sentence(tmp_path: Path, text: str) -> No
     assert await run("serve", "--config", str(file)) == checked
 
 
-async def test_what_is_suspicious_is_a_warning(tmp_path: Path) -> None:
+async def test_suspicious_setting_is_a_warning(tmp_path: Path) -> None:
     file = tmp_path / "hostlink.toml"
     file.write_text(FREE + '[robots.a]\naddress = "192.168.4"\n')
     status, out, err = await run("serve", "--check-config", str(file))

@@ -88,7 +88,7 @@ async def _moves_within(daemon: Process, observations: int) -> bool:
 async def test_a_pressed_key_drives_and_a_released_one_stops(layout: str, key: str) -> None:
     async with driving(layout) as (daemon, terminal):
         async with moving(terminal, daemon, key):
-            assert "driven by you" in await terminal.shows("asked     +0.20 m/s")
+            assert "driven by you" in await terminal.shows("command   +0.20 m/s")
         await expect(daemon, stands)
         for _ in range(TRIES):  # a busy machine may deliver the zero after the end of the lease
             if await last_drive_ended(daemon) == LET_GO:
@@ -219,4 +219,4 @@ async def test_without_a_terminal_it_is_refused() -> None:
         )  # fmt: skip
         _, err = await child.communicate()
     assert child.returncode == 2
-    assert err.decode().startswith("hostlink: teleop: needs a terminal for its keys")
+    assert err.decode().startswith("hostlink: teleop: standard input or output is not a terminal")

@@ -266,7 +266,7 @@ async def test_it_waits_for_the_master_that_may_know_its_port(ros: Graph) -> Non
         (("__master:=localhost",), "http://localhost:11311"),
         (("__master:=http://localhost:99999",), "Port out of range"),
         (("--master", ""), "no address of a master"),
-        (("tcp", "_number:=99999999999"), "the master cannot have it"),
+        (("tcp", "_number:=99999999999"), "the master refuses this parameter"),
         (("tcp", "--messages", "/nonexistent", "--master", "http://127.0.0.1:1"), "/nonexistent"),
     ],
 )
