@@ -489,7 +489,7 @@ def notes_of(stage: Stage, accepted: tuple[float, float], records: Mapping[str, 
             f"to {accepted[0]:.3f} m/s, {accepted[1]:.3f} rad/s"
         )
     if any(record.is_set_point_changing for record in records.values()):
-        notes.append("the set-point was still changing at the end; use a longer --seconds")
+        notes.append("the set-point was still changing at the end; use more --seconds")
     return notes
 
 

@@ -57,7 +57,7 @@ def test_the_steps_of_tuning_rise_to_the_speed() -> None:
 @pytest.mark.parametrize(
     ("speed_m_s", "wheel", "way"),
     [
-        (0.2, None, "robot_0 drives 1.20 m straight forwards at up to 0.20 m/s for 6.0 s; keep that way and half a metre more free"),
+        (0.2, None, "1.20 m straight forwards at up to 0.20 m/s for 6.0 s; keep that way and half a metre more free"),
         (-0.1, None, "robot_0 drives 0.60 m straight backwards at up to 0.10 m/s"),
         (0.2, Wheel.LEFT, "left wheel rolls 1.20 m forwards round the right one"),
         (0.2, Wheel.RIGHT, "at up to 0.20 m/s for 6.0 s; keep a circle of 0.9 m free"),
@@ -112,7 +112,7 @@ def test_a_picture_that_cannot_be_is_refused_before_the_robot_moves(
 ) -> None:
     with pytest.raises(ConfigError, match=r"must end in one of \.pdf, \.png, \.svg"):
         require_picture(tmp_path / "step.gif")
-    with pytest.raises(ConfigError, match="the folder .* does not exist"):
+    with pytest.raises(ConfigError, match=r"the folder .* does not exist"):
         require_picture(tmp_path / "nowhere" / "step.png")
     monkeypatch.setattr(step_module, "LIBRARY", "no_such_library")
     with pytest.raises(ConfigError, match=r"needs matplotlib: run  pip install '.\[pictures\]'"):
