@@ -16,6 +16,7 @@ from typing import Annotated, Any
 import typer
 
 from hostlink.cli.output import allow_any_text, write, write_error
+from hostlink.cli.start import import_fast
 from hostlink.errors import ConfigError, HostlinkError
 
 # -- words of ROS and of other programs -------------------------------------------------------------------------------
@@ -177,7 +178,7 @@ def build_app(wanted: str | None) -> typer.Typer:
 
 
 def _add(app: typer.Typer, name: str, text: str, panel: str, *, is_wanted: bool) -> None:
-    module: Any = importlib.import_module(module_of(name)) if is_wanted else None
+    module: Any = import_fast(module_of(name)) if is_wanted else None
     function = _function_of(module, name) if is_wanted else _name_only
     if isinstance(function, typer.Typer):
         app.add_typer(function, name=name, short_help=text, rich_help_panel=panel)
