@@ -62,7 +62,7 @@ async def test_a_step_is_driven_reported_and_drawn(tmp_path: Path) -> None:
 async def test_tuning_proposes_gains_and_sends_them() -> None:
     async with serve() as daemon, simulated(daemon.tcp):
         await connected(daemon.url)
-        status, out, err = await run("step", "robot_0", "--relay", "--send", "--yes", "--json", "--url", daemon.url)
+        status, out, err = await run("step", "robot_0", "--tune", "--send", "--yes", "--json", "--url", daemon.url)
     assert status == 0, err
     view = json.loads(out)
     assert view["is_sent"]
