@@ -16,6 +16,7 @@ from typing import Annotated, Any
 import typer
 
 from hostlink.cli.output import allow_any_text, write, write_error
+from hostlink.cli.start import import_fast
 from hostlink.errors import ConfigError, HostlinkError
 
 # -- words of ROS and of other programs -------------------------------------------------------------------------------
@@ -113,7 +114,7 @@ PANELS = {
     },
     "Topics, services, parameters": {
         "topics": "List the topics.",
-        "info": "Show the publishers and subscribers of a topic or a node, or the content of a recording.",
+        "info": "Show publishers and subscribers of a topic or a node, or the content of a recording.",
         "type": "Show the type of a topic or a service.",
         "find": "List the topics and services of a type.",
         "echo": "Print the messages of a topic.",
@@ -177,7 +178,7 @@ def build_app(wanted: str | None) -> typer.Typer:
 
 
 def _add(app: typer.Typer, name: str, text: str, panel: str, *, is_wanted: bool) -> None:
-    module: Any = importlib.import_module(module_of(name)) if is_wanted else None
+    module: Any = import_fast(module_of(name)) if is_wanted else None
     function = _function_of(module, name) if is_wanted else _name_only
     if isinstance(function, typer.Typer):
         app.add_typer(function, name=name, short_help=text, rich_help_panel=panel)

@@ -14,6 +14,7 @@ import typer
 from hostlink.cli.addresses import MAX_PORT, parse_serial
 from hostlink.cli.output import write
 from hostlink.cli.serve_command import merge, open_device_port, with_master
+from hostlink.cli.start import import_fast
 from hostlink.config import Config, Ros1Config, SerialConfig, load
 from hostlink.errors import ConfigError
 from hostlink.graphs.ros1.names import NodeArguments, parse_arguments
@@ -118,7 +119,7 @@ def command(
     settings = with_devices(settings, parameters, arguments.others, options)
     listening = listening or open_device_port(settings.tcp)
     importlib.import_module("hostlink.logs").configure(level=log_level)
-    importlib.import_module("hostlink.cli.serve").run(settings, listening, None, ends_with_graph=True)
+    import_fast("hostlink.cli.serve").run(settings, listening, None, ends_with_graph=True)
 
 
 def _write_package(folder: Path) -> list[str]:

@@ -15,6 +15,7 @@ import typer
 
 from hostlink.cli.addresses import is_origin, parse_address, parse_serial
 from hostlink.cli.output import write
+from hostlink.cli.start import import_fast
 from hostlink.config import Config, Ros1Config, TcpConfig, UdpConfig, ZenohConfig, load
 from hostlink.errors import ConfigError, LibraryMissing
 from hostlink.listening import listen as listen_at
@@ -101,7 +102,7 @@ def command(
     listening = [] if check_config else open_device_port(settings.tcp)
     new_loop = loop_factory(loop)
     importlib.import_module("hostlink.logs").configure(level=log_level)
-    daemon = importlib.import_module("hostlink.cli.serve")
+    daemon = import_fast("hostlink.cli.serve")
     if check_config:
         daemon.show_check(settings)
     else:

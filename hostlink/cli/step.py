@@ -489,7 +489,7 @@ def notes_of(stage: Stage, accepted: tuple[float, float], records: Mapping[str, 
             f"to {accepted[0]:.3f} m/s, {accepted[1]:.3f} rad/s"
         )
     if any(record.is_set_point_changing for record in records.values()):
-        notes.append("the set-point was still changing at the end; use a longer --seconds")
+        notes.append("the set-point was still changing at the end; use more --seconds")
     return notes
 
 
@@ -624,7 +624,6 @@ class _Request:
     wheel: Wheel | None
     tunes: bool
     sends: bool
-    is_confirmed: bool
     as_json: bool
     full_pwm: float
     picture: Path | None
@@ -647,7 +646,7 @@ def command(
         ),
     ] = None,
     tune: Annotated[
-        bool, typer.Option("--tune", "--relay", help="Identify the motors by rising steps, and compute PID gains.")
+        bool, typer.Option("--tune", help="Identify the motors by rising steps, and compute PID gains.")
     ] = False,
     send: Annotated[
         bool, typer.Option("--send", help="With --tune: send the gains to the robot, to try them at once.")
@@ -693,7 +692,6 @@ def command(
         wheel=wheel,
         tunes=tune,
         sends=send,
-        is_confirmed=yes,
         as_json=json,
         full_pwm=full_pwm,
         picture=picture,

@@ -413,13 +413,13 @@ def field_of(message: Any, path: str) -> Any:
         elif isinstance(value, list) and (index or name).isdecimal() and int(index or name) < len(value):
             value = value[int(index or name)]
         else:
-            raise HostlinkError(f"the message has no field {path}; known are: {_known(value)}")
+            raise HostlinkError(f"no field {path}; at that place the message has {_known(value)}")
     return value
 
 
 def _known(value: Any) -> str:
     if isinstance(value, dict):
-        return ", ".join(value) or "none"
+        return ", ".join(value) or "no fields"
     return f"a list of {len(value)}" if isinstance(value, list) else "a single value"
 
 

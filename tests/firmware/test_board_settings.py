@@ -313,8 +313,8 @@ def test_a_port_with_other_bytes_is_an_error_that_names_them(text: bytes, reason
         (("--wifi-name", "x" * 33), "wifi_name: at most 32 bytes, this has 33"),
         (("--name", "a//b"), "name: a letter"),
         (("--key-file", "/gone"), "No such file"),
-        (("--key-file", EMPTY), "is empty; /dev/null empties the setting"),
-        ((), "nobody answers here"),
+        (("--key-file", EMPTY), "is empty; name /dev/null to clear the setting"),
+        ((), "standard input is not a terminal"),
     ],
 )
 def test_a_wrong_value_is_refused_before_anything_is_stored(flash: Path, options: tuple[str, ...], reason: str) -> None:

@@ -108,7 +108,7 @@ async def test_the_command_lists_them_or_says_that_there_are_none(tmp_path: Path
         daemon(config_in(tmp_path), has_black_box=True) as host,
         fake_device(host.tcp, robot_topics()) as device,
     ):
-        assert await run("drives", "--url", host.url) == (0, "nobody drove yet\n", "")
+        assert await run("drives", "--url", host.url) == (0, "there are no drives of any robot yet\n", "")
         await host.rest("PUT", "/api/robots/robot_0/velocity", b'{"linear": 0.2, "angular": 0}')
         assert await device.velocity_other_than((0.0, 0.0)) == (0.2, 0.0)
         _, out, _ = await run("drives", "robot_0", "--url", host.url)
@@ -116,5 +116,5 @@ async def test_the_command_lists_them_or_says_that_there_are_none(tmp_path: Path
         assert head.split("  ")[0] == "from UTC"
         assert "rest 127.0.0.1" in row
         assert " 0.20 " in row
-        assert (await run("drives", "other", "--url", host.url))[1] == "nobody drove other yet\n"
+        assert (await run("drives", "other", "--url", host.url))[1] == "there are no drives of other yet\n"
         assert json.loads((await run("drives", "other", "--json", "--url", host.url))[1])["drives"] == []

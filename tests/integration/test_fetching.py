@@ -21,6 +21,6 @@ async def test_file_that_another_program_wrote_meanwhile_is_kept(tmp_path: Path)
         await fetch(program, "/api/recordings/run.mcap", target)
         assert target.read_bytes() == b"of the daemon"
         target.write_bytes(b"of somebody else")
-        with pytest.raises(HostlinkError, match="File exists; the daemon still has it"):
+        with pytest.raises(HostlinkError, match="File exists; the daemon still has the recording"):
             await fetch(program, "/api/recordings/run.mcap", target)
     assert target.read_bytes() == b"of somebody else"

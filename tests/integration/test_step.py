@@ -162,7 +162,7 @@ async def test_a_program_that_begins_while_the_step_waits_keeps_the_robot() -> N
         gate = host.hub.robots.find("robot_0").gate
         await expect(lambda: gate.counts.stops > 0)
         await other.robot("robot_0").drive(0.1, 0.0)
-        assert "drives it; end that first" in await step
+        assert "; end that program first" in await step
         assert gate.counts.stops == 1
         assert gate.owner_name is not None
 
@@ -191,7 +191,7 @@ async def test_a_robot_that_leaves_ends_the_step() -> None:
 async def test_driven_robot_is_refused() -> None:
     async with bench() as (host, _, me), connect(host.url) as other:
         await other.robot("robot_0").drive(0.1, 0.0)
-        with pytest.raises(HostlinkError, match="drives it; end that first"):
+        with pytest.raises(HostlinkError, match="; end that program first"):
             await connected_state(me.robot("robot_0"))
 
 
@@ -252,7 +252,7 @@ async def roll(device: FakeDevice) -> None:
 
 async def test_a_robot_that_sends_nothing_is_not_driven() -> None:
     async with daemon() as host, fake_device(host.tcp, [*robot_topics(), PLOT]) as device, connect(host.url) as me:
-        assert "nothing comes on /robot_0/plot_data" in await refused(record(me))
+        assert "/robot_0/plot_data had no message in 2 s" in await refused(record(me))
         with pytest.raises(TimeoutError):
             async with asyncio.timeout(0.5):
                 await device.velocity_other_than((0.0, 0.0))
@@ -335,7 +335,7 @@ async def test_plot_data_that_falls_silent_ends_the_step_within_a_second() -> No
         await stepping(host)
         robot.is_plot_silent = True
         await expect(lambda: host.hub.robots.find("robot_0").gate.current.is_zero, timeout_s=1.1)
-        assert await drive == "/robot_0/plot_data has fallen silent; the robot was sent a stop"
+        assert await drive == "/robot_0/plot_data had no message for 0.9 s; the robot was sent a stop"
         await stands(robot)
 
 
@@ -347,5 +347,7 @@ async def test_invalid_track_width_is_replaced_by_the_papers(parameters: dict[st
 
 async def test_a_robot_that_accepts_no_gains_is_named() -> None:
     async with daemon() as host, fake_device(host.tcp, [*robot_topics(), PLOT]), connect(host.url) as me:
-        with pytest.raises(HostlinkError, match="robot_0 accepts no gains: it subscribes to no pid_tune_l"):
+        with pytest.raises(
+            HostlinkError, match="robot_0 accepts no gains, because it does not subscribe to pid_tune_l"
+        ):
             await tune(me, "robot_0", {"left": motor_record()}, sends=True)

@@ -11,8 +11,8 @@ from typing import Any, cast
 from hostlink.api.clients import ClientQueue
 from hostlink.api.rosbridge import RosbridgeClient
 from hostlink.client import Robot
-from hostlink.client.connection import Connection
-from hostlink.client.driver import Driver
+from hostlink.client.connection import HostConnection
+from hostlink.client.driver import VelocitySender
 from hostlink.client.http_client import HttpClient
 from hostlink.errors import HostlinkError
 from hostlink.hub.hub import Hub
@@ -22,7 +22,7 @@ _numbers = itertools.count(1)
 
 
 class MemoryConnection:
-    """Connection as the client's driver uses it. `delay_s`: delay of messages that are sent from now on."""
+    """HostConnection as the client's driver uses it. `delay_s`: delay of messages that are sent from now on."""
 
     def __init__(self, hub: Hub, tasks: asyncio.TaskGroup) -> None:
         self.delay_s = 0.0
@@ -93,11 +93,11 @@ class MemoryHost:
     def __init__(self, hub: Hub, tasks: asyncio.TaskGroup) -> None:
         self.connection_ = MemoryConnection(hub, tasks)
         self._rest = cast(HttpClient, _Rest(hub))
-        self._driver = Driver(cast(Connection, self.connection_), asyncio.get_running_loop().time)
+        self._driver = VelocitySender(cast(HostConnection, self.connection_), asyncio.get_running_loop().time)
         self._repeating = tasks.create_task(self._driver.repeat())
 
     def robot(self, name: str, *, priority: int = 50) -> Robot:
-        connection = cast(Connection, self.connection_)
+        connection = cast(HostConnection, self.connection_)
         return Robot(name, priority, http=self._rest, driver=self._driver, connection=connection)
 
     def connection(self) -> "MemoryHost":

@@ -157,7 +157,7 @@ async def test_a_capture_is_diagnosed_like_the_link_that_it_is_of(tmp_path: Path
 
 @pytest.mark.parametrize(
     ("arguments", "status", "complaint"),
-    [([], 2, "name a link by its number, or say --last"), (["7"], 1, "no link named 7"), (["--last"], 1, "no device")],
+    [([], 2, "name a link by its number, or use --last"), (["7"], 1, "no link named 7"), (["--last"], 1, "no device")],
 )
 async def test_doctor_with_an_empty_capture_says_so(arguments: list[str], status: int, complaint: str) -> None:
     async with serve() as daemon:

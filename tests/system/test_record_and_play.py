@@ -180,7 +180,7 @@ async def _now_ns(daemon: Process) -> int:
 
 async def test_incidents_are_listed_and_fetched(tmp_path: Path) -> None:
     async with serve(*settings(tmp_path)) as daemon, simulated(daemon.tcp):
-        assert (await run("incidents", "--url", daemon.url))[1] == "nothing has happened\n"
+        assert (await run("incidents", "--url", daemon.url))[1] == "there are no incidents\n"
         await until_connected(daemon.url)
         status, out, err = await run("incidents", "--save", "robot_0", "--reason", "it squeaks", "--url", daemon.url)
         assert (status, out) == (0, ""), err

@@ -28,7 +28,7 @@ async def test_a_file_that_is_there_stays(tmp_path: Path) -> None:
     file.write_text("mine")
     status, _, err = await run("setup", str(file), "--yes")
     assert (status, file.read_text()) == (2, "mine")
-    assert err == f"hostlink: FILE: {file} is there already: name another, or add --force\n"
+    assert err == f"hostlink: FILE: {file} exists already; name another, or add --force\n"
     assert (await run("setup", str(file), "--yes", "--force"))[0] == 0
 
 
@@ -36,7 +36,7 @@ async def test_an_end_before_the_last_question_writes_nothing(tmp_path: Path) ->
     file = tmp_path / "hostlink.toml"
     status, _, err = await run("setup", str(file), input_text="wifi\n")
     assert (status, file.exists()) == (1, False)
-    assert "no answer to question 2/10; nothing is written" in err
+    assert "standard input ended at question 2/10, and nothing was written" in err
 
 
 async def test_a_file_that_cannot_be_written_is_a_line(tmp_path: Path) -> None:

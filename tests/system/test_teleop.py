@@ -98,7 +98,7 @@ async def _moves(daemon: Process) -> bool:
 async def test_teleop_with_a_held_key_drives_and_lets_go_at_its_release(layout: str, key: str) -> None:
     async with driving(layout) as (daemon, terminal):
         async with moving(terminal, daemon, key):
-            assert "driven by you" in await terminal.shows("asked     +0.20 m/s")
+            assert "driven by you" in await terminal.shows("command   +0.20 m/s")
         await expect(daemon, is_stopped)
         for _ in range(TRIES):  # a busy machine may deliver the zero after the end of the lease
             if await last_drive_ended(daemon) == LET_GO:
@@ -208,4 +208,4 @@ async def test_teleop_without_a_terminal_is_refused() -> None:
         )  # fmt: skip
         _, err = await child.communicate()
     assert child.returncode == 2
-    assert err.decode().startswith("hostlink: teleop: needs a terminal for its keys")
+    assert err.decode().startswith("hostlink: teleop: standard input or output is not a terminal")

@@ -49,14 +49,14 @@ async def test_top_once_prints_text_or_json() -> None:
 async def test_top_without_a_terminal_prints_what_to_do() -> None:
     status, out, err = await run("top")
     assert (status, out) == (2, "")
-    assert err == "hostlink: top: needs a terminal; elsewhere use --once or --json\n"
+    assert err == "hostlink: top: standard output is not a terminal; use --once or --json\n"
 
 
 @pytest.mark.parametrize("key", ["q", "C-c"])
 async def test_top_in_a_terminal_ends_at_q_and_ctrl_c(key: str) -> None:
     async with daemon() as host, fake_device(host.tcp, robot_topics()), screen() as terminal:
         await terminal.keys(f"{HOSTLINK} top --url {host.url}", "Enter")
-        shown = await terminal.shows("nothing is wrong")
+        shown = await terminal.shows("no findings")
         assert "robot_0" in shown
         await terminal.keys(key)
         await terminal.shows("bash-")  # the prompt is back

@@ -74,7 +74,11 @@ async def test_a_killed_daemon_leaves_no_robot_moving() -> None:
 
 
 async def test_an_unknown_loop_is_one_line() -> None:
-    assert await run("serve", "--loop", "trio") == (2, "", "hostlink: --loop: trio is none of asyncio, uvloop\n")
+    assert await run("serve", "--loop", "trio") == (
+        2,
+        "",
+        "hostlink: --loop: unknown event loop 'trio'; choose asyncio or uvloop\n",
+    )
 
 
 def test_a_loop_that_is_not_installed_is_one_line(tmp_path: Path) -> None:

@@ -267,7 +267,7 @@ async def test_ros1_without_a_master_waits_for_the_one_that_may_know_its_port(ro
         (("__master:=localhost",), "http://localhost:11311"),
         (("__master:=http://localhost:99999",), "Port out of range"),
         (("--master", ""), "no address of a master"),
-        (("tcp", "_number:=99999999999"), "the master cannot have it"),
+        (("tcp", "_number:=99999999999"), "the master refuses this parameter"),
         (("tcp", "--messages", "/nonexistent", "--master", "http://127.0.0.1:1"), "/nonexistent"),
     ],
 )

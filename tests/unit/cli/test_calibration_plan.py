@@ -1,4 +1,4 @@
-"""What a person enters, and the state file between two drives."""
+"""Lengths and angles that a person enters, and the state file between two drives."""
 
 import contextlib
 import math
@@ -37,7 +37,7 @@ def test_parse_length_with_a_unit_is_in_metres(text: str, metres: float) -> None
 
 @pytest.mark.parametrize("text", ["12.5", "-0.42", "+3", "1e2", "12,5"])
 def test_parse_length_without_a_unit_needs_a_default(text: str) -> None:
-    with pytest.raises(UnitMissing, match=r"of what\? Enter it with its unit, as 12\.5 cm") as missing:
+    with pytest.raises(UnitMissing, match=r"has no unit; enter for example 12\.5 cm") as missing:
         parse_length(text)
     assert missing.value.number == text
     assert parse_length(text, "cm") == pytest.approx(float(text.replace(",", ".")) / 100)
@@ -45,8 +45,8 @@ def test_parse_length_without_a_unit_needs_a_default(text: str) -> None:
 
 
 @pytest.mark.parametrize("text", ["", "cm", "12 miles", "nan", "inf m", "1.2.3", "12 m m", "--1"])
-def test_what_is_no_length_is_refused_with_an_example(text: str) -> None:
-    with pytest.raises(ValueError, match="is no length"):
+def test_text_that_is_not_a_length_is_refused_with_an_example(text: str) -> None:
+    with pytest.raises(ValueError, match="is not a length"):
         parse_length(text)
 
 
@@ -60,7 +60,7 @@ def test_no_text_breaks_the_reading(text: str) -> None:
 def test_angles_are_degrees() -> None:
     assert parse_angle("-90°") == pytest.approx(-math.pi / 2)
     assert parse_angle("12,5 degrees") == pytest.approx(math.radians(12.5))
-    with pytest.raises(ValueError, match="is no angle"):
+    with pytest.raises(ValueError, match="is not a number of degrees"):
         parse_angle("left")
 
 
@@ -112,10 +112,10 @@ def test_a_calibration_without_drives_is_not_kept(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("content", [b"", b"{}", b'{"robot": 1}', b"\xff"])
-def test_a_file_that_is_no_state_is_refused(tmp_path: Path, content: bytes) -> None:
+def test_file_that_is_not_a_state_file_is_refused(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "state.json"
     path.write_bytes(content)
-    with pytest.raises(HostlinkError, match="no calibration that can be resumed"):
+    with pytest.raises(HostlinkError, match="is not the state file of a calibration"):
         open_state(path, SavedCalibration("robot_0", Sizes(), WheelGeometry()), anew=False)
 
 

@@ -18,7 +18,7 @@ def test_a_rate_is_of_the_window() -> None:
     assert (measured.figures.count, measured.figures.mean, measured.figures.most) == (3, 20.0, 30)
 
 
-def test_there_is_no_rate_of_one_message_nor_of_many_at_once() -> None:
+def test_one_message_or_many_at_once_have_no_rate() -> None:
     measured = MessageWindow(10)
     assert (measured.rate_hz, measured.between_s, measured.figures) == (0.0, None, None)
     measured.add(1.0)
