@@ -38,7 +38,6 @@ _LOG_LEVELS: Final = {1: 10, 2: 20, 4: 30, 8: 40, 16: 50}  # ROS 1's are bits
 _NESTED: Final = {"time": "builtin_interfaces/msg/Time", "duration": "builtin_interfaces/msg/Duration"}
 _EMPTY: Final = ("structure_needs_at_least_one_member", (Nodetype.BASE, ("uint8", 0)))
 _SIZES: Final = {str(name): size_bytes for name, size_bytes in SIZEMAP.items()}
-_NUMPY: Final = {"bool": "bool", "byte": "uint8", "char": "uint8"}
 _SHADOW: Final = "hostlink_ros1/msg/"  # the catalog's fields of a type that ROS 2 has with others
 _MALFORMED: Final = (SerdeError, ArithmeticError, AssertionError, LookupError, TypeError, ValueError, struct.error)
 
@@ -238,7 +237,7 @@ class Ros2Types:
             return [self._copied(each, inner) for each in (value if value is not None else [None] * count)]
         if value is not None:
             return value
-        return [""] * count if inner[0] == "string" else np.zeros(count, dtype=_NUMPY.get(inner[0], inner[0]))
+        return [""] * count if inner[0] == "string" else np.zeros(count, dtype=inner[0])
 
 
 def _without_char(desc: _Desc) -> _Desc:

@@ -21,7 +21,7 @@ from hostlink.graphs.zenoh.fleet import fleet_running
 from hostlink.graphs.zenoh.fleet_commands import FleetDrivers
 from hostlink.graphs.zenoh.fleet_messages import (
     ANSWER,
-    DriveRequest,
+    FleetCommand,
     FleetTransport,
     Keys,
     Sender,
@@ -144,7 +144,7 @@ class FleetDriver:
         late_s: float = 0.0,
         epoch: int | None = None,
     ) -> None:
-        request = DriveRequest(
+        request = FleetCommand(
             number=next(self._numbers),
             epoch=epoch,
             sent_s=_now_s() - late_s,

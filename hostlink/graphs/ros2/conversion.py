@@ -2,6 +2,7 @@
 
 import array
 import base64
+import importlib
 import math
 import re
 from collections import deque
@@ -33,6 +34,23 @@ _SIZES = {"byte": 1, "float32": 4, "float64": 8} | {
 _TIME_LAYOUTS = {"time": ("int32", "uint32"), "duration": ("int32", "uint32")}
 _PLACEHOLDER = "structure_needs_at_least_one_member"  # what ROS 2 has in a message without fields
 _ROS1_HEADER = "std_msgs/Header"
+
+
+def load_type(type_name: str) -> Any:
+    """The class of a message or service, as `geometry_msgs/msg/Twist` names it.
+
+    Raises:
+        HostlinkError: it is not installed.
+    """
+    package, kind, name = type_name.split("/")
+    try:
+        return getattr(importlib.import_module(f"{package}.{kind}"), name)
+    except (ImportError, AttributeError) as error:
+        apt = f"ros-$ROS_DISTRO-{package.replace('_', '-')}"
+        raise HostlinkError(
+            f"{type_name} is not installed here, so what is of this type stays out of ROS 2: install {apt}, "
+            "or build and source its package"
+        ) from error
 
 
 def ros2_fields(fields_and_types: Mapping[str, str]) -> Fields:

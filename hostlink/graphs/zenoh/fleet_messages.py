@@ -194,7 +194,7 @@ class TopicList(msgspec.Struct, frozen=True, kw_only=True):
     topics: Annotated[tuple[FleetTopic, ...], msgspec.Meta(max_length=MAX_TOPICS)]
 
 
-class DriveRequest(msgspec.Struct, frozen=True, kw_only=True, tag="drive"):
+class FleetCommand(msgspec.Struct, frozen=True, kw_only=True, tag="drive"):
     """A velocity, linear and angular, for the length of a lease. `owner`: who drives, among those of the sender."""
 
     number: int
@@ -256,7 +256,7 @@ class FleetAnswer(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True)
     robots: Annotated[tuple[RobotMessage, ...], msgspec.Meta(max_length=MAX_ROBOTS)] = ()
 
 
-Request = DriveRequest | Release | Unlock
+Request = FleetCommand | Release | Unlock
 StopRequest = Stop | Lock
 
 _Kind = TypeVar("_Kind")

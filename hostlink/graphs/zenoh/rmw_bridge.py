@@ -726,7 +726,7 @@ async def ros2_bridged(hub: Hub, session: ZenohSession, config: ZenohConfig) -> 
     log.info("ros2.joined", node=token.full_name, domain=token.domain, distribution=config.ros_distribution)
     try:
         async with asyncio.TaskGroup() as tasks:
-            watcher = tasks.create_task(_log_trouble(bridge.counts), name="ros2 trouble")
+            watcher = tasks.create_task(log_trouble(bridge.counts), name="ros2 trouble")
             try:
                 yield bridge
             finally:
@@ -736,7 +736,7 @@ async def ros2_bridged(hub: Hub, session: ZenohSession, config: ZenohConfig) -> 
         log.info("ros2.left", **bridge.counts)
 
 
-async def _log_trouble(counts: Counter[str]) -> None:
+async def log_trouble(counts: Counter[str]) -> None:
     """One line in ten seconds about what was lost since the last."""
     before: Counter[str] = Counter()
     while True:

@@ -17,7 +17,7 @@ from hostlink.errors import ConfigError
 from hostlink.graphs.zenoh.settings import library, reach_of, reason_of, settings_of
 from hostlink.hub.isolation import Isolation
 from hostlink.logs import printable
-from hostlink.mirror.inbox import MAX_WAITING, Inbox
+from hostlink.mirror.inbox import MAX_WAITING, ThreadInbox
 
 log = structlog.get_logger()
 
@@ -319,9 +319,9 @@ class ZenohSession:
             if not self._is_closed:
                 log.debug("zenoh.failed", what=what, cause=printable(str(error), 200))
 
-    def inbox(self, deliver: Callable[[Any], None], *, max_waiting: int = MAX_WAITING) -> Inbox[Any]:
+    def inbox(self, deliver: Callable[[Any], None], *, max_waiting: int = MAX_WAITING) -> ThreadInbox[Any]:
         """A queue from Zenoh's threads to the loop."""
-        return Inbox(
+        return ThreadInbox(
             deliver,
             guarded=lambda: self._isolation.around("graph", graph="zenoh"),
             counts=self.counts,
