@@ -133,7 +133,6 @@ class RingMemory:
         return self.folder
 
     def remove(self) -> None:
-        """Remove the memory."""
         if self.folder is not None:
             shutil.rmtree(self.folder, ignore_errors=True)
         self.release()
@@ -229,7 +228,6 @@ class Ring:
 
     @property
     def blocks(self) -> int:
-        """Number of blocks."""
         return len(self.full) + (self.block >= 0)
 
     @property
@@ -408,7 +406,6 @@ class Rings:
             self.forget(robot)
 
     def forget(self, robot: str) -> None:
-        """Remove a robot's ring."""
         ring = self._rings.pop(robot, None)
         while ring is not None and ring.blocks:
             self._free.append(ring.drop_oldest().block)
@@ -422,7 +419,6 @@ class Rings:
 
     @property
     def size_bytes(self) -> int:
-        """Size of all used blocks."""
         return BLOCK_BYTES * sum(ring.blocks for ring in self._rings.values())
 
 

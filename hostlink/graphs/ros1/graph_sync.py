@@ -171,7 +171,6 @@ class GraphSync:
                 wire.receive(messages[1:])
 
     def close(self) -> None:
-        """Close all endpoints."""
         self.update(Graph((), ()), NameMap(NameResolver()))
         for mirror in (self._publications, self._offers, self._connections, self._services):
             mirror.close()

@@ -33,7 +33,6 @@ class NameResolver:
 
     @property
     def namespace(self) -> str:
-        """Namespace of the node."""
         return self.node.rpartition("/")[0] or "/"
 
     def resolve(self, name: str) -> str:

@@ -112,7 +112,6 @@ class EarlyMaster:
         self._path, self._node = where.path or "/", node
 
     def close(self) -> None:
-        """Close the connection."""
         self._connection.close()
 
     def call(self, method: str, *arguments: object) -> Any:

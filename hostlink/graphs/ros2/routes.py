@@ -201,7 +201,7 @@ class Routes:
         cls = load_type(ros2_type(route.type_name, "srv"))
 
         async def answer(request: Any, response: Any) -> Any:
-            """In rclpy's thread."""
+            """Answer a request. Called in rclpy's thread."""
             pending = self._node.pending()
             self._node.post(self._call_daemon, route.service, to_json(request), pending)
             values = await pending

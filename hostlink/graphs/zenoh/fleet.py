@@ -34,7 +34,7 @@ FIND_INTERVAL_S = 5.0  # between two searches for daemons whose tokens may have 
 
 
 class Fleet:
-    """One daemon's part in the fleet."""
+    """Membership of this daemon in the fleet."""
 
     def __init__(self, hub: Hub, session: ZenohSession, config: ZenohConfig) -> None:
         counts: Counter[str] = Counter()

@@ -104,7 +104,7 @@ class FleetDrivers:
             driver.participant.leave()
 
     def leave_all(self) -> None:
-        """The fleet ends here."""
+        """Let the drivers of all daemons leave: what they drive stops."""
         for zid in list(self._drivers):
             self.leave(zid)
 
