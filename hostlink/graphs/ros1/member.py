@@ -97,7 +97,7 @@ class Member:
         return wire
 
     def shut_down(self, reason: str) -> None:
-        """End the node. The daemon goes on without it."""
+        """End the node, but not the daemon."""
         if not self.ended.done():
             self.ended.set_result(reason)
 
