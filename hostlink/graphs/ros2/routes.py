@@ -17,9 +17,8 @@ from hostlink.graphs.ros2.conversion import (
     fill,
     load_type,
     nested_types,
-    ros1_layout,
+    ros1_fields,
     ros2_fields,
-    ros2_layout,
     stamped,
     to_json,
 )
@@ -37,6 +36,7 @@ from hostlink.graphs.ros2.plan import (
 )
 from hostlink.graphs.ros2.velocity import VelocityDriver
 from hostlink.graphs.ros2_names import ros1_type, ros2_type
+from hostlink.graphs.wire_layout import ros1_layout, ros2_layout
 from hostlink.mirror.inbox import ThreadInbox
 from hostlink.robot.velocity import Twist
 
@@ -63,7 +63,8 @@ class Types:
             cls = load_type(ros2)
             types = definitions(ros2)
             answer = await host.call("/rosapi/message_details", {"type": type_name})
-            added = added_bytes(ros1_layout(answer["typedefs"], type_name), ros2_layout(types, ros2))
+            here = ros1_layout(ros1_fields(answer["typedefs"]).get, type_name)
+            added = added_bytes(here, ros2_layout(types.__getitem__, ros2))
             if added is None:
                 raise HostlinkError(f"{ros2} has other fields in ROS 2 than {type_name} here: it is not converted")
             self.conversion.add(types, ros2, added_bytes=added)
