@@ -15,7 +15,6 @@ import structlog
 
 from hostlink.config import ZenohConfig
 from hostlink.errors import BadPayload, BadRequest, CommandRefused, HostlinkError, RefusalKind, ServiceFailed, WrongType
-from hostlink.graphs.refusal_log import RefusalLog
 from hostlink.graphs.ros2_names import ros1_type
 from hostlink.graphs.ros2_types import Ros2Message, Ros2Service, Ros2Types
 from hostlink.graphs.zenoh.rmw_protocol import (
@@ -47,7 +46,7 @@ from hostlink.hub.message import Message
 from hostlink.hub.participant import Participant
 from hostlink.logs import printable
 from hostlink.messages.message_type import ServiceType
-from hostlink.mirror.log_once import LogOnce
+from hostlink.mirror.log_once import LogOnce, RefusalLog
 from hostlink.mirror.mirror import Mirror
 from hostlink.robot.admission import EarlierMotion
 from hostlink.robot.velocity import TWIST_STAMPED_TYPE, TWIST_TYPE
