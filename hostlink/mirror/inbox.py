@@ -56,7 +56,7 @@ class ThreadInbox(Generic[Item]):
             self._loop.call_soon_threadsafe(self._news.set if self._deliver is None else self._drain)
 
     def close(self) -> None:
-        """Deliver nothing more."""
+        """Drop the items that wait, and later ones."""
         with self._lock:
             self._is_closed = True
             self._waiting.clear()

@@ -296,7 +296,6 @@ class McapReader:
 
     @property
     def size_bytes(self) -> int:
-        """Size of the file."""
         return self.path.stat().st_size
 
     # -- the file's records -------------------------------------------------------------------------------------------

@@ -39,7 +39,6 @@ class Recording:
 
     @property
     def seconds(self) -> float:
-        """Duration so far."""
         return asyncio.get_running_loop().time() - self.began_s
 
 
@@ -169,7 +168,6 @@ class Recordings:
         self.black_box.start(self.drives.correct)
 
     async def aclose(self) -> None:
-        """End all recordings."""
         async with asyncio.TaskGroup() as tasks:
             tasks.create_task(self.drives.aclose(), name="end of the drives")
             tasks.create_task(self.black_box.aclose(), name="end of the black box")

@@ -12,7 +12,6 @@ from typing import Any, cast
 
 from hostlink.config import Config, Ros1Config, ZenohConfig
 from hostlink.errors import CommandRefused, HostlinkError, RefusalKind
-from hostlink.graphs.refusal_log import RefusalLog
 from hostlink.graphs.ros1.local_node import LocalNode
 from hostlink.graphs.ros1.tcpros import encode_header, encode_message
 from hostlink.graphs.ros1.topics import _PublisherConnection
@@ -21,7 +20,7 @@ from hostlink.graphs.zenoh.fleet import fleet_running
 from hostlink.graphs.zenoh.fleet_commands import FleetDrivers
 from hostlink.graphs.zenoh.fleet_messages import (
     ANSWER,
-    DriveRequest,
+    FleetCommand,
     FleetTransport,
     Keys,
     Sender,
@@ -45,7 +44,7 @@ from hostlink.hub.hub import Hub
 from hostlink.hub.node import Role
 from hostlink.hub.participant import Participant
 from hostlink.hub.robot import Robot
-from hostlink.mirror.log_once import LogOnce
+from hostlink.mirror.log_once import LogOnce, RefusalLog
 from hostlink.robot.velocity import TWIST_TYPE, PlanarVelocity
 from tests.support.fake_device import CATALOG
 from tests.support.memory_zenoh import MemoryNetwork, MemorySession
@@ -144,7 +143,7 @@ class FleetDriver:
         late_s: float = 0.0,
         epoch: int | None = None,
     ) -> None:
-        request = DriveRequest(
+        request = FleetCommand(
             number=next(self._numbers),
             epoch=epoch,
             sent_s=_now_s() - late_s,

@@ -64,7 +64,6 @@ class Port:
         self._acceptor = Acceptor(self._listening, accepted, on_exhausted=self._note_refused)
 
     def close(self) -> None:
-        """Stop listening, and close all connections."""
         if self._acceptor is not None:
             self._acceptor.close()
         close_all(self._listening)
@@ -173,7 +172,6 @@ class Wire(BufferedConnection):
     # -- to the peer --------------------------------------------------------------------------------------------------
 
     def send_header(self, fields: Header) -> None:
-        """Send the connection header."""
         self.transport.write(encode_header(fields))
 
     def refuse(self, reason: str) -> None:

@@ -2,20 +2,21 @@
 
 import asyncio
 import contextlib
-import importlib
 import struct
 import threading
-from collections.abc import AsyncIterator, Callable, Iterable, Iterator
+from collections.abc import AsyncIterator, Callable, Collection, Iterable, Iterator, Mapping
 from typing import Any, TypeVar
 
 import rclpy
+from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import NodeNameNonExistentError
+from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 
-from hostlink.errors import ConfigError, HostlinkError
+from hostlink.errors import ConfigError
 from hostlink.graphs.ros2.plan import Qos, Ros2Graph, Ros2Publisher, ros2_name
 
 NODE_NAME = "hostlink"
@@ -35,6 +36,7 @@ class Ros2Node:
         self._loop = asyncio.get_running_loop()
         self._published: dict[str, Any] = {}  # rclpy's publishers by the daemon's topic
         self._is_sim_time = False
+        self._is_setting = False  # in rclpy's thread: `set_parameters` sets, and no other node
 
     async def run(self, function: Callable[[], Result]) -> Result:
         """Call a function in rclpy's thread; what it raises is raised here."""
@@ -114,6 +116,50 @@ class Ros2Node:
     def pending(self) -> Any:
         """A future of rclpy, which a coroutine in its thread awaits and the event loop completes."""
         return rclpy.task.Future(executor=self._executor)
+
+    # -- its parameters -----------------------------------------------------------------------------------------------
+
+    async def watch_parameters(self, accept: Callable[[dict[str, Any]], str]) -> None:
+        """Call `accept` in rclpy's thread for each change by another node, without parameters that every node has.
+
+        `accept` gets values by name, None for a deleted one, and returns the reason of a refusal, else an empty text.
+        """
+        await self.run(lambda: self._watch_parameters(accept))
+
+    def _watch_parameters(self, accept: Callable[[dict[str, Any]], str]) -> None:
+        own = frozenset(self.node.list_parameters([], 0).names)  # as use_sim_time
+
+        def decide(parameters: list[Any]) -> Any:
+            values = {} if self._is_setting else {each.name: _plain(each.value) for each in parameters}
+            changed = {name: value for name, value in values.items() if name not in own}
+            reason = accept(changed) if changed else ""
+            return SetParametersResult(successful=not reason, reason=reason)
+
+        self.node.add_on_set_parameters_callback(decide)
+        self.node.add_post_set_parameters_callback(self._describe)
+
+    def _describe(self, parameters: list[Any]) -> None:
+        """Give what was not declared before it was set a descriptor, which `ros2 param` shows."""
+        for each in parameters:
+            if self.node.has_parameter(each.name) and not self.node.describe_parameter(each.name).name:
+                self.node.set_descriptor(each.name, ParameterDescriptor(dynamic_typing=True))
+
+    async def set_parameters(self, changed: Mapping[str, Any], gone: Collection[str]) -> None:
+        """Set and delete parameters of the node; `accept` of `watch_parameters` is not called for them."""
+        await self.run(lambda: self._set_parameters(changed, gone))
+
+    def _set_parameters(self, changed: Mapping[str, Any], gone: Collection[str]) -> None:
+        self._is_setting = True
+        try:
+            for name in filter(self.node.has_parameter, gone):
+                self.node.undeclare_parameter(name)
+            for name, value in changed.items():
+                if self.node.has_parameter(name):
+                    self.node.set_parameters([Parameter(name, value=value)])
+                else:
+                    self.node.declare_parameter(name, value, ParameterDescriptor(dynamic_typing=True))
+        finally:
+            self._is_setting = False
 
     # -- the graph ----------------------------------------------------------------------------------------------------
 
@@ -201,25 +247,13 @@ def profile(qos: Qos) -> Any:
     )
 
 
-def load_type(type_name: str) -> Any:
-    """The class of a message or service, as `geometry_msgs/msg/Twist` names it.
-
-    Raises:
-        HostlinkError: it is not installed.
-    """
-    package, kind, name = type_name.split("/")
-    try:
-        return getattr(importlib.import_module(f"{package}.{kind}"), name)
-    except (ImportError, AttributeError) as error:
-        apt = f"ros-$ROS_DISTRO-{package.replace('_', '-')}"
-        raise HostlinkError(
-            f"{type_name} is not installed here, so what is of this type stays out of ROS 2: install {apt}, "
-            "or build and source its package"
-        ) from error
-
-
 def _offered(found: Any) -> Qos:
     return Qos(found.reliability == ReliabilityPolicy.RELIABLE, found.durability == DurabilityPolicy.TRANSIENT_LOCAL)
+
+
+def _plain(value: Any) -> Any:
+    """Convert a parameter's value to JSON."""
+    return list(value) if hasattr(value, "tolist") or isinstance(value, tuple) else value
 
 
 def _settle(done: "asyncio.Future[Any]", result: object, error: Exception | None) -> None:

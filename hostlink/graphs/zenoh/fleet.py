@@ -34,12 +34,12 @@ FIND_INTERVAL_S = 5.0  # between two searches for daemons whose tokens may have 
 
 
 class Fleet:
-    """One daemon's part in the fleet."""
+    """Membership of this daemon in the fleet."""
 
     def __init__(self, hub: Hub, session: ZenohSession, config: ZenohConfig) -> None:
         counts: Counter[str] = Counter()
         hub.counts.graphs["fleet"] = lambda: counts
-        me = Sender(config.name or _host_name(), session.zid)
+        me = Sender(config.name or sender_name(socket.gethostname()), session.zid)
         self._hub, self._transport = hub, FleetTransport(session, Keys(config.fleet_name), me, counts, config.drivers)
         self._roster = FleetRoster(counts, forget_after_s=hub.config.link.forget_robot_after_s)
         self._states = FleetStates(hub, self._transport)
@@ -200,9 +200,9 @@ async def fleet_running(hub: Hub, session: ZenohSession, config: ZenohConfig) ->
         fleet.end()
 
 
-def _host_name() -> str:
-    """Return the host's name in a form that a key may contain."""
-    return "".join(char if char.isalnum() or char in "._-" else "-" for char in socket.gethostname())[:64] or "host"
+def sender_name(host: str) -> str:
+    """Return the name of a host in a form that a key may contain."""
+    return "".join(char if char.isalnum() or char in "._-" else "-" for char in host)[:64] or "host"
 
 
 def _now_s() -> float:

@@ -25,8 +25,8 @@ from hostlink.graphs.zenoh.fleet_messages import (
     GROUP,
     REQUEST,
     STOP_REQUEST,
-    DriveRequest,
     FleetAnswer,
+    FleetCommand,
     FleetTransport,
     Lock,
     Release,
@@ -104,7 +104,7 @@ class FleetDrivers:
             driver.participant.leave()
 
     def leave_all(self) -> None:
-        """The fleet ends here."""
+        """Let the drivers of all daemons leave: what they drive stops."""
         for zid in list(self._drivers):
             self.leave(zid)
 
@@ -124,7 +124,7 @@ class FleetDrivers:
         robot = None
         try:
             match request:
-                case DriveRequest():
+                case FleetCommand():
                     if not request.wanted.is_zero:
                         self._check_role(neighbour, request.robot)
                     source = functools.partial(self._participant, neighbour, request.owner, request.owner_name)
@@ -146,7 +146,7 @@ class FleetDrivers:
             self._transport.counts["refused"] += 1
             return _refusal(request.number, error, robot)
 
-    def _drive(self, neighbour: Neighbour, robot: LocalRobot, request: DriveRequest) -> FleetAnswer:
+    def _drive(self, neighbour: Neighbour, robot: LocalRobot, request: FleetCommand) -> FleetAnswer:
         velocity = request.wanted
         if robot.also_at and not velocity.is_zero:
             raise DeviceGone(robot.name, f"several robots have this name, also at {', '.join(robot.also_at)}")
@@ -285,7 +285,7 @@ class FleetRequests:
         self._waiting[command.number] = command
         if len(self._waiting) > MAX_WAITING:
             del self._waiting[next(iter(self._waiting))]
-        request = DriveRequest(
+        request = FleetCommand(
             number=command.number,
             sent_s=now_s,
             robot=robot.name,

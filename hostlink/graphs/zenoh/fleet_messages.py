@@ -86,7 +86,6 @@ class PoseState(msgspec.Struct, frozen=True, kw_only=True, array_like=True):
 
     @classmethod
     def of(cls, known: OdometrySnapshot) -> "PoseState":
-        """Convert to the message."""
         return cls(
             x_m=round(known.pose.x_m, _DIGITS),
             y_m=round(known.pose.y_m, _DIGITS),
@@ -104,7 +103,6 @@ class PoseState(msgspec.Struct, frozen=True, kw_only=True, array_like=True):
 
     @property
     def odometry(self) -> OdometrySnapshot:
-        """Convert from the message."""
         return OdometrySnapshot(
             pose=Pose(self.x_m, self.y_m, self.theta_rad),
             twist=PlanarVelocity(self.linear_m_s, self.linear_y_m_s, self.angular_rad_s),
@@ -127,7 +125,6 @@ class RobotMessage(RobotState, frozen=True, kw_only=True, omit_defaults=True):
 
     @classmethod
     def of(cls, state: RobotState) -> "RobotMessage":
-        """Convert to the message."""
         facts = {name: getattr(state, name) for name in _FIELDS}
         velocity, odometry = state.velocity, state.odometry
         facts["velocity"], facts["linear_y_m_s"] = (velocity.x_m_s, velocity.yaw_rad_s), velocity.y_m_s
@@ -136,7 +133,6 @@ class RobotMessage(RobotState, frozen=True, kw_only=True, omit_defaults=True):
 
     @property
     def state(self) -> RobotState:
-        """Convert from the message."""
         facts = {name: getattr(self, name) for name in _FIELDS}
         facts["velocity"] = PlanarVelocity(self.velocity[0], self.linear_y_m_s, self.velocity[1])
         facts["odometry"] = None if self.pose is None else self.pose.odometry
@@ -194,7 +190,7 @@ class TopicList(msgspec.Struct, frozen=True, kw_only=True):
     topics: Annotated[tuple[FleetTopic, ...], msgspec.Meta(max_length=MAX_TOPICS)]
 
 
-class DriveRequest(msgspec.Struct, frozen=True, kw_only=True, tag="drive"):
+class FleetCommand(msgspec.Struct, frozen=True, kw_only=True, tag="drive"):
     """A velocity, linear and angular, for the length of a lease. `owner`: who drives, among those of the sender."""
 
     number: int
@@ -208,7 +204,6 @@ class DriveRequest(msgspec.Struct, frozen=True, kw_only=True, tag="drive"):
 
     @property
     def wanted(self) -> PlanarVelocity:
-        """The velocity."""
         return Twist(*self.velocity).planar
 
 
@@ -256,7 +251,7 @@ class FleetAnswer(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True)
     robots: Annotated[tuple[RobotMessage, ...], msgspec.Meta(max_length=MAX_ROBOTS)] = ()
 
 
-Request = DriveRequest | Release | Unlock
+Request = FleetCommand | Release | Unlock
 StopRequest = Stop | Lock
 
 _Kind = TypeVar("_Kind")

@@ -55,7 +55,7 @@ class _Export:
         self._publisher.watch(self._demand)
 
     def close(self) -> None:
-        """Share it no more."""
+        """Withdraw the topic from the fleet."""
         self._demand(False)
         self._publisher.close()
 
@@ -95,7 +95,7 @@ class _Import:
                 raise
 
     def close(self) -> None:
-        """Show it no more."""
+        """Withdraw the topic from the graph here."""
         self._participant.unadvertise(self._name)
         if self._to_device is not None:
             self._to_device.close()
@@ -214,7 +214,6 @@ class FleetTopics:
         self._fetching: set[str] = set()
 
     def begin(self) -> None:
-        """Follow the graph from now on."""
         self._participant.watch_graph(self._update)
 
     def end(self) -> None:

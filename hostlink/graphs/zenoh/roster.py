@@ -19,7 +19,7 @@ SILENT_S = 3.0  # a daemon sends its state each second; one whose token lives bu
 
 @dataclass(slots=True, eq=False)
 class Neighbour:
-    """One other daemon."""
+    """Another daemon of the fleet, and its robots."""
 
     sender: Sender
     heard_at_s: float
@@ -67,7 +67,6 @@ class FleetRoster:
         return list(self._neighbours.values())
 
     def names(self) -> list[str]:
-        """Names of all robots."""
         return list(self._by_name)
 
     def find(self, sender: Sender | None) -> Neighbour | None:
@@ -119,7 +118,7 @@ class FleetRoster:
         return touched
 
     def receive(self, sender: Sender, state: State, now_s: float) -> set[str]:
-        """A daemon has sent its state."""
+        """Update the robots of a daemon from its state."""
         neighbour = self.announced(sender)
         if neighbour is None:
             return set()
@@ -152,7 +151,7 @@ class FleetRoster:
         return touched
 
     def watch(self, now_s: float) -> set[str]:
-        """Note who has fallen silent."""
+        """Note the daemons that have sent nothing for SILENT_S."""
         silent = [
             each for each in self._neighbours.values() if not each.is_silent and now_s > each.heard_at_s + SILENT_S
         ]

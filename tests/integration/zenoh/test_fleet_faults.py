@@ -12,7 +12,7 @@ import zenoh
 from hostlink.config import Config, ZenohConfig
 from hostlink.graphs.zenoh.fleet_messages import (
     MAX_ROBOTS,
-    DriveRequest,
+    FleetCommand,
     FleetTopic,
     RobotMessage,
     State,
@@ -227,7 +227,7 @@ async def test_flood_of_commands_delays_no_stop() -> None:
         await _until_heard(b, liar, "robot_66")
         place = _zid_of(a, "robot_7")
         flood = encode(
-            DriveRequest(
+            FleetCommand(
                 number=1,
                 sent_s=1.0,
                 robot="robot_9",

@@ -14,7 +14,7 @@ from hostlink.graphs.zenoh.fleet_messages import (
     STATE,
     STOP_REQUEST,
     TOPIC_LIST,
-    DriveRequest,
+    FleetCommand,
     Keys,
     Lock,
     Sender,
@@ -103,7 +103,7 @@ def test_a_request_is_only_for_whom_it_is_meant(request_: Unlock | Stop | Lock) 
 
 
 def test_a_command_passes_unchanged() -> None:
-    drive = DriveRequest(
+    drive = FleetCommand(
         number=1,
         sent_s=1.5,
         robot="r",
@@ -124,7 +124,7 @@ def test_messages_of_a_daemon_without_epochs_are_read() -> None:
         "velocity": [0.1, 0, 0, 0, 0, 0], "priority": 50, "link": 7, "stops": 3, "later": [],
     }  # fmt: skip
     drive = decode(msgspec.json.encode(old), REQUEST)
-    assert isinstance(drive, DriveRequest)
+    assert isinstance(drive, FleetCommand)
     assert drive.epoch is None
     state = decode(msgspec.json.encode({"sent_s": 0.0, "topics": 0, "robots": [ROBOT | {"later": 1}]}), STATE)
     assert state.robots[0].epoch is None
