@@ -59,9 +59,14 @@ class UnwatchedRobot:
         )
         return [*robot_topics(self.name), *([blob] if self.reading.with_blobs else [])]
 
+    @property
+    def is_moving(self) -> bool:
+        """Whether its last velocity is not zero."""
+        return bool(self.velocities) and self.velocities[-1][1] != ZERO
+
     async def driven(self) -> None:
         """Wait until it moves."""
-        await expect(lambda: self.velocities and self.velocities[-1][1] != ZERO, timeout_s=TIMEOUT_S)
+        await expect(lambda: self.is_moving, timeout_s=TIMEOUT_S)
 
     async def stood(self, timeout_s: float = TIMEOUT_S) -> None:
         """Wait until id 11 has come, or the connection has ended."""
