@@ -47,7 +47,7 @@ class UnwatchedRobot:
     stops: list[float] = field(default_factory=list)  # when id 11 came
     ended_at_s: float | None = None  # when the connection did
     reader: RosLibReader = field(init=False)
-    _descriptor: int = -1
+    descriptor: int = -1  # of its connection
 
     def __post_init__(self) -> None:
         self.reader = RosLibReader(self._receive, gives_up=self.reading.gives_up)
@@ -84,7 +84,7 @@ class UnwatchedRobot:
 
     async def read(self, descriptor: int) -> None:
         """Serve a connection until it ends. Late turns are made up for: the test is what was late, not the robot."""
-        self._descriptor = descriptor
+        self.descriptor = descriptor
         due_s = time.monotonic()
         while self.ended_at_s is None:
             await asyncio.sleep(max(0.0, due_s - time.monotonic()))
@@ -94,7 +94,7 @@ class UnwatchedRobot:
     def _turn(self) -> None:
         data = b""
         try:
-            data = os.read(self._descriptor, self.reading.bytes_a_turn)
+            data = os.read(self.descriptor, self.reading.bytes_a_turn)
             has_ended = not data
         except OSError as error:
             has_ended = error.errno in (errno.EIO, errno.ECONNRESET, errno.EPIPE)
@@ -107,7 +107,7 @@ class UnwatchedRobot:
     def _receive(self, topic_id: int, payload: bytes) -> None:
         if topic_id == Id.PUBLISHER:
             infos = b"".join(encode(info.kind, encode_topic_info(info)) for info in self.topics())
-            os.write(self._descriptor, encode(Id.TIME, bytes(8)) + infos + encode(Id.TIME, bytes(8)))
+            os.write(self.descriptor, encode(Id.TIME, bytes(8)) + infos + encode(Id.TIME, bytes(8)))
         elif topic_id == Id.STOP:
             self.stops.append(time.monotonic())
         elif topic_id == 100:

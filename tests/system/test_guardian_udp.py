@@ -99,7 +99,7 @@ async def test_a_guardian_that_is_stuck_keeps_no_device_from_the_daemon(tmp_path
         os.kill(guardian, signal.SIGSTOP)
         try:
             await daemon.logged("link.closed")  # the robot sends nothing by itself
-            os.write(robot._descriptor, GREETING)
+            os.write(robot.descriptor, GREETING)
             await daemon.logged("robot.appeared", 2)
         finally:
             os.kill(guardian, signal.SIGCONT)
