@@ -120,7 +120,7 @@ $(CLIENTS): tests/clients/package.json tests/clients/package-lock.json
 # What cannot be installed here does not end the run: the table lists the tests that need it (tests/support/requirements.py).
 .PHONY: test-requirements
 test-requirements: $(VENV)/.dev
-	@tools/require.sh tmux procps systemd chromium-headless-shell firefox-esr openssl $(FIRMWARE_PACKAGES) $(WORLD_PACKAGES) $(ROS1_PACKAGES) || true
+	@tools/require.sh tmux zsh procps systemd chromium-headless-shell firefox-esr openssl $(FIRMWARE_PACKAGES) $(WORLD_PACKAGES) $(ROS1_PACKAGES) || true
 	@for each in $(CLIENTS) $(ROS2_VENV)/.installed $(ROS_MCP_VENV)/.installed; do \
 	  $(MAKE) --no-print-directory $$each || echo "the tests that need $$each are not run"; done
 

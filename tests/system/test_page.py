@@ -120,7 +120,7 @@ async def driven_by_a_program(scene: Scene, *, priority: int) -> AsyncIterator[N
 @pytest.mark.parametrize("script", ["", INSECURE], ids=["secure", "insecure"])
 async def test_page_shows_the_robot_and_sends_no_request_to_other_hosts(scene: Scene, script: str) -> None:
     async with connected(scene, script=script) as tab:
-        await tab.shows("#drive-state", "nobody drives")
+        await tab.shows("#drive-state", "no driver")
         await tab.shows("#link", "Hz")
         await tab.shows("#clients", "client")
         assert tab.complaints == []
@@ -265,7 +265,7 @@ async def test_stop_locks_until_unlocked(scene: Scene) -> None:
             await scene.stays_still(0.2)
             await keys.up("KeyW")
             await tab.page.get_by_role("button", name="Unlock").click()
-            await tab.shows("#drive-state", "nobody drives")
+            await tab.shows("#drive-state", "no driver")
         await keys.down("KeyW")
         await scene.drives()
 
@@ -337,7 +337,7 @@ async def test_a_network_that_dies_is_noticed_within_a_second_without_the_websoc
     async with proxy((host, int(port))) as network, visit(scene.browser, "about:blank") as tab:
         await tab.page.route_web_socket("**/*", lambda socket: socket.close())
         await tab.page.goto(network.url)
-        await tab.shows("#robots", "nobody drives")
+        await tab.shows("#robots", "no driver")
         await tab.shows("#notice", "The stop works")
         network.set_line(Line.STALLS)
         await tab.shows("#notice", "hostlink does not answer", timeout_s=NOTICED_S)
@@ -387,7 +387,7 @@ async def test_a_daemon_that_is_gone_is_waited_for(scene: Scene) -> None:
         await tab.shows("#drive-state", "No connection")
         network.is_refusing = False
         await tab.is_connected(timeout_s=3.0)
-        await tab.shows("#drive-state", "nobody drives")
+        await tab.shows("#drive-state", "no driver")
         await tab.page.locator("#notice").wait_for(state="hidden")
 
 
@@ -397,13 +397,13 @@ async def test_page_shows_which_client_drives_and_which_has_priority(scene: Scen
             await tab.shows("#drive-state", "Your stick takes over")
         await scene.stands()
         async with driven_by_a_program(scene, priority=90):
-            await tab.shows("#drive-state", "Goes before you")
+            await tab.shows("#drive-state", "with a higher priority")
             before = scene.wanted
             await tab.page.keyboard.down("KeyW")
             await tab.shows("#drive-state", "drives it with a higher priority")
             assert scene.wanted == before
             await tab.page.keyboard.up("KeyW")
-        await tab.shows("#drive-state", "nobody drives")
+        await tab.shows("#drive-state", "no driver")
 
 
 async def test_page_shows_the_battery_the_signal_and_the_errors_in_words(scene: Scene) -> None:

@@ -36,7 +36,7 @@ async def scene() -> AsyncIterator[Scene]:
         await expect(lambda: host.hub.robots.has("robot_0"))
         async with firefox(host.url) as tab:
             await tab.shows("#robots", "robot_0")
-            await tab.shows("#drive-state", "nobody drives")
+            await tab.shows("#drive-state", "no driver")
             yield host, device, tab
 
 
@@ -86,7 +86,7 @@ async def test_the_stop_stops_what_another_drives(scene: Scene) -> None:
     await tab.release(SPACE)
     assert await device.velocity_other_than((0.2, 0.0)) == (0.0, 0.0)
     await stands(host)
-    await tab.shows("#drive-state", "nobody drives")
+    await tab.shows("#drive-state", "no driver")
 
 
 @pytest.mark.parametrize("lost", ["contextmenu", "dragstart", "blur"])
@@ -158,7 +158,7 @@ async def test_the_stop_works_when_it_is_pressed_also_beside_a_finger_on_the_sti
     await tab.let_go(finger="second")
     await tab.let_go(finger="first")
     await host.rest("POST", "/api/robots/robot_0/unlock")
-    await tab.shows("#drive-state", "nobody drives")
+    await tab.shows("#drive-state", "no driver")
 
 
 @pytest.mark.parametrize("layout", ["Tune", "Fleet", "Watch", "Drive"])
@@ -181,7 +181,7 @@ async def test_a_page_that_is_left_while_a_key_is_held_stops(scene: Scene) -> No
     async with fake_device(host.tcp, robot_topics()) as device, repeating(device, pose(0.0, 0.0, 0.0)):
         await expect(lambda: host.hub.robots.find_here("robot_0").link is not None)
         async with firefox(host.url) as tab:
-            await tab.shows("#drive-state", "nobody drives")
+            await tab.shows("#drive-state", "no driver")
             await tab.press(ARROW_UP)
             await device.velocity_other_than((0.0, 0.0))
             await tab.leave()

@@ -107,7 +107,7 @@ async def scene(opened: Scene) -> Scene:
     for key in ("KeyW", "ArrowDown", "Meta"):
         await page.keyboard.up(key)
     await page.evaluate("document.activeElement.blur()")
-    await opened.tab.shows("#drive-state", "nobody drives")
+    await opened.tab.shows("#drive-state", "no driver")
     opened.server.published.clear()
     opened.server.requests.clear()
     return opened
@@ -259,7 +259,7 @@ async def test_robot_that_connects_takes_neither_the_stick_nor_the_stop(browser:
     async with page_server() as server, visit(browser, server.url) as tab:
         scene = Scene(server, tab)
         server.show(fleet("robot_5"))
-        await tab.shows("#drive-state", "nobody drives")
+        await tab.shows("#drive-state", "no driver")
         await tab.page.keyboard.down("KeyW")
         await scene.drives("robot_5")
         server.show(fleet("robot_0", "robot_5"))
@@ -315,7 +315,7 @@ async def test_the_stop_works_beside_a_finger_on_the_stick(browser: Browser) -> 
     async with page_server() as server, visit(browser, server.url, has_touch=True) as tab:
         scene = Scene(server, tab)
         server.show(fleet("robot_0"))
-        await tab.shows("#drive-state", "nobody drives")
+        await tab.shows("#drive-state", "no driver")
         x, y = await tab.stick()
         box = await tab.page.locator("#stop").bounding_box()
         assert box is not None
@@ -356,7 +356,7 @@ async def test_a_stop_of_all_names_each_robot_that_moves_or_is_not_known_to_stan
     unknown = {"state": "unknown", "speed_m_s": None, "turn_rad_s": None, "after_s": None}
     state.standstills = {"robot_2": {**unknown, "reason": "its device is not connected"}}
     await scene.tab.page.get_by_role("button", name="Stop all").click()
-    await scene.tab.shows("#notice", "Whether robot_2 stands is not known: its device is not connected.")
+    await scene.tab.shows("#notice", "Whether robot_2 is stopped is unknown: its device is not connected.")
     state.standstills = {}
     await scene.tab.page.get_by_role("button", name="Stop all").click()
     await scene.tab.shows("#notice", "All 3 robots are stopped.")
@@ -416,7 +416,7 @@ async def test_a_browser_that_keeps_nothing_shows_and_stops(browser: Browser) ->
     """A browser may block the data of all pages: the token is kept until the page is left."""
     async with page_server() as server, visit(browser, f"{server.url}/?token=secret", script=KEEPS_NOTHING) as tab:
         server.show(fleet("robot_0"))
-        await tab.shows("#drive-state", "nobody drives")
+        await tab.shows("#drive-state", "no driver")
         await tab.layout("Watch")
         await tab.page.keyboard.press("Escape")
         await expect(lambda: server.requests == [("POST", "/api/robots/robot_0/lock")])
@@ -454,7 +454,7 @@ async def test_two_who_hold_the_stick_at_once_are_told_so(scene: Scene) -> None:
     scene.server.show(fleet("robot_0", holder="client 1", priority=60))
     await scene.tab.shows("#drive-state", "You drive")
     scene.server.show(fleet("robot_0", holder="client 2", priority=60))
-    await scene.tab.shows("#drive-state", "Somebody else drives it, too")
+    await scene.tab.shows("#drive-state", "Another client drives it too")
     await scene.tab.shows("#drive-state", "You drive")  # the other one has let go
     await scene.tab.page.keyboard.up("KeyW")
 

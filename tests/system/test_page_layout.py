@@ -144,7 +144,7 @@ class Case:
 
 CASES = {
     "empty": Case(State, "#robots", "No robot yet"),
-    "one": Case(lambda: fleet(1), "#drive-state", "nobody drives"),
+    "one": Case(lambda: fleet(1), "#drive-state", "no driver"),
     "three": Case(lambda: fleet(3), "#robots .robot:nth-child(3)", "robot_2"),
     "twelve": Case(lambda: fleet(12), "#robots .robot:nth-child(12)", "robot_11"),
     "fifty": Case(lambda: fleet(50), "#robots .robot:nth-child(50)", "robot_49"),
@@ -154,13 +154,13 @@ CASES = {
     "other": Case(
         lambda: fleet(3, holder="client 12 (phone)", holder_address="192.168.100.105", priority=90),
         "#drive-state",
-        "Goes before you",
+        "with a higher priority",
     ),
     "driven": Case(driven, "#drive-state", "drives"),
     "played": Case(played, "#robots", "played_0"),
     "sick": Case(sick, ".diagnosis", "announces"),
     "lost": Case(lost, "#connection", "no connection"),
-    "read-only": Case(read_only, "#drive-state", "may only read"),
+    "read-only": Case(read_only, "#drive-state", "has the role read"),
 }
 
 
@@ -285,7 +285,7 @@ async def test_a_robot_that_falls_silent_is_amber_within_half_a_second_and_red_w
         await tab.page.locator(".robot[data-state=gone]").wait_for()
         assert await tab.page.locator("#map-canvas").evaluate(AMBER) == 0
         server.show(fleet(3))
-        await tab.shows("#drive-state", "nobody drives")
+        await tab.shows("#drive-state", "no driver")
 
 
 async def test_a_robot_without_odometry_is_silent_by_its_usual_rate(browser: Browser) -> None:
@@ -297,7 +297,7 @@ async def test_a_robot_without_odometry_is_silent_by_its_usual_rate(browser: Bro
 async def noticed_s(server: PageServer, tab: Visit, **changes: Any) -> float:
     """Return the seconds until a robot that falls silent is amber in the list and the drive panel."""
     server.show(fleet(3, **changes))
-    await tab.shows("#drive-state", "nobody drives", timeout_s=15.0)
+    await tab.shows("#drive-state", "no driver", timeout_s=15.0)
     await expect_never_silent(tab)
     begun_ms = await tab.page.evaluate("performance.now()")
     server.show(silent(**changes))
@@ -387,7 +387,7 @@ async def test_all_locked_robots_are_unlocked_at_the_second_press(browser: Brows
         await expect(button).to_have_text("Really unlock?")
         assert server.requests == []
         await button.click()
-        await tab.shows("#notice", "2 robots may be driven again")
+        await tab.shows("#notice", "2 robots unlocked")
         assert sorted(server.requests) == [("POST", f"/api/robots/{name}/unlock") for name in names(3)[1:]]
         state.refusal = "the robot has gone"
         server.show(state)
@@ -401,9 +401,9 @@ async def test_all_locked_robots_are_unlocked_at_the_second_press(browser: Brows
 async def test_present_and_past_drivers_are_shown_with_their_address(browser: Browser) -> None:
     async with page_server() as server, visit(browser, server.url) as tab:
         server.show(fleet(1, holder="client 12 (phone)", holder_address="10.0.0.5", priority=90))
-        await tab.shows("#drive-state", "Goes before you: client 12 (phone, 10.0.0.5)")
+        await tab.shows("#drive-state", "client 12 (phone, 10.0.0.5) drives with a higher priority")
         await tab.layout("Watch")
-        await tab.shows("#drives", "Nobody has driven yet")
+        await tab.shows("#drives", "No drives yet")
         server.show(locked())
         await tab.shows("#drives li:nth-child(1)", "client 12 (phone, 192.168.100.105)")
         await tab.shows("#drives li:nth-child(1)", "for 1 min")
@@ -451,12 +451,12 @@ PRINTED = """
 async def test_requested_velocity_is_drawn_with_the_measured_one(browser: Browser) -> None:
     async with page_server() as server, visit(browser, server.url, script=DASHES) as tab:
         server.show(fleet(1))
-        await tab.shows("#drive-state", "nobody drives")
+        await tab.shows("#drive-state", "no driver")
         await tab.page.evaluate("window.dashes = 0; new Promise((done) => setTimeout(done, 300))")
         assert await tab.page.evaluate("window.dashes") == 0  # nothing is asked
         server.show(driven())
         await tab.page.wait_for_function("window.dashes > 0")
-        await tab.shows("#speeds", "asked 0.30")
+        await tab.shows("#speeds", "commanded 0.30")
         await tab.shows("#speeds", "measured 0.14")
 
 
@@ -510,7 +510,7 @@ async def test_page_is_small_and_soon_ready_on_a_slow_processor(browser: Browser
 
         async def ready_ms() -> float:
             await tab.page.goto(server.url)
-            await tab.shows("#drive-state", "nobody drives")
+            await tab.shows("#drive-state", "no driver")
             ready: float = await tab.page.evaluate("performance.getEntriesByName('hostlink.ready')[0].startTime")
             return ready
 

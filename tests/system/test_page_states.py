@@ -43,7 +43,7 @@ async def test_page_without_a_robot_shows_how_to_get_one_and_that_one_is_gone(br
             await device.send(pose(1.0, -2.0))
             await tab.shows("#pose", "−2.00 m")
             await tab.shows("#plots-note", "no plot_data")
-            await tab.shows("#tuning-state", "takes no gains")
+            await tab.shows("#tuning-state", "has no tuning topics")
         await tab.shows("#robots", "not connected")
         await tab.shows("#notice", "robot_0 is not connected")
         assert tab.complaints == []
@@ -57,7 +57,7 @@ async def test_played_robot_is_named_a_recording_instead_of_its_driver(browser: 
         fake_device(host.tcp, [*robot_topics(), mark]) as device,
     ):
         await device.send(pose(1.0, -2.0))
-        await tab.shows("#drive-state", "A recording: it obeys nobody")
+        await tab.shows("#drive-state", "A recording: it cannot be driven")
         await tab.shows("#robots", "a recording")
 
 
@@ -96,17 +96,17 @@ async def test_a_token_is_requested_and_kept_out_of_the_address(browser: Browser
         async with visit(browser, host.url) as tab:
             await tab.shows("#access", "A token is needed")
             await tab.page.get_by_role("textbox", name="Token").fill(DRIVE)
-            await tab.page.get_by_role("button", name="Use it").click()
+            await tab.page.get_by_role("button", name="Log in").click()
             await tab.is_connected()
             await tab.page.locator("#access").wait_for(state="hidden")
         async with visit(browser, f"{host.url}/?token={READ}") as tab:
             await tab.is_connected()
             assert tab.page.url == f"{host.url}/"
             await tab.shows("#robots", "robot_0")
-            await tab.shows("#notice", "may only read")
+            await tab.shows("#notice", "has the role read")
             await tab.page.locator("#notice").wait_for(state="hidden", timeout=10_000)  # once
             await tab.page.keyboard.down("KeyW")
-            await tab.shows("#drive-state", "may only read")
+            await tab.shows("#drive-state", "has the role read")
             await tab.shows("#command-linear", "0.00")
             for useless in ("#max-linear", "#max-angular", "#unlock", "#odometry-reset"):
                 assert await tab.page.locator(useless).is_disabled()
@@ -116,10 +116,10 @@ async def test_a_token_is_requested_and_kept_out_of_the_address(browser: Browser
             await tab.page.reload()
             await tab.is_connected()  # kept for the session
             host.hub.robots.find("robot_0").unlock()
-            await tab.page.get_by_role("button", name="Another token").click()
+            await tab.page.get_by_role("button", name="Use another token").click()
             await tab.page.get_by_role("textbox", name="Token").fill(DRIVE)
-            await tab.page.get_by_role("button", name="Use it").click()
-            await tab.shows("#drive-state", "nobody drives")
+            await tab.page.get_by_role("button", name="Log in").click()
+            await tab.shows("#drive-state", "no driver")
             assert not await tab.page.locator("#max-linear").is_disabled()
             assert tab.other_hosts == []
         assert host.hub.robots.find("robot_0").gate.counts.commands == 0
@@ -132,7 +132,7 @@ async def test_page_of_a_driving_robot_has_the_right_layout_and_text(browser: Br
         await tab.is_connected()
         async with simulated_robot(host.tcp) as robot:
             await tab.shows("#log", "robot is ready")
-            await tab.shows("#drive-state", "nobody drives")
+            await tab.shows("#drive-state", "no driver")
             await tab.page.keyboard.down("KeyW")
             await tab.page.keyboard.down("KeyA")
             await expect(lambda: robot.pose.theta_rad > TURN_RAD, timeout_s=60.0)

@@ -122,7 +122,7 @@ async def test_a_robot_whose_plot_data_falls_silent_is_stopped(browser: Browser)
         await press(tab)
         await expect(lambda: robot.speed_m_s > 0.01)
         robot.is_plot_silent = True
-        await tab.shows("#step-state", "fallen silent")
+        await tab.shows("#step-state", "plot_data is missing")
         await expect(lambda: speed_m_s(host) == 0)
         await tab.page.mouse.up()
 
@@ -133,7 +133,7 @@ async def test_a_robot_that_rolls_begins_no_step(browser: Browser) -> None:
         await expect(lambda: robot.world.now("left_measured_ticks_s") > 10)
         await asyncio.sleep(0.3)
         await press(tab)
-        await tab.shows("#step-state", "begins with a robot that stands")
+        await tab.shows("#step-state", "Stop the robot before a step")
         assert speed_m_s(host) == 0
         await tab.page.mouse.up()
 
