@@ -158,6 +158,7 @@ def main() -> int:
         return covered().code
     REPORTS.mkdir(parents=True, exist_ok=True)
     compile_tests()
+    run(["-m", "tests.firmware.build_all"])
     results: list[Result] = []
     selections = (
         long_groups(arguments.quiet_workers) if arguments.long else groups(arguments.workers, arguments.quiet_workers)

@@ -11,7 +11,7 @@ from tests.support.fake_device import FakeDevice, fake_device, pose, repeating, 
 from tests.support.firefox import MIDDLE, RIGHT, Tab, firefox
 from tests.support.waiting import expect, expect_never
 
-pytestmark = [pytest.mark.asyncio(loop_scope="module"), pytest.mark.quiet]
+pytestmark = [pytest.mark.asyncio(loop_scope="module"), pytest.mark.long]  # other tests of the page use Chromium
 
 ARROW_UP, ARROW_DOWN, SPACE = "\ue013", "\ue015", " "
 SYSTEM_KEYS = {"Control": "\ue009", "Alt": "\ue00a", "Meta": "\ue03d"}
