@@ -123,7 +123,6 @@ test-requirements: $(VENV)/.dev
 	@tools/require.sh tmux zsh procps systemd chromium-headless-shell firefox-esr openssl $(FIRMWARE_PACKAGES) $(WORLD_PACKAGES) $(ROS1_PACKAGES) || true
 	@for each in $(CLIENTS) $(ROS2_VENV)/.installed $(ROS_MCP_VENV)/.installed; do \
 	  $(MAKE) --no-print-directory $$each || echo "the tests that need $$each are not run"; done
-	$(BIN)/python -m pytest --collect-only --quiet tests >/dev/null # what pytest compiles: once, not once a worker
 
 test: test-requirements
 	$(BIN)/python tools/run_tests.py --workers $(WORKERS) --quiet-workers $(QUIET_WORKERS)

@@ -18,6 +18,7 @@ import xml.etree.ElementTree as ET
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from importlib.metadata import version
 from pathlib import Path
 
 REPORTS = Path("build/tests")
@@ -107,6 +108,24 @@ def long_groups(workers: int) -> list[tuple[str, list[str], list[str]]]:
     ]
 
 
+def not_compiled(folder: Path) -> list[str]:
+    """Return the files of tests that have changed since pytest compiled them."""
+    suffix = f".{sys.implementation.cache_tag}-pytest-{version('pytest')}.pyc"
+
+    def is_older(file: Path) -> bool:
+        compiled = file.parent / "__pycache__" / f"{file.stem}{suffix}"
+        return not compiled.exists() or compiled.stat().st_mtime < file.stat().st_mtime
+
+    return sorted(str(file) for file in folder.rglob("test_*.py") if is_older(file))
+
+
+def compile_tests() -> None:
+    """Let pytest compile changed tests here: otherwise each worker would do it."""
+    if changed := not_compiled(Path("tests")):
+        command = [sys.executable, "-m", "pytest", "--collect-only", "--quiet", *changed]
+        subprocess.run(command, check=False, stdout=subprocess.DEVNULL)
+
+
 def marked(mark: str) -> list[str]:
     """Return the files with a mark: pytest would read all others for nothing."""
     pattern = re.compile(rf"mark\.{mark}\b")
@@ -138,6 +157,8 @@ def main() -> int:
     if arguments.branches:
         return covered().code
     REPORTS.mkdir(parents=True, exist_ok=True)
+    compile_tests()
+    run(["-m", "tests.firmware.build_all"])
     results: list[Result] = []
     selections = (
         long_groups(arguments.quiet_workers) if arguments.long else groups(arguments.workers, arguments.quiet_workers)

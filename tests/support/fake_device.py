@@ -107,6 +107,10 @@ class FakeDevice:
         """Close this end."""
         self._writer.close()
 
+    def limit_send_buffer(self, size_bytes: int) -> None:
+        """Limit what the kernel keeps of sent bytes."""
+        self._writer.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, size_bytes)
+
     def break_off(self) -> None:
         """Reset the connection: what was not read is gone."""
         linger = struct.pack("ii", 1, 0)

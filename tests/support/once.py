@@ -9,7 +9,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 BUILD = ROOT / "build"
-SOURCES = ("firmware", "hostlink/board", "hostlink/messages", "tests/firmware", "tests/support")
+SOURCES = ("firmware", "hostlink/board", "hostlink/messages", "tests/firmware", "tests/support/compilers.py")
 COMPILERS = ("cmake", "g++", "clang++", "arm-none-eabi-g++", "avr-g++")
 
 
@@ -33,7 +33,7 @@ def digest() -> str:
     """Return a digest of all sources of compiled programs, and of the compilers."""
     found = hashlib.sha256()
     for folder in SOURCES:
-        for path in sorted((ROOT / folder).rglob("*")):
+        for path in (ROOT / folder, *sorted((ROOT / folder).rglob("*"))):
             if path.is_file() and "__pycache__" not in path.parts:
                 found.update(f"{path.relative_to(ROOT)}\0{path.stat().st_size}\0".encode())
                 found.update(path.read_bytes())

@@ -20,7 +20,7 @@ async def expect(is_so: Callable[[], object], *, timeout_s: float = TIMEOUT_S) -
     Raises:
         AssertionError: it was not true in time; with the condition, its last value and its last error.
     """
-    if not await _became_true(is_so, timeout_s):
+    if not await is_true_within(is_so, timeout_s):
         raise AssertionError(f"not within {timeout_s:g} s: {described(is_so)}")
 
 
@@ -30,7 +30,7 @@ async def expect_never(is_so: Callable[[], object], *, for_s: float) -> None:
     Raises:
         AssertionError: it was true; with the condition.
     """
-    if await _became_true(is_so, for_s):
+    if await is_true_within(is_so, for_s):
         raise AssertionError(f"within {for_s:g} s: {_text(is_so)}")
 
 
@@ -52,7 +52,8 @@ def described(is_so: Callable[[], object]) -> str:
     return f"{text}\n  last value: {_parts(is_so, text) or repr(value)}"
 
 
-async def _became_true(is_so: Callable[[], object], timeout_s: float) -> bool:
+async def is_true_within(is_so: Callable[[], object], timeout_s: float) -> bool:
+    """Return whether `is_so()` becomes true within `timeout_s` seconds."""
     loop = asyncio.get_running_loop()
     deadline_s = loop.time() + timeout_s
     while not _is_true(is_so):

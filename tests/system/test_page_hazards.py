@@ -14,7 +14,7 @@ from playwright.async_api import expect as expect_page
 
 from tests.support.browser import Visit, visit
 from tests.support.page_server import PageServer, State, link, odometry, page_server, robot
-from tests.support.waiting import TIMEOUT_S, expect
+from tests.support.waiting import TIMEOUT_S, expect, expect_never
 
 pytestmark = [pytest.mark.asyncio(loop_scope="session"), pytest.mark.quiet]
 
@@ -88,8 +88,7 @@ class Scene:
         """Check that zeros were sent last, and that nothing follows while keys stay held."""
         await expect(lambda: [each[1:] for each in self.commands()[-2:]] == [(0, 0), (0, 0)])
         sent = len(self.commands())
-        await asyncio.sleep(SENT_AGAIN_S)
-        assert all(each[1:] == (0, 0) for each in self.commands()[sent:])
+        await expect_never(lambda: any(each[1:] != (0, 0) for each in self.commands()[sent:]), for_s=SENT_AGAIN_S)
 
 
 @pytest_asyncio.fixture(scope="module", loop_scope="session")
@@ -307,9 +306,8 @@ async def test_the_stop_works_when_it_is_pressed_and_waits_for_no_release(scene:
     await page.locator("#stop").press("Enter")
     await expect(lambda: scene.server.requests == [lock] * 2)
     await page.locator("#stop").click()
-    await expect(lambda: len(scene.server.requests) >= 3)
-    await asyncio.sleep(SENT_AGAIN_S)
-    assert scene.server.requests == [lock] * 3
+    await expect(lambda: scene.server.requests == [lock] * 3)
+    await expect_never(lambda: len(scene.server.requests) > 3, for_s=SENT_AGAIN_S)
 
 
 async def test_the_stop_works_beside_a_finger_on_the_stick(browser: Browser) -> None:

@@ -19,7 +19,7 @@ from tests.support.fake_device import FakeDevice, robot_topics, topic
 from tests.support.precedence import GOES_LAST
 from tests.support.process import Process
 from tests.support.ros1.debian import Graph, Node, call, graph, living_device
-from tests.support.waiting import TIMEOUT_S, expect
+from tests.support.waiting import TIMEOUT_S, expect, expect_never
 
 pytestmark = pytest.mark.quiet
 
@@ -52,16 +52,14 @@ class Driven:
     async def stands_after(self, end: Callable[[], Awaitable[None]], limit_s: float) -> None:
         """Check that the robot moves until `end`, gets its zero within the limit, and no other velocity afterwards."""
         await expect(lambda: self.speed == 0.25)
-        await asyncio.sleep(0.5)
-        assert self.speed == 0.25
+        await expect_never(lambda: self.speed != 0.25, for_s=0.5)
         began_s = time.monotonic()
         await end()
         await expect(lambda: self.speed == 0.0)
         moving_s = max(at_s for at_s, speed in self.heard if speed)
         zero_s = min(at_s for at_s, speed in self.heard if not speed and at_s > moving_s)
         assert zero_s - began_s < limit_s, f"the zero came after {zero_s - began_s:.3f} s"
-        await asyncio.sleep(0.8)
-        assert self.speed == 0.0
+        await expect_never(lambda: self.speed != 0.0, for_s=0.8)
 
 
 @contextlib.asynccontextmanager

@@ -1,5 +1,7 @@
 """tools/run_tests.py: each group runs once, and the table names what failed and what could not run."""
 
+import os
+import sys
 from pathlib import Path
 
 import pytest
@@ -75,6 +77,18 @@ def test_groups_of_both_targets_take_every_test_once() -> None:
         "long and alone",
     ]
     assert "tests/system/test_chaos.py" in selections["long alone"]
+
+
+def test_only_changed_tests_are_compiled_before_the_workers_start(tmp_path: Path) -> None:
+    test = tmp_path / "test_one.py"
+    test.write_text("")
+    assert run_tests.not_compiled(tmp_path) == [str(test)]
+    compiled = tmp_path / "__pycache__" / f"test_one.{sys.implementation.cache_tag}-pytest-{pytest.__version__}.pyc"
+    compiled.parent.mkdir()
+    compiled.touch()
+    assert run_tests.not_compiled(tmp_path) == []
+    os.utime(test, (compiled.stat().st_mtime + 1,) * 2)
+    assert run_tests.not_compiled(tmp_path) == [str(test)]
 
 
 @pytest.mark.parametrize("mark", ["quiet", "alone", "long"])
