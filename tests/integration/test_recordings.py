@@ -337,7 +337,6 @@ async def test_a_clock_that_is_set_back_an_hour_costs_no_message(
     assert max(stamps_s) - min(stamps_s) == pytest.approx(3600, abs=10)
 
 
-@pytest.mark.quiet
 async def test_a_folder_that_is_removed_is_made_again_and_costs_a_second(tmp_path: Path) -> None:
     inside = tmp_path / "recordings"
     async with recorded(config(inside)) as (host, device), undisturbed(host, device):

@@ -102,7 +102,6 @@ async def test_the_rates_are_tried_until_frames_come() -> None:
     board.unplug()
 
 
-@pytest.mark.quiet
 async def test_a_port_that_vanishes_during_the_search_for_its_rate_is_waited_for() -> None:
     board = Board(baud=9600)
     with capture_logs() as lines:
@@ -113,7 +112,6 @@ async def test_a_port_that_vanishes_during_the_search_for_its_rate_is_waited_for
             assert not host.hub.isolation.crashes
 
 
-@pytest.mark.quiet
 async def test_a_port_that_vanishes_again_and_again_leaves_nothing_behind(tmp_path: Path) -> None:
     path = tmp_path / "port"
     observed = []

@@ -10,7 +10,7 @@ from typing import Any, cast
 
 from hostlink.api.clients import ClientQueue
 from hostlink.api.rosbridge import RosbridgeClient
-from hostlink.client import Robot
+from hostlink.client import Host, Robot
 from hostlink.client.connection import Connection
 from hostlink.client.driver import Driver
 from hostlink.client.http_client import HttpClient
@@ -106,6 +106,10 @@ class MemoryHost:
 
     def pop_all(self) -> list[object]:
         return []
+
+    async def stop_driven(self) -> None:
+        """Stop the robots that this program drives."""
+        await Host.stop_driven(cast(Host, self))
 
     def close(self) -> None:
         """The program ends."""
