@@ -21,7 +21,7 @@ from hostlink.recording.reader import McapReader, StoredMessage
 from hostlink.robot.velocity import PlanarVelocity
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import FakeDevice, fake_device, pose, robot_topics
-from tests.support.waiting import expect
+from tests.support.waiting import TIMEOUT_S, expect
 
 FORWARD, STANDING = ({"linear_m_s": speed_m_s, "linear_y_m_s": 0.0, "angular_rad_s": 0.0} for speed_m_s in (0.2, 0.0))
 
@@ -42,15 +42,18 @@ async def boxed(settings: Config, name: str = "robot_0") -> AsyncIterator[tuple[
         yield host, device
 
 
+REQUEST_INTERVAL_S = 0.05  # the API limits the rate of requests
+
+
 async def saved(host: Daemon, count: int = 1) -> list[dict[str, Any]]:
     """The incidents, once so many are in files."""
-    for _ in range(100):
-        listed = (await host.get("/api/incidents"))["incidents"]
-        if len([each for each in listed if each["file"]]) >= count:
-            break
-        await asyncio.sleep(0.05)
+    listed: list[dict[str, Any]] = []
+    async with asyncio.timeout(TIMEOUT_S):
+        while len([each for each in listed if each["file"]]) < count:
+            await asyncio.sleep(REQUEST_INTERVAL_S)
+            listed = (await host.get("/api/incidents"))["incidents"]
     assert len([each for each in listed if each["file"]]) == count, listed
-    return list(listed)
+    return listed
 
 
 def read(folder: Path, incident: dict[str, Any]) -> list[StoredMessage]:
@@ -201,8 +204,9 @@ async def test_the_end_of_the_daemon_saves_what_is_pending(tmp_path: Path) -> No
 async def test_a_disk_that_is_full_loses_the_file_and_nothing_else(tmp_path: Path) -> None:
     async with boxed(config(tmp_path, free_mb=1e12)) as (host, _):
         await host.rest("POST", "/api/robots/robot_0/lock?wait_s=0")
-        await asyncio.sleep(0.8)
-        listed = await host.get("/api/incidents")
+        async with asyncio.timeout(TIMEOUT_S):
+            while not (listed := await host.get("/api/incidents"))["missed"]:  # noqa: ASYNC110 - another process asks so
+                await asyncio.sleep(REQUEST_INTERVAL_S)
         assert (listed["incidents"], listed["missed"]) == ([], 1)
         assert (await host.get("/api/robots/robot_0"))["locked"]
 

@@ -19,8 +19,6 @@ from tests.support.simulated import simulated_robot
 from tests.support.stopwatch import Stopwatch
 from tests.support.waiting import expect, expect_never
 
-pytestmark = pytest.mark.quiet
-
 NOTICED_S = 1.0
 STOPPED_M_S = 0.005
 BACK_S = 3.0

@@ -63,7 +63,7 @@ async def test_a_robot_is_watched_from_its_appearance_to_its_end() -> None:
             descriptor = guard.connections[1]()
             assert descriptor is not None
             with socket.socket(fileno=os.dup(descriptor)) as same:
-                assert same.getpeername() == device._writer.get_extra_info("sockname")
+                assert same.getpeername() == device.address
         await expect(lambda: guard.calls[-1] == ("release", 1))
 
 

@@ -16,8 +16,6 @@ from hostlink.protocol.stream import FrameStream
 from hostlink.transport.base import READ_BYTES
 from tests.support.memory_transport import memory_pair
 
-pytestmark = pytest.mark.quiet
-
 INFO = TopicInfo(Id.PUBLISHER, 125, "/long", "std_msgs/String", "m", 2048)
 HELLO = encode(Id.TIME, bytes(8)) + encode(Id.PUBLISHER, encode_topic_info(INFO)) + encode(Id.TIME, bytes(8))
 FRAMES = 4000

@@ -203,7 +203,7 @@ async def test_a_played_device_drives_no_robot(tmp_path: Path) -> None:
         assert (gate.counts.commands, gate.current) == (0, ZERO)
 
 
-@pytest.mark.parametrize("name", ["joy stick", "joy\n", "\u00e9", "x" * 300, "x" * 70_000])
+@pytest.mark.parametrize("name", ["joy stick", "x" * 70_000])
 async def test_a_played_device_whose_name_is_none_drives_no_robot(tmp_path: Path, name: str) -> None:
     """The topic that marks the device as played contains its name, too."""
     twist = channel("/robot_0/drive", "geometry_msgs/Twist", DEVICE, robot=name)

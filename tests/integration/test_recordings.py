@@ -20,12 +20,14 @@ from structlog.testing import capture_logs
 
 from hostlink import logs
 from hostlink.config import ApiConfig, Config, RecordingConfig, TokenConfig
+from hostlink.hub.node import is_of
+from hostlink.hub.topic import Topic
 from hostlink.recording import file_thread
 from hostlink.recording import recordings as recordings_module
 from hostlink.recording.channel import EVENTS_TOPIC, LOG_TOPIC, NS_PER_S, PARAMETERS_TOPIC, json_of
 from hostlink.recording.folder import Folder
 from hostlink.recording.reader import McapReader, StoredMessage
-from hostlink.recording.recorder import TopicSelection
+from hostlink.recording.recorder import GROUP, TopicSelection
 from hostlink.recording.recordings import Recordings
 from hostlink.robot.velocity import PlanarVelocity
 from tests.support.daemon import Daemon, daemon, driven
@@ -117,7 +119,7 @@ async def test_topics_commands_log_and_parameters_are_in_the_file(tmp_path: Path
         pilot = host.hub.join("pilot")
         pilot.address = "10.0.0.5"
         pilot.drive(host.hub.robots.find("robot_0"), PlanarVelocity(0.2))
-        await asyncio.sleep(0.7)
+        await expect(lambda: host.hub.robots.find("robot_0").gate.owner is None)  # the lease has ended
         stopped = await stop(host, "run")
     found = messages(tmp_path / "run.mcap")
     assert (view["files"], stopped["dropped"]) == (["run.mcap"], 0)
@@ -149,16 +151,19 @@ async def test_patterns_and_robots_choose(tmp_path: Path) -> None:
     assert (status, refusal["error"]["kind"]) == (404, "UnknownTopic")
 
 
+def is_recorded(topic: Topic) -> bool:
+    return any(is_of(each.key, GROUP) for each in topic.subscribers)
+
+
 async def test_topic_that_appears_later_is_recorded_and_one_that_disappears_is_released(tmp_path: Path) -> None:
     async with daemon(config(tmp_path)) as host:
         await start(host, name="run")
         async with fake_device(host.tcp, robot_topics()) as device:
-            await expect(lambda: [robot.name for robot in host.hub.robots.all()] == ["robot_0"])
-            await asyncio.sleep(0.1)
+            await expect(lambda: is_recorded(host.hub.topics.find("/robot_0/odometry")))
             await send_poses(host, device)
         await expect(lambda: host.hub.topics.find_or_none("/robot_0/odometry") is None)
         await stop(host, "run")
-        assert not [topic for topic in host.hub.topics.all() if "recording" in str(topic.subscribers)]
+        assert not [topic.name for topic in host.hub.topics.all() if is_recorded(topic)]
     found = messages(tmp_path / "run.mcap")
     assert len(payloads(found, "/robot_0/odometry")) == len(POSES)
     assert [event["kind"] for event in events(found)][:2] == ["link_opened", "appeared"]
@@ -337,7 +342,6 @@ async def test_a_clock_that_is_set_back_an_hour_costs_no_message(
     assert max(stamps_s) - min(stamps_s) == pytest.approx(3600, abs=10)
 
 
-@pytest.mark.quiet
 async def test_a_folder_that_is_removed_is_made_again_and_costs_a_second(tmp_path: Path) -> None:
     inside = tmp_path / "recordings"
     async with recorded(config(inside)) as (host, device), undisturbed(host, device):
@@ -464,6 +468,6 @@ async def test_topics_for_which_a_file_has_no_room_are_told_once(
         async with recorded(config(tmp_path)) as (host, device):
             await start(host, name="run")
             await device.send(POSES[0])
-            await asyncio.sleep(0.5)
+            await expect(lambda: [line for line in lines if line["event"] == "recording.channel_limit_reached"])
             assert (await stop(host, "run"))["dropped"] > 0
     assert [line["recording"] for line in lines if line["event"] == "recording.channel_limit_reached"] == ["run"]

@@ -84,7 +84,6 @@ async def test_velocity_latched_before_the_robot_connected_does_not_move_it(made
             assert set(await there.velocities()) == {0.2}
 
 
-@pytest.mark.quiet
 async def test_velocity_latched_by_a_publisher_that_joins_later_drives_once(made: Scene) -> None:
     """`rostopic pub -1` latches its message. When the connection breaks, the same message arrives again."""
     await made.master.knows("Subscriber", VELOCITY)

@@ -37,8 +37,6 @@ from tests.support.gates import drive_gate
 from tests.support.simulated import DisturbedRobot, simulated_robot
 from tests.support.waiting import expect
 
-pytestmark = pytest.mark.quiet  # a step is a measurement: where commands come late there is none
-
 SLOW = make_stage(0.04, 1.5, None, 0.21)  # 33 ticks/s: a set-point that is there after 0.6 s
 PLOT = topic(Id.PUBLISHER, 126, "/robot_0/plot_data", "geometry_msgs/Twist")
 

@@ -27,6 +27,7 @@ from hostlink.robot.admission import LEASE_S
 from hostlink.robot.velocity import TWIST_TYPE, ZERO, PlanarVelocity
 from tests.support.fake_device import robot_topics
 from tests.support.gates import drive_gate
+from tests.support.memory_hub import MemoryHub, in_hub
 from tests.support.memory_transport import MemoryTransport, memory_pair
 from tests.support.participants import publish
 from tests.support.remote_robots import remote_robot
@@ -36,8 +37,6 @@ from tests.support.virtual_loop import VirtualLoop, run_virtual
 from tests.support.virtual_world import CATALOG, World, world
 from tests.support.waiting import expect
 from tools.faults import Script
-
-pytestmark = pytest.mark.quiet
 
 STOP = bytes(48)
 LINE_S = 0.020  # one velocity on the line, and what the passthrough adds
@@ -195,22 +194,19 @@ def test_commands_that_waited_during_a_stall_are_refused_and_zeros_are_sent() ->
 
 
 def test_robot_that_was_idle_for_minutes_is_driven_at_once_unless_the_daemon_stalled() -> None:
-    async def run() -> None:
-        program = FirmwareProgram()
-        with capture_logs() as logs:
-            async with world(Script(), program, loop_s=program.loop_s) as made:
-                await ready(made)
-                await asyncio.sleep(300.0)
-                drive(made)
-                await asyncio.sleep(300.0)
-                loop().burn(0.7)
-                with pytest.raises(CommandRefused, match=r"velocity is 0\.\d s old"):
-                    drive(made)
-                await asyncio.sleep(0.3)
-                drive(made)
-        assert [log["seconds"] for log in logs if log["event"] == "daemon.stalled"] == [pytest.approx(0.7, abs=0.11)]
+    async def check(made: MemoryHub) -> None:
+        await made.connect()
+        await asyncio.sleep(300.0)
+        drive_gate(made.robot(), FAST, owner="test")
+        await asyncio.sleep(300.0)
+        loop().burn(0.7)
+        with pytest.raises(CommandRefused, match=r"velocity is 0\.\d s old"):
+            drive_gate(made.robot(), FAST, owner="test")
+        await asyncio.sleep(0.3)
+        drive_gate(made.robot(), FAST, owner="test")
+        assert [log["seconds"] for log in made.logged("daemon.stalled")] == [pytest.approx(0.7, abs=0.11)]
 
-    run_virtual(run())
+    in_hub(check, Config(link=LinkConfig(silence_timeout_s=None, idle_timeout_s=None)))
 
 
 class OtherDaemon:

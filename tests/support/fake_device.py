@@ -99,6 +99,12 @@ class FakeDevice:
             while await self.velocity() != wanted:
                 continue
 
+    @property
+    def address(self) -> tuple[str, int]:
+        """Address and port of the device's end."""
+        address: tuple[str, int] = self._writer.get_extra_info("sockname")
+        return address
+
     def end_sending(self) -> None:
         """Close this end's own direction; what the host sends is still read."""
         self._writer.write_eof()

@@ -287,7 +287,7 @@ class FoxgloveProgram:
         return type_.response.decode(self._answers[number].result())
 
     def drive(self, robot: str, speed_m_s: float, hub: Hub) -> None:
-        topic = hub.robots.find(robot).shown.velocity
+        topic = hub.robots.find_here(robot).shown.velocity
         self.publish(topic, "geometry_msgs/Twist", PlanarVelocity(speed_m_s).encode())
 
     def settle(self) -> None:
@@ -429,7 +429,7 @@ class Scene:
             if participant in [subscriber.key for subscriber in topic.subscribers]
         ]
         uses += [name for name, _ in self.hub.services.all() if self.hub.services.find(name).key is participant]
-        return uses + [robot.name for robot in self.hub.robots.all() if robot.gate.owner is participant]
+        return uses + [robot.name for robot in self.hub.robots.here() if robot.gate.owner is participant]
 
 
 @contextlib.asynccontextmanager

@@ -84,9 +84,10 @@ def _is_lambda(is_so: Callable[[], object]) -> TypeGuard[FunctionType]:
 
 def _source(code: CodeType) -> str:
     """Return the source text after `lambda:`, from the positions of its instructions."""
-    known = [place for place in code.co_positions() if all(place)]  # the first instruction has no columns
-    first = min((line, column) for line, _, column, _ in known)
-    last = max((line, column) for _, line, _, column in known)
+    first, last = (1 << 31, 0), (0, 0)
+    for begin, end, column, end_column in code.co_positions():
+        if begin and end and column and end_column:  # the first instruction has no columns
+            first, last = min(first, (begin, column)), max(last, (end, end_column))
     lines = [linecache.getline(code.co_filename, number).encode() for number in range(first[0], last[0] + 1)]
     lines[-1] = lines[-1][: last[1]]
     lines[0] = lines[0][first[1] :]

@@ -237,7 +237,6 @@ async def test_remote_stream_that_continued_through_a_lock_does_not_drive_afterw
         await expect(lambda: b.hub.robots.find_here("robot_7").gate.owner_name == "navigation at a")
 
 
-@pytest.mark.quiet
 async def test_lock_follows_a_robot_that_connects_to_another_daemon() -> None:
     async with fleet("a", "b") as (a, b):
         async with fake_device(a.tcp, robot_topics("robot_7")):
