@@ -24,6 +24,8 @@ from hostlink.listening import listen as listen_at
 if TYPE_CHECKING:
     import asyncio
 
+LOOPS = ("auto", "asyncio", "uvloop")
+
 Origins = Annotated[
     list[str] | None,
     typer.Option(
@@ -60,7 +62,9 @@ def command(
         str | None, typer.Option(metavar="URL", help="Be a node of this ROS 1 master: http://localhost:11311.")
     ] = None,
     log_level: Annotated[str, typer.Option(help="debug, info, warning or error.")] = "info",
-    loop: Annotated[str, typer.Option(help="The event loop: asyncio, or uvloop for crowds of robots.")] = "asyncio",
+    loop: Annotated[
+        str, typer.Option(help="The event loop: asyncio, uvloop, or auto: uvloop where it is installed.")
+    ] = "auto",
     check_config: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Say what FILE would serve, or what is wrong with it.")
     ] = None,
@@ -124,18 +128,21 @@ def with_master(config: Ros1Config, where: str, url: str) -> Ros1Config:
 
 
 def loop_factory(name: str) -> "Callable[[], asyncio.AbstractEventLoop] | None":
-    """Of what `--loop` names; None is asyncio's own.
+    """Return what makes the loop that `--loop` names; None for asyncio's own.
 
     Raises:
-        ConfigError: there is no such loop, or it is not installed.
+        ConfigError: the name is unknown.
+        LibraryMissing: uvloop is requested and not installed.
     """
+    if name not in LOOPS:
+        raise ConfigError("--loop", f"unknown loop {name!r}; choose {', '.join(LOOPS)}")
     if name == "asyncio":
         return None
-    if name != "uvloop":
-        raise ConfigError("--loop", f"{name} is none of asyncio, uvloop")
     try:
-        factory: Callable[[], asyncio.AbstractEventLoop] = importlib.import_module("uvloop").new_event_loop
+        factory: Callable[[], asyncio.AbstractEventLoop] = importlib.import_module("hostlink.cli.uvloop_loop").UvLoop
     except ImportError as error:
+        if name == "auto":
+            return None
         raise LibraryMissing("--loop", "uvloop", "uvloop") from error
     return factory
 
