@@ -178,14 +178,9 @@ format: $(VENV)/.dev
 	$(BIN)/ruff format .
 
 bench: $(VENV)/.dev $(ROS2_VENV)/.installed
-	$(BIN)/python tools/bench_link.py
-	$(BIN)/python tools/bench_api.py
-	$(BIN)/python tools/bench_crowd.py
-	$(BIN)/python tools/bench_messages.py
-	$(BIN)/python tools/bench_recording.py
 	@tools/require.sh $(ROS1_PACKAGES)
-	$(BIN)/python tools/bench_ros2.py
-	$(BIN)/python tools/bench_ros1.py
+	@status=0; for part in link api crowd messages black_box recording ros2 ros1; do \
+	  echo "== $$part"; $(BIN)/python tools/bench_$$part.py || status=1; done; exit $$status
 
 # Fifty times the examples last longer than the two minutes that other tests have.
 FUZZ_TEST_S := 3600

@@ -5,6 +5,7 @@ from collections import deque
 from collections.abc import Callable
 from typing import Generic, NamedTuple, TypeVar
 
+from hostlink.compiled import mypyc_attr
 from hostlink.hub.byte_budget import OWN_QUEUE_BYTES, SHARES, Share
 
 MAX_MESSAGES = 1024
@@ -24,6 +25,7 @@ class Waiting(NamedTuple, Generic[Item]):
     since_s: float
 
 
+@mypyc_attr(allow_interpreted_subclasses=True)
 class Queue(Generic[Item]):
     """Queue of telemetry by topic and of results. When it is full, the oldest telemetry is dropped and counted.
 

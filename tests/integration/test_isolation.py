@@ -13,6 +13,7 @@ from hostlink.hub.message import Message
 from hostlink.protocol import events
 from hostlink.protocol.frame import Id, encode
 from hostlink.robot.velocity import PlanarVelocity
+from tests.support.compiled_modules import replaces_a_method
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import FakeDevice, fake_device, pose, robot_topics, topic
 from tests.support.gates import drive_gate
@@ -87,6 +88,7 @@ async def test_a_crash_of_a_subscriber_ends_its_participant_alone(logged: list[d
     assert [line["participant"] for line in logged if line["event"] == "participant.crashed"] == ["client 1"]
 
 
+@replaces_a_method
 async def test_a_crash_in_a_robots_gate_ends_its_link_alone(logged: list[dict[str, object]]) -> None:
     def crash(_: float) -> None:
         raise ArithmeticError("a defect")
@@ -105,6 +107,7 @@ async def test_a_crash_in_a_robots_gate_ends_its_link_alone(logged: list[dict[st
     assert "robot.crashed" in crashes(logged)
 
 
+@replaces_a_method
 async def test_a_crash_in_the_gate_of_a_device_without_poses_leaves_the_clock_of_all_gates(
     logged: list[dict[str, object]],
 ) -> None:

@@ -23,6 +23,7 @@ from hostlink.hub.message import PROGRAM_PRIORITY, Message
 from hostlink.hub.node import Role
 from hostlink.hub.participant import Participant
 from hostlink.hub.queue import Queue
+from hostlink.hub.robots import Robots
 from hostlink.hub.subscription import Subscription
 from hostlink.messages.message_type import ServiceType
 from hostlink.robot.velocity import PlanarVelocity, Twist
@@ -39,12 +40,14 @@ TEXT, TEXT_TYPE = "/chat", "std_msgs/String"
 ROBOT, NEIGHBOUR = "robot_0", "robot_1"
 
 
-_sources: WeakKeyDictionary[Hub, dict[str, Participant]] = WeakKeyDictionary()
+_sources: WeakKeyDictionary[Robots, dict[str, Participant]] = (
+    WeakKeyDictionary()
+)  # a compiled Hub has no weak reference
 
 
 def source_of(hub: Hub, name: str) -> Participant:
     """The participant as which `publish` sends by this name."""
-    sources = _sources.setdefault(hub, {})
+    sources = _sources.setdefault(hub.robots, {})
     if name not in sources or sources[name].has_left:
         sources[name] = hub.join(name)
     return sources[name]

@@ -14,6 +14,7 @@ from hostlink.hub.robot_events import EventKind, RobotEvent
 from hostlink.protocol.frame import Id
 from hostlink.robot.admission import LEASE_S
 from hostlink.robot.velocity import ZERO, PlanarVelocity, Twist
+from tests.support.compiled_modules import replaces_a_method
 from tests.support.fake_device import robot_topics, topic
 from tests.support.gates import drive_gate
 from tests.support.memory_hub import MemoryHub, in_hub, velocities
@@ -79,6 +80,7 @@ def test_stop_sends_zero_at_once_and_records_its_source() -> None:
     in_hub(test)
 
 
+@replaces_a_method
 def test_stop_of_all_reaches_each_robot_although_one_refuses_the_zero() -> None:
     async def test(made: MemoryHub) -> None:
         first = await made.connect(robot_topics("a"))
@@ -139,6 +141,7 @@ def test_source_that_leaves_stops_its_robot_and_no_other() -> None:
     in_hub(test)
 
 
+@replaces_a_method
 def test_command_that_does_not_fit_the_device_ends_the_drive_of_its_source() -> None:
     async def test(made: MemoryHub) -> None:
         device = await made.connect()
@@ -161,6 +164,7 @@ def test_command_that_does_not_fit_the_device_ends_the_drive_of_its_source() -> 
     in_hub(test)
 
 
+@replaces_a_method
 def test_crash_while_sending_ends_the_link_and_refuses_the_command() -> None:
     async def test(made: MemoryHub) -> None:
         device = await made.connect()
