@@ -32,7 +32,7 @@ PAUSE_S = 5.0  # somebody who drove may want to watch before the demo continues
 LINE_INTERVAL_S = 0.2
 DRIVE = "/demo/drive"
 START_AGAIN = f"; it was interrupted, start the demo's driver again: hostlink call {DRIVE}"
-# docs/robot.md#numbers
+# docs/paper-robot.md#numbers
 PAPER_ROBOT = RobotConfig(kinematics="differential", wheel_separation_m=0.210, max_wheel_m_s=0.3436)
 
 
