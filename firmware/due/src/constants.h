@@ -45,7 +45,7 @@ const uint8_t kPublishEvery = 3;  // turns: 10 Hz
 const uint32_t kCommandTimeoutMs = 500;
 const uint32_t kParameterTimeoutMs = 1000;
 
-// Factor of the voltage divider before the battery input: (R1 + R2) / R2, R2 to ground; 4.9 for 39 and 10 kOhm. 0: none.
+// Factor of the voltage divider at the battery input: (R1 + R2) / R2, R2 to ground; 4.9 for 39 and 10 kOhm. 0: none.
 const float kBatteryDivider = 0.0f;
 const float kBatteryLowV = 10.5f;  // three cells of a LiPo at 3.5 V, six of lead at 1.75 V
 const float kNotMeasured = __builtin_nanf("");
