@@ -21,7 +21,7 @@ from hostlink import logs
 from hostlink.protocol.frame import Id, encode
 from tests.support.fake_device import FakeDevice, fake_device, robot_topics, topic
 from tests.support.process import serve
-from tests.support.ros2 import Peer, bridge, domain, install, peer
+from tests.support.ros2 import Peer, bridge, domain, peer
 from tests.support.waiting import expect
 
 RATE_HZ = 100
@@ -42,7 +42,6 @@ def main() -> None:
     parser.add_argument("--strict", action="store_true", help=f"fail where a median is over {AT_MOST_MS} ms")
     arguments = parser.parse_args()
     logs.configure(level="error")
-    install()
     rows = asyncio.run(measured(arguments.messages))
     arguments.out.parent.mkdir(parents=True, exist_ok=True)
     arguments.out.write_text(json.dumps(rows, indent=1) + "\n")

@@ -14,7 +14,7 @@ from hostlink.hub.queue import Queue
 
 
 class Outgoing(NamedTuple):
-    """JSON is text; CBOR is binary. `before`, if not empty, is a binary message that leaves before it."""
+    """A message to a client: text (JSON) or binary (CBOR). `before`, if not empty, is a binary message sent first."""
 
     data: bytes
     is_binary: bool = False
@@ -22,12 +22,12 @@ class Outgoing(NamedTuple):
 
 
 class ClientQueue(Queue[Outgoing]):
-    """The queue of one client."""
+    """Send queue of one client."""
 
     def __init__(self, budget: ByteBudget | None = None) -> None:
         share = None if budget is None else budget["queues"]
         super().__init__(_size_bytes, asyncio.get_running_loop().time, share)
-        self.is_flush_due = True  # what subscriptions hold back has changed
+        self.is_flush_due = True  # whether throttled subscriptions have messages
 
     def wake(self) -> None:
         self.is_flush_due = True
@@ -39,12 +39,12 @@ def _size_bytes(outgoing: Outgoing) -> int:
 
 
 def put_json(queue: ClientQueue, answer: object) -> None:
-    """Queue an answer or an event."""
+    """Encode and queue an answer or an event."""
     queue.put_result(Outgoing(msgspec.json.encode(answer)))
 
 
 class Backlog(Protocol):
-    """What waits for a client."""
+    """Messages that wait for a client."""
 
     dropped: int
 
@@ -59,7 +59,7 @@ class Backlog(Protocol):
 
 
 class ClientView(TypedDict):
-    """One client: who it is, what it received, what it was too slow for."""
+    """One client: its name, program and role, what it received, and what was dropped."""
 
     name: str
     kind: str
@@ -91,12 +91,12 @@ class Client:
         self.messages_from_client = self.messages_to_client = self.bytes_to_client = 0
 
     def sent(self, size: int) -> None:
-        """Count a message that left."""
+        """Count a sent message."""
         self.messages_to_client += 1
         self.bytes_to_client += size
 
     def view(self, now_s: float) -> ClientView:
-        """For the API."""
+        """Return the client as the API shows it."""
         oldest_s = None if self.backlog is None else self.backlog.oldest_s
         return {
             "name": self.name,
@@ -117,17 +117,17 @@ class Client:
 
 
 class Clients:
-    """All of them, up to a bound."""
+    """All clients, up to a bound."""
 
     def __init__(self, max_clients: int, *, max_per_address: int) -> None:
         self.refused = 0
-        self.gone_dropped = 0  # messages that clients which are gone were too slow for
+        self.gone_dropped = 0  # messages dropped for clients that have disconnected
         self._max_clients, self._max_per_address = max_clients, max_per_address
         self._numbers = itertools.count(1)
-        self._clients: list[Client] = []  # oldest first
+        self._clients: list[Client] = []  # in order of arrival
 
     def enter(self, kind: str, request: web.Request, grant: Grant, backlog: Backlog | None = None) -> Client:
-        """A new client; 503 when there are too many already."""
+        """Add a client. Raise 503 when there are too many."""
         if len(self._clients) >= self._max_clients:
             self._refuse(f"{self._max_clients} clients are connected: close one, or raise api.max_clients")
         if sum(client.peer == (request.remote or "") for client in self._clients) >= self._max_per_address:
@@ -144,15 +144,15 @@ class Clients:
         raise web.HTTPServiceUnavailable(reason=reason)
 
     def leave(self, client: Client) -> None:
-        """It is gone."""
+        """Remove a disconnected client."""
         self._clients.remove(client)
         self.gone_dropped += 0 if client.backlog is None else client.backlog.dropped
 
     def all(self) -> list[Client]:
-        """Oldest first."""
+        """Return all clients, the oldest first."""
         return list(self._clients)
 
     def views(self) -> list[ClientView]:
-        """For the API."""
+        """Return all clients as the API shows them."""
         now_s = asyncio.get_running_loop().time()
         return [client.view(now_s) for client in self._clients]

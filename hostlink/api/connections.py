@@ -1,10 +1,10 @@
-"""Connections: who is connected to the API's port, how long each may wait, and which one is evicted. Pure."""
+"""Connections: TCP connections to the API's port, their timeouts, and which is evicted when they are too many. Pure."""
 
 from collections import Counter
 from dataclasses import dataclass
 
-IDLE_TIMEOUT_S = 75.0  # after an answer, as nginx: browsers and proxies keep connections for their next request
-KEPT_FOR_REQUESTS = 16  # connections that no WebSocket or event stream may use: a stop needs one of them
+IDLE_TIMEOUT_S = 75.0  # after an answer, as in nginx: browsers and proxies reuse connections
+KEPT_FOR_REQUESTS = 16  # connections reserved for requests, not for WebSockets and event streams: a stop needs one
 
 
 @dataclass(slots=True)
@@ -13,26 +13,26 @@ class Connection:
 
     number: int
     address: str
-    deadline_s: float = 0.0  # of one that waits
+    deadline_s: float = 0.0  # of a waiting connection
 
 
 class Connections:
-    """A connection waits while no request of it is being answered: before the first, between two, in a handshake.
+    """All connections. One waits while no request of it is being answered: before, between requests, in a handshake.
 
-    | a connection comes          | what happens                                                                       |
+    | a new connection exceeds    | what happens                                                                       |
     |-----------------------------|------------------------------------------------------------------------------------|
-    | over the bound of its       | of those of its address that wait, the one that waits longest is evicted;          |
-    | address                     | if none waits it is refused: too_many_of_address                                   |
-    | over the bound of all       | of those that wait, the one that waits longest, of the address that has most of    |
-    |                             | them, is evicted; if none waits it is refused: too_many                            |
+    | the bound of its address    | the connection of this address that has waited longest is evicted;                 |
+    |                             | if none waits, the new one is refused: too_many_of_address                         |
+    | the bound of all addresses  | of the address with most waiting connections, the one that has waited longest is   |
+    |                             | evicted; if none waits, the new one is refused: too_many                           |
 
-    So half a request occupies nothing for long, and a whole one is always served.
+    So an incomplete request holds a connection only for a short time, and a complete one is always answered.
     """
 
     def __init__(self, max_connections: int, max_per_address: int, *, request_timeout_s: float) -> None:
-        """`request_timeout_s`: from the connection to the end of the first request's head, a TLS handshake included."""
+        """Create an empty table. `request_timeout_s`: from accepting to the end of the first head, TLS included."""
         self.request_timeout_s = request_timeout_s
-        self.closed: Counter[str] = Counter()  # by hostlink: by cause
+        self.closed: Counter[str] = Counter()  # closed by hostlink, by cause
         self._max, self._max_per_address = max_connections, max_per_address
         self._last_number = 0
         self._all: dict[int, Connection] = {}
@@ -42,7 +42,7 @@ class Connections:
         return len(self._all)
 
     def enter(self, address: str, now_s: float) -> tuple[Connection | None, Connection | None]:
-        """(the new connection, or None: it is refused; the evicted one, or None)."""
+        """Add a connection. Return it (None: refused), and the connection that is evicted for it (None: none)."""
         mine = sum(each.address == address for each in self._all.values())
         leaving = None
         if mine >= self._max_per_address:
@@ -62,21 +62,21 @@ class Connections:
         return new, leaving
 
     def serve(self, connection: Connection) -> None:
-        """A whole request came."""
+        """Note that a complete request is being answered."""
         self._waiting.pop(connection.number, None)
 
     def wait(self, connection: Connection, now_s: float) -> None:
-        """The request is answered."""
+        """Note that the request is answered."""
         if connection.number in self._all:
             self._wait_until(connection, now_s + IDLE_TIMEOUT_S)
 
     def leave(self, connection: Connection) -> None:
-        """It is closed; once is enough."""
+        """Remove a closed connection. An unknown one is ignored."""
         self._all.pop(connection.number, None)
         self._waiting.pop(connection.number, None)
 
     def overdue(self, now_s: float) -> list[Connection]:
-        """Those that have waited too long; they are no longer among the others."""
+        """Remove and return the connections whose timeout has passed."""
         found = [each for each in self._waiting.values() if each.deadline_s <= now_s]
         for each in found:
             self.closed["timeout"] += 1
@@ -91,7 +91,7 @@ class Connections:
     def _longest_waiting(self, address: str | None) -> Connection | None:
         if address is None:
             counts = Counter(each.address for each in self._waiting.values())
-            return max(self._waiting.values(), key=lambda each: counts[each.address], default=None)  # first of equals
+            return max(self._waiting.values(), key=lambda each: counts[each.address], default=None)  # the first
         return next((each for each in self._waiting.values() if each.address == address), None)
 
     def _refuse(self, cause: str) -> tuple[None, None]:

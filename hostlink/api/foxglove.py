@@ -1,4 +1,4 @@
-"""FoxgloveClient: one client that speaks Foxglove's WebSocket protocol. Requests come in, frames go out; no socket.
+"""FoxgloveClient: one client that speaks Foxglove's WebSocket protocol. Answers requests without a socket.
 
 https://github.com/foxglove/ws-protocol/blob/main/docs/spec.md
 """
@@ -59,7 +59,7 @@ NO_GRAPH = ConnectionGraph({}, {}, {})
 
 
 def graph_update(before: ConnectionGraph, now: ConnectionGraph) -> dict[str, Any] | None:
-    """The JSON of the changes; None: there are none."""
+    """Return the JSON of the changes; None without changes."""
     topics_before = before.publishers.keys() | before.subscribers.keys()
     removed = topics_before - now.publishers.keys() - now.subscribers.keys()
     update = {
@@ -73,26 +73,24 @@ def graph_update(before: ConnectionGraph, now: ConnectionGraph) -> dict[str, Any
 
 
 def _changes(before: Names, now: Names, removed: set[str], ids: str) -> list[dict[str, Any]]:
-    """A name whose nodes are others; one without nodes that stays for another reason has none from now on."""
+    """Return names with changed nodes. A name that lost all nodes but still exists has an empty list."""
     changed = [{"name": name, ids: nodes} for name, nodes in now.items() if before.get(name) != nodes]
     return changed + [{"name": name, ids: []} for name in before if name not in now and name not in removed]
 
 
-INTERVAL_S = 0.1  # between two times while no message comes
-STEP_S = 0.005  # between two times before messages: the app takes the newest time for when a message arrived
-SLIGHT_NS = (
-    1_000_000_000  # back by less is not sent: the app takes a step back for a seek, and drops what it has not shown
-)
-_QUEUED_AS = ""  # is no topic's name
+INTERVAL_S = 0.1  # between two times while no message is sent
+STEP_S = 0.005  # between two times before messages: the app takes the newest time as a message's time of arrival
+SLIGHT_NS = 1_000_000_000  # smaller steps back are not sent: the app takes them for a seek and drops messages
+_QUEUED_AS = ""  # not a topic's name
 
 
 class FoxgloveTime:
-    """Messages bear the same time, as the protocol demands; /clock holds while a program or device publishes it."""
+    """Time of the server, sent with messages as the protocol requires. /clock replaces it while it is published."""
 
     def __init__(self, participant: Participant, topics: TopicGraph, queue: ClientQueue) -> None:
         self._participant, self._topics, self._queue = participant, topics, queue
         self._clock: Subscription | None = None
-        self._simulated_ns: int | None = None  # None: nothing came on /clock
+        self._simulated_ns: int | None = None  # None: no message on /clock yet
         self._sent_ns = 0
         self._sent_s = 0.0
         self._due_s = 0.0
@@ -102,20 +100,20 @@ class FoxgloveTime:
         topic = self._topics.find_or_none(CLOCK)
         is_published = topic is not None and bool(topic.publishers) and topic.type_name == CLOCK_TYPE
         if is_published and self._clock is None:
-            with contextlib.suppress(BadRequest):  # it has as many subscriptions as it may have: the time stays ours
+            with contextlib.suppress(BadRequest):  # at the limit of subscriptions, the daemon's time is used
                 self._clock = self._participant.subscribe(CLOCK, self._receive, type_name=CLOCK_TYPE)
         elif not is_published and self._clock is not None:
             self._clock.close()
             self._clock = self._simulated_ns = None
 
     def outgoing(self, message: Message, subscription_id: int) -> Outgoing:
-        """A message with its time, which leaves before it where the client's newest is older."""
+        """Encode a message. The time is sent before it if the client's newest time is older."""
         stamp_ns = message.stamp_ns if self._simulated_ns is None else self._simulated_ns
         before = self._next(stamp_ns, message.at_s) if self._is_due(stamp_ns, message.at_s) else b""
         return Outgoing(encode_message(subscription_id, stamp_ns, message.payload), is_binary=True, before=before)
 
     def flush(self, now_s: float) -> float:
-        """Send the time if it is due, unless the client has yet to read; returns when the next is."""
+        """Send the time if it is due and no message waits. Return when the next one is due."""
         if now_s >= self._due_s:
             self._put(time.time_ns() if self._simulated_ns is None else self._simulated_ns, now_s)
             self._due_s = now_s + INTERVAL_S
@@ -138,7 +136,7 @@ class FoxgloveTime:
                 self._queue.put_message(_QUEUED_AS, Outgoing(frame, is_binary=True))
 
     def _next(self, stamp_ns: int, now_s: float) -> bytes:
-        """The time as a frame; empty if it is not to be sent."""
+        """Return the time as a frame; empty if it is not sent."""
         if stamp_ns == self._sent_ns or 0 < self._sent_ns - stamp_ns < SLIGHT_NS:
             return b""
         self._sent_ns, self._sent_s = stamp_ns, now_s
@@ -147,62 +145,62 @@ class FoxgloveTime:
 
 
 class _Advertised(NamedTuple):
-    """A channel of the client's."""
+    """A channel that the client advertises."""
 
     topic: str
     type_name: str
 
 
 class FoxgloveTopics:
-    """By the ids that the client chose; several may share a topic, which is taken back with the last."""
+    """Channels that the client advertises, by its ids. Several may have one topic; the last one withdraws it."""
 
     def __init__(self, participant: Participant) -> None:
         self._participant = participant
         self._channels: dict[int, _Advertised] = {}
 
     def advertise(self, channel: ClientChannel) -> None:
-        """Note a channel.
+        """Advertise a channel.
 
         Raises:
-            BadRequest: the id is in use, the encoding is another, nobody knows the type, or there are too many.
+            BadRequest: the id is in use, the encoding or type is unknown, or there are too many channels.
             WrongType: the topic is in use with another type.
         """
         if channel.id in self._channels:
             raise BadRequest(f"advertise: the id {channel.id} is in use")
         if channel.encoding != ROS1:
-            raise BadRequest(f"advertise: {channel.topic} must be of the encoding {ROS1}, not {channel.encoding!r}")
+            raise BadRequest(f"advertise: {channel.topic} must have the encoding {ROS1}, not {channel.encoding!r}")
         if len(self._channels) >= MAX_ADVERTISED:
             raise BadRequest(f"more than {MAX_ADVERTISED} channels advertised")
         self._participant.advertise(channel.topic, channel.schema_name)
         self._channels[channel.id] = _Advertised(resolve(channel.topic), channel.schema_name)
 
     def unadvertise(self, number: int) -> None:
-        """Take back a channel; one that is not there is no error."""
+        """Withdraw a channel. An unknown one is ignored."""
         gone = self._channels.pop(number, None)
         if gone is not None and all(other.topic != gone.topic for other in self._channels.values()):
             self._participant.unadvertise(gone.topic)
 
     def find(self, number: int) -> str | None:
-        """The topic of the channel of this id, if it is advertised."""
+        """Return the topic of a channel; None if it is not advertised."""
         return self._channels[number].topic if number in self._channels else None
 
     def topic(self, number: int) -> str:
-        """Of the channel of this id.
+        """Return the topic of a channel.
 
         Raises:
-            BadRequest: it is not advertised.
+            BadRequest: the channel is not advertised.
         """
         if number not in self._channels:
             raise BadRequest(f"publish: the channel {number} is not advertised")
         return self._channels[number].topic
 
     def publish(self, published: Published, came_s: float) -> None:
-        """Send a payload that is exactly one message and came then; a velocity drives the robot.
+        """Publish a payload, which must be exactly one message. A velocity drives the robot.
 
         Raises:
-            BadRequest: the channel is not advertised, or as Participant.publish.
-            BadPayload: the payload is not one message of the type; a device would read beyond its end.
-            HostlinkError: as Participant.publish.
+            BadRequest: the channel is not advertised, or see Participant.publish.
+            BadPayload: the payload is not one message of the type. A device would read beyond its end.
+            HostlinkError: see Participant.publish.
         """
         topic = self.topic(published.channel_id)
         type_name = self._channels[published.channel_id].type_name
@@ -218,19 +216,19 @@ def _check(type_: MessageType, payload: bytes) -> None:
 
 
 class FoxgloveSubscriptions:
-    """By the ids that the client chose, one for each channel; the payloads pass as they are."""
+    """Subscriptions by the ids that the client chose, one for each channel. Payloads are sent unchanged."""
 
     def __init__(self, participant: Participant, queue: ClientQueue, time: FoxgloveTime) -> None:
         self._participant, self._queue, self._time = participant, queue, time
         self._subscriptions: dict[int, tuple[Channel, Subscription]] = {}
-        self._of_channel: dict[int, int] = {}  # channel -> subscription
+        self._of_channel: dict[int, int] = {}  # subscription id by channel id
 
     def subscribe(self, wanted: WantedChannel, channel: Channel | None) -> None:
         """Send the messages of a channel from now on, the latched one first.
 
         Raises:
-            BadRequest: there is no such channel, it or the id is in use, or there are too many subscriptions.
-            WrongType: the topic has another type by now.
+            BadRequest: the channel is unknown, it or the id is in use, or there are too many subscriptions.
+            WrongType: the topic has a different type now.
         """
         if channel is None:
             raise BadRequest(f"subscribe: there is no channel {wanted.channel_id}")
@@ -248,7 +246,7 @@ class FoxgloveSubscriptions:
         self._of_channel[channel.id] = wanted.id
 
     def unsubscribe(self, number: int) -> None:
-        """Send no more of it; an id that is not there is no error."""
+        """End a subscription. An unknown id is ignored."""
         channel, subscription = self._subscriptions.pop(number, (None, None))
         if channel is not None and subscription is not None:
             del self._of_channel[channel.id]
@@ -256,13 +254,13 @@ class FoxgloveSubscriptions:
             subscription.close()
 
     def remove_channels(self, channel_ids: Iterable[int]) -> None:
-        """The channels are no more."""
+        """End the subscriptions of removed channels."""
         for number in [self._of_channel[each] for each in channel_ids if each in self._of_channel]:
             self.unsubscribe(number)
 
 
 class FoxgloveServices:
-    """Request and response are serialised as ROS 1 has them. A call that fails is answered with the reason."""
+    """Service calls of one client, serialised as in ROS 1. A failed call is answered with its reason."""
 
     def __init__(
         self,
@@ -271,26 +269,26 @@ class FoxgloveServices:
         spawn: Callable[[Coroutine[Any, Any, None]], object],
         share: Share,
     ) -> None:
-        """`spawn` runs a call as a child of the client's connection; `share`: of the calls of all clients together."""
+        """Create the calls of one client. `spawn` runs a call in its task group; `share`: of all clients' calls."""
         self.calls = 0
         self._share = share
         self._participant, self._queue, self._spawn = participant, queue, spawn
 
     def call(self, call: ServiceCall, service: Service | None) -> None:
-        """Call a service, and send its response when it comes."""
+        """Call a service and send its response."""
         if self.calls >= MAX_CALLS:
-            self._fail(call, f"more than {MAX_CALLS} calls under way")
+            self._fail(call, f"more than {MAX_CALLS} calls are pending")
         elif service is None:
             self._fail(call, f"there is no service {call.service_id}")
         elif call.encoding != ROS1:
-            self._fail(call, f"{service.name}: a request must be of the encoding {ROS1}, not {call.encoding[:64]!r}")
+            self._fail(call, f"{service.name}: a request must have the encoding {ROS1}, not {call.encoding[:64]!r}")
         else:
             self.calls += 1
             self._spawn(self._finish(call, service))
 
     async def _finish(self, call: ServiceCall, service: Service) -> None:
         try:
-            with self._share.holding(len(call.payload), "calls that are under way"):
+            with self._share.holding(len(call.payload), "pending calls"):
                 response = await self._participant.call(service.name, _decode(call, service))
             payload = service.type.response.encode(response)
             self._queue.put_result(Outgoing(encode_response(call._replace(payload=payload)), is_binary=True))
@@ -305,7 +303,7 @@ class FoxgloveServices:
 
 
 def _decode(call: ServiceCall, service: Service) -> dict[str, object]:
-    """The request's fields.
+    """Decode the fields of a request.
 
     Raises:
         BadRequest: the payload is not exactly one request.
@@ -316,30 +314,30 @@ def _decode(call: ServiceCall, service: Service) -> dict[str, object]:
         raise BadRequest(f"{service.name}: {error}") from None
 
 
-CHECK_INTERVAL_S = 0.5  # at which watched parameters are compared, whoever changed them
+CHECK_INTERVAL_S = 0.5  # between comparisons of watched parameters
 
 
 class FoxgloveParameters:
-    """Names are full ones. A float is marked as one, because JSON in a browser does not keep it."""
+    """Parameters that a client reads, sets and watches, by full names. Floats carry a type: JSON keeps none."""
 
     def __init__(self, parameters: Parameters, queue: ClientQueue, share: Share) -> None:
-        """`share`: of the names that all clients watch."""
+        """Create the view of one client. `share`: budget of the names that all clients watch."""
         self._parameters, self._queue, self._share = parameters, queue, share
-        self._watched: dict[str, ParameterValue | None] = {}  # what was sent last; None: there is none
+        self._watched: dict[str, ParameterValue | None] = {}  # values sent last; None: the parameter does not exist
         self._due_s = 0.0
 
     def send(self, names: list[str], request_id: str | None) -> None:
-        """Send these, as far as they are there; without a name all."""
+        """Send the existing parameters of these names; without names all."""
         values = self._parameters.values()
         known = {name: values[name] for name in map(resolve, names) if name in values} if names else values
         self._put(known, request_id)
 
     def set(self, setting: ParameterSetting) -> None:
-        """Set one, or remove it.
+        """Set a parameter, or remove it.
 
         Raises:
-            BadRequest, WrongType: no device could be answered with the value.
-            UnknownTopic: it is to be removed, and is not there.
+            BadRequest, WrongType: a device could not be answered with the value.
+            UnknownTopic: the parameter to be removed does not exist.
         """
         if setting.value is msgspec.UNSET:
             self._parameters.delete(setting.name)
@@ -347,7 +345,7 @@ class FoxgloveParameters:
             self._parameters.put(setting.name, msgspec.json.encode(_value(setting)).decode())
 
     def watch(self, names: list[str]) -> None:
-        """Send these whenever they change; without a name all that there are.
+        """Send parameters whenever they change; without names all present ones.
 
         Raises:
             BadRequest: they are too many.
@@ -362,14 +360,14 @@ class FoxgloveParameters:
         self._watched = {name: values.get(name) for name in wanted} | self._watched
 
     def unwatch(self, names: list[str]) -> None:
-        """Send them no more; without a name none."""
+        """Stop sending changes of parameters; without names of all."""
         for name in map(resolve, names or list(self._watched)):
             if name in self._watched:
                 del self._watched[name]
                 self._share.give(_size(name))
 
     def flush(self, now_s: float) -> float | None:
-        """Send what has changed; returns when to compare again."""
+        """Send changed parameters. Return when to compare again."""
         if not self._watched:
             return None
         if now_s >= self._due_s:
@@ -405,30 +403,30 @@ def _view(name: str, value: ParameterValue | None) -> dict[str, Any]:
 
 
 def _value(setting: ParameterSetting) -> object:
-    """As its type has it.
+    """Return the value as its type has it.
 
     Raises:
-        BadRequest: the type is not offered, or the value is none of it.
+        BadRequest: the type is unknown, or the value does not fit it.
     """
     if setting.type is None:
         return setting.value
     if setting.type not in ("float64", "float64_array"):
-        raise BadRequest(f"parameter {setting.name}: the type {setting.type!r} is not offered")
+        raise BadRequest(f"parameter {setting.name}: unknown type {setting.type!r}; use float64, float64_array or none")
     is_array = setting.type == "float64_array"
     try:
         floats = msgspec.convert(setting.value if is_array else [setting.value], list[float])
     except (msgspec.ValidationError, OverflowError) as error:
         raise BadRequest(f"parameter {setting.name}: {error}") from None
     if not all(map(math.isfinite, floats)):
-        raise BadRequest(f"parameter {setting.name}: must be finite")
+        raise BadRequest(f"parameter {setting.name}: the value must be finite")
     return floats if is_array else floats[0]
 
 
 log = structlog.get_logger()
 
 BATCH = 64  # channels or services in one message
-CHANGES_INTERVAL_S = 0.05  # of the graph, at least: a client may request all of it again and again
-MAX_UNDEFINED = 8  # topics without a definition that are named to a client at once
+CHANGES_INTERVAL_S = 0.05  # between two updates of the graph: a client may request all of it repeatedly
+MAX_UNDEFINED = 8  # topics without a definition that are reported to a client at once
 _WARNING, _ERROR = 1, 2  # levels of a status
 _READING = ("services", "parameters", "parametersSubscribe", "connectionGraph", "time")
 _Item = TypeVar("_Item")
@@ -437,7 +435,7 @@ _Received = JsonRequest | Published | ServiceCall | BadRequest
 
 
 class FoxgloveClient:
-    """One participant, and the language that its program speaks."""
+    """One participant and its Foxglove requests."""
 
     def __init__(
         self,
@@ -449,7 +447,7 @@ class FoxgloveClient:
         spawn: Callable[[Coroutine[Any, Any, None]], object],
         role: Role = Role.DRIVE,
     ) -> None:
-        """`spawn` runs a service call as a child of the client's connection."""
+        """Join the hub. `spawn` runs a service call in the client's task group."""
         self.participant = hub.join(name, role=role, on_end=queue.close)
         self._hub, self._directory, self._queue = hub, directory, queue
         self._time = FoxgloveTime(self.participant, hub.topics, queue)
@@ -458,10 +456,10 @@ class FoxgloveClient:
         self._services = FoxgloveServices(self.participant, queue, spawn, hub.budget["calls"])
         self._parameters = FoxgloveParameters(Parameters(hub.parameters), queue, hub.budget["watches"])
         self._offers = _NOTHING
-        self._graph: ConnectionGraph | None = None  # that was sent last; None: it is not watched
+        self._graph: ConnectionGraph | None = None  # sent last; None: not watched
         self._is_stale = False
         self._changes_due_s = 0.0
-        self._refused: dict[int, str] = {}  # why a channel's message was, until one is accepted again or it is gone
+        self._refused: dict[int, str] = {}  # reason of the last refusal, by channel id
         self._refused_velocities = RateLimit(REFUSED_VELOCITIES_S)
         self._begin()
 
@@ -474,11 +472,11 @@ class FoxgloveClient:
         self.participant.watch_graph(self._note_change)
 
     def receive(self, data: str | bytes) -> None:
-        """Do what one message of the client's requests; what is wrong with it becomes a status, and is never raised."""
+        """Execute one message of the client. An error becomes a status and is never raised."""
         self.do(self.read(data, _now_s()))
 
     def read(self, data: str | bytes, came_s: float) -> Operation[_Received]:
-        """Decode a message; `do` tells the client what is wrong with it."""
+        """Decode a message. An error is returned as the content, and sent to the client by `do`."""
         try:
             content = decode_request(data) if isinstance(data, str) else decode_frame(data)
         except BadRequest as error:
@@ -489,7 +487,7 @@ class FoxgloveClient:
         return Operation(content, came_s, velocity_of, is_zero)
 
     def do(self, operation: Operation[_Received]) -> None:
-        """Do what a message requests; what is wrong with it becomes a status, and is never raised."""
+        """Execute a decoded message. An error becomes a status and is never raised."""
         try:
             match operation.content:
                 case BadRequest() as error:
@@ -504,7 +502,7 @@ class FoxgloveClient:
             self._put_status(_ERROR, str(error))
 
     def flush(self, now_s: float) -> float | None:
-        """Send what has changed; returns when there may be more to send."""
+        """Send what has changed. Return when more may be due."""
         due_s = [self.participant.flush(now_s), self._parameters.flush(now_s), self._time.flush(now_s)]
         if self._is_stale:
             self._time.follow_graph()
@@ -513,11 +511,11 @@ class FoxgloveClient:
 
     @property
     def is_crowded(self) -> bool:
-        """Whether many calls are under way."""
+        """Whether more than half of the allowed service calls are pending."""
         return self._services.calls > MAX_CALLS // 2
 
     def close(self) -> None:
-        """The client has left: all that it has goes with it."""
+        """End the participant and release everything that it has."""
         self.participant.leave()
         self._parameters.unwatch([])
 
@@ -555,7 +553,7 @@ class FoxgloveClient:
                 assert_never(request)
 
     def _each(self, items: Iterable[_Item], act: Callable[[_Item], None]) -> None:
-        """Act on each; those that are refused have one status together."""
+        """Apply a function to each item. All refusals are reported in one status."""
         refused = []
         for item in items:
             try:
@@ -574,7 +572,7 @@ class FoxgloveClient:
             self._parameters.send([each.name for each in request.parameters], request.id)
 
     def _publish(self, published: Published, came_s: float) -> None:
-        """A refusal is shown until a message is accepted again; that of a velocity at a limited rate."""
+        """Publish. A refusal is shown until a message is accepted again; those of velocities at a limited rate."""
         topic = self._topics.topic(published.channel_id)
         try:
             self._topics.publish(published, came_s)
@@ -606,7 +604,7 @@ class FoxgloveClient:
         self._queue.wake()
 
     def _send_changes(self, now_s: float) -> float | None:
-        """Send the newest state, unless the client has yet to read; returns when to try again."""
+        """Send the newest state if the queue has room. Return when to try again."""
         if not self._queue.has_room:
             return now_s + CHANGES_INTERVAL_S
         if now_s < self._changes_due_s:
@@ -646,7 +644,7 @@ class FoxgloveClient:
             put_json(self._queue, {"op": op, key: [offer.json for offer in offers[start : start + BATCH]]})
 
     def _put_status(self, level: int, text: str, status_id: str | None = None) -> None:
-        """A status with an id replaces the one before of this id."""
+        """Send a status. It replaces the previous one of the same id."""
         log.debug("client.refused", client=self.participant.name, reason=text)
         status = {"op": "status", "level": level, "message": text}
         put_json(self._queue, status | ({} if status_id is None else {"id": status_id}))

@@ -1,6 +1,6 @@
-"""FoxgloveDirectory: the channels, services and nodes that every client of Foxglove's protocol receives.
+"""FoxgloveDirectory: channels, services and nodes that every Foxglove client receives.
 
-It is made once for all clients after a change of the graph, and not at all while nobody reads it.
+They are collected once for all clients after a change of the graph, and only when a client reads them.
 """
 
 import itertools
@@ -23,7 +23,7 @@ _Entry = TypeVar("_Entry")
 
 
 class Channel(NamedTuple):
-    """A topic with messages, as it is advertised."""
+    """A topic as it is advertised."""
 
     id: int
     topic: str
@@ -32,7 +32,7 @@ class Channel(NamedTuple):
 
 
 class Service(NamedTuple):
-    """A service, as it is advertised."""
+    """A service as it is advertised."""
 
     id: int
     name: str
@@ -42,16 +42,16 @@ class Service(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Offers:
-    """What there is, by id; an id is never another topic's or service's."""
+    """All channels and services by id. An id is never reused."""
 
     channels: Mapping[int, Channel]
     services: Mapping[int, Service]
-    undefined: tuple[tuple[str, str], ...]  # topics that no client could decode, and their types
+    undefined: tuple[tuple[str, str], ...]  # topics that no client can decode, and their types
 
 
 @dataclass(frozen=True, slots=True)
 class ConnectionGraph:
-    """The nodes by what they publish, subscribe to and provide."""
+    """Nodes of the graph by what they publish, subscribe to and provide."""
 
     publishers: Names
     subscribers: Names
@@ -59,10 +59,10 @@ class ConnectionGraph:
 
 
 class FoxgloveDirectory:
-    """Read by all clients."""
+    """Channels, services and nodes of the graph, for all clients."""
 
     def __init__(self, hub: Hub) -> None:
-        self.session_id = os.urandom(8).hex()  # a client that connects again learns whether the daemon is the same
+        self.session_id = os.urandom(8).hex()  # tells a client that reconnects whether the daemon was restarted
         self._hub = hub
         self._participant = hub.join_daemon()
         self._numbers = itertools.count(1)
@@ -73,13 +73,13 @@ class FoxgloveDirectory:
         self._participant.watch_graph(self._forget)
 
     def offers(self) -> Offers:
-        """The present channels and services; the same object until they may have changed."""
+        """Return the present channels and services: the same object until they may have changed."""
         if self._offers is None:
             self._offers = self._make_offers(self._participant.graph())
         return self._offers
 
     def connection_graph(self) -> ConnectionGraph:
-        """The present nodes."""
+        """Return the present nodes."""
         if self._nodes is None:
             self._nodes = self._make_nodes()
         return self._nodes
@@ -125,7 +125,7 @@ _Offer = TypeVar("_Offer")
 def _renewed(
     before: Mapping[Hashable, _Entry], offers: Mapping[Hashable, _Offer], make: Callable[[_Offer], _Entry]
 ) -> dict[Hashable, _Entry]:
-    """What stays is the same entry with the same id."""
+    """Return an entry for each offer, reusing the entry and id of one that existed before."""
     return {key: before[key] if key in before else make(offer) for key, offer in offers.items()}
 
 
@@ -148,7 +148,7 @@ def _service(number: int, name: str, type_: ServiceType) -> Service:
         "type": type_.name,
         "request": _schema(f"{type_.name}_Request", type_.request),
         "response": _schema(f"{type_.name}_Response", type_.response),
-        "requestSchema": type_.request.full_definition,  # older clients read these two
+        "requestSchema": type_.request.full_definition,  # for older clients
         "responseSchema": type_.response.full_definition,
     }
     return Service(number, name, type_, msgspec.Raw(msgspec.json.encode(advertised)))

@@ -1,4 +1,4 @@
-"""Inbox: what a client has sent and the daemon has not done yet; of velocities for one robot the newest alone."""
+"""Inbox: operations that a client has sent and that are not executed yet; for each robot only the newest velocity."""
 
 import base64
 import binascii
@@ -12,12 +12,12 @@ from hostlink.errors import BadPayload
 from hostlink.hub.topic_graph import TopicGraph
 from hostlink.robot.velocity import Twist
 
-_NUMBERS = frozenset((int, float))  # exactly: JSON's true and false are none
-_NONE = (None, False)  # no velocity, or one that is wrong: that is refused, and not replaced
+_NUMBERS = frozenset((int, float))  # exact types: JSON's true and false are not numbers
+_NONE = (None, False)  # not a velocity, or an invalid one, which is refused and not replaced
 
 
 def velocity_of_request(request: Request, topics: TopicGraph) -> tuple[Hashable, bool]:
-    """What an operation of rosbridge drives, with its priority (None: nothing), and whether it is a zero."""
+    """Return the key of a velocity (None: not a velocity) and whether it is zero. The key has robot and priority."""
     fields = request.fields
     priority = fields.get("priority")
     if not isinstance(priority, int | None):
@@ -37,14 +37,14 @@ def velocity_of_request(request: Request, topics: TopicGraph) -> tuple[Hashable,
 
 
 def velocity_of_payload(topic_name: str, payload: bytes, topics: TopicGraph) -> tuple[Hashable, bool]:
-    """The same of a serialised message."""
+    """Return the same for a serialised message: the key of a velocity, and whether it is zero."""
     topic = topics.find_or_none(topic_name)
     is_zero = _is_zero_payload(payload) if topic is not None and topic.is_gated else None
     return _NONE if is_zero is None else (("publish", topic_name), is_zero)
 
 
 def _is_zero_message(fields: dict[str, Any]) -> bool | None:
-    """Of a Twist or a TwistStamped, as JSON or, in base64, as bytes; None: it is neither."""
+    """Whether a Twist or a TwistStamped (JSON, or bytes in base64) is zero; None for another message."""
     raw, message = fields.get("raw"), fields.get("msg")
     if raw is not None:
         try:
@@ -66,63 +66,63 @@ def _is_zero_message(fields: dict[str, Any]) -> bool | None:
 
 
 def _is_zero_payload(payload: bytes) -> bool | None:
-    """Of a serialised Twist; of a TwistStamped the Twist is its end."""
+    """Whether a serialised Twist, or the Twist at the end of a TwistStamped, is zero; None for other bytes."""
     try:
         return Twist.decode(payload[-len(Twist().encode()) :]).is_zero
     except BadPayload:
         return None
 
 
-MANY = 64  # messages that one who drives may send while the daemon is busy: more than a second's worth at 50 Hz
-MAX_MESSAGES = 256  # that wait here; more wait in the socket
-MAX_BYTES = 64 * 1024  # or one message that is larger
+MANY = 64  # messages of one client while the loop is busy: more than a second of commands at 50 Hz
+MAX_MESSAGES = 256  # decoded or not; more wait in the socket
+MAX_BYTES = 64 * 1024  # or one larger message
 
 Content = TypeVar("Content")
 
 
 @dataclass(slots=True)
 class Operation(Generic[Content]):
-    """One message of a client, decoded."""
+    """One decoded message of a client."""
 
     content: Content
-    came_s: float  # when it came, at the earliest, by the loop's clock
-    velocity_of: Hashable = None  # what it drives, with what priority; None: it is no velocity
+    came_s: float  # earliest time of arrival by the loop's clock
+    velocity_of: Hashable = None  # robot or topic, and priority; None: not a velocity
     is_zero: bool = False
-    replaced: list[Content] = field(default_factory=list)  # the velocities in the place of which it is done
+    replaced: list[Content] = field(default_factory=list)  # velocities that this one replaces
 
 
 class Program(Protocol[Content]):
-    """What speaks the client's language. Neither raises what the client has done wrong."""
+    """Protocol of a client. Errors of the client are never raised."""
 
     def read(self, data: str | bytes, came_s: float) -> Operation[Content]: ...
     def do(self, operation: Operation[Content]) -> None: ...
 
 
 class Inbox(Generic[Content]):
-    """Operations are done in the order in which they came.
+    """Operations of one client, executed in their order of arrival.
 
-    A velocity takes the place of one before it that drives the same robot and that was not done: it stands where the
-    newer one came, so that nothing overtakes a stop. A zero takes the place of others, and nothing takes its.
+    A velocity replaces a pending one of the same robot and priority. It is executed at the newer one's place, so that
+    it does not overtake a stop. A zero replaces other velocities and is never replaced.
     """
 
     def __init__(self, program: Program[Content], on_replaced: Callable[[], None]) -> None:
-        """`on_replaced` is called for each velocity in the place of which a newer one is done."""
+        """Create an empty inbox. `on_replaced` is called for each replaced velocity."""
         self._program, self._on_replaced = program, on_replaced
-        self._messages: deque[tuple[str | bytes, float]] = deque()  # as they came, not decoded yet
+        self._messages: deque[tuple[str | bytes, float]] = deque()  # in order of arrival, not decoded
         self._bytes = 0
-        self._operations: dict[int, Operation[Content]] = {}  # by number, in their order
-        self._velocities: dict[Hashable, int] = {}  # the numbers of those that may be replaced
+        self._operations: dict[int, Operation[Content]] = {}  # by number, in order of arrival
+        self._velocities: dict[Hashable, int] = {}  # numbers of velocities that may be replaced
         self._last_number = 0
-        self.is_flooding = False  # too many have waited: they are done after the others' turns, until none is left
+        self.is_flooding = False  # more than MANY wait: executed after other clients' turns until none waits
         self.has_room = True  # otherwise the rest waits in the socket
-        self.is_behind = False  # the next message was there before it was waited for
-        self._came_s: float | None = None  # of the newest message; None: there was none
+        self.is_behind = False  # whether the next message was available before it was waited for
+        self._came_s: float | None = None  # of the newest message; None: none yet
 
     def __len__(self) -> int:
         return len(self._messages) + len(self._operations)
 
     def put(self, data: str | bytes, came_s: float) -> None:
-        """A message came; one that was there before it was waited for may be as old as the one before it."""
+        """Add a message. One that was available without waiting may be as old as the message before it."""
         if self._came_s is None or not self.is_behind:
             self._came_s = came_s
         self._messages.append((data, self._came_s))
@@ -134,11 +134,11 @@ class Inbox(Generic[Content]):
             self.has_room = False
 
     def note_wait(self) -> None:
-        """The next message is not there yet."""
+        """Note that the next message is not available yet."""
         self.is_behind = False
 
     def work(self) -> None:
-        """Decode all that has come, and do what is next."""
+        """Decode all messages, and execute the next operation."""
         while self._messages:
             data, came_s = self._messages.popleft()
             self._add(self._program.read(data, came_s))

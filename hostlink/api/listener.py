@@ -1,4 +1,4 @@
-"""ApiListener: the API's port. It admits connections by the rules of Connections, and cuts those that wait too long."""
+"""ApiListener: the API's port. Accepts connections by the rules of `Connections` and aborts those that time out."""
 
 import asyncio
 import contextlib
@@ -20,22 +20,22 @@ from hostlink.link.fair_share import Turns
 from hostlink.logs import printable
 from hostlink.transport.base import READ_BYTES
 
-REQUEST_BYTES = 2 * READ_BYTES  # at once, while it speaks HTTP
-SOCKET_BYTES = 64 * 1024  # at once, of a WebSocket: what a driver sends in seconds
-CONTROL_FRAME_BYTES = 6  # of a client's ping or pong, without its payload
-LARGE_BYTES = SOCKET_BYTES  # a message above it needs room in the budget before it is read on
+REQUEST_BYTES = 2 * READ_BYTES  # in one read, while the connection speaks HTTP
+SOCKET_BYTES = 64 * 1024  # in one read of a WebSocket: several seconds of velocity commands
+CONTROL_FRAME_BYTES = 6  # of a client's ping or pong, without payload
+LARGE_BYTES = SOCKET_BYTES  # a larger message needs room in the byte budget before it is read
 
-_INTO = memoryview(bytearray(SOCKET_BYTES))  # of all connections: what came is copied out of it before the next reads
+_INTO = memoryview(bytearray(SOCKET_BYTES))  # receive buffer of all connections, copied before the next read
 
 
 class PacedReading(ForwardingProtocol, asyncio.BufferedProtocol):
-    """The protocol of one connection, around the one that understands it.
+    """The protocol of one connection. Paces reading, and passes the bytes to the HTTP or WebSocket protocol inside.
 
-    | it speaks   | what is read                                                                                       |
+    | protocol    | what is read                                                                                       |
     |-------------|----------------------------------------------------------------------------------------------------|
-    | HTTP        | a piece in its turn (FairShare); nothing of a body that nobody reads any more (`refuse_body`)      |
-    | a WebSocket | all that is there, whenever something is: a newer command may be behind it. The rest of a large    |
-    |             | message waits in the socket until there is room for it                                             |
+    | HTTP        | one piece in each turn (FairShare); not the rest of a body that no handler reads (`refuse_body`)   |
+    | WebSocket   | everything available at once, because a newer command may be behind it. The rest of a large        |
+    |             | message waits in the socket until the byte budget has room for it                                  |
     """
 
     def __init__(
@@ -49,65 +49,65 @@ class PacedReading(ForwardingProtocol, asyncio.BufferedProtocol):
         timeout_s: float,
         behind_since_s: float | None = None,
     ) -> None:
-        """`share`: of messages that are not whole; `came_s`: since when something may have waited that is read now.
+        """Wrap a protocol. `share`: budget of incomplete messages; `came_s`: earliest arrival of bytes read now.
 
-        `behind_since_s`: since when the connection may have waited to be accepted, and its first bytes with it.
+        `behind_since_s`: time since when the connection, and its first bytes, may have waited to be accepted.
         """
         super().__init__(inner)
-        self.came_s = behind_since_s or 0.0  # when what was read last came, at the earliest
-        self.request_came_s = 0.0  # the request that is being answered
+        self.came_s = behind_since_s or 0.0  # earliest arrival of the bytes read last
+        self.request_came_s = 0.0  # of the request that is being answered
         self._turns, self._share, self._came = turns, share, came_s
-        self._room_bytes = min(max_message_bytes, share.max_bytes)  # one that may be larger than all has all the room
+        self._room_bytes = min(max_message_bytes, share.max_bytes)  # a larger message takes all
         self._timeout_s = timeout_s
         self._loop = asyncio.get_running_loop()
         self._transport: asyncio.Transport
-        self._held = b""  # read, and not passed on: then nothing more is read
-        self._is_behind = behind_since_s is not None  # there may be more than what was read last
+        self._held = b""  # read, but not passed on; reading is paused
+        self._is_behind = behind_since_s is not None  # whether more bytes may wait behind those read last
         self._next_request_came_s: float | None = None
         self._is_web_socket = self._is_refusing = self._is_lost = self._has_room = False
-        self._on_read = self._on_writable = _call_nothing  # of the owner of a WebSocket
-        self.is_writing_paused = False  # the transport's buffer is full
-        self._unread_bytes = 0  # of a message that is not whole
+        self._on_read = self._on_writable = _call_nothing  # callbacks of the WebSocket's owner
+        self.is_writing_paused = False  # whether the transport's buffer is full
+        self._unread_bytes = 0  # of an incomplete message
         self._deadline: asyncio.TimerHandle | None = None
 
     # -- what the API says --------------------------------------------------------------------------------------------
 
     def begin_request(self) -> None:
-        """A request is whole but for its body. One that came before its predecessor was answered is as old as that."""
+        """Note a complete head. A request that was read before its predecessor was answered is as old as that one."""
         if self._next_request_came_s is not None:
             self.request_came_s = self._next_request_came_s
 
     def end_request(self) -> None:
-        """It is answered."""
+        """Note that the request is answered."""
         self._next_request_came_s = None
 
     def refuse_body(self) -> None:
-        """Read nothing more: the answer is known, and the connection is closed when its sender had time to read it."""
+        """Stop reading: the answer is decided. The connection is closed when the client had time to read it."""
         self._is_refusing = True
 
     def become_web_socket(self, *, on_read: Callable[[], None], on_writable: Callable[[], None]) -> None:
-        """Read messages from now on. `on_read` is called after each read, `on_writable` when writing may go on."""
+        """Switch to reading messages. `on_read` is called after each read, `on_writable` when writing may continue."""
         self._is_web_socket = True
         self._on_read, self._on_writable = on_read, on_writable
 
     def leave_web_socket(self) -> None:
-        """Call the WebSocket's owner no more."""
+        """Remove the callbacks of the WebSocket."""
         self._on_read = self._on_writable = _call_nothing
 
     def receive_message(self) -> None:
-        """A whole message has come, and was worked on if it was large."""
+        """Note that a message is complete, and that a large one has been executed."""
         self._unread_bytes = 0
         if self._has_room:
             self._give_room()
 
     def receive_control(self, payload_bytes: int) -> None:
-        """A ping or a pong has come, which belongs to no message: a client may send nothing else for days."""
+        """Subtract a ping or a pong, which belongs to no message: a client may send only those for days."""
         self._unread_bytes = max(0, self._unread_bytes - payload_bytes - CONTROL_FRAME_BYTES)
 
     # -- what asyncio calls -------------------------------------------------------------------------------------------
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        self._transport = transport  # type: ignore[assignment]  # uvloop's is no subclass of asyncio's
+        self._transport = transport  # type: ignore[assignment]  # uvloop's is not a subclass
         super().connection_made(transport)
 
     def get_buffer(self, sizehint: int) -> memoryview:  # noqa: ARG002 - asyncio's signature
@@ -115,7 +115,7 @@ class PacedReading(ForwardingProtocol, asyncio.BufferedProtocol):
 
     def buffer_updated(self, nbytes: int) -> None:
         data = bytes(_INTO[:nbytes])
-        if not self._is_behind:  # it came after the turn of the loop before this one
+        if not self._is_behind:  # the bytes arrived after the previous turn of the event loop
             self.came_s = self._came(self._loop.time())
         self._is_behind = nbytes == (SOCKET_BYTES if self._is_web_socket else REQUEST_BYTES)
         if self._next_request_came_s is None:
@@ -152,7 +152,7 @@ class PacedReading(ForwardingProtocol, asyncio.BufferedProtocol):
         self._transport.pause_reading()
 
     def _release(self) -> None:
-        """It may be passed on. Reading goes on before: what it is passed to may stop it again."""
+        """Pass on the bytes held back. Reading resumes before, because the inner protocol may pause it again."""
         data, self._held = self._held, b""
         if self._is_lost or self._is_refusing:
             return
@@ -166,7 +166,7 @@ class PacedReading(ForwardingProtocol, asyncio.BufferedProtocol):
         self._turns.end(began_s)
 
     def _receive(self, data: bytes) -> None:
-        """Pass on a part of a WebSocket's messages, if it is not of a large one for which there is no room."""
+        """Pass on bytes of a WebSocket, unless they belong to a large message for which the budget has no room."""
         self._unread_bytes += len(data)
         if self._unread_bytes > LARGE_BYTES and not self._has_room:
             if not self._share.take(self._room_bytes):
@@ -204,7 +204,7 @@ def _call_nothing() -> None:
 
 log = structlog.get_logger()
 
-SWEEP_INTERVAL_S = 1.0  # how much longer than its time a connection may wait
+SWEEP_INTERVAL_S = 1.0  # a connection may exceed its timeout by this time
 LOG_INTERVAL_S = 10.0
 UNAVAILABLE = b"HTTP/1.1 503 Too many connections\r\nConnection: close\r\nRetry-After: 1\r\nContent-Length: 0\r\n\r\n"
 
@@ -212,11 +212,11 @@ MakeProtocol = Callable[[], asyncio.Protocol]
 
 
 class ApiListener:
-    """Owns accepted sockets until their protocols have them, and knows the state of each connection from then on."""
+    """Owns accepted sockets until their protocols take over, and knows the state of each connection from then on."""
 
     def __init__(self, connections: Connections, hub: Hub) -> None:
         self._connections, self._hub = connections, hub
-        self._sockets: dict[int, socket.socket] = {}  # that are being opened, by the connection's number
+        self._sockets: dict[int, socket.socket] = {}  # in their handshake, by number of the connection
         self._transports: dict[int, asyncio.Transport] = {}
         self._by_transport: dict[asyncio.BaseTransport, tuple[Connection, PacedReading]] = {}
         self._log_at_s = float("-inf")
@@ -226,7 +226,7 @@ class ApiListener:
     async def serving(
         self, listening: list[socket.socket], make_protocol: MakeProtocol, tls: ssl.SSLContext | None
     ) -> AsyncIterator[None]:
-        """Accept connections for the length of the block; those that are open at its end belong to their protocols."""
+        """Accept connections within the block. Connections that are open at its end belong to their protocols."""
 
         def accepted(sock: socket.socket, address: str, since_s: float) -> None:
             new, leaving = self._connections.enter(address, _now_s())
@@ -252,7 +252,7 @@ class ApiListener:
 
     @contextlib.contextmanager
     def answering(self, transport: asyncio.BaseTransport | None) -> Iterator[None]:
-        """The head of a request is whole: its connection does not wait during the block."""
+        """Suspend the timeout of a connection within the block: the head of a request is complete."""
         found = None if transport is None else self._by_transport.get(transport)
         if found is None:
             yield
@@ -268,7 +268,7 @@ class ApiListener:
 
     @contextlib.contextmanager
     def receiving(self, transport: asyncio.BaseTransport | None) -> Iterator[None]:
-        """The body of a request that is answered is missing: its connection waits during the block."""
+        """Restart the timeout of a connection within the block: the body of a request is incomplete."""
         found = None if transport is None else self._by_transport.get(transport)
         if found is None:
             yield
@@ -290,7 +290,7 @@ class ApiListener:
         make_protocol: MakeProtocol,
         tls: ssl.SSLContext | None,
     ) -> None:
-        """Give it to its protocol, after the handshake of TLS if there is one: before that nobody sends a command."""
+        """Hand the socket to its protocol, after the TLS handshake if there is one. No command arrives before that."""
         behind_since_s = since_s if tls is None else None
         timeout_s = None if tls is None else self._connections.request_timeout_s
         try:
@@ -309,17 +309,17 @@ class ApiListener:
                 sock.close()
 
     def opened(self, connection: Connection, reading: PacedReading, transport: asyncio.Transport) -> None:
-        """It has its protocol."""
+        """Register an open connection."""
         self._transports[connection.number] = transport
         self._by_transport[transport] = connection, reading
 
     def reading(self, request: web.Request) -> PacedReading | None:
-        """How the connection of a request is read; None: it is closed."""
+        """Return the protocol of a request's connection; None if the connection is closed."""
         transport = request.transport
         return None if transport is None or transport not in self._by_transport else self._by_transport[transport][1]
 
     def lost(self, connection: Connection) -> None:
-        """It is closed."""
+        """Remove a closed connection."""
         transport = self._transports.pop(connection.number, None)
         if transport is not None:
             del self._by_transport[transport]
@@ -343,7 +343,7 @@ class ApiListener:
         self._log_crowd("")
 
     def _log_crowd(self, address: str) -> None:
-        """The first, then what came since, at most once in LOG_INTERVAL_S."""
+        """Log refused and closed connections: the first at once, the others at most once in LOG_INTERVAL_S."""
         now_s = _now_s()
         if now_s >= self._log_at_s:
             self._log_at_s = now_s + LOG_INTERVAL_S
@@ -353,7 +353,7 @@ class ApiListener:
 
 
 class _Watched(PacedReading):
-    """The protocol of one connection; the listener knows when it begins and ends."""
+    """PacedReading that tells the listener when the connection opens and closes."""
 
     def __init__(
         self,
@@ -375,7 +375,7 @@ class _Watched(PacedReading):
         self._listener, self._connection = listener, connection
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        self._listener.opened(self._connection, self, cast("asyncio.Transport", transport))  # uvloop's is no subclass
+        self._listener.opened(self._connection, self, cast("asyncio.Transport", transport))  # for uvloop
         super().connection_made(transport)
 
     def connection_lost(self, exc: Exception | None) -> None:
@@ -384,7 +384,7 @@ class _Watched(PacedReading):
 
 
 class _Every:
-    """Calls something at an interval, until it is cancelled."""
+    """Calls a function at an interval until it is cancelled."""
 
     def __init__(self, interval_s: float, call: Callable[[], None]) -> None:
         self._interval_s, self._call = interval_s, call
@@ -405,7 +405,7 @@ def _refuse(sock: socket.socket, answer: bytes) -> None:
 
 
 def _shut(sock: socket.socket) -> None:
-    """End both directions; the owner of the socket closes it."""
+    """Shut down both directions; the owner of the socket closes it."""
     with contextlib.suppress(OSError):
         sock.shutdown(socket.SHUT_RDWR)
 

@@ -1,4 +1,4 @@
-"""Parameters: rosapi's calls on the parameters that devices request; a name may be that of a tree."""
+"""Parameters: rosapi's calls on the parameters that devices request. A name may be that of a tree."""
 
 from typing import Any
 
@@ -10,40 +10,40 @@ from hostlink.hub.parameters import to_parameter
 from hostlink.hub.topic_graph import resolve
 
 MAX_PARAMETERS = 1024
-MAX_VALUE_CHARACTERS = 4096  # of JSON; more fits no device
+MAX_VALUE_CHARACTERS = 4096  # of JSON; no device accepts more
 _Value = ParameterScalar | list[ParameterScalar]
 
 
 class Parameters:
-    """Names are full ones here (`/robot_0/gain`); the settings may spell them otherwise."""
+    """Parameters by full name (`/robot_0/gain`). The settings may have relative names."""
 
     def __init__(self, settings: dict[str, ParameterValue]) -> None:
         self._settings = settings
 
     def names(self) -> list[str]:
-        """All of them."""
+        """Return all names."""
         return sorted(map(resolve, self._settings))
 
     def values(self) -> dict[str, ParameterValue]:
-        """All of them by name, none of which is a tree's."""
+        """Return all values by name, without trees."""
         return {resolve(setting): value for setting, value in self._settings.items()}
 
     def has(self, name: str) -> bool:
-        """Whether there is such a parameter, or one below it."""
+        """Whether there is a parameter of this name, or one below it."""
         return bool(self._below(name))
 
     def get(self, name: str, default: str) -> str:
-        """The value as JSON, an object for a name with others below it; without one, `default`: JSON, or a text."""
+        """Return the value as JSON: an object if parameters are below the name. `default` is JSON or a text."""
         found = self._below(name)
         if not found:
             return _as_json(default)
         return msgspec.json.encode(self._tree(resolve(name).rstrip("/"), found)).decode()
 
     def put(self, name: str, text: str) -> None:
-        """Set it, and all below it, to this JSON.
+        """Replace the parameter and all below it by this JSON.
 
         Raises:
-            HostlinkError: no device can be answered with the value.
+            HostlinkError: a device could not be answered with the value.
         """
         if len(text) > MAX_VALUE_CHARACTERS:
             raise BadRequest(f"set_param: value is longer than {MAX_VALUE_CHARACTERS} characters")
@@ -51,7 +51,7 @@ class Parameters:
         try:
             _flatten(resolve(name), msgspec.json.decode(text), leaves)
         except (msgspec.DecodeError, msgspec.ValidationError, RecursionError) as error:
-            wanted = "a number, a text, a truth, a list of them, or an object of those"
+            wanted = "a number, a text, true or false, a list of them, or an object of those"
             raise BadRequest(f"set_param: value must be JSON of {wanted}: {error}") from None
         for full, value in leaves.items():
             to_parameter(full, value)
@@ -63,7 +63,7 @@ class Parameters:
         self._settings.update({replaced.get(full, full): value for full, value in leaves.items()})
 
     def delete(self, name: str) -> None:
-        """Delete it, and all below it; UnknownTopic if there is none."""
+        """Delete the parameter and all below it. Raise UnknownTopic if there is none."""
         found = self._below(name)
         if not found:
             raise UnknownTopic("parameter", name, tuple(self.names()))
@@ -71,7 +71,7 @@ class Parameters:
             del self._settings[setting]
 
     def _below(self, name: str) -> dict[str, str]:
-        """Full name -> name in the settings, of the parameter and of those below it."""
+        """Return the names in the settings, by full name, of the parameter and of those below it."""
         wanted = resolve(name).rstrip("/")
         full_names = {resolve(setting): setting for setting in self._settings}
         return {full: own for full, own in full_names.items() if full == wanted or full.startswith(f"{wanted}/")}

@@ -1,4 +1,4 @@
-"""rosapi: the services by which rosbridge's clients read the graph, answered from the hub as it is now."""
+"""RosApi: the services by which rosbridge's clients read the graph, answered from the hub."""
 
 import socket
 import time
@@ -16,11 +16,11 @@ from hostlink.messages.fields import BUILT_IN, FLOATS, SCALAR, Constant, bool_va
 from hostlink.messages.message_type import MessageType, ServiceType
 
 _TIMES = ("time", "duration")
-_EXAMPLES = {"string": "", "bool": "False", "float32": "0.0", "float64": "0.0"}  # as Python prints the defaults
+_EXAMPLES = {"string": "", "bool": "False", "float32": "0.0", "float64": "0.0"}  # defaults as Python prints them
 
 
 def describe(type_: MessageType) -> list[dict[str, Any]]:
-    """The TypeDefs of a type and of all types in it: the root first, depth first, each once."""
+    """Return the TypeDefs of a type and of all types in it: the root first, depth first, each once."""
     typedefs: dict[str, dict[str, Any]] = {}
     _add(type_, typedefs)
     return list(typedefs.values())
@@ -67,7 +67,7 @@ def _example(type_name: str, array_length: int) -> str:
 
 
 def _value(constant: Constant) -> str:
-    """As Python prints the constant of the generated class."""
+    """Format a constant as Python prints the one of the generated class."""
     if constant.type in FLOATS:
         return str(float(constant.text))
     if constant.type == "bool":
@@ -82,7 +82,7 @@ _WRITERS = frozenset({"set_param", "delete_param"})
 
 
 class RosApi:
-    """One method a service, by its name; `offer` provides them all."""
+    """The /rosapi/ services, one method each. `offer` provides them all."""
 
     def __init__(self, hub: Hub) -> None:
         self._hub = hub
@@ -117,7 +117,7 @@ class RosApi:
             "delete_param": ("DeleteParam", self._delete_param),
             "get_param_names": ("GetParamNames", lambda _: {"names": self._parameters.names()}),
             "get_time": ("GetTime", lambda _: {"time": to_time(time.time_ns())}),
-            "get_ros_version": ("GetROSVersion", lambda _: {"version": 1, "distro": "noetic"}),  # whose types these are
+            "get_ros_version": ("GetROSVersion", lambda _: {"version": 1, "distro": "noetic"}),  # of the types
         }
         for name, (type_name, answer) in answers.items():
             self._participant.provide(
@@ -127,7 +127,7 @@ class RosApi:
     # -- topics and types ---------------------------------------------------------------------------------------------
 
     def _known_topics(self) -> list[Topic]:
-        """Those whose type is known: a topic that has subscribers alone may have none."""
+        """Return the topics whose type is known. A topic that has only subscribers may have none."""
         return [topic for topic in self._hub.topics.all() if topic.type_name]
 
     def _topics(self, _: Request) -> Response:
@@ -186,7 +186,7 @@ class RosApi:
         return {"host": socket.gethostname() if is_known else ""}
 
     def _service_providers(self, request: Request) -> Response:
-        """Of a service, or of every service of a type: rosbridge's versions differ."""
+        """Return the providers of a service, or of every service of a type: rosbridge's versions differ."""
         wanted = _text(request, "service")
         names = [name for name, type_name in self._hub.services.all() if wanted == type_name or resolve(wanted) == name]
         return {"providers": sorted({self._node_of_service(name) for name in names})}
@@ -241,7 +241,7 @@ class RosApi:
         return {"exists": self._parameters.has(_text(request, "name"))}
 
     def _search_param(self, request: Request) -> Response:
-        """There is one namespace to search: the root."""
+        """Search a parameter. The root is the only namespace."""
         name = _text(request, "name")
         return {"global_name": resolve(name) if self._parameters.has(name) else ""}
 
@@ -265,6 +265,6 @@ def _text(request: Request, key: str) -> str:
 
 
 def _plain(type_name: str) -> str:
-    """ "pkg/msg/Type" -> "pkg/Type"."""
+    """Convert "pkg/msg/Type" to "pkg/Type"."""
     parts = type_name.split("/")
     return f"{parts[0]}/{parts[-1]}" if len(parts) > 1 else type_name

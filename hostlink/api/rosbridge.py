@@ -1,4 +1,4 @@
-"""RosbridgeClient: one client that speaks rosbridge v2. JSON comes in, JSON and calls of the hub go out; no socket."""
+"""RosbridgeClient: one client that speaks rosbridge v2. Decodes operations and calls the hub, without a socket."""
 
 import asyncio
 import base64
@@ -37,7 +37,7 @@ from hostlink.robot.velocity import TWIST_TYPE, PlanarVelocity
 
 
 class ClientTopics:
-    """The ids of advertised topics; a topic is taken back with its last id."""
+    """Topics that a client advertises. The client may use several ids for one topic; the last id withdraws it."""
 
     def __init__(self, participant: Participant) -> None:
         self._participant = participant
@@ -45,10 +45,10 @@ class ClientTopics:
         self._latched: set[str] = set()
 
     def advertise(self, request: Request) -> None:
-        """Note a topic.
+        """Advertise a topic.
 
         Raises:
-            BadRequest: nobody knows its type, or there are too many.
+            BadRequest: the type is unknown, or more than MAX_ADVERTISED topics are advertised.
             WrongType: the topic is in use with another type.
         """
         name, is_latched = resolve(request.text("topic")), request.is_set("latch")
@@ -61,14 +61,14 @@ class ClientTopics:
             self._latched.add(name)
 
     def publish(self, request: Request) -> None:
-        """A `publish` that names the type advertises its topic, unless that is done; errors as `advertise`."""
+        """Advertise the topic of a `publish` that names its type, if that is not done yet. Raises as `advertise`."""
         name = resolve(request.text("topic"))
         is_known = name in self._latched or (name in self._ids and not request.is_set("latch"))
         if not is_known and request.fields.get("type"):
             self.advertise(request)
 
     def unadvertise(self, request: Request) -> None:
-        """Take back one id, or without an id the whole topic; one that is not there is no error."""
+        """Withdraw one id, or without an id the whole topic. An unknown id is ignored."""
         name = resolve(request.text("topic"))
         ids = self._ids.get(name, set())
         ids.discard(request.id)
@@ -83,9 +83,9 @@ Values = Mapping[str, object]
 
 
 class _Call(NamedTuple):
-    """A call that the client has not answered yet."""
+    """A service call that the client has not answered yet."""
 
-    service: str  # as the client spells it
+    service: str  # name as the client spells it
     type: ServiceType | None
     answer: asyncio.Future[Values]
 
@@ -98,26 +98,26 @@ class _Call(NamedTuple):
             self.answer.set_exception(error)
 
     def completed(self, values: Values) -> Values:
-        """As the type of the service has it, as through ROS; BadRequest for what does not fit."""
+        """Complete the values by the type of the service, as ROS does. Raise BadRequest for values that do not fit."""
         return values if self.type is None else self.type.response.decode(self.type.response.encode(values))
 
 
 class ClientServices:
-    """Provided, called and answered."""
+    """Services that a client provides: advertised, called and answered."""
 
     def __init__(
         self, participant: Participant, catalog: Catalog, queue: ClientQueue, warn: Callable[[str], None]
     ) -> None:
-        """`warn` sends the client what is no error of its own."""
+        """Create the services of one participant. `warn` sends the client a status of level warning."""
         self._participant, self._catalog, self._queue, self._warn = participant, catalog, queue, warn
         self._numbers = itertools.count(1)
         self._waiting: dict[str, _Call] = {}
 
     def advertise(self, request: Request) -> None:
-        """Provide a service; the newest offer of a name counts.
+        """Provide a service. The newest provider of a name replaces the others.
 
         Raises:
-            BadRequest: a field is wrong, there are too many, or the name is the daemon's own.
+            BadRequest: a field is wrong, there are too many services, or the name is reserved for the daemon.
         """
         name, type_name = request.text("service"), request.text("type")
 
@@ -127,18 +127,18 @@ class ClientServices:
         self._participant.provide(name, type_name, answer, notify=self._warn)
 
     def unadvertise(self, request: Request) -> None:
-        """Provide it no more."""
+        """Withdraw a service."""
         self._participant.withdraw(request.text("service"))
 
     def respond(self, request: Request) -> None:
-        """Accept the client's `service_response`; one that nobody waits for is late, and harmless.
+        """Accept the client's `service_response`. Answer one that no call waits for with a warning.
 
         Raises:
-            BadRequest: it is none, and the call has failed.
+            BadRequest: the response is invalid; the call has failed.
         """
         call = self._waiting.get(str(request.id))
         if call is None or call.answer.done():
-            self._warn("service_response: no call waits for an answer with this id (any more)")
+            self._warn("service_response: no call waits for an answer with this id")
             return
         try:
             self._accept(call, request)
@@ -147,22 +147,22 @@ class ClientServices:
             raise
 
     def _accept(self, call: _Call, request: Request) -> None:
-        """As rosbridge does, an object goes to the caller whatever `result` is: success is a field of the object.
+        """Pass an object to the caller even if `result` is false, as rosbridge does: success is a field of the object.
 
-        Only what could be no answer of the service's is a failure.
+        Fail the call only if the response cannot be one of the service.
         """
         values, is_right = request.fields.get("values"), request.fields.get("result")
-        if is_right not in (True, False, None):  # roslibpy sends null where its function returns nothing
+        if is_right not in (True, False, None):  # roslibpy sends null for a function that returns None
             raise BadRequest(f"{call.service}: result must be true or false")
         if is_right is False and not isinstance(values, dict):
             call.fail(ServiceFailed(call.service, values if isinstance(values, str) else reprlib.repr(values)))
         elif isinstance(values, dict | None):
             call.succeed(call.completed(values or {}))
         else:
-            raise BadRequest(f"{call.service}: its answer is no object")
+            raise BadRequest(f"{call.service}: the answer is not an object")
 
     async def _call(self, name: str, type_name: str, arguments: Values) -> Values:
-        """Call the client. Where the type has a definition, both ways are complete and right, as through ROS."""
+        """Call the client. With a known type, arguments and answer are checked and completed, as in ROS."""
         type_ = self._catalog.service(type_name)
         if type_ is not None:
             arguments = type_.request.decode(type_.request.encode(arguments))
@@ -176,13 +176,13 @@ class ClientServices:
             del self._waiting[key]
 
 
-MAX_ANSWERS = 64  # that one client waits for
+MAX_ANSWERS = 64  # calls of one client that wait for another daemon
 
 
 class DriveRequest(msgspec.Struct):
-    """m/s, rad/s counter-clockwise; `linear_y`: to the left.
+    """Fields of the operation `drive`: m/s and rad/s, counter-clockwise positive; `linear_y` is to the left.
 
-    All from `link` on is for commands that a program sends by itself.
+    Only programs that send commands by themselves need the fields from `sent_s` on.
     """
 
     robot: str
@@ -190,17 +190,17 @@ class DriveRequest(msgspec.Struct):
     angular: float
     linear_y: float = 0.0
     priority: int = PROGRAM_PRIORITY
-    sent_s: float | None = None  # when, by the client's own clock
-    epoch: int | None = None  # of the robot, as the answer before gave it
-    stops: int | None = None  # a synonym of `epoch`
-    link: int | None = None  # the connection of the device for which it is meant: with another, an earlier epoch
+    sent_s: float | None = None  # time of sending by the client's own clock
+    epoch: int | None = None  # of the robot, from the previous answer
+    stops: int | None = None  # synonym of `epoch`
+    link: int | None = None  # number of the device's connection; for another number the epoch counts as an earlier one
 
 
 class Drive:
-    """One client's commands. Each is answered, so that a refusal is known at once and not by the next command.
+    """Velocity commands of one client. Each is answered, so that the client learns of a refusal at once.
 
-    A robot of another daemon answers from there, MAX_ANSWERS of one client at a time; over that what was sent is the
-    answer.
+    A robot of another daemon is answered for by that daemon, at most MAX_ANSWERS commands at a time. Above that the
+    answer is the velocity as sent.
     """
 
     def __init__(
@@ -211,12 +211,12 @@ class Drive:
         *,
         spawn: Callable[[Coroutine[Any, Any, None]], object],
     ) -> None:
-        """`spawn` runs what waits for an answer, at most as long as the client is there."""
+        """Create the commands of one client. `spawn` runs a wait for another daemon in the client's task group."""
         self._participant, self._robots, self._queue, self._spawn = participant, robots, queue, spawn
         self._waiting = 0
 
     def receive(self, request: Request) -> None:
-        """Do the operation; whatever comes of it is the answer, also to those in the place of which it is done."""
+        """Execute a `drive`. The answer is also sent for each operation that it replaced."""
         try:
             robot, velocity, limited = self._command(request)
         except HostlinkError as error:
@@ -282,7 +282,7 @@ class Drive:
 
 
 class GraphTopicView(TypedDict):
-    """A topic, with what others than the group do with it."""
+    """A topic, and what participants outside the client's group do with it."""
 
     name: str
     type: str
@@ -293,32 +293,32 @@ class GraphTopicView(TypedDict):
 
 
 class GraphServiceView(TypedDict):
-    """A service."""
+    """A service and its type."""
 
     name: str
     type: str
 
 
 class GraphRobotView(TypedDict):
-    """A robot of this daemon, and the topics that drive it; `link` is null while its device is not connected."""
+    """A robot of this daemon and its velocity topics. `link` is null while the device is disconnected."""
 
     name: str
     link: int | None
-    velocity_topics: dict[str, str]  # types by name
+    velocity_topics: dict[str, str]  # types by topic name
 
 
 class ClientGraph:
-    """Sends the whole graph after each change; the daemon notes changes every 50 ms at most."""
+    """The operation `watch_graph`: sends the whole graph after each change, at most every 50 ms."""
 
     def __init__(self, participant: Participant, robots: Robots, queue: ClientQueue) -> None:
         self._participant, self._robots, self._queue = participant, robots, queue
         self._sent = b""
 
     def watch(self, _: Request) -> None:
-        """Send `graph` now and after every change.
+        """Send `graph` now and after each change.
 
         Raises:
-            BadRequest: it has left.
+            BadRequest: the participant has left.
         """
         self._sent = b""
         self._participant.watch_graph(self._send)
@@ -343,7 +343,7 @@ class ClientGraph:
 
 
 def graph_view(graph: Graph) -> dict[str, object]:
-    """Topics and services."""
+    """Return topics and services as JSON objects."""
     services: list[GraphServiceView] = [{"name": each.name, "type": each.type_name} for each in graph.services]
     return {"topics": [_topic_view(topic) for topic in graph.topics], "services": services}
 
@@ -367,14 +367,14 @@ def _velocity_topics(robot: LocalRobot, gated: set[str]) -> dict[str, str]:
 
 log = structlog.get_logger()
 
-MAX_UNKNOWN_OPS = 8  # that are logged; a client may send any number
+MAX_UNKNOWN_OPS = 8  # logged for each client; the number of invalid operations is unbounded
 _ONLY_READS = frozenset({"subscribe", "unsubscribe", "call_service", "set_level", "auth", "fragment", "watch_graph"})
-_LEVELS = ("info", "warning", "error", "none")  # of `set_level`: from this one on the client receives `status`
+_LEVELS = ("info", "warning", "error", "none")  # of `set_level`: the client receives `status` of this level and above
 _WARNING, _ERROR = 1, 2
 
 
 class RosbridgeClient:
-    """One participant, and the language that its program speaks."""
+    """One participant and its rosbridge operations."""
 
     def __init__(
         self,
@@ -386,7 +386,7 @@ class RosbridgeClient:
         role: Role = Role.DRIVE,
         group: str = "",
     ) -> None:
-        """`spawn` runs a service call as a child of the client's connection; `group`: the graph for which it stands."""
+        """Join the hub. `spawn` runs a service call in the client's task group; `group`: the mirrored graph."""
         self.participant = hub.join(name, role=role, group=group, on_end=queue.close)
         self._topics = ClientTopics(self.participant)
         services = ClientServices(self.participant, hub.catalog, queue, self._warn)
@@ -395,7 +395,7 @@ class RosbridgeClient:
         self._queue = queue
         self._spawn = spawn
         self._calls = 0
-        self._status_from: int | None = None  # of _LEVELS; None: the client has not said
+        self._status_from: int | None = None  # index in _LEVELS; None: not set by the client
         self._refused_velocities = RateLimit(REFUSED_VELOCITIES_S)
         self._unknown_ops: set[str] = set()
         self._fragments = Fragments(hub.config.api.max_message_bytes, hub.budget["fragments"])
@@ -421,11 +421,11 @@ class RosbridgeClient:
         }
 
     def receive(self, text: str | bytes, came_s: float | None = None) -> None:
-        """Do what one message of the client's says; what is wrong with it becomes a status, and is never raised."""
+        """Execute one message of the client. An error becomes a status and is never raised."""
         self.do(self.read(text, asyncio.get_running_loop().time() if came_s is None else came_s))
 
     def read(self, data: str | bytes, came_s: float) -> Operation[Request | BadRequest]:
-        """Decode a message; `do` tells the client what is wrong with it."""
+        """Decode a message. An error is returned as the content, and sent to the client by `do`."""
         try:
             request = Request.read(data)
         except BadRequest as error:
@@ -435,7 +435,7 @@ class RosbridgeClient:
         return Operation(request, came_s, velocity_of, is_zero)
 
     def do(self, operation: Operation[Request | BadRequest]) -> None:
-        """Do what a message says; what is wrong with it becomes a status, and is never raised."""
+        """Execute a decoded message. An error becomes a status and is never raised."""
         if isinstance(operation.content, BadRequest):
             self._put_error(operation.content)
             return
@@ -453,16 +453,16 @@ class RosbridgeClient:
             self._put_error(error, request)
 
     def flush(self, now_s: float) -> float | None:
-        """Send what subscriptions held back until now; returns when the next is due."""
+        """Queue messages that throttled subscriptions hold back. Return when the next one is due."""
         return self.participant.flush(now_s)
 
     @property
     def is_crowded(self) -> bool:
-        """Whether many calls are under way."""
+        """Whether more than half of the allowed service calls are pending."""
         return self._calls > MAX_CALLS // 2
 
     def close(self) -> None:
-        """The client has left: all that it has goes with it."""
+        """End the participant and release everything that it has."""
         self.participant.leave()
         self._fragments.close()
 
@@ -483,15 +483,15 @@ class RosbridgeClient:
 
     def _call_service(self, request: Request) -> None:
         if self._calls >= MAX_CALLS:
-            self._answer(request, f"more than {MAX_CALLS} calls under way", is_right=False)
+            self._answer(request, f"more than {MAX_CALLS} calls are pending", is_right=False)
             return
-        request.id  # noqa: B018 - one that cannot be answered is refused before anything is called
+        request.id  # noqa: B018 - raises for an invalid id before the service is called
         self._calls += 1
         self._spawn(self._finish_call(request))
 
     async def _finish_call(self, request: Request) -> None:
         try:
-            with self._hub.budget["calls"].holding(request.size_bytes, "calls that are under way"):
+            with self._hub.budget["calls"].holding(request.size_bytes, "pending calls"):
                 name = request.text("service")
                 timeout_s = request.number_or("timeout", 0.0) or None
                 arguments = _arguments(request, self._hub.services.type_of(name))
@@ -505,7 +505,7 @@ class RosbridgeClient:
     def _add_fragment(self, request: Request) -> None:
         data = request.fields.get("data")
         if request.id is None or not isinstance(data, str):
-            raise BadRequest("fragment: id and data must be there")
+            raise BadRequest("fragment: id and data are required")
         number, total = request.whole("num", -1, MAX_PIECES), request.whole("total", -1, MAX_PIECES)
         now_s = asyncio.get_running_loop().time()
         whole = self._fragments.add(request.id, number=number, total=total, data=data, now_s=now_s)
@@ -513,9 +513,9 @@ class RosbridgeClient:
             self.receive(whole, request.came_s)
 
     def _refuse_goal(self, request: Request) -> None:
-        """rosserial has no actions: a goal is refused at once, so that nobody waits."""
-        answer = {"op": "action_result", "action": request.text("action"), "values": "no actions here", "status": 6}
-        self._put(request, answer | {"result": False})
+        """Refuse a goal at once: rosserial has no actions."""
+        answer = {"op": "action_result", "action": request.text("action"), "values": "actions are unsupported"}
+        self._put(request, answer | {"status": 6, "result": False})
 
     def _set_level(self, request: Request) -> None:
         level = request.text("level")
@@ -540,9 +540,10 @@ class RosbridgeClient:
             put_json(self._queue, {"op": "status", "level": "warning", "msg": text})
 
     def _put_error(self, error: HostlinkError, request: Request | None = None) -> None:
-        """A client that has not said which status it wants gets those of its refused velocities, now and then.
+        """Send an error as a status, if the client has asked for it.
 
-        rosbridge's document has "error" as the default, but its own clients log an exception for each status.
+        rosbridge's document has "error" as the default level, but its own clients log an exception for each status.
+        A client that has set no level receives only statuses of refused velocities, at a limited rate.
         """
         log.debug("client.refused", client=self.participant.name, reason=str(error))
         if not (self._is_shown_velocity(request) if self._status_from is None else self._status_from <= _ERROR):
@@ -554,7 +555,7 @@ class RosbridgeClient:
         put_json(self._queue, status)
 
     def _is_shown_velocity(self, request: Request | None) -> bool:
-        """Whether a refusal is that of a published velocity, and the client was told of none on this topic lately."""
+        """Whether the error refuses a published velocity, and the rate limit of its topic admits a status."""
         name = request.fields.get("topic") if request is not None and request.op == "publish" else None
         topic = self._hub.topics.find_or_none(name) if isinstance(name, str) else None
         if topic is None or not topic.is_gated:
@@ -568,33 +569,33 @@ class RosbridgeClient:
 
 
 def _accept(request: Request) -> None:
-    """Old clients authenticate; nothing here requires it."""
+    """Accept `auth`, which old clients send. Tokens are checked when the WebSocket opens."""
 
 
 def _refuse_action(request: Request) -> None:
-    raise BadRequest(f"{request.op}: no actions here")
+    raise BadRequest(f"{request.op}: actions are unsupported")
 
 
 def _raw_payload(request: Request, type_: MessageType) -> bytes:
-    """The serialised message in base64, as `cbor-raw` has it; empty: the request has its fields instead.
+    """Return the serialised message of the field `raw`, which is base64; empty without that field.
 
     Raises:
-        BadRequest: it is no base64.
-        BadPayload: it is no message of the type.
+        BadRequest: the field is not base64.
+        BadPayload: the bytes are not a message of the type.
     """
     raw = request.fields.get("raw")
     if raw is None:
         return b""
     try:
         payload = base64.b64decode(raw, validate=True)
-    except (TypeError, ValueError):  # binascii.Error is one
+    except (TypeError, ValueError):  # binascii.Error is a ValueError
         raise BadRequest("publish: raw must be base64") from None
     type_.decode(payload)
     return payload
 
 
 def _arguments(request: Request, type_: ServiceType | None) -> Mapping[str, object]:
-    """The arguments of a service call: an object, or a list that goes to the request's fields in their order."""
+    """Return the arguments of a service call: an object, or a list whose items are the request's fields in order."""
     arguments = request.fields.get("args") or {}
     if isinstance(arguments, list) and type_ is not None:
         return {field.name: value for field, value in zip(type_.request.fields, arguments, strict=False)}

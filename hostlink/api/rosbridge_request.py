@@ -14,17 +14,17 @@ from hostlink.hub.byte_budget import Share
 from hostlink.messages.fields import SCALAR
 from hostlink.messages.message_type import MessageType
 
-MAX_TEXT = 1024  # characters of a name or an id; the longest that roslib makes is a name and 50 more
+MAX_TEXT = 1024  # characters of a name or an id; roslib's longest ids are a name and 50 more
 
 
 class Request:
-    """A JSON object with an `op`. Its methods raise a BadRequest that names a wrong field."""
+    """A JSON object with an `op`. Methods raise a BadRequest that names the invalid field."""
 
     def __init__(self, fields: dict[str, Any], size_bytes: int = 0) -> None:
-        """`size_bytes`: of the message that it was."""
+        """Check `op`. `size_bytes`: size of the message."""
         self.fields, self.size_bytes = fields, size_bytes
-        self.came_s: float | None = None  # when it came, at the earliest; None: now
-        self.replaced: list[Request] = []  # velocities in the place of which it is done
+        self.came_s: float | None = None  # earliest time of arrival; None: now
+        self.replaced: list[Request] = []  # velocities that this one replaces
         op = fields["op"]
         if not isinstance(op, str) or not op:
             raise BadRequest(f"{reprlib.repr(op)}: op must be a text")
@@ -35,24 +35,24 @@ class Request:
         """Decode one message of a client.
 
         Raises:
-            BadRequest: it is no JSON, or no object with an `op`.
+            BadRequest: the text is not JSON, or not an object with an `op`.
         """
         try:
             fields = msgspec.json.decode(text)
         except (msgspec.DecodeError, UnicodeError) as error:
-            raise BadRequest(f"no JSON: {error}") from None
+            raise BadRequest(f"invalid JSON: {error}") from None
         except RecursionError:
-            raise BadRequest("no JSON: nested too deeply") from None
+            raise BadRequest("invalid JSON: nested too deeply") from None
         if not isinstance(fields, dict) or "op" not in fields:
             raise BadRequest('a message is a JSON object with an "op"')
         return cls(fields, len(text))
 
     @property
     def id(self) -> object:
-        """As the client wrote it; None: it has none.
+        """Return the id as the client wrote it; None without an id.
 
         Raises:
-            BadRequest: it is neither a number nor a short text.
+            BadRequest: the id is neither a number nor a short text.
         """
         found = self.fields.get("id")
         if isinstance(found, list | dict) or (isinstance(found, str) and len(found) > MAX_TEXT):
@@ -60,10 +60,10 @@ class Request:
         return found
 
     def text(self, key: str) -> str:
-        """A text that must be there.
+        """Return a required text.
 
         Raises:
-            BadRequest: it is missing, no text, or too long.
+            BadRequest: the field is missing, not a text, or too long.
         """
         value = self.fields.get(key)
         if not isinstance(value, str) or not value:
@@ -73,42 +73,42 @@ class Request:
         return value
 
     def text_or(self, key: str, default: str) -> str:
-        """A text; `default` where it is missing, empty or null.
+        """Return a text; `default` if it is missing, empty or null.
 
         Raises:
-            BadRequest: it is no text, or too long.
+            BadRequest: the field is not a text, or too long.
         """
         return self.text(key) if self.fields.get(key) else default
 
     def number_or(self, key: str, default: float) -> float:
-        """A number, not negative; `default` where it is missing or null.
+        """Return a number of 0 or more; `default` if it is missing or null.
 
         Raises:
-            BadRequest: it is no such number.
+            BadRequest: the field is not such a number.
         """
         value = self.fields.get(key)
         if value is None:
             return default
         if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value < math.inf:
-            raise BadRequest(f"{self.op}: {key} must be a number, not negative")
-        return float(min(value, 2**53))  # a whole number may be too large for a float
+            raise BadRequest(f"{self.op}: {key} must be a number of 0 or more")
+        return float(min(value, 2**53))  # an integer may be too large for a float
 
     def whole(self, key: str, default: int, largest: int) -> int:
-        """A whole number from 0 to `largest`.
+        """Return an integer from 0 to `largest`.
 
         Raises:
-            BadRequest: it is none.
+            BadRequest: the field is not such an integer.
         """
         value = self.fields.get(key, default)
         if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value <= largest:
-            raise BadRequest(f"{self.op}: {key} must be a number from 0 to {largest}")
+            raise BadRequest(f"{self.op}: {key} must be an integer from 0 to {largest}")
         return value
 
     def table(self, key: str) -> dict[str, Any]:
-        """An object; an empty one where it is missing.
+        """Return an object; an empty one if the field is missing.
 
         Raises:
-            BadRequest: it is no object.
+            BadRequest: the field is not an object.
         """
         value = self.fields.get(key, {})
         if not isinstance(value, dict):
@@ -116,13 +116,13 @@ class Request:
         return value
 
     def is_set(self, key: str) -> bool:
-        """Whether a switch is on."""
+        """Whether a field is true."""
         return self.fields.get(key) is True
 
 
-MAX_PENDING = 4  # messages of a client that are not whole yet
-MAX_PIECES = 1024  # of one message
-TIMEOUT_S = 60.0  # since the last piece; whoever sends a message sends all of it
+MAX_PENDING = 4  # incomplete messages of one client
+MAX_PIECES = 1024  # fragments of one message
+TIMEOUT_S = 60.0  # since the last fragment of a message
 
 
 @dataclass(slots=True)
@@ -133,21 +133,25 @@ class _Pending:
 
 
 class Fragments:
-    """The pieces of one client, by the id of their message. All of them together are no larger than one message."""
+    """Incomplete messages of one client by id. Together they are at most as large as one message."""
 
     def __init__(self, max_bytes: int, share: Share) -> None:
-        """`share`: of all clients together."""
+        """Create the store of one client. `share`: byte budget of all clients."""
         self._max_bytes, self._share = max_bytes, share
         self._bytes = 0
         self._pending: dict[object, _Pending] = {}
 
     def add(self, key: object, *, number: int, total: int, data: str, now_s: float) -> str | None:
-        """The whole message with its last piece; BadRequest for a piece that cannot be, and its message is dropped."""
+        """Add a fragment. Return the whole message with its last one.
+
+        Raises:
+            BadRequest: the fragment is invalid or has no room; its message is dropped.
+        """
         self._expire(now_s)
         pending = self._pending.get(key)
         if pending is None:
             if len(self._pending) >= MAX_PENDING:
-                raise BadRequest(f"fragment: more than {MAX_PENDING} messages in pieces")
+                raise BadRequest(f"fragment: more than {MAX_PENDING} messages are incomplete")
             pending = self._pending[key] = _Pending(total, now_s)
         problem = self._problem(pending, number, total, data)
         if problem:
@@ -157,7 +161,7 @@ class Fragments:
         if not self._share.take(size):
             self._drop(key)
             raise BadRequest(
-                f"fragment: all clients together have {self._share.max_bytes} bytes in pieces; send it later"
+                f"fragment: all clients together have {self._share.max_bytes} bytes of fragments; send it later"
             )
         pending.pieces[number] = data
         pending.fed_at_s = now_s
@@ -168,7 +172,7 @@ class Fragments:
         return "".join(pending.pieces[index] for index in range(total))
 
     def close(self) -> None:
-        """The client has left: nothing is kept of it."""
+        """Drop everything: the client has disconnected."""
         for key in list(self._pending):
             self._drop(key)
 
@@ -180,9 +184,9 @@ class Fragments:
         if not 0 <= number < total:
             return f"num must be from 0 to {total - 1}"
         if number in pending.pieces:
-            return f"piece {number} is there twice"
+            return f"fragment {number} was sent twice"
         if self._bytes + _size(data) > self._max_bytes:
-            return f"more than {self._max_bytes} bytes in pieces"
+            return f"more than {self._max_bytes} bytes of fragments"
         return ""
 
     def _expire(self, now_s: float) -> None:
@@ -200,27 +204,27 @@ def _size(data: str) -> int:
 
 
 HEADER = "std_msgs/Header"
-MAX_PARTS = 2000  # some 15 ms; a path of a small robot has a few hundred poses
+MAX_PARTS = 2000  # about 15 ms; a path of a small robot has a few hundred poses
 _NS_PER_S = 1_000_000_000
 
 
 def fill_stamps(type_: MessageType, message: dict[str, Any], now_ns: int) -> dict[str, Any]:
-    """The message with its times filled in; what does not fit the type is left for the codec to refuse.
+    """Return the message with its times filled in. Values that do not fit the type are left to the codec.
 
     Raises:
-        BadRequest: it has more parts with times in them than MAX_PARTS; to walk them all would keep robots waiting.
+        BadRequest: more than MAX_PARTS parts have times; walking through them would delay commands.
     """
     return _Filler(to_time(now_ns)).fill(type_, message) if type_.has_time else message
 
 
 def to_time(stamp_ns: int) -> dict[str, int]:
-    """As a message has it."""
+    """Return a time as a message has it."""
     secs, nsecs = divmod(stamp_ns, _NS_PER_S)
     return {"secs": secs, "nsecs": nsecs}
 
 
 class _Filler:
-    """Fills one message, part by part."""
+    """Fills in the times of one message, part by part."""
 
     def __init__(self, now: dict[str, int]) -> None:
         self._now = now
@@ -229,10 +233,10 @@ class _Filler:
     def fill(self, type_: MessageType, message: dict[str, Any]) -> dict[str, Any]:
         self._parts += 1
         if self._parts > MAX_PARTS:
-            raise BadRequest(f"more than {MAX_PARTS} parts with times: fill in the times, or send it in pieces")
+            raise BadRequest(f"more than {MAX_PARTS} parts with times: fill in the times, or send several messages")
         filled = dict(message)
         if type_.name == HEADER:
-            filled = {name: value for name, value in message.items() if value is not None}  # roslibpy leaves fields out
+            filled = {name: value for name, value in message.items() if value is not None}  # roslibpy's unset
             if _is_zero(filled.get("stamp")):
                 filled["stamp"] = self._now
         for each in type_.fields:

@@ -1,4 +1,4 @@
-"""What one client of rosbridge subscribes to, at the rate and in the form that it chose: JSON, CBOR or cbor-raw."""
+"""Subscriptions of a rosbridge client, at the rate and in the encoding that it chose: JSON, CBOR or cbor-raw."""
 
 import struct
 from collections.abc import Callable, Mapping
@@ -16,7 +16,7 @@ from hostlink.hub.subscription import Subscription
 from hostlink.messages.message_type import MessageType
 
 _NS_PER_S = 1_000_000_000
-# RFC 8746, little-endian: what roslibjs knows how to read.
+# RFC 8746, little-endian: the tags that roslibjs reads.
 _TAGS = {
     "uint16": (69, "H"),
     "uint32": (70, "I"),
@@ -31,10 +31,10 @@ _TAGS = {
 
 
 def encode_cbor(topic: str, message: Message) -> bytes:
-    """The publish operation with its fields.
+    """Encode the `publish` operation with the fields of the message.
 
     Raises:
-        BadPayload: the bytes are no message of the type.
+        BadPayload: the bytes are not a message of the type.
     """
     fields: Any = message.decoded
     if message.type is not None:
@@ -43,7 +43,7 @@ def encode_cbor(topic: str, message: Message) -> bytes:
 
 
 def encode_cbor_raw(topic: str, message: Message) -> bytes:
-    """The publish operation with the serialised message: rosserial's payload is ROS 1's."""
+    """Encode the `publish` operation with the serialised message: rosserial and ROS 1 serialise alike."""
     secs, nsecs = divmod(message.stamp_ns, _NS_PER_S)
     raw = {"secs": secs, "nsecs": nsecs, "bytes": message.payload}
     return cbor2.dumps({"op": "publish", "topic": topic, "msg": raw})
@@ -68,11 +68,11 @@ MAX_QUEUE_LENGTH = 256
 Warn = Callable[[str], None]
 
 _BINARY = {"cbor": encode_cbor, "cbor-raw": encode_cbor_raw}
-_FORMS = ("none", "cbor", "cbor-raw")  # a later one wins where ids of one topic differ, as in rosbridge
+_FORMS = ("none", "cbor", "cbor-raw")  # the highest counts where ids of one topic differ, as in rosbridge
 
 
 class _Options(NamedTuple):
-    """What one id of a topic chose."""
+    """Options of one id of a subscribed topic."""
 
     interval_s: float
     queue_length: int
@@ -80,7 +80,7 @@ class _Options(NamedTuple):
 
 
 class _ClientSubscription:
-    """One topic as the client spells it; several ids may share it, and each message is sent once for all of them."""
+    """One topic as the client spells it. Several ids may share it; each message is sent once."""
 
     def __init__(self, name: str) -> None:
         self.name = name
@@ -90,13 +90,13 @@ class _ClientSubscription:
         self._prefix = msgspec.json.encode({"op": "publish", "topic": name})[:-1] + b',"msg":'
 
     def merge(self) -> tuple[float, int]:
-        """The most eager of all ids: the rawest form; the shortest interval and the shortest queue are returned."""
+        """Set the highest encoding of all ids. Return the shortest interval and the shortest queue."""
         options = self.options.values()
         self.form = max((each.form for each in options), key=_FORMS.index)
         return min(each.interval_s for each in options), min(each.queue_length for each in options)
 
     def encoded(self, message: Message) -> bytes:
-        """A frame for the client, made once for all clients that want the same.
+        """Return the encoded `publish`, made once for all clients with the same encoding and name.
 
         Raises:
             BadPayload: the bytes do not fit the type, or the type is unknown.
@@ -109,14 +109,14 @@ class _ClientSubscription:
 
 
 class ClientSubscriptions:
-    """Subscriptions by topic, spelled as the client spells it: `odom` and `/odom` are two, and each gets its own."""
+    """Subscriptions by topic as the client spells it: `odom` and `/odom` are two, and each has its own messages."""
 
     def __init__(self, participant: Participant, queue: ClientQueue, warn: Warn) -> None:
         self._participant, self._queue, self._warn = participant, queue, warn
         self._subscriptions: dict[str, _ClientSubscription] = {}
 
     def subscribe(self, request: Request) -> None:
-        """Add an id to a topic, or change what it chose.
+        """Add an id to a topic, or change its options.
 
         Raises:
             BadRequest: a field is wrong, or there are too many subscriptions.
@@ -139,10 +139,10 @@ class ClientSubscriptions:
         else:
             self._update(mine)
         if form not in _FORMS:
-            self._warn(f"subscribe: compression {form} is not offered, {name} comes as plain JSON")
+            self._warn(f"subscribe: compression {form} is not offered, {name} is sent as JSON")
 
     def unsubscribe(self, request: Request) -> None:
-        """Take back one id, or without an id the whole topic; one that is not there is no error."""
+        """Remove one id, or without an id the whole topic. An unknown id is ignored."""
         name = request.text("topic")
         mine = self._subscriptions.get(name)
         if mine is None:
@@ -186,5 +186,5 @@ class ClientSubscriptions:
 
 
 def encode_json(message: Message) -> bytes:
-    """The fields as JSON: NaN is null, uint8[] is base64."""
+    """Encode the fields as JSON: NaN is null, uint8[] is base64."""
     return msgspec.json.encode(message.decoded)

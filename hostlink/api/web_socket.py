@@ -1,4 +1,4 @@
-"""ClientSocket: one client's WebSocket. What it sends is done in its turns; what waits for it is one write a turn."""
+"""ClientSocket: the WebSocket of one client. Executes its messages in turns and writes its queue once a turn."""
 
 import asyncio
 import contextlib
@@ -21,23 +21,23 @@ from hostlink.link.fair_share import Turns
 
 log = structlog.get_logger()
 
-DEBT_S = 1.0  # so many seconds of a client's messages may come too early; who begins subscribes to much at once
-SEND_TIMEOUT_S = 5.0  # a client whose socket accepts nothing for that time is gone
-READY_TIMEOUT_S = 1.0  # for the answer to the first ping; a client that answers none is sent to nevertheless
+DEBT_S = 1.0  # that a client may be ahead of its message rate: programs subscribe to many topics at first
+SEND_TIMEOUT_S = 5.0  # without progress in writing the client is disconnected
+READY_TIMEOUT_S = 1.0  # for the answer to the first ping; after that messages are sent without an answer
 SEND_BATCH = 64  # messages in one write
-WRITE_BYTES = 64 * 1024  # in one write, unless one message has more
+WRITE_BYTES = 64 * 1024  # in one write, unless one message is larger
 CLOSING = (WSMsgType.CLOSE, WSMsgType.CLOSING, WSMsgType.CLOSED)
 
 _FINAL_TEXT, _FINAL_BINARY = 0x81, 0x82  # first bytes of a frame: RFC 6455, 5.2
-_MAX_SHORT, _MAX_MEDIUM = 125, 0xFFFF  # payloads whose length fits in one byte and in two
+_MAX_SHORT, _MAX_MEDIUM = 125, 0xFFFF  # largest payloads whose length takes one byte and two bytes
 
 
 class Program(InboxProgram[Any], Protocol):
-    """RosbridgeClient or FoxgloveClient."""
+    """Protocol of a client: RosbridgeClient or FoxgloveClient."""
 
     @property
     def is_crowded(self) -> bool:
-        """Whether many calls are under way."""
+        """Whether many service calls are pending."""
 
     def flush(self, now_s: float) -> float | None:
         """Queue what was held back until now. Return when more is due."""
@@ -47,7 +47,7 @@ class Program(InboxProgram[Any], Protocol):
 
 
 class ClientSocket:
-    """Everything that runs for one WebSocket: a task that receives, and callbacks of the event loop that do and send.
+    """The WebSocket of one client: a task that receives, and callbacks of the event loop that execute and send.
 
     | turn of the loop | what happens                                                                                  |
     |------------------|-----------------------------------------------------------------------------------------------|
@@ -74,19 +74,19 @@ class ClientSocket:
         on_replaced: Callable[[], None],
         to_client: Latency,
     ) -> None:
-        """`to_client`: from the arrival of a message to the client's socket, of all clients."""
+        """Take over the socket. `to_client`: latency from the arrival of a message to the socket, of all clients."""
         self._socket, self._transport, self._reading = socket, transport, reading
         self._client, self._program, self._queue = client, program, queue
         self._turns, self._tasks, self._to_client = turns, tasks, to_client
         self._loop = asyncio.get_running_loop()
-        self._context = contextvars.copy_context()  # the log lines of callbacks name the client, too
+        self._context = contextvars.copy_context()  # so that log lines of callbacks name the client
         self._inbox: Inbox[Any] = Inbox(program, on_replaced)
-        self._progress = asyncio.Event()  # the inbox has become shorter
+        self._progress = asyncio.Event()  # set when the inbox has become shorter
         self._max_messages_s = max_messages_s
         self._bucket = Bucket(max_messages_s, self._loop.time())
         self._is_ended = False
-        self._is_work_due = self._is_send_due = False  # a callback is scheduled
-        self._is_ready = client.kind != "foxglove"  # rosbridge's clients speak first
+        self._is_work_due = self._is_send_due = False  # whether a callback is scheduled
+        self._is_ready = client.kind != "foxglove"  # rosbridge clients send first
         self._flush_timer: asyncio.TimerHandle | None = None
         self._flush_due_s: float | None = None
         self._stuck_timer: asyncio.TimerHandle | None = None
@@ -96,7 +96,7 @@ class ClientSocket:
     # -- from the client ----------------------------------------------------------------------------------------------
 
     async def receive(self) -> None:
-        """Receive until the client leaves, then end its participant."""
+        """Receive until the client disconnects, then end its participant."""
         inbox, loop, reading = self._inbox, self._loop, self._reading
         try:
             if self._is_ready:
@@ -105,7 +105,7 @@ class ClientSocket:
                 await self._socket.ping()
                 loop.call_later(READY_TIMEOUT_S, self._become_ready, context=self._context)
             while True:
-                inbox.is_behind = True  # unless the loop goes on before the message comes
+                inbox.is_behind = True  # unless the event loop runs a turn before the next message
                 waiting = loop.call_soon(inbox.note_wait)
                 message = await self._socket.receive()
                 waiting.cancel()
@@ -138,17 +138,17 @@ class ClientSocket:
             await self._socket.pong(data or b"")
         elif kind is WSMsgType.PONG:
             self._become_ready()
-        if kind in (WSMsgType.PING, WSMsgType.PONG):  # otherwise a broken frame, behind which the socket is closed
+        if kind in (WSMsgType.PING, WSMsgType.PONG):  # otherwise the frame is invalid, and aiohttp closes the socket
             self._reading.receive_control(len(data or b""))
 
     async def _until(self, is_right: Callable[[], bool]) -> None:
-        """Wait while the inbox is worked on."""
+        """Wait until a condition of the inbox holds."""
         while not is_right():
             self._progress.clear()
             await self._progress.wait()
 
     async def _refuse_flood(self) -> None:
-        """Close: to read more slowly would be worse, because commands would come late, the stop behind them too."""
+        """Close the connection. Reading more slowly would delay commands, and the stop behind them."""
         log.warning("client.too_fast", limit_s=self._max_messages_s)
         reason = f"more than {self._max_messages_s:g} messages a second"
         await self._socket.close(code=WSCloseCode.POLICY_VIOLATION, message=reason.encode(), drain=False)
@@ -156,18 +156,18 @@ class ClientSocket:
     # -- its turns ----------------------------------------------------------------------------------------------------
 
     def _expect_work(self) -> None:
-        """Work soon: once all that was read at once is in the inbox, so that only the newest velocity is done."""
+        """Schedule work for when all that was read is in the inbox, so that only the newest velocity is executed."""
         if not self._is_work_due:
             self._is_work_due = True
             self._loop.call_soon(self._work, context=self._context)
 
     def _work(self, *, is_admitted: bool = False) -> None:
-        """Do what has come, one message after the other, as long as it is the client's turn; then send the answers."""
+        """Execute operations while the client has its turn, then send the answers."""
         self._is_work_due = False
         if self._is_ended:
             return
         inbox, turns = self._inbox, self._turns
-        was_send_due, self._is_send_due = self._is_send_due, True  # the answers leave together, at the end
+        was_send_due, self._is_send_due = self._is_send_due, True  # the answers are sent together, at the end
         try:
             while inbox and not self._is_work_due:
                 if is_admitted or turns.share.is_free(is_flooding=inbox.is_flooding):
@@ -189,7 +189,7 @@ class ClientSocket:
         self._send()
 
     def _wait_for_answers(self) -> None:
-        """Do nothing more until answers have room: a client that does not read them is not read from."""
+        """Pause until there is room for answers: a client that does not read its answers is not read from."""
         if not self._queue.has_room:
             self._is_work_due = True
             self._tasks.create_task(self._work_with_room(), context=self._context)
@@ -203,7 +203,7 @@ class ClientSocket:
     # -- to the client ------------------------------------------------------------------------------------------------
 
     def _note_news(self) -> None:
-        """Send soon, together with everything else that is queued in this turn of the loop."""
+        """Schedule one write for all messages of this turn of the loop."""
         if not self._is_send_due and not self._is_ended:
             self._is_send_due = True
             self._loop.call_soon(self._send_due, context=self._context)
@@ -245,12 +245,12 @@ class ClientSocket:
             self._client.bytes_to_client += size_bytes
             self._transport.write(b"".join(pieces))
             if self._reading.is_writing_paused:
-                self._stuck_timer = self._loop.call_later(SEND_TIMEOUT_S, self._fail, TimeoutError("it reads nothing"))
+                self._stuck_timer = self._loop.call_later(SEND_TIMEOUT_S, self._fail, TimeoutError("it does not read"))
             elif queue.waiting_messages:
                 self._note_news()
 
     def _flush(self, now_s: float) -> None:
-        """Queue what subscriptions held back until now."""
+        """Queue messages that throttled subscriptions held back until now."""
         self._queue.is_flush_due = False
         due_s = self._program.flush(now_s)
         if due_s != self._flush_due_s:
@@ -262,17 +262,17 @@ class ClientSocket:
                 self._flush_timer = self._loop.call_at(due_s, self._note_news, context=self._context)
 
     def _become_ready(self) -> None:
-        """Send from now on: the program at the other end has seen that the connection is open.
+        """Start sending: the client has seen that the connection is open.
 
-        Programs add their listeners then. A message that is read together with the end of the handshake reaches none:
-        Foxglove's `mcap-record` so lost the channels, and recorded nothing.
+        Programs add their listeners then. Listeners miss a message that is read together with the end of the handshake:
+        Foxglove's `mcap-record` missed the channels and recorded nothing.
         """
         if not self._is_ready:
             self._is_ready = True
             self._note_news()
 
     def _note_writable(self) -> None:
-        """Send on: the transport's buffer has room."""
+        """Continue to send: the transport's buffer has room."""
         if self._stuck_timer is not None:
             self._stuck_timer.cancel()
             self._stuck_timer = None
@@ -287,18 +287,18 @@ class ClientSocket:
             self._tasks.create_task(_raise(error))
 
     async def _end(self) -> None:
-        """Close: the client cannot keep up with its answers, or its participant has ended."""
+        """Close the connection: answers exceed the queue, or the participant has ended."""
         queue = self._queue
         if self._is_ended:
             return
         self._is_ended = True
-        if queue.is_closed:  # a fault of hostlink has ended the participant, and is logged
+        if queue.is_closed:  # a fault of hostlink has ended the participant; it is logged there
             await self._socket.close(code=WSCloseCode.INTERNAL_ERROR, message=b"a fault of hostlink", drain=False)
-            raise ConnectionAbortedError("a fault of hostlink")
+            raise ConnectionAbortedError("internal error of hostlink")
         log.warning("client.too_slow", dropped=queue.dropped)
         reason = b"too slow: answers pile up"
         await self._socket.close(code=WSCloseCode.POLICY_VIOLATION, message=reason, drain=False)
-        raise ConnectionAbortedError("answers pile up")  # ends the reader too, which may wait for room
+        raise ConnectionAbortedError("answers pile up")  # ends the receiving task, which may wait for room
 
 
 async def _raise(error: Exception) -> None:
@@ -316,7 +316,7 @@ def frame_head(size_bytes: int, *, is_binary: bool) -> bytes:
 
 
 async def close_going_away(socket: web.WebSocketResponse, timeout_s: float) -> None:
-    """Close at the end of the daemon."""
+    """Close a socket because the daemon ends."""
     with contextlib.suppress(TimeoutError):
         async with asyncio.timeout(timeout_s):
             await socket.close(code=WSCloseCode.GOING_AWAY, message=b"hostlink stops", drain=False)

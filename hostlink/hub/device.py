@@ -25,7 +25,7 @@ from hostlink.protocol.control import Parameter, TopicInfo
 from hostlink.protocol.events import MessageReceived
 from hostlink.protocol.frame import Id
 from hostlink.robot.admission import Admission
-from hostlink.robot.directory import RobotTopicNames, is_played
+from hostlink.robot.directory import Presence, RobotTopicNames, is_played
 from hostlink.robot.state import BATTERY_TYPE
 from hostlink.robot.velocity import TWIST_TYPE, ZERO, Kinematics, Twist
 from hostlink.robot.velocity_gate import Unlimited, VelocityGate
@@ -101,12 +101,13 @@ class Device:
 
     __slots__ = (
         "_awaited", "_hub", "_observers", "_odometry", "diagnosis", "drivables", "early", "guarded_ids",
-        "infos", "is_played", "is_undecided", "link", "names", "parameters", "received_at_s", "robot", "routes",
+        "infos", "is_played", "is_undecided", "link", "names", "parameters", "presence", "robot", "routes",
         "services", "shown",
     )  # fmt: skip
 
-    def __init__(self, link: Link, diagnosis: Diagnosis, hub: "Hub") -> None:
+    def __init__(self, link: Link, diagnosis: Diagnosis, presence: Presence, hub: "Hub") -> None:
         self.link = link
+        self.presence = presence
         self.diagnosis = diagnosis
         self.robot: LocalRobot | None = None  # that it is; Robots sets it
         self.drivables: list[Drivable] = []  # Gates sets them
@@ -119,7 +120,6 @@ class Device:
         self.is_undecided = False  # whether it is known who it is
         self.infos: tuple[TopicInfo, ...] = ()  # what it announced last
         self.is_played = False  # it is a recording
-        self.received_at_s = float("-inf")  # of the last read that was noted
         self.parameters: dict[str, Parameter] = {}  # what it was answered, by the names that are shown
         self._observers: dict[int, Callable[[bytes], None]] = {}  # by id: what the hub itself reads of a message
         self._awaited: set[str] = set()  # its services that may still answer a call of before it left the graph

@@ -503,8 +503,9 @@ class Gates:
             payload = velocity.encode()
             try:
                 link.session.publish(drivable.velocity_topic, payload, is_urgent=True, is_kept=is_first)
-                link.session.keep_clear(
-                    robot_moves=gate.may_move or any(each.gate.may_move for each in connection.drivables)
+                # Frames that would delay a stop on a slow line are held back or refused while the robot moves.
+                link.session.outbox.robot_moves = gate.may_move or any(
+                    each.gate.may_move for each in connection.drivables
                 )
             except HostlinkError as error:
                 drivable.refusals.add(drivable.name, error)

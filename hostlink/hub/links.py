@@ -95,7 +95,7 @@ class Links:
             wall_ns=self._read_wall_ns,
             pauses=hub.gates.pauses,
         )
-        self._devices[link.number] = Device(link, hub.diagnoses.begin(link), hub)
+        self._devices[link.number] = Device(link, hub.diagnoses.begin(link), self._directory.presence(link.number), hub)
         return link
 
     async def serve(self, link: Link, authenticate: Authenticate = trust) -> LinkEnd:
@@ -173,9 +173,7 @@ class Links:
         device = self._devices.get(link.number)
         if device is None:
             return
-        if link.received_at_s != device.received_at_s:  # else more came in one read
-            device.received_at_s = link.received_at_s
-            self._directory.note_read(link.number, link.received_at_s)
+        device.presence.note_read(link.received_at_s)
         if not isinstance(event, events.MessageReceived):
             self._hub.diagnoses.note(link, event)
             reaction = self._reactions.get(type(event))

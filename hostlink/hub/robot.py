@@ -184,6 +184,7 @@ class LocalRobot(Drivable, Robot):
     def state(self, now_s: float) -> RobotState:
         """Everything that is shown of it."""
         gate, shown, connection, battery = self.gate, self.shown, self.connection, self.battery
+        driver, admission = gate.driver, gate.admission
         monitor = None if connection is None else connection.diagnosis.monitor
         return RobotState(
             name=self.name,
@@ -195,15 +196,15 @@ class LocalRobot(Drivable, Robot):
             odometry_type=shown.odometry_type,
             reset_topic=shown.reset,
             is_played=self.is_played,
-            holder=gate.owner_name,
-            holder_address=address_of(gate.owner) or None,
-            priority=gate.priority,
-            lock_reason=gate.lock_reason,
-            epoch=gate.admission.epoch,
+            holder=None if driver is None else str(driver.source),
+            holder_address=None if driver is None else address_of(driver.source) or None,
+            priority=None if driver is None else driver.priority,
+            lock_reason=admission.lock_reason,
+            epoch=admission.epoch,
             unreachable=self.refusals.cause,
             wheel_separation_m=self.config.wheel_separation_m,
-            kinematics=gate.admission.kinematics,
-            lease_s=gate.admission.lease_s,
+            kinematics=admission.kinematics,
+            lease_s=admission.lease_s,
             velocity=gate.current,
             odometry=self.odometry.snapshot(now_s),
             battery_v=None if battery is None else battery.voltage_v,

@@ -137,8 +137,7 @@ class Robots:
 
     def all(self) -> list[Robot]:
         """Every robot, also of other daemons, by name; as `find` finds it."""
-        found = (self._find(name) for name in sorted(self._robots.keys() | self.remote.keys()))
-        return [robot for robot in found if robot is not None]
+        return list(filter(None, map(self._find, sorted(self._robots.keys() | self.remote.keys()))))
 
     def find(self, name: str, *, driver: Callable[[], Hashable] | None = None) -> Robot:
         """The robot of that name, connected or not.

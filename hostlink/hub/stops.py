@@ -32,33 +32,23 @@ class Standstills:
             reason = "too many stops are measured at once"
             return [Standstill(StandstillState.UNKNOWN, reason=reason) for _ in robots]
         self._watched += len(robots)
+        watches = [(robot, StopWatch(since_s)) for robot in robots]
+        until_s = since_s + wait_s
         try:
-            return await _measure(robots, since_s, since_s + wait_s)
+            while True:
+                now_s = asyncio.get_running_loop().time()
+                is_awaited = False
+                for robot, watch in watches:
+                    odometry = None if watch.is_standing else robot.measured(now_s)
+                    if odometry is not None:  # without odometry, waiting would measure nothing
+                        twist = odometry.twist
+                        watch.observe(Speeds(twist.speed_m_s, twist.yaw_rad_s), now_s - odometry.age_s)
+                        is_awaited |= not watch.is_standing
+                if not is_awaited or now_s >= until_s:
+                    return [watch.result(robot.why_moving, robot.why_unknown) for robot, watch in watches]
+                await asyncio.sleep(min(POLL_S, until_s - now_s))
         finally:
             self._watched -= len(robots)
-
-
-async def _measure(robots: Sequence[Robot], since_s: float, until_s: float) -> list[Standstill]:
-    watches = [StopWatch(since_s) for _ in robots]
-    while True:
-        now_s = asyncio.get_running_loop().time()
-        is_awaited = False
-        for robot, watch in zip(robots, watches, strict=True):
-            if not watch.is_standing:
-                is_awaited |= _observe(watch, robot, now_s)
-        if not is_awaited or now_s >= until_s:
-            break
-        await asyncio.sleep(min(POLL_S, until_s - now_s))
-    return [watch.result(robot.why_moving(), robot.why_unknown()) for robot, watch in zip(robots, watches, strict=True)]
-
-
-def _observe(watch: StopWatch, robot: Robot, now_s: float) -> bool:
-    """Observe the newest odometry; returns whether waiting for more may tell more."""
-    odometry = robot.measured(now_s)
-    if odometry is None:
-        return False
-    watch.observe(Speeds(odometry.twist.speed_m_s, odometry.twist.yaw_rad_s), now_s - odometry.age_s)
-    return not watch.is_standing
 
 
 class LockServices:

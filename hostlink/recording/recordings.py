@@ -7,6 +7,7 @@ import re
 import time
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import structlog
 
@@ -42,8 +43,7 @@ class Recording:
         return asyncio.get_running_loop().time() - self.began_s
 
 
-@dataclass(frozen=True, slots=True)
-class Totals:
+class Totals(NamedTuple):
     """Sums of all recordings since the daemon started."""
 
     messages: int = 0
@@ -52,11 +52,7 @@ class Totals:
 
     def plus(self, thread: FileThread) -> "Totals":
         """Add the counters of one more recording."""
-        return Totals(
-            self.messages + thread.messages,
-            self.written_bytes + thread.written_bytes,
-            self.dropped + thread.dropped,
-        )
+        return Totals(*(each + getattr(thread, name) for name, each in self._asdict().items()))
 
 
 class Recordings:
@@ -82,10 +78,8 @@ class Recordings:
 
     def totals(self) -> Totals:
         """Return the sums of ended and current recordings."""
-        totals = self._ended
-        for recording in self._under_way.values():
-            totals = totals.plus(recording.thread)
-        return totals
+        threads = (recording.thread for recording in self._under_way.values())
+        return functools.reduce(Totals.plus, threads, self._ended)
 
     def check_robot(self, name: str) -> None:
         """Check that there is a robot of this name.

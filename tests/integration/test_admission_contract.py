@@ -75,7 +75,7 @@ class Robot:
         return self.made.speeds()[-1]
 
     async def stands(self, for_s: float) -> None:
-        """It has stopped within the time of a frame, and stays so."""
+        """Check that the robot stops within the time of a frame and stays stopped."""
         await asyncio.sleep(0.05)
         before = len(self.made.speeds())
         await asyncio.sleep(for_s)
@@ -471,7 +471,7 @@ def calls_that_may_drive() -> set[str]:
     return found
 
 
-def test_every_way_by_which_a_velocity_comes_is_tested() -> None:
+def test_every_call_that_may_drive_belongs_to_an_entry_point() -> None:
     """A new one needs an entry point in tests/support/entry_points.py; what gives no velocity is noted in OTHERS."""
     assert calls_that_may_drive() == SITES.keys() | OTHERS.keys()
     assert {each for ways in SITES.values() for each in ways} == set(ENTRY_POINTS)
@@ -487,7 +487,7 @@ def test_command_is_made_in_two_places_alone() -> None:
     assert sorted(made) == ["hub/gates.py", "hub/participant.py"]
 
 
-def test_what_cannot_be_expressed_is_a_row() -> None:
+def test_rows_that_an_entry_point_cannot_express_exist() -> None:
     for entry_point in ENTRY_POINTS:
         assert entry_point.cannot.keys() <= ROWS.keys()
 

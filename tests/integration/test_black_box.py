@@ -66,7 +66,7 @@ def topics(messages: list[StoredMessage]) -> set[str]:
     return {message.channel.topic for message in messages}
 
 
-async def test_a_lock_saves_what_came_before_and_what_comes_after(tmp_path: Path) -> None:
+async def test_lock_saves_the_messages_before_and_after_it(tmp_path: Path) -> None:
     async with boxed(config(tmp_path)) as (host, device):
         await host.rest("POST", "/api/robots/robot_0/lock?wait_s=0", b'{"reason": "a hand in the wheel"}')
         (pending,) = (await host.get("/api/incidents"))["incidents"]
@@ -207,7 +207,7 @@ async def test_a_disk_that_is_full_loses_the_file_and_nothing_else(tmp_path: Pat
         assert (await host.get("/api/robots/robot_0"))["locked"]
 
 
-async def test_one_that_is_turned_off_keeps_nothing(tmp_path: Path) -> None:
+async def test_black_box_that_is_turned_off_keeps_nothing(tmp_path: Path) -> None:
     async with boxed(config(tmp_path, enabled=False)) as (host, _):
         names = [str(each.key) for each in host.hub.topics.find("/robot_0/odometry").subscribers]
         assert len(names) == 1  # its robot, which reads its poses
@@ -217,13 +217,13 @@ async def test_one_that_is_turned_off_keeps_nothing(tmp_path: Path) -> None:
         assert (await host.get("/api/incidents"))["incidents"] == []
 
 
-async def test_what_hostlink_makes_of_poses_is_not_made_for_the_black_box(tmp_path: Path) -> None:
+async def test_black_box_does_not_subscribe_to_derived_odometry(tmp_path: Path) -> None:
     async with boxed(config(tmp_path)) as (host, _):
         assert not host.hub.topics.find("/robot_0/odom").has_subscribers
         assert not host.hub.topics.find("/tf").has_subscribers
 
 
-async def test_files_that_are_no_incidents_are_not_listed(tmp_path: Path) -> None:
+async def test_files_that_are_not_incidents_are_not_listed(tmp_path: Path) -> None:
     async with daemon(config(tmp_path), has_black_box=True) as host:
         folder = tmp_path / "incidents"
         await asyncio.to_thread(folder.mkdir)
@@ -323,7 +323,7 @@ async def test_a_robot_that_is_forgotten_in_the_half_minute_after_is_in_its_inci
         assert "/robot_0/odometry" in topics(read(tmp_path, incident))
 
 
-async def test_of_channels_that_come_and_go_the_newest_are_kept(tmp_path: Path) -> None:
+async def test_newest_of_many_short_lived_channels_are_kept(tmp_path: Path) -> None:
     async with boxed(config(tmp_path)) as (host, _):
         box = BlackBox(host.hub, tmp_path)
         channels = [

@@ -83,7 +83,7 @@ async def test_a_crash_of_a_subscriber_ends_its_participant_alone(logged: list[d
             await device.send(pose(number))
         await expect(lambda: len(observed) == 5)
         await is_driven(host, "robot_0", device)
-        assert host.hub.isolation.crashes == {"participant": 1}  # then it is no subscriber any more
+        assert host.hub.isolation.crashes == {"participant": 1}  # afterwards the participant no longer subscribes
     assert [line["participant"] for line in logged if line["event"] == "participant.crashed"] == ["client 1"]
 
 
@@ -171,7 +171,7 @@ async def test_without_a_free_descriptor_a_sick_device_is_diagnosed_and_a_robot_
 
 @pytest.mark.parametrize("cause", ["replaced", "idle"])
 async def test_a_link_that_ends_from_here_leaves_a_standing_robot(cause: str) -> None:
-    """Also one without a watchdog of its own."""
+    """The robot is stopped also if the device has no watchdog."""
     async with daemon() as host, fake_device(host.tcp, robot_topics()) as device:
         await expect(lambda: host.hub.robots.find("robot_0").link)
         await is_driven(host, "robot_0", device)

@@ -1,4 +1,4 @@
-"""A device that comes a thousand times and vanishes in every way: what it leaves behind is nothing."""
+"""A device that reconnects a thousand times and disconnects in every way leaves nothing behind."""
 
 import asyncio
 import gc

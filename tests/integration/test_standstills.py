@@ -23,7 +23,7 @@ SPEED_M_S = 0.15
 
 @contextlib.asynccontextmanager
 async def moving(device: FakeDevice) -> AsyncIterator[None]:
-    """Whatever it is sent, the device's odometry moves at SPEED_M_S."""
+    """Send odometry that moves at SPEED_M_S, regardless of commands."""
 
     async def send() -> None:
         for number in itertools.count():
@@ -43,7 +43,7 @@ async def drive(host: Daemon) -> int:
 
 
 @pytest.mark.parametrize("what", ["stop", "lock"])
-async def test_a_stopped_robot_stands_and_its_answer_has_the_time_and_the_speed(what: str) -> None:
+async def test_stop_answer_has_the_measured_time_and_speed(what: str) -> None:
     async with daemon() as host, simulated_robot(host.tcp) as body:
         await expect(lambda: host.hub.robots.find("robot_0").odometry.count > 5)
 
@@ -52,7 +52,7 @@ async def test_a_stopped_robot_stands_and_its_answer_has_the_time_and_the_speed(
                 await drive(host)
                 await asyncio.sleep(0.1)
 
-        async with meanwhile(repeat()):  # it goes on without looking at the answers
+        async with meanwhile(repeat()):  # the source continues without reading the answers
             await expect(lambda: body.speed_m_s > 0.1)
             status, robot = await host.rest("POST", f"/api/robots/robot_0/{what}")
             assert (status, robot["name"], robot["locked"]) == (200, "robot_0", what == "lock")
@@ -90,7 +90,7 @@ async def test_a_source_that_drives_again_is_named() -> None:
         await expect(lambda: host.hub.robots.has("robot_0"))
 
         async def insist() -> None:
-            """It reads the epoch, and means it."""
+            """Drive with the current epoch, again and again."""
             robot = host.hub.robots.find("robot_0")
             while True:
                 await planner.robot("robot_0").command(SPEED_M_S, 0.0, epoch=robot.gate.admission.epoch)
@@ -105,7 +105,7 @@ async def test_a_source_that_drives_again_is_named() -> None:
             assert measured.speed_m_s > 0.05
 
 
-async def test_what_is_not_known_is_said_at_once_and_why() -> None:
+async def test_unknown_standstill_is_reported_at_once_with_a_reason() -> None:
     async with daemon() as host, fake_device(host.tcp, robot_topics()) as device, connect(host.url) as me:
         await expect(lambda: host.hub.robots.has("robot_0"))
         watch = Stopwatch()
@@ -119,7 +119,7 @@ async def test_what_is_not_known_is_said_at_once_and_why() -> None:
         assert watch.seconds < WAIT_S
 
 
-async def test_a_device_that_falls_silent_is_not_said_to_stand() -> None:
+async def test_silent_device_is_not_reported_as_stopped() -> None:
     async with daemon() as host, fake_device(host.tcp, robot_topics()) as device:
         async with moving(device):
             await expect(lambda: host.hub.robots.find("robot_0").odometry.count > 5)
@@ -129,7 +129,7 @@ async def test_a_device_that_falls_silent_is_not_said_to_stand() -> None:
 
 
 @pytest.mark.parametrize("wait_s", ["soon", "-1", "nan", "11"])
-async def test_a_wait_that_is_no_number_is_refused_but_the_robot_is_stopped(wait_s: str) -> None:
+async def test_invalid_wait_is_refused_but_the_robot_is_stopped(wait_s: str) -> None:
     async with daemon() as host, fake_device(host.tcp, robot_topics()) as device:
         await expect(lambda: host.hub.robots.has("robot_0"))
         assert await drive(host) == 200

@@ -1,4 +1,4 @@
-"""What the transports of TCP and UDP use of a loop, on uvloop: small reads, back-pressure, options, descriptors."""
+"""Functions of uvloop that the TCP and UDP transports use: small reads, backpressure, options, descriptors."""
 
 import asyncio
 import os
@@ -29,7 +29,7 @@ async def flooded() -> list[bytes]:
             transport = await accepted
             async with asyncio.TaskGroup() as tasks:
                 tasks.create_task(asyncio.get_running_loop().sock_sendall(peer, FLOOD))
-                await asyncio.sleep(0.2)  # nobody reads: the system must hold the peer back
+                await asyncio.sleep(0.2)  # without a reader the kernel must hold the peer back
                 pieces: list[bytes] = []
                 while sum(map(len, pieces)) < len(FLOOD):
                     pieces.append(await transport.receive())

@@ -91,7 +91,7 @@ ids = st.sampled_from([None, "x", "y", 1, 2])
 
 
 @given(st.lists(st.tuples(st.sampled_from(["/a", "a", "/b"]), ids, st.booleans()), max_size=60))
-def test_ids_that_come_and_go_leave_what_is_subscribed(sent: list[tuple[str, object, bool]]) -> None:
+def test_subscriptions_after_any_ids_are_those_that_were_not_ended(sent: list[tuple[str, object, bool]]) -> None:
     async def run() -> None:
         async with world() as here:
             peer, wanted = here.client(), set[tuple[str, object]]()

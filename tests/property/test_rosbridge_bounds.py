@@ -1,4 +1,4 @@
-"""What one client of rosbridge may cost, whatever it sends and however often."""
+"""Bounds of what one rosbridge client costs, for any number of any requests."""
 
 import tracemalloc
 from typing import Any
@@ -12,7 +12,7 @@ def statuses(heard: list[Any]) -> list[str]:
     return [frame["msg"] for frame in heard if frame["op"] == "status"]
 
 
-async def test_what_a_client_may_keep_is_bounded() -> None:
+async def test_resources_of_one_client_are_bounded() -> None:
     async with world() as here:
         peer = here.client()
         for number in range(10_000):

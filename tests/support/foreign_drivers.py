@@ -20,8 +20,8 @@ from hostlink.graphs.ros2_types import Ros2Types
 from hostlink.graphs.zenoh.fleet import fleet_running
 from hostlink.graphs.zenoh.fleet_commands import FleetDrivers
 from hostlink.graphs.zenoh.fleet_messages import (
+    ANSWER,
     DriveRequest,
-    FleetAnswer,
     FleetTransport,
     Keys,
     Sender,
@@ -155,7 +155,7 @@ class FleetDriver:
             priority=PRIORITY,
         )
         self._drivers.receive(ZenohSample(self._keys.key("drive", self._there, to=self._here.zid), encode(request)))
-        answer = decode(self._answers.sent.pop(), FleetAnswer)
+        answer = decode(self._answers.sent.pop(), ANSWER)
         if answer.error:
             if answer.error in set(RefusalKind):
                 raise CommandRefused(robot, RefusalKind(answer.error), answer.reason, holder=answer.owner)

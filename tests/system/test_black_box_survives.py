@@ -1,4 +1,4 @@
-"""What the black box leaves when its daemon is killed, or ends with more incidents than it has time to write."""
+"""Black box of a daemon that is killed, or that ends with more incidents than it has time to write."""
 
 import asyncio
 import json
@@ -60,7 +60,7 @@ async def kill_while_driving(daemon: Process) -> None:
 
 
 async def check_incident(folder: Path) -> None:
-    """Its file has the last commands and poses, and `hostlink info` reads it."""
+    """Check that the incident's file has the last commands and poses, and that `hostlink info` reads it."""
     (file,) = incident_files(folder)
     assert "daemon_died" in file.name
     reader = McapReader(file)
@@ -85,7 +85,7 @@ async def test_a_daemon_killed_while_driving_leaves_an_incident_with_its_last_se
     async with serve(*words) as daemon:
         await kill_while_driving(daemon)
     if has_guardian:
-        await expect(lambda: incident_files(tmp_path), timeout_s=60)  # whoever writes it lets all others go first
+        await expect(lambda: incident_files(tmp_path), timeout_s=60)  # its writer has the lowest priority
         await expect(lambda: not remains.of_process(daemon.pid), timeout_s=60)
         await check_incident(tmp_path)
     else:
@@ -105,7 +105,7 @@ async def test_a_daemon_killed_while_driving_leaves_an_incident_with_its_last_se
     assert len(incident_files(tmp_path)) == 1
 
 
-async def test_a_daemon_killed_while_nobody_drives_leaves_what_was_pending_and_no_more(tmp_path: Path) -> None:
+async def test_daemon_killed_while_no_source_drives_leaves_only_the_pending_incident(tmp_path: Path) -> None:
     async with (
         serve(*settings(tmp_path)) as daemon,
         fake_device(daemon.tcp, robot_topics()) as device,
@@ -116,7 +116,7 @@ async def test_a_daemon_killed_while_nobody_drives_leaves_what_was_pending_and_n
         await asyncio.sleep(0.5)
         await post(session, daemon, "/api/robots/robot_0/lock", {"reason": "a hand in the wheel"})
         os.kill(daemon.pid, signal.SIGKILL)
-        await expect(lambda: incident_files(tmp_path), timeout_s=60)  # whoever writes it lets all others go first
+        await expect(lambda: incident_files(tmp_path), timeout_s=60)  # its writer has the lowest priority
         await expect(lambda: not remains.of_process(daemon.pid), timeout_s=60)
     (file,) = incident_files(tmp_path)
     reader = McapReader(file)
@@ -125,6 +125,7 @@ async def test_a_daemon_killed_while_nobody_drives_leaves_what_was_pending_and_n
 
 
 @pytest.mark.alone
+@pytest.mark.long
 async def test_a_daemon_that_ends_with_many_pending_incidents_is_quick_and_loses_none(tmp_path: Path) -> None:
     names = [f"robot_{number}" for number in range(4)]
     words = settings(tmp_path, after_s=60.0)

@@ -1,4 +1,4 @@
-"""`hostlink serve` with the usual 1024 descriptors, and somebody who opens more connections than that."""
+"""`hostlink serve` with the usual 1024 descriptors, and a program that opens more connections than that."""
 
 import asyncio
 import contextlib
@@ -24,7 +24,7 @@ LONGEST_S = 2.0  # on a machine with other work; without a bound it is a minute
 
 @pytest.fixture(autouse=True)
 def enough_descriptors() -> Iterator[None]:
-    """This process holds the other ends, and the daemon inherits what is usual."""
+    """Raise the limit of this process, which has the other ends; the daemon inherits the usual one."""
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     resource.setrlimit(resource.RLIMIT_NOFILE, (min(hard, 4 * ATTACKERS), hard))
     yield

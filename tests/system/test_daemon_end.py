@@ -1,4 +1,4 @@
-"""How the daemon ends: whatever the cause, the last velocity at the robot is zero."""
+"""Every end of the daemon: the last velocity at the robot is zero."""
 
 import asyncio
 import contextlib
@@ -68,7 +68,7 @@ async def test_a_robot_that_is_driven_while_the_daemon_ends_receives_zero_last(
         sent = await velocities_to_the_end(device)
         assert sent[-3:] == [ZERO, ZERO, ZERO]
         first = sent.index(ZERO)
-        assert set(sent[first:]) == {ZERO}  # from the first zero on nothing moves it any more
+        assert set(sent[first:]) == {ZERO}  # from the first zero on nothing moves it
         assert await daemon.child.wait() == 0
         line = await daemon.read_log("daemon.stop_requested")
         assert line["cause"] == number.name
@@ -161,7 +161,7 @@ async def test_a_signal_in_the_moment_in_which_a_serial_port_vanishes_ends_the_d
 
 @contextlib.asynccontextmanager
 async def serve_with_stderr(stderr: int | None, folder: Path, *, shell: str = "") -> AsyncIterator[Process]:
-    """A daemon whose log goes to this descriptor, or wherever the shell's words send it; the ports are known before."""
+    """A daemon whose log is written to this descriptor, or to the target of the shell's words. Its ports are known."""
     ports = free_ports(2)
     config = folder / "hostlink.toml"
     config.write_text(f'[tcp]\nhost = "127.0.0.1"\nport = {ports[0]}\n[api]\nport = {ports[1]}\n')
@@ -180,7 +180,7 @@ async def serve_with_stderr(stderr: int | None, folder: Path, *, shell: str = ""
 
 
 def free_ports(count: int) -> list[int]:
-    """Ports that nobody has now."""
+    """Return ports that are free now."""
     with contextlib.ExitStack() as stack:
         found = [stack.enter_context(socket.create_server(("127.0.0.1", 0))) for _ in range(count)]
         return [each.getsockname()[1] for each in found]
@@ -230,7 +230,7 @@ async def test_a_reader_of_the_log_that_sleeps_stops_nothing(tmp_path: Path) -> 
     with contextlib.suppress(BlockingIOError):
         while True:
             os.write(writing, bytes(4096))
-    os.set_blocking(writing, True)  # it is full: whoever writes now waits
+    os.set_blocking(writing, True)  # it is full: a write blocks now
     async with serve_with_stderr(writing, tmp_path) as daemon:
         await drives_and_ends_well(daemon)
     os.close(writing)

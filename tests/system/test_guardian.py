@@ -33,7 +33,7 @@ def guardian_of(daemon: Process) -> int:
 
 
 def guarded_by(guardian: int) -> int:
-    """How many connections it holds, beside stdio and its way to the daemon."""
+    """Return how many connections the guardian holds, apart from stdio and its connection to the daemon."""
     return len(list(Path(f"/proc/{guardian}/fd").iterdir())) - 4
 
 
@@ -80,7 +80,7 @@ async def test_a_daemon_that_runs_out_of_address_space_leaves_no_robot_moving() 
 
 
 @pytest.mark.parametrize("reading", [Reading(), Reading(bytes_a_turn=2048, with_blobs=True)], ids=["", "long frames"])
-async def test_a_daemon_that_hangs_has_its_robots_stopped_and_goes_on_with_them(reading: Reading) -> None:
+async def test_robots_of_a_daemon_that_hangs_are_stopped_and_driven_again_afterwards(reading: Reading) -> None:
     """SIGSTOP: as a loop that is blocked, also inside a long frame. Its guardian sends zeros, and no id 11."""
     async with driving(reading) as drive:
         await wait_for_guardian(drive)
@@ -107,7 +107,7 @@ async def test_a_daemon_that_hangs_has_its_robots_stopped_and_goes_on_with_them(
 
 
 async def test_a_daemon_that_hangs_and_is_killed_then_has_its_robots_stopped_twice() -> None:
-    """As by systemd's watchdog."""
+    """Systemd's watchdog does the same."""
     async with driving(Reading()) as drive:
         await wait_for_guardian(drive)
         os.kill(drive.daemon.pid, signal.SIGSTOP)
@@ -142,11 +142,11 @@ async def test_a_killed_guardian_is_replaced_and_the_next_one_stops_the_robots()
         await drive.daemon.logged("guardian.started", 2)
         await wait_for_guardian(drive)
         for robot in drive.robots:
-            assert robot.velocities[-1][1] != ZERO  # nobody has noticed
+            assert robot.velocities[-1][1] != ZERO  # no program has noticed
         assert await end_at(drive, 0.0, killer(signal.SIGKILL)) <= LIMIT_S
 
 
-async def test_a_stopped_guardian_harms_nobody() -> None:
+async def test_daemon_with_a_stopped_guardian_drives_and_ends_in_order() -> None:
     async with driving(Reading()) as drive:
         os.kill(guardian_of(drive.daemon), signal.SIGSTOP)
         observed = [len(robot.velocities) for robot in drive.robots]
@@ -220,7 +220,7 @@ async def test_ctrl_c_in_a_terminal_is_the_daemons_alone(tmp_path: Path) -> None
 
 
 async def test_a_lost_terminal_does_not_end_the_guardian(tmp_path: Path) -> None:
-    """SIGHUP goes to all of the session; the daemon is killed before it can act on it."""
+    """All processes of the session get SIGHUP; the daemon is killed before it can act on it."""
     with serving_in_terminal(tmp_path / "log") as (_, started):
         daemon = Process(started, tmp_path / "log")
         host, _, port = (await daemon.logged("daemon.started"))["tcp"].rpartition(":")

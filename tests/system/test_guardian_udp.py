@@ -84,7 +84,7 @@ async def test_a_daemon_that_ends_in_order_stops_it_and_then_says_so(tmp_path: P
 
 
 async def test_a_guardian_that_is_stuck_keeps_no_device_from_the_daemon(tmp_path: Path) -> None:
-    """It has a duplicate of the session's socket, to which the kernel would go on giving the device's datagrams."""
+    """The guardian has a duplicate of the session's socket, which the kernel could give the device's datagrams."""
     settings = SETTINGS + "[link]\nidle_timeout_s = 0.5\nsilence_timeout_s = 0.5\n"
     async with driving(tmp_path, settings) as (daemon, robot):
         guardian = int(daemon.lines("guardian.started")[-1]["pid"])

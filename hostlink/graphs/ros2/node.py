@@ -22,6 +22,7 @@ NODE_NAME = "hostlink"
 END_TIMEOUT_S = 2.0  # of the executor's thread
 _STAMP = struct.Struct("<iI")
 Result = TypeVar("Result")
+_Made = contextlib.AbstractAsyncContextManager[Any]
 
 
 class Ros2Node:
@@ -71,44 +72,34 @@ class Ros2Node:
     @contextlib.asynccontextmanager
     async def publisher(self, topic: str, cls: Any, qos: Qos) -> AsyncIterator[Any]:
         """A publisher for the length of the block; `publish` may be called in any thread."""
-        made = await self.run(lambda: self.node.create_publisher(cls, ros2_name(topic), profile(qos)))
-        self._published[topic] = made
-        try:
-            yield made
-        finally:
-            del self._published[topic]
-            self._executor.create_task(lambda: self.node.destroy_publisher(made))
+        async with self._made("publisher", cls, ros2_name(topic), profile(qos)) as made:
+            self._published[topic] = made
+            try:
+                yield made
+            finally:
+                del self._published[topic]
 
-    @contextlib.asynccontextmanager
-    async def subscription(
-        self, topic: str, cls: Any, qos: Qos, receive: Callable[..., None], *, is_raw: bool
-    ) -> AsyncIterator[Any]:
+    def subscription(self, topic: str, cls: Any, qos: Qos, receive: Callable[..., None], *, is_raw: bool) -> _Made:
         """A subscription for the length of the block; `receive` is called in rclpy's thread."""
-        made = await self.run(
-            lambda: self.node.create_subscription(cls, ros2_name(topic), receive, profile(qos), raw=is_raw)
-        )
-        try:
-            yield made
-        finally:
-            self._executor.create_task(lambda: self.node.destroy_subscription(made))
+        return self._made("subscription", cls, ros2_name(topic), receive, profile(qos), raw=is_raw)
 
-    @contextlib.asynccontextmanager
-    async def service(self, name: str, cls: Any, answer: Callable[[Any, Any], Any]) -> AsyncIterator[None]:
+    def service(self, name: str, cls: Any, answer: Callable[[Any, Any], Any]) -> _Made:
         """A service for the length of the block; `answer` is a coroutine function of rclpy."""
-        made = await self.run(lambda: self.node.create_service(cls, ros2_name(name), answer))
-        try:
-            yield
-        finally:
-            self._executor.create_task(lambda: self.node.destroy_service(made))
+        return self._made("service", cls, ros2_name(name), answer)
+
+    def client(self, name: str, cls: Any) -> _Made:
+        """A client of a service for the length of the block."""
+        return self._made("client", cls, ros2_name(name))
 
     @contextlib.asynccontextmanager
-    async def client(self, name: str, cls: Any) -> AsyncIterator[Any]:
-        """A client of a service for the length of the block."""
-        made = await self.run(lambda: self.node.create_client(cls, ros2_name(name)))
+    async def _made(self, kind: str, *arguments: Any, **options: Any) -> AsyncIterator[Any]:
+        """An end of the node for the length of the block, made and destroyed in rclpy's thread."""
+        create, destroy = getattr(self.node, f"create_{kind}"), getattr(self.node, f"destroy_{kind}")
+        made = await self.run(lambda: create(*arguments, **options))
         try:
             yield made
         finally:
-            self._executor.create_task(lambda: self.node.destroy_client(made))
+            self._executor.create_task(lambda: destroy(made))
 
     async def call(self, client: Any, request: Any) -> Any:
         """Call a service; cancel it, and its answer is forgotten."""

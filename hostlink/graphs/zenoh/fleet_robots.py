@@ -46,8 +46,8 @@ class FleetStates:
 
     def __init__(self, hub: Hub, transport: FleetTransport) -> None:
         self._hub, self._transport = hub, transport
-        self._states = transport.session.declare_publisher(transport.keys.key("state", transport.me), is_urgent=True)
-        self._live = transport.session.declare_publisher(transport.keys.key("live", transport.me))
+        self._states = transport.session.declare_publisher(transport.key("state"), is_urgent=True)
+        self._live = transport.session.declare_publisher(transport.key("live"))
         self._is_live = False
         self._live.watch(self._note_readers)
         self._due_s = 0.0

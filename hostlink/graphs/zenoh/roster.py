@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import msgspec
 
-from hostlink.graphs.zenoh.fleet_messages import Live, RobotMessage, Sender, State
+from hostlink.graphs.zenoh.fleet_messages import FleetTopic, Live, RobotMessage, Sender, State
 from hostlink.robot.admission import Freshness
 
 MAX_DAEMONS = 256
@@ -26,6 +26,7 @@ class Neighbour:
     gone_at_s: float = math.inf
     robots: dict[str, RobotMessage] = field(default_factory=dict)
     topics: int = -1  # the number of its list of topics
+    listed: dict[str, list[FleetTopic]] = field(default_factory=dict)  # that list, by robot
     freshness: Freshness = field(default_factory=Freshness)
     is_silent: bool = False
 
@@ -69,10 +70,16 @@ class FleetRoster:
         """Names of all robots."""
         return list(self._by_name)
 
-    def find(self, sender: Sender) -> Neighbour | None:
+    def find(self, sender: Sender | None) -> Neighbour | None:
         """The daemon that has sent something, if it has a token under that name."""
-        neighbour = self._neighbours.get(sender.zid)
+        neighbour = None if sender is None else self._neighbours.get(sender.zid)
         return neighbour if neighbour is not None and neighbour.sender == sender else None
+
+    def announced(self, sender: Sender | None) -> Neighbour | None:
+        """Find a daemon, and count what one without a token sends."""
+        neighbour = self.find(sender)
+        self._counts["unannounced"] += neighbour is None
+        return neighbour
 
     def appear(self, sender: Sender, now_s: float) -> bool:
         """A daemon has a token; returns whether it is new."""
@@ -94,7 +101,7 @@ class FleetRoster:
         neighbour = self._neighbours.pop(zid, None)
         if neighbour is None:
             return set()
-        neighbour.gone_at_s = now_s
+        neighbour.gone_at_s, neighbour.listed = now_s, {}
         self._gone[zid] = neighbour
         return set(neighbour.robots) | self.forget(now_s)
 
@@ -113,9 +120,8 @@ class FleetRoster:
 
     def receive(self, sender: Sender, state: State, now_s: float) -> set[str]:
         """A daemon has sent its state."""
-        neighbour = self.find(sender)
+        neighbour = self.announced(sender)
         if neighbour is None:
-            self._counts["unannounced"] += 1
             return set()
         self._counts["met"] += neighbour.is_silent
         neighbour.heard_at_s, neighbour.is_silent = now_s, False
@@ -130,9 +136,8 @@ class FleetRoster:
 
     def receive_motions(self, sender: Sender, live: Live, now_s: float) -> set[str]:
         """A daemon has sent how its robots move."""
-        neighbour = self.find(sender)
+        neighbour = self.announced(sender)
         if neighbour is None:
-            self._counts["unannounced"] += 1
             return set()
         neighbour.heard_at_s = now_s
         touched = set()

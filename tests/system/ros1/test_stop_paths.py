@@ -1,4 +1,4 @@
-"""Whatever ends a driver in the ROS graph leaves a standing robot, within the lease, also beside a flood."""
+"""Every end of a driver in the ROS graph stops the robot within the lease, also during a flood."""
 
 import asyncio
 import contextlib
@@ -50,7 +50,7 @@ class Driven:
         return self.heard[-1][1]
 
     async def stands_after(self, end: Callable[[], Awaitable[None]], limit_s: float) -> None:
-        """It moves until `end`, gets its zero within the limit, and nothing else afterwards."""
+        """Check that the robot moves until `end`, gets its zero within the limit, and no other velocity afterwards."""
         await expect(lambda: self.speed == 0.25)
         await asyncio.sleep(0.5)
         assert self.speed == 0.25
@@ -104,7 +104,7 @@ async def flooding(daemon: Process) -> None:
 
 @contextlib.asynccontextmanager
 async def drained(daemon: Process, topics: list[object]) -> AsyncIterator[None]:
-    """A device that reads whatever it is sent."""
+    """A device that reads all that it is sent."""
     async with living_device(daemon.tcp, topics, local_host="127.0.0.9") as device:  # type: ignore[arg-type]
 
         async def read() -> None:
@@ -115,10 +115,11 @@ async def drained(daemon: Process, topics: list[object]) -> AsyncIterator[None]:
             yield
 
 
-flooded = pytest.mark.parametrize("is_flooded", [False, True], ids=["alone", "beside a flood"])
+BESIDE_A_FLOOD = pytest.param(True, marks=pytest.mark.long, id="beside a flood")
+flooded = pytest.mark.parametrize("is_flooded", [pytest.param(False, id="alone"), BESIDE_A_FLOOD])
 
 
-@flooded
+@pytest.mark.parametrize("is_flooded", [False, True], ids=["alone", "beside a flood"])
 async def test_a_driver_that_is_killed(tmp_path: Path, is_flooded: bool) -> None:
     async with driven(tmp_path, is_flooded=is_flooded) as made:
 
@@ -130,7 +131,7 @@ async def test_a_driver_that_is_killed(tmp_path: Path, is_flooded: bool) -> None
 
 @flooded
 async def test_a_driver_that_falls_silent_and_stays_connected(tmp_path: Path, is_flooded: bool) -> None:
-    """A network that is cut, or a process that hangs: nobody reports it."""
+    """Like a network that is cut or a process that hangs, without any report of it."""
     async with driven(tmp_path, is_flooded=is_flooded) as made:
 
         async def end() -> None:

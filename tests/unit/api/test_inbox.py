@@ -1,4 +1,4 @@
-"""Inbox: the order of what a client has sent, and which velocities are skipped for newer ones."""
+"""Inbox: the order of a client's operations, and which velocities newer ones replace."""
 
 from dataclasses import dataclass, field
 
@@ -33,7 +33,7 @@ def inbox(program: Program) -> Inbox[str]:
 
 
 def outcome(*words: str) -> Program:
-    """What becomes of words that come at once."""
+    """Return the executed words of words that arrive at once."""
 
     async def run() -> Program:
         program = Program()
@@ -47,23 +47,23 @@ def outcome(*words: str) -> Program:
     return run_virtual(run())
 
 
-def test_of_velocities_for_one_robot_the_newest_alone_is_done() -> None:
+def test_velocities_of_one_robot_only_the_newest_is_executed() -> None:
     program = outcome("a=1", "a=2", "b=1", "a=3")
     assert program.done == ["b=1", "a=3"]
     assert program.replaced == ["a=1", "a=2"]
 
 
-def test_a_zero_is_never_skipped_and_skips_what_it_ends() -> None:
+def test_zero_is_never_replaced_and_replaces_velocities() -> None:
     assert outcome("a=1", "a=0", "a=2", "a=0", "a=0").done == ["a=0", "a=0", "a=0"]
     assert outcome("a=0", "a=1").done == ["a=0", "a=1"]
 
 
-def test_a_velocity_overtakes_nothing() -> None:
+def test_velocity_overtakes_no_operation() -> None:
     assert outcome("a=1", "stop", "a=2", "lock").done == ["stop", "a=2", "lock"]
 
 
 @given(st.lists(st.sampled_from(["a=0", "a=1", "a=2", "b=0", "b=7", "stop", "call"]), max_size=20))
-def test_whatever_comes_only_velocities_before_a_newer_one_of_their_robot_are_skipped(words: list[str]) -> None:
+def test_only_velocities_before_a_newer_one_of_their_robot_are_replaced(words: list[str]) -> None:
     program = outcome(*words)
     kept = [
         word
@@ -74,7 +74,7 @@ def test_whatever_comes_only_velocities_before_a_newer_one_of_their_robot_are_sk
     assert len(program.done) + len(program.replaced) == len(words)
 
 
-def test_a_velocity_that_waits_is_replaced_while_others_are_worked_on() -> None:
+def test_waiting_velocity_is_replaced_while_others_are_executed() -> None:
     async def run() -> Program:
         program = Program()
         box = inbox(program)
@@ -89,7 +89,7 @@ def test_a_velocity_that_waits_is_replaced_while_others_are_worked_on() -> None:
     assert run_virtual(run()).done == ["call", "a=2"]
 
 
-def test_message_that_was_there_before_it_was_waited_for_is_as_old_as_the_one_before() -> None:
+def test_message_available_without_waiting_is_as_old_as_the_one_before() -> None:
     program = Program()
     box = inbox(program)
     for word, came_s, was_awaited in (("first", 1.0, True), ("second", 9.0, False), ("third", 9.0, True)):
@@ -102,7 +102,7 @@ def test_message_that_was_there_before_it_was_waited_for_is_as_old_as_the_one_be
     assert program.came_s == {"first": 1.0, "second": 1.0, "third": 9.0}
 
 
-def test_too_many_messages_are_a_flood_until_none_waits() -> None:
+def test_inbox_over_its_bound_is_flooding_until_none_waits() -> None:
     box = inbox(Program())
     for _ in range(MANY + 1):
         assert not box.is_flooding
@@ -115,7 +115,7 @@ def test_too_many_messages_are_a_flood_until_none_waits() -> None:
     assert not box.is_flooding
 
 
-def test_too_many_bytes_have_no_room_until_they_are_done() -> None:
+def test_inbox_over_its_bytes_has_no_room_until_they_are_executed() -> None:
     box = inbox(Program())
     box.put("x" * MAX_BYTES, 0.0)
     assert box.has_room
@@ -127,7 +127,7 @@ def test_too_many_bytes_have_no_room_until_they_are_done() -> None:
     assert box.has_room
 
 
-def test_too_many_messages_have_no_room_until_half_of_them_are_done() -> None:
+def test_inbox_over_its_messages_has_no_room_until_half_are_executed() -> None:
     box = inbox(Program())
     for _ in range(MAX_MESSAGES + 1):
         assert box.has_room

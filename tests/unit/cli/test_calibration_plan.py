@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hostlink.cli.calibration_plan import (
-    Saved,
+    SavedCalibration,
     Sizes,
     UnitMissing,
     checks_of,
@@ -80,11 +80,11 @@ def test_lines_turns_and_squares_both_ways_are_driven() -> None:
 
 
 def test_a_calibration_is_resumed_where_it_was(tmp_path: Path) -> None:
-    wanted = Saved("robot_0", Sizes(), WheelGeometry())
+    wanted = SavedCalibration("robot_0", Sizes(), WheelGeometry())
     state = open_state(tmp_path / "folder" / "state.json", wanted, anew=False)
     state.saved.runs.append(RUN)
     state.save()
-    again = open_state(state.path, Saved("robot_0", Sizes(), WheelGeometry()), anew=False)
+    again = open_state(state.path, SavedCalibration("robot_0", Sizes(), WheelGeometry()), anew=False)
     assert again.saved.runs == [RUN]
     assert open_state(state.path, wanted, anew=True).saved is wanted
     state.remove()
@@ -94,20 +94,20 @@ def test_a_calibration_is_resumed_where_it_was(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("other", "text"),
     [
-        (Saved("robot_0", Sizes(side_m=4.0), WheelGeometry()), "other sizes"),
-        (Saved("robot_0", Sizes(), WheelGeometry(0.05, 0.05, 0.2)), "other nominal"),
-        (Saved("robot_1", Sizes(), WheelGeometry(0.05, 0.05, 0.2)), "other robot and nominal"),
+        (SavedCalibration("robot_0", Sizes(side_m=4.0), WheelGeometry()), "another sizes"),
+        (SavedCalibration("robot_0", Sizes(), WheelGeometry(0.05, 0.05, 0.2)), "another nominal"),
+        (SavedCalibration("robot_1", Sizes(), WheelGeometry(0.05, 0.05, 0.2)), "another robot and nominal"),
     ],
 )
-def test_the_state_of_another_calibration_is_not_resumed(tmp_path: Path, other: Saved, text: str) -> None:
-    open_state(tmp_path / "state.json", Saved("robot_0", Sizes(), WheelGeometry(), [RUN]), anew=False).save()
+def test_the_state_of_another_calibration_is_not_resumed(tmp_path: Path, other: SavedCalibration, text: str) -> None:
+    open_state(tmp_path / "state.json", SavedCalibration("robot_0", Sizes(), WheelGeometry(), [RUN]), anew=False).save()
     with pytest.raises(HostlinkError, match=f"{text}; --anew begins again"):
         open_state(tmp_path / "state.json", other, anew=False)
 
 
 def test_a_calibration_without_drives_is_not_kept(tmp_path: Path) -> None:
-    open_state(tmp_path / "state.json", Saved("robot_0", Sizes(), WheelGeometry()), anew=False).save()
-    wanted = Saved("robot_0", Sizes(side_m=4.0), WheelGeometry())
+    open_state(tmp_path / "state.json", SavedCalibration("robot_0", Sizes(), WheelGeometry()), anew=False).save()
+    wanted = SavedCalibration("robot_0", Sizes(side_m=4.0), WheelGeometry())
     assert open_state(tmp_path / "state.json", wanted, anew=False).saved is wanted
 
 
@@ -116,12 +116,14 @@ def test_a_file_that_is_no_state_is_refused(tmp_path: Path, content: bytes) -> N
     path = tmp_path / "state.json"
     path.write_bytes(content)
     with pytest.raises(HostlinkError, match="no calibration that can be resumed"):
-        open_state(path, Saved("robot_0", Sizes(), WheelGeometry()), anew=False)
+        open_state(path, SavedCalibration("robot_0", Sizes(), WheelGeometry()), anew=False)
 
 
 def test_a_state_that_cannot_be_written_is_one_line(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    state = open_state(tmp_path / "file" / "state.json", Saved("robot_0", Sizes(), WheelGeometry()), anew=True)
+    state = open_state(
+        tmp_path / "file" / "state.json", SavedCalibration("robot_0", Sizes(), WheelGeometry()), anew=True
+    )
     with pytest.raises(HostlinkError, match=r"state\.json"):
         state.save()
 

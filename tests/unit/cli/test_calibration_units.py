@@ -11,7 +11,7 @@ import pytest
 
 from hostlink.cli import calibration_session
 from hostlink.cli.calibrate import GuidedCalibration
-from hostlink.cli.calibration_plan import UNITS_M, Saved, Sizes, open_state
+from hostlink.cli.calibration_plan import UNITS_M, SavedCalibration, Sizes, open_state
 from hostlink.cli.calibration_session import AtTheTerminal, Drives, Show
 from hostlink.errors import HostlinkError
 from hostlink.robot.calibration import Calibration, WheelGeometry
@@ -111,7 +111,7 @@ def calibrate(
     if questions:
         person.is_wrong = wrong_at(questions)
     monkeypatch.setattr(calibration_session, "_prompt", person.answer)
-    state = open_state(folder / f"{seed}.json", Saved("robot_0", SIZES, NOMINAL), anew=True)
+    state = open_state(folder / f"{seed}.json", SavedCalibration("robot_0", SIZES, NOMINAL), anew=True)
     session = AtTheTerminal(DrawnDrives(robot), lambda *_: None)
     calibration = GuidedCalibration(session, state, folder / "picture.svg", is_quiet=True)
     try:

@@ -80,7 +80,7 @@ def test_who_reaches_a_zenoh_session_is_said() -> None:
         (Config(tcp=TcpConfig(port=65536)), r"tcp.port: 65536 is no port; they go from 0 \(any free one\) to 65535"),
         (Config(api=ApiConfig(port=-1)), "api.port: -1 is no port"),
         (Config(message_folders=(Path("/none"),)), "/none: "),
-        (Config(api=OPEN), r"whoever reaches this address could drive the robots: set \[\[api.tokens\]\]"),
+        (Config(api=OPEN), r"every program on the network could drive the robots: set \[\[api.tokens\]\]"),
         (
             Config(robots={"a": RobotConfig(max_linear_m_s=-1.0)}),
             "max_linear_m_s must be a finite number, zero or more",

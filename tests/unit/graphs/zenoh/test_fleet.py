@@ -15,6 +15,7 @@ from hostlink.graphs.zenoh import fleet_commands
 from hostlink.graphs.zenoh.fleet import fleet_running
 from hostlink.graphs.zenoh.fleet_commands import FleetDrivers
 from hostlink.graphs.zenoh.fleet_messages import (
+    ANSWER,
     DriveRequest,
     FleetAnswer,
     FleetTransport,
@@ -287,7 +288,7 @@ class Requests:
 
     def request(self, request: object, sender: Sender | None = None) -> FleetAnswer | None:
         self.drivers.receive(ZenohSample(self.keys.key("drive", sender or self.desk, to="1a"), encode(request)))
-        return decode(self.sent.pop(), FleetAnswer) if self.sent else None
+        return decode(self.sent.pop(), ANSWER) if self.sent else None
 
     def drive(self, *, owner: int = 1, speed_m_s: float = 0.2, robot: str = ROBOT) -> FleetAnswer:
         velocity = (speed_m_s, 0.0, 0.0, 0.0, 0.0, 0.0)
