@@ -20,7 +20,7 @@ from hostlink.sim.firmware_world import FirmwareWorld, follow
 SQUARES = 5  # each way, as UMBmark has them
 SIDE_M, LENGTH_M = 2.0, 3.0
 SLIP_M = 0.002  # of each wheel after a metre: a hard floor
-TWIST_RAD, TWIST_SHARE = 0.055, 0.4  # docs/robot.md: a caster that explains the paper's squares
+TWIST_RAD, TWIST_SHARE = 0.055, 0.4  # docs/laboratory.md: a caster that explains the paper's squares
 OTHER_SEED = 1000  # the squares after are not those before
 NOMINAL = WheelGeometry()
 WORLD = WorldParameters({"track_m": 0.2142, "left.radius_m": 0.0448, "right.radius_m": 0.0453})

@@ -8,8 +8,8 @@ from hostlink.errors import DeviceBusy
 from hostlink.protocol.control import encode_time
 from hostlink.protocol.frame import FIRST_TOPIC_ID, HEADER, STOP_REQUEST, TOPICS_REQUEST, Id, encode
 
-LOOP_S = 1 / 30  # docs/robot.md#numbers: one turn of the robot's loop, the longest that a stop may wait
-RING_BYTES = 128  # docs/robot.md#numbers: the receive ring of the Due's UART, so the largest burst that it accepts
+LOOP_S = 1 / 30  # docs/paper-robot.md#numbers: one turn of the robot's loop, the longest that a stop may wait
+RING_BYTES = 128  # docs/paper-robot.md#numbers: the receive ring of the Due's UART, its largest burst
 TIME_BYTES = 16
 CONTROL_BYTES = TIME_BYTES + len(TOPICS_REQUEST)  # the most that may be sent ahead of a velocity
 VELOCITY_BYTES = 56

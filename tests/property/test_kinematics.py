@@ -34,7 +34,7 @@ def assert_near(ours: Pose, theirs: Pose, tolerance: float = 1e-9) -> None:
 
 
 def by_the_book(drive: DifferentialDrive, pose: Pose, left_m: float, right_m: float) -> Pose:
-    """The step of docs/robot.md#equations, letter by letter."""
+    """The step of docs/paper-robot.md#equations, letter by letter."""
     d, turned = (left_m + right_m) / 2, (right_m - left_m) / drive.wheel_separation_m
     if abs(turned) < 1e-5:
         dx, dy = d * math.cos(turned / 2), d * math.sin(turned / 2)
