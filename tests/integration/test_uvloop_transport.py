@@ -1,4 +1,4 @@
-"""Functions of an event loop that the daemon uses, on uvloop: small reads, back-pressure, options, descriptors, clock and timers."""
+"""Functions of an event loop that the daemon uses, on uvloop: reads, backpressure, options, descriptors, timers."""
 
 import asyncio
 import os
