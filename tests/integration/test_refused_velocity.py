@@ -1,4 +1,4 @@
-"""A velocity that the device cannot take: whoever asked is told, by every way, and the log is not filled with it."""
+"""Velocity that the device cannot receive: each entry point reports it to the sender, and the log stays small."""
 
 import asyncio
 import base64

@@ -92,9 +92,7 @@ async def test_values_of_a_robot_are_blank_or_grow_old_while_the_daemon_is_gone(
 
 
 @pytest.mark.parametrize("how", HOW_IT_GOES)
-async def test_lists_of_what_goes_on_claim_nothing_while_the_daemon_is_gone(
-    browser: Browser, how: str, tmp_path: Path
-) -> None:
+async def test_lists_of_activity_are_empty_while_the_daemon_is_gone(browser: Browser, how: str, tmp_path: Path) -> None:
     config = Config(recording=RecordingConfig(folder=tmp_path, min_free_disk_mb=0.0))
     async with shown(browser, config) as (host, line, tab):
         await tab.layout("Watch")

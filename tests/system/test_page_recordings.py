@@ -36,7 +36,7 @@ def config(folder: Path, api: ApiConfig | None = None) -> Config:
 
 
 async def count(chart: Locator) -> int:
-    """How many samples a chart has."""
+    """Return the number of samples of a chart."""
     return int(await chart.locator(".uplot").get_attribute("data-count") or 0)
 
 
@@ -55,10 +55,11 @@ def address_of(url: str) -> tuple[str, int]:
 
 
 async def drive(tab: Visit, host: Daemon) -> None:
-    """Until it has moved; on a busy machine the page may let go, and the key must be pressed again."""
-    odometry = host.hub.robots.find("robot_0").odometry
+    """Drive until the robot has moved and is driven. A busy page may let go, so the key is pressed again."""
+    robot = host.hub.robots.find("robot_0")
+    odometry = robot.odometry
     async with asyncio.timeout(TIMEOUT_S):
-        while odometry.snapshot(0.0).pose.x_m < DRIVEN_M:
+        while odometry.snapshot(0.0).pose.x_m < DRIVEN_M or robot.gate.owner is None:
             await tab.page.keyboard.up("KeyW")
             await tab.page.keyboard.down("KeyW")
             with contextlib.suppress(AssertionError):
@@ -80,7 +81,7 @@ async def test_an_incident_from_the_cut_link_to_its_plots_and_its_file(browser: 
         await page.keyboard.up("KeyW")
         await tab.shows("#incidents", "Link lost while driven")
         item = page.locator("#incidents li", has_text="Link lost while driven")
-        await item.get_by_role("button", name="Open").click(timeout=5000)
+        await item.get_by_role("button", name="Open").click()
         opened = page.locator("#incident")
         await expect_page(opened.get_by_role("heading", name="Link lost while driven: robot_0")).to_be_focused()
         await tab.shows("#incident [role=log]", "link lost while it was driven")
@@ -160,7 +161,7 @@ async def test_a_recording_is_begun_stopped_downloaded_and_removed(browser: Brow
         await drive(tab, host)
         await page.keyboard.up("KeyW")
         await expect_page(panel.locator(".underway .figures")).to_have_text(
-            re.compile(r"^\d\d+ messages · .*[kM]?B · 0:0\d · 0 dropped$"), timeout=5000
+            re.compile(r"^\d\d+ messages · .*[kM]?B · 0:0\d · 0 dropped$")
         )
         await panel.get_by_role("button", name="Stop recording").click()
         await expect_page(panel.locator(".files li")).to_have_count(1)
@@ -203,7 +204,7 @@ async def test_a_remove_that_is_to_be_confirmed_outlives_another_recording(brows
         await expect_page(tab.page.locator("#recordings .files li")).to_have_count(0)
 
 
-async def test_what_somebody_else_records_is_shown_and_names_stay_text(browser: Browser, tmp_path: Path) -> None:
+async def test_recording_of_another_client_is_shown_and_names_stay_text(browser: Browser, tmp_path: Path) -> None:
     async with (
         daemon(config(tmp_path), has_black_box=True) as host,
         simulated_robot(host.tcp),

@@ -35,7 +35,7 @@ SIZES: dict[str, dict[str, Any]] = {
 }
 
 
-async def test_without_a_robot_it_shows_how_to_get_one_and_that_one_is_gone(browser: Browser) -> None:
+async def test_page_without_a_robot_shows_how_to_get_one_and_that_one_is_gone(browser: Browser) -> None:
     async with daemon() as host, visit(browser, host.url) as tab:
         await tab.shows("#robots", "No robot yet")
         await tab.shows("#drive-state", "No robot yet")
@@ -49,7 +49,7 @@ async def test_without_a_robot_it_shows_how_to_get_one_and_that_one_is_gone(brow
         assert tab.complaints == []
 
 
-async def test_a_robot_that_is_played_says_so_where_others_name_who_drives(browser: Browser) -> None:
+async def test_played_robot_is_named_a_recording_instead_of_its_driver(browser: Browser) -> None:
     mark = topic(Id.PUBLISHER, 130, "/robot_0/played", "std_msgs/String")
     async with (
         daemon() as host,
@@ -62,6 +62,7 @@ async def test_a_robot_that_is_played_says_so_where_others_name_who_drives(brows
 
 
 @pytest.mark.alone
+@pytest.mark.long  # test_page_layout.py measures the same of the page alone
 async def test_a_robot_that_falls_silent_is_amber_within_half_a_second(browser: Browser) -> None:
     async with daemon() as host, visit(browser, host.url) as tab, fake_device(host.tcp, robot_topics()) as device:
 
@@ -81,7 +82,7 @@ async def test_a_robot_that_falls_silent_is_amber_within_half_a_second(browser: 
         assert await is_soon(amber_s, AMBER_S)
 
 
-async def test_a_device_that_is_no_robot_is_explained(browser: Browser) -> None:
+async def test_device_that_is_not_a_robot_is_explained(browser: Browser) -> None:
     async with daemon() as host, visit(browser, host.url) as tab:
         _, writer = await asyncio.open_connection(*host.tcp)
         writer.write(b"hello, this is no rosserial\r\n" * 20)
@@ -111,7 +112,7 @@ async def test_a_token_is_requested_and_kept_out_of_the_address(browser: Browser
                 assert await tab.page.locator(useless).is_disabled()
             await tab.page.keyboard.up("KeyW")
             await tab.page.keyboard.press("Escape")
-            await tab.shows("#robots", "locked")  # whoever may read may stop
+            await tab.shows("#robots", "locked")  # a token that may read may stop
             await tab.page.reload()
             await tab.is_connected()  # kept for the session
             host.hub.robots.find("robot_0").unlock()
@@ -125,7 +126,7 @@ async def test_a_token_is_requested_and_kept_out_of_the_address(browser: Browser
 
 
 @pytest.mark.parametrize("size", SIZES)
-async def test_its_layout_and_its_text_are_right(browser: Browser, size: str) -> None:
+async def test_page_of_a_driving_robot_has_the_right_layout_and_text(browser: Browser, size: str) -> None:
     """Pictures are kept; nothing hangs over the side, and axe finds nothing that keeps anybody out."""
     async with daemon(PAPER) as host, visit(browser, host.url, **SIZES[size]) as tab:
         await tab.is_connected()

@@ -64,7 +64,7 @@ async def test_a_topic_is_listed_read_plotted_saved_and_published(browser: Brows
 
 
 async def publish_a_velocity(host: Daemon, tab: Visit) -> None:
-    """By the form, through the gate; what cannot be sent is named."""
+    """Publish by the form, through the gate; the page names the reason of a refusal."""
     page, robot = tab.page, host.hub.robots.find("robot_0")
     await open_topic(tab, "/robot_0/velocity_commands")
     await page.locator("#topics summary").click()
