@@ -172,7 +172,7 @@ async def test_a_velocity_that_no_gate_had_seen_is_published_to_nobody(
     """It was recorded while the robot was not there, or by a device that drives another."""
     file = recording(tmp_path, [(0.1 * number, channel(name, type_name, origin), payload) for number in range(5)])
     async with robot() as (host, _):
-        with pytest.raises(BadRequest, match="velocities need --drive"):
+        with pytest.raises(BadRequest, match="--drive plays velocities"):
             await play.publish_topics(host.url, None, file, PLAYBACK, ["*"])
         assert host.hub.robots.find("robot_0").gate.counts.commands == 0
 
@@ -184,7 +184,7 @@ async def test_a_velocity_whose_type_another_program_wrote_is_published_to_nobod
     theirs = dataclasses.replace(channel("/robot_0/cmd_vel", "geometry_msgs/Twist", ""), type_name=type_name)
     file = recording(tmp_path, [(0.1 * number, theirs, FORWARD.encode()) for number in range(5)])
     async with robot() as (host, _):
-        with pytest.raises(BadRequest, match="velocities need --drive"):
+        with pytest.raises(BadRequest, match="--drive plays velocities"):
             await play.publish_topics(host.url, None, file, PLAYBACK, ["*"])
         assert host.hub.robots.find("robot_0").gate.counts.commands == 0
 
