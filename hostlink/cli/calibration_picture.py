@@ -4,12 +4,12 @@ import itertools
 import math
 from collections.abc import Iterable, Sequence
 
-from hostlink.robot.calibration import Calibration, Kind, MeasuredRun, end_of, uncorrected
+from hostlink.robot.calibration import Calibration, MeasuredRun, RunKind, end_of, uncorrected
 from hostlink.robot.odometry import OdometryCorrection
 
 WIDTH, HEIGHT, MARGIN = 520.0, 520.0, 46.0
 DRAWN = 4  # every fourth pose is drawn
-COLOURS = {Kind.SQUARE_CW: "#c2410c", Kind.SQUARE_CCW: "#1d4ed8"}
+COLOURS = {RunKind.SQUARE_CW: "#c2410c", RunKind.SQUARE_CCW: "#1d4ed8"}
 _SQUARES = tuple(COLOURS)
 _GOOD = "#15803d"
 

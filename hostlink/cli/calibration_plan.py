@@ -9,7 +9,7 @@ from pathlib import Path
 import msgspec
 
 from hostlink.errors import HostlinkError
-from hostlink.robot.calibration import Kind, MeasuredRun, WheelGeometry
+from hostlink.robot.calibration import MeasuredRun, RunKind, WheelGeometry
 from hostlink.robot.course import Leg, square, straight, turns
 
 FORMAT = 1  # of the state file
@@ -43,16 +43,16 @@ class SavedCalibration(msgspec.Struct):
 class Step:
     """One drive of the plan."""
 
-    kind: Kind
+    kind: RunKind
     size: float
 
     @property
     def legs(self) -> tuple[Leg, ...]:
         """Course of the drive."""
         match self.kind:
-            case Kind.STRAIGHT:
+            case RunKind.STRAIGHT:
                 return straight(self.size)
-            case Kind.TURNS_CCW | Kind.TURNS_CW:
+            case RunKind.TURNS_CCW | RunKind.TURNS_CW:
                 return turns(round(self.size), self.way)
             case _:
                 return square(self.size, self.way)
@@ -60,16 +60,16 @@ class Step:
     @property
     def way(self) -> int:
         """Direction: 1 counter-clockwise, -1 clockwise."""
-        return -1 if self.kind in (Kind.TURNS_CW, Kind.SQUARE_CW) else 1
+        return -1 if self.kind in (RunKind.TURNS_CW, RunKind.SQUARE_CW) else 1
 
     @property
     def title(self) -> str:
         """Description of the drive."""
         way = "counter-clockwise" if self.way > 0 else "clockwise"
         match self.kind:
-            case Kind.STRAIGHT:
+            case RunKind.STRAIGHT:
                 return f"a line of {self.size:g} m"
-            case Kind.TURNS_CCW | Kind.TURNS_CW:
+            case RunKind.TURNS_CCW | RunKind.TURNS_CW:
                 return f"{self.size:g} turn{'' if self.size == 1 else 's'} on the spot, {way}"
             case _:
                 return f"a square of {self.size:g} m, {way}"
@@ -78,9 +78,9 @@ class Step:
     def room(self) -> str:
         """Free floor that the drive needs."""
         match self.kind:
-            case Kind.STRAIGHT:
+            case RunKind.STRAIGHT:
                 return f"{self.size + SPARE_M:g} m of free floor before it"
-            case Kind.TURNS_CCW | Kind.TURNS_CW:
+            case RunKind.TURNS_CCW | RunKind.TURNS_CW:
                 return "half a metre of free floor around it"
             case _:
                 side = "left" if self.way > 0 else "right"
@@ -144,15 +144,15 @@ def open_state(path: Path, wanted: SavedCalibration, *, anew: bool) -> StateFile
 def steps_of(sizes: Sizes) -> list[Step]:
     """Return the drives that are measured."""
     return [
-        *[Step(Kind.STRAIGHT, sizes.length_m)] * sizes.repeats,
-        *([Step(Kind.TURNS_CCW, sizes.turns), Step(Kind.TURNS_CW, sizes.turns)] if sizes.turns else []),
-        *[Step(Kind.SQUARE_CW, sizes.side_m), Step(Kind.SQUARE_CCW, sizes.side_m)] * sizes.repeats,
+        *[Step(RunKind.STRAIGHT, sizes.length_m)] * sizes.repeats,
+        *([Step(RunKind.TURNS_CCW, sizes.turns), Step(RunKind.TURNS_CW, sizes.turns)] if sizes.turns else []),
+        *[Step(RunKind.SQUARE_CW, sizes.side_m), Step(RunKind.SQUARE_CCW, sizes.side_m)] * sizes.repeats,
     ]
 
 
 def checks_of(sizes: Sizes) -> list[Step]:
     """Return the drives that must confirm the result."""
-    kinds = ((Kind.STRAIGHT, sizes.length_m), (Kind.SQUARE_CW, sizes.side_m), (Kind.SQUARE_CCW, sizes.side_m))
+    kinds = ((RunKind.STRAIGHT, sizes.length_m), (RunKind.SQUARE_CW, sizes.side_m), (RunKind.SQUARE_CCW, sizes.side_m))
     return [Step(kind, size) for kind, size in kinds]
 
 

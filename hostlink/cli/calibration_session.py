@@ -17,7 +17,7 @@ from hostlink.client import Host, RobotState, connect
 from hostlink.client.robot import Robot
 from hostlink.client.topics import Subscription
 from hostlink.errors import HostlinkError, RefusalKind, UnknownTopic
-from hostlink.robot.calibration import Kind, Measurement, WheelGeometry
+from hostlink.robot.calibration import Measurement, RunKind, WheelGeometry
 from hostlink.robot.course import STUCK_S, CourseFollower, Leg, Speed
 from hostlink.robot.kinematics import Pose, wrap_angle
 from hostlink.robot.odometry import OdometryCorrection
@@ -227,7 +227,7 @@ def numbers_of(text: str) -> list[float]:
 
 MISTAKES = ("slip", "sides")
 _SLIP = 0.1
-_TURNS = (Kind.TURNS_CCW, Kind.TURNS_CW)
+_TURNS = (RunKind.TURNS_CCW, RunKind.TURNS_CW)
 
 
 class CalibrationSession(Protocol):
@@ -314,7 +314,7 @@ class AtTheTerminal:
             return Measurement(0.0, 0.0, step.way * step.size * math.tau + past_rad)
         self._show("  Measure from the mark to the middle of the axle, along the line and across it.")
         # Only after a line does odometry tell the unit of a bare number: a square ends near its mark in any unit.
-        default = "cm" if step.kind is Kind.STRAIGHT else ""
+        default = "cm" if step.kind is RunKind.STRAIGHT else ""
         unit = "cm, or with its unit" if default else "with its unit, as 12.5 cm"
         x_m = _read_length(f"  Forward along the line ({unit}; behind the mark is negative): ", default)
         y_m = _read_length("  To the left of the line (with its unit, as 12.5 cm; to the right is negative): ")
@@ -375,7 +375,7 @@ class Simulated:
         x_m, y_m, theta_rad = self._person.measure(self._end)
         if step.kind in _TURNS:
             return Measurement(0.0, 0.0, theta_rad)
-        is_wrong = step.kind is not Kind.STRAIGHT and not self._is_checking
+        is_wrong = step.kind is not RunKind.STRAIGHT and not self._is_checking
         if is_wrong and self._mistake == "slip":
             return Measurement(x_m * _SLIP, y_m * _SLIP)
         return Measurement(x_m, -y_m if is_wrong and self._mistake == "sides" else y_m)

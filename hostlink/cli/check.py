@@ -16,7 +16,7 @@ from collections.abc import Iterator
 
 from hostlink.acceptor import bind, why
 from hostlink.api.access import Access, is_loopback, tls_context
-from hostlink.api.connections import KEPT_FOR_REQUESTS
+from hostlink.api.listener import KEPT_FOR_REQUESTS
 from hostlink.cli.addresses import MAX_PORT, is_address, is_origin
 from hostlink.config import Config, SerialConfig, TcpConfig, UdpConfig, ZenohConfig
 from hostlink.errors import ConfigError, HostlinkError, LibraryMissing

@@ -32,7 +32,7 @@ PAUSE_S = 5.0  # a person who has driven may want to watch before the demo conti
 LINE_INTERVAL_S = 0.2
 DRIVE = "/demo/drive"
 START_AGAIN = f"; the demo's driver was interrupted, to start it again: hostlink call {DRIVE}"
-# docs/robot.md#numbers
+# docs/paper-robot.md#numbers
 PAPER_ROBOT = RobotConfig(kinematics="differential", wheel_separation_m=0.210, max_wheel_m_s=0.3436)
 
 

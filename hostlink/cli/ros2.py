@@ -42,7 +42,8 @@ def command(
             context.args[0], f"is not an option of hostlink ros2; write arguments of ROS 2 behind {ROS_ARGS}"
         )
     try:
-        from hostlink.graphs.ros2.bridge import BridgeConfig, run_bridge  # noqa: PLC0415 - rclpy may not be there
+        from hostlink.graphs.ros2.bridge import BridgeConfig, run_bridge  # noqa: PLC0415 - it takes time to import
+        from hostlink.graphs.ros2.node import ros2_node  # noqa: PLC0415 - rclpy may not be there
     except ImportError as error:
         raise HostlinkError(
             f"rclpy cannot be imported ({error}): source a ROS 2 installation (. /opt/ros/DISTRO/setup.sh), or run "
@@ -51,7 +52,7 @@ def command(
     sys.setswitchinterval(SWITCH_INTERVAL_S)
     config = BridgeConfig(url=url, token=token, priority=priority, ros_arguments=context.args)
     try:
-        asyncio.run(_until_signal(run_bridge(config, _report)))
+        asyncio.run(_until_signal(run_bridge(config, ros2_node, _report)))
     except BaseExceptionGroup as group:
         raise _first(group) from None
 

@@ -96,7 +96,8 @@ async def running(
             _listening(hub, config, recordings, reloader, listening) as addresses,
         ):
             udp = {} if addresses.udp is None else {"udp": "{}:{}".format(*addresses.udp)}
-            log.info("daemon.started", tcp="{}:{}".format(*addresses.tcp), api=addresses.api, **udp)
+            loop = getattr(asyncio.get_running_loop(), "name", "asyncio")
+            log.info("daemon.started", tcp="{}:{}".format(*addresses.tcp), api=addresses.api, loop=loop, **udp)
             try:
                 yield hub, addresses
             except Exception as error:

@@ -25,6 +25,8 @@ from hostlink.listening import listen as listen_at
 if TYPE_CHECKING:
     import asyncio
 
+LOOPS = ("auto", "asyncio", "uvloop")
+
 Origins = Annotated[
     list[str] | None,
     typer.Option(
@@ -67,7 +69,9 @@ def command(
         typer.Option(metavar="URL", help="Show the robots in ROS 1, as a node of this master: http://localhost:11311."),
     ] = None,
     log_level: Annotated[str, typer.Option(help="debug, info, warning or error: debug to trace a fault.")] = "info",
-    loop: Annotated[str, typer.Option(help="Event loop: asyncio, or uvloop for many robots.")] = "asyncio",
+    loop: Annotated[
+        str, typer.Option(help="Event loop: asyncio, uvloop, or auto, which is uvloop where it is installed.")
+    ] = "auto",
     check_config: Annotated[
         Path | None,
         typer.Option(metavar="FILE", help="Report what FILE would serve, or its errors, without starting the daemon."),
@@ -132,18 +136,21 @@ def with_master(config: Ros1Config, where: str, url: str) -> Ros1Config:
 
 
 def loop_factory(name: str) -> "Callable[[], asyncio.AbstractEventLoop] | None":
-    """Return the factory of the event loop that `--loop` names; None for asyncio's own.
+    """Return what makes the loop that `--loop` names; None for asyncio's own.
 
     Raises:
-        ConfigError: the loop is unknown, or not installed.
+        ConfigError: the name is unknown.
+        LibraryMissing: uvloop is requested and not installed.
     """
+    if name not in LOOPS:
+        raise ConfigError("--loop", f"unknown loop {name!r}; choose {', '.join(LOOPS)}")
     if name == "asyncio":
         return None
-    if name != "uvloop":
-        raise ConfigError("--loop", f"unknown event loop {name!r}; choose asyncio or uvloop")
     try:
-        factory: Callable[[], asyncio.AbstractEventLoop] = importlib.import_module("uvloop").new_event_loop
+        factory: Callable[[], asyncio.AbstractEventLoop] = importlib.import_module("hostlink.cli.uvloop_loop").UvLoop
     except ImportError as error:
+        if name == "auto":
+            return None
         raise LibraryMissing("--loop", "uvloop", "uvloop") from error
     return factory
 

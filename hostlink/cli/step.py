@@ -101,7 +101,7 @@ STANDING_TIMEOUT_S = 5.0
 STANDING_TICKS_S, STANDING_M_S = 1.5, 0.005
 FIRST_MESSAGE_S = 2.0
 SILENCE_S = 0.9  # without measurements the robot would drive blind
-SEPARATION_M = 0.210  # docs/robot.md#numbers
+SEPARATION_M = 0.210  # docs/paper-robot.md#numbers
 LEAST_SEPARATION_M, MOST_SEPARATION_M = 0.02, 5.0  # limits of hostlink's firmware
 PLOT_TYPE, GAINS_TYPE = "geometry_msgs/Twist", "geometry_msgs/Vector3"
 ODOMETRY_TYPE = "nav_msgs/Odometry"
@@ -503,7 +503,7 @@ def _percent(value: float | None) -> str:
 
 # -- step tuning ------------------------------------------------------------------------------------------------------
 
-PAPER_GAINS = {"left": PidGains(23.0, 36.0, 0.1), "right": PidGains(24.0, 35.0, 0.1)}  # docs/robot.md#numbers
+PAPER_GAINS = {"left": PidGains(23.0, 36.0, 0.1), "right": PidGains(24.0, 35.0, 0.1)}  # docs/paper-robot.md#numbers
 GAINS = 3
 RULE = "SIMC: S. Skogestad, J. Process Control 13 (2003) 291-309, tau_c = dead time"
 

@@ -21,8 +21,3 @@ def ros1_type(type_name: str) -> str:
     """Convert "std_msgs/msg/String" to "std_msgs/String", also for services."""
     package, _, rest = type_name.partition("/")
     return _ROS1_NAMES.get(type_name, f"{package}/{rest.rpartition('/')[2]}")
-
-
-def is_renamed(type_name: str) -> bool:
-    """Whether a type of ROS 1 has another name in ROS 2."""
-    return type_name in _RENAMED

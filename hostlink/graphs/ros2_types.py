@@ -11,14 +11,14 @@ from typing import Any, Final, Literal
 import numpy as np
 from rosbags.interfaces import Nodetype
 from rosbags.serde import SerdeError
-from rosbags.serde.utils import SIZEMAP
 from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.base import normalize_fieldname
 
 from hostlink.errors import BadPayload
-from hostlink.graphs.ros2_names import is_renamed, ros2_type
+from hostlink.graphs.ros2_names import ros2_type
+from hostlink.graphs.wire_layout import PLACEHOLDER, ros1_layout, ros2_layout
 from hostlink.messages.catalog import Catalog
-from hostlink.messages.fields import FLOATS, SCALAR, SIZES, VARIABLE, Field
+from hostlink.messages.fields import SCALAR, VARIABLE, Field
 from hostlink.messages.message_type import MessageType
 
 Distribution = Literal["humble", "iron", "jazzy", "kilted", "lyrical"]
@@ -36,9 +36,7 @@ _STORES: Final[Mapping[Distribution, Stores]] = {
 _LOG: Final = "rcl_interfaces/msg/Log"
 _LOG_LEVELS: Final = {1: 10, 2: 20, 4: 30, 8: 40, 16: 50}  # ROS 1's are bits
 _NESTED: Final = {"time": "builtin_interfaces/msg/Time", "duration": "builtin_interfaces/msg/Duration"}
-_EMPTY: Final = ("structure_needs_at_least_one_member", (Nodetype.BASE, ("uint8", 0)))
-_SIZES: Final = {str(name): size_bytes for name, size_bytes in SIZEMAP.items()}
-_NUMPY: Final = {"bool": "bool", "byte": "uint8", "char": "uint8"}
+_EMPTY: Final = (PLACEHOLDER, (Nodetype.BASE, ("uint8", 0)))
 _SHADOW: Final = "hostlink_ros1/msg/"  # the catalog's fields of a type that ROS 2 has with others
 _MALFORMED: Final = (SerdeError, ArithmeticError, AssertionError, LookupError, TypeError, ValueError, struct.error)
 
@@ -176,34 +174,8 @@ class Ros2Types:
 
     def _is_same_on_wire(self, known: MessageType, name: str) -> bool:
         """Whether both types have the same fields, regardless of their names."""
-        if name == "std_msgs/msg/Header":
-            return known.name == "std_msgs/Header"
-        if name in _NESTED.values():
-            return is_renamed(known.name)  # std_msgs/Time is a message around the time that it is in ROS 2
-        descs = [desc for field, desc in self._store.fielddefs[name][1] if field != _EMPTY[0]]
-        return len(descs) == len(known.fields) and all(
-            self._is_same_field(known, field, desc) for field, desc in zip(known.fields, descs, strict=True)
-        )
-
-    def _is_same_field(self, known: MessageType, field: Field, desc: _Desc) -> bool:
-        kind, inner = desc[0], desc
-        length = SCALAR
-        if kind in (Nodetype.ARRAY, Nodetype.SEQUENCE):
-            inner, bound = desc[1]
-            length = bound if kind == Nodetype.ARRAY else VARIABLE
-        return field.array_length == length and self._is_same_element(known, field.type, inner)
-
-    def _is_same_element(self, known: MessageType, type_name: str, desc: _Desc) -> bool:
-        if desc[0] == Nodetype.BASE:
-            base: str = desc[1][0]
-            if base == "string":
-                return type_name == base
-            return (type_name in FLOATS, SIZES.get(type_name)) == (base in FLOATS, _SIZES.get(base))
-        name: str = desc[1]
-        nested = known.nested.get(type_name)
-        if nested is None:
-            return _NESTED.get(type_name) == name
-        return self._is_same_on_wire(nested, name)
+        ros2 = ros2_layout(lambda each: dict(self._store.fielddefs[each][1]), name)
+        return ros1_layout(_fields(known).get, known.name) == ros2
 
     # -- types with other fields --------------------------------------------------------------------------------------
 
@@ -238,7 +210,7 @@ class Ros2Types:
             return [self._copied(each, inner) for each in (value if value is not None else [None] * count)]
         if value is not None:
             return value
-        return [""] * count if inner[0] == "string" else np.zeros(count, dtype=_NUMPY.get(inner[0], inner[0]))
+        return [""] * count if inner[0] == "string" else np.zeros(count, dtype=inner[0])
 
 
 def _without_char(desc: _Desc) -> _Desc:
@@ -246,6 +218,14 @@ def _without_char(desc: _Desc) -> _Desc:
     if desc[0] in (Nodetype.ARRAY, Nodetype.SEQUENCE):
         return desc[0], (_without_char(desc[1][0]), desc[1][1])
     return (Nodetype.BASE, ("uint8", 0)) if desc == (Nodetype.BASE, ("char", 0)) else desc
+
+
+def _fields(known: MessageType) -> dict[str, tuple[Field, ...]]:
+    """Return the fields of a type and of all types in it, by name."""
+    found = {known.name: known.fields}
+    for nested in known.nested.values():
+        found |= _fields(nested)
+    return found
 
 
 def _described(field: Field, nested: str | None) -> _Desc:

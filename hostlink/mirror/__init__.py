@@ -10,7 +10,7 @@ An adapter does four things, and `tests/unit/mirror/test_toy_graph.py` shows a c
    end by itself, is a coroutine, and the mirror is `Mirror.of_tasks`.
 3. It **closes** an endpoint: `close` of that object withdraws it at once and does not wait. A coroutine is cancelled.
 4. It **converts** payloads: the endpoint receives the messages of one graph and publishes them in the other. Messages
-   from other threads pass through an `Inbox`, which has a bounded queue for each source.
+   from other threads pass through a `ThreadInbox`, which has a bounded queue for each source.
 
 The adapter joins the hub as a participant with a group (`Hub.join`): what the group publishes is not sent back to it.
 `Participant.watch_graph` reports each change of the hub's graph, `Participant.graph` returns it.

@@ -1,4 +1,4 @@
-"""Inbox: what other threads deliver, until the event loop has time for it."""
+"""ThreadInbox: what other threads deliver, until the event loop has time for it."""
 
 import asyncio
 import contextlib
@@ -16,7 +16,7 @@ MAX_WAITING_BYTES = 16 * 1024 * 1024  # of all sources; an item that would be mo
 SLICE_S = 0.0005  # of one turn of the loop; a stop that arrives otherwise waits no longer
 
 
-class Inbox(Generic[Item]):
+class ThreadInbox(Generic[Item]):
     """A bounded queue for each source, emptied in turns: a source that floods loses its own items only.
 
     `put` may be called in any thread, and raises nothing. The loop calls `deliver`, for a slice in each of its turns;
@@ -56,7 +56,7 @@ class Inbox(Generic[Item]):
             self._loop.call_soon_threadsafe(self._news.set if self._deliver is None else self._drain)
 
     def close(self) -> None:
-        """Deliver nothing more."""
+        """Drop the items that wait, and later ones."""
         with self._lock:
             self._is_closed = True
             self._waiting.clear()
@@ -75,7 +75,7 @@ class Inbox(Generic[Item]):
             self._bytes -= replaced_bytes
         return has_room
 
-    def __aiter__(self) -> "Inbox[Item]":
+    def __aiter__(self) -> "ThreadInbox[Item]":
         return self
 
     async def __anext__(self) -> Item:

@@ -12,14 +12,14 @@ class Endpoint(Protocol):
     """Open endpoint."""
 
     def close(self) -> None:
-        """Close it, without waiting."""
+        """Close the endpoint, without waiting."""
 
 
 class Cancellable(Protocol):
     """Task, or an object that can be cancelled like one."""
 
     def cancel(self) -> object:
-        """End it soon."""
+        """Let the task end soon."""
 
 
 Made = TypeVar("Made", bound=Endpoint)
@@ -162,7 +162,7 @@ class Served(Generic[Key]):
         self._key, self._mirror = key, mirror
 
     def close(self) -> None:
-        """Cancel it."""
+        """Cancel the task."""
         assert self.task is not None  # noqa: S101 - it is set with the endpoint
         self.task.cancel()
 

@@ -164,7 +164,7 @@ class Reconciler(Generic[Key, Spec]):
         self._judge(key)
 
     def failed(self, action: Open[Key, Spec], now_s: float) -> None:
-        """The endpoint could not be opened."""
+        """Note that the endpoint could not be opened."""
         self._note_failure(action.key, action.spec, now_s)
         self._judge(action.key)
 

@@ -119,7 +119,6 @@ class BlackBox:
         note_newest(self._channels[channel.robot], channel, MAX_CHANNELS)
 
     def put(self, channel: Channel, stamp_ns: int, payload: bytes, robot: str) -> None:
-        """Keep a message."""
         self._add(robot, channel, stamp_ns, payload, monotonic())
 
     def save(self, robot: str, reason: str) -> Incident:

@@ -42,7 +42,6 @@ class Channel:
 
     @property
     def schema_encoding(self) -> str:
-        """Language of the schema."""
         return self.language or SCHEMA_ENCODINGS.get(self.encoding, "")
 
     @property

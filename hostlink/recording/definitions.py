@@ -125,7 +125,7 @@ class Ros2Type:
     def ros1_definition(self) -> tuple[str, str]:
         """Return the full ROS 1 definition of the type and its md5 sum. An equal type of ROS 1 itself is preferred."""
         ros1 = _store(Stores.ROS1_NOETIC)
-        if self.name in ros1.fielddefs and _is_equal(self.store.fielddefs, ros1.fielddefs, self.name):
+        if self.name in ros1.fielddefs and _is_equal(self.store.fielddefs, Stores.ROS1_NOETIC, self.name):
             return ros1.generate_msgdef(self.name)
         types = {name: (constants, _unbounded(fields)) for name, (constants, fields) in self.store.fielddefs.items()}
         own = Typestore()
@@ -159,7 +159,7 @@ def ros2_type(channel: Channel) -> Ros2Type:
     if channel.encoding == ROS1:
         types[_HEADER] = ros2.fielddefs[_HEADER]
     _least_bytes(types, name, {}, ())  # before the types are used
-    if name in ros2.fielddefs and _is_equal(types, ros2.fielddefs, name):
+    if name in ros2.fielddefs and _is_equal(types, Stores.ROS2_KILTED, name):
         return Ros2Type(name, ros2)
     store = get_typestore(Stores.EMPTY)
     try:
@@ -240,28 +240,29 @@ def _least_bytes(types: Types, name: str, known: dict[str, int], outer: tuple[st
     return total
 
 
-def _is_equal(types: Types, others: Types, name: str) -> bool:
-    """Whether messages of this type have the same bytes in both. Headers count as equal despite the sequence number."""
-    if name == _HEADER:
-        return True
-    if name not in types or name not in others:
+def _is_equal(types: Types, which: Stores, name: str) -> bool:
+    """Whether messages of this type have the same bytes there. Headers count as equal despite the sequence number."""
+    ours, theirs = _comparable(types), _comparable_store(which)
+    try:
+        return name in types and ours.hash_rihs01(name) == theirs.hash_rihs01(name)
+    except KeyError:  # it has no such type, or a nested type is missing
         return False
-    ours, theirs = ([(field, kind) for field, kind in each[name][1] if field != _DUMMY] for each in (types, others))
-    return len(ours) == len(theirs) and all(
-        one[0].lower() == other[0].lower() and _is_equal_kind(types, others, one[1], other[1])
-        for one, other in zip(ours, theirs, strict=True)
-    )
 
 
-def _is_equal_kind(types: Types, others: Types, one: Any, other: Any) -> bool:
-    if one[0] != other[0]:
-        return False
-    if one[0] == Nodetype.NAME:
-        return bool(one[1] == other[1]) and _is_equal(types, others, one[1])
-    if one[0] == Nodetype.BASE:
-        return bool(one[1][0] == other[1][0])
-    is_same_count = one[0] == Nodetype.SEQUENCE or one[1][1] == other[1][1]
-    return bool(is_same_count) and _is_equal_kind(types, others, one[1][0], other[1][0])
+def _comparable(types: Types) -> Typestore:
+    """Return the types without what ROS 1 and ROS 2 write differently. The hash of one has no constants in it."""
+    store = Typestore()
+    store.fielddefs = {
+        name: ([], [(field.lower(), kind) for field, kind in _not_empty(_unbounded(fields))])
+        for name, (_, fields) in types.items()
+    }
+    store.fielddefs[_HEADER] = ([], _not_empty([]))
+    return store
+
+
+@functools.cache
+def _comparable_store(which: Stores) -> Typestore:
+    return _comparable(_store(which).fielddefs)
 
 
 def _not_empty(fields: list[Any]) -> list[Any]:

@@ -345,7 +345,6 @@ class _Ros1:
         return self._connections[key], convert
 
     def write(self, connection: Any, stamp_ns: int, payload: bytes) -> None:
-        """Add a message."""
         self._writer.write(connection, stamp_ns, payload)
         chunks = self._writer.chunks
         if len(chunks) > self._chunks:  # of a written chunk only the number of messages is still needed
@@ -377,7 +376,6 @@ class _Ros2:
         return connection, _checked(decode, type_.from_ros1)
 
     def write(self, connection: Any, stamp_ns: int, payload: bytes) -> None:
-        """Add a message."""
         self._writer.write(connection, stamp_ns, payload)
 
     def _add(self, topic: str, name: str, store: Any, qos: str) -> Any:

@@ -75,7 +75,6 @@ class McapWriter:
         return True
 
     def add_metadata(self, metadata: Mapping[str, str]) -> None:
-        """Add metadata about the recording."""
         if metadata:
             self._writer.add_metadata("hostlink", dict(metadata))
 

@@ -35,7 +35,6 @@ class PlotLine:
         self._times_s, self._values = array("d"), array("d")
 
     def add(self, time_s: float, value: float) -> None:
-        """Add the next point."""
         self._times_s.append(time_s)
         self._values.append(value)
         if len(self._values) >= 2 * self._most:

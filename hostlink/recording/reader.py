@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
-from typing import IO, Any, NamedTuple, Protocol
+from typing import IO, Any, NamedTuple
 
 import lz4.frame
 import zstandard
@@ -296,7 +296,6 @@ class McapReader:
 
     @property
     def size_bytes(self) -> int:
-        """Size of the file."""
         return self.path.stat().st_size
 
     # -- the file's records -------------------------------------------------------------------------------------------
@@ -537,47 +536,6 @@ def _channel(record: McapChannel, schema: tuple[str, str, str]) -> Channel:
 ROS1_SUFFIX, ROS2_SUFFIX = ".bag", ".db3"
 
 
-class RecordingSource(Protocol):
-    """Recording that can be read once."""
-
-    path: Path
-    metadata: dict[str, str]
-
-    def messages(self, wanted: Wanted | None = None, *, after_s: float = 0.0) -> Iterator[StoredMessage]:
-        """See `McapReader.messages`."""
-        ...
-
-    def read_channels(self) -> list[Channel]:
-        """See `McapReader.read_channels`."""
-        ...
-
-    @property
-    def channels(self) -> list[Channel]:
-        """See `McapReader.channels`."""
-        ...
-
-    @property
-    def damage(self) -> list[str]:
-        """See `McapReader.damage`."""
-        ...
-
-    @property
-    def begin_ns(self) -> int:
-        """See `McapReader.begin_ns`."""
-        ...
-
-    @property
-    def size_bytes(self) -> int:
-        """Size of all files of the recording."""
-        ...
-
-
-def open_source(path: Path) -> RecordingSource:
-    """Choose the reader by name. The file itself is opened when it is read."""
-    is_bag = path.is_dir() or path.suffix in (ROS1_SUFFIX, ROS2_SUFFIX)
-    return BagReader(path) if is_bag else McapReader(path)
-
-
 class BagReader:
     """Reader of a ROS 1 or ROS 2 bag, by rosbags."""
 
@@ -646,6 +604,15 @@ class BagReader:
         except Exception as error:
             raise RecordingFailed(f"{self.path} cannot be read: {error}"[:MAX_REASON]) from error
         return contextlib.closing(bag)
+
+
+RecordingSource = McapReader | BagReader
+
+
+def open_source(path: Path) -> RecordingSource:
+    """Choose the reader by name. The file itself is opened when it is read."""
+    is_bag = path.is_dir() or path.suffix in (ROS1_SUFFIX, ROS2_SUFFIX)
+    return BagReader(path) if is_bag else McapReader(path)
 
 
 def _bag_channel(connection: Any) -> Channel:

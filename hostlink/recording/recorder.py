@@ -77,7 +77,6 @@ class Recorder:
         return sorted(self._subscriptions.endpoints)
 
     def start(self) -> None:
-        """Start recording."""
         self._participant.observe(self._receive_event)
         self._participant.watch_graph(self._follow_graph)
         logs.listeners[self] = self._receive_line
@@ -189,7 +188,6 @@ class _NamesByRobot:
         self._names: defaultdict[str, set[str]] = defaultdict(set)
 
     def put(self, name: str, *, is_there: bool) -> None:
-        """Add or remove a topic."""
         first = _first_part(name)
         if is_there:
             self._names[first].add(name)

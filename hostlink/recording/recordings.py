@@ -7,6 +7,7 @@ import re
 import time
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import structlog
 
@@ -38,12 +39,10 @@ class Recording:
 
     @property
     def seconds(self) -> float:
-        """Duration so far."""
         return asyncio.get_running_loop().time() - self.began_s
 
 
-@dataclass(frozen=True, slots=True)
-class Totals:
+class Totals(NamedTuple):
     """Sums of all recordings since the daemon started."""
 
     messages: int = 0
@@ -52,11 +51,7 @@ class Totals:
 
     def plus(self, thread: FileThread) -> "Totals":
         """Add the counters of one more recording."""
-        return Totals(
-            self.messages + thread.messages,
-            self.written_bytes + thread.written_bytes,
-            self.dropped + thread.dropped,
-        )
+        return Totals(*(each + getattr(thread, name) for name, each in self._asdict().items()))
 
 
 class Recordings:
@@ -82,10 +77,8 @@ class Recordings:
 
     def totals(self) -> Totals:
         """Return the sums of ended and current recordings."""
-        totals = self._ended
-        for recording in self._under_way.values():
-            totals = totals.plus(recording.thread)
-        return totals
+        threads = (recording.thread for recording in self._under_way.values())
+        return functools.reduce(Totals.plus, threads, self._ended)
 
     def check_robot(self, name: str) -> None:
         """Check that there is a robot of this name.
@@ -175,7 +168,6 @@ class Recordings:
         self.black_box.start(self.drives.correct)
 
     async def aclose(self) -> None:
-        """End all recordings."""
         async with asyncio.TaskGroup() as tasks:
             tasks.create_task(self.drives.aclose(), name="end of the drives")
             tasks.create_task(self.black_box.aclose(), name="end of the black box")

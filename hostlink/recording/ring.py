@@ -17,7 +17,6 @@ import struct
 import tempfile
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
 
@@ -133,7 +132,6 @@ class RingMemory:
         return self.folder
 
     def remove(self) -> None:
-        """Remove the memory."""
         if self.folder is not None:
             shutil.rmtree(self.folder, ignore_errors=True)
         self.release()
@@ -229,7 +227,6 @@ class Ring:
 
     @property
     def blocks(self) -> int:
-        """Number of blocks."""
         return len(self.full) + (self.block >= 0)
 
     @property
@@ -408,7 +405,6 @@ class Rings:
             self.forget(robot)
 
     def forget(self, robot: str) -> None:
-        """Remove a robot's ring."""
         ring = self._rings.pop(robot, None)
         while ring is not None and ring.blocks:
             self._free.append(ring.drop_oldest().block)
@@ -422,7 +418,6 @@ class Rings:
 
     @property
     def size_bytes(self) -> int:
-        """Size of all used blocks."""
         return BLOCK_BYTES * sum(ring.blocks for ring in self._rings.values())
 
 
@@ -448,37 +443,27 @@ def _records(block: bytes) -> Iterator[_Record]:
         yield _Record(number, flags, stamp_ns, at_s, block[begin : begin + size_bytes])
 
 
-@dataclass(slots=True)
-class _ChannelReader:
-    """Decoder of the channels of many blocks. Each channel is decoded once."""
-
-    schemas: Sequence[str]
-    _known: dict[bytes, Channel | None] = field(default_factory=dict)
-
-    def read(self, definition: bytes) -> Channel | None:
-        """Decode a definition; None if it is damaged."""
-        if definition not in self._known:
-            self._known[definition] = self._read(definition)
-        return self._known[definition]
-
-    def _read(self, definition: bytes) -> Channel | None:
-        try:
-            found = msgspec.msgpack.decode(definition, type=_Definition)
-        except (msgspec.DecodeError, UnicodeDecodeError):
-            return None
-        schema = self.schemas[found.schema] if 0 <= found.schema < len(self.schemas) else ""
-        return Channel(found.topic, found.encoding, found.type_name, schema, found.metadata)
+def _decode_channel(definition: bytes, schemas: Sequence[str]) -> Channel | None:
+    """Decode a definition; None if it is damaged."""
+    try:
+        found = msgspec.msgpack.decode(definition, type=_Definition)
+    except (msgspec.DecodeError, UnicodeDecodeError):
+        return None
+    schema = schemas[found.schema] if 0 <= found.schema < len(schemas) else ""
+    return Channel(found.topic, found.encoding, found.type_name, schema, found.metadata)
 
 
 def read_entries(blocks: Iterable[bytes], schemas: Sequence[str], *, oldest_s: float = 0.0) -> Iterator[Entry]:
     """Yield the messages of one ring's blocks in order, without those added before `oldest_s`."""
-    reader = _ChannelReader(schemas)
+    known: dict[bytes, Channel | None] = {}  # by definition, which many blocks have
     parts: list[bytes] = []  # parts of a message in several blocks
     for block in blocks:
         channels: dict[int, Channel | None] = {}
         for record in _records(block):
             if record.flags & _CHANNEL:
-                channels[record.number] = reader.read(record.payload)
+                if record.payload not in known:
+                    known[record.payload] = _decode_channel(record.payload, schemas)
+                channels[record.number] = known[record.payload]
                 continue
             if record.flags & _NAME:
                 continue

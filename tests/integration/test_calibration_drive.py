@@ -40,7 +40,7 @@ async def test_a_course_ends_where_it_should_and_the_robot_stands() -> None:
         assert abs(robot.speed_m_s) < 0.01
 
 
-async def test_who_is_more_important_ends_the_course() -> None:
+async def test_driver_of_higher_priority_ends_the_course() -> None:
     async with daemon() as host, simulated_robot(host.tcp):
         await expect(lambda: host.hub.robots.find("robot_0").odometry.count > 0)
         async with asyncio.TaskGroup() as tasks:
@@ -86,7 +86,7 @@ async def test_a_robot_whose_odometry_stands_is_stopped() -> None:
         await expect(lambda: not is_driven(host))
 
 
-async def test_who_takes_the_robot_over_keeps_it() -> None:
+async def test_driver_that_takes_the_robot_over_keeps_it() -> None:
     async with daemon() as host, simulated_robot(host.tcp), connect(host.url) as other:
         await expect(lambda: host.hub.robots.find("robot_0").odometry.count > 0)
         person = other.robot("robot_0", priority=60)
@@ -104,7 +104,7 @@ async def test_who_takes_the_robot_over_keeps_it() -> None:
 
 
 async def test_a_robot_that_another_drives_is_left_to_him() -> None:
-    """Even somebody less important: his program would drive on while a person measures."""
+    """A driver of lower priority would drive on while a person measures."""
     async with daemon() as host, simulated_robot(host.tcp), connect(host.url) as other:
         await expect(lambda: host.hub.robots.find("robot_0").odometry.count > 0)
         program = other.robot("robot_0", priority=10)

@@ -51,7 +51,7 @@ async def test_a_drive_is_shown_while_it_lasts_and_kept_when_it_is_over(tmp_path
         assert drive["began"] <= drive["ended"]
 
 
-async def test_a_disk_that_refuses_is_counted_and_disturbs_nobody(tmp_path: Path) -> None:
+async def test_failing_disk_is_counted_and_does_not_end_the_daemon(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("no folder")
     with capture_logs() as lines:
         async with (
@@ -67,7 +67,7 @@ async def test_a_disk_that_refuses_is_counted_and_disturbs_nobody(tmp_path: Path
     assert [line["reason"] for line in lines if line["event"] == "drives.lost"] == ["Not a directory"]
 
 
-async def test_nothing_is_written_where_it_is_turned_off(tmp_path: Path) -> None:
+async def test_drive_history_that_is_turned_off_writes_no_file(tmp_path: Path) -> None:
     config = replace(config_in(tmp_path), recording=RecordingConfig(folder=tmp_path, drives=False))
     async with daemon(config, has_black_box=True) as host, fake_device(host.tcp, robot_topics()):
         await expect(lambda: host.hub.robots.has("robot_0"))

@@ -11,7 +11,7 @@ from hostlink.errors import HostlinkError
 from tests.support.daemon import daemon
 
 
-async def test_what_somebody_else_put_there_meanwhile_stays(tmp_path: Path) -> None:
+async def test_file_that_another_program_wrote_meanwhile_is_kept(tmp_path: Path) -> None:
     """Two who record into one file both found its name free when they began."""
     (tmp_path / "recordings").mkdir()
     (tmp_path / "recordings" / "run.mcap").write_bytes(b"of the daemon")

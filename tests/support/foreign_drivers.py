@@ -12,7 +12,6 @@ from typing import Any, cast
 
 from hostlink.config import Config, Ros1Config, ZenohConfig
 from hostlink.errors import CommandRefused, HostlinkError, RefusalKind
-from hostlink.graphs.refusal_log import RefusalLog
 from hostlink.graphs.ros1.local_node import LocalNode
 from hostlink.graphs.ros1.tcpros import encode_header, encode_message
 from hostlink.graphs.ros1.topics import _PublisherConnection
@@ -20,8 +19,8 @@ from hostlink.graphs.ros2_types import Ros2Types
 from hostlink.graphs.zenoh.fleet import fleet_running
 from hostlink.graphs.zenoh.fleet_commands import FleetDrivers
 from hostlink.graphs.zenoh.fleet_messages import (
-    DriveRequest,
-    FleetAnswer,
+    ANSWER,
+    FleetCommand,
     FleetTransport,
     Keys,
     Sender,
@@ -45,7 +44,7 @@ from hostlink.hub.hub import Hub
 from hostlink.hub.node import Role
 from hostlink.hub.participant import Participant
 from hostlink.hub.robot import Robot
-from hostlink.mirror.log_once import LogOnce
+from hostlink.mirror.log_once import LogOnce, RefusalLog
 from hostlink.robot.velocity import TWIST_TYPE, PlanarVelocity
 from tests.support.fake_device import CATALOG
 from tests.support.memory_zenoh import MemoryNetwork, MemorySession
@@ -82,7 +81,7 @@ class Ros1Driver:
         twist = CATALOG.message(TWIST_TYPE)
         assert twist is not None
         self._node = LocalNode(scene.hub, Ros1Config(master="http://master:1/"), "/hostlink", scene.tasks)
-        name = scene.hub.robots.find(ROBOT).shown.velocity
+        name = scene.hub.robots.find_here(ROBOT).shown.velocity
         topic = next(each for each in scene.neighbour.graph().topics if each.name == name)
         self._connection = _PublisherConnection(self._node, topic, RefusalLog(), is_new=True)
         with socket.socket() as connection:
@@ -96,7 +95,7 @@ class Ros1Driver:
         return self._connection.participant
 
     def drive(self, robot: str, speed_m_s: float, hub: Hub, *, left_m_s: float = 0.0) -> None:
-        assert hub.robots.find(robot).shown.velocity == self._connection._topic.name
+        assert hub.robots.find_here(robot).shown.velocity == self._connection._topic.name
         before = self._node.counts.refused_messages
         self._connection.wire.data_received(encode_message(PlanarVelocity(speed_m_s, left_m_s).encode()))
         if self._node.counts.refused_messages > before:
@@ -144,7 +143,7 @@ class FleetDriver:
         late_s: float = 0.0,
         epoch: int | None = None,
     ) -> None:
-        request = DriveRequest(
+        request = FleetCommand(
             number=next(self._numbers),
             epoch=epoch,
             sent_s=_now_s() - late_s,
@@ -155,7 +154,7 @@ class FleetDriver:
             priority=PRIORITY,
         )
         self._drivers.receive(ZenohSample(self._keys.key("drive", self._there, to=self._here.zid), encode(request)))
-        answer = decode(self._answers.sent.pop(), FleetAnswer)
+        answer = decode(self._answers.sent.pop(), ANSWER)
         if answer.error:
             if answer.error in set(RefusalKind):
                 raise CommandRefused(robot, RefusalKind(answer.error), answer.reason, holder=answer.owner)

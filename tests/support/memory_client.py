@@ -10,7 +10,7 @@ from typing import Any, cast
 
 from hostlink.api.clients import ClientQueue
 from hostlink.api.rosbridge import RosbridgeClient
-from hostlink.client import Robot
+from hostlink.client import Host, Robot
 from hostlink.client.connection import HostConnection
 from hostlink.client.driver import VelocitySender
 from hostlink.client.http_client import HttpClient
@@ -46,7 +46,8 @@ class MemoryConnection:
 
     async def request(self, request: Mapping[str, Any], *, timeout_s: float = 5.0) -> dict[str, Any]:
         key = f"request:{next(self._numbers)}"
-        answer = self._answers[key] = asyncio.get_running_loop().create_future()
+        answer: asyncio.Future[dict[str, Any]] = asyncio.get_running_loop().create_future()
+        self._answers[key] = answer
         try:
             async with asyncio.timeout(timeout_s):
                 await self.send({**request, "id": key})
@@ -106,6 +107,14 @@ class MemoryHost:
 
     def pop_all(self) -> list[object]:
         return []
+
+    def stop_repeating(self, robot: str) -> None:
+        """Let the commands of this robot end with their lease, as in a program that hangs."""
+        self._driver.stop_repeating(robot)
+
+    async def stop_driven(self) -> None:
+        """Stop the robots that this program drives."""
+        await Host.stop_driven(cast(Host, self))
 
     def close(self) -> None:
         """The program ends."""

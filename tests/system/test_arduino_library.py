@@ -25,7 +25,7 @@ def message(folder: Path, text: str) -> Path:
     return folder / "mine"
 
 
-async def test_it_writes_the_same_zip_again_with_my_messages_and_what_they_contain(tmp_path: Path) -> None:
+async def test_arduino_library_writes_the_same_zip_again_with_my_messages_and_what_they_contain(tmp_path: Path) -> None:
     folder = message(tmp_path, "Header header\nfloat32[] forces\n")
     arguments = ("arduino-library", "--messages", str(folder), "--only", "my_msgs,std_srvs/Trigger", "--json")
     packed = []

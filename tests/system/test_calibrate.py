@@ -1,4 +1,4 @@
-"""`hostlink calibrate` as a process: whatever ends it, the robot stops at once, and the next call goes on."""
+"""`hostlink calibrate` as a process: at every end the robot stops at once, and the next call continues."""
 
 import asyncio
 import signal

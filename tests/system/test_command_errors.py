@@ -1,4 +1,4 @@
-"""Whatever is wrong around a command, it ends with one line that says what to do next, and with the right status."""
+"""A command that fails ends with one line that names the next step, and with the right status."""
 
 import asyncio
 import os

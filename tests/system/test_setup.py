@@ -10,7 +10,7 @@ def names_in(folder: Path) -> list[str]:
     return [path.name for path in folder.iterdir()]
 
 
-async def test_what_it_writes_passes_the_check(tmp_path: Path) -> None:
+async def test_settings_that_setup_writes_pass_the_check(tmp_path: Path) -> None:
     file = tmp_path / "hostlink.toml"
     answers = "usb\nCOM3\n/dev/ttyUSB7\n115200\nmule\n0.21\n0.4\n\nnetwork\n"
     status, out, err = await run("setup", str(file), input_text=answers)
@@ -45,7 +45,7 @@ async def test_a_file_that_cannot_be_written_is_a_line(tmp_path: Path) -> None:
     assert "cannot be written: No such file or directory" in err
 
 
-async def test_in_a_terminal_ctrl_c_writes_nothing(tmp_path: Path) -> None:
+async def test_setup_in_a_terminal_at_ctrl_c_writes_nothing(tmp_path: Path) -> None:
     file = tmp_path / "hostlink.toml"
     async with screen() as terminal:
         await terminal.keys(f"{HOSTLINK} setup {file}; echo status $?", "Enter")

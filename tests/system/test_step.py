@@ -112,7 +112,9 @@ async def test_an_error_begins_a_line_of_its_own() -> None:
         (("robot_0", "--yes", "--url", "http://127.0.0.1:1"), 1, "hostlink: no hostlink at http://127.0.0.1:1"),
     ],
 )
-async def test_what_a_user_makes_wrong_is_one_line(arguments: tuple[str, ...], status: int, complaint: str) -> None:
+async def test_step_with_a_wrong_argument_fails_with_one_line(
+    arguments: tuple[str, ...], status: int, complaint: str
+) -> None:
     async with serve() as daemon:
         url = () if "--url" in arguments else ("--url", daemon.url)
         found, out, err = await run("step", *arguments, *url)

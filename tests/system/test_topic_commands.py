@@ -51,7 +51,7 @@ async def test_echo_prints_fields_rows_and_single_messages() -> None:
     assert [row[1:] for row in rows] == [[repr(1 / 3), "2.0", "0.5"]] * 2
 
 
-async def test_a_topic_that_nobody_publishes_gets_a_hint() -> None:
+async def test_echo_of_a_topic_without_a_publisher_gets_a_hint() -> None:
     async with publishing() as (host, _):
         status, out, err = await run("echo", "/robot_0/odometrie", "--timeout", "0.2", "--url", host.url)
         assert (status, out) == (1, "")
@@ -95,7 +95,7 @@ async def test_info_type_and_find() -> None:
         assert (await run("type", "/trigger", "--url", host.url))[1] == "std_srvs/Trigger\n"
         _, out, _ = await run("type", "/robot_0/velocity_commands", "--fields", "--url", host.url)
         assert out.splitlines()[:3] == ["geometry_msgs/Twist", "  geometry_msgs/Vector3 linear", "  float64 linear.x"]
-        _, out, _ = await run("type", "std_msgs/msg/ColorRGBA", "--url", host.url)  # nobody uses it
+        _, out, _ = await run("type", "std_msgs/msg/ColorRGBA", "--url", host.url)  # it has no publisher
         assert out.splitlines() == ["std_msgs/ColorRGBA", *(f"  float32 {name}" for name in "rgba")]
         assert (await run("find", "geometry_msgs/msg/Pose2D", "--url", host.url))[1] == "/robot_0/odometry\n"
         assert (await run("find", "geometry_msgs/Pose3D", *at))[2].startswith(
@@ -187,7 +187,9 @@ async def test_parameters_are_set_saved_and_loaded(tmp_path: Path) -> None:
         (["load", "broken.json"], "broken.json is neither JSON nor TOML: Expecting"),
     ],
 )
-async def test_a_file_of_parameters_that_is_none(tmp_path: Path, words: list[str], complaint: str) -> None:
+async def test_param_load_with_a_file_that_is_not_one_of_parameters_says_so(
+    tmp_path: Path, words: list[str], complaint: str
+) -> None:
     (tmp_path / "list.json").write_text("[1]")
     (tmp_path / "broken.json").write_text("{")
     async with daemon() as host:
@@ -213,7 +215,7 @@ async def test_ctrl_c_ends_a_measurement_with_its_summary() -> None:
 
 
 @pytest.mark.parametrize("words", [["--version"], ["-m"]])
-async def test_the_version(words: list[str]) -> None:
+async def test_version_option_prints_the_version(words: list[str]) -> None:
     if words == ["-m"]:
         child = await asyncio.create_subprocess_exec(
             str(Path(HOSTLINK).parent / "python"), "-m", "hostlink", "--version", stdout=asyncio.subprocess.PIPE
@@ -240,7 +242,7 @@ async def test_bash_completes_commands_options_and_topics(tmp_path: Path) -> Non
 
 @pytest.mark.parametrize("shell", ["zsh", "fish"])
 async def test_other_shells_get_the_same_names(shell: str) -> None:
-    """By the protocol of their scripts."""
+    """Complete by the protocol of the other shells' scripts."""
     async with publishing() as (host, _):
         action = {"_TYPER_COMPLETE_FISH_ACTION": "get-args"} if shell == "fish" else {}
         words = {"_HOSTLINK_COMPLETE": f"complete_{shell}", "_TYPER_COMPLETE_ARGS": "hostlink echo /robot_0/od"}

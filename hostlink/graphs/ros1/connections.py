@@ -14,7 +14,7 @@ from hostlink.graphs.ros1.tcpros import MAX_HEADER_BYTES, Header, MessageStream,
 from hostlink.hub.hub import Hub
 from hostlink.hub.isolation import Spawn
 from hostlink.listening import close_all
-from hostlink.transport.connection import Connection, set_options
+from hostlink.transport.connection import BufferedConnection, set_options
 
 
 class Admitted(Protocol):
@@ -64,7 +64,6 @@ class Port:
         self._acceptor = Acceptor(self._listening, accepted, on_exhausted=self._note_refused)
 
     def close(self) -> None:
-        """Stop listening, and close all connections."""
         if self._acceptor is not None:
             self._acceptor.close()
         close_all(self._listening)
@@ -143,7 +142,7 @@ class SendQueue:
         return batch[0] if len(batch) == 1 else b"".join(batch)
 
 
-class Wire(Connection):
+class Wire(BufferedConnection):
     """TCPROS connection. Calls `receive` with the messages of each read, and `on_end` once."""
 
     def __init__(self, hub: Hub, receive: Receive, on_end: Callable[[], None] = lambda: None) -> None:
@@ -173,7 +172,6 @@ class Wire(Connection):
     # -- to the peer --------------------------------------------------------------------------------------------------
 
     def send_header(self, fields: Header) -> None:
-        """Send the connection header."""
         self.transport.write(encode_header(fields))
 
     def refuse(self, reason: str) -> None:

@@ -98,21 +98,9 @@ class GraphSync:
             retry_s=SERVICE_RETRY_S,
             on_crowded=self._count_crowded,
         )
-
-    @property
-    def subscriptions(self) -> dict[str, _Subscription]:
-        """Endpoints by their names in ROS."""
-        return self._subscriptions.endpoints
-
-    @property
-    def publications(self) -> dict[str, RosPublication]:
-        """Endpoints by their names in ROS."""
-        return self._publications.endpoints
-
-    @property
-    def offers(self) -> dict[str, ServiceOffer]:
-        """Endpoints by their names in ROS."""
-        return self._offers.endpoints
+        # Endpoints by their names in ROS.
+        self.publications, self.offers = self._publications.endpoints, self._offers.endpoints
+        self.subscriptions = self._subscriptions.endpoints
 
     def update(self, graph: Graph, names: NameMap) -> None:
         """Follow a change of the hub's graph."""
@@ -171,7 +159,6 @@ class GraphSync:
                 wire.receive(messages[1:])
 
     def close(self) -> None:
-        """Close all endpoints."""
         self.update(Graph((), ()), NameMap(NameResolver()))
         for mirror in (self._publications, self._offers, self._connections, self._services):
             mirror.close()

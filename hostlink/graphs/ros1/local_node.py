@@ -63,7 +63,6 @@ class Ros1Counts:
     crowded_out: int = 0  # publishers and services of the graph over a bound
 
     def as_dict(self) -> dict[str, int]:
-        """Return the counts by name."""
         return {name: getattr(self, name) for name in Ros1Counts.__slots__}
 
 

@@ -97,7 +97,7 @@ class Member:
         return wire
 
     def shut_down(self, reason: str) -> None:
-        """End the node, and nothing else."""
+        """End the node, but not the daemon."""
         if not self.ended.done():
             self.ended.set_result(reason)
 
@@ -215,7 +215,6 @@ class SlaveApi:
         return web.Response(body=answer, content_type="text/xml")
 
     async def answer(self, body: bytes) -> bytes:
-        """Return the answer to one call."""
         try:
             method, arguments = await self._node.rpc.parse(decode_call, body)
             return encode_answer(*self._methods.get(method, _refuse)(*arguments))

@@ -31,9 +31,14 @@ class NameResolver:
     node: str = "/hostlink"
     remappings: Mapping[str, str] = field(default_factory=dict)  # by full names
 
+    @classmethod
+    def of(cls, namespace: str, name: str, remappings: Mapping[str, str]) -> "NameResolver":
+        """Make that of a node by its namespace and name, with remappings as they were written."""
+        plain = cls(joined(namespace, name))
+        return cls(plain.node, {plain.resolve(old): plain.resolve(new) for old, new in remappings.items()})
+
     @property
     def namespace(self) -> str:
-        """Namespace of the node."""
         return self.node.rpartition("/")[0] or "/"
 
     def resolve(self, name: str) -> str:
@@ -71,9 +76,7 @@ class NodeArguments:
         namespace = self.specials.get("ns", default_namespace)
         if namespace.strip("/") and not is_legal(namespace):
             raise ConfigError("__ns", f"{namespace!r} is not a namespace")
-        plain = NameResolver(joined(namespace, name))
-        remappings = {plain.resolve(old): plain.resolve(new) for old, new in self.remappings.items()}
-        return NameResolver(plain.node, remappings)
+        return NameResolver.of(namespace, name, self.remappings)
 
 
 def parse_arguments(words: Iterable[str]) -> NodeArguments:

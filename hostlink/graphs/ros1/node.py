@@ -17,7 +17,7 @@ from hostlink.errors import ConfigError
 from hostlink.graphs.ros1.connections import Port
 from hostlink.graphs.ros1.local_node import LocalNode
 from hostlink.graphs.ros1.member import CRASHED, Member, SlaveApi
-from hostlink.graphs.ros1.names import NameResolver, joined
+from hostlink.graphs.ros1.names import NameResolver
 from hostlink.graphs.ros1.xml_rpc import MASTER_PORT
 from hostlink.hub.hub import Hub
 
@@ -30,9 +30,7 @@ class Ros1Node:
     """The daemon as one node of a ROS 1 graph. `run` serves until the node is shut down; the daemon continues."""
 
     def __init__(self, hub: Hub, config: Ros1Config) -> None:
-        plain = NameResolver(joined(config.namespace, config.name))
-        remappings = {plain.resolve(old): plain.resolve(new) for old, new in config.remappings.items()}
-        self._names = NameResolver(plain.node, remappings)
+        self._names = NameResolver.of(config.namespace, config.name, config.remappings)
         self._hub, self._config = hub, config
 
     async def run(self) -> str:

@@ -66,7 +66,6 @@ class ServiceOffer:
         wire.receive, wire.on_end = caller.receive, caller.end
 
     def close(self) -> None:
-        """Close all callers."""
         for wire in list(self.callers):
             wire.close()
 

@@ -7,7 +7,6 @@ from typing import Any
 import structlog
 
 from hostlink.errors import BadPayload, HostlinkError
-from hostlink.graphs.refusal_log import RefusalLog
 from hostlink.graphs.ros1.connections import Wire
 from hostlink.graphs.ros1.local_node import TIMEOUT_S, LocalNode
 from hostlink.graphs.ros1.tcpros import ANY, BadHeader, Header, decode_header, encode_message, refusal
@@ -16,6 +15,7 @@ from hostlink.hub.message import Message
 from hostlink.hub.participant import Participant
 from hostlink.logs import printable
 from hostlink.messages.message_type import MessageType
+from hostlink.mirror.log_once import RefusalLog
 from hostlink.robot.admission import EarlierMotion
 
 MAX_SUBSCRIBERS = 64  # of one topic

@@ -32,10 +32,7 @@ def encode_call(method: str, arguments: tuple[Any, ...]) -> bytes:
     Raises:
         BadXml: an argument has no form in XML-RPC.
     """
-    try:
-        return xmlrpc.client.dumps(arguments, methodname=method).encode()
-    except (TypeError, OverflowError, RecursionError) as error:
-        raise BadXml(str(error)) from error
+    return _dumps(arguments, methodname=method)
 
 
 def decode_call(body: bytes) -> tuple[str, tuple[Any, ...]]:
@@ -56,15 +53,12 @@ def encode_answer(status: int, text: str, value: object) -> bytes:
     Raises:
         BadXml: the value has no form in XML-RPC.
     """
-    try:
-        return xmlrpc.client.dumps(([status, text, value],), methodresponse=True).encode()
-    except (TypeError, OverflowError, RecursionError) as error:
-        raise BadXml(str(error)) from error
+    return _dumps(([status, text, value],), methodresponse=True)
 
 
 def encode_fault(text: str) -> bytes:
     """Encode the answer to a malformed call."""
-    return xmlrpc.client.dumps(xmlrpc.client.Fault(ERROR, text), methodresponse=True).encode()
+    return _dumps(xmlrpc.client.Fault(ERROR, text), methodresponse=True)
 
 
 def decode_answer(body: bytes) -> Any:
@@ -84,6 +78,13 @@ def decode_answer(body: bytes) -> Any:
                 raise CallRefused(str(text))
             return value
     raise BadXml("no answer of a status, a text and a value")
+
+
+def _dumps(content: Any, **options: Any) -> bytes:
+    try:
+        return xmlrpc.client.dumps(content, **options).encode()
+    except (TypeError, OverflowError, RecursionError) as error:
+        raise BadXml(str(error)) from error
 
 
 def _loads(body: bytes) -> tuple[tuple[Any, ...], str | None]:
@@ -112,7 +113,6 @@ class EarlyMaster:
         self._path, self._node = where.path or "/", node
 
     def close(self) -> None:
-        """Close the connection."""
         self._connection.close()
 
     def call(self, method: str, *arguments: object) -> Any:

@@ -3,20 +3,22 @@
 import asyncio
 import contextlib
 import functools
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from hostlink.client import Host, connect
 from hostlink.client.connection import waits
 from hostlink.errors import HostlinkError
-from hostlink.graphs.ros2.node import Ros2Node, ros2_node
 from hostlink.graphs.ros2.parameters import ParameterMirror
 from hostlink.graphs.ros2.plan import Feed, Route, planned, publisher_keys, watched_topics
 from hostlink.graphs.ros2.routes import Routes
 from hostlink.graphs.ros2.velocity import Report, VelocityDriver
 from hostlink.mirror.log_once import LogOnce
 from hostlink.mirror.mirror import Mirror, Served
+
+if TYPE_CHECKING:
+    from hostlink.graphs.ros2.node import Ros2Node
 
 GROUP = "ros2"
 TICK_S = 0.2  # ROS 2's own discovery takes half a second and more
@@ -35,8 +37,11 @@ class BridgeConfig:
     ros_arguments: list[str]  # from `--ros-args` on
 
 
-async def run_bridge(config: BridgeConfig, report: Report) -> None:
-    """Bridge until cancelled; `report` is called with lines for the user.
+OpenNode = Callable[[list[str], Callable[[BaseException], None]], contextlib.AbstractAsyncContextManager["Ros2Node"]]
+
+
+async def run_bridge(config: BridgeConfig, open_node: OpenNode, report: Report) -> None:
+    """Bridge until cancelled. `open_node`: `ros2_node`, which needs rclpy; `report` gets lines for the user.
 
     Raises:
         ConfigError: the arguments for ROS 2 are wrong.
@@ -44,7 +49,7 @@ async def run_bridge(config: BridgeConfig, report: Report) -> None:
     """
     crash: asyncio.Future[None] = asyncio.get_running_loop().create_future()
     fail = functools.partial(_fail, crash)
-    async with ros2_node(config.ros_arguments, fail) as node, asyncio.TaskGroup() as tasks:
+    async with open_node(config.ros_arguments, fail) as node, asyncio.TaskGroup() as tasks:
         bridging = tasks.create_task(_bridge(config, node, report))
         try:
             await crash
@@ -52,7 +57,7 @@ async def run_bridge(config: BridgeConfig, report: Report) -> None:
             bridging.cancel()
 
 
-async def _bridge(config: BridgeConfig, node: Ros2Node, report: Report) -> None:
+async def _bridge(config: BridgeConfig, node: "Ros2Node", report: Report) -> None:
     async with contextlib.AsyncExitStack() as stack:
         host = await _connected(stack, config, report)
         report(f"connected to hostlink at {host.url}")
@@ -81,7 +86,7 @@ async def _connected(stack: contextlib.AsyncExitStack, config: BridgeConfig, rep
 class Bridge:
     """Bridge of one daemon and one ROS 2 graph."""
 
-    def __init__(self, host: Host, node: Ros2Node, velocity: VelocityDriver, report: Report) -> None:
+    def __init__(self, host: Host, node: "Ros2Node", velocity: VelocityDriver, report: Report) -> None:
         self._host, self._node, self._velocity, self._report = host, node, velocity, report
         self._routes = Routes(node, host, velocity)
         self._log_once = LogOnce()
@@ -138,7 +143,7 @@ def _fail(crash: "asyncio.Future[None]", error: BaseException) -> None:
         crash.set_exception(HostlinkError(f"rclpy has failed: {type(error).__name__}: {error}"))
 
 
-async def relay_log_lines(host: Host, node: Ros2Node) -> None:
+async def relay_log_lines(host: Host, node: "Ros2Node") -> None:
     """Show log lines of devices in ROS 2's log, on /rosout and on the terminal, until cancelled.
 
     Raises:

@@ -2,6 +2,7 @@
 
 import array
 import base64
+import importlib
 import math
 import re
 from collections import deque
@@ -13,8 +14,8 @@ from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_typestore
 
 from hostlink.errors import BadPayload, HostlinkError
+from hostlink.graphs.wire_layout import PLACEHOLDER, FieldDesc, Layout, Ros1Field
 
-FieldDesc = tuple[Nodetype, Any]  # as rosbags has it
 Fields = dict[str, FieldDesc]
 _ARRAY = re.compile(r"(?P<item>.+)\[(?P<count>\d+)\]")
 _SEQUENCE = re.compile(r"sequence<(?P<item>.+?)(?:, (?P<limit>\d+))?>")
@@ -26,13 +27,26 @@ _BASES = {  # as rclpy's classes name them
     "double": "float64",
     **{f"{sign}int{bits}": f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)},
 }
-_BYTES = frozenset({"bool", "byte", "char", "int8", "uint8"})
 _SIZES = {"byte": 1, "float32": 4, "float64": 8} | {
     f"{sign}int{8 * size}": size for sign in ("", "u") for size in (2, 4, 8)
 }
-_TIME_LAYOUTS = {"time": ("int32", "uint32"), "duration": ("int32", "uint32")}
-_PLACEHOLDER = "structure_needs_at_least_one_member"  # what ROS 2 has in a message without fields
-_ROS1_HEADER = "std_msgs/Header"
+
+
+def load_type(type_name: str) -> Any:
+    """The class of a message or service, as `geometry_msgs/msg/Twist` names it.
+
+    Raises:
+        HostlinkError: it is not installed.
+    """
+    package, kind, name = type_name.split("/")
+    try:
+        return getattr(importlib.import_module(f"{package}.{kind}"), name)
+    except (ImportError, AttributeError) as error:
+        apt = f"ros-$ROS_DISTRO-{package.replace('_', '-')}"
+        raise HostlinkError(
+            f"{type_name} is not installed here, so what is of this type stays out of ROS 2: install {apt}, "
+            "or build and source its package"
+        ) from error
 
 
 def ros2_fields(fields_and_types: Mapping[str, str]) -> Fields:
@@ -42,7 +56,7 @@ def ros2_fields(fields_and_types: Mapping[str, str]) -> Fields:
         HostlinkError: ROS 1 has nothing like one of them.
     """
     fields = {name.removeprefix("_"): _described(text) for name, text in fields_and_types.items()}
-    return fields or {_PLACEHOLDER: (Nodetype.BASE, ("uint8", 0))}
+    return fields or {PLACEHOLDER: (Nodetype.BASE, ("uint8", 0))}
 
 
 def nested_types(fields: Fields) -> list[str]:
@@ -66,46 +80,13 @@ def _described(text: str) -> FieldDesc:
     return Nodetype.NAME, f"{package}/msg/{name}"
 
 
-Layout = tuple[object, ...]
-
-
-def ros2_layout(types: Mapping[str, Fields], name: str) -> Layout:
-    """Return the values on the wire of a type of ROS 2, in a form that is equal for the same layout in ROS 1."""
-    return _joined(_layout_of(types, desc) for field, desc in types[name].items() if field != _PLACEHOLDER)
-
-
-def _layout_of(types: Mapping[str, Fields], desc: FieldDesc) -> Layout:
-    kind, inner = desc
-    if kind == Nodetype.ARRAY:
-        return ((inner[1], _layout_of(types, inner[0])),)
-    if kind == Nodetype.SEQUENCE:
-        return ((0, _layout_of(types, inner[0])),)
-    if kind == Nodetype.NAME:
-        return ros2_layout(types, inner)
-    return (_base(inner[0]),)
-
-
-def ros1_layout(typedefs: Iterable[Mapping[str, Any]], name: str) -> Layout:
-    """Return the layout of a type of the daemon, from the `typedefs` of /rosapi/message_details."""
-    return _ros1_layout({each["type"]: each for each in typedefs}, name)
-
-
-def _ros1_layout(typedefs: Mapping[str, Mapping[str, Any]], name: str) -> Layout:
-    typedef = typedefs[name]
-    fields = list(zip(typedef["fieldnames"], typedef["fieldtypes"], typedef["fieldarraylen"], strict=True))
-    if name == _ROS1_HEADER:
-        fields = [field for field in fields if field[0] != "seq"]  # ROS 2 has none
-    return _joined(_ros1_field(typedefs, type_name, count) for _, type_name, count in fields)
-
-
-def _ros1_field(typedefs: Mapping[str, Mapping[str, Any]], type_name: str, count: int) -> Layout:
-    if type_name in _TIME_LAYOUTS:
-        item: Layout = _TIME_LAYOUTS[type_name]
-    elif type_name in typedefs:
-        item = _ros1_layout(typedefs, type_name)
-    else:
-        item = (_base(type_name),)
-    return item if count < 0 else ((count, item),)
+def ros1_fields(typedefs: Iterable[Mapping[str, Any]]) -> dict[str, list[Ros1Field]]:
+    """Return the fields of types of the daemon, from the `typedefs` of /rosapi/message_details."""
+    return {
+        each["type"]: list(zip(each["fieldnames"], each["fieldtypes"], each["fieldarraylen"], strict=True))
+        for each in typedefs
+        if each["type"] not in ("time", "duration")
+    }
 
 
 def added_bytes(ros1: Layout, ros2: Layout) -> int | None:
@@ -114,14 +95,6 @@ def added_bytes(ros1: Layout, ros2: Layout) -> int | None:
     if ros2[: len(ros1)] != ros1 or not all(isinstance(item, str) and item in _SIZES for item in added):
         return None
     return sum(_SIZES[str(item)] for item in added)
-
-
-def _joined(parts: Iterable[Layout]) -> Layout:
-    return tuple(item for part in parts for item in part)
-
-
-def _base(name: str) -> str:
-    return "byte" if name in _BYTES else name
 
 
 _STAMP = slice(4, 12)  # after the head of CDR: the seconds and nanoseconds of a leading header

@@ -2,26 +2,28 @@
 
 import asyncio
 import contextlib
-import importlib
 import struct
 import threading
-from collections.abc import AsyncIterator, Callable, Iterable, Iterator
+from collections.abc import AsyncIterator, Callable, Collection, Iterable, Iterator, Mapping
 from typing import Any, TypeVar
 
 import rclpy
+from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import NodeNameNonExistentError
+from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 
-from hostlink.errors import ConfigError, HostlinkError
+from hostlink.errors import ConfigError
 from hostlink.graphs.ros2.plan import Qos, Ros2Graph, Ros2Publisher, ros2_name
 
 NODE_NAME = "hostlink"
 END_TIMEOUT_S = 2.0  # of the executor's thread
 _STAMP = struct.Struct("<iI")
 Result = TypeVar("Result")
+_Made = contextlib.AbstractAsyncContextManager[Any]
 
 
 class Ros2Node:
@@ -34,6 +36,7 @@ class Ros2Node:
         self._loop = asyncio.get_running_loop()
         self._published: dict[str, Any] = {}  # rclpy's publishers by the daemon's topic
         self._is_sim_time = False
+        self._is_setting = False  # in rclpy's thread: `set_parameters` sets, and no other node
 
     async def run(self, function: Callable[[], Result]) -> Result:
         """Call a function in rclpy's thread; what it raises is raised here."""
@@ -71,44 +74,34 @@ class Ros2Node:
     @contextlib.asynccontextmanager
     async def publisher(self, topic: str, cls: Any, qos: Qos) -> AsyncIterator[Any]:
         """A publisher for the length of the block; `publish` may be called in any thread."""
-        made = await self.run(lambda: self.node.create_publisher(cls, ros2_name(topic), profile(qos)))
-        self._published[topic] = made
-        try:
-            yield made
-        finally:
-            del self._published[topic]
-            self._executor.create_task(lambda: self.node.destroy_publisher(made))
+        async with self._made("publisher", cls, ros2_name(topic), profile(qos)) as made:
+            self._published[topic] = made
+            try:
+                yield made
+            finally:
+                del self._published[topic]
 
-    @contextlib.asynccontextmanager
-    async def subscription(
-        self, topic: str, cls: Any, qos: Qos, receive: Callable[..., None], *, is_raw: bool
-    ) -> AsyncIterator[Any]:
+    def subscription(self, topic: str, cls: Any, qos: Qos, receive: Callable[..., None], *, is_raw: bool) -> _Made:
         """A subscription for the length of the block; `receive` is called in rclpy's thread."""
-        made = await self.run(
-            lambda: self.node.create_subscription(cls, ros2_name(topic), receive, profile(qos), raw=is_raw)
-        )
-        try:
-            yield made
-        finally:
-            self._executor.create_task(lambda: self.node.destroy_subscription(made))
+        return self._made("subscription", cls, ros2_name(topic), receive, profile(qos), raw=is_raw)
 
-    @contextlib.asynccontextmanager
-    async def service(self, name: str, cls: Any, answer: Callable[[Any, Any], Any]) -> AsyncIterator[None]:
+    def service(self, name: str, cls: Any, answer: Callable[[Any, Any], Any]) -> _Made:
         """A service for the length of the block; `answer` is a coroutine function of rclpy."""
-        made = await self.run(lambda: self.node.create_service(cls, ros2_name(name), answer))
-        try:
-            yield
-        finally:
-            self._executor.create_task(lambda: self.node.destroy_service(made))
+        return self._made("service", cls, ros2_name(name), answer)
+
+    def client(self, name: str, cls: Any) -> _Made:
+        """A client of a service for the length of the block."""
+        return self._made("client", cls, ros2_name(name))
 
     @contextlib.asynccontextmanager
-    async def client(self, name: str, cls: Any) -> AsyncIterator[Any]:
-        """A client of a service for the length of the block."""
-        made = await self.run(lambda: self.node.create_client(cls, ros2_name(name)))
+    async def _made(self, kind: str, *arguments: Any, **options: Any) -> AsyncIterator[Any]:
+        """An end of the node for the length of the block, made and destroyed in rclpy's thread."""
+        create, destroy = getattr(self.node, f"create_{kind}"), getattr(self.node, f"destroy_{kind}")
+        made = await self.run(lambda: create(*arguments, **options))
         try:
             yield made
         finally:
-            self._executor.create_task(lambda: self.node.destroy_client(made))
+            self._executor.create_task(lambda: destroy(made))
 
     async def call(self, client: Any, request: Any) -> Any:
         """Call a service; cancel it, and its answer is forgotten."""
@@ -123,6 +116,50 @@ class Ros2Node:
     def pending(self) -> Any:
         """A future of rclpy, which a coroutine in its thread awaits and the event loop completes."""
         return rclpy.task.Future(executor=self._executor)
+
+    # -- its parameters -----------------------------------------------------------------------------------------------
+
+    async def watch_parameters(self, accept: Callable[[dict[str, Any]], str]) -> None:
+        """Call `accept` in rclpy's thread for each change by another node, without parameters that every node has.
+
+        `accept` gets values by name, None for a deleted one, and returns the reason of a refusal, else an empty text.
+        """
+        await self.run(lambda: self._watch_parameters(accept))
+
+    def _watch_parameters(self, accept: Callable[[dict[str, Any]], str]) -> None:
+        own = frozenset(self.node.list_parameters([], 0).names)  # as use_sim_time
+
+        def decide(parameters: list[Any]) -> Any:
+            values = {} if self._is_setting else {each.name: _plain(each.value) for each in parameters}
+            changed = {name: value for name, value in values.items() if name not in own}
+            reason = accept(changed) if changed else ""
+            return SetParametersResult(successful=not reason, reason=reason)
+
+        self.node.add_on_set_parameters_callback(decide)
+        self.node.add_post_set_parameters_callback(self._describe)
+
+    def _describe(self, parameters: list[Any]) -> None:
+        """Give what was not declared before it was set a descriptor, which `ros2 param` shows."""
+        for each in parameters:
+            if self.node.has_parameter(each.name) and not self.node.describe_parameter(each.name).name:
+                self.node.set_descriptor(each.name, ParameterDescriptor(dynamic_typing=True))
+
+    async def set_parameters(self, changed: Mapping[str, Any], gone: Collection[str]) -> None:
+        """Set and delete parameters of the node; `accept` of `watch_parameters` is not called for them."""
+        await self.run(lambda: self._set_parameters(changed, gone))
+
+    def _set_parameters(self, changed: Mapping[str, Any], gone: Collection[str]) -> None:
+        self._is_setting = True
+        try:
+            for name in filter(self.node.has_parameter, gone):
+                self.node.undeclare_parameter(name)
+            for name, value in changed.items():
+                if self.node.has_parameter(name):
+                    self.node.set_parameters([Parameter(name, value=value)])
+                else:
+                    self.node.declare_parameter(name, value, ParameterDescriptor(dynamic_typing=True))
+        finally:
+            self._is_setting = False
 
     # -- the graph ----------------------------------------------------------------------------------------------------
 
@@ -210,25 +247,13 @@ def profile(qos: Qos) -> Any:
     )
 
 
-def load_type(type_name: str) -> Any:
-    """The class of a message or service, as `geometry_msgs/msg/Twist` names it.
-
-    Raises:
-        HostlinkError: it is not installed.
-    """
-    package, kind, name = type_name.split("/")
-    try:
-        return getattr(importlib.import_module(f"{package}.{kind}"), name)
-    except (ImportError, AttributeError) as error:
-        apt = f"ros-$ROS_DISTRO-{package.replace('_', '-')}"
-        raise HostlinkError(
-            f"{type_name} is not installed here, so what is of this type stays out of ROS 2: install {apt}, "
-            "or build and source its package"
-        ) from error
-
-
 def _offered(found: Any) -> Qos:
     return Qos(found.reliability == ReliabilityPolicy.RELIABLE, found.durability == DurabilityPolicy.TRANSIENT_LOCAL)
+
+
+def _plain(value: Any) -> Any:
+    """Convert a parameter's value to JSON."""
+    return list(value) if hasattr(value, "tolist") or isinstance(value, tuple) else value
 
 
 def _settle(done: "asyncio.Future[Any]", result: object, error: Exception | None) -> None:

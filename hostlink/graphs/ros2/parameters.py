@@ -4,16 +4,15 @@ import asyncio
 import concurrent.futures
 import contextlib
 import json
-from collections.abc import Iterator, Mapping
-from typing import Any, NamedTuple
-
-from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
-from rclpy.parameter import Parameter
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from hostlink.client import Host
 from hostlink.errors import HostlinkError
-from hostlink.graphs.ros2.node import Ros2Node
 from hostlink.graphs.ros2.plan import parameter_name
+
+if TYPE_CHECKING:
+    from hostlink.graphs.ros2.node import Ros2Node
 
 INTERVAL_S = 2.0  # the daemon has no event for a parameter
 ANSWER_TIMEOUT_S = 0.4  # of the daemon; rclpy's thread waits for it, and a lease is 0.5 s
@@ -30,30 +29,22 @@ class _ParameterChange(NamedTuple):
 class ParameterMirror:
     """`/robot_0/gain` of the daemon is `robot_0.gain` of the node. What is set there, the daemon accepts or refuses."""
 
-    def __init__(self, node: Ros2Node, host: Host) -> None:
+    def __init__(self, node: "Ros2Node", host: Host) -> None:
         self._node, self._host = node, host
-        self._own: frozenset[str] = frozenset()  # parameters that every node has, as use_sim_time
         self._known: dict[str, Any] = {}  # values by the node's names
         self._names: dict[str, str] = {}  # the daemon's names by the node's
         self._changes: asyncio.Queue[_ParameterChange] = asyncio.Queue(MAX_WAITING)
         self._changed = 0  # how often the daemon's were changed from here
-        self._is_mirroring = False  # in rclpy's thread: what is set is what the daemon has
 
     async def run(self) -> None:
         """Mirror until cancelled."""
-        self._own = await self._node.run(self._begin)
+        await self._node.watch_parameters(self._request)
         async with asyncio.TaskGroup() as tasks:
             tasks.create_task(self._follow_node())
             while True:
                 if self._host.is_connected:
                     await self._follow_daemon()
                 await asyncio.sleep(INTERVAL_S)
-
-    def _begin(self) -> frozenset[str]:
-        node = self._node.node
-        node.add_on_set_parameters_callback(self._accept)
-        node.add_post_set_parameters_callback(self._describe)
-        return frozenset(node.list_parameters([], 0).names)
 
     async def _follow_daemon(self) -> None:
         changed_before = self._changed
@@ -71,40 +62,10 @@ class ParameterMirror:
         gone = self._known.keys() - found.keys()
         self._known = found
         if changed or gone:
-            await self._node.run(lambda: self._set(changed, gone))
-
-    def _set(self, changed: Mapping[str, Any], gone: set[str]) -> None:
-        node = self._node.node
-        self._is_mirroring = True
-        try:
-            for name in gone:
-                if node.has_parameter(name):
-                    node.undeclare_parameter(name)
-            for name, value in changed.items():
-                if node.has_parameter(name):
-                    node.set_parameters([Parameter(name, value=value)])
-                else:
-                    node.declare_parameter(name, value, ParameterDescriptor(dynamic_typing=True))
-        finally:
-            self._is_mirroring = False
-
-    def _accept(self, parameters: list[Any]) -> Any:
-        """Answer a change of the node's parameters, in rclpy's thread."""
-        if self._is_mirroring:
-            return SetParametersResult(successful=True)
-        values = {each.name: plain(each.value) for each in parameters if each.name not in self._own}
-        reason = self._request(values) if values else ""
-        return SetParametersResult(successful=not reason, reason=reason)
-
-    def _describe(self, parameters: list[Any]) -> None:
-        """In rclpy's thread: what was not declared before it was set has no descriptor that `ros2 param` can show."""
-        node = self._node.node
-        for each in parameters:
-            if node.has_parameter(each.name) and not node.describe_parameter(each.name).name:
-                node.set_descriptor(each.name, ParameterDescriptor(dynamic_typing=True))
+            await self._node.set_parameters(changed, gone)
 
     def _request(self, values: dict[str, Any]) -> str:
-        """Have the daemon set these. Return the reason of a refusal, else an empty text."""
+        """Have the daemon set these. Return the reason of a refusal, else an empty text. Called in rclpy's thread."""
         change = _ParameterChange(values, concurrent.futures.Future())
         self._node.post(self._put, change)
         try:
@@ -160,11 +121,6 @@ class ParameterMirror:
             raise HostlinkError(f"{name}: a device is answered with numbers, truths and texts: {error}") from error
         await self._host.call("/rosapi/set_param", {"name": own, "value": text})
         self._names[name], self._known[name] = own, value
-
-
-def plain(value: Any) -> Any:
-    """Convert a value of rclpy to JSON."""
-    return list(value) if hasattr(value, "tolist") or isinstance(value, tuple) else value
 
 
 def leaves(tree: Any, name: str = "") -> Iterator[tuple[str, Any]]:

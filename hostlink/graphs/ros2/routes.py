@@ -5,7 +5,7 @@ import contextlib
 import functools
 from collections import defaultdict
 from collections.abc import AsyncIterator, Mapping
-from typing import Any, assert_never
+from typing import TYPE_CHECKING, Any, assert_never
 
 from hostlink.client import Host
 from hostlink.errors import BadPayload, HostlinkError
@@ -15,14 +15,13 @@ from hostlink.graphs.ros2.conversion import (
     Fields,
     added_bytes,
     fill,
+    load_type,
     nested_types,
-    ros1_layout,
+    ros1_fields,
     ros2_fields,
-    ros2_layout,
     stamped,
     to_json,
 )
-from hostlink.graphs.ros2.node import Ros2Node, load_type
 from hostlink.graphs.ros2.plan import (
     COMMAND,
     TWIST_STAMPED,
@@ -37,8 +36,12 @@ from hostlink.graphs.ros2.plan import (
 )
 from hostlink.graphs.ros2.velocity import VelocityDriver
 from hostlink.graphs.ros2_names import ros1_type, ros2_type
-from hostlink.mirror.inbox import Inbox
+from hostlink.graphs.wire_layout import ros1_layout, ros2_layout
+from hostlink.mirror.inbox import ThreadInbox
 from hostlink.robot.velocity import Twist
+
+if TYPE_CHECKING:
+    from hostlink.graphs.ros2.node import Ros2Node
 
 
 class Types:
@@ -60,7 +63,8 @@ class Types:
             cls = load_type(ros2)
             types = definitions(ros2)
             answer = await host.call("/rosapi/message_details", {"type": type_name})
-            added = added_bytes(ros1_layout(answer["typedefs"], type_name), ros2_layout(types, ros2))
+            here = ros1_layout(ros1_fields(answer["typedefs"]).get, type_name)
+            added = added_bytes(here, ros2_layout(types.__getitem__, ros2))
             if added is None:
                 raise HostlinkError(f"{ros2} has other fields in ROS 2 than {type_name} here: it is not converted")
             self.conversion.add(types, ros2, added_bytes=added)
@@ -92,7 +96,7 @@ CALL_TIMEOUT_S = 60.0  # of a service of ROS 2; as the daemon's for a program's
 class Routes:
     """Coroutines of the routes, with the node, the connection and the types that they share."""
 
-    def __init__(self, node: Ros2Node, host: Host, velocity: VelocityDriver) -> None:
+    def __init__(self, node: "Ros2Node", host: Host, velocity: VelocityDriver) -> None:
         self._node, self._host, self._velocity = node, host, velocity
         self._types = Types()
         self._echoes: defaultdict[str, Echoes] = defaultdict(Echoes)
@@ -162,7 +166,7 @@ class Routes:
 
     async def _receive(self, route: Reception) -> None:
         cls = await self._types.message(self._host, route.type_name, route.ros2_type)
-        inbox: Inbox[bytes] = Inbox(max_waiting=INBOX_DEPTH)
+        inbox: ThreadInbox[bytes] = ThreadInbox(max_waiting=INBOX_DEPTH)
         echoes = self._echoes[route.topic]
         async with (
             self._host.advertise(route.topic, route.type_name, is_latched=route.qos.is_latched),
@@ -182,7 +186,7 @@ class Routes:
 
     async def _drive(self, route: VelocityInput) -> None:
         cls, is_stamped = load_type(route.ros2_type), route.ros2_type == TWIST_STAMPED
-        inbox: Inbox[tuple[Any, Mapping[str, Any]]] = Inbox(max_waiting=COMMAND_INBOX_DEPTH)
+        inbox: ThreadInbox[tuple[Any, Mapping[str, Any]]] = ThreadInbox(max_waiting=COMMAND_INBOX_DEPTH)
 
         def receive(message: Any, info: Mapping[str, Any]) -> None:
             inbox.put("", (message, info))
@@ -198,7 +202,7 @@ class Routes:
         cls = load_type(ros2_type(route.type_name, "srv"))
 
         async def answer(request: Any, response: Any) -> Any:
-            """In rclpy's thread."""
+            """Answer a request. Called in rclpy's thread."""
             pending = self._node.pending()
             self._node.post(self._call_daemon, route.service, to_json(request), pending)
             values = await pending

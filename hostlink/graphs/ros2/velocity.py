@@ -11,8 +11,8 @@ from typing import NamedTuple
 from hostlink.client import Host
 from hostlink.client.connection import waits
 from hostlink.errors import HostlinkError, RefusalKind
-from hostlink.graphs.refusal_log import RefusalLog
 from hostlink.graphs.ros2.plan import VelocityInput
+from hostlink.mirror.log_once import RefusalLog
 from hostlink.robot.admission import LEASE_S, NOT_PLANAR, EarlierMotion
 from hostlink.robot.velocity import ZERO, PlanarVelocity, Twist
 

@@ -10,17 +10,15 @@ import structlog
 from structlog.contextvars import bound_contextvars
 
 from hostlink.config import ZenohConfig
-from hostlink.errors import BadPayload
 from hostlink.graphs.zenoh.fleet_commands import FleetDrivers, FleetRequests
 from hostlink.graphs.zenoh.fleet_messages import (
+    LIVE,
     MAX_REQUEST_BYTES,
     MAX_STATE_BYTES,
+    STATE,
     FleetTransport,
     Keys,
-    Live,
     Sender,
-    State,
-    decode,
 )
 from hostlink.graphs.zenoh.fleet_robots import FleetRobots, FleetStates
 from hostlink.graphs.zenoh.fleet_topics import MAX_MESSAGE_BYTES, FleetTopics
@@ -36,12 +34,12 @@ FIND_INTERVAL_S = 5.0  # between two searches for daemons whose tokens may have 
 
 
 class Fleet:
-    """One daemon's part in the fleet."""
+    """Membership of this daemon in the fleet."""
 
     def __init__(self, hub: Hub, session: ZenohSession, config: ZenohConfig) -> None:
         counts: Counter[str] = Counter()
         hub.counts.graphs["fleet"] = lambda: counts
-        me = Sender(config.name or _host_name(), session.zid)
+        me = Sender(config.name or sender_name(socket.gethostname()), session.zid)
         self._hub, self._transport = hub, FleetTransport(session, Keys(config.fleet_name), me, counts, config.drivers)
         self._roster = FleetRoster(counts, forget_after_s=hub.config.link.forget_robot_after_s)
         self._states = FleetStates(hub, self._transport)
@@ -52,7 +50,9 @@ class Fleet:
             hub, self._transport, self._roster, self._requests, self._topics, receive=self._receive_motions
         )
         self._declarations: list[Declaration] = []
-        self._tokens = FleetTokens(self._transport, self._receive_token)
+        self._tokens = Declaration()  # the subscription to those of other daemons
+        self._dropped = 0  # by Zenoh, when it was made
+        self._found_at_s = 0.0
         self._has_ended = False
 
     # -- its life -----------------------------------------------------------------------------------------------------
@@ -64,12 +64,12 @@ class Fleet:
             self._subscribe(f"{fleet}/stop/*/*", self._drivers.receive_stop, MAX_REQUEST_BYTES, 64),
             self._subscribe(f"{fleet}/drive/{zid}/*/*", self._drivers.receive, MAX_REQUEST_BYTES, 64),
             self._subscribe(f"{fleet}/answer/{zid}/*/*", self._receive_answer, MAX_STATE_BYTES, 64),
-            self._subscribe(f"{fleet}/publish/{zid}/*/*/**", self._topics.exports.receive, MAX_MESSAGE_BYTES, 64),
+            self._subscribe(f"{fleet}/publish/{zid}/*/*/**", self._topics.receive, MAX_MESSAGE_BYTES, 64),
             self._subscribe(f"{fleet}/state/*/*", self._receive_state, MAX_STATE_BYTES, 1),  # the newest counts
-            transport.session.serve(transport.keys.key("topics", transport.me), self._topics.exports.answer),
-            transport.session.declare_token(transport.keys.key("alive", transport.me)),
+            transport.session.serve(transport.key("topics"), self._topics.answer),
+            transport.session.declare_token(transport.key("alive")),
         ]
-        self._tokens.find(_now_s())
+        self._find_daemons(_now_s())
         self._topics.begin()
         self._hub.gates.reach(self._requests)
 
@@ -84,8 +84,7 @@ class Fleet:
         """Leave the fleet: the robots of others are unknown, and what others drive here stops."""
         self._has_ended = True
         self._hub.gates.reach(None)
-        self._tokens.close()
-        for declaration in self._declarations:
+        for declaration in (*self._declarations, self._tokens):
             declaration.close()
         self._topics.end()
         self._robots.end()
@@ -96,30 +95,37 @@ class Fleet:
         self, keys: str, receive: Callable[[ZenohSample], None], max_bytes: int, max_waiting: int
     ) -> Declaration:
         """Subscribe to messages for this daemon (its id is in the key), or for all, with a queue for each daemon."""
-        is_addressed = self._transport.me.zid in keys
 
         def source(key: str) -> str:
-            sender = self._transport.keys.sender(key, is_addressed=is_addressed)
-            return "" if sender is None or self._roster.find(sender) is None else sender.zid
+            neighbour = self._roster.find(self._transport.keys.sender(key))
+            return "" if neighbour is None else neighbour.sender.zid
 
         session = self._transport.session
         return session.subscribe(keys, receive, source_of=source, max_bytes=max_bytes, max_waiting=max_waiting)
 
     def _tick(self) -> None:
-        now_s = _now_s()
-        self._states.tick(self._topics.exports.number)
+        now_s, transport = _now_s(), self._transport
+        self._states.tick(self._topics.number)
         self._drivers.tick(now_s)
         self._requests.tick()
         self._robots.apply_soon(self._roster.watch(now_s) | self._roster.forget(now_s))
         self._robots.apply(self._names_here())
         self._robots.follow(now_s)
-        self._tokens.tick(now_s)
+        if self._dropped != transport.session.counts["dropped"] and now_s >= self._found_at_s + FIND_INTERVAL_S:
+            self._find_daemons(now_s)  # what was dropped may have been a token
 
     def _names_here(self) -> set[str]:
         """Return robots here whose name another daemon has too: one of them may have connected or left."""
         return {robot.name for robot in self._hub.robots.here()} & self._hub.robots.remote.keys()
 
     # -- who there is -------------------------------------------------------------------------------------------------
+
+    def _find_daemons(self, now_s: float) -> None:
+        """Find all living daemons, and follow later changes."""
+        session = self._transport.session
+        self._tokens.close()
+        self._dropped, self._found_at_s = session.counts["dropped"], now_s
+        self._tokens = session.subscribe_tokens(f"{self._transport.keys.fleet}/alive/*/*", self._receive_token)
 
     def _receive_token(self, token: Token) -> None:
         sender = self._transport.keys.sender(token.key)
@@ -145,24 +151,17 @@ class Fleet:
             return
         log.warning("fleet.daemon_gone", host=printable(sender.name), zid=printable(sender.zid))
         self._drivers.leave(sender.zid)
-        self._topics.lose(sender.zid)
         self._robots.lose(sender.zid)
         self._robots.apply_soon(self._roster.leave(sender.zid, _now_s()))
 
     def _receive_state(self, sample: ZenohSample) -> None:
-        sender = self._transport.keys.sender(sample.key)
-        neighbour = None if sender is None else self._roster.find(sender)
-        if sender is None or neighbour is None:
-            self._transport.counts["unannounced"] += 1
-            return
-        try:
-            state = decode(sample.payload, State)
-        except BadPayload:
-            self._transport.counts["malformed"] += 1
+        neighbour = self._roster.announced(self._transport.keys.sender(sample.key))
+        state = None if neighbour is None else self._transport.decode(sample.payload, STATE)
+        if neighbour is None or state is None:
             return
         now_s = _now_s()
         neighbour.freshness.late_s(state.sent_s, now_s)
-        self._robots.apply_soon(self._roster.receive(sender, state, now_s))
+        self._robots.apply_soon(self._roster.receive(neighbour.sender, state, now_s))
         if state.topics != neighbour.topics:
             self._hub.spawn(self._fetch_topics(neighbour, state.topics), name="topics of another daemon")
 
@@ -174,53 +173,19 @@ class Fleet:
             self._topics.demand()
 
     def _receive_motions(self, sample: ZenohSample) -> None:
-        sender = self._transport.keys.sender(sample.key)
-        try:
-            live = decode(sample.payload, Live)
-        except BadPayload:
-            self._transport.counts["malformed"] += 1
-            return
-        if sender is not None:
+        sender, live = self._transport.keys.sender(sample.key), self._transport.decode(sample.payload, LIVE)
+        if sender is not None and live is not None:
             self._robots.apply_soon(self._roster.receive_motions(sender, live, _now_s()))
 
     def _receive_answer(self, sample: ZenohSample) -> None:
         """Stops and locks are answered with the robots as they are now."""
-        sender, answer = self._transport.keys.sender(sample.key, is_addressed=True), self._requests.receive(sample)
-        neighbour = None if sender is None else self._roster.find(sender)
+        neighbour, answer = self._roster.find(self._transport.keys.sender(sample.key)), self._requests.receive(sample)
         if answer is None or neighbour is None:
             return
         for state in answer.robots:
             if state.name in neighbour.robots:
                 neighbour.robots[state.name] = state
                 self._robots.apply((state.name,))
-
-
-class FleetTokens:
-    """Liveliness tokens of other daemons. They are searched again after Zenoh dropped something."""
-
-    def __init__(self, transport: FleetTransport, receive: Callable[[Token], None]) -> None:
-        self._transport, self._receive = transport, receive
-        self._subscription: Declaration | None = None
-        self._dropped = 0
-        self._found_at_s = 0.0
-
-    def find(self, now_s: float) -> None:
-        """Find all living daemons, and follow later changes."""
-        self.close()
-        self._dropped, self._found_at_s = self._transport.session.counts["dropped"], now_s
-        self._subscription = self._transport.session.subscribe_tokens(
-            f"{self._transport.keys.fleet}/alive/*/*", self._receive
-        )
-
-    def tick(self, now_s: float) -> None:
-        """Search again if something was dropped: it may have been a token."""
-        if self._dropped != self._transport.session.counts["dropped"] and now_s >= self._found_at_s + FIND_INTERVAL_S:
-            self.find(now_s)
-
-    def close(self) -> None:
-        """Follow no tokens."""
-        if self._subscription is not None:
-            self._subscription.close()
 
 
 @contextlib.asynccontextmanager
@@ -235,9 +200,9 @@ async def fleet_running(hub: Hub, session: ZenohSession, config: ZenohConfig) ->
         fleet.end()
 
 
-def _host_name() -> str:
-    """Return the host's name in a form that a key may contain."""
-    return "".join(char if char.isalnum() or char in "._-" else "-" for char in socket.gethostname())[:64] or "host"
+def sender_name(host: str) -> str:
+    """Return the name of a host in a form that a key may contain."""
+    return "".join(char if char.isalnum() or char in "._-" else "-" for char in host)[:64] or "host"
 
 
 def _now_s() -> float:

@@ -5,15 +5,15 @@ import contextlib
 import fnmatch
 import functools
 import itertools
-from collections.abc import Hashable
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field
-from typing import assert_never
+from typing import TypeVar, assert_never
 
+import msgspec
 import structlog
 from structlog.contextvars import bound_contextvars
 
 from hostlink.errors import (
-    BadPayload,
     BadRequest,
     CommandRefused,
     DeviceGone,
@@ -21,9 +21,12 @@ from hostlink.errors import (
     RefusalKind,
 )
 from hostlink.graphs.zenoh.fleet_messages import (
+    ANSWER,
     GROUP,
-    DriveRequest,
+    REQUEST,
+    STOP_REQUEST,
     FleetAnswer,
+    FleetCommand,
     FleetTransport,
     Lock,
     Release,
@@ -31,10 +34,6 @@ from hostlink.graphs.zenoh.fleet_messages import (
     Stop,
     StopRequest,
     Unlock,
-    decode,
-    decode_request,
-    decode_stop,
-    encode,
     state_of,
 )
 from hostlink.graphs.zenoh.roster import FleetRoster, Neighbour
@@ -47,6 +46,7 @@ from hostlink.robot.velocity import PlanarVelocity, Twist
 
 MAX_DRIVERS = 64  # of one daemon; over it the driver leaves whose last command is the oldest
 IDLE_S = 10.0  # a driver without a command for so long holds no lease
+_Request = TypeVar("_Request")
 _PUBLISHER = 0  # the number of the one who publishes; drivers begin at 1
 
 
@@ -67,31 +67,25 @@ class FleetDrivers:
 
     def receive(self, sample: ZenohSample) -> None:
         """Answer a request to this daemon alone."""
-        neighbour = self._neighbour(sample, is_addressed=True)
-        if neighbour is None:
-            return
-        try:
-            request = decode_request(sample.payload)
-        except BadPayload:
-            self._transport.counts["malformed"] += 1
-            return
-        with bound_contextvars(**of_peer(f"fleet {neighbour.sender.name}")):
-            answer = self._answer(neighbour, request)
-        self._send(neighbour, answer)
+        self._receive(sample, REQUEST, self._answer)
 
     def receive_stop(self, sample: ZenohSample) -> None:
         """Answer a request to all daemons. Reading is enough to stop."""
-        neighbour = self._neighbour(sample)
-        if neighbour is None:
-            return
-        try:
-            request = decode_stop(sample.payload)
-        except BadPayload:
-            self._transport.counts["malformed"] += 1
+        self._receive(sample, STOP_REQUEST, self._stop)
+
+    def _receive(
+        self,
+        sample: ZenohSample,
+        decoder: "msgspec.json.Decoder[_Request]",
+        answer: Callable[[Neighbour, _Request], FleetAnswer],
+    ) -> None:
+        neighbour = self._roster.announced(self._transport.keys.sender(sample.key))
+        request = None if neighbour is None else self._transport.decode(sample.payload, decoder)
+        if neighbour is None or request is None:
             return
         with bound_contextvars(**of_peer(f"fleet {neighbour.sender.name}")):
-            answer = self._stop(neighbour, request)
-        self._send(neighbour, answer)
+            answered = answer(neighbour, request)
+        self._transport.put("answer", answered, to=neighbour.sender.zid)
 
     def publish(self, neighbour: Neighbour, topic: str, payload: bytes) -> None:
         """Publish a message of another daemon's program to a device here.
@@ -110,7 +104,7 @@ class FleetDrivers:
             driver.participant.leave()
 
     def leave_all(self) -> None:
-        """The fleet ends here."""
+        """Let the drivers of all daemons leave: what they drive stops."""
         for zid in list(self._drivers):
             self.leave(zid)
 
@@ -126,18 +120,11 @@ class FleetDrivers:
 
     # -- its parts ----------------------------------------------------------------------------------------------------
 
-    def _neighbour(self, sample: ZenohSample, *, is_addressed: bool = False) -> Neighbour | None:
-        sender = self._transport.keys.sender(sample.key, is_addressed=is_addressed)
-        neighbour = None if sender is None else self._roster.find(sender)
-        if neighbour is None:
-            self._transport.counts["unannounced"] += 1
-        return neighbour
-
     def _answer(self, neighbour: Neighbour, request: Request) -> FleetAnswer:
         robot = None
         try:
             match request:
-                case DriveRequest():
+                case FleetCommand():
                     if not request.wanted.is_zero:
                         self._check_role(neighbour, request.robot)
                     source = functools.partial(self._participant, neighbour, request.owner, request.owner_name)
@@ -159,7 +146,7 @@ class FleetDrivers:
             self._transport.counts["refused"] += 1
             return _refusal(request.number, error, robot)
 
-    def _drive(self, neighbour: Neighbour, robot: LocalRobot, request: DriveRequest) -> FleetAnswer:
+    def _drive(self, neighbour: Neighbour, robot: LocalRobot, request: FleetCommand) -> FleetAnswer:
         velocity = request.wanted
         if robot.also_at and not velocity.is_zero:
             raise DeviceGone(robot.name, f"several robots have this name, also at {', '.join(robot.also_at)}")
@@ -206,10 +193,6 @@ class FleetDrivers:
             self._transport.counts["excess_drivers"] += 1
             drivers.pop(next(iter(drivers))).participant.leave()
         return driver.participant
-
-    def _send(self, neighbour: Neighbour, answer: FleetAnswer) -> None:
-        key = self._transport.keys.key("answer", self._transport.me, to=neighbour.sender.zid)
-        self._transport.session.put(key, encode(answer), is_urgent=True)
 
 
 def _refusal(number: int, error: HostlinkError, robot: LocalRobot | None = None) -> FleetAnswer:
@@ -259,8 +242,9 @@ class _Command:
 class _Unsettled:
     """Stop, lock or unlock that some daemons have not answered."""
 
-    payload: bytes
-    key: str
+    request: Unlock | StopRequest
+    verb: str
+    to: str
     missing: dict[str, str]  # the names of daemons, by id
     since_s: float
     what: str
@@ -301,7 +285,7 @@ class FleetRequests:
         self._waiting[command.number] = command
         if len(self._waiting) > MAX_WAITING:
             del self._waiting[next(iter(self._waiting))]
-        request = DriveRequest(
+        request = FleetCommand(
             number=command.number,
             sent_s=now_s,
             robot=robot.name,
@@ -311,7 +295,7 @@ class FleetRequests:
             priority=priority,
             epoch=epoch,
         )
-        self._request(neighbour, request)
+        self._transport.put("drive", request, to=neighbour.sender.zid)
 
     async def answer(self, robot: RemoteRobot, owner: Hashable) -> PlanarVelocity:
         """Return the answer to the newest command of an owner: the velocity after the limits.
@@ -336,17 +320,16 @@ class FleetRequests:
             return
         commands = [self._newest.pop(key) for key in list(self._newest) if key[0] == owner]
         for neighbour in {id(each.neighbour): each.neighbour for each in commands}.values():
-            self._request(neighbour, Release(number=next(self._numbers), owner=number))
+            request = Release(number=next(self._numbers), owner=number)
+            self._transport.put("drive", request, to=neighbour.sender.zid)
 
     def stop(self, name: str | None) -> None:
         """Stop all robots of this name at all daemons; None: every robot."""
-        number = next(self._numbers)
-        self._send_to_all(number, Stop(number=number, robot=name), name, "stop")
+        self._send_to_all(Stop(number=next(self._numbers), robot=name), "stop")
 
     def lock(self, name: str, reason: str) -> None:
         """Lock all robots of this name at all daemons."""
-        number = next(self._numbers)
-        self._send_to_all(number, Lock(number=number, robot=name, reason=reason), name, "lock")
+        self._send_to_all(Lock(number=next(self._numbers), robot=name, reason=reason), "lock")
 
     def unlock(self, robot: RemoteRobot) -> None:
         """Let it be driven again.
@@ -354,11 +337,9 @@ class FleetRequests:
         Raises:
             DeviceGone: the daemon that has it is gone.
         """
-        neighbour, number = self._neighbour(robot), next(self._numbers)
-        payload = encode(Unlock(number=number, robot=robot.name))
-        key = self._transport.keys.key("drive", self._transport.me, to=neighbour.sender.zid)
-        self._expect(number, _Unsettled(payload, key, {neighbour.sender.zid: robot.host}, _now_s(), "unlock"))
-        self._transport.session.put(key, payload, is_urgent=True)
+        zid = self._neighbour(robot).sender.zid
+        request = Unlock(number=next(self._numbers), robot=robot.name)
+        self._send(_Unsettled(request, "drive", zid, {zid: robot.host}, _now_s(), "unlock"))
 
     async def settled(self) -> None:
         """Wait until every daemon has answered the stops, locks and unlocks so far.
@@ -386,11 +367,8 @@ class FleetRequests:
 
     def receive(self, sample: ZenohSample) -> FleetAnswer | None:
         """An answer of another daemon; returned if it is one to a stop, a lock or an unlock."""
-        sender = self._transport.keys.sender(sample.key, is_addressed=True)
-        try:
-            answer = decode(sample.payload, FleetAnswer)
-        except BadPayload:
-            self._transport.counts["malformed"] += 1
+        sender, answer = self._transport.keys.sender(sample.key), self._transport.decode(sample.payload, ANSWER)
+        if answer is None:
             return None
         command = self._waiting.get(answer.number)
         if command is not None and sender == command.neighbour.sender:
@@ -417,7 +395,7 @@ class FleetRequests:
                 if each.missing:
                     self._log_unanswered(each)
             elif each.missing:
-                self._transport.session.put(each.key, each.payload, is_urgent=True)
+                self._transport.put(each.verb, each.request, to=each.to)
         for number, command in list(self._waiting.items()):
             if now_s < command.sent_at_s + 2 * ANSWER_TIMEOUT_S:
                 break
@@ -438,28 +416,21 @@ class FleetRequests:
         if is_refused or (is_late and now_s < before.sent_at_s + 2 * ANSWER_TIMEOUT_S):
             before.result()
 
-    def _request(self, neighbour: Neighbour, request: Request) -> None:
-        self._transport.session.put(
-            self._transport.keys.key("drive", self._transport.me, to=neighbour.sender.zid),
-            encode(request),
-            is_urgent=True,
-        )
-
-    def _send_to_all(self, number: int, request: StopRequest, name: str | None, what: str) -> None:
-        payload, key = encode(request), self._transport.keys.key("stop", self._transport.me)
+    def _send_to_all(self, request: StopRequest, what: str) -> None:
         missing = {
             each.sender.zid: each.sender.name
             for each in self._roster.all()
-            if any(each.is_connected(robot) for robot in each.robots if name in (None, robot))
+            if any(each.is_connected(robot) for robot in each.robots if request.robot in (None, robot))
         }
-        if missing:
-            self._expect(number, _Unsettled(payload, key, missing, _now_s(), what))
-        self._transport.session.put(key, payload, is_urgent=True)
+        self._send(_Unsettled(request, "stop", "", missing, _now_s(), what))
 
-    def _expect(self, number: int, unsettled: _Unsettled) -> None:
-        self._unsettled[number] = unsettled
-        if len(self._unsettled) > MAX_UNSETTLED:
-            del self._unsettled[next(iter(self._unsettled))]
+    def _send(self, unsettled: _Unsettled) -> None:
+        """Send a request, and repeat it until the daemons that are missing have answered."""
+        if unsettled.missing:
+            self._unsettled[unsettled.request.number] = unsettled
+            if len(self._unsettled) > MAX_UNSETTLED:
+                del self._unsettled[next(iter(self._unsettled))]
+        self._transport.put(unsettled.verb, unsettled.request, to=unsettled.to)
 
     def _log_unanswered(self, unsettled: _Unsettled) -> None:
         self._transport.counts["unanswered"] += 1

@@ -35,28 +35,34 @@ class Sender(NamedTuple):
     zid: str
 
 
+_ADDRESSED = ("drive", "publish", "answer")  # verbs of messages to one daemon
+
+
 class Keys:
-    """The keys of one fleet."""
+    """The keys of one fleet: FLEET/VERB/NAME/ID/..., and FLEET/VERB/ID OF THE RECEIVER/NAME/ID/... for _ADDRESSED."""
 
     def __init__(self, fleet: str) -> None:
         self.fleet = fleet
 
     def key(self, verb: str, sender: Sender, *rest: str, to: str = "") -> str:
-        """Return a key. The verbs `drive`, `publish` and `answer` are addressed `to` a daemon, by its id."""
+        """Return a key. `to`: the id of the daemon that an addressed message is for."""
         return "/".join((self.fleet, verb, *((to,) if to else ()), *sender, *rest))
 
-    def sender(self, key: str, *, is_addressed: bool = False) -> Sender | None:
+    def sender(self, key: str) -> Sender | None:
         """Return the sender in a key; None for a key outside of this fleet."""
-        parts = key.removeprefix(f"{self.fleet}/").split("/")
-        first = 2 if is_addressed else 1
-        if not key.startswith(f"{self.fleet}/") or len(parts) < first + 2:
-            return None
-        return Sender(parts[first], parts[first + 1])
+        parts = self._parts(key)
+        return Sender(parts[0], parts[1]) if len(parts) > 1 else None
 
-    def topic(self, key: str, *, is_addressed: bool = False) -> str:
+    def topic(self, key: str) -> str:
         """The topic at the end of a key of `out` or `publish`."""
-        first = self.fleet.count("/") + (5 if is_addressed else 4)
-        return "/" + "/".join(key.split("/")[first:])
+        return "/" + "/".join(self._parts(key)[2:])
+
+    def _parts(self, key: str) -> list[str]:
+        """Return the parts of a key from the name of the sender on."""
+        if not key.startswith(f"{self.fleet}/"):
+            return []
+        verb, *parts = key.removeprefix(f"{self.fleet}/").split("/")
+        return parts[1:] if verb in _ADDRESSED else parts
 
 
 class PoseState(msgspec.Struct, frozen=True, kw_only=True, array_like=True):
@@ -80,7 +86,6 @@ class PoseState(msgspec.Struct, frozen=True, kw_only=True, array_like=True):
 
     @classmethod
     def of(cls, known: OdometrySnapshot) -> "PoseState":
-        """Convert to the message."""
         return cls(
             x_m=round(known.pose.x_m, _DIGITS),
             y_m=round(known.pose.y_m, _DIGITS),
@@ -98,7 +103,6 @@ class PoseState(msgspec.Struct, frozen=True, kw_only=True, array_like=True):
 
     @property
     def odometry(self) -> OdometrySnapshot:
-        """Convert from the message."""
         return OdometrySnapshot(
             pose=Pose(self.x_m, self.y_m, self.theta_rad),
             twist=PlanarVelocity(self.linear_m_s, self.linear_y_m_s, self.angular_rad_s),
@@ -121,7 +125,6 @@ class RobotMessage(RobotState, frozen=True, kw_only=True, omit_defaults=True):
 
     @classmethod
     def of(cls, state: RobotState) -> "RobotMessage":
-        """Convert to the message."""
         facts = {name: getattr(state, name) for name in _FIELDS}
         velocity, odometry = state.velocity, state.odometry
         facts["velocity"], facts["linear_y_m_s"] = (velocity.x_m_s, velocity.yaw_rad_s), velocity.y_m_s
@@ -130,7 +133,6 @@ class RobotMessage(RobotState, frozen=True, kw_only=True, omit_defaults=True):
 
     @property
     def state(self) -> RobotState:
-        """Convert from the message."""
         facts = {name: getattr(self, name) for name in _FIELDS}
         facts["velocity"] = PlanarVelocity(self.velocity[0], self.linear_y_m_s, self.velocity[1])
         facts["odometry"] = None if self.pose is None else self.pose.odometry
@@ -188,7 +190,7 @@ class TopicList(msgspec.Struct, frozen=True, kw_only=True):
     topics: Annotated[tuple[FleetTopic, ...], msgspec.Meta(max_length=MAX_TOPICS)]
 
 
-class DriveRequest(msgspec.Struct, frozen=True, kw_only=True, tag="drive"):
+class FleetCommand(msgspec.Struct, frozen=True, kw_only=True, tag="drive"):
     """A velocity, linear and angular, for the length of a lease. `owner`: who drives, among those of the sender."""
 
     number: int
@@ -202,7 +204,6 @@ class DriveRequest(msgspec.Struct, frozen=True, kw_only=True, tag="drive"):
 
     @property
     def wanted(self) -> PlanarVelocity:
-        """The velocity."""
         return Twist(*self.velocity).planar
 
 
@@ -250,44 +251,23 @@ class FleetAnswer(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True)
     robots: Annotated[tuple[RobotMessage, ...], msgspec.Meta(max_length=MAX_ROBOTS)] = ()
 
 
-Request = DriveRequest | Release | Unlock
+Request = FleetCommand | Release | Unlock
 StopRequest = Stop | Lock
 
 _Kind = TypeVar("_Kind")
-_DECODERS = {kind: msgspec.json.Decoder(kind) for kind in (State, Live, TopicList, FleetAnswer)}
-_REQUESTS: msgspec.json.Decoder[Request] = msgspec.json.Decoder(Request)
-_STOPS: msgspec.json.Decoder[StopRequest] = msgspec.json.Decoder(StopRequest)
+STATE, LIVE = msgspec.json.Decoder(State), msgspec.json.Decoder(Live)
+TOPIC_LIST, ANSWER = msgspec.json.Decoder(TopicList), msgspec.json.Decoder(FleetAnswer)
+REQUEST: msgspec.json.Decoder[Request] = msgspec.json.Decoder(Request)  # to one daemon
+STOP_REQUEST: msgspec.json.Decoder[StopRequest] = msgspec.json.Decoder(StopRequest)  # to all daemons
 encode = msgspec.json.Encoder().encode
 
 
-def decode(payload: bytes, kind: type[_Kind]) -> _Kind:
-    """Decode a State, Live, TopicList or FleetAnswer.
+def decode(payload: bytes, decoder: "msgspec.json.Decoder[_Kind]") -> _Kind:
+    """Decode by one of the decoders above.
 
     Raises:
         BadPayload: it is malformed, or over a bound.
     """
-    return _decode(_DECODERS[kind], payload)  # type: ignore[index,return-value]
-
-
-def decode_request(payload: bytes) -> Request:
-    """Decode a request to one daemon.
-
-    Raises:
-        BadPayload: it is malformed.
-    """
-    return _decode(_REQUESTS, payload)
-
-
-def decode_stop(payload: bytes) -> StopRequest:
-    """Decode a request to all daemons.
-
-    Raises:
-        BadPayload: it is malformed.
-    """
-    return _decode(_STOPS, payload)
-
-
-def _decode(decoder: "msgspec.json.Decoder[_Kind]", payload: bytes) -> _Kind:
     try:
         return decoder.decode(payload)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
@@ -299,7 +279,7 @@ GROUP = "fleet"  # of its participants in the hub
 
 @dataclass(frozen=True, slots=True)
 class FleetTransport:
-    """Session and keys of this daemon in its fleet.
+    """Messages of this daemon to the others of its fleet, and theirs to it.
 
     `me`: name and id of this daemon; `counts`: refused and dropped messages, by cause.
     """
@@ -309,6 +289,22 @@ class FleetTransport:
     me: Sender
     counts: Counter[str]
     may_drive: tuple[str, ...] = ("*",)  # patterns of the names of daemons whose programs may drive robots here
+
+    def key(self, verb: str, *rest: str, to: str = "") -> str:
+        """Return a key of this daemon's messages."""
+        return self.keys.key(verb, self.me, *rest, to=to)
+
+    def put(self, verb: str, message: msgspec.Struct, *, to: str = "") -> None:
+        """Send a message before all others; `to`: the id of a daemon, else it is for all."""
+        self.session.put(self.key(verb, to=to), encode(message), is_urgent=True)
+
+    def decode(self, payload: bytes, decoder: "msgspec.json.Decoder[_Kind]") -> _Kind | None:
+        """Decode what another daemon has sent. None: it is malformed, which is counted."""
+        try:
+            return decode(payload, decoder)
+        except BadPayload:
+            self.counts["malformed"] += 1
+            return None
 
 
 def is_shareable(robot: LocalRobot) -> bool:

@@ -46,8 +46,8 @@ class FleetStates:
 
     def __init__(self, hub: Hub, transport: FleetTransport) -> None:
         self._hub, self._transport = hub, transport
-        self._states = transport.session.declare_publisher(transport.keys.key("state", transport.me), is_urgent=True)
-        self._live = transport.session.declare_publisher(transport.keys.key("live", transport.me))
+        self._states = transport.session.declare_publisher(transport.key("state"), is_urgent=True)
+        self._live = transport.session.declare_publisher(transport.key("live"))
         self._is_live = False
         self._live.watch(self._note_readers)
         self._due_s = 0.0
@@ -90,7 +90,7 @@ class FleetStates:
         return tuple(map(state_of, robots))
 
     def close(self) -> None:
-        """Send no more."""
+        """Withdraw both publishers."""
         self._states.close()
         self._live.close()
 
@@ -231,7 +231,7 @@ class FleetRobots:
         self._live.want({sender.zid: sender for sender in senders if sender.zid in wanted})
 
     def lose(self, zid: str) -> None:
-        """A daemon is gone."""
+        """Unsubscribe from the poses of a daemon that is gone."""
         self._live.put(zid, None)
 
     def _subscribe(self, _: str, sender: Sender) -> Declaration:

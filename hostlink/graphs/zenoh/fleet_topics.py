@@ -1,21 +1,20 @@
 """Topics of robots between daemons: those here for other daemons, and theirs in the graph here.
 
-A message is sent while the other end subscribes to it. TopicList are shared below the name of their robot; a topic with
+A message is sent while the other end subscribes to it. Topics are shared below the name of their robot; a topic with
 another name gets one below it.
 """
 
 import asyncio
-from collections.abc import Iterable
 
-from hostlink.errors import BadPayload, HostlinkError
+from hostlink.errors import HostlinkError
 from hostlink.graphs.zenoh.fleet_commands import FleetDrivers
 from hostlink.graphs.zenoh.fleet_messages import (
     GROUP,
     MAX_TOPICS,
+    TOPIC_LIST,
     FleetTopic,
     FleetTransport,
     TopicList,
-    decode,
     encode,
     fleet_name,
     is_shareable,
@@ -51,12 +50,12 @@ class _Export:
         self._hub, self._transport = hub, transport
         self._robot, self._topic = exported
         self._participant: Participant | None = None
-        key = transport.keys.key("out", transport.me, *name.strip("/").split("/"))
+        key = transport.key("out", *name.strip("/").split("/"))
         self._publisher = transport.session.declare_publisher(key)
         self._publisher.watch(self._demand)
 
     def close(self) -> None:
-        """Share it no more."""
+        """Withdraw the topic from the fleet."""
         self._demand(False)
         self._publisher.close()
 
@@ -71,90 +70,6 @@ class _Export:
                 self._participant.subscribe(self._topic, lambda message: self._publisher.put(message.payload))
             except HostlinkError:
                 self._transport.counts["refused"] += 1
-
-
-class FleetExports:
-    """The topics of the robots here."""
-
-    def __init__(self, hub: Hub, transport: FleetTransport, drivers: FleetDrivers, roster: FleetRoster) -> None:
-        self.number = 0  # of the list, another one after each change
-        self._hub, self._transport, self._drivers, self._roster = hub, transport, drivers, roster
-        self._exports = Mirror[str, tuple[str, str], _Export](
-            lambda name, exported: _Export(hub, transport, name, exported), self._fail, slice_s=SLICE_S
-        )
-        self._list: bytes | None = None  # encoded answer; None: not requested since the last change
-        self._topics: dict[str, tuple[FleetTopic, str]] = {}  # with their names here, by the name that others know
-
-    def update(self, topics: tuple[GraphTopic, ...]) -> None:
-        """The graph has changed."""
-        found = self._find(topics)
-        if len(found) > MAX_TOPICS:
-            self._transport.counts["unshared_topics"] += len(found) - MAX_TOPICS
-            found = dict(list(found.items())[:MAX_TOPICS])
-        if found == self._topics:
-            return
-        self._topics, self._list, self.number = found, None, self.number + 1
-        self._exports.want(
-            {
-                name: (state.robot, topic)
-                for name, (state, topic) in found.items()
-                if state.is_published or state.is_velocity
-            }
-        )
-
-    def answer(self, query: Query) -> None:
-        """Answer a request for the list."""
-        if self._list is None:
-            states = tuple(state for state, _ in self._topics.values())
-            self._list = encode(TopicList(number=self.number, topics=states))
-        query.reply(self._list)
-        query.close()
-
-    def receive(self, sample: ZenohSample) -> None:
-        """A program of another daemon publishes to a device here."""
-        sender = self._transport.keys.sender(sample.key, is_addressed=True)
-        neighbour = None if sender is None else self._roster.find(sender)
-        known = self._topics.get(self._transport.keys.topic(sample.key, is_addressed=True))
-        if neighbour is None or known is None or not known[0].is_subscribed or known[0].is_velocity:
-            self._transport.counts["unannounced"] += 1
-            return
-        try:
-            self._drivers.publish(neighbour, known[1], sample.payload)
-        except HostlinkError:
-            self._transport.counts["refused"] += 1
-
-    def close(self) -> None:
-        """Withdraw everything."""
-        self._exports.close()
-
-    def _fail(self, name: str, error: Exception) -> None:
-        note_failure(self._hub, self._transport, "failed_topics", name, error)
-
-    def _find(self, topics: tuple[GraphTopic, ...]) -> dict[str, tuple[FleetTopic, str]]:
-        robots = {robot.name: robot for robot in self._hub.robots.here() if is_shareable(robot)}
-        own = {
-            name: robot
-            for robot in robots.values()
-            for name in (robot.shown.velocity, robot.shown.odometry, robot.shown.reset)
-            if name is not None
-        }
-        found = {}
-        for topic in topics:
-            robot = robots.get(topic.name.split("/")[1]) if topic.name.count("/") > 1 else None
-            robot = robot or own.get(topic.name)
-            is_there = robot is not None and (robot.link is not None or topic.is_velocity)
-            if robot is not None and is_there and topic.type_name:
-                name = fleet_name(robot, topic.name)
-                state = FleetTopic(
-                    robot=robot.name,
-                    name=name,
-                    type=topic.type_name,
-                    is_published=topic.is_published,
-                    is_subscribed=bool(self._hub.topics.find(topic.name).devices),
-                    is_velocity=topic.is_velocity,
-                )
-                found[name] = (state, topic.name)
-        return found
 
 
 class _Import:
@@ -180,7 +95,7 @@ class _Import:
                 raise
 
     def close(self) -> None:
-        """Show it no more."""
+        """Withdraw the topic from the graph here."""
         self._participant.unadvertise(self._name)
         if self._to_device is not None:
             self._to_device.close()
@@ -188,9 +103,7 @@ class _Import:
     def _publish(self, message: Message) -> None:
         """A program here publishes what a device over there subscribes."""
         parts, transport = message.topic.strip("/").split("/"), self._transport
-        transport.session.put(
-            transport.keys.key("publish", transport.me, *parts, to=self._neighbour.sender.zid), message.payload
-        )
+        transport.session.put(transport.key("publish", *parts, to=self._neighbour.sender.zid), message.payload)
 
 
 class _RemoteTopics:
@@ -271,20 +184,126 @@ class _RemoteTopics:
         note_failure(self._hub, self._transport, "failed_topics", topic, error)
 
 
-class FleetImports:
-    """Topics of robots of other daemons. Only names below that of the robot are used."""
+def note_failure(hub: Hub, transport: FleetTransport, cause: str, name: str, error: Exception) -> None:
+    """Count a refusal; any other error is a fault of hostlink."""
+    if isinstance(error, HostlinkError):
+        transport.counts[cause] += 1
+    else:
+        hub.isolation.crashed("graph", error, graph="fleet", name=name)
 
-    def __init__(self, hub: Hub, transport: FleetTransport) -> None:
-        self._hub, self._transport = hub, transport
+
+class FleetTopics:
+    """Topics in both directions: of the robots here for other daemons, and of theirs in the graph here.
+
+    A daemon's list is fetched again when the number in its state has changed.
+    """
+
+    def __init__(self, hub: Hub, transport: FleetTransport, drivers: FleetDrivers, roster: FleetRoster) -> None:
+        self.number = 0  # of the list of the topics here, another one after each change
+        self._hub, self._transport, self._drivers, self._roster = hub, transport, drivers, roster
+        self._participant = hub.join("fleet", role=Role.READ, group=GROUP)
+        self._exports = Mirror[str, tuple[str, str], _Export](
+            lambda name, exported: _Export(hub, transport, name, exported), self._fail, slice_s=SLICE_S
+        )
+        self._here: dict[str, tuple[FleetTopic, str]] = {}  # with their names here, by the name that others know
+        self._list: bytes | None = None  # encoded answer; None: not requested since the last change
         log_once = LogOnce(by=("topic",))
-        self._robots = Mirror[str, Neighbour, _RemoteTopics](
+        self._remote = Mirror[str, Neighbour, _RemoteTopics](  # by robot
             lambda robot, neighbour: _RemoteTopics(hub, transport, log_once, robot, neighbour), self._fail
         )
+        self._fetching: set[str] = set()
 
-    def show(self, robot: RemoteRobot, neighbour: Neighbour, topics: list[FleetTopic]) -> None:
-        """A robot's topics as its daemon lists them now."""
-        self._robots.put(robot.name, neighbour)
-        shown = self._robots.endpoints.get(robot.name)
+    def begin(self) -> None:
+        self._participant.watch_graph(self._update)
+
+    def end(self) -> None:
+        """Withdraw everything."""
+        self._participant.leave()
+        self._remote.close()
+        self._exports.close()
+
+    def _update(self) -> None:
+        topics = self._participant.graph().topics
+        self._export(topics)
+        self._demand(topics)
+
+    def _fail(self, name: str, error: Exception) -> None:
+        note_failure(self._hub, self._transport, "failed_topics", name, error)
+
+    # -- of the robots here -------------------------------------------------------------------------------------------
+
+    def answer(self, query: Query) -> None:
+        """Answer a request for the list."""
+        if self._list is None:
+            states = tuple(state for state, _ in self._here.values())
+            self._list = encode(TopicList(number=self.number, topics=states))
+        query.reply(self._list)
+        query.close()
+
+    def receive(self, sample: ZenohSample) -> None:
+        """A program of another daemon publishes to a device here."""
+        keys = self._transport.keys
+        neighbour, known = self._roster.find(keys.sender(sample.key)), self._here.get(keys.topic(sample.key))
+        if neighbour is None or known is None or not known[0].is_subscribed or known[0].is_velocity:
+            self._transport.counts["unannounced"] += 1
+            return
+        try:
+            self._drivers.publish(neighbour, known[1], sample.payload)
+        except HostlinkError:
+            self._transport.counts["refused"] += 1
+
+    def _export(self, topics: tuple[GraphTopic, ...]) -> None:
+        """Follow a change of the graph here."""
+        found = self._find(topics)
+        if len(found) > MAX_TOPICS:
+            self._transport.counts["unshared_topics"] += len(found) - MAX_TOPICS
+            found = dict(list(found.items())[:MAX_TOPICS])
+        if found == self._here:
+            return
+        self._here, self._list, self.number = found, None, self.number + 1
+        self._exports.want(
+            {
+                name: (state.robot, topic)
+                for name, (state, topic) in found.items()
+                if state.is_published or state.is_velocity
+            }
+        )
+
+    def _find(self, topics: tuple[GraphTopic, ...]) -> dict[str, tuple[FleetTopic, str]]:
+        robots = {robot.name: robot for robot in self._hub.robots.here() if is_shareable(robot)}
+        own = {
+            name: robot
+            for robot in robots.values()
+            for name in (robot.shown.velocity, robot.shown.odometry, robot.shown.reset)
+            if name is not None
+        }
+        found = {}
+        for topic in topics:
+            robot = robots.get(topic.name.split("/")[1]) if topic.name.count("/") > 1 else None
+            robot = robot or own.get(topic.name)
+            is_there = robot is not None and (robot.link is not None or topic.is_velocity)
+            if robot is not None and is_there and topic.type_name:
+                name = fleet_name(robot, topic.name)
+                state = FleetTopic(
+                    robot=robot.name,
+                    name=name,
+                    type=topic.type_name,
+                    is_published=topic.is_published,
+                    is_subscribed=bool(self._hub.topics.find(topic.name).devices),
+                    is_velocity=topic.is_velocity,
+                )
+                found[name] = (state, topic.name)
+        return found
+
+    # -- of robots of other daemons -----------------------------------------------------------------------------------
+
+    def show(self, robot: RemoteRobot, neighbour: Neighbour) -> None:
+        """Put the topics of a robot that are known, and whose names are below its own, into the graph."""
+        topics = neighbour.listed.get(robot.name)
+        if topics is None:
+            return
+        self._remote.put(robot.name, neighbour)
+        shown = self._remote.endpoints.get(robot.name)
         if shown is None or shown.listed is topics:
             return
         shown.listed = topics
@@ -296,64 +315,16 @@ class FleetImports:
 
     def hide(self, robot: str) -> None:
         """Withdraw the topics of a robot that is gone, or known from another daemon."""
-        self._robots.put(robot, None)
+        self._remote.put(robot, None)
 
-    def hide_all(self) -> None:
-        """The fleet ends here."""
-        self._robots.close()
+    def demand(self) -> None:
+        """Subscribe at other daemons to what is subscribed here."""
+        self._demand(self._participant.graph().topics)
 
-    def update(self, topics: Iterable[GraphTopic]) -> None:
-        """Subscribe at other daemons to what is subscribed here, after a change of the graph."""
+    def _demand(self, topics: tuple[GraphTopic, ...]) -> None:
         subscribed = {topic.name for topic in topics if topic.is_subscribed and not topic.is_velocity}
-        for shown in self._robots.endpoints.values():
+        for shown in self._remote.endpoints.values():
             shown.demand(subscribed)
-
-    def _fail(self, robot: str, error: Exception) -> None:
-        note_failure(self._hub, self._transport, "failed_topics", robot, error)
-
-
-def note_failure(hub: Hub, transport: FleetTransport, cause: str, name: str, error: Exception) -> None:
-    """Count a refusal; any other error is a fault of hostlink."""
-    if isinstance(error, HostlinkError):
-        transport.counts[cause] += 1
-    else:
-        hub.isolation.crashed("graph", error, graph="fleet", name=name)
-
-
-class FleetTopics:
-    """Topics in both directions. A daemon's list is fetched again when the number in its state has changed."""
-
-    def __init__(self, hub: Hub, transport: FleetTransport, drivers: FleetDrivers, roster: FleetRoster) -> None:
-        self.exports = FleetExports(hub, transport, drivers, roster)
-        self._hub, self._transport, self._roster = hub, transport, roster
-        self._imports = FleetImports(hub, transport)
-        self._participant = hub.join("fleet", role=Role.READ, group=GROUP)
-        self._lists: dict[str, dict[str, list[FleetTopic]]] = {}  # by daemon and robot
-        self._fetching: set[str] = set()
-
-    def begin(self) -> None:
-        """Follow the graph from now on."""
-        self._participant.watch_graph(self._update)
-
-    def end(self) -> None:
-        """Withdraw everything."""
-        self._participant.leave()
-        self._imports.hide_all()
-        self.exports.close()
-
-    def show(self, robot: RemoteRobot, neighbour: Neighbour) -> None:
-        """Put the robot's topics into the graph, as far as they are known."""
-        topics = self._lists.get(neighbour.sender.zid, {}).get(robot.name)
-        if topics is not None:
-            self._imports.show(robot, neighbour, topics)
-
-    def hide(self, name: str) -> None:
-        """Withdraw the topics of a robot."""
-        self._imports.hide(name)
-
-    def lose(self, zid: str) -> None:
-        """Forget the list of a daemon that is gone."""
-        self._lists.pop(zid, None)
 
     async def fetch(self, neighbour: Neighbour, number: int) -> bool:
         """Fetch a daemon's list; returns whether it came. Without an answer the next state is the next try."""
@@ -369,23 +340,10 @@ class FleetTopics:
             self._fetching.discard(sender.zid)
         if not answers or self._roster.find(sender) is not neighbour:
             return False
-        try:
-            listed = decode(answers[0].payload, TopicList)
-        except BadPayload:
-            self._transport.counts["malformed"] += 1
+        listed = self._transport.decode(answers[0].payload, TOPIC_LIST)
+        if listed is None:
             return False
-        neighbour.topics = number
-        by_robot: dict[str, list[FleetTopic]] = {name: [] for name in neighbour.robots}
+        neighbour.topics, neighbour.listed = number, {name: [] for name in neighbour.robots}
         for topic in listed.topics:
-            by_robot.setdefault(topic.robot, []).append(topic)
-        self._lists[sender.zid] = by_robot
+            neighbour.listed.setdefault(topic.robot, []).append(topic)
         return True
-
-    def demand(self) -> None:
-        """Subscribe at other daemons to what is subscribed here."""
-        self._imports.update(self._participant.graph().topics)
-
-    def _update(self) -> None:
-        topics = self._participant.graph().topics
-        self.exports.update(topics)
-        self._imports.update(topics)

@@ -15,7 +15,6 @@ import structlog
 
 from hostlink.config import ZenohConfig
 from hostlink.errors import BadPayload, BadRequest, CommandRefused, HostlinkError, RefusalKind, ServiceFailed, WrongType
-from hostlink.graphs.refusal_log import RefusalLog
 from hostlink.graphs.ros2_names import ros1_type
 from hostlink.graphs.ros2_types import Ros2Message, Ros2Service, Ros2Types
 from hostlink.graphs.zenoh.rmw_protocol import (
@@ -47,7 +46,7 @@ from hostlink.hub.message import Message
 from hostlink.hub.participant import Participant
 from hostlink.logs import printable
 from hostlink.messages.message_type import ServiceType
-from hostlink.mirror.log_once import LogOnce
+from hostlink.mirror.log_once import LogOnce, RefusalLog
 from hostlink.mirror.mirror import Mirror
 from hostlink.robot.admission import EarlierMotion
 from hostlink.robot.velocity import TWIST_STAMPED_TYPE, TWIST_TYPE
@@ -61,7 +60,7 @@ class RmwEndpoint:
     """One end of a topic or service in ROS 2: its token, and the gid by which it signs."""
 
     def __init__(self, session: ZenohSession, token: EndpointToken, key: str) -> None:
-        """`key`: of its data."""
+        """`key`: the key of the endpoint's data."""
         text = token.encode()
         self.key, self.gid = key, gid_of(text)
         self._numbers = itertools.count(1)
@@ -129,7 +128,7 @@ class RmwPublication:
             self._match(self._publisher.is_subscribed)
 
     def close(self) -> None:
-        """Publish no more."""
+        """Withdraw the publication."""
         self._unsubscribe()
         self._endpoint.close()
         self._publisher.close()
@@ -189,7 +188,7 @@ class OfferedService:
         self._queryable = node.session.serve(self._endpoint.key, self._receive)
 
     def close(self) -> None:
-        """Answer no more."""
+        """Withdraw the service from ROS 2."""
         self._endpoint.close()
         self._queryable.close()
         self._participant.leave()
@@ -257,7 +256,7 @@ class CalledService:
             raise
 
     def close(self) -> None:
-        """Provide it no more."""
+        """Withdraw the service from the hub."""
         self._participant.leave()
         self._endpoint.close()
 
@@ -292,7 +291,7 @@ log = structlog.get_logger()
 
 
 class RmwPublisher:
-    """One publisher of ROS 2."""
+    """Publisher of another node in ROS 2, which is a participant of the hub."""
 
     def __init__(self, node: RmwNode, token: EndpointToken, leave: Callable[[], None]) -> None:
         """`leave` is called when a failure of its own ends its participant."""
@@ -361,7 +360,7 @@ class Publishers:
         )
 
     def add(self, token: EndpointToken, key: str) -> None:
-        """A publisher has come."""
+        """Add a publisher of ROS 2 by its token."""
         if token.name not in OWN_TOPICS and not is_hidden(token.name):
             self._publishers.put(key, _Token(token, asyncio.get_running_loop().time()))
 
@@ -394,7 +393,7 @@ class Publishers:
         return self._remote.is_known(gid)
 
     def clear(self) -> None:
-        """All leave."""
+        """Remove all publishers: what they drive stops."""
         self._publishers.close()
 
     def publish(self, attachment: Attachment, subject: Subject, payload: bytes, *, topic: str) -> None:
@@ -455,7 +454,7 @@ class SubscriptionSpec:
 
 
 class RmwSubscription:
-    """`close` ends it."""
+    """Subscription in ROS 2 whose messages are published in the hub."""
 
     def __init__(self, node: RmwNode, wanted: SubscriptionSpec, publishers: Publishers) -> None:
         """Declare it.
@@ -478,7 +477,7 @@ class RmwSubscription:
         )
 
     def close(self) -> None:
-        """Subscribe no more."""
+        """Withdraw the subscription."""
         self._endpoint.close()
         self._subscription.close()
 
@@ -726,7 +725,7 @@ async def ros2_bridged(hub: Hub, session: ZenohSession, config: ZenohConfig) -> 
     log.info("ros2.joined", node=token.full_name, domain=token.domain, distribution=config.ros_distribution)
     try:
         async with asyncio.TaskGroup() as tasks:
-            watcher = tasks.create_task(_log_trouble(bridge.counts), name="ros2 trouble")
+            watcher = tasks.create_task(log_trouble(bridge.counts), name="ros2 trouble")
             try:
                 yield bridge
             finally:
@@ -736,7 +735,7 @@ async def ros2_bridged(hub: Hub, session: ZenohSession, config: ZenohConfig) -> 
         log.info("ros2.left", **bridge.counts)
 
 
-async def _log_trouble(counts: Counter[str]) -> None:
+async def log_trouble(counts: Counter[str]) -> None:
     """One line in ten seconds about what was lost since the last."""
     before: Counter[str] = Counter()
     while True:

@@ -76,7 +76,7 @@ def mangle(name: str) -> str:
 
 
 def demangle(part: str) -> str:
-    """The name that `mangle` changed."""
+    """Return the name that `mangle` has changed."""
     return part.replace("%", "/")
 
 
@@ -101,7 +101,7 @@ class RmwQos:
     depth: int | None = DEFAULT_DEPTH
 
     def encode(self) -> str:
-        """The text in a token."""
+        """Return the text in a token."""
         reliability = "" if self.is_reliable else _BEST_EFFORT
         durability = _TRANSIENT_LOCAL if self.is_transient_local else ""
         kind = _KEEP_ALL if self.depth is None else ""
@@ -142,7 +142,7 @@ class Attachment(NamedTuple):
     gid: bytes
 
     def encode(self) -> bytes:
-        """33 bytes."""
+        """Return the 33 bytes."""
         return _LAYOUT.pack(self.sequence_number, self.source_ns, GID_BYTES, self.gid)
 
     @classmethod
@@ -180,7 +180,7 @@ class NodeToken:
 
     @property
     def full_name(self) -> str:
-        """With its namespace: "/robot_0/driver"."""
+        """Name of the node with its namespace, as "/robot_0/driver"."""
         return f"{self.namespace.rstrip('/')}/{self.name}"
 
     @property
@@ -189,7 +189,7 @@ class NodeToken:
         return self.enclave == OWN_ENCLAVE
 
     def encode(self) -> str:
-        """The key."""
+        """Return the token's key."""
         return self.key(TokenKind.NODE, self.number)
 
     def key(self, kind: TokenKind, number: int) -> str:
@@ -274,7 +274,6 @@ class RemotePublisher:
 
     @property
     def subject(self) -> Subject:
-        """Topic and type of its messages."""
         return self.token.name, self.token.type_name
 
 
@@ -339,7 +338,6 @@ class RemoteGraph:
         return Removed(token, publisher, self._unbind(publisher))
 
     def clear(self) -> None:
-        """Remove all tokens."""
         for key in list(self._tokens):
             self.remove(key)
 
@@ -358,11 +356,11 @@ class RemoteGraph:
         return gid in self._by_gid
 
     def publishers(self, subject: Subject) -> list[RemotePublisher]:
-        """All of a subject."""
+        """Return all publishers of a subject."""
         return list(self._of_subject.get(subject, {}).values())
 
     def endpoints(self, kind: TokenKind) -> list[EndpointToken]:
-        """All of a kind."""
+        """Return all endpoints of a kind."""
         return [each for each in self._tokens.values() if isinstance(each, EndpointToken) and each.kind is kind]
 
     def __len__(self) -> int:

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import msgspec
 
-from hostlink.graphs.zenoh.fleet_messages import Live, RobotMessage, Sender, State
+from hostlink.graphs.zenoh.fleet_messages import FleetTopic, Live, RobotMessage, Sender, State
 from hostlink.robot.admission import Freshness
 
 MAX_DAEMONS = 256
@@ -19,13 +19,14 @@ SILENT_S = 3.0  # a daemon sends its state each second; one whose token lives bu
 
 @dataclass(slots=True, eq=False)
 class Neighbour:
-    """One other daemon."""
+    """Another daemon of the fleet, and its robots."""
 
     sender: Sender
     heard_at_s: float
     gone_at_s: float = math.inf
     robots: dict[str, RobotMessage] = field(default_factory=dict)
     topics: int = -1  # the number of its list of topics
+    listed: dict[str, list[FleetTopic]] = field(default_factory=dict)  # that list, by robot
     freshness: Freshness = field(default_factory=Freshness)
     is_silent: bool = False
 
@@ -66,13 +67,18 @@ class FleetRoster:
         return list(self._neighbours.values())
 
     def names(self) -> list[str]:
-        """Names of all robots."""
         return list(self._by_name)
 
-    def find(self, sender: Sender) -> Neighbour | None:
+    def find(self, sender: Sender | None) -> Neighbour | None:
         """The daemon that has sent something, if it has a token under that name."""
-        neighbour = self._neighbours.get(sender.zid)
+        neighbour = None if sender is None else self._neighbours.get(sender.zid)
         return neighbour if neighbour is not None and neighbour.sender == sender else None
+
+    def announced(self, sender: Sender | None) -> Neighbour | None:
+        """Find a daemon, and count what one without a token sends."""
+        neighbour = self.find(sender)
+        self._counts["unannounced"] += neighbour is None
+        return neighbour
 
     def appear(self, sender: Sender, now_s: float) -> bool:
         """A daemon has a token; returns whether it is new."""
@@ -94,7 +100,7 @@ class FleetRoster:
         neighbour = self._neighbours.pop(zid, None)
         if neighbour is None:
             return set()
-        neighbour.gone_at_s = now_s
+        neighbour.gone_at_s, neighbour.listed = now_s, {}
         self._gone[zid] = neighbour
         return set(neighbour.robots) | self.forget(now_s)
 
@@ -112,10 +118,9 @@ class FleetRoster:
         return touched
 
     def receive(self, sender: Sender, state: State, now_s: float) -> set[str]:
-        """A daemon has sent its state."""
-        neighbour = self.find(sender)
+        """Update the robots of a daemon from its state."""
+        neighbour = self.announced(sender)
         if neighbour is None:
-            self._counts["unannounced"] += 1
             return set()
         self._counts["met"] += neighbour.is_silent
         neighbour.heard_at_s, neighbour.is_silent = now_s, False
@@ -130,9 +135,8 @@ class FleetRoster:
 
     def receive_motions(self, sender: Sender, live: Live, now_s: float) -> set[str]:
         """A daemon has sent how its robots move."""
-        neighbour = self.find(sender)
+        neighbour = self.announced(sender)
         if neighbour is None:
-            self._counts["unannounced"] += 1
             return set()
         neighbour.heard_at_s = now_s
         touched = set()
@@ -147,7 +151,7 @@ class FleetRoster:
         return touched
 
     def watch(self, now_s: float) -> set[str]:
-        """Note who has fallen silent."""
+        """Note the daemons that have sent nothing for SILENT_S."""
         silent = [
             each for each in self._neighbours.values() if not each.is_silent and now_s > each.heard_at_s + SILENT_S
         ]

@@ -17,7 +17,7 @@ from hostlink.errors import ConfigError
 from hostlink.graphs.zenoh.settings import library, reach_of, reason_of, settings_of
 from hostlink.hub.isolation import Isolation
 from hostlink.logs import printable
-from hostlink.mirror.inbox import MAX_WAITING, Inbox
+from hostlink.mirror.inbox import MAX_WAITING, ThreadInbox
 
 log = structlog.get_logger()
 
@@ -81,7 +81,6 @@ class ZenohPublisher:
 
     @property
     def is_subscribed(self) -> bool:
-        """Whether another session subscribes."""
         with self._session.guarded("match"):
             return bool(self._publisher.matching_status.matching)
         return False
@@ -94,7 +93,7 @@ class ZenohPublisher:
             self._listener = self._publisher.declare_matching_listener(notice)
 
     def close(self) -> None:
-        """Publish no more."""
+        """Undeclare the publisher."""
         with self._session.guarded("undeclare"):
             if self._listener is not None:
                 self._listener.undeclare()
@@ -144,7 +143,6 @@ class ZenohSession:
     """
 
     def __init__(self, zenoh: Any, session: Any, isolation: Isolation) -> None:
-        """`zenoh`: the module."""
         self.counts: Counter[str] = Counter()
         self.zid = str(session.info.zid())
         self._zenoh, self._session, self._isolation = zenoh, session, isolation
@@ -235,7 +233,7 @@ class ZenohSession:
         )
         return Declaration(inbox.close, lambda: self._undeclare(subscriber))
 
-    def serve(self, key_expr: str, answer: Callable[[Query], None], *, is_complete: bool = True) -> Declaration:
+    def serve(self, key_expr: str, answer: Callable[[Query], None]) -> Declaration:
         """Call `answer` for each query.
 
         Raises:
@@ -250,7 +248,7 @@ class ZenohSession:
                     reply, close = self._background.replies(query)
                     inbox.put("", Query(key, payload, _bytes(query.attachment), reply, close))
 
-        queryable = self._declare(self._session.declare_queryable, key_expr, self.callback(put), complete=is_complete)
+        queryable = self._declare(self._session.declare_queryable, key_expr, self.callback(put), complete=True)
         return Declaration(inbox.close, lambda: self._undeclare(queryable))
 
     async def get(
@@ -319,9 +317,9 @@ class ZenohSession:
             if not self._is_closed:
                 log.debug("zenoh.failed", what=what, cause=printable(str(error), 200))
 
-    def inbox(self, deliver: Callable[[Any], None], *, max_waiting: int = MAX_WAITING) -> Inbox[Any]:
+    def inbox(self, deliver: Callable[[Any], None], *, max_waiting: int = MAX_WAITING) -> ThreadInbox[Any]:
         """A queue from Zenoh's threads to the loop."""
-        return Inbox(
+        return ThreadInbox(
             deliver,
             guarded=lambda: self._isolation.around("graph", graph="zenoh"),
             counts=self.counts,

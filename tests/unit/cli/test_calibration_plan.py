@@ -20,10 +20,10 @@ from hostlink.cli.calibration_plan import (
     steps_of,
 )
 from hostlink.errors import HostlinkError
-from hostlink.robot.calibration import Kind, MeasuredRun, Measurement, WheelGeometry
+from hostlink.robot.calibration import MeasuredRun, Measurement, RunKind, WheelGeometry
 from hostlink.robot.kinematics import Pose
 
-RUN = MeasuredRun(Kind.STRAIGHT, 3.0, (Pose(), Pose(3.0, 0.1, 0.01)), Measurement(2.98, 0.12))
+RUN = MeasuredRun(RunKind.STRAIGHT, 3.0, (Pose(), Pose(3.0, 0.1, 0.01)), Measurement(2.98, 0.12))
 
 
 @pytest.mark.parametrize(
@@ -67,12 +67,12 @@ def test_angles_are_degrees() -> None:
 def test_lines_turns_and_squares_both_ways_are_driven() -> None:
     kinds = [step.kind for step in steps_of(Sizes())]
     assert kinds == [
-        *[Kind.STRAIGHT] * 2,
-        Kind.TURNS_CCW,
-        Kind.TURNS_CW,
-        *[Kind.SQUARE_CW, Kind.SQUARE_CCW] * 2,
+        *[RunKind.STRAIGHT] * 2,
+        RunKind.TURNS_CCW,
+        RunKind.TURNS_CW,
+        *[RunKind.SQUARE_CW, RunKind.SQUARE_CCW] * 2,
     ]
-    assert [step.kind for step in checks_of(Sizes())] == [Kind.STRAIGHT, Kind.SQUARE_CW, Kind.SQUARE_CCW]
+    assert [step.kind for step in checks_of(Sizes())] == [RunKind.STRAIGHT, RunKind.SQUARE_CW, RunKind.SQUARE_CCW]
     assert all("turns" not in step.kind for step in steps_of(Sizes(turns=0)))
     assert steps_of(Sizes(turns=1))[2].title == "1 turn on the spot, counter-clockwise"
     titles = {step.title: step.room for step in steps_of(Sizes())}

@@ -80,7 +80,7 @@ def test_report_says_from_where_a_zenoh_session_can_be_reached() -> None:
         (Config(tcp=TcpConfig(port=65536)), r"tcp.port: 65536 is not a port; choose 0 \(any free one\) to 65535"),
         (Config(api=ApiConfig(port=-1)), "api.port: -1 is not a port"),
         (Config(message_folders=(Path("/none"),)), "/none: "),
-        (Config(api=OPEN), r"whoever reaches this address could drive the robots: set \[\[api.tokens\]\]"),
+        (Config(api=OPEN), r"every program on the network could drive the robots: set \[\[api.tokens\]\]"),
         (
             Config(robots={"a": RobotConfig(max_linear_m_s=-1.0)}),
             "max_linear_m_s must be a finite number, zero or more",

@@ -1,4 +1,4 @@
-"""Keys and time to velocity (docs/robot.md#the-keys-of-teleop)."""
+"""Keys and time to velocity (docs/driving.md#the-keys-of-teleop)."""
 
 import pytest
 from hypothesis import given

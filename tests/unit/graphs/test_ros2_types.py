@@ -212,6 +212,26 @@ def test_a_length_that_is_not_there_costs_no_memory() -> None:
             message(name).from_cdr(data)
 
 
+def test_fields_that_one_side_lacks_are_zero(tmp_path: Path) -> None:
+    package = tmp_path / "sensor_msgs" / "msg"
+    package.mkdir(parents=True)
+    (package / "Imu.msg").write_text("std_msgs/Header header\nbyte[3] own\nbool[2] flags\nstring[2] texts\n")
+    (package / "BatteryState.msg").write_text("float32 voltage\n")
+    catalog = Catalog([tmp_path])
+    types, known = Ros2Types(catalog, "kilted"), catalog.message("sensor_msgs/Imu")
+    assert known is not None
+    data = message("sensor_msgs/Imu", types).to_cdr(known.encode({"header": {"frame_id": "a"}, "own": [1, 2, 3]}))
+    made = in_ros2("sensor_msgs/msg/Imu", data)
+    assert (made.header.frame_id, made.orientation.w, list(made.angular_velocity_covariance)) == ("a", 0.0, [0.0] * 9)
+    back = known.decode(message("sensor_msgs/Imu", types).from_cdr(data))
+    assert (back["own"], back["flags"], back["texts"]) == ([0, 0, 0], [False, False], ["", ""])
+    battery = in_ros2(
+        "sensor_msgs/msg/BatteryState",
+        message("sensor_msgs/BatteryState", types).to_cdr(struct.pack("<f", 12.5)),
+    )
+    assert (battery.voltage, battery.present, list(battery.cell_voltage), battery.location) == (12.5, False, [], "")
+
+
 def test_services_have_two_messages() -> None:
     service = TYPES.service("std_srvs/SetBool")
     known = CATALOG.service("std_srvs/SetBool")

@@ -8,7 +8,7 @@ import pytest
 
 from hostlink.graphs.zenoh.session import ZenohSample
 from hostlink.hub.isolation import Isolation
-from hostlink.mirror.inbox import MAX_SOURCES, MAX_WAITING_BYTES, Inbox
+from hostlink.mirror.inbox import MAX_SOURCES, MAX_WAITING_BYTES, ThreadInbox
 
 
 async def settled() -> None:
@@ -18,7 +18,7 @@ async def settled() -> None:
 
 async def test_items_arrive_in_the_loop_in_order() -> None:
     received: list[int] = []
-    inbox = Inbox(received.append)
+    inbox = ThreadInbox(received.append)
     thread = threading.Thread(target=lambda: [inbox.put("a", number) for number in range(100)])
     thread.start()
     thread.join()
@@ -30,7 +30,7 @@ async def test_items_arrive_in_the_loop_in_order() -> None:
 async def test_flooding_source_loses_only_its_own_oldest_items() -> None:
     received: list[tuple[str, int]] = []
     counts: Counter[str] = Counter()
-    inbox = Inbox(received.append, counts=counts, max_waiting=10)
+    inbox = ThreadInbox(received.append, counts=counts, max_waiting=10)
     inbox.put("calm", ("calm", 0))
     for number in range(1000):
         inbox.put("flood", ("flood", number))
@@ -42,7 +42,7 @@ async def test_flooding_source_loses_only_its_own_oldest_items() -> None:
 
 async def test_sources_take_turns() -> None:
     received: list[str] = []
-    inbox = Inbox(received.append)
+    inbox = ThreadInbox(received.append)
     for source in "aaab":
         inbox.put(source, source)
     await settled()
@@ -52,7 +52,7 @@ async def test_sources_take_turns() -> None:
 async def test_the_number_of_sources_is_bounded() -> None:
     received: list[int] = []
     counts: Counter[str] = Counter()
-    inbox = Inbox(received.append, counts=counts)
+    inbox = ThreadInbox(received.append, counts=counts)
     for number in range(MAX_SOURCES + 5):
         inbox.put(str(number), number)
     await settled()
@@ -63,7 +63,7 @@ async def test_the_number_of_sources_is_bounded() -> None:
 async def test_the_bytes_that_wait_are_bounded() -> None:
     received: list[ZenohSample] = []
     counts: Counter[str] = Counter()
-    inbox = Inbox(received.append, counts=counts)
+    inbox = ThreadInbox(received.append, counts=counts)
     large = ZenohSample("key", bytes(MAX_WAITING_BYTES // 4))
     for number in range(6):
         inbox.put(str(number), large)
@@ -84,7 +84,7 @@ async def test_failing_callback_is_counted_and_the_next_item_is_delivered() -> N
         received.append(number)
 
     isolation = Isolation()
-    inbox = Inbox(deliver, guarded=lambda: isolation.around("graph"))
+    inbox = ThreadInbox(deliver, guarded=lambda: isolation.around("graph"))
     for number in range(3):
         inbox.put("a", number)
     await settled()
@@ -94,7 +94,7 @@ async def test_failing_callback_is_counted_and_the_next_item_is_delivered() -> N
 
 async def test_closed_inbox_delivers_nothing() -> None:
     received: list[int] = []
-    inbox = Inbox(received.append)
+    inbox = ThreadInbox(received.append)
     inbox.put("a", 1)
     inbox.close()
     inbox.put("a", 2)
@@ -105,8 +105,8 @@ async def test_closed_inbox_delivers_nothing() -> None:
 def test_an_item_for_a_loop_that_has_ended_is_dropped() -> None:
     received: list[int] = []
 
-    async def make() -> Inbox[int]:
-        return Inbox(received.append)
+    async def make() -> ThreadInbox[int]:
+        return ThreadInbox(received.append)
 
     inbox = asyncio.run(make())
     inbox.put("a", 1)
@@ -121,7 +121,7 @@ async def test_a_long_queue_leaves_the_loop_to_others(count: int) -> None:
         received.append(number)
         sum(range(2000))
 
-    inbox = Inbox(deliver, max_waiting=count)
+    inbox = ThreadInbox(deliver, max_waiting=count)
     for number in range(count):
         inbox.put("a", number)
     turns = 0
@@ -134,7 +134,7 @@ async def test_a_long_queue_leaves_the_loop_to_others(count: int) -> None:
 async def test_an_item_that_would_be_too_much_leaves_the_one_that_it_would_replace() -> None:
     received: list[ZenohSample] = []
     counts: Counter[str] = Counter()
-    inbox = Inbox(received.append, counts=counts, max_waiting=1)
+    inbox = ThreadInbox(received.append, counts=counts, max_waiting=1)
     inbox.put("small", ZenohSample("small", b"x"))
     inbox.put("large", ZenohSample("large", bytes(MAX_WAITING_BYTES - 1)))
     inbox.put("small", ZenohSample("too much", b"xx"))
@@ -147,7 +147,7 @@ async def test_an_item_that_would_be_too_much_leaves_the_one_that_it_would_repla
 
 
 async def test_items_of_a_thread_are_read_in_order() -> None:
-    inbox: Inbox[int] = Inbox(max_waiting=1000)
+    inbox: ThreadInbox[int] = ThreadInbox(max_waiting=1000)
     thread = threading.Thread(target=lambda: [inbox.put("", number) for number in range(1000)])
     thread.start()
     assert [await anext(inbox) for _ in range(1000)] == list(range(1000))
@@ -156,7 +156,7 @@ async def test_items_of_a_thread_are_read_in_order() -> None:
 
 
 async def test_a_reader_that_waits_is_woken() -> None:
-    inbox: Inbox[int] = Inbox()
+    inbox: ThreadInbox[int] = ThreadInbox()
     for number in range(3):
         asyncio.get_running_loop().call_later(0.001, inbox.put, "", number)
         async with asyncio.timeout(1):
@@ -164,7 +164,7 @@ async def test_a_reader_that_waits_is_woken() -> None:
 
 
 async def test_a_flood_wakes_the_loop_once() -> None:
-    inbox: Inbox[int] = Inbox(max_waiting=8)
+    inbox: ThreadInbox[int] = ThreadInbox(max_waiting=8)
     for number in range(10_000):
         inbox.put("", number)
     loop = asyncio.get_running_loop()

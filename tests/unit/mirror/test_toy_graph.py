@@ -13,7 +13,7 @@ from hostlink.hub.graph_view import GraphTopic
 from hostlink.hub.hub import Hub
 from hostlink.hub.message import Message
 from hostlink.hub.participant import Participant
-from hostlink.mirror.inbox import Inbox
+from hostlink.mirror.inbox import ThreadInbox
 from hostlink.mirror.log_once import LogOnce
 from hostlink.mirror.mirror import Mirror
 from tests.support.fake_device import CATALOG
@@ -86,7 +86,7 @@ class FromToy:
         self._node, self._graph, self._name = node, graph, name
         node.advertise(name, type_name)
         encode = node.message_type(name).encode
-        self._inbox = Inbox[str](lambda text: node.publish(name, encode(json.loads(text))), max_waiting=16)
+        self._inbox = ThreadInbox[str](lambda text: node.publish(name, encode(json.loads(text))), max_waiting=16)
         graph.readers[name] = lambda text: self._inbox.put(name, text)
 
     def close(self) -> None:

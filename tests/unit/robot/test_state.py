@@ -8,7 +8,7 @@ import pytest
 
 from hostlink.api.views import RobotView
 from hostlink.client import RobotState as ClientRobotState
-from hostlink.graphs.zenoh.fleet_messages import RobotMessage, State, decode, encode
+from hostlink.graphs.zenoh.fleet_messages import STATE, RobotMessage, State, decode, encode
 from hostlink.robot.kinematics import Pose
 from hostlink.robot.odometry import OdometrySnapshot
 from hostlink.robot.state import BATTERY_TYPE, DEVICE_AWAY, BatteryReading, RobotState, read_battery
@@ -92,7 +92,7 @@ def test_rest_shows_every_field() -> None:
 
 def test_every_field_passes_from_daemon_to_daemon() -> None:
     sent = State(sent_s=1.0, topics=2, robots=(RobotMessage.of(EVERYTHING),))
-    assert [robot.state for robot in decode(encode(sent), State).robots] == [EVERYTHING]
+    assert [robot.state for robot in decode(encode(sent), STATE).robots] == [EVERYTHING]
 
 
 def test_an_older_daemon_understands_what_it_knows() -> None:

@@ -258,6 +258,14 @@ def test_connection_to_an_unknown_topic_is_refused_and_to_a_known_one_accepted()
     with_graph(test)
 
 
+def test_idle_connection_to_the_slave_api_gives_its_place_to_another() -> None:
+    async def test(made: Graph) -> None:
+        async with made.api.serving() as make_protocol:
+            assert make_protocol().is_replaceable
+
+    with_graph(test)
+
+
 def test_parameter_update_is_kept_for_subscribed_keys() -> None:
     async def test(made: Graph) -> None:
         made.rpc.answer = lambda _uri, _method: 5

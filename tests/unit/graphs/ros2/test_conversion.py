@@ -13,15 +13,14 @@ from hostlink.errors import BadPayload, HostlinkError
 from hostlink.graphs.ros2.conversion import (
     Conversion,
     Fields,
-    Layout,
     added_bytes,
     nested_types,
-    ros1_layout,
+    ros1_fields,
     ros2_fields,
-    ros2_layout,
     stamped,
 )
 from hostlink.graphs.ros2_names import ros2_type
+from hostlink.graphs.wire_layout import Layout, ros1_layout, ros2_layout
 from hostlink.messages.catalog import Catalog
 
 CATALOG, KILTED = Catalog(), get_typestore(Stores.ROS2_KILTED)
@@ -54,10 +53,15 @@ def definitions(name: str) -> dict[str, Fields]:
     return found
 
 
-def is_same(name: str) -> bool:
+def layout(name: str) -> Layout:
+    """The layout of a type of the daemon, as its rosapi describes the type."""
     type_ = CATALOG.message(name)
     assert type_ is not None
-    return ros1_layout(describe(type_), name) == ros2_layout(definitions(ros2_type(name)), ros2_type(name))
+    return ros1_layout(ros1_fields(describe(type_)).get, name)
+
+
+def is_same(name: str) -> bool:
+    return layout(name) == ros2_layout(definitions(ros2_type(name)).__getitem__, ros2_type(name))
 
 
 SHARED = [
@@ -93,9 +97,13 @@ def test_a_type_has_the_same_layout_in_both(name: str) -> None:
 def test_a_type_that_ros_2_changed_is_noticed() -> None:
     changed = definitions("std_msgs/msg/Header")
     changed["std_msgs/msg/Header"]["more"] = (Nodetype.BASE, ("uint8", 0))
-    header = CATALOG.message("std_msgs/Header")
-    assert header is not None
-    assert ros1_layout(describe(header), header.name) != ros2_layout(changed, "std_msgs/msg/Header")
+    assert layout("std_msgs/Header") != ros2_layout(changed.__getitem__, "std_msgs/msg/Header")
+
+
+def test_message_with_the_values_of_a_header_is_not_one() -> None:
+    own = {"a/Own": [("head", "a/Head", -1)], "a/Head": [("stamp", "time", -1), ("frame_id", "string", -1)]}
+    there = definitions("std_msgs/msg/Header") | {"a/msg/Own": {"head": (Nodetype.NAME, "std_msgs/msg/Header")}}
+    assert ros1_layout(own.get, "a/Own") != ros2_layout(there.__getitem__, "a/msg/Own")
 
 
 def converted(name: str, fields: dict[str, Any]) -> tuple[bytes, bytes, Conversion]:
@@ -161,7 +169,7 @@ def test_trailing_fields_of_ros_2_are_zero_and_dropped_on_the_way_back() -> None
     range_ = CATALOG.message("sensor_msgs/Range")
     assert range_ is not None
     types, name = definitions("sensor_msgs/msg/Range"), "sensor_msgs/msg/Range"
-    added = added_bytes(ros1_layout(describe(range_), range_.name), ros2_layout(types, name))
+    added = added_bytes(layout(range_.name), ros2_layout(types.__getitem__, name))
     assert added == 4  # the variance
     conversion = Conversion()
     conversion.add(types, name, added_bytes=added)

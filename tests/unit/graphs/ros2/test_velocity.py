@@ -9,9 +9,9 @@ import pytest
 
 from hostlink.client import Refusal
 from hostlink.errors import HostlinkError
-from hostlink.graphs.refusal_log import INTERVAL_S
 from hostlink.graphs.ros2.plan import TWIST, VelocityInput
 from hostlink.graphs.ros2.velocity import MATCH_S, MAX_COMMANDS_S, MAX_OWNERS, STALL_S, VelocityDriver
+from hostlink.mirror.log_once import INTERVAL_S
 from hostlink.robot.admission import EARLIER_EPOCH
 from hostlink.robot.velocity import Twist
 from tests.support.virtual_loop import VirtualLoop, run_virtual

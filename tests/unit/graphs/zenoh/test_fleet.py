@@ -12,11 +12,12 @@ from structlog.testing import capture_logs
 from hostlink.config import Config, ZenohConfig
 from hostlink.errors import BadRequest, CommandRefused, DeviceGone, HostlinkError, RefusalKind
 from hostlink.graphs.zenoh import fleet_commands
-from hostlink.graphs.zenoh.fleet import fleet_running
+from hostlink.graphs.zenoh.fleet import fleet_running, sender_name
 from hostlink.graphs.zenoh.fleet_commands import FleetDrivers
 from hostlink.graphs.zenoh.fleet_messages import (
-    DriveRequest,
+    ANSWER,
     FleetAnswer,
+    FleetCommand,
     FleetTransport,
     Keys,
     Sender,
@@ -84,6 +85,14 @@ def with_fleet(test: Callable[[World], Awaitable[None]], *, drivers: tuple[str, 
             await world.end()
 
     play(run)
+
+
+@pytest.mark.parametrize(
+    ("host", "name"),
+    [("lab-1.local", "lab-1.local"), ("a b/*$", "a-b---"), ("", "host"), ("x" * 65, "x" * 64), ("a_b", "a_b")],
+)
+def test_sender_has_the_name_of_its_host_as_far_as_a_key_can_have_it(host: str, name: str) -> None:
+    assert sender_name(host) == name
 
 
 def test_robot_of_another_daemon_is_shown_with_its_host_and_topics() -> None:
@@ -287,12 +296,12 @@ class Requests:
 
     def request(self, request: object, sender: Sender | None = None) -> FleetAnswer | None:
         self.drivers.receive(ZenohSample(self.keys.key("drive", sender or self.desk, to="1a"), encode(request)))
-        return decode(self.sent.pop(), FleetAnswer) if self.sent else None
+        return decode(self.sent.pop(), ANSWER) if self.sent else None
 
     def drive(self, *, owner: int = 1, speed_m_s: float = 0.2, robot: str = ROBOT) -> FleetAnswer:
         velocity = (speed_m_s, 0.0, 0.0, 0.0, 0.0, 0.0)
         answer = self.request(
-            DriveRequest(
+            FleetCommand(
                 number=5, sent_s=now_s(), robot=robot, owner=owner, owner_name="pad", velocity=velocity, priority=10
             )
         )

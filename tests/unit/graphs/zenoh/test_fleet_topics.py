@@ -5,9 +5,10 @@ from collections import Counter
 from typing import cast
 
 from hostlink.config import Config
+from hostlink.graphs.zenoh.fleet_commands import FleetDrivers
 from hostlink.graphs.zenoh.fleet_messages import FleetTopic, FleetTransport, Keys, Sender
-from hostlink.graphs.zenoh.fleet_topics import FIRST_RETRY_S, FleetImports
-from hostlink.graphs.zenoh.roster import Neighbour
+from hostlink.graphs.zenoh.fleet_topics import FIRST_RETRY_S, FleetTopics
+from hostlink.graphs.zenoh.roster import FleetRoster, Neighbour
 from hostlink.graphs.zenoh.session import ZenohSession
 from hostlink.hub.hub import Hub
 from tests.support.fake_device import CATALOG
@@ -24,16 +25,19 @@ class World:
     def __init__(self) -> None:
         self.hub, self.counts, self.network = Hub(Config(), CATALOG, reraises=True), Counter[str](), MemoryNetwork()
         session = cast("ZenohSession", MemorySession(self.network, "1a"))
-        self.imports = FleetImports(self.hub, FleetTransport(session, Keys("fleet"), Sender("lab", "1a"), self.counts))
+        transport = FleetTransport(session, Keys("fleet"), Sender("lab", "1a"), self.counts)
+        roster = FleetRoster(self.counts)
+        self.topics = FleetTopics(self.hub, transport, FleetDrivers(self.hub, transport, roster), roster)
         self.robot = remote_robot(self.hub, ROBOT)
         self.neighbour = Neighbour(Sender("desk", "2b"), 0.0)
 
     def show(self, *names: str, type_name: str = "std_msgs/Bool") -> None:
         topics = [FleetTopic(robot=ROBOT, name=name, type=type_name, is_published=True) for name in names]
-        self.imports.show(self.robot, self.neighbour, topics)
+        self.neighbour.listed[ROBOT] = topics
+        self.topics.show(self.robot, self.neighbour)
 
     def update(self) -> None:
-        self.imports.update(self.hub.join("watcher").graph().topics)
+        self.topics.demand()
 
     def published(self) -> set[str]:
         return {topic.name for topic in self.hub.topics.all() if topic.publishers and ROBOT in topic.name}
@@ -51,7 +55,7 @@ def test_topic_with_another_type_here_is_refused_alone_and_shown_once_it_fits() 
         assert world.published() == {SCAN}
         await asyncio.sleep(FIRST_RETRY_S + 0.1)
         assert world.published() == {PLAN, SCAN}
-        world.imports.hide_all()
+        world.topics.end()
 
     run_virtual(test())
 
@@ -74,7 +78,7 @@ def test_topic_is_subscribed_at_its_daemon_while_it_is_subscribed_here() -> None
         program.leave()
         world.update()
         assert world.network.subscribers == []
-        world.imports.hide_all()
+        world.topics.end()
 
     run_virtual(test())
 
@@ -89,7 +93,7 @@ def test_robot_at_another_daemon_has_its_topics_anew() -> None:
         world.show(PLAN)
         assert world.network.subscribers == []
         assert world.published() == {PLAN}
-        world.imports.hide(ROBOT)
+        world.topics.hide(ROBOT)
         assert world.published() == set()
 
     run_virtual(test())

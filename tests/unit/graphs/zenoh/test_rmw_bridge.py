@@ -2,6 +2,7 @@
 
 import asyncio
 import struct
+from collections import Counter
 from collections.abc import Awaitable, Callable, Mapping
 from typing import cast
 
@@ -30,6 +31,7 @@ from hostlink.graphs.zenoh.session import Declaration, Query, ZenohSample, Zenoh
 from tests.support.fake_device import CATALOG
 from tests.support.memory_zenoh import MemoryNetwork, MemorySession
 from tests.support.participants import ROBOT, TEXT, TEXT_TYPE, Scene, play
+from tests.support.virtual_loop import run_virtual
 
 TYPES = Ros2Types(CATALOG, "kilted")
 STRING, TWIST, TRIGGER = "std_msgs/msg/String", "geometry_msgs/msg/Twist", "std_srvs/srv/Trigger"
@@ -386,3 +388,18 @@ def test_twist_has_48_bytes_at_the_end_of_a_twist_stamped() -> None:
     assert known is not None
     payload = known.encode({"header": {"frame_id": "base"}, "twist": {"angular": {"z": 2.0}}})
     assert struct.unpack("<6d", payload[-rmw_bridge.TWIST_BYTES :])[5] == 2.0
+
+
+def test_losses_are_logged_as_one_line_in_each_interval() -> None:
+    async def test() -> None:
+        counts = Counter[str]()
+        with capture_logs() as logs:
+            watching = asyncio.get_running_loop().create_task(rmw_bridge.log_trouble(counts))
+            for unsigned, late in ((3, 0), (0, 0), (2, 1)):
+                counts.update({"unsigned": unsigned, "late": late, "from_ros2": 100})
+                await asyncio.sleep(rmw_bridge.TROUBLE_INTERVAL_S + 0.1)
+            watching.cancel()
+        lines = [{name: line[name] for name in line.keys() - {"event", "log_level"}} for line in logs]
+        assert lines == [{"unsigned": 3}, {"unsigned": 2, "late": 1}]
+
+    run_virtual(test())
