@@ -29,15 +29,15 @@ MUTANTS_SEED ?= 1
 CORES := $(shell nproc)
 WORKERS ?= $(shell echo $$((3 * $(CORES))))# of make test: two thirds of its time is waiting
 QUIET_WORKERS ?= $(shell echo $$((3 * $(CORES) / 2)))# of the tests that a busy machine disturbs: three fifths of their time is waiting
-REPEAT ?= 0# failed tests of a group that are run once more alone
 unexport PYTHONDONTWRITEBYTECODE # the tests start hostlink some hundred times
 
-.PHONY: help demo docs test quick test-pythons coverage mutants check bench fuzz web screenshots firmware world lab chain soak netns ros2-venv ros-mcp-venv release piuparts arm64 format clean
+.PHONY: help demo docs test test-long quick test-pythons coverage mutants check bench fuzz web screenshots firmware world lab chain soak netns ros2-venv ros-mcp-venv release piuparts arm64 format clean
 
 help:
 	@echo "make demo    start the daemon with a simulated robot"
 	@echo "make quick   run the tests that need nothing but Python, in about a minute"
-	@echo "make test    run every test"
+	@echo "make test    run all tests except those marked long, in about five minutes"
+	@echo "make test-long  run the tests marked long: whole tables, hundred robots, minutes of driving; CI runs them too"
 	@echo "make docs    build the site of the documents, into build/docs/index.html"
 	@echo "make test-pythons  unit, property and integration tests on each Python from 3.11 that is found (PYTHONS=3.13)"
 	@echo "make coverage  which branches of the core no test takes; the pure packages must have none"
@@ -118,12 +118,17 @@ $(CLIENTS): tests/clients/package.json tests/clients/package-lock.json
 	@touch $@
 
 # What cannot be installed here does not end the run: the table lists the tests that need it (tests/support/requirements.py).
-test: $(VENV)/.dev
-	@tools/require.sh tmux procps systemd chromium-headless-shell firefox-esr openssl $(FIRMWARE_PACKAGES) $(WORLD_PACKAGES) $(ROS1_PACKAGES) || true
+.PHONY: test-requirements
+test-requirements: $(VENV)/.dev
+	@tools/require.sh tmux zsh procps systemd chromium-headless-shell firefox-esr openssl $(FIRMWARE_PACKAGES) $(WORLD_PACKAGES) $(ROS1_PACKAGES) || true
 	@for each in $(CLIENTS) $(ROS2_VENV)/.installed $(ROS_MCP_VENV)/.installed; do \
 	  $(MAKE) --no-print-directory $$each || echo "the tests that need $$each are not run"; done
-	$(BIN)/python -m pytest --collect-only --quiet tests >/dev/null # what pytest compiles: once, not once a worker
-	$(BIN)/python tools/run_tests.py --workers $(WORKERS) --quiet-workers $(QUIET_WORKERS) --repeat $(REPEAT)
+
+test: test-requirements
+	$(BIN)/python tools/run_tests.py --workers $(WORKERS) --quiet-workers $(QUIET_WORKERS)
+
+test-long: test-requirements
+	$(BIN)/python tools/run_tests.py --long --quiet-workers $(CORES)
 
 quick: $(VENV)/.dev
 	$(BIN)/python -m pytest -q -n $(CORES) -m "not quiet and not alone and not long" tests/unit
@@ -173,20 +178,16 @@ format: $(VENV)/.dev
 	$(BIN)/ruff format .
 
 bench: $(VENV)/.dev $(ROS2_VENV)/.installed
-	$(BIN)/python tools/bench_link.py
-	$(BIN)/python tools/bench_api.py
-	$(BIN)/python tools/bench_crowd.py
-	$(BIN)/python tools/bench_messages.py
-	$(BIN)/python tools/bench_recording.py
 	@tools/require.sh $(ROS1_PACKAGES)
-	$(BIN)/python tools/bench_ros2.py
-	$(BIN)/python tools/bench_ros1.py
+	@status=0; for part in link api crowd messages black_box recording ros2 ros1; do \
+	  echo "== $$part"; $(BIN)/python tools/bench_$$part.py || status=1; done; exit $$status
 
 # Fifty times the examples last longer than the two minutes that other tests have.
 FUZZ_TEST_S := 3600
 fuzz: $(VENV)/.dev
+	@tools/require.sh $(FIRMWARE_PACKAGES)
 	HYPOTHESIS_PROFILE=fuzz $(BIN)/python -m pytest -n auto --timeout $(FUZZ_TEST_S) tests/property
-	HYPOTHESIS_PROFILE=fuzz $(BIN)/python -m pytest -n auto --timeout $(FUZZ_TEST_S) tests/unit -m hypothesis
+	HYPOTHESIS_PROFILE=fuzz $(BIN)/python -m pytest -n auto --timeout $(FUZZ_TEST_S) tests/unit tests/firmware -m hypothesis
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[fuzz]'
 	@tools/require.sh clang libclang-rt-14-dev
 	$(BIN)/python tools/fuzz.py --seconds 60

@@ -1,6 +1,7 @@
 """The site that `make docs` builds of these pages. Warnings are errors: a link to what is not there ends the build."""
 
 import importlib.metadata
+import re
 import sys
 from pathlib import Path
 
@@ -12,12 +13,7 @@ from tools import docs_reference, try_page
 
 docs_reference.main()
 
-PLACES = {  # of pages that lie elsewhere in the repository, where a reader of the files finds them
-    "../firmware/README.md": "firmware.md",
-    "../firmware/rosserial/README.md": "board-library.md",
-    "../tests/captures/README.md": "captures.md",
-    "../CONTRIBUTING.md": "design.md",
-}
+OUTSIDE = re.compile(r"\]\((\.\./[^)#\s]+\.md)(?:#[^)\s]*)?\)")  # links to Markdown files of the repository
 
 project = "hostlink"
 release = importlib.metadata.version("hostlink")
@@ -41,8 +37,8 @@ suppress_warnings = ["misc.highlighting_failure"]
 
 
 def setup(app: Sphinx) -> None:
-    """Links to what lies elsewhere lead to its page here; and the page that drives the firmware is beside them."""
-    app.connect("source-read", _link_here)
+    """Links to documents of the repository lead to a copy; and the page that drives the firmware is beside them."""
+    app.connect("source-read", _link_to_file)
     app.connect("build-finished", _write_try_page)
 
 
@@ -50,6 +46,6 @@ def _write_try_page(app: Sphinx, _error: Exception | None) -> None:
     try_page.write(Path(app.outdir) / "try.html")
 
 
-def _link_here(_app: Sphinx, _page: str, source: list[str]) -> None:
-    for place, page in PLACES.items():
-        source[0] = source[0].replace(f"]({place}", f"]({page}")
+def _link_to_file(_app: Sphinx, _page: str, source: list[str]) -> None:
+    """A Markdown file outside this folder is no page here: a reader downloads it, without a section."""
+    source[0] = OUTSIDE.sub(r"](path:\1)", source[0])

@@ -1,6 +1,7 @@
 """Number of hypothesis examples, order of the tests, tests that cannot run here, and signals of the tests' programs.
 
-HYPOTHESIS_PROFILE=fuzz draws fifty times the usual examples; ci draws the same examples each time.
+A test of tests/property draws 100 examples, any other test 20. HYPOTHESIS_PROFILE=fuzz draws 5000 for each of them, ci
+draws the same examples each time.
 """
 
 import gc
@@ -15,24 +16,25 @@ from hypothesis import HealthCheck, settings
 
 from tests.support import requirements
 
-_EXAMPLES, _EXAMPLES_OF_UNIT = 100, 20
+_EXAMPLES, _FEWER_EXAMPLES = 100, 20
 _COMMON: dict[str, Any] = {"deadline": None, "suppress_health_check": [HealthCheck.too_slow]}
 _FUZZ = settings(max_examples=_EXAMPLES * 50, **_COMMON)
 _PROFILE = os.environ.get("HYPOTHESIS_PROFILE", "default")
 
 settings.register_profile("default", max_examples=_EXAMPLES, **_COMMON)
-settings.register_profile("default_unit", max_examples=_EXAMPLES_OF_UNIT, **_COMMON)
+settings.register_profile("default_fewer", max_examples=_FEWER_EXAMPLES, **_COMMON)
 settings.register_profile("ci", max_examples=_EXAMPLES, derandomize=True, print_blob=True, **_COMMON)
-settings.register_profile("ci_unit", settings.get_profile("ci"), max_examples=_EXAMPLES_OF_UNIT)
+settings.register_profile("ci_fewer", settings.get_profile("ci"), max_examples=_FEWER_EXAMPLES)
 settings.register_profile("fuzz", _FUZZ)
-settings.register_profile("fuzz_unit", _FUZZ)
+settings.register_profile("fuzz_fewer", _FUZZ)
 settings.load_profile(_PROFILE)
 
 
 def pytest_collectstart(collector: pytest.Collector) -> None:
-    """Give unit tests fewer examples than property tests. `make fuzz` gives both the same number."""
+    """Give other tests fewer examples than property tests. `make fuzz` gives all of them the same number."""
     if isinstance(collector, pytest.Module):
-        settings.load_profile(f"{_PROFILE}_unit" if "/tests/unit/" in collector.path.as_posix() else _PROFILE)
+        has_fewer = "/tests/property/" not in collector.path.as_posix()
+        settings.load_profile(f"{_PROFILE}_fewer" if has_fewer else _PROFILE)
 
 
 @pytest.fixture(autouse=True, scope="session")
@@ -70,7 +72,7 @@ def pytest_collection_finish() -> None:
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Skip what needs a missing program, and begin with the longest tests, so that no worker ends with one of them.
+    """Skip what needs a missing program, and mix the order of the files.
 
     Workers take the files in a mixed order: files that wait run beside files that compute, and no core is idle. Files
     that measure times keep their order.
@@ -81,7 +83,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         for reason in requirements.reasons(path, fixtures, absent):
             item.add_marker(pytest.mark.skip(reason=reason))
     has_workers = hasattr(config, "workerinput")
-    items.sort(key=lambda item: (item.get_closest_marker("long") is None, _place(item, config) if has_workers else 0))
+    items.sort(key=lambda item: _place(item, config) if has_workers else 0)
 
 
 def _place(item: pytest.Item, config: pytest.Config) -> int:

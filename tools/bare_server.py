@@ -2,12 +2,14 @@
 
     python tools/bare_server.py COUNT SECONDS RATE_HZ
 
-Prints its port, waits for so many connections, and then prints a JSON object: what a read or a write cost in SECONDS.
+Prints its port, waits for so many connections, and then prints a JSON object: what a read or a write cost in SECONDS,
+the share of a core, and the largest memory.
 `make bench` compares the daemon with it, so that its bounds mean the same on every machine.
 """
 
 import asyncio
 import json
+import resource
 import sys
 import time
 from pathlib import Path
@@ -69,7 +71,11 @@ async def serve(count: int, seconds: float, rate_hz: float) -> dict[str, float]:
     else:
         await asyncio.sleep(seconds)
     used_s = time.process_time() - used_s
-    return {"core": used_s / (loop.time() - began_s), "message_us": used_s / (Bare.reads - reads + writes) * 1e6}
+    return {
+        "core": used_s / (loop.time() - began_s),
+        "message_us": used_s / (Bare.reads - reads + writes) * 1e6,
+        "memory_mib": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
+    }
 
 
 if __name__ == "__main__":

@@ -5,7 +5,6 @@ else runs on the machine disturbs both alike. Prints the processor time of a pos
 subscribers, and what the black box adds: the median over all pairs of turns.
 """
 
-import argparse
 import asyncio
 import contextlib
 import dataclasses
@@ -21,24 +20,36 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from hostlink import logs
 from hostlink.config import BlackBoxConfig, Config
 from hostlink.hub.hub import Hub
+from hostlink.link import link
 from hostlink.messages.catalog import Catalog
 from hostlink.recording.black_box import BlackBox
 from tests.support.fake_device import pose, robot_topics
 from tests.support.scripted_device import ScriptedDevice
+from tools.bench import Row, parser, report
 
 READY_S = 3.0  # until every device is a robot and its topics are kept
 POSES = 5  # of each robot in a turn
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--robots", type=int, default=30)
-    parser.add_argument("--turns", type=int, default=300, help="of each hub")
-    arguments = parser.parse_args()
+def main() -> int:
+    arguments = parser(__doc__, "black_box")
+    arguments.add_argument("--robots", type=int, default=30)
+    chosen = arguments.parse_args()
     logs.configure(level="error")
-    plain_us, added_us = asyncio.run(measure(arguments.robots, arguments.turns))
-    print(f"a message of {arguments.robots} robots without the black box {plain_us:5.1f} us")
-    print(f"the black box adds {added_us:.1f} us, {added_us / plain_us:.2f} of that")
+    plain_us, added_us = asyncio.run(measure(chosen.robots, round(300 * chosen.share)))
+    what, yardstick = f"a Pose2D of {chosen.robots} robots in process", "of that without the black box"
+    return report(
+        [
+            Row(f"{what}, {'compiled' if is_compiled() else 'pure'}", plain_us, "us"),
+            Row("the black box adds to it", added_us, "us", yardstick, added_us / plain_us, at_most=0.4),
+        ],
+        chosen.out,
+    )
+
+
+def is_compiled() -> bool:
+    """Whether the modules of a compiled wheel run (`make compiled`)."""
+    return not str(link.__file__).endswith(".py")
 
 
 async def measure(robots: int, turns: int) -> tuple[float, float]:
@@ -89,4 +100,4 @@ async def message_us(devices: list[ScriptedDevice]) -> float:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -2,9 +2,9 @@
 
 A program on the WebSocket drives the robot 50 times a second; the latency is from its send to the robot's read. Writes
 build/bench_crowd.json and prints a table; ends with status 1 when the 99th percentile or the memory is over its bound.
+The bounds of the latency are milliseconds: what a person who stops a robot may wait does not grow with the machine.
 """
 
-import argparse
 import asyncio
 import contextlib
 import json
@@ -26,12 +26,12 @@ from hostlink.protocol.frame import Frame, Id
 from hostlink.protocol.stream import FrameStream
 from tests.support.process import HOSTLINK, Process, serve
 from tests.support.stopwatch import kept_waiting_s
+from tools.bench import Row, cpu_s, crowd, memory_mib, p99, parser, report
 from tools.crowd import TIME, hello
 from tools.sent_commands import SentCommands
 
-ROOT = Path(__file__).resolve().parents[1]
 P99_BOUND_S = 0.020
-MEMORY_BOUND_MIB = 400
+MEMORY_BOUND = 5.0  # times the daemon's with one robot
 COMMAND_INTERVAL_S = 0.02
 STOP_EVERY = 25  # commands, so twice a second: a zero, on the way that all take
 VELOCITY = struct.Struct("<6d")
@@ -67,29 +67,31 @@ def loads(share: float) -> list[Load]:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--out", type=Path, default=ROOT / "build" / "bench_crowd.json")
-    parser.add_argument("--only", help="one of: devices, vanish, silent, flood, mixed")
-    parser.add_argument("--quick", action="store_true", help="a tenth of all: does it run at all?")
-    arguments = parser.parse_args()
-    wanted = loads(0.1 if arguments.quick else 1.0)
-    rows = [asyncio.run(measure(load)) for load in wanted if arguments.only in (None, load.crowd)]
-    arguments.out.parent.mkdir(parents=True, exist_ok=True)
-    arguments.out.write_text(json.dumps({"load": os.getloadavg(), "rows": rows}, indent=1) + "\n")
-    for row in rows:
-        times = "  ".join(f"{name} {row[f'{name}_ms']:.2f} ms" for name in ("median", "p99", "longest", "stop_p95"))
-        costs = f"{row['memory_mib']:.0f} MiB  {row['core_percent']:.0f} % of a core"
-        rest = f"{row['superseded']} superseded  {row['crowd']}"
-        print(f"{row['count']:>6} {row['what']:<32} {times}  {costs}  {rest}")
-    missed = [row["what"] for row in rows if is_over(row)]
-    if missed:
-        print("over its bound: " + ", ".join(missed), file=sys.stderr)
-    return 1 if missed else 0
+    arguments = parser(__doc__, "crowd")
+    arguments.add_argument("--only", help="one of: devices, vanish, silent, flood, mixed")
+    chosen = arguments.parse_args()
+    alone = asyncio.run(measure(loads(chosen.share)[0]))
+    rows = [*rows_of(alone, alone)]
+    for load in loads(chosen.share)[1:]:
+        if chosen.only in (None, load.crowd):
+            rows += rows_of(asyncio.run(measure(load)), alone)
+    return report(rows, chosen.out)
 
 
-def is_over(row: dict[str, Any]) -> bool:
-    is_late = max(row["p99_ms"], row["stop_p95_ms"]) > row["p99_bound_ms"]
-    return bool(is_late or row["memory_mib"] > MEMORY_BOUND_MIB)
+def rows_of(found: dict[str, Any], alone: dict[str, Any]) -> list[Row]:
+    """Return the figures of a crowd, beside those of the robot alone in the same run."""
+    count = f"{found['count']:,} " if found["count"] else ""
+    what, of_alone = f"{count}{found['what']}: a command", "times that without a crowd"
+    late_ms = max(found["p99_ms"], found["stop_p95_ms"])
+    longest, core = f"longest {found['longest_ms']:.1f} ms", f"{found['core_percent']:.0f} % of a core"
+    note = f"{longest}, {core}, {found['superseded']} superseded"
+    return [
+        Row(f"{what}, median", found["median_ms"], "ms", of_alone, found["median_ms"] / alone["median_ms"],
+            note=f"{found['crowd']}"),
+        Row(f"{what}, p99 or p95 of its stops", late_ms, "ms", at_most=found["p99_bound_ms"], note=note),
+        Row(f"{count}{found['what']}: memory", found["memory_mib"], "MiB", "times that without a crowd",
+            found["memory_mib"] / alone["memory_mib"], at_most=MEMORY_BOUND),
+    ]  # fmt: skip
 
 
 async def measure(load: Load) -> dict[str, Any]:
@@ -97,38 +99,29 @@ async def measure(load: Load) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as folder:
         config = Path(folder) / "hostlink.toml"
         config.write_text(load.config)
-        async with serve("--config", str(config), program=(HOSTLINK,)) as daemon, asyncio.TaskGroup() as tasks:
-            reading = tasks.create_task(read_away(daemon))
-            async with driven(daemon) as robot, subscribed(load, daemon), crowd(load, daemon) as visitors:
-                before_s, kept_before_s = cpu_s(daemon), kept_s(daemon)
+        async with serve("--config", str(config), program=(HOSTLINK,)) as daemon:
+            async with driven(daemon) as robot, subscribed(load, daemon), visitors_of(load, daemon) as visitors:
+                before_s, kept_before_s = cpu_s(daemon.pid), kept_s(daemon)
                 latencies = await robot.drive(load.seconds)
-                busy_s, kept_now_s = cpu_s(daemon) - before_s, kept_s(daemon) - kept_before_s
+                busy_s, kept_now_s = cpu_s(daemon.pid) - before_s, kept_s(daemon) - kept_before_s
                 counts = await visitors()
                 sent = robot.sent
-            memory_mib = peak_memory_mib(daemon)
-            reading.cancel()
+            held_mib = memory_mib(daemon.pid, "VmHWM")
     return {
         "what": load.what,
         "p99_bound_ms": load.p99_bound_s * 1000,
         "count": load.count,
         "median_ms": statistics.median(latencies) * 1000,
-        "p99_ms": statistics.quantiles(latencies, n=100)[98] * 1000,
+        "p99_ms": p99(latencies) * 1000,
         "longest_ms": max(latencies) * 1000,
         "stop_p95_ms": statistics.quantiles(sent.stops_s, n=20)[18] * 1000,
         "kept_ms": 1000 * kept_now_s / len(latencies),  # of a command, on average, by other programs
         "commands": len(latencies),
         "superseded": sent.superseded,
-        "memory_mib": memory_mib,
+        "memory_mib": held_mib,
         "core_percent": 100 * busy_s / load.seconds,
         "crowd": counts,
     }
-
-
-async def read_away(daemon: Process) -> None:
-    """Read the log, so that the pipe does not fill up."""
-    stderr = daemon.child.stderr
-    while stderr is not None and await stderr.read(1 << 16):
-        pass
 
 
 REPLACED = "hostlink_velocities_replaced_total"
@@ -226,31 +219,18 @@ async def driven(daemon: Process) -> AsyncIterator[Robot]:
 
 
 @contextlib.asynccontextmanager
-async def crowd(load: Load, daemon: Process) -> AsyncIterator[Callable[[], Awaitable[dict[str, int]]]]:
-    """The crowd, once it is ready; the call waits for its end and gives its counts."""
+async def visitors_of(load: Load, daemon: Process) -> AsyncIterator[Callable[[], Awaitable[dict[str, int]]]]:
+    """Run the crowd, once it is ready; the call waits for its end and returns its counts."""
     if load.crowd is None:
         yield nobody
         return
-    command = [load.crowd, str(load.count), "{}:{}".format(*daemon.tcp), str(load.seconds)]
-    child = await asyncio.create_subprocess_exec(
-        sys.executable, ROOT / "tools" / "crowd.py", *command, stdout=asyncio.subprocess.PIPE
-    )
-    stdout = child.stdout
-    if stdout is None:
-        raise AssertionError("a pipe was asked for")
+    async with crowd(load.crowd, load.count, daemon.tcp, load.seconds) as output:
 
-    async def counts() -> dict[str, int]:
-        found: dict[str, int] = json.loads(await stdout.read())
-        return found
+        async def counts() -> dict[str, int]:
+            found: dict[str, int] = json.loads(await output.read())
+            return found
 
-    try:
-        async with asyncio.timeout(60):
-            await stdout.readline()
         yield counts
-    finally:
-        if child.returncode is None:
-            child.kill()
-        await child.wait()
 
 
 @contextlib.asynccontextmanager
@@ -273,21 +253,9 @@ async def nobody() -> dict[str, int]:
     return {}
 
 
-def cpu_s(daemon: Process) -> float:
-    """Return the CPU time of the daemon."""
-    fields = Path(f"/proc/{daemon.child.pid}/stat").read_text().rpartition(")")[2].split()
-    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
-
-
 def kept_s(daemon: Process) -> float:
     """Return how long other programs of the machine kept the daemon and this program from running."""
     return kept_waiting_s(os.getpid()) + kept_waiting_s(daemon.child.pid)
-
-
-def peak_memory_mib(daemon: Process) -> float:
-    """The most that it ever held."""
-    status = Path(f"/proc/{daemon.child.pid}/status").read_text()
-    return int(status.split("VmHWM:")[1].split()[0]) / 1024
 
 
 if __name__ == "__main__":

@@ -1,14 +1,10 @@
 """`make bench`: how fast bytes become messages, each figure as a ratio to a yardstick of the same run.
 
-Writes build/bench.json and prints a table; docs/performance.md holds a copy of a run with its date.
+Writes build/bench_link.json and prints a table; docs/performance.md holds a copy of a run.
 """
 
-import argparse
 import asyncio
 import contextlib
-import json
-import platform
-import resource
 import statistics
 import struct
 import sys
@@ -17,15 +13,19 @@ from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
 import aiohttp
 
 from hostlink import logs
 from hostlink.cli.serve import running
+from hostlink.cli.serve_command import loop_factory
 from hostlink.config import ApiConfig, Config, TcpConfig
 from hostlink.hub.hub import Hub
 from hostlink.protocol.control import TopicInfo, encode_topic_info
-from hostlink.protocol.frame import Id, encode
+from hostlink.protocol.frame import HEADER, Id, encode
 from hostlink.protocol.stream import FrameStream
+from tools.bench import Row, p99, parser, report
 
 POSE_MD5 = "938fa65709584ad8e77d238529be13b8"
 TWIST_MD5 = "9f195f881246fdfa2798d1d3eebca84a"
@@ -34,57 +34,37 @@ STRING_MD5 = "992ce8a1687cec8c8bd883ec73ca41d1"
 LONG_BYTES = (200, 1024)  # of payload: as an Odometry or a scan
 READ_BYTES = 65536
 REPEATS = 5
-SETTLE_S = 0.5  # for a device to be negotiated, a client to be subscribed
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--out", type=Path, default=Path("build/bench.json"))
-    parser.add_argument("--quick", action="store_true", help="a tenth of the frames: does it run at all?")
-    arguments = parser.parse_args()
+def main() -> int:
+    arguments = parser(__doc__, "link")
+    arguments.add_argument("--loop", default="auto", help="event loop of the daemon: auto, asyncio or uvloop")
+    chosen = arguments.parse_args()
     logs.configure(level="error")
-    frames = 20_000 if arguments.quick else 200_000
-    rows = [*parser_rows(frames), *asyncio.run(daemon_rows(frames))]
-    arguments.out.parent.mkdir(parents=True, exist_ok=True)
-    report = {"python": platform.python_version(), "machine": platform.machine(), "rows": rows}
-    arguments.out.write_text(json.dumps(report, indent=1) + "\n")
-    for row in rows:
-        ratio = f"{row['ratio']:.3g}" if row["ratio"] is not None else ""
-        print(f"{row['what']:<62} {row['value']:>12,.4g} {row['unit']:<9} {ratio:>8} {row['yardstick']}")
-    missed = [row["what"] for row in rows if not row["is_enough"]]
-    if missed:
-        sys.exit("not fast enough: " + ", ".join(missed))
-
-
-def row(
-    what: str, value: float, unit: str, *, yardstick: str = "", ratio: float | None = None, **limit: float
-) -> dict[str, Any]:
-    """One figure; `at_least` or `at_most` is what the project promises."""
-    is_enough = limit.get("at_least", value) <= value <= limit.get("at_most", value)
-    return {"what": what, "value": value, "unit": unit, "ratio": ratio, "yardstick": yardstick, "is_enough": is_enough}
+    frames = round(200_000 * chosen.share)
+    with asyncio.Runner(loop_factory=loop_factory(chosen.loop)) as runner:
+        rows = [*parser_rows(frames), *runner.run(daemon_rows(frames))]
+    return report(rows, chosen.out)
 
 
 # -- the parser -------------------------------------------------------------------------------------------------------
 
 
-def parser_rows(frames: int) -> Iterator[dict[str, Any]]:
+def parser_rows(frames: int) -> Iterator[Row]:
     frame = encode(125, PAYLOAD)
-    for cut, name, count, floor in (
-        (READ_BYTES, "64 KiB reads", frames, 350_000.0),
-        (len(frame), "single frames", frames, 0.0),
-        (1, "single bytes", frames // 20, 0.0),
+    for cut, name, count, bound in (
+        (READ_BYTES, "64 KiB reads", frames, 0.4),
+        (len(frame), "single frames", frames, 0.2),
+        (1, "single bytes", frames // 20, None),
     ):
-        reads = pieces(frame * count, cut)
+        wire = frame * count
+        reads = pieces(wire, cut)
         parsed = best(lambda reads=reads, count=count: parse(reads, count))
-        copied = best(lambda reads=reads: copy(reads))
-        yield row(
-            f"parser, 24-byte payloads in {name}",
-            count / parsed,
-            "frames/s",
-            yardstick="of the time that copying the same reads takes",
-            ratio=parsed / copied,
-            at_least=floor,
-        )
+        least = best(lambda wire=wire, count=count: walk(wire, len(frame), count))
+        yield Row(
+            f"parser, 24-byte payloads in {name}", count / parsed, "frames/s",
+            "of a loop that checks sums alone", least / parsed, at_least=bound,
+        )  # fmt: skip
 
 
 def pieces(data: bytes, size: int) -> list[bytes]:
@@ -98,12 +78,16 @@ def parse(reads: list[bytes], count: int) -> None:
         raise AssertionError(f"{found} frames of {count}")
 
 
-def copy(reads: list[bytes]) -> None:
-    buffer = bytearray()
-    for read in reads:
-        buffer += read
-        if len(buffer) > READ_BYTES:
-            buffer.clear()
+def walk(wire: bytes, size: int, count: int) -> None:
+    """Do the least for each frame: read its header, copy its payload, and compare both sums."""
+    found = 0
+    for at in range(0, len(wire), size):
+        _, length, length_check, topic_id = HEADER.unpack_from(wire, at)
+        payload = wire[at + HEADER.size : at + size - 1]
+        is_whole = length_check == ~(length + (length >> 8)) & 0xFF
+        found += is_whole and wire[at + size - 1] == ~(topic_id + (topic_id >> 8) + sum(payload)) & 0xFF
+    if found != count:
+        raise AssertionError(f"{found} frames of {count}")
 
 
 def best(work: Callable[[], None]) -> float:
@@ -119,58 +103,37 @@ def best(work: Callable[[], None]) -> float:
 # -- the daemon -------------------------------------------------------------------------------------------------------
 
 
-async def daemon_rows(frames: int) -> list[dict[str, Any]]:
+async def daemon_rows(frames: int) -> list[Row]:
     """Floods run from a process of their own, so that the daemon has a core for itself."""
     rows = []
     config = Config(tcp=TcpConfig(host="127.0.0.1", port=0), api=ApiConfig(port=0))
     async with running(config) as (hub, addresses):
         host, port = addresses.tcp
         received, ratio = await hub_flood(hub, host, port, PAYLOAD, frames)
-        rows.append(hub_row("", received, ratio, at_least=100_000.0))
+        rows.append(hub_row("24", received, ratio, at_least=0.0015))
         for size in LONG_BYTES:
             payload = struct.pack("<I", size - 4) + bytes(number % 251 for number in range(size - 4))
             rate, ratio = await hub_flood(hub, host, port, payload, frames // 4)
-            rows.append(hub_row(f", {size:,}-byte payloads", rate, ratio))
+            rows.append(hub_row(f"{size:,}", rate, ratio))
         for clients in (1, 10):
-            sent = await websocket_flood(addresses.api, host, port, frames // 10, clients)
-            rows.append(
-                row(
-                    f"TCP to {clients} WebSocket client(s) as JSON, messages to all of them",
-                    sent,
-                    "msg/s",
-                    yardstick="of the hub's rate",
-                    ratio=sent / received,
-                )
-            )
-        latencies = await to_device(addresses.api, host, port)
+            sent = await websocket_flood(hub, addresses.api, host, port, frames // 10, clients)
+            what = f"TCP to {clients} WebSocket client(s) as JSON, to all of them"
+            rows.append(Row(what, sent, "msg/s", "of the hub's rate", sent / received))
+        latencies = await to_device(hub, addresses.api, host, port)
         echo = await echo_latency()
-        rows.append(
-            row(
-                "program (WebSocket) to device at 100 Hz, median",
-                statistics.median(latencies) * 1000,
-                "ms",
-                yardstick="times a raw asyncio echo at 100 Hz",
-                ratio=statistics.median(latencies) / echo,
-                at_most=1.0,
-            )
-        )
-        p99 = statistics.quantiles(latencies, n=100)[98]
-        rows.append(row("program (WebSocket) to device at 100 Hz, p99", p99 * 1000, "ms"))
-    rows.append(
-        row("memory of the process at its largest", resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024, "MiB")
-    )
-    return rows
+    yardstick = "times a raw asyncio echo at 100 Hz"
+    return [
+        *rows,
+        Row("program (WebSocket) to device at 100 Hz, median", statistics.median(latencies) * 1000, "ms", yardstick,
+            statistics.median(latencies) / echo, at_most=8.0),
+        Row("program (WebSocket) to device at 100 Hz, p99", p99(latencies) * 1000, "ms", yardstick,
+            p99(latencies) / echo),
+    ]  # fmt: skip
 
 
-def hub_row(what: str, rate: float, ratio: float, **limit: float) -> dict[str, Any]:
-    return row(
-        f"TCP to a subscriber of the hub, one device flooding{what}",
-        rate,
-        "frames/s",
-        yardstick="of asyncio reading the same bytes and doing nothing",
-        ratio=ratio,
-        **limit,
-    )
+def hub_row(size: str, rate: float, ratio: float, *, at_least: float | None = None) -> Row:
+    what = f"TCP to a subscriber of the hub, flood of {size}-byte payloads"
+    return Row(what, rate, "frames/s", "of asyncio reading and doing nothing", ratio, at_least=at_least)
 
 
 FLOOD = """
@@ -259,7 +222,7 @@ async def hub_flood_once(hub: Hub, host: str, port: int, payload: bytes, frames:
     participant = hub.join("bench")
     participant.subscribe(topic, deliver)
     async with flooding(host, port, topic, frames, payload) as go:
-        await asyncio.sleep(SETTLE_S)
+        await until(lambda: bool(hub.topics.find(topic).devices))
         await go()
         async with asyncio.timeout(60):
             await done.wait()
@@ -267,13 +230,20 @@ async def hub_flood_once(hub: Hub, host: str, port: int, payload: bytes, frames:
     return wanted / (times[1] - times[0])
 
 
-async def websocket_flood(api: str, host: str, port: int, frames: int, clients: int) -> float:
+async def until(is_right: Callable[[], bool]) -> None:
+    """Wait for a state of the hub. On a busy machine a fixed time would not do."""
+    async with asyncio.timeout(60):
+        while not is_right():  # noqa: ASYNC110 - the hub has no event for it
+            await asyncio.sleep(0.01)
+
+
+async def websocket_flood(hub: Hub, api: str, host: str, port: int, frames: int, clients: int) -> float:
     """Messages a second that reach all clients; what is dropped on the way does not count."""
     async with aiohttp.ClientSession() as session, flooding(host, port, "/flood", frames) as go:
         sockets = [await session.ws_connect(api) for _ in range(clients)]
         for socket in sockets:
             await socket.send_json({"op": "subscribe", "topic": "/flood"})
-        await asyncio.sleep(SETTLE_S)
+        await until(lambda: bool((found := hub.topics.find("/flood")).devices) and len(found.subscribers) == clients)
         began = time.perf_counter()
         await go()
         counts = [0] * clients
@@ -295,14 +265,14 @@ async def websocket_flood(api: str, host: str, port: int, frames: int, clients: 
     return sum(counts) / (max(ends) - began)
 
 
-async def to_device(api: str, host: str, port: int) -> list[float]:
+async def to_device(hub: Hub, api: str, host: str, port: int) -> list[float]:
     """From a client's send to the device's read, a hundred times a second."""
     reader, writer = await asyncio.open_connection(host, port)
     info = TopicInfo(Id.SUBSCRIBER, 100, "/bench_in", "geometry_msgs/Twist", TWIST_MD5, 512)
     writer.write(encode(Id.TIME, bytes(8)) + encode(Id.SUBSCRIBER, encode_topic_info(info)) + encode(Id.TIME, bytes(8)))
     latencies = []
     async with aiohttp.ClientSession() as session, session.ws_connect(api) as socket:
-        await asyncio.sleep(SETTLE_S)
+        await until(lambda: bool(hub.topics.find("/bench_in").devices))
         stream = FrameStream()
         async with asyncio.timeout(60):
             for number in range(200):
@@ -344,4 +314,4 @@ async def echo_latency() -> float:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -1,154 +1,117 @@
-"""`make bench`, fourth part: what a message costs the daemon. Daemon, devices and program are processes of their own.
+"""`make bench`: what a message, a start and a robot's memory cost the daemon, beside a server that does nothing.
 
-Each of 30 robots sends a pose and a voltage and is driven by a program on the WebSocket; the others send poses.
-The yardstick, in the same minute: tools/bare_server.py, which reads the same crowd and does nothing with it.
-Writes build/bench_messages.json and prints a table; ends with status 1 when the daemon costs more than its bound.
+Each of 30 robots sends a pose and a voltage and is driven by a program on the WebSocket; 1,000 others send poses. The
+yardstick, in the same minute: tools/bare_server.py, which reads the same crowd, and for 30 robots writes as often.
+A C++ host (rosserial_server) takes 2.0 to 2.8 times as much of a core for the 30 robots as a bare server that only
+reads them, measured side by side on another machine: the last column of that row is to be read beside it.
 """
 
-import argparse
 import asyncio
 import contextlib
 import itertools
-import json
+import os
+import subprocess
 import sys
 import tempfile
 from collections.abc import AsyncIterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import aiohttp
 
 from tests.support.process import HOSTLINK, Process, serve
-from tools.bench_crowd import MANY, ROOT, cpu_s, read_away
+from tools.bench import Row, bare, cpu_s, crowd, memory_mib, parser, report
+from tools.bench_crowd import MANY
 
 RATE_HZ = 10
 SETTLE_S = 1.0
+STARTS = 5
+IDLE_S = 2.0
+EMPTY = ("-c", "import asyncio")
+IDLE = ("-c", "import asyncio; asyncio.run(asyncio.sleep(60))")
 
 
 @dataclass(frozen=True)
 class Fleet:
-    """Robots, what they send, and what the daemon may use for it."""
+    """Robots, what they send, and what the daemon may use for it, as a multiple of the bare server's cost."""
 
     what: str
     crowd: str
     count: int
-    seconds: float
     is_driven: bool
-    bound: float  # times what a bare server of asyncio costs
+    message_bound: float
+    memory_bound: float
 
 
-def fleets(share: float) -> list[Fleet]:
-    """`share` 0.1 is a tenth of the time."""
-    return [
-        Fleet("30 robots, two topics up and one down", "fleet", 30, 20 * share, is_driven=True, bound=3.0),
-        Fleet("1,000 robots, one topic up", "devices", 1000, 20 * share, is_driven=False, bound=3.5),
-    ]
+FLEETS = (
+    Fleet("30 robots, two topics up and one down", "fleet", 30, is_driven=True, message_bound=3.0, memory_bound=6.0),
+    Fleet("1,000 robots, one topic up", "devices", 1000, is_driven=False, message_bound=3.5, memory_bound=10.0),
+)
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--out", type=Path, default=ROOT / "build" / "bench_messages.json")
-    parser.add_argument("--share", type=float, default=1.0, help="of the time: 0.1 for a quick run")
-    parser.add_argument("--loop", default="asyncio", help="the daemon's event loop: asyncio or uvloop")
-    parser.add_argument("--only", help="one of: fleet, devices")
-    arguments = parser.parse_args()
-    rows = [
-        asyncio.run(measure(fleet, arguments.loop))
-        for fleet in fleets(arguments.share)
-        if arguments.only in (None, fleet.crowd)
-    ]
-    arguments.out.parent.mkdir(parents=True, exist_ok=True)
-    arguments.out.write_text(json.dumps(rows, indent=1) + "\n")
-    for row in rows:
-        core = f"{row['core']:.1%} of a core"
-        each = f"{row['message_us']:.1f} us each, {row['ratio']:.1f} times a bare server's (at most {row['bound']:g})"
-        print(f"{row['what']:<42} {row['messages_s']:>8,.0f} messages/s {core:>16} {each}")
-    missed = [row["what"] for row in rows if not row["is_enough"]]
-    if missed:
-        print("too expensive: " + ", ".join(missed))
-    return 1 if missed else 0
+    arguments = parser(__doc__, "messages")
+    arguments.add_argument("--loop", default="auto", help="event loop of the daemon: auto, asyncio or uvloop")
+    arguments.add_argument("--only", help="one of: fleet, devices, start")
+    chosen = arguments.parse_args()
+    rows: list[Row] = []
+    for fleet in FLEETS:
+        if chosen.only in (None, fleet.crowd):
+            rows += asyncio.run(measure(fleet, chosen.loop, 20 * chosen.share))
+    if chosen.only in (None, "start"):
+        rows += asyncio.run(starts())
+    return report(rows, chosen.out)
 
 
-async def measure(fleet: Fleet, loop: str) -> dict[str, Any]:
-    """One row of the table."""
-    bare_us = await bare_message_us(fleet)
+# -- crowds -----------------------------------------------------------------------------------------------------------
+
+
+async def measure(fleet: Fleet, loop: str, seconds: float) -> list[Row]:
+    """Measure the daemon with a crowd, after the bare server with the same."""
+    alone = await bare(fleet.crowd, fleet.count, seconds / 2, RATE_HZ if fleet.is_driven else 0)
+    reads = await bare(fleet.crowd, fleet.count, seconds / 2, 0) if fleet.is_driven else alone
     with tempfile.TemporaryDirectory() as folder:
         config = Path(folder) / "hostlink.toml"
         config.write_text(MANY)
-        options = [] if loop == "asyncio" else ["--loop", loop]
         async with (
-            serve("--config", str(config), *options, program=(HOSTLINK,)) as daemon,
-            asyncio.TaskGroup() as tasks,
+            serve("--config", str(config), "--loop", loop, program=(HOSTLINK,)) as daemon,
+            crowd(fleet.crowd, fleet.count, daemon.tcp, seconds + 15),
+            driving(fleet, daemon),
         ):
-            reading = tasks.create_task(read_away(daemon))
-            async with crowd(fleet, daemon.tcp), driving(fleet, daemon):
-                await asyncio.sleep(SETTLE_S)
-                before = await frames(daemon, fleet.count)
-                before_s, began_s = cpu_s(daemon), asyncio.get_running_loop().time()
-                await asyncio.sleep(fleet.seconds)
-                used_s = cpu_s(daemon) - before_s
-                seconds = asyncio.get_running_loop().time() - began_s
-                messages = await frames(daemon, fleet.count) - before
-            reading.cancel()
+            await asyncio.sleep(SETTLE_S)
+            before = await frames(daemon, fleet.count)
+            before_s, began_s = cpu_s(daemon.pid), asyncio.get_running_loop().time()
+            await asyncio.sleep(seconds)
+            used_s = cpu_s(daemon.pid) - before_s
+            lasted_s = asyncio.get_running_loop().time() - began_s
+            messages = await frames(daemon, fleet.count) - before
+            held_mib = memory_mib(daemon.pid, "VmHWM")
+            name = daemon.lines("daemon.started")[0]["loop"]
     message_us = used_s / messages * 1e6
-    return {
-        "what": fleet.what,
-        "messages_s": messages / seconds,
-        "core": used_s / seconds,
-        "message_us": message_us,
-        "bare_us": bare_us,
-        "ratio": message_us / bare_us,
-        "bound": fleet.bound,
-        "is_enough": message_us <= fleet.bound * bare_us,
-    }
-
-
-async def bare_message_us(fleet: Fleet) -> float:
-    """Measure the cost of a read or a write in a server that does nothing else."""
-    rate_hz = RATE_HZ if fleet.is_driven else 0
-    server = await asyncio.create_subprocess_exec(
-        sys.executable, ROOT / "tools" / "bare_server.py", str(fleet.count), str(fleet.seconds / 2), str(rate_hz),
-        stdout=asyncio.subprocess.PIPE,
-    )  # fmt: skip
-    if server.stdout is None:
-        raise AssertionError("a pipe was requested")
-    try:
-        port = int(await server.stdout.readline())
-        async with crowd(fleet, ("127.0.0.1", port)):
-            found: float = json.loads(await server.stdout.readline())["message_us"]
-            return found
-    finally:
-        if server.returncode is None:
-            server.kill()
-        await server.wait()
-
-
-@contextlib.asynccontextmanager
-async def crowd(fleet: Fleet, host: tuple[str, int]) -> AsyncIterator[None]:
-    """The robots, all connected."""
-    seconds = fleet.seconds + 10
-    child = await asyncio.create_subprocess_exec(
-        sys.executable, ROOT / "tools" / "crowd.py", fleet.crowd, str(fleet.count), "{}:{}".format(*host),
-        str(seconds), stdout=asyncio.subprocess.PIPE,
-    )  # fmt: skip
-    if child.stdout is None:
-        raise AssertionError("a pipe was requested")
-    try:
-        async with asyncio.timeout(60):
-            await child.stdout.readline()
-        yield
-    finally:
-        if child.returncode is None:
-            child.kill()
-        await child.wait()
+    core = used_s / lasted_s
+    return [
+        Row(
+            f"{fleet.what}, {name}: a message", message_us, "us",
+            "times a bare server's", message_us / alone["message_us"], at_most=fleet.message_bound,
+            note=f"{messages / lasted_s:,.0f} messages/s",
+        ),
+        Row(
+            f"{fleet.what}, {name}: of a core", 100 * core, "%",
+            "times a bare server that only reads", core / reads["core"],
+            note="a C++ host: 2.0 to 2.8" if fleet.is_driven else "",
+        ),
+        Row(
+            f"{fleet.what}, {name}: memory", held_mib, "MiB",
+            "times a bare server's", held_mib / alone["memory_mib"], at_most=fleet.memory_bound,
+        ),
+    ]  # fmt: skip
 
 
 @contextlib.asynccontextmanager
 async def driving(fleet: Fleet, daemon: Process) -> AsyncIterator[None]:
-    """A program that drives every robot, evenly over the period."""
+    """Run a program that drives every robot, evenly over the period."""
     if not fleet.is_driven:
         yield
         return
@@ -177,9 +140,51 @@ async def frames(daemon: Process, count: int) -> float:
     async with aiohttp.ClientSession() as session, session.get(f"{daemon.url}/metrics") as response:
         text = await response.text()
     if f"hostlink_links {count}.0" not in text.splitlines():
-        raise AssertionError(f"not all {count} robots are there: the machine is too busy")
+        raise AssertionError(f"not all {count} robots are connected: the machine is too busy")
     names = ("hostlink_link_frames_from_device_total", "hostlink_link_frames_to_device_total")
     return sum(float(line.rpartition(" ")[2]) for line in text.splitlines() if line.startswith(names))
+
+
+# -- start ------------------------------------------------------------------------------------------------------------
+
+
+async def starts() -> list[Row]:
+    """Measure the CPU time of starts, and the memory of a daemon without devices, its guardian included."""
+    empty_s = min(run_s(sys.executable, *EMPTY) for _ in range(STARTS))
+    serve_s: list[float] = []
+    for _ in range(STARTS):
+        async with serve(program=(HOSTLINK,)) as daemon, aiohttp.ClientSession() as session:
+            async with session.get(f"{daemon.url}/healthz") as answer:
+                await answer.read()
+            serve_s.append(cpu_s(daemon.pid))
+    async with serve(program=(HOSTLINK,)) as daemon:
+        topics_s = min([await asyncio.to_thread(run_s, HOSTLINK, "topics", "--url", daemon.url) for _ in range(STARTS)])
+        await asyncio.sleep(IDLE_S)
+        guardian = int((await daemon.logged("guardian.started"))["pid"])
+        held_mib = memory_mib(daemon.pid) + memory_mib(guardian)
+    child = await asyncio.create_subprocess_exec(sys.executable, *IDLE)
+    await asyncio.sleep(IDLE_S)
+    idle_mib = memory_mib(child.pid)
+    child.kill()
+    await child.wait()
+    yardstick = "times python -c 'import asyncio'"
+    return [
+        Row("start of `hostlink topics`, CPU", topics_s, "s", yardstick, topics_s / empty_s, at_most=7.0),
+        Row("start of `hostlink serve` until it answers, CPU", min(serve_s), "s", yardstick, min(serve_s) / empty_s,
+            at_most=13.0),
+        Row("daemon without devices and its guardian, memory", held_mib, "MiB", "times an idle asyncio program's",
+            held_mib / idle_mib, at_most=6.0),
+    ]  # fmt: skip
+
+
+def run_s(*command: str) -> float:
+    """Return the CPU time of a program."""
+    child = subprocess.Popen(command, stdout=subprocess.DEVNULL)
+    _, status, usage = os.wait4(child.pid, 0)
+    child.returncode = os.waitstatus_to_exitcode(status)
+    if child.returncode:
+        raise AssertionError(f"{command} ended with {child.returncode}")
+    return usage.ru_utime + usage.ru_stime
 
 
 if __name__ == "__main__":

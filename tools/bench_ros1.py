@@ -5,12 +5,8 @@ of one machine, in turns that alternate. Writes build/bench_ros1.json and prints
 copy of a run.
 """
 
-import argparse
 import asyncio
 import contextlib
-import json
-import os
-import platform
 import socket
 import statistics
 import struct
@@ -26,6 +22,7 @@ from hostlink.protocol.frame import Frame, Id, encode
 from hostlink.protocol.stream import FrameStream
 from tests.support.fake_device import topic
 from tests.support.ros1.debian import Graph, graph
+from tools.bench import Row, p99, parser, report
 
 RATE_HZ = 100
 FLOAT = "std_msgs/Float64"
@@ -33,39 +30,24 @@ DATA = struct.Struct("<d")
 TIME = encode(Id.TIME, bytes(8))
 UP, DOWN, BETWEEN = "/device/up", "/device/down", "/between"
 SETTLE_S = 1.0
-MOST_UP, MOST_DOWN = 3.0, 3.0  # times rospy to rospy, of the median: docs/performance.md has the milliseconds
+MOST = 3.0  # times rospy to rospy: a message takes two hops instead of one
 TIMES_S = 60.0
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--out", type=Path, default=Path("build/bench_ros1.json"))
-    parser.add_argument("--quick", action="store_true", help="a tenth of the messages: does it run at all?")
-    arguments = parser.parse_args()
-    count, rounds = (100, 1) if arguments.quick else (500, 2)
-    found = asyncio.run(measure(count, rounds))
-    yardstick = statistics.median(found["rospy to rospy"])
-    rows = [describe(what, ms, yardstick) for what, ms in found.items()]
-    arguments.out.parent.mkdir(parents=True, exist_ok=True)
-    report = {"python": platform.python_version(), "load": os.getloadavg()[0], "rows": rows}
-    arguments.out.write_text(json.dumps(report, indent=1) + "\n")
-    for row in rows:
-        print("{what:<28} median {median_ms:.3f} ms  p99 {p99_ms:.3f} ms  {ratio:.2f} times  {lost} lost".format(**row))
-    limits = {"device to rospy": MOST_UP, "rospy to device": MOST_DOWN}
-    missed = [row["what"] for row in rows if row["ratio"] > limits.get(row["what"], float("inf"))]
-    if missed:
-        sys.exit("not good enough: " + ", ".join(missed))
+def main() -> int:
+    chosen = parser(__doc__, "ros1").parse_args()
+    found = asyncio.run(measure(round(500 * chosen.share), 2))
+    yardstick_ms = statistics.median(found["rospy to rospy"])
+    return report((row(what, ms, yardstick_ms) for what, ms in found.items()), chosen.out)
 
 
-def describe(what: str, ms: list[float], yardstick_ms: float) -> dict[str, object]:
+def row(what: str, ms: list[float], yardstick_ms: float) -> Row:
     received = [each for each in ms if each >= 0]
-    return {
-        "what": what,
-        "median_ms": statistics.median(received),
-        "p99_ms": statistics.quantiles(received, n=100)[98],
-        "ratio": statistics.median(received) / yardstick_ms,
-        "lost": len(ms) - len(received),
-    }
+    median_ms = statistics.median(received)
+    note = f"p99 {p99(received):.2f} ms, {len(ms) - len(received)} lost"
+    return Row(
+        f"{what}, median", median_ms, "ms", "times rospy to rospy", median_ms / yardstick_ms, at_most=MOST, note=note
+    )
 
 
 async def measure(count: int, rounds: int) -> dict[str, list[float]]:
@@ -150,4 +132,4 @@ class Device:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

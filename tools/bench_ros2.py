@@ -3,10 +3,8 @@
 100 messages a second each way. Writes build/bench_ros2.json; docs/performance.md holds a copy of a run.
 """
 
-import argparse
 import asyncio
 import contextlib
-import json
 import statistics
 import struct
 import sys
@@ -21,11 +19,12 @@ from hostlink import logs
 from hostlink.protocol.frame import Id, encode
 from tests.support.fake_device import FakeDevice, fake_device, robot_topics, topic
 from tests.support.process import serve
-from tests.support.ros2 import Peer, bridge, domain, install, peer
+from tests.support.ros2 import Peer, bridge, domain, peer
 from tests.support.waiting import expect
+from tools.bench import Row, p99, parser, report
 
 RATE_HZ = 100
-AT_MOST_MS = 1.5
+MOST = 4.0  # times rclpy to rclpy: a message takes three hops instead of one
 SKIPPED = 50  # with the first messages much is made that stays
 TIMEOUT_S = 120.0
 LATEST_S = 3.0
@@ -35,27 +34,23 @@ SENSOR = topic(Id.PUBLISHER, 126, "/robot_0/sensor", "std_msgs/Float64")
 FLOAT64 = "std_msgs/msg/Float64"
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--out", type=Path, default=Path("build/bench_ros2.json"))
-    parser.add_argument("--messages", type=int, default=1500)
-    parser.add_argument("--strict", action="store_true", help=f"fail where a median is over {AT_MOST_MS} ms")
-    arguments = parser.parse_args()
+def main() -> int:
+    chosen = parser(__doc__, "ros2").parse_args()
     logs.configure(level="error")
-    install()
-    rows = asyncio.run(measured(arguments.messages))
-    arguments.out.parent.mkdir(parents=True, exist_ok=True)
-    arguments.out.write_text(json.dumps(rows, indent=1) + "\n")
-    yardstick_ms = rows["rclpy to rclpy"]["median_ms"]
-    for name, row in rows.items():
-        ratio = row["median_ms"] / yardstick_ms
-        print(f"{name:<24} median {row['median_ms']:.2f} ms, 99th percentile {row['p99_ms']:.2f} ms, {ratio:.1f} times")
-    slow = [name for name, row in rows.items() if row["median_ms"] > AT_MOST_MS]
-    if arguments.strict and slow:
-        sys.exit("not fast enough: " + ", ".join(slow))
+    found = asyncio.run(measured(round(1500 * chosen.share)))
+    yardstick_ms = 1000 * statistics.median(found["rclpy to rclpy"])
+    return report((row(what, delays_s, yardstick_ms) for what, delays_s in found.items()), chosen.out)
 
 
-async def measured(count: int) -> dict[str, dict[str, float]]:
+def row(what: str, delays_s: list[float], yardstick_ms: float) -> Row:
+    median_ms = 1000 * statistics.median(delays_s)
+    note = f"p99 {1000 * p99(delays_s):.2f} ms"
+    return Row(
+        f"{what}, median", median_ms, "ms", "times rclpy to rclpy", median_ms / yardstick_ms, at_most=MOST, note=note
+    )
+
+
+async def measured(count: int) -> dict[str, list[float]]:
     """Seconds on the way, by name; the yardstick before and after the bridge runs."""
     with domain() as environment:
         before = await yardstick(environment, count // 2)
@@ -63,8 +58,7 @@ async def measured(count: int) -> dict[str, dict[str, float]]:
             up = await from_device(device, other, count)
             down = await to_device(device, other, count)
         after = await yardstick(environment, count // 2)
-    both = before + after
-    return {"rclpy to rclpy": figures(both), "device to rclpy": figures(up), "rclpy to device": figures(down)}
+    return {"rclpy to rclpy": before + after, "device to rclpy": up, "rclpy to device": down}
 
 
 @contextlib.asynccontextmanager
@@ -125,11 +119,5 @@ def delays(events: list[dict[str, Any]]) -> list[float]:
     return [event["at_s"] - event["msg"]["data"] for event in events]
 
 
-def figures(delays_s: list[float]) -> dict[str, float]:
-    ordered = sorted(delays_s)
-    p99 = ordered[int(0.99 * len(ordered))]
-    return {"median_ms": 1e3 * statistics.median(ordered), "p99_ms": 1e3 * p99, "count": len(ordered)}
-
-
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

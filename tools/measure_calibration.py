@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hostlink.robot.calibration import Kind, MeasuredRun, Measurement, WheelGeometry, calibrated, student_95
+from hostlink.robot.calibration import MeasuredRun, Measurement, RunKind, WheelGeometry, calibrated, student_95
 from hostlink.robot.course import Leg, square, straight
 from hostlink.sim.firmware_module import WorldParameters
 from hostlink.sim.firmware_world import FirmwareWorld, follow
@@ -20,7 +20,7 @@ from hostlink.sim.firmware_world import FirmwareWorld, follow
 SQUARES = 5  # each way, as UMBmark has them
 SIDE_M, LENGTH_M = 2.0, 3.0
 SLIP_M = 0.002  # of each wheel after a metre: a hard floor
-TWIST_RAD, TWIST_SHARE = 0.055, 0.4  # docs/robot.md: a caster that explains the paper's squares
+TWIST_RAD, TWIST_SHARE = 0.055, 0.4  # docs/laboratory.md: a caster that explains the paper's squares
 OTHER_SEED = 1000  # the squares after are not those before
 NOMINAL = WheelGeometry()
 WORLD = WorldParameters({"track_m": 0.2142, "left.radius_m": 0.0448, "right.radius_m": 0.0453})
@@ -78,17 +78,17 @@ def robot_in(world: WorldParameters, wheels: WheelGeometry | None = None) -> Fir
 def squares(robot: FirmwareWorld, count: int) -> Iterator[MeasuredRun]:
     """Driven one after the other."""
     for _ in range(count):
-        yield drive(robot, Kind.SQUARE_CW, square(SIDE_M, -1), SIDE_M)
-        yield drive(robot, Kind.SQUARE_CCW, square(SIDE_M, 1), SIDE_M)
+        yield drive(robot, RunKind.SQUARE_CW, square(SIDE_M, -1), SIDE_M)
+        yield drive(robot, RunKind.SQUARE_CCW, square(SIDE_M, 1), SIDE_M)
 
 
 def lines(robot: FirmwareWorld) -> Iterator[MeasuredRun]:
     """Two of them."""
     for _ in range(2):
-        yield drive(robot, Kind.STRAIGHT, straight(LENGTH_M), LENGTH_M)
+        yield drive(robot, RunKind.STRAIGHT, straight(LENGTH_M), LENGTH_M)
 
 
-def drive(robot: FirmwareWorld, kind: Kind, legs: tuple[Leg, ...], size: float) -> MeasuredRun:
+def drive(robot: FirmwareWorld, kind: RunKind, legs: tuple[Leg, ...], size: float) -> MeasuredRun:
     """One course, measured exactly."""
     path, end = follow(robot, legs)
     robot.forget()
@@ -98,7 +98,7 @@ def drive(robot: FirmwareWorld, kind: Kind, legs: tuple[Leg, ...], size: float) 
 def error_m(runs: Sequence[MeasuredRun]) -> float:
     """E_max,syst of what the firmware believed, by its own poses alone."""
     centres = []
-    for kind in (Kind.SQUARE_CW, Kind.SQUARE_CCW):
+    for kind in (RunKind.SQUARE_CW, RunKind.SQUARE_CCW):
         off = np.mean([_off(run) for run in runs if run.kind is kind], axis=0)
         centres.append(float(np.hypot(*off)))
     return max(centres)

@@ -1,17 +1,14 @@
 """Run the tests in groups. Each group runs, also after another one failed; a table at the end shows all results.
 
 The groups are the pure packages with their branches counted, all other tests, those that a busy machine disturbs
-(marked `quiet`), and those that need the machine for themselves (marked `alone`).
-
-With `--repeat N`, up to N failed tests of a group are run once more alone, for a machine that has other work. The table
-names a test that passed only then: mend it.
+(marked `quiet`), and those that need the machine for themselves (marked `alone`). Tests marked `long` are in none of
+these groups: `--long` runs them in two groups of their own.
 
 Tests whose programs are not installed (`tests/support/requirements.py`) are listed as not run. They fail the run only
 where CI=true.
 """
 
 import argparse
-import json
 import os
 import re
 import subprocess
@@ -21,10 +18,9 @@ import xml.etree.ElementTree as ET
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from importlib.metadata import version
 from pathlib import Path
 
-TESTS_FAILED = 1  # pytest's exit code; others are errors of the call or of pytest itself
-LAST_FAILED = Path(".pytest_cache/v/cache/lastfailed")
 REPORTS = Path("build/tests")
 PURE = ("protocol", "messages", "robot", "diagnosis")
 MISSING = "needs "  # begins the reason of a skip for which something is not installed
@@ -40,7 +36,6 @@ class Result:
     code: int  # exit code of pytest; 0: each test passed or was skipped
     passed: int = 0
     failed: list[str] = field(default_factory=list)  # names of tests
-    repeated: list[str] = field(default_factory=list)  # tests that passed only when they were run again
     skipped: Counter[str] = field(default_factory=Counter)  # tests by reason
     seconds: float = 0.0
 
@@ -69,22 +64,12 @@ def read(report: Path, result: Result) -> None:
             result.passed += 1
 
 
-def run_group(
-    name: str, command: Sequence[str], arguments: Sequence[str], run: Run = run, *, most_repeated: int = 0
-) -> Result:
+def run_group(name: str, command: Sequence[str], arguments: Sequence[str], run: Run = run) -> Result:
     """Run a group with `command`, which is pytest or a program that calls it."""
-    began_s, report = time.monotonic(), REPORTS / f"{name}.xml"
+    began_s, report = time.monotonic(), REPORTS / f"{name.replace(' ', '-')}.xml"
     report.unlink(missing_ok=True)
-    LAST_FAILED.unlink(missing_ok=True)
     result = Result(name, run([*command, *arguments, f"--junit-xml={report}"]))
     read(report, result)
-    failed = json.loads(LAST_FAILED.read_text()) if LAST_FAILED.exists() else {}
-    if result.code == TESTS_FAILED and 1 <= len(failed) <= most_repeated:
-        print(f"run again alone: {', '.join(failed)}", flush=True)
-        result.code = run(["-m", "pytest", *failed])
-        if result.code == 0:
-            result.passed += len(result.failed)
-            result.repeated, result.failed = result.failed, []
     result.seconds = time.monotonic() - began_s
     return result
 
@@ -96,23 +81,49 @@ def table(results: Sequence[Result]) -> str:
         failed = str(len(each.failed) or ("yes" if each.code else 0))
         lines.append(f"{each.name:12}{each.passed:>8}{failed:>8}{each.skipped.total():>9}{each.seconds:>9.0f}")
     lines += [f"failed: {test}" for each in results for test in each.failed]
-    lines += [f"passed only when run again: {test}" for each in results for test in each.repeated]
     skipped = sum((each.skipped for each in results), Counter[str]())
     lines += [f"not run: {count} ({reason})" for reason, count in sorted(skipped.items())]
     return "\n".join(lines)
 
 
 def groups(workers: int, quiet_workers: int) -> list[tuple[str, list[str], list[str]]]:
-    """Return the name, the command and the arguments of each group."""
+    """Return the name, the command and the arguments of each group of `make test`."""
     pytest = ["-m", "pytest"]
     pure_tests = [f"tests/unit/{package}" for package in PURE]
     others = [f"--ignore={each}" for each in pure_tests]
     return [
-        ("pure", ["-m", "coverage", "run", *pytest], ["-n", str(max(1, workers // 3)), *pure_tests]),
-        ("others", pytest, ["-n", str(workers), "-m", "not quiet and not alone", *others]),
-        ("quiet", pytest, ["-n", str(quiet_workers), "-m", "quiet and not alone", *marked("quiet")]),
-        ("alone", pytest, ["-m", "alone", *marked("alone")]),
+        ("pure", ["-m", "coverage", "run", *pytest], ["-n", str(quiet_workers), *pure_tests]),
+        ("others", pytest, ["-n", str(workers), "-m", "not quiet and not alone and not long", *others]),
+        ("quiet", pytest, ["-n", str(quiet_workers), "-m", "quiet and not alone and not long", *marked("quiet")]),
+        ("alone", pytest, ["-m", "alone and not long", *marked("alone")]),
     ]
+
+
+def long_groups(workers: int) -> list[tuple[str, list[str], list[str]]]:
+    """Return the name, the command and the arguments of each group of `make test-long`."""
+    files = marked("long")
+    return [
+        ("long", ["-m", "pytest"], ["-n", str(workers), "-m", "long and not alone", *files]),
+        ("long alone", ["-m", "pytest"], ["-m", "long and alone", *files]),
+    ]
+
+
+def not_compiled(folder: Path) -> list[str]:
+    """Return the files of tests that have changed since pytest compiled them."""
+    suffix = f".{sys.implementation.cache_tag}-pytest-{version('pytest')}.pyc"
+
+    def is_older(file: Path) -> bool:
+        compiled = file.parent / "__pycache__" / f"{file.stem}{suffix}"
+        return not compiled.exists() or compiled.stat().st_mtime < file.stat().st_mtime
+
+    return sorted(str(file) for file in folder.rglob("test_*.py") if is_older(file))
+
+
+def compile_tests() -> None:
+    """Let pytest compile changed tests here: otherwise each worker would do it."""
+    if changed := not_compiled(Path("tests")):
+        command = [sys.executable, "-m", "pytest", "--collect-only", "--quiet", *changed]
+        subprocess.run(command, check=False, stdout=subprocess.DEVNULL)
 
 
 def marked(mark: str) -> list[str]:
@@ -136,19 +147,24 @@ def exit_code(results: Sequence[Result], *, is_ci: bool) -> int:
 
 
 def main() -> int:
-    """Run each group, or with --branches only check what the last run with coverage took."""
+    """Run each group of `make test` or `make test-long`."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--quiet-workers", type=int, default=2)
-    parser.add_argument("--repeat", type=int, default=0, help="failed tests of a group that are run once more alone")
-    parser.add_argument("--branches", action="store_true")
+    parser.add_argument("--long", action="store_true", help="only the tests marked long")
+    parser.add_argument("--branches", action="store_true", help="only check what the last run with coverage took")
     arguments = parser.parse_args()
     if arguments.branches:
         return covered().code
     REPORTS.mkdir(parents=True, exist_ok=True)
+    compile_tests()
+    run(["-m", "tests.firmware.build_all"])
     results: list[Result] = []
-    for name, command, selected in groups(arguments.workers, arguments.quiet_workers):
-        results.append(run_group(name, command, selected, most_repeated=arguments.repeat))
+    selections = (
+        long_groups(arguments.quiet_workers) if arguments.long else groups(arguments.workers, arguments.quiet_workers)
+    )
+    for name, command, selected in selections:
+        results.append(run_group(name, command, selected))
         if name == "pure":
             results.append(covered())
     print(table(results), flush=True)

@@ -1,6 +1,6 @@
 // The paper's robot on an Arduino Due: wiring only. src/ has the logic, src/board/ the board.
 //
-// Arduino IDE: open this file, board "Arduino Due (Programming Port)", upload. Pins and wiring: ../README.md.
+// Arduino IDE: open this file, board "Arduino Due (Programming Port)", upload. Pins and wiring: docs/build-robot.md.
 
 #include <ros.h>  // include path of the library: firmware/rosserial
 

@@ -11,7 +11,7 @@ const double kFullPwm = 4095.0;
 
 // Parameters of one wheel; the defaults are the paper's robot without a flaw.
 struct WheelParameters {
-  double full_speed_rad_s = 280.0 * kTurnRad / 230.4;  // with full PWM at the rated voltage; docs/robot.md#numbers
+  double full_speed_rad_s = 280.0 * kTurnRad / 230.4;  // with full PWM, rated voltage; docs/paper-robot.md#numbers
   double dead_zone_pwm = 350.0;                        // the wheel stops below it; half of the paper's dead band of 700
   double has_jump = 1.0;                               // 1: above the dead zone as if there were none; 0: from nothing
   double rise_constant_s = 0.1;                        // while its PWM pushes it; geared 12 V motors have 0.03..0.2
@@ -19,8 +19,8 @@ struct WheelParameters {
   double brake_constant_s = 0.04;                      // while it is shorted, behind its 75:1 gear; estimated
   double friction_rad_s = 24.0 * kTurnRad / 230.4;     // speed lost to friction in one time constant: ends coasting
 
-  double radius_m = 0.045;        // at its contact with the floor; docs/robot.md#numbers
-  double ticks_per_turn = 230.4;  // periods of its encoder, two edges each; docs/robot.md#numbers
+  double radius_m = 0.045;        // at its contact with the floor; docs/paper-robot.md#numbers
+  double ticks_per_turn = 230.4;  // periods of its encoder, two edges each; docs/paper-robot.md#numbers
   double slip_noise_m = 0.0;      // standard deviation after 1 m, grows with the root; 0.001..0.005 on hard floors
   double slip_accelerating_s2_m = 0.0;  // share of the way lost for each m/s2 of acceleration; 0..0.02
   double slip_braking_s2_m = 0.0;       // share of the way slid on for each m/s2 of deceleration; 0..0.02
@@ -29,7 +29,7 @@ struct WheelParameters {
 // All are doubles, so that they pass through the module's interface as one array, in this order.
 struct WorldParameters {
   double seed = 1.0;      // of the random numbers, a whole number of 0..2^32-1; equal seeds repeat
-  double track_m = 0.21;  // wheel to wheel where they touch the floor; docs/robot.md#numbers
+  double track_m = 0.21;  // wheel to wheel where they touch the floor; docs/paper-robot.md#numbers
 
   double caster_arm_m = 0.15;     // from the axle back to the caster's pivot; estimated from the paper's figure 2
   double caster_trail_m = 0.02;   // from the pivot to where the wheel touches; "almost as large as the wheel's radius"

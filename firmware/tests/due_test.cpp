@@ -1,5 +1,5 @@
-// The Due's numbers (docs/robot.md#numbers), natively and on a Cortex-M3: a plain main, so that it runs where there is
-// no library.
+// The Due's numbers (docs/paper-robot.md#numbers), natively and on a Cortex-M3: a plain main, so that it runs where
+// there is no library.
 #include <math.h>
 #include <stdint.h>
 #include <string.h>

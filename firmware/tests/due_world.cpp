@@ -15,7 +15,7 @@ using namespace hostlink;
 
 namespace {
 
-const uint32_t kDirectionPin[2] = {2, 5};  // left, right: ../README.md
+const uint32_t kDirectionPin[2] = {2, 5};  // left, right: docs/build-robot.md
 const uint32_t kBrakePin[2] = {9, 8};
 const uint32_t kPwmPin[2] = {3, 6};
 const uint32_t kEncoderPin[2] = {22, 23};

@@ -1,1 +1,1 @@
-"""Translates between the hub and the programs that drive robots; decides nothing."""
+"""Translates between the hub and client programs. Decides nothing."""

@@ -1,7 +1,7 @@
-"""Access: who may use the API, and what a token allows. Every request passes it.
+"""Access: tokens, roles and origins of the API. Every request is checked here.
 
-Without tokens the API is for this computer alone: it listens on loopback, and a web page from elsewhere cannot use it
-through the browser of whoever sits there (Origin and Host are checked). With tokens it may listen anywhere.
+Without tokens the API listens on loopback only, and web pages of other origins cannot use it through a browser on this
+computer (Origin and Host are checked). With tokens it may listen on any address.
 """
 
 import asyncio
@@ -17,7 +17,7 @@ from urllib.parse import SplitResult, urlsplit
 import structlog
 from aiohttp import web
 
-from hostlink.api.connections import KEPT_FOR_REQUESTS
+from hostlink.api.listener import KEPT_FOR_REQUESTS
 from hostlink.config import ApiConfig, TokenConfig
 from hostlink.errors import ConfigError
 from hostlink.hub.node import Role
@@ -25,16 +25,16 @@ from hostlink.logs import printable
 
 log = structlog.get_logger()
 
-SHORTEST_TOKEN = 16  # characters: 80 bits and more, when they are random
-MAX_LOGGED_ORIGINS = 4  # that are refused; a page may have any
-_NO_ORIGIN = "open the page by http, not from a file: every page can have the origin null"
+SHORTEST_TOKEN = 16  # characters: at least 80 random bits
+MAX_LOGGED_ORIGINS = 4  # refused origins; a page may have any
+_NO_ORIGIN = "open the page by http, not from a file: any page can have the origin null"
 _HOW_TO_MAKE_ONE = "make one with  python3 -c 'import secrets; print(secrets.token_urlsafe(24))'"
 
 
 class Grant(NamedTuple):
-    """What a request may do, by which token."""
+    """Role of a request, and the token that grants it."""
 
-    who: str  # the token's name; empty: no tokens are used
+    who: str  # name of the token; empty: no tokens are configured
     role: Role
 
 
@@ -42,15 +42,17 @@ GRANT = web.RequestKey("grant", Grant)  # of the request that is being answered
 
 
 class Access:
-    """The rules of one API server. A refusal is an HTTP error that names the next step."""
+    """Access rules of one API server. A refusal is an HTTP error that names the next step."""
 
     def __init__(self, config: ApiConfig) -> None:
-        """Raises:
-        ConfigError: a setting is wrong, or would leave a robot open to the network.
+        """Check the settings.
+
+        Raises:
+            ConfigError: a setting is invalid, or would let the network drive a robot.
         """
         self._tokens = [(_secret(token), Grant(token.name, Role[token.role.upper()])) for token in config.tokens]
         self._origins = frozenset(origin.rstrip("/") for origin in config.origins)
-        self._refused_origins: set[str] = set()  # that were logged
+        self._refused_origins: set[str] = set()  # already logged
         if len({secret for secret, _ in self._tokens}) < len(self._tokens):
             raise ConfigError("api.tokens", "two names have the same token: the driver would be unknown")
         for limit in ("max_clients", "max_message_bytes", "max_requests_s"):
@@ -64,42 +66,42 @@ class Access:
         if not self._tokens and not is_loopback(config.host):
             raise ConfigError(
                 f"api.host {config.host}",
-                "whoever reaches this address could drive the robots: set [[api.tokens]], or listen on 127.0.0.1",
+                "every program on the network could drive the robots: set [[api.tokens]], or listen on 127.0.0.1",
             )
         if not self._tokens and "*" in self._origins:
             raise ConfigError("api.origins", '"*" would let every web page drive the robots: set [[api.tokens]] too')
 
     def revoked(self, new: "Access") -> set[str]:
-        """The names of the tokens that `new` does not know, or not with the same role; empty: who came without one."""
+        """Return the names of tokens that `new` lacks or gives another role; empty: requests without a token."""
         if not self.has_tokens:
             return {""} if new.has_tokens else set()
         return {grant.who for secret, grant in self._tokens if not new.has(secret, grant)}
 
     @property
     def has_tokens(self) -> bool:
-        """Whether anybody needs one."""
+        """Whether requests need a token."""
         return bool(self._tokens)
 
     def has(self, secret: bytes, grant: Grant) -> bool:
-        """Whether this token allows this."""
+        """Whether this token grants this role."""
         return (secret, grant) in self._tokens
 
     def check_place(self, *, origin: str | None, host: str) -> None:
-        """Refuse a request that a page of another origin made in the browser of somebody who is allowed.
+        """Refuse a request from a page of an unknown origin, or to an unknown host name.
 
         Raises:
-            web.HTTPForbidden: the host or the origin is none of those that may.
+            web.HTTPForbidden: the host or the origin is not allowed.
         """
         if not self._tokens and not _is_plain_address(host):  # a name that an attacker points here (DNS rebinding)
-            raise web.HTTPForbidden(reason=f"not as {host}: without tokens use http://localhost or an IP address")
+            raise web.HTTPForbidden(reason=f"host {host} refused: without tokens use http://localhost or an IP address")
         if origin is not None and not self.allows_origin(origin, host):
             self._log_refused(origin)
-            raise web.HTTPForbidden(reason=f'a page of {origin} may not: add "{origin}" to api.origins if it should')
+            raise web.HTTPForbidden(reason=f'origin {origin} refused: add "{origin}" to api.origins to allow its pages')
 
     def _log_refused(self, origin: str) -> None:
-        """Log each once: the page learns no reason, and whoever opened it has to act."""
+        """Log each refused origin once: the page does not learn the reason."""
         name = printable(origin)
-        is_browsers = origin == "null" or "://" in origin  # others are no browser's, and nobody waits for a page
+        is_browsers = origin == "null" or "://" in origin  # other values do not come from a browser
         if is_browsers and name not in self._refused_origins and len(self._refused_origins) < MAX_LOGGED_ORIGINS:
             self._refused_origins.add(name)
             log.error("client.origin_refused", origin=name, allow=_NO_ORIGIN if name == "null" else f"--origin {name}")
@@ -110,7 +112,7 @@ class Access:
         return is_own or origin.rstrip("/") in self._origins or "*" in self._origins
 
     def grant(self, token: str | None) -> Grant:
-        """What the token allows; without tokens everything is allowed.
+        """Return what the token allows. Without configured tokens everything is allowed.
 
         Raises:
             web.HTTPUnauthorized: the token is missing or unknown.
@@ -120,35 +122,35 @@ class Access:
         if not token:
             raise _unauthorized('a token is needed: "Authorization: Bearer ..." or ?token=...')
         given, found = token.encode(errors="surrogateescape"), None
-        for secret, grant in self._tokens:  # all of them: the duration gives nothing away
+        for secret, grant in self._tokens:  # all tokens, so that the duration reveals nothing
             if hmac.compare_digest(secret, given):
                 found = grant
         if found is None:
-            raise _unauthorized("this token is not known here")
+            raise _unauthorized("this token is unknown")
         return found
 
 
 def check_role(grant: Grant, needed: Role) -> None:
-    """Refuse what the role does not allow.
+    """Refuse a request that the role does not allow.
 
     Raises:
-        web.HTTPForbidden: it does not.
+        web.HTTPForbidden: the role is too low.
     """
     if grant.role < needed:
         raise web.HTTPForbidden(reason=f"the token {grant.who} may only {grant.role.name.lower()}, not drive")
 
 
 def token_of(request: web.Request) -> str | None:
-    """The token of a request: of its header, else of its URL, because a browser's WebSocket has no headers."""
+    """Return the token of a request: from its header, or from its URL, because a browser's WebSocket has no headers."""
     scheme, _, token = request.headers.get("Authorization", "").partition(" ")
     return token.strip() if scheme.lower() == "bearer" else request.query.get("token")
 
 
 def tls_context(config: ApiConfig) -> ssl.SSLContext | None:
-    """The server's certificate; None: no TLS.
+    """Return the TLS context; None without TLS.
 
     Raises:
-        ConfigError: a file is missing or wrong.
+        ConfigError: a file is missing or invalid.
     """
     if config.certificate is None and config.key is None:
         return None
@@ -165,7 +167,7 @@ def tls_context(config: ApiConfig) -> ssl.SSLContext | None:
 def _secret(token: TokenConfig) -> bytes:
     where = f"api.tokens {token.name}"
     if (token.token is None) == (token.token_file is None):
-        raise ConfigError(where, "needs token or token_file, one of them")
+        raise ConfigError(where, "needs either token or token_file")
     secret = token.token
     if token.token_file is not None:
         try:
@@ -173,7 +175,7 @@ def _secret(token: TokenConfig) -> bytes:
         except (OSError, UnicodeDecodeError) as error:
             raise ConfigError(where, f"token_file: {error}") from error
     if not secret or len(secret) < SHORTEST_TOKEN:
-        raise ConfigError(where, f"a token has at least {SHORTEST_TOKEN} characters; {_HOW_TO_MAKE_ONE}")
+        raise ConfigError(where, f"a token needs at least {SHORTEST_TOKEN} characters; {_HOW_TO_MAKE_ONE}")
     return secret.encode()
 
 
@@ -182,7 +184,7 @@ def _unauthorized(reason: str) -> web.HTTPUnauthorized:
 
 
 def is_loopback(host: str) -> bool:
-    """Whether only this computer reaches the address."""
+    """Whether only this computer can reach the address."""
     if host == "localhost":
         return True
     try:
@@ -192,7 +194,7 @@ def is_loopback(host: str) -> bool:
 
 
 def _is_plain_address(host: str) -> bool:
-    """Whether a Host header names this computer without the DNS."""
+    """Whether a Host header names this computer without DNS."""
     name = _parts(f"//{host}").hostname or ""
     if name == "localhost" or name.endswith(".localhost"):
         return True
@@ -206,7 +208,7 @@ def _is_plain_address(host: str) -> bool:
 def _parts(url: str) -> SplitResult:
     try:
         return urlsplit(url)
-    except ValueError:  # brackets that do not match
+    except ValueError:  # unbalanced brackets
         return urlsplit("")
 
 
@@ -214,15 +216,16 @@ Answering = asyncio.Task[object]
 
 
 class Grants:
-    """The tasks that answer requests; that of a WebSocket lasts as long as it is open."""
+    """Tasks that answer requests, by grant. The task of a WebSocket runs while it is open."""
 
     def __init__(self) -> None:
         self._tasks: dict[Answering, Grant] = {}
 
     @contextlib.contextmanager
     def using(self, grant: Grant) -> Iterator[None]:
-        """The present task answers by it within the block."""
-        task = _present_task()
+        """Register the current task under the grant within the block."""
+        task = asyncio.current_task()
+        assert task is not None  # noqa: S101 - called in a coroutine
         self._tasks[task] = grant
         try:
             yield
@@ -230,14 +233,8 @@ class Grants:
             del self._tasks[task]
 
     def end(self, revoked: Container[str]) -> None:
-        """End those of the tokens with these names, but not the one that withdraws them; what they drive stops."""
+        """Cancel the tasks of revoked tokens, except the current one. What they drive stops."""
         present = asyncio.current_task()
         for task, grant in self._tasks.items():
             if grant.who in revoked and task is not present:
                 task.cancel()
-
-
-def _present_task() -> Answering:
-    task = asyncio.current_task()
-    assert task is not None  # noqa: S101 - of a coroutine
-    return task

@@ -1,7 +1,7 @@
-"""Captures: the raw bytes that passed on a link, as `hostlink inspect` reads them; live links and the last that ended.
+"""Captures: raw bytes that passed on a link, as `hostlink inspect` reads them; of live links and the last ended ones.
 
-The whole is JSON lines. Who follows a link gets pieces: what passed after a position, and the next position. Where the
-beginning is lost, it begins with the topics that the device had announced before: a line with the event `topics`.
+The whole capture is JSON lines. A client that follows a link requests pieces: the bytes after a position, with the next
+position. If the beginning is lost, the first line is an event `topics`: what the device had announced before.
 """
 
 from http import HTTPStatus
@@ -15,12 +15,12 @@ from hostlink.errors import UnknownTopic
 from hostlink.hub.diagnoses import Diagnosis
 from hostlink.hub.hub import Hub
 
-MAX_DIGITS = 18  # no count is longer
+MAX_DIGITS = 18  # larger counts do not occur
 _START = (0, 0)
 
 
 class ReadView(TypedDict):
-    """One line of a recording: seconds since the link opened, who sent (device or host), the bytes."""
+    """One line of a capture: seconds since the link opened, the sender (device or host), the bytes."""
 
     t: float
     dir: str
@@ -30,7 +30,7 @@ class ReadView(TypedDict):
 
 
 class CaptureView(TypedDict):
-    """What passed after a position, the next position, and how many bytes in between are lost."""
+    """Bytes after a position, the next position, and how many bytes in between are lost."""
 
     reads: list[ReadView]
     position: str
@@ -39,13 +39,13 @@ class CaptureView(TypedDict):
 
 
 class Captures:
-    """The handlers of its routes."""
+    """The routes of captures."""
 
     def __init__(self, hub: Hub) -> None:
         self._hub = hub
 
     def routes(self) -> list[Route]:
-        """Every path of this file."""
+        """Return the routes."""
         path = "/api/links/{number}/capture"
         return [
             Route(
@@ -59,7 +59,7 @@ class Captures:
             Route(
                 path + "/{position}",
                 self._after,
-                "What passed on a link after a position; the first one is 0-0",
+                "Bytes on a link after a position; the first position is 0-0",
                 CaptureView,
                 fails=(HTTPStatus.NOT_FOUND,),
             ),
@@ -84,7 +84,7 @@ class Captures:
 
 
 def capture_view(diagnosis: Diagnosis, since: tuple[int, int] = _START) -> CaptureView:
-    """What passed on a link, in order of time; `since`: bytes of each direction that are known already."""
+    """Return the bytes on a link in order of time. `since`: bytes of each direction that the client already has."""
     number, found = diagnosis.link.number, diagnosis.captured(since)
     reads: list[ReadView] = []
     if since == _START:
@@ -109,12 +109,12 @@ def _read_view(time_s: float, sender: str, data: bytes, number: int) -> ReadView
 
 
 def _is_number(text: str) -> bool:
-    """Whether it is a whole number, and not one of so many digits that Python refuses to read it."""
+    """Whether the text is a whole number of at most MAX_DIGITS digits."""
     return text.isdecimal() and len(text) <= MAX_DIGITS
 
 
 def _parse_position(text: str) -> tuple[int, int]:
     from_device, dash, to_device = text.partition("-")
     if not (dash and _is_number(from_device) and _is_number(to_device)):
-        raise UnknownTopic("position", text, ("0-0", "what an earlier answer gave"))
+        raise UnknownTopic("position", text, ("0-0", "a position of an earlier answer"))
     return int(from_device), int(to_device)

@@ -1,20 +1,150 @@
-"""Clients of the API: their queues, what each has received, and the bound on their number."""
+"""Clients of the API: their operations and queues, what each has received, and the bound on their number."""
 
 import asyncio
 import itertools
-from typing import NamedTuple, NoReturn, Protocol, TypedDict
+from collections import deque
+from collections.abc import Callable, Hashable
+from dataclasses import dataclass, field
+from typing import Generic, NamedTuple, NoReturn, Protocol, TypedDict, TypeVar
 
 import msgspec
 from aiohttp import web
 
 from hostlink.api.access import Grant
 from hostlink.api.routes import readable
+from hostlink.errors import BadPayload
 from hostlink.hub.byte_budget import ByteBudget
 from hostlink.hub.queue import Queue
+from hostlink.hub.topic_graph import TopicGraph
+from hostlink.robot.velocity import Twist
+
+MANY = 64  # messages of one client while the loop is busy: more than a second of commands at 50 Hz
+MAX_MESSAGES = 256  # decoded or not; more wait in the socket
+MAX_BYTES = 64 * 1024  # or one larger message
+
+Content = TypeVar("Content")
+
+
+@dataclass(slots=True)
+class Operation(Generic[Content]):
+    """One decoded message of a client."""
+
+    content: Content
+    came_s: float  # earliest time of arrival by the loop's clock
+    velocity_of: Hashable = None  # robot or topic, and priority; None: not a velocity
+    is_zero: bool = False
+    replaced: list[Content] = field(default_factory=list)  # velocities that this one replaces
+
+
+class ClientProgram(Protocol[Content]):
+    """Protocol that a client speaks: RosbridgeClient or FoxgloveClient. Errors of the client are never raised."""
+
+    @property
+    def calls(self) -> int:
+        """Number of pending service calls."""
+
+    def read(self, data: str | bytes, came_s: float) -> Operation[Content]:
+        """Decode a message."""
+
+    def do(self, operation: Operation[Content]) -> None:
+        """Execute a decoded message."""
+
+    def flush(self, now_s: float) -> float | None:
+        """Queue what was held back until now. Return when more is due."""
+
+    def close(self) -> None:
+        """End the participant."""
+
+
+class OperationQueue(Generic[Content]):
+    """Received operations of one client, executed in their order of arrival.
+
+    A velocity replaces a pending one of the same robot and priority. It is executed at the newer one's place, so that
+    it does not overtake a stop. A zero replaces other velocities and is never replaced.
+    """
+
+    def __init__(self, program: ClientProgram[Content], on_replaced: Callable[[], None], messages_s: float) -> None:
+        """Create an empty queue. `on_replaced` is called for each replaced velocity; `messages_s`: allowed rate."""
+        self._program, self._on_replaced = program, on_replaced
+        self._messages: deque[tuple[str | bytes, float]] = deque()  # in order of arrival, not decoded
+        self._bytes = 0
+        self._operations: dict[int, Operation[Content]] = {}  # by number, in order of arrival
+        self._velocities: dict[Hashable, int] = {}  # numbers of velocities that may be replaced
+        self._last_number = 0
+        self.waiting = 0  # messages and operations
+        self.is_flooding = False  # more than MANY wait: executed after other clients' turns until none waits
+        self.has_room = True  # otherwise the rest waits in the socket
+        self._came_s: float | None = None  # of the newest message; None: none yet
+        self._messages_s, self._credit = messages_s, messages_s  # a token bucket
+        self._credit_at_s = float("-inf")
+        self.debt_s = 0.0  # time for which the client must be silent to be within its message rate again
+
+    def put(self, data: str | bytes, came_s: float, now_s: float, *, is_behind: bool = False) -> None:
+        """Add a message. One that was available without waiting, `is_behind`, may be as old as the one before it."""
+        credit = self._credit + (now_s - self._credit_at_s) * self._messages_s
+        self._credit = (credit if credit < self._messages_s else self._messages_s) - 1
+        self._credit_at_s = now_s
+        self.debt_s = -self._credit / self._messages_s if self._credit < 0 else 0.0
+        if self._came_s is None or not is_behind:
+            self._came_s = came_s
+        self._messages.append((data, self._came_s))
+        self._bytes += len(data)
+        self.waiting += 1
+        if self.waiting > MANY:
+            self.is_flooding = True
+        if self.waiting > MAX_MESSAGES or self._bytes > MAX_BYTES:
+            self.has_room = False
+
+    def work(self) -> None:
+        """Decode all messages, and execute the next operation."""
+        operations, velocities = self._operations, self._velocities
+        while self._messages:
+            new = self._program.read(*self._messages.popleft())
+            self._last_number += 1
+            if new.velocity_of is not None:
+                older = velocities.pop(new.velocity_of, None)
+                if older is not None:
+                    replaced = operations.pop(older)
+                    new.replaced = [*replaced.replaced, replaced.content]
+                    self.waiting -= 1
+                    self._on_replaced()
+                if not new.is_zero:
+                    velocities[new.velocity_of] = self._last_number
+            operations[self._last_number] = new
+        number = next(iter(operations))
+        operation = operations.pop(number)
+        if operation.velocity_of is not None and velocities.get(operation.velocity_of) == number:
+            del velocities[operation.velocity_of]
+        self.waiting -= 1
+        try:
+            self._program.do(operation)
+        finally:
+            if not operations:
+                self._bytes, self.is_flooding = 0, False
+            if len(operations) <= MAX_MESSAGES // 2 and (not operations or self._bytes <= MAX_BYTES):
+                self.has_room = True
+
+
+_NONE = (None, False)
+
+
+def velocity_of_payload(topic_name: str, payload: bytes, topics: TopicGraph) -> tuple[Hashable, bool]:
+    """Return the same for a serialised message: the key of a velocity, and whether it is zero."""
+    topic = topics.find_or_none(topic_name)
+    is_zero = is_zero_payload(payload) if topic is not None and topic.is_gated else None
+    return _NONE if is_zero is None else (("publish", topic_name), is_zero)
+
+
+def is_zero_payload(payload: bytes) -> bool | None:
+    """Whether a serialised Twist, or the Twist at the end of a TwistStamped, is zero; None for other bytes."""
+    try:
+        return Twist.decode(payload[-len(Twist().encode()) :]).is_zero
+    except BadPayload:
+        return None
 
 
 class Outgoing(NamedTuple):
-    """JSON is text; CBOR is binary. `before`, if not empty, is a binary message that leaves before it."""
+    """A message to a client: text (JSON) or binary (CBOR). `before`, if not empty, is a binary message sent first."""
 
     data: bytes
     is_binary: bool = False
@@ -22,12 +152,12 @@ class Outgoing(NamedTuple):
 
 
 class ClientQueue(Queue[Outgoing]):
-    """The queue of one client."""
+    """Send queue of one client."""
 
     def __init__(self, budget: ByteBudget | None = None) -> None:
         share = None if budget is None else budget["queues"]
         super().__init__(_size_bytes, asyncio.get_running_loop().time, share)
-        self.is_flush_due = True  # what subscriptions hold back has changed
+        self.is_flush_due = True  # whether throttled subscriptions have messages
 
     def wake(self) -> None:
         self.is_flush_due = True
@@ -39,12 +169,12 @@ def _size_bytes(outgoing: Outgoing) -> int:
 
 
 def put_json(queue: ClientQueue, answer: object) -> None:
-    """Queue an answer or an event."""
+    """Encode and queue an answer or an event."""
     queue.put_result(Outgoing(msgspec.json.encode(answer)))
 
 
 class Backlog(Protocol):
-    """What waits for a client."""
+    """Messages that wait for a client."""
 
     dropped: int
 
@@ -59,7 +189,7 @@ class Backlog(Protocol):
 
 
 class ClientView(TypedDict):
-    """One client: who it is, what it received, what it was too slow for."""
+    """One client: its name, program and role, what it received, and what was dropped."""
 
     name: str
     kind: str
@@ -91,12 +221,12 @@ class Client:
         self.messages_from_client = self.messages_to_client = self.bytes_to_client = 0
 
     def sent(self, size: int) -> None:
-        """Count a message that left."""
+        """Count a sent message."""
         self.messages_to_client += 1
         self.bytes_to_client += size
 
     def view(self, now_s: float) -> ClientView:
-        """For the API."""
+        """Return the client as the API shows it."""
         oldest_s = None if self.backlog is None else self.backlog.oldest_s
         return {
             "name": self.name,
@@ -117,17 +247,17 @@ class Client:
 
 
 class Clients:
-    """All of them, up to a bound."""
+    """All clients, up to a bound."""
 
     def __init__(self, max_clients: int, *, max_per_address: int) -> None:
         self.refused = 0
-        self.gone_dropped = 0  # messages that clients which are gone were too slow for
+        self.gone_dropped = 0  # messages dropped for clients that have disconnected
         self._max_clients, self._max_per_address = max_clients, max_per_address
         self._numbers = itertools.count(1)
-        self._clients: list[Client] = []  # oldest first
+        self._clients: list[Client] = []  # in order of arrival
 
     def enter(self, kind: str, request: web.Request, grant: Grant, backlog: Backlog | None = None) -> Client:
-        """A new client; 503 when there are too many already."""
+        """Add a client. Raise 503 when there are too many."""
         if len(self._clients) >= self._max_clients:
             self._refuse(f"{self._max_clients} clients are connected: close one, or raise api.max_clients")
         if sum(client.peer == (request.remote or "") for client in self._clients) >= self._max_per_address:
@@ -144,15 +274,15 @@ class Clients:
         raise web.HTTPServiceUnavailable(reason=reason)
 
     def leave(self, client: Client) -> None:
-        """It is gone."""
+        """Remove a disconnected client."""
         self._clients.remove(client)
         self.gone_dropped += 0 if client.backlog is None else client.backlog.dropped
 
     def all(self) -> list[Client]:
-        """Oldest first."""
+        """Return all clients, the oldest first."""
         return list(self._clients)
 
     def views(self) -> list[ClientView]:
-        """For the API."""
+        """Return all clients as the API shows them."""
         now_s = asyncio.get_running_loop().time()
         return [client.view(now_s) for client in self._clients]

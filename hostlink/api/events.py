@@ -23,7 +23,7 @@ from aiohttp import web
 from hostlink.api.access import GRANT
 from hostlink.api.clients import Backlog, Client, Clients
 from hostlink.api.recordings import recording_view
-from hostlink.api.rosbridge_subscriptions import encode_json
+from hostlink.api.rosbridge import encode_json
 from hostlink.api.routes import Route
 from hostlink.api.views import RobotView, Slices, links_view, odometry_view, robot_view
 from hostlink.errors import BadPayload
@@ -32,15 +32,15 @@ from hostlink.hub.message import Message
 from hostlink.hub.node import Role
 from hostlink.recording.recordings import Recordings
 
-MOST_BYTES = 4096  # less is there at once, or waits for an acknowledgement that its receiver delays
+MOST_BYTES = 4096  # smaller amounts arrive at once, or wait for a delayed acknowledgement
 CHECK_S = 0.02
 
 
 def unread_bytes(transport: asyncio.WriteTransport) -> int:
-    """In the process, in the kernel, and on the line; elsewhere than on Linux the process alone.
+    """Return the bytes that the receiver has not acknowledged: in the process and, on Linux, in the kernel.
 
     Raises:
-        OSError: the connection is closed: its socket has no number any more.
+        OSError: the connection is closed.
     """
     if transport.is_closing():
         raise ConnectionResetError
@@ -52,10 +52,10 @@ def unread_bytes(transport: asyncio.WriteTransport) -> int:
 
 
 async def until_read(transport: asyncio.WriteTransport | None, timeout_s: float) -> None:
-    """Wait until nearly all has arrived.
+    """Wait until all but MOST_BYTES have arrived.
 
     Raises:
-        TimeoutError: nothing more arrives.
+        TimeoutError: nothing arrived for timeout_s seconds.
         OSError: the connection is closed.
     """
     if transport is None:
@@ -70,36 +70,36 @@ async def until_read(transport: asyncio.WriteTransport | None, timeout_s: float)
         await asyncio.sleep(CHECK_S)
 
 
-TICK_S = 0.1  # poses come ten times a second
-REFRESH_S = 9.5 * TICK_S  # every tenth tick: ages and counters
+TICK_S = 0.1  # poses arrive ten times a second
+REFRESH_S = 9.5 * TICK_S  # for ages and counters: every tenth tick
 SHARE = 0.03  # of the processor, for one kind of event: a large fleet is sent less often
 BYTE_COST_S = 2e-9  # of sending to one reader
 MAX_LINES = 64
 
 
 class Reader:
-    """What one reader of the feed has been sent."""
+    """Position of one reader in the feed."""
 
     def __init__(self, feed: "StateFeed") -> None:
-        self.dropped = 0  # log lines that this reader was too slow for
+        self.dropped = 0  # log lines dropped because this reader was too slow
         self.news = asyncio.Event()
-        self.oldest_s: float | None = None  # a state replaces the one before: nothing of it grows old
+        self.oldest_s: float | None = None  # Backlog protocol: a newer state replaces an older one, so none grows old
         self._feed = feed
         self._version = 0
         self._lines = feed.line_count
 
     @property
     def waiting_messages(self) -> int:
-        """Events that were not sent yet."""
+        """Number of events not sent yet."""
         return len(self._newer()) + min(self._feed.line_count - self._lines, MAX_LINES)
 
     @property
     def waiting_bytes(self) -> int:
-        """Of the states among them."""
+        """Bytes of states not sent yet."""
         return sum(len(wire) for wire in self._newer())
 
     def pop(self) -> list[bytes]:
-        """The events that were not sent yet."""
+        """Return the events not sent yet."""
         events = self._newer()
         lines = self._feed.lines_since(self._lines)
         self.dropped += self._feed.line_count - self._lines - len(lines)
@@ -107,7 +107,7 @@ class Reader:
         for line in lines:
             try:
                 events.append(encode_event("log", line.made("json", encode_json)))
-            except BadPayload:  # what a client published as a line is none
+            except BadPayload:  # a client published an invalid log message
                 self.dropped += 1
         return events
 
@@ -117,12 +117,12 @@ class Reader:
 
 @dataclass(slots=True, kw_only=True)
 class _State:
-    """One kind of event: how it is made, and the newest."""
+    """One kind of event: its encoder, and the newest event."""
 
     name: str
     interval_s: float
     encode: Callable[[], Awaitable[bytes | None]]  # None: nothing has changed
-    is_repeated: bool = True  # also when it has not changed
+    is_repeated: bool = True  # also sent when unchanged
     due_s: float = 0.0
     version: int = 0
     wire: bytes = b""
@@ -134,16 +134,16 @@ class _RobotPiece(NamedTuple):
 
 
 class StateFeed:
-    """The states and log lines for all readers.
+    """States and log lines for all readers.
 
-    A state that costs more to encode and to send comes less often, so that it takes SHARE of the processor at most. It
-    is encoded in slices; commands and devices have their turns in between.
+    The more CPU time a state takes to encode and to send, the less often it is sent: it takes at most SHARE of the
+    processor. It is encoded in slices, between which commands and devices have their turns.
     """
 
     def __init__(self, hub: Hub, clients: Clients, recordings: Recordings) -> None:
-        self.is_running = False  # not: its reader's stream ends
+        self.is_running = False  # when it ends, the streams of its readers end
         self.version = 0
-        self.line_count = 0  # so far
+        self.line_count = 0  # since the start
         self.states = (
             _State(name="robots", interval_s=0.0, encode=self._encode_robots),
             _State(name="links", interval_s=REFRESH_S, encode=self._encode_links),
@@ -159,7 +159,7 @@ class StateFeed:
 
     @contextlib.contextmanager
     def reading(self, reader: Reader) -> Iterator[None]:
-        """Send to the reader for the length of the block."""
+        """Add a reader for the length of the block."""
         self._readers.add(reader)
         if not self.is_running:
             self.is_running = True
@@ -170,11 +170,11 @@ class StateFeed:
             self._readers.discard(reader)
 
     def lines_since(self, count: int) -> list[Message]:
-        """The log lines that came after the first `count`, as far as they are kept."""
+        """Return the log lines after the first `count`, as far as they are kept."""
         return list(islice(self._lines, max(0, len(self._lines) - (self.line_count - count)), None))
 
     async def _run(self) -> None:
-        """While there are readers."""
+        """Renew the states while there are readers."""
         participant = self._hub.join("events", role=Role.READ)
         participant.subscribe("/rosout", self._add_line)
         announced = (self.version, self.line_count)
@@ -189,7 +189,7 @@ class StateFeed:
             participant.leave()
             self.is_running, self._refresh_at_s = False, 0.0
             for state in self.states:
-                state.version, state.due_s = 0, 0.0  # whoever comes next gets none that is old
+                state.version, state.due_s = 0, 0.0  # later readers do not get an old state
             self._wake()
 
     async def _renew_states(self) -> None:
@@ -249,9 +249,9 @@ class StateFeed:
 
 
 def _essence(view: RobotView) -> object:
-    """What makes a view worth sending at once: not that its pose has grown older.
+    """Return the part of a view whose change is sent at once. The age of a pose is not.
 
-    A robot without poses shows by its frames that it lives.
+    The frame counter shows that a robot without poses is connected.
     """
     odometry = view["odometry"]
     frames = view["frames"] if odometry is None else None
@@ -259,13 +259,13 @@ def _essence(view: RobotView) -> object:
 
 
 def encode_event(name: str, json: bytes) -> bytes:
-    """One server-sent event."""
+    """Encode one server-sent event."""
     return b"event: %b\ndata: %b\n\n" % (name.encode(), json)
 
 
-HEARTBEAT_S = 0.3  # a reader that hears nothing for three of them knows that the daemon is gone
+HEARTBEAT_S = 0.3  # a reader without three of them knows that the daemon is gone
 SEND_TIMEOUT_S = 5.0
-ROLE_HEADER = "Hostlink-Role"  # what the reader's token allows: read or drive
+ROLE_HEADER = "Hostlink-Role"  # role of the reader's token: read or drive
 HEADERS = {"Cache-Control": "no-store", "X-Accel-Buffering": "no", "Content-Type": "text/event-stream"}
 
 Send = Callable[[bytes], Awaitable[None]]
@@ -280,12 +280,12 @@ class Events:
         self._feed = StateFeed(hub, clients, recordings)
 
     def routes(self) -> list[Route]:
-        """Both streams."""
+        """Return the routes of both streams."""
         return [
             Route(
                 "/api/events",
                 self._state,
-                "Events `robots`, `links` and `clients`: the JSON of their GETs; `recordings`: those under way, how"
+                "Events `robots`, `links` and `clients`: the JSON of their GETs; `recordings`: running ones, how"
                 " often their folder has changed, how many incidents are pending, saved, missed; `log`: a log line",
                 response=None,
                 media_type="text/event-stream",
@@ -310,7 +310,7 @@ class Events:
                     now_s = asyncio.get_running_loop().time()
                     events = reader.pop()
                     if events:
-                        events[-1] += b": sent %.3f\n\n" % now_s  # shows how long they were on their way
+                        events[-1] += b": sent %.3f\n\n" % now_s  # so that a reader sees the delay
                     for event in events:
                         await send(event)
                     await _wait(reader.news, response)
@@ -323,8 +323,8 @@ class Events:
             participant = self._hub.join(client.name, role=Role.READ, on_end=news.set)
             try:
                 participant.follow(robot, news.set)
-                news.set()  # what is known already
-                while self._hub.robots.is_known(robot) and not participant.has_left:  # one that is forgotten is over
+                news.set()  # send the known pose first
+                while self._hub.robots.is_known(robot) and not participant.has_left:  # ends when the robot is forgotten
                     is_news, now_s = await _wait(news, response), asyncio.get_running_loop().time()
                     odometry = robot.odometry.snapshot(now_s) if is_news else None
                     if odometry is not None:
@@ -337,7 +337,7 @@ class Events:
     async def _stream(
         self, request: web.Request, backlog: Backlog | None = None
     ) -> AsyncIterator[tuple[web.StreamResponse, Send, Client]]:
-        """A response that is written until its reader is gone, which ends the block."""
+        """Open a response for the length of the block. A disconnected reader ends the block."""
         role = request[GRANT].role.name.lower()
         response = web.StreamResponse(headers={**HEADERS, ROLE_HEADER: role})
         client = self._clients.enter("events", request, request[GRANT], backlog)
@@ -351,17 +351,17 @@ class Events:
             try:
                 await response.prepare(request)
             except OSError as error:
-                raise web.HTTPBadRequest(reason="it broke off before the first event") from error
-            with contextlib.suppress(OSError):  # the reader is gone, or reads nothing (TimeoutError is one too)
+                raise web.HTTPBadRequest(reason="the client disconnected before the first event") from error
+            with contextlib.suppress(OSError):  # the reader left, or does not read (TimeoutError is an OSError)
                 yield response, send, client
         finally:
             self._clients.leave(client)
 
 
 async def _wait(news: asyncio.Event, response: web.StreamResponse) -> bool:
-    """Wait for news, at most until a comment is due, by which both sides notice when the other is gone.
+    """Wait for news, at most until a comment is due. Comments let both sides notice a lost connection.
 
-    Returns whether there are news.
+    Returns whether there is news.
     """
     try:
         async with asyncio.timeout(HEARTBEAT_S):

@@ -1,23 +1,27 @@
-"""FoxgloveClient: one client that speaks Foxglove's WebSocket protocol. Requests come in, frames go out; no socket.
+"""FoxgloveClient: one client that speaks Foxglove's WebSocket protocol. Answers requests without a socket.
 
 https://github.com/foxglove/ws-protocol/blob/main/docs/spec.md
 """
 
 import asyncio
 import contextlib
+import itertools
 import math
+import os
 import time
-from collections.abc import Callable, Coroutine, Iterable, Mapping, Sequence
+from collections import defaultdict
+from collections.abc import Callable, Coroutine, Hashable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, NamedTuple, TypeVar, assert_never
 
 import msgspec
 import structlog
 
-from hostlink.api.clients import ClientQueue, Outgoing, put_json
-from hostlink.api.foxglove_directory import Channel, ConnectionGraph, FoxgloveDirectory, Names, Offers, Service
+from hostlink.api.clients import ClientQueue, Operation, Outgoing, put_json, velocity_of_payload
 from hostlink.api.foxglove_protocol import (
     MAX_ITEMS,
     ROS1,
+    ROS1_SCHEMA,
     Advertise,
     ClientChannel,
     GetParameters,
@@ -40,12 +44,13 @@ from hostlink.api.foxglove_protocol import (
     encode_response,
     encode_time,
 )
-from hostlink.api.inbox import Operation, velocity_of_payload
-from hostlink.api.parameters import Parameters
 from hostlink.api.rate_limit import REFUSED_VELOCITIES_S, RateLimit
+from hostlink.api.rosapi import Parameters
+from hostlink.api.views import node_name, receivers
 from hostlink.config import ParameterValue
 from hostlink.errors import BadPayload, BadRequest, HostlinkError
 from hostlink.hub.byte_budget import Share
+from hostlink.hub.graph_view import Graph
 from hostlink.hub.hub import Hub
 from hostlink.hub.message import Message
 from hostlink.hub.node import Role
@@ -53,13 +58,157 @@ from hostlink.hub.participant import MAX_ADVERTISED, MAX_CALLS, Participant
 from hostlink.hub.subscription import Subscription
 from hostlink.hub.topic_graph import TopicGraph, resolve
 from hostlink.messages.catalog import CLOCK, CLOCK_TYPE, decode_clock
-from hostlink.messages.message_type import MessageType
+from hostlink.messages.message_type import MessageType, ServiceType
+
+Names = Mapping[str, tuple[str, ...]]
+_Entry = TypeVar("_Entry")
+
+
+class FoxgloveChannel(NamedTuple):
+    """A topic as it is advertised."""
+
+    id: int
+    topic: str
+    type: MessageType
+    json: msgspec.Raw
+
+
+class FoxgloveService(NamedTuple):
+    """A service as it is advertised."""
+
+    id: int
+    name: str
+    type: ServiceType
+    json: msgspec.Raw
+
+
+@dataclass(frozen=True, slots=True)
+class Offers:
+    """All channels and services by id. An id is never reused."""
+
+    channels: Mapping[int, FoxgloveChannel]
+    services: Mapping[int, FoxgloveService]
+    undefined: tuple[tuple[str, str], ...]  # topics that no client can decode, and their types
+
+
+@dataclass(frozen=True, slots=True)
+class ConnectionGraph:
+    """Nodes of the graph by what they publish, subscribe to and provide."""
+
+    publishers: Names
+    subscribers: Names
+    providers: Names
+
+
+class FoxgloveDirectory:
+    """Channels, services and nodes of the graph, for all clients."""
+
+    def __init__(self, hub: Hub) -> None:
+        self.session_id = os.urandom(8).hex()  # tells a client that reconnects whether the daemon was restarted
+        self._hub = hub
+        self._participant = hub.join_daemon()
+        self._numbers = itertools.count(1)
+        self._channels: dict[Hashable, FoxgloveChannel] = {}
+        self._services: dict[Hashable, FoxgloveService] = {}
+        self._offers: Offers | None = None
+        self._nodes: ConnectionGraph | None = None
+        self._participant.watch_graph(self._forget)
+
+    def offers(self) -> Offers:
+        """Return the present channels and services: the same object until they may have changed."""
+        if self._offers is None:
+            self._offers = self._make_offers(self._participant.graph())
+        return self._offers
+
+    def connection_graph(self) -> ConnectionGraph:
+        """Return the present nodes."""
+        if self._nodes is None:
+            self._nodes = self._make_nodes()
+        return self._nodes
+
+    def _forget(self) -> None:
+        self._offers = self._nodes = None
+
+    def _make_offers(self, graph: Graph) -> Offers:
+        topics = [topic for topic in graph.topics if topic.type_name and (topic.is_published or topic.is_velocity)]
+        channels: dict[Hashable, tuple[str, MessageType]] = {
+            (topic.name, topic.type.md5): (topic.name, topic.type) for topic in topics if topic.type is not None
+        }
+        typed = ((each.name, self._hub.services.type_of(each.name)) for each in graph.services)
+        services: dict[Hashable, tuple[str, ServiceType]] = {
+            (name, type_.name, type_.md5): (name, type_) for name, type_ in typed if type_ is not None
+        }
+        self._channels = _renewed(self._channels, channels, lambda offer: _channel(next(self._numbers), *offer))
+        self._services = _renewed(self._services, services, lambda offer: _service(next(self._numbers), *offer))
+        return Offers(
+            {channel.id: channel for channel in self._channels.values()},
+            {service.id: service for service in self._services.values()},
+            tuple((topic.name, topic.type_name) for topic in topics if topic.type is None),
+        )
+
+    def _make_nodes(self) -> ConnectionGraph:
+        topics, services = self._hub.topics.all(), self._hub.services
+        providers: defaultdict[str, set[str]] = defaultdict(set)
+        for name, _ in services.all():
+            providers[name].add(self._node(services.find(name).key))
+        return ConnectionGraph(
+            _sorted({topic.name: set(map(self._node, topic.publishers)) for topic in topics}),
+            _sorted({topic.name: set(map(self._node, receivers(topic))) for topic in topics}),
+            _sorted(providers),
+        )
+
+    def _node(self, key: Hashable) -> str:
+        return node_name(self._hub, key)
+
+
+_Offer = TypeVar("_Offer")
+
+
+def _renewed(
+    before: Mapping[Hashable, _Entry], offers: Mapping[Hashable, _Offer], make: Callable[[_Offer], _Entry]
+) -> dict[Hashable, _Entry]:
+    """Return an entry for each offer, reusing the entry and id of one that existed before."""
+    return {key: before[key] if key in before else make(offer) for key, offer in offers.items()}
+
+
+def _channel(number: int, topic: str, type_: MessageType) -> FoxgloveChannel:
+    advertised = {
+        "id": number,
+        "topic": topic,
+        "encoding": ROS1,
+        "schemaName": type_.name,
+        "schema": type_.full_definition,
+        "schemaEncoding": ROS1_SCHEMA,
+    }
+    return FoxgloveChannel(number, topic, type_, msgspec.Raw(msgspec.json.encode(advertised)))
+
+
+def _service(number: int, name: str, type_: ServiceType) -> FoxgloveService:
+    advertised = {
+        "id": number,
+        "name": name,
+        "type": type_.name,
+        "request": _schema(f"{type_.name}_Request", type_.request),
+        "response": _schema(f"{type_.name}_Response", type_.response),
+        "requestSchema": type_.request.full_definition,  # for older clients
+        "responseSchema": type_.response.full_definition,
+    }
+    return FoxgloveService(number, name, type_, msgspec.Raw(msgspec.json.encode(advertised)))
+
+
+def _schema(name: str, type_: MessageType) -> dict[str, str]:
+    return {"encoding": ROS1, "schemaName": name, "schemaEncoding": ROS1_SCHEMA, "schema": type_.full_definition}
+
+
+def _sorted(nodes: Mapping[str, set[str]]) -> dict[str, tuple[str, ...]]:
+    return {name: tuple(sorted(found)) for name, found in nodes.items() if found}
+
 
 NO_GRAPH = ConnectionGraph({}, {}, {})
 
 
 def graph_update(before: ConnectionGraph, now: ConnectionGraph) -> dict[str, Any] | None:
-    """The JSON of the changes; None: there are none."""
+    """Return the JSON of the changes; None without changes."""
     topics_before = before.publishers.keys() | before.subscribers.keys()
     removed = topics_before - now.publishers.keys() - now.subscribers.keys()
     update = {
@@ -73,26 +222,24 @@ def graph_update(before: ConnectionGraph, now: ConnectionGraph) -> dict[str, Any
 
 
 def _changes(before: Names, now: Names, removed: set[str], ids: str) -> list[dict[str, Any]]:
-    """A name whose nodes are others; one without nodes that stays for another reason has none from now on."""
+    """Return names with changed nodes. A name that lost all nodes but still exists has an empty list."""
     changed = [{"name": name, ids: nodes} for name, nodes in now.items() if before.get(name) != nodes]
     return changed + [{"name": name, ids: []} for name in before if name not in now and name not in removed]
 
 
-INTERVAL_S = 0.1  # between two times while no message comes
-STEP_S = 0.005  # between two times before messages: the app takes the newest time for when a message arrived
-SLIGHT_NS = (
-    1_000_000_000  # back by less is not sent: the app takes a step back for a seek, and drops what it has not shown
-)
-_QUEUED_AS = ""  # is no topic's name
+INTERVAL_S = 0.1  # between two times while no message is sent
+STEP_S = 0.005  # between two times before messages: the app takes the newest time as a message's time of arrival
+SLIGHT_NS = 1_000_000_000  # smaller steps back are not sent: the app takes them for a seek and drops messages
+_QUEUED_AS = ""  # not a topic's name
 
 
 class FoxgloveTime:
-    """Messages bear the same time, as the protocol demands; /clock holds while a program or device publishes it."""
+    """Time of the server, sent with messages as the protocol requires. /clock replaces it while it is published."""
 
     def __init__(self, participant: Participant, topics: TopicGraph, queue: ClientQueue) -> None:
         self._participant, self._topics, self._queue = participant, topics, queue
         self._clock: Subscription | None = None
-        self._simulated_ns: int | None = None  # None: nothing came on /clock
+        self._simulated_ns: int | None = None  # None: no message on /clock yet
         self._sent_ns = 0
         self._sent_s = 0.0
         self._due_s = 0.0
@@ -102,20 +249,20 @@ class FoxgloveTime:
         topic = self._topics.find_or_none(CLOCK)
         is_published = topic is not None and bool(topic.publishers) and topic.type_name == CLOCK_TYPE
         if is_published and self._clock is None:
-            with contextlib.suppress(BadRequest):  # it has as many subscriptions as it may have: the time stays ours
+            with contextlib.suppress(BadRequest):  # at the limit of subscriptions, the daemon's time is used
                 self._clock = self._participant.subscribe(CLOCK, self._receive, type_name=CLOCK_TYPE)
         elif not is_published and self._clock is not None:
             self._clock.close()
             self._clock = self._simulated_ns = None
 
     def outgoing(self, message: Message, subscription_id: int) -> Outgoing:
-        """A message with its time, which leaves before it where the client's newest is older."""
+        """Encode a message. The time is sent before it if the client's newest time is older."""
         stamp_ns = message.stamp_ns if self._simulated_ns is None else self._simulated_ns
         before = self._next(stamp_ns, message.at_s) if self._is_due(stamp_ns, message.at_s) else b""
         return Outgoing(encode_message(subscription_id, stamp_ns, message.payload), is_binary=True, before=before)
 
     def flush(self, now_s: float) -> float:
-        """Send the time if it is due, unless the client has yet to read; returns when the next is."""
+        """Send the time if it is due and no message waits. Return when the next one is due."""
         if now_s >= self._due_s:
             self._put(time.time_ns() if self._simulated_ns is None else self._simulated_ns, now_s)
             self._due_s = now_s + INTERVAL_S
@@ -138,7 +285,7 @@ class FoxgloveTime:
                 self._queue.put_message(_QUEUED_AS, Outgoing(frame, is_binary=True))
 
     def _next(self, stamp_ns: int, now_s: float) -> bytes:
-        """The time as a frame; empty if it is not to be sent."""
+        """Return the time as a frame; empty if it is not sent."""
         if stamp_ns == self._sent_ns or 0 < self._sent_ns - stamp_ns < SLIGHT_NS:
             return b""
         self._sent_ns, self._sent_s = stamp_ns, now_s
@@ -147,62 +294,62 @@ class FoxgloveTime:
 
 
 class _Advertised(NamedTuple):
-    """A channel of the client's."""
+    """A channel that the client advertises."""
 
     topic: str
     type_name: str
 
 
 class FoxgloveTopics:
-    """By the ids that the client chose; several may share a topic, which is taken back with the last."""
+    """Channels that the client advertises, by its ids. Several may have one topic; the last one withdraws it."""
 
     def __init__(self, participant: Participant) -> None:
         self._participant = participant
         self._channels: dict[int, _Advertised] = {}
 
     def advertise(self, channel: ClientChannel) -> None:
-        """Note a channel.
+        """Advertise a channel.
 
         Raises:
-            BadRequest: the id is in use, the encoding is another, nobody knows the type, or there are too many.
+            BadRequest: the id is in use, the encoding or type is unknown, or there are too many channels.
             WrongType: the topic is in use with another type.
         """
         if channel.id in self._channels:
             raise BadRequest(f"advertise: the id {channel.id} is in use")
         if channel.encoding != ROS1:
-            raise BadRequest(f"advertise: {channel.topic} must be of the encoding {ROS1}, not {channel.encoding!r}")
+            raise BadRequest(f"advertise: {channel.topic} must have the encoding {ROS1}, not {channel.encoding!r}")
         if len(self._channels) >= MAX_ADVERTISED:
             raise BadRequest(f"more than {MAX_ADVERTISED} channels advertised")
         self._participant.advertise(channel.topic, channel.schema_name)
         self._channels[channel.id] = _Advertised(resolve(channel.topic), channel.schema_name)
 
     def unadvertise(self, number: int) -> None:
-        """Take back a channel; one that is not there is no error."""
+        """Withdraw a channel. An unknown one is ignored."""
         gone = self._channels.pop(number, None)
         if gone is not None and all(other.topic != gone.topic for other in self._channels.values()):
             self._participant.unadvertise(gone.topic)
 
     def find(self, number: int) -> str | None:
-        """The topic of the channel of this id, if it is advertised."""
+        """Return the topic of a channel; None if it is not advertised."""
         return self._channels[number].topic if number in self._channels else None
 
     def topic(self, number: int) -> str:
-        """Of the channel of this id.
+        """Return the topic of a channel.
 
         Raises:
-            BadRequest: it is not advertised.
+            BadRequest: the channel is not advertised.
         """
         if number not in self._channels:
             raise BadRequest(f"publish: the channel {number} is not advertised")
         return self._channels[number].topic
 
     def publish(self, published: Published, came_s: float) -> None:
-        """Send a payload that is exactly one message and came then; a velocity drives the robot.
+        """Publish a payload, which must be exactly one message. A velocity drives the robot.
 
         Raises:
-            BadRequest: the channel is not advertised, or as Participant.publish.
-            BadPayload: the payload is not one message of the type; a device would read beyond its end.
-            HostlinkError: as Participant.publish.
+            BadRequest: the channel is not advertised, or see Participant.publish.
+            BadPayload: the payload is not one message of the type. A device would read beyond its end.
+            HostlinkError: see Participant.publish.
         """
         topic = self.topic(published.channel_id)
         type_name = self._channels[published.channel_id].type_name
@@ -218,19 +365,19 @@ def _check(type_: MessageType, payload: bytes) -> None:
 
 
 class FoxgloveSubscriptions:
-    """By the ids that the client chose, one for each channel; the payloads pass as they are."""
+    """Subscriptions by the ids that the client chose, one for each channel. Payloads are sent unchanged."""
 
     def __init__(self, participant: Participant, queue: ClientQueue, time: FoxgloveTime) -> None:
         self._participant, self._queue, self._time = participant, queue, time
-        self._subscriptions: dict[int, tuple[Channel, Subscription]] = {}
-        self._of_channel: dict[int, int] = {}  # channel -> subscription
+        self._subscriptions: dict[int, tuple[FoxgloveChannel, Subscription]] = {}
+        self._of_channel: dict[int, int] = {}  # subscription id by channel id
 
-    def subscribe(self, wanted: WantedChannel, channel: Channel | None) -> None:
+    def subscribe(self, wanted: WantedChannel, channel: FoxgloveChannel | None) -> None:
         """Send the messages of a channel from now on, the latched one first.
 
         Raises:
-            BadRequest: there is no such channel, it or the id is in use, or there are too many subscriptions.
-            WrongType: the topic has another type by now.
+            BadRequest: the channel is unknown, it or the id is in use, or there are too many subscriptions.
+            WrongType: the topic has a different type now.
         """
         if channel is None:
             raise BadRequest(f"subscribe: there is no channel {wanted.channel_id}")
@@ -248,7 +395,7 @@ class FoxgloveSubscriptions:
         self._of_channel[channel.id] = wanted.id
 
     def unsubscribe(self, number: int) -> None:
-        """Send no more of it; an id that is not there is no error."""
+        """End a subscription. An unknown id is ignored."""
         channel, subscription = self._subscriptions.pop(number, (None, None))
         if channel is not None and subscription is not None:
             del self._of_channel[channel.id]
@@ -256,13 +403,13 @@ class FoxgloveSubscriptions:
             subscription.close()
 
     def remove_channels(self, channel_ids: Iterable[int]) -> None:
-        """The channels are no more."""
+        """End the subscriptions of removed channels."""
         for number in [self._of_channel[each] for each in channel_ids if each in self._of_channel]:
             self.unsubscribe(number)
 
 
 class FoxgloveServices:
-    """Request and response are serialised as ROS 1 has them. A call that fails is answered with the reason."""
+    """Service calls of one client, serialised as in ROS 1. A failed call is answered with its reason."""
 
     def __init__(
         self,
@@ -271,26 +418,26 @@ class FoxgloveServices:
         spawn: Callable[[Coroutine[Any, Any, None]], object],
         share: Share,
     ) -> None:
-        """`spawn` runs a call as a child of the client's connection; `share`: of the calls of all clients together."""
+        """Create the calls of one client. `spawn` runs a call in its task group; `share`: of all clients' calls."""
         self.calls = 0
         self._share = share
         self._participant, self._queue, self._spawn = participant, queue, spawn
 
-    def call(self, call: ServiceCall, service: Service | None) -> None:
-        """Call a service, and send its response when it comes."""
+    def call(self, call: ServiceCall, service: FoxgloveService | None) -> None:
+        """Call a service and send its response."""
         if self.calls >= MAX_CALLS:
-            self._fail(call, f"more than {MAX_CALLS} calls under way")
+            self._fail(call, f"more than {MAX_CALLS} calls are pending")
         elif service is None:
             self._fail(call, f"there is no service {call.service_id}")
         elif call.encoding != ROS1:
-            self._fail(call, f"{service.name}: a request must be of the encoding {ROS1}, not {call.encoding[:64]!r}")
+            self._fail(call, f"{service.name}: a request must have the encoding {ROS1}, not {call.encoding[:64]!r}")
         else:
             self.calls += 1
             self._spawn(self._finish(call, service))
 
-    async def _finish(self, call: ServiceCall, service: Service) -> None:
+    async def _finish(self, call: ServiceCall, service: FoxgloveService) -> None:
         try:
-            with self._share.holding(len(call.payload), "calls that are under way"):
+            with self._share.holding(len(call.payload), "pending calls"):
                 response = await self._participant.call(service.name, _decode(call, service))
             payload = service.type.response.encode(response)
             self._queue.put_result(Outgoing(encode_response(call._replace(payload=payload)), is_binary=True))
@@ -304,8 +451,8 @@ class FoxgloveServices:
         put_json(self._queue, failure | {"message": reason})
 
 
-def _decode(call: ServiceCall, service: Service) -> dict[str, object]:
-    """The request's fields.
+def _decode(call: ServiceCall, service: FoxgloveService) -> dict[str, object]:
+    """Decode the fields of a request.
 
     Raises:
         BadRequest: the payload is not exactly one request.
@@ -316,30 +463,30 @@ def _decode(call: ServiceCall, service: Service) -> dict[str, object]:
         raise BadRequest(f"{service.name}: {error}") from None
 
 
-CHECK_INTERVAL_S = 0.5  # at which watched parameters are compared, whoever changed them
+CHECK_INTERVAL_S = 0.5  # between comparisons of watched parameters
 
 
 class FoxgloveParameters:
-    """Names are full ones. A float is marked as one, because JSON in a browser does not keep it."""
+    """Parameters that a client reads, sets and watches, by full names. Floats carry a type: JSON keeps none."""
 
     def __init__(self, parameters: Parameters, queue: ClientQueue, share: Share) -> None:
-        """`share`: of the names that all clients watch."""
+        """Create the view of one client. `share`: budget of the names that all clients watch."""
         self._parameters, self._queue, self._share = parameters, queue, share
-        self._watched: dict[str, ParameterValue | None] = {}  # what was sent last; None: there is none
+        self._watched: dict[str, ParameterValue | None] = {}  # values sent last; None: the parameter does not exist
         self._due_s = 0.0
 
     def send(self, names: list[str], request_id: str | None) -> None:
-        """Send these, as far as they are there; without a name all."""
+        """Send the existing parameters of these names; without names all."""
         values = self._parameters.values()
         known = {name: values[name] for name in map(resolve, names) if name in values} if names else values
         self._put(known, request_id)
 
     def set(self, setting: ParameterSetting) -> None:
-        """Set one, or remove it.
+        """Set a parameter, or remove it.
 
         Raises:
-            BadRequest, WrongType: no device could be answered with the value.
-            UnknownTopic: it is to be removed, and is not there.
+            BadRequest, WrongType: a device could not be answered with the value.
+            UnknownTopic: the parameter to be removed does not exist.
         """
         if setting.value is msgspec.UNSET:
             self._parameters.delete(setting.name)
@@ -347,7 +494,7 @@ class FoxgloveParameters:
             self._parameters.put(setting.name, msgspec.json.encode(_value(setting)).decode())
 
     def watch(self, names: list[str]) -> None:
-        """Send these whenever they change; without a name all that there are.
+        """Send parameters whenever they change; without names all present ones.
 
         Raises:
             BadRequest: they are too many.
@@ -362,14 +509,14 @@ class FoxgloveParameters:
         self._watched = {name: values.get(name) for name in wanted} | self._watched
 
     def unwatch(self, names: list[str]) -> None:
-        """Send them no more; without a name none."""
+        """Stop sending changes of parameters; without names of all."""
         for name in map(resolve, names or list(self._watched)):
             if name in self._watched:
                 del self._watched[name]
                 self._share.give(_size(name))
 
     def flush(self, now_s: float) -> float | None:
-        """Send what has changed; returns when to compare again."""
+        """Send changed parameters. Return when to compare again."""
         if not self._watched:
             return None
         if now_s >= self._due_s:
@@ -405,30 +552,30 @@ def _view(name: str, value: ParameterValue | None) -> dict[str, Any]:
 
 
 def _value(setting: ParameterSetting) -> object:
-    """As its type has it.
+    """Return the value as its type has it.
 
     Raises:
-        BadRequest: the type is not offered, or the value is none of it.
+        BadRequest: the type is unknown, or the value does not fit it.
     """
     if setting.type is None:
         return setting.value
     if setting.type not in ("float64", "float64_array"):
-        raise BadRequest(f"parameter {setting.name}: the type {setting.type!r} is not offered")
+        raise BadRequest(f"parameter {setting.name}: unknown type {setting.type!r}; use float64, float64_array or none")
     is_array = setting.type == "float64_array"
     try:
         floats = msgspec.convert(setting.value if is_array else [setting.value], list[float])
     except (msgspec.ValidationError, OverflowError) as error:
         raise BadRequest(f"parameter {setting.name}: {error}") from None
     if not all(map(math.isfinite, floats)):
-        raise BadRequest(f"parameter {setting.name}: must be finite")
+        raise BadRequest(f"parameter {setting.name}: the value must be finite")
     return floats if is_array else floats[0]
 
 
 log = structlog.get_logger()
 
 BATCH = 64  # channels or services in one message
-CHANGES_INTERVAL_S = 0.05  # of the graph, at least: a client may request all of it again and again
-MAX_UNDEFINED = 8  # topics without a definition that are named to a client at once
+CHANGES_INTERVAL_S = 0.05  # between two updates of the graph: a client may request all of it repeatedly
+MAX_UNDEFINED = 8  # topics without a definition that are reported to a client at once
 _WARNING, _ERROR = 1, 2  # levels of a status
 _READING = ("services", "parameters", "parametersSubscribe", "connectionGraph", "time")
 _Item = TypeVar("_Item")
@@ -437,7 +584,7 @@ _Received = JsonRequest | Published | ServiceCall | BadRequest
 
 
 class FoxgloveClient:
-    """One participant, and the language that its program speaks."""
+    """One participant and its Foxglove requests."""
 
     def __init__(
         self,
@@ -449,7 +596,7 @@ class FoxgloveClient:
         spawn: Callable[[Coroutine[Any, Any, None]], object],
         role: Role = Role.DRIVE,
     ) -> None:
-        """`spawn` runs a service call as a child of the client's connection."""
+        """Join the hub. `spawn` runs a service call in the client's task group."""
         self.participant = hub.join(name, role=role, on_end=queue.close)
         self._hub, self._directory, self._queue = hub, directory, queue
         self._time = FoxgloveTime(self.participant, hub.topics, queue)
@@ -458,10 +605,10 @@ class FoxgloveClient:
         self._services = FoxgloveServices(self.participant, queue, spawn, hub.budget["calls"])
         self._parameters = FoxgloveParameters(Parameters(hub.parameters), queue, hub.budget["watches"])
         self._offers = _NOTHING
-        self._graph: ConnectionGraph | None = None  # that was sent last; None: it is not watched
+        self._graph: ConnectionGraph | None = None  # sent last; None: not watched
         self._is_stale = False
         self._changes_due_s = 0.0
-        self._refused: dict[int, str] = {}  # why a channel's message was, until one is accepted again or it is gone
+        self._refused: dict[int, str] = {}  # reason of the last refusal, by channel id
         self._refused_velocities = RateLimit(REFUSED_VELOCITIES_S)
         self._begin()
 
@@ -474,11 +621,11 @@ class FoxgloveClient:
         self.participant.watch_graph(self._note_change)
 
     def receive(self, data: str | bytes) -> None:
-        """Do what one message of the client's requests; what is wrong with it becomes a status, and is never raised."""
+        """Execute one message of the client. An error becomes a status and is never raised."""
         self.do(self.read(data, _now_s()))
 
     def read(self, data: str | bytes, came_s: float) -> Operation[_Received]:
-        """Decode a message; `do` tells the client what is wrong with it."""
+        """Decode a message. An error is returned as the content, and sent to the client by `do`."""
         try:
             content = decode_request(data) if isinstance(data, str) else decode_frame(data)
         except BadRequest as error:
@@ -489,7 +636,7 @@ class FoxgloveClient:
         return Operation(content, came_s, velocity_of, is_zero)
 
     def do(self, operation: Operation[_Received]) -> None:
-        """Do what a message requests; what is wrong with it becomes a status, and is never raised."""
+        """Execute a decoded message. An error becomes a status and is never raised."""
         try:
             match operation.content:
                 case BadRequest() as error:
@@ -504,7 +651,7 @@ class FoxgloveClient:
             self._put_status(_ERROR, str(error))
 
     def flush(self, now_s: float) -> float | None:
-        """Send what has changed; returns when there may be more to send."""
+        """Send what has changed. Return when more may be due."""
         due_s = [self.participant.flush(now_s), self._parameters.flush(now_s), self._time.flush(now_s)]
         if self._is_stale:
             self._time.follow_graph()
@@ -512,12 +659,12 @@ class FoxgloveClient:
         return min((at_s for at_s in due_s if at_s is not None), default=None)
 
     @property
-    def is_crowded(self) -> bool:
-        """Whether many calls are under way."""
-        return self._services.calls > MAX_CALLS // 2
+    def calls(self) -> int:
+        """Number of pending service calls."""
+        return self._services.calls
 
     def close(self) -> None:
-        """The client has left: all that it has goes with it."""
+        """End the participant and release everything that it has."""
         self.participant.leave()
         self._parameters.unwatch([])
 
@@ -555,7 +702,7 @@ class FoxgloveClient:
                 assert_never(request)
 
     def _each(self, items: Iterable[_Item], act: Callable[[_Item], None]) -> None:
-        """Act on each; those that are refused have one status together."""
+        """Apply a function to each item. All refusals are reported in one status."""
         refused = []
         for item in items:
             try:
@@ -574,7 +721,7 @@ class FoxgloveClient:
             self._parameters.send([each.name for each in request.parameters], request.id)
 
     def _publish(self, published: Published, came_s: float) -> None:
-        """A refusal is shown until a message is accepted again; that of a velocity at a limited rate."""
+        """Publish. A refusal is shown until a message is accepted again; those of velocities at a limited rate."""
         topic = self._topics.topic(published.channel_id)
         try:
             self._topics.publish(published, came_s)
@@ -606,7 +753,7 @@ class FoxgloveClient:
         self._queue.wake()
 
     def _send_changes(self, now_s: float) -> float | None:
-        """Send the newest state, unless the client has yet to read; returns when to try again."""
+        """Send the newest state if the queue has room. Return when to try again."""
         if not self._queue.has_room:
             return now_s + CHANGES_INTERVAL_S
         if now_s < self._changes_due_s:
@@ -641,12 +788,12 @@ class FoxgloveClient:
             text = f"{topic}: {type_name} has no definition; put its .msg into a folder named in message_folders"
             self._put_status(_WARNING, text, topic)
 
-    def _advertise(self, op: str, key: str, offers: Sequence[Channel | Service]) -> None:
+    def _advertise(self, op: str, key: str, offers: Sequence[FoxgloveChannel | FoxgloveService]) -> None:
         for start in range(0, len(offers), BATCH):
             put_json(self._queue, {"op": op, key: [offer.json for offer in offers[start : start + BATCH]]})
 
     def _put_status(self, level: int, text: str, status_id: str | None = None) -> None:
-        """A status with an id replaces the one before of this id."""
+        """Send a status. It replaces the previous one of the same id."""
         log.debug("client.refused", client=self.participant.name, reason=text)
         status = {"op": "status", "level": level, "message": text}
         put_json(self._queue, status | ({} if status_id is None else {"id": status_id}))

@@ -8,10 +8,10 @@ from typing import Annotated, Any, Final, NamedTuple
 
 import msgspec
 
-from hostlink.api.rosbridge_request import MAX_TEXT
+from hostlink.api.rosbridge import MAX_TEXT
 from hostlink.errors import BadRequest
 
-ROS1: Final = "ros1"  # the encoding of messages, requests and responses; rosserial's payloads are the same bytes
+ROS1: Final = "ros1"  # encoding of messages, requests and responses; rosserial serialises alike
 ROS1_SCHEMA: Final = "ros1msg"  # a definition with all that it contains
 
 _PUBLISHED, _CALL = 1, 2  # opcodes from a client
@@ -39,24 +39,24 @@ class ServiceCall(NamedTuple):
 
 
 def encode_message(subscription_id: int, stamp_ns: int, payload: bytes) -> bytes:
-    """A message of a channel to which the client has subscribed."""
+    """Encode a message of a channel that the client has subscribed to."""
     return _MESSAGE_HEAD.pack(_MESSAGE, subscription_id, stamp_ns) + payload
 
 
 def encode_time(stamp_ns: int) -> bytes:
-    """The time of the server."""
+    """Encode the time of the server."""
     return _TIME_FRAME.pack(_TIME, stamp_ns)
 
 
 def encode_response(response: ServiceCall) -> bytes:
-    """The response to a call."""
+    """Encode the response to a call."""
     encoding = response.encoding.encode()
     head = _CALL_HEAD.pack(_RESPONSE, response.service_id, response.call_id, len(encoding))
     return head + encoding + response.payload
 
 
 def decode_frame(data: bytes) -> Published | ServiceCall:
-    """What a client sent.
+    """Decode a binary frame of a client.
 
     Raises:
         BadRequest: the opcode is unknown, or the frame is shorter than its head.
@@ -81,9 +81,9 @@ def _decode_call(data: bytes) -> ServiceCall:
 
 
 MAX_ITEMS = 1024  # in one request
-MAX_SETTINGS = 16  # of parameters in one request; each is compared with all that there are
-MAX_REASON = 300  # characters of what is wrong; it may name what the client sent
-_Number = Annotated[int, msgspec.Meta(ge=0, lt=2**32)]  # as a binary message has it
+MAX_SETTINGS = 16  # parameters set in one request; each is compared with all existing ones
+MAX_REASON = 300  # characters of an error, which may quote the client
+_Number = Annotated[int, msgspec.Meta(ge=0, lt=2**32)]  # fits a binary message
 _Name = Annotated[str, msgspec.Meta(min_length=1, max_length=MAX_TEXT)]
 _Text = Annotated[str, msgspec.Meta(max_length=MAX_TEXT)]
 _Numbers = Annotated[list[_Number], msgspec.Meta(max_length=MAX_ITEMS)]
@@ -107,7 +107,7 @@ class ClientChannel(msgspec.Struct):
 
 
 class ParameterSetting(msgspec.Struct):
-    """A parameter; without a value it is to be removed."""
+    """A parameter; without a value it is removed."""
 
     name: _Name
     value: Any = msgspec.UNSET
@@ -115,61 +115,61 @@ class ParameterSetting(msgspec.Struct):
 
 
 class Subscribe(msgspec.Struct, tag_field="op", tag="subscribe"):
-    """Send the messages of channels."""
+    """Request for the messages of channels."""
 
     subscriptions: Annotated[list[WantedChannel], msgspec.Meta(max_length=MAX_ITEMS)]
 
 
 class Unsubscribe(msgspec.Struct, tag_field="op", tag="unsubscribe"):
-    """Send them no more."""
+    """Request to end subscriptions."""
 
     subscription_ids: _Numbers = msgspec.field(name="subscriptionIds")
 
 
 class Advertise(msgspec.Struct, tag_field="op", tag="advertise"):
-    """The client publishes to topics."""
+    """Request to publish on topics."""
 
     channels: Annotated[list[ClientChannel], msgspec.Meta(max_length=MAX_ITEMS)]
 
 
 class Unadvertise(msgspec.Struct, tag_field="op", tag="unadvertise"):
-    """It publishes to them no more."""
+    """Request to stop publishing on topics."""
 
     channel_ids: _Numbers = msgspec.field(name="channelIds")
 
 
 class GetParameters(msgspec.Struct, tag_field="op", tag="getParameters"):
-    """Send the values of parameters; of none: of all."""
+    """Request for the values of parameters; without names all."""
 
     names: _Names = msgspec.field(name="parameterNames")
     id: _Text | None = None
 
 
 class SetParameters(msgspec.Struct, tag_field="op", tag="setParameters"):
-    """Change parameters."""
+    """Request to change parameters."""
 
     parameters: Annotated[list[ParameterSetting], msgspec.Meta(max_length=MAX_SETTINGS)]
     id: _Text | None = None
 
 
 class WatchParameters(msgspec.Struct, tag_field="op", tag="subscribeParameterUpdates"):
-    """Send the values of parameters whenever they change; of none: of all that there are."""
+    """Request for the values of parameters whenever they change; without names of all present ones."""
 
     names: _Names = msgspec.field(name="parameterNames")
 
 
 class UnwatchParameters(msgspec.Struct, tag_field="op", tag="unsubscribeParameterUpdates"):
-    """Send them no more; of none: of all."""
+    """Request to stop sending changes of parameters; without names of all."""
 
     names: _Names = msgspec.field(name="parameterNames")
 
 
 class WatchGraph(msgspec.Struct, tag_field="op", tag="subscribeConnectionGraph"):
-    """Send who publishes, subscribes and provides what."""
+    """Request for the publishers, subscribers and providers of the graph."""
 
 
 class UnwatchGraph(msgspec.Struct, tag_field="op", tag="unsubscribeConnectionGraph"):
-    """Send it no more."""
+    """Request to stop sending the graph."""
 
 
 JsonRequest = (
@@ -188,14 +188,14 @@ _decoder: msgspec.json.Decoder[JsonRequest] = msgspec.json.Decoder(JsonRequest)
 
 
 def decode_request(text: str) -> JsonRequest:
-    """One JSON message of a client.
+    """Decode one JSON message of a client.
 
     Raises:
-        BadRequest: it is no JSON, its op is unknown, or a field is missing or wrong.
+        BadRequest: the text is not JSON, its op is unknown, or a field is missing or invalid.
     """
     try:
         return _decoder.decode(text)
     except (msgspec.DecodeError, UnicodeError) as error:
         raise BadRequest(str(error)[:MAX_REASON]) from None
     except RecursionError:
-        raise BadRequest("no JSON: nested too deeply") from None
+        raise BadRequest("invalid JSON:nested too deeply") from None

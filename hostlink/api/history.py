@@ -1,6 +1,6 @@
-"""What happened to a robot, over REST: its last minutes, and the minutes around an incident.
+"""History of a robot over REST: its last minutes, and the minutes around an incident.
 
-Ages count back from now, or from the incident.
+Ages are measured back from now, or from the incident.
 """
 
 import asyncio
@@ -35,14 +35,14 @@ from hostlink.robot.kinematics import Pose
 from hostlink.robot.odometry import OdometryEstimator
 from hostlink.robot.velocity import TWIST_TYPE, PlanarVelocity, Twist
 
-WORK_S = 0.0005  # of a thread that reads, before the loop has the interpreter for REST_S
+WORK_S = 0.0005  # time that the reading thread works before it yields the interpreter for REST_S
 REST_S = 0.001
-SEND_TIMEOUT_S = 5.0  # a reader whose socket accepts nothing for that time is gone
-PIECE = 100  # of a list, encoded at once: some 0.1 ms
+SEND_TIMEOUT_S = 5.0  # without progress in writing the reader is disconnected
+PIECE = 100  # items of a list, encoded at once: about 0.1 ms
 
 
 class PastPoseView(TypedDict):
-    """Where it was and how it moved, how long ago."""
+    """Pose and motion of a robot at an earlier time."""
 
     age_s: float
     pose: PoseView
@@ -50,21 +50,21 @@ class PastPoseView(TypedDict):
 
 
 class PastCommandView(TypedDict):
-    """What was sent to the device, how long ago."""
+    """Velocity sent to the device at an earlier time."""
 
     age_s: float
     velocity: VelocityView
 
 
 class PastMessageView(TypedDict):
-    """A message, how long ago."""
+    """Message of an earlier time."""
 
     age_s: float
     msg: dict[str, Any]
 
 
 class HistoryView(TypedDict):
-    """The oldest first; empty where the black box is off."""
+    """History of one robot, the oldest first. Empty while the black box is off."""
 
     poses: list[PastPoseView]
     commands: list[PastCommandView]
@@ -73,7 +73,7 @@ class HistoryView(TypedDict):
 
 
 class FleetPoseView(TypedDict):
-    """Where a robot of the fleet was, how long ago; of the chosen one also how it moved."""
+    """Pose of a robot of the fleet at an earlier time; of the chosen robot also its motion."""
 
     age_s: float
     pose: PoseView
@@ -81,7 +81,7 @@ class FleetPoseView(TypedDict):
 
 
 class FleetHistoryView(TypedDict):
-    """The history of one of several robots. `commands` and `plot_data` are empty unless it is the chosen one."""
+    """History of one of several robots. `commands` and `plot_data` are empty except for the chosen robot."""
 
     name: str
     poses: list[FleetPoseView]
@@ -97,7 +97,7 @@ class HistoriesView(TypedDict):
 
 
 class Pauses:
-    """Gives the interpreter back to the loop, again and again, while a thread reads thousands of messages."""
+    """Yields the interpreter to the event loop at intervals while a thread reads thousands of messages."""
 
     def __init__(self) -> None:
         self._began_s = time.perf_counter()
@@ -110,25 +110,25 @@ class Pauses:
 
 
 class HistoryRoutes:
-    """The handler. `turn`: one history is made at a time, of a robot or of an incident."""
+    """The routes of histories. `turn`: one history is made at a time, of robots and incidents."""
 
     def __init__(self, hub: Hub, black_box: BlackBox, turn: asyncio.Semaphore) -> None:
         self._hub, self._black_box, self._turn = hub, black_box, turn
 
     def routes(self) -> list[Route]:
-        """Every path of this file."""
+        """Return the routes."""
         return [
             Route(
                 "/api/history",
                 self._all,
-                "Where every robot drove in its last minutes, and what happened to it; `?chosen=NAME`: of this robot"
+                "Path and events of every robot in its last minutes; `?chosen=NAME`: of this robot"
                 " also its commands and its plots",
                 HistoriesView,
             ),
             Route(
                 "/api/robots/{name}/history",
                 self._history,
-                "Where a robot drove in its last minutes, its commands, its plots, and what happened to it",
+                "Path, commands, plots and events of a robot in its last minutes",
                 HistoryView,
                 fails=(HTTPStatus.NOT_FOUND,),
             ),
@@ -138,13 +138,13 @@ class HistoryRoutes:
         async with self._turn:
             found = self._hub.robots.find(request.match_info["name"])
             robot = self._hub.robots.get_here(found.name)
-            if robot is None or robot is not found:  # another daemon has its past
+            if robot is None or robot is not found:  # another daemon has its history
                 return reply({"poses": [], "commands": [], "plot_data": [], "events": []})
             body = await asyncio.to_thread(self._body, robot, *self._collect(robot))
         return reply_encoded(body)
 
     async def _all(self, request: web.Request) -> web.StreamResponse:
-        """Send one robot after the other, so that neither memory nor the loop has to hold the whole fleet."""
+        """Send one robot after the other, so that neither memory nor the event loop holds the whole fleet."""
         chosen = request.query.get("chosen", "")
         response = web.StreamResponse(headers={"Cache-Control": "no-store", "Content-Type": "application/json"})
         response.enable_compression()
@@ -159,13 +159,13 @@ class HistoryRoutes:
                     await response.write(b'%s{"name":%s,%s' % (before, msgspec.json.encode(robot.name), body[1:]))
                 before = b","
             await response.write(b"]}" if before == b"," else before + b"]}")
-        except OSError:  # the reader has left, or reads nothing
+        except OSError:  # the reader has disconnected, or does not read
             if request.transport is not None:
                 request.transport.abort()
         return response
 
     def _collect(self, robot: LocalRobot) -> tuple[list[Iterator[Entry]], Pose | None]:
-        """In the loop's thread: what belongs together."""
+        """Copy the messages and the pose in the event loop's thread, so that they belong together."""
         snapshot = robot.odometry.snapshot(asyncio.get_running_loop().time())
         return self._black_box.rings.copies(robot.name), None if snapshot is None else snapshot.pose
 
@@ -202,9 +202,9 @@ def history_view(
     now_s: float,
     rest: Rest,
 ) -> HistoryView:
-    """What is shown. Ages count from `now_s`; of `estimator`, `present` and `rest` see `RobotHistory.poses`."""
+    """Return the history of one robot. Ages are relative to `now_s`; `RobotHistory.poses` explains the others."""
     twist = catalog.message(TWIST_TYPE)
-    assert twist is not None  # noqa: S101 - of the store that hostlink is built on
+    assert twist is not None  # noqa: S101 - built in
     commands = history.commands(twist.decode, rest)
     return {
         "poses": [_pose_view(each, now_s) for each in history.poses(estimator, present, rest)],
@@ -215,7 +215,7 @@ def history_view(
 
 
 def encode_history(view: Mapping[str, object], rest: Rest) -> bytes:
-    """As JSON, in pieces: the encoder keeps the interpreter for as long as it works."""
+    """Encode as JSON in pieces: the encoder holds the interpreter while it works."""
     fields: list[bytes] = []
     for name, items in view.items():
         pieces = []
@@ -255,14 +255,14 @@ NEVER_NS = 2**64
 
 
 class IncidentRequest(msgspec.Struct, forbid_unknown_fields=True):
-    """The body of POST incidents."""
+    """Body of POST incidents."""
 
     robot: str
     reason: Annotated[str, msgspec.Meta(max_length=MAX_DETAIL)] = ""
 
 
 class IncidentView(TypedDict):
-    """What happened. `file` is empty while the half minute after it lasts."""
+    """One incident. `file` is empty until the half minute after it has passed."""
 
     robot: str
     cause: str
@@ -273,7 +273,7 @@ class IncidentView(TypedDict):
 
 
 class IncidentsView(TypedDict):
-    """The newest first; how many could not be saved; where they are on the daemon's computer."""
+    """Incidents, the newest first; how many could not be saved; their folder on the daemon's computer."""
 
     incidents: list[IncidentView]
     missed: int
@@ -281,29 +281,29 @@ class IncidentsView(TypedDict):
 
 
 class IncidentHistoryView(IncidentView):
-    """What is in its file: ages count back from the incident, so that what came after it has one below zero."""
+    """History around an incident. Ages are relative to the incident: those of later messages are negative."""
 
     history: HistoryView
     damage: list[str]
 
 
 class IncidentRoutes:
-    """The handlers."""
+    """The routes of incidents."""
 
     def __init__(self, black_box: BlackBox, catalog: Catalog, turn: asyncio.Semaphore) -> None:
-        """`turn`: one history is made at a time, of a robot or of an incident."""
+        """Serve incidents. `turn`: one history is made at a time, of robots and incidents."""
         self._black_box, self._catalog, self._turn = black_box, catalog, turn
         self._files = IncidentFiles(black_box.folder)
 
     def routes(self) -> list[Route]:
-        """Every path of this file."""
+        """Return the routes."""
         not_found = HTTPStatus.NOT_FOUND
         return [
-            Route("/api/incidents", self._all, "What happened to robots, the newest first", IncidentsView),
+            Route("/api/incidents", self._all, "Incidents of robots, the newest first", IncidentsView),
             Route(
                 "/api/incidents",
                 self._save,
-                "Save a robot's last minutes, and the half minute to come",
+                "Save the last minutes of a robot, and the next half minute",
                 IncidentView,
                 method="POST",
                 request=IncidentRequest,
@@ -326,7 +326,7 @@ class IncidentRoutes:
             Route(
                 "/api/incidents/{name}/history",
                 self._history,
-                "Where the robot drove around an incident, its commands, its plots, and what happened",
+                "Path, commands, plots and events of the robot around an incident",
                 IncidentHistoryView,
                 fails=(not_found,),
             ),
@@ -350,7 +350,7 @@ class IncidentRoutes:
         path = await self._find(request)
         async with self._turn:
             body = await asyncio.to_thread(stored_history, self._catalog, path)
-        if body is None:  # it says nothing of itself, or was removed meanwhile
+        if body is None:  # the file has no description, or was removed meanwhile
             raise UnknownTopic("incident", path.name)
         return reply_encoded(body)
 
@@ -379,9 +379,9 @@ def _saved_view(saved: SavedIncident) -> IncidentView:
 
 
 def stored_history(catalog: Catalog, path: Path) -> bytes | None:
-    """The IncidentHistoryView of a file, as JSON. In a thread. None: it is not an incident's.
+    """Return the IncidentHistoryView of a file, as JSON; None if the file is not of an incident. Runs in a thread.
 
-    Of the file, the chunks are read that have what is shown, and of that a bounded part is decoded.
+    Only the chunks with the shown topics are read, and a bounded part of them is decoded.
     """
     with suppress(RecordingFailed, OSError):
         incident = read_incident(path)
@@ -394,7 +394,7 @@ def stored_history(catalog: Catalog, path: Path) -> bytes | None:
             at_s = (message.steady_ns - incident.stamp_ns) / NS_PER_S
             history.add(Entry(message.channel, message.stamp_ns, message.payload, at_s))
             apart_ns = incident.stamp_ns - message.stamp_ns
-            if not reader.has_steady_times and abs(apart_ns) < nearest_ns:  # then the clock may have been set before
+            if not reader.has_steady_times and abs(apart_ns) < nearest_ns:  # the clock may have been set before
                 zero_ns, nearest_ns = message.steady_ns + apart_ns, abs(apart_ns)
         view = _saved_view(SavedIncident(incident, StoredFile(path.name, reader.size_bytes, 0.0, is_open=False)))
         zero_s = (zero_ns - incident.stamp_ns) / NS_PER_S

@@ -1,4 +1,4 @@
-"""ApiListener: the API's port. It admits connections by the rules of Connections, and cuts those that wait too long."""
+"""ApiListener: the API's port. Accepts connections by the rules of `ApiConnections` and aborts those that time out."""
 
 import asyncio
 import contextlib
@@ -6,108 +6,220 @@ import socket
 import ssl
 from collections import Counter
 from collections.abc import AsyncIterator, Callable, Iterator
+from dataclasses import dataclass
 from typing import cast
 
 import structlog
 from aiohttp import web
 
 from hostlink.acceptor import Acceptor
-from hostlink.api.connections import Connection, Connections
 from hostlink.forwarding_protocol import ForwardingProtocol
-from hostlink.hub.byte_budget import Share
 from hostlink.hub.hub import Hub
-from hostlink.link.fair_share import Turns
 from hostlink.logs import printable
 from hostlink.transport.base import READ_BYTES
 
-REQUEST_BYTES = 2 * READ_BYTES  # at once, while it speaks HTTP
-SOCKET_BYTES = 64 * 1024  # at once, of a WebSocket: what a driver sends in seconds
-CONTROL_FRAME_BYTES = 6  # of a client's ping or pong, without its payload
-LARGE_BYTES = SOCKET_BYTES  # a message above it needs room in the budget before it is read on
+IDLE_TIMEOUT_S = 75.0  # after an answer, as in nginx: browsers and proxies reuse connections
+KEPT_FOR_REQUESTS = 16  # connections reserved for requests, not for WebSockets and event streams: a stop needs one
 
-_INTO = memoryview(bytearray(SOCKET_BYTES))  # of all connections: what came is copied out of it before the next reads
+
+@dataclass(slots=True)
+class ApiConnection:
+    """One TCP connection, from accepting to its end."""
+
+    number: int
+    address: str
+    deadline_s: float = 0.0  # of a waiting connection
+    accepted: socket.socket | None = None  # until its protocol is ready, after the TLS handshake
+    transport: asyncio.BaseTransport | None = None
+
+    def abort(self) -> None:
+        """Close the connection without waiting. Its owner notices."""
+        if self.transport is not None:
+            cast("asyncio.Transport", self.transport).abort()
+        elif self.accepted is not None:
+            with contextlib.suppress(OSError):
+                self.accepted.shutdown(socket.SHUT_RDWR)
+
+
+class ApiConnections:
+    """All connections. One waits while no request of it is being answered: before, between requests, in a handshake.
+
+    | a new connection exceeds    | what happens                                                                       |
+    |-----------------------------|------------------------------------------------------------------------------------|
+    | the bound of its address    | the connection of this address that has waited longest is evicted;                 |
+    |                             | if none waits, the new one is refused: too_many_of_address                         |
+    | the bound of all addresses  | of the address with most waiting connections, the one that has waited longest is   |
+    |                             | evicted; if none waits, the new one is refused: too_many                           |
+
+    So an incomplete request holds a connection only for a short time, and a complete one is always answered.
+    """
+
+    def __init__(self, max_connections: int, max_per_address: int, *, request_timeout_s: float) -> None:
+        """Create an empty table. `request_timeout_s`: from accepting to the end of the first head, TLS included."""
+        self.request_timeout_s = request_timeout_s
+        self.closed: Counter[str] = Counter()  # closed by hostlink, by cause
+        self._max, self._max_per_address = max_connections, max_per_address
+        self._last_number = 0
+        self._all: dict[int, ApiConnection] = {}
+        self._waiting: dict[int, ApiConnection] = {}  # longest first
+
+    def __len__(self) -> int:
+        return len(self._all)
+
+    def all(self) -> list[ApiConnection]:
+        """Return all connections, the oldest first."""
+        return list(self._all.values())
+
+    def enter(self, address: str, now_s: float) -> tuple[ApiConnection | None, ApiConnection | None]:
+        """Add a connection. Return it (None: refused), and the connection that is evicted for it (None: none)."""
+        mine = sum(each.address == address for each in self._all.values())
+        leaving = None
+        if mine >= self._max_per_address:
+            leaving = self._longest_waiting(address)
+            if leaving is None:
+                return self._refuse("too_many_of_address")
+        elif len(self._all) >= self._max:
+            leaving = self._longest_waiting(None)
+            if leaving is None:
+                return self._refuse("too_many")
+        if leaving is not None:
+            self.closed["evicted"] += 1
+            self.leave(leaving)
+        self._last_number += 1
+        new = self._all[self._last_number] = ApiConnection(self._last_number, address)
+        self._wait_until(new, now_s + self.request_timeout_s)
+        return new, leaving
+
+    def serve(self, connection: ApiConnection) -> None:
+        """Note that a complete request is being answered."""
+        self._waiting.pop(connection.number, None)
+
+    def wait(self, connection: ApiConnection, now_s: float) -> None:
+        """Note that the request is answered."""
+        if connection.number in self._all:
+            self._wait_until(connection, now_s + IDLE_TIMEOUT_S)
+
+    def leave(self, connection: ApiConnection) -> None:
+        """Remove a closed connection. An unknown one is ignored."""
+        self._all.pop(connection.number, None)
+        self._waiting.pop(connection.number, None)
+
+    def overdue(self, now_s: float) -> list[ApiConnection]:
+        """Remove and return the connections whose timeout has passed."""
+        found = [each for each in self._waiting.values() if each.deadline_s <= now_s]
+        for each in found:
+            self.closed["timeout"] += 1
+            self.leave(each)
+        return found
+
+    def _wait_until(self, connection: ApiConnection, deadline_s: float) -> None:
+        connection.deadline_s = deadline_s
+        self._waiting.pop(connection.number, None)
+        self._waiting[connection.number] = connection
+
+    def _longest_waiting(self, address: str | None) -> ApiConnection | None:
+        if address is None:
+            counts = Counter(each.address for each in self._waiting.values())
+            return max(self._waiting.values(), key=lambda each: counts[each.address], default=None)  # the first
+        return next((each for each in self._waiting.values() if each.address == address), None)
+
+    def _refuse(self, cause: str) -> tuple[None, None]:
+        self.closed[cause] += 1
+        return None, None
+
+
+REQUEST_BYTES = 2 * READ_BYTES  # in one read, while the connection speaks HTTP
+SOCKET_BYTES = 64 * 1024  # in one read of a WebSocket: several seconds of velocity commands
+CONTROL_FRAME_BYTES = 6  # of a client's ping or pong, without payload
+LARGE_BYTES = SOCKET_BYTES  # a larger message needs room in the byte budget before it is read
+
+_INTO = memoryview(bytearray(SOCKET_BYTES))  # receive buffer of all connections, copied before the next read
 
 
 class PacedReading(ForwardingProtocol, asyncio.BufferedProtocol):
-    """The protocol of one connection, around the one that understands it.
+    """The protocol of one connection. Paces reading, and passes the bytes to the HTTP or WebSocket protocol inside.
 
-    | it speaks   | what is read                                                                                       |
+    | protocol    | what is read                                                                                       |
     |-------------|----------------------------------------------------------------------------------------------------|
-    | HTTP        | a piece in its turn (FairShare); nothing of a body that nobody reads any more (`refuse_body`)      |
-    | a WebSocket | all that is there, whenever something is: a newer command may be behind it. The rest of a large    |
-    |             | message waits in the socket until there is room for it                                             |
+    | HTTP        | one piece in each turn (FairShare); not the rest of a body that no handler reads (`refuse_body`)   |
+    | WebSocket   | everything available at once, because a newer command may be behind it. The rest of a large        |
+    |             | message waits in the socket until the byte budget has room for it                                  |
     """
 
     def __init__(
         self,
         inner: asyncio.Protocol,
-        turns: Turns,
-        share: Share,
-        came_s: Callable[[float], float],
-        *,
-        max_message_bytes: int,
-        timeout_s: float,
+        hub: Hub,
+        connections: ApiConnections,
+        connection: ApiConnection,
         behind_since_s: float | None = None,
     ) -> None:
-        """`share`: of messages that are not whole; `came_s`: since when something may have waited that is read now.
-
-        `behind_since_s`: since when the connection may have waited to be accepted, and its first bytes with it.
-        """
+        """Wrap a protocol. `behind_since_s`: time since when the first bytes may have waited to be accepted."""
         super().__init__(inner)
-        self.came_s = behind_since_s or 0.0  # when what was read last came, at the earliest
-        self.request_came_s = 0.0  # the request that is being answered
-        self._turns, self._share, self._came = turns, share, came_s
-        self._room_bytes = min(max_message_bytes, share.max_bytes)  # one that may be larger than all has all the room
-        self._timeout_s = timeout_s
+        self.came_s = behind_since_s or 0.0  # earliest arrival of the bytes read last
+        self.request_came_s = 0.0  # of the request that is being answered
+        self.reads = 0  # number of reads so far
+        self.unread_bytes = 0  # of an incomplete message
+        self.has_room = False  # whether the byte budget has room for a large message
+        self.is_writing_paused = False  # whether the transport's buffer is full
+        self._connections, self._connection = connections, connection
+        self._turns, self._share, self._came = hub.turns(), hub.budget["receiving"], hub.gates.came_s
+        # A message that may be larger than the whole share takes all of it.
+        self._room_bytes = min(hub.config.api.max_message_bytes, self._share.max_bytes)
+        self._timeout_s = hub.config.api.request_timeout_s
         self._loop = asyncio.get_running_loop()
         self._transport: asyncio.Transport
-        self._held = b""  # read, and not passed on: then nothing more is read
-        self._is_behind = behind_since_s is not None  # there may be more than what was read last
+        self._held = b""  # read, but not passed on; reading is paused
+        self._is_behind = behind_since_s is not None  # whether more bytes may wait behind those read last
         self._next_request_came_s: float | None = None
-        self._is_web_socket = self._is_refusing = self._is_lost = self._has_room = False
-        self._on_read = self._on_writable = _call_nothing  # of the owner of a WebSocket
-        self.is_writing_paused = False  # the transport's buffer is full
-        self._unread_bytes = 0  # of a message that is not whole
+        self._is_web_socket = self._is_refusing = self._is_lost = False
+        self._on_read = self._on_writable = _call_nothing  # callbacks of the WebSocket's owner
         self._deadline: asyncio.TimerHandle | None = None
 
     # -- what the API says --------------------------------------------------------------------------------------------
 
     def begin_request(self) -> None:
-        """A request is whole but for its body. One that came before its predecessor was answered is as old as that."""
+        """Note a complete head. A request that was read before its predecessor was answered is as old as that one."""
+        self._connections.serve(self._connection)
         if self._next_request_came_s is not None:
             self.request_came_s = self._next_request_came_s
 
     def end_request(self) -> None:
-        """It is answered."""
+        """Note that the request is answered."""
         self._next_request_came_s = None
+        self._connections.wait(self._connection, self._loop.time())
+
+    @contextlib.contextmanager
+    def receiving_body(self) -> Iterator[None]:
+        """Restart the timeout of the connection within the block: the body of a request is incomplete."""
+        self._connections.wait(self._connection, self._loop.time())
+        try:
+            yield
+        finally:
+            self._connections.serve(self._connection)
 
     def refuse_body(self) -> None:
-        """Read nothing more: the answer is known, and the connection is closed when its sender had time to read it."""
+        """Stop reading: the answer is decided. The connection is closed when the client had time to read it."""
         self._is_refusing = True
 
     def become_web_socket(self, *, on_read: Callable[[], None], on_writable: Callable[[], None]) -> None:
-        """Read messages from now on. `on_read` is called after each read, `on_writable` when writing may go on."""
+        """Switch to reading messages. `on_read` is called after each read, `on_writable` when writing may continue."""
         self._is_web_socket = True
         self._on_read, self._on_writable = on_read, on_writable
 
     def leave_web_socket(self) -> None:
-        """Call the WebSocket's owner no more."""
+        """Remove the callbacks of the WebSocket."""
         self._on_read = self._on_writable = _call_nothing
 
-    def receive_message(self) -> None:
-        """A whole message has come, and was worked on if it was large."""
-        self._unread_bytes = 0
-        if self._has_room:
-            self._give_room()
-
     def receive_control(self, payload_bytes: int) -> None:
-        """A ping or a pong has come, which belongs to no message: a client may send nothing else for days."""
-        self._unread_bytes = max(0, self._unread_bytes - payload_bytes - CONTROL_FRAME_BYTES)
+        """Subtract a ping or a pong, which belongs to no message: a client may send only those for days."""
+        self.unread_bytes = max(0, self.unread_bytes - payload_bytes - CONTROL_FRAME_BYTES)
 
     # -- what asyncio calls -------------------------------------------------------------------------------------------
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        self._transport = transport  # type: ignore[assignment]  # uvloop's is no subclass of asyncio's
+        self._transport = transport  # type: ignore[assignment]  # uvloop's is not a subclass
+        self._connection.transport = transport
         super().connection_made(transport)
 
     def get_buffer(self, sizehint: int) -> memoryview:  # noqa: ARG002 - asyncio's signature
@@ -115,7 +227,8 @@ class PacedReading(ForwardingProtocol, asyncio.BufferedProtocol):
 
     def buffer_updated(self, nbytes: int) -> None:
         data = bytes(_INTO[:nbytes])
-        if not self._is_behind:  # it came after the turn of the loop before this one
+        self.reads += 1
+        if not self._is_behind:  # the bytes arrived after the previous turn of the event loop
             self.came_s = self._came(self._loop.time())
         self._is_behind = nbytes == (SOCKET_BYTES if self._is_web_socket else REQUEST_BYTES)
         if self._next_request_came_s is None:
@@ -132,7 +245,8 @@ class PacedReading(ForwardingProtocol, asyncio.BufferedProtocol):
 
     def connection_lost(self, exc: Exception | None) -> None:
         self._is_lost, self._held = True, b""
-        self._give_room()
+        self.give_room()
+        self._connections.leave(self._connection)
         super().connection_lost(exc)
 
     def pause_writing(self) -> None:
@@ -152,7 +266,7 @@ class PacedReading(ForwardingProtocol, asyncio.BufferedProtocol):
         self._transport.pause_reading()
 
     def _release(self) -> None:
-        """It may be passed on. Reading goes on before: what it is passed to may stop it again."""
+        """Pass on the bytes held back. Reading resumes before, because the inner protocol may pause it again."""
         data, self._held = self._held, b""
         if self._is_lost or self._is_refusing:
             return
@@ -166,14 +280,14 @@ class PacedReading(ForwardingProtocol, asyncio.BufferedProtocol):
         self._turns.end(began_s)
 
     def _receive(self, data: bytes) -> None:
-        """Pass on a part of a WebSocket's messages, if it is not of a large one for which there is no room."""
-        self._unread_bytes += len(data)
-        if self._unread_bytes > LARGE_BYTES and not self._has_room:
+        """Pass on bytes of a WebSocket, unless they belong to a large message for which the budget has no room."""
+        self.unread_bytes += len(data)
+        if self.unread_bytes > LARGE_BYTES and not self.has_room:
             if not self._share.take(self._room_bytes):
                 self._hold(data)
                 self._share.wait(self._try_again)
                 return
-            self._has_room = True
+            self.has_room = True
             self._deadline = self._loop.call_later(self._timeout_s, self._transport.abort)
         self._inner.data_received(data)
         self._on_read()
@@ -184,17 +298,18 @@ class PacedReading(ForwardingProtocol, asyncio.BufferedProtocol):
         if self._is_lost:
             return
         data, self._held = self._held, b""
-        self._unread_bytes -= len(data)
+        self.unread_bytes -= len(data)
         if not self._transport.is_closing():
             self._transport.resume_reading()
         self._receive(data)
 
-    def _give_room(self) -> None:
+    def give_room(self) -> None:
+        """Return the room of a large message to the budget."""
         if self._deadline is not None:
             self._deadline.cancel()
             self._deadline = None
-        if self._has_room:
-            self._has_room = False
+        if self.has_room:
+            self.has_room = False
             self._share.give(self._room_bytes)
 
 
@@ -204,7 +319,7 @@ def _call_nothing() -> None:
 
 log = structlog.get_logger()
 
-SWEEP_INTERVAL_S = 1.0  # how much longer than its time a connection may wait
+SWEEP_INTERVAL_S = 1.0  # a connection may exceed its timeout by this time
 LOG_INTERVAL_S = 10.0
 UNAVAILABLE = b"HTTP/1.1 503 Too many connections\r\nConnection: close\r\nRetry-After: 1\r\nContent-Length: 0\r\n\r\n"
 
@@ -212,13 +327,11 @@ MakeProtocol = Callable[[], asyncio.Protocol]
 
 
 class ApiListener:
-    """Owns accepted sockets until their protocols have them, and knows the state of each connection from then on."""
+    """Accepts connections, and aborts those that wait too long or are too many."""
 
-    def __init__(self, connections: Connections, hub: Hub) -> None:
-        self._connections, self._hub = connections, hub
-        self._sockets: dict[int, socket.socket] = {}  # that are being opened, by the connection's number
-        self._transports: dict[int, asyncio.Transport] = {}
-        self._by_transport: dict[asyncio.BaseTransport, tuple[Connection, PacedReading]] = {}
+    def __init__(self, connections: ApiConnections, hub: Hub) -> None:
+        self.connections, self._hub = connections, hub
+        self._sweeper: asyncio.TimerHandle
         self._log_at_s = float("-inf")
         self._logged: Counter[str] = Counter()
 
@@ -226,76 +339,45 @@ class ApiListener:
     async def serving(
         self, listening: list[socket.socket], make_protocol: MakeProtocol, tls: ssl.SSLContext | None
     ) -> AsyncIterator[None]:
-        """Accept connections for the length of the block; those that are open at its end belong to their protocols."""
+        """Accept connections within the block. Connections that are open at its end belong to their protocols."""
 
         def accepted(sock: socket.socket, address: str, since_s: float) -> None:
-            new, leaving = self._connections.enter(address, _now_s())
+            new, leaving = self.connections.enter(address, _now_s())
             if leaving is not None:
-                self._cut(leaving)
+                leaving.abort()
             if new is None:
                 _refuse(sock, UNAVAILABLE if tls is None else b"")
             else:
-                self._sockets[new.number] = sock
+                new.accepted = sock
                 self._hub.spawn(self._open(sock, new, since_s, make_protocol, tls), name=f"connection of {address}")
             if new is None or leaving is not None:
                 self._log_crowd(address)
 
         acceptor = Acceptor(listening, accepted, on_exhausted=self._note_exhausted, came_s=self._hub.gates.came_s)
-        sweeper = _Every(SWEEP_INTERVAL_S, self._sweep)
+        self._sweep()
         try:
             yield
         finally:
-            sweeper.cancel()
+            self._sweeper.cancel()
             acceptor.close()
-            for opening in self._sockets.values():
-                _shut(opening)
-
-    @contextlib.contextmanager
-    def answering(self, transport: asyncio.BaseTransport | None) -> Iterator[None]:
-        """The head of a request is whole: its connection does not wait during the block."""
-        found = None if transport is None else self._by_transport.get(transport)
-        if found is None:
-            yield
-            return
-        connection, reading = found
-        self._connections.serve(connection)
-        reading.begin_request()
-        try:
-            yield
-        finally:
-            reading.end_request()
-            self._connections.wait(connection, _now_s())
-
-    @contextlib.contextmanager
-    def receiving(self, transport: asyncio.BaseTransport | None) -> Iterator[None]:
-        """The body of a request that is answered is missing: its connection waits during the block."""
-        found = None if transport is None else self._by_transport.get(transport)
-        if found is None:
-            yield
-            return
-        connection, _ = found
-        self._connections.wait(connection, _now_s())
-        try:
-            yield
-        finally:
-            self._connections.serve(connection)
-
-    # -- one connection -----------------------------------------------------------------------------------------------
+            for connection in self.connections.all():
+                if connection.accepted is not None:
+                    connection.abort()
 
     async def _open(
         self,
         sock: socket.socket,
-        connection: Connection,
+        connection: ApiConnection,
         since_s: float,
         make_protocol: MakeProtocol,
         tls: ssl.SSLContext | None,
     ) -> None:
-        """Give it to its protocol, after the handshake of TLS if there is one: before that nobody sends a command."""
+        """Hand the socket to its protocol, after the TLS handshake if there is one. No command arrives before that."""
         behind_since_s = since_s if tls is None else None
-        timeout_s = None if tls is None else self._connections.request_timeout_s
+        timeout_s = None if tls is None else self.connections.request_timeout_s
         try:
             await asyncio.get_running_loop().connect_accepted_socket(
-                lambda: _Watched(make_protocol(), self, connection, self._hub, behind_since_s),
+                lambda: PacedReading(make_protocol(), self._hub, self.connections, connection, behind_since_s),
                 sock,
                 ssl=tls,
                 ssl_handshake_timeout=timeout_s,
@@ -303,111 +385,40 @@ class ApiListener:
         except OSError as error:  # of TLS too
             log.debug("client.broken", reason=printable(str(error)))
         finally:
-            self._sockets.pop(connection.number, None)
-            if connection.number not in self._transports:
-                self._connections.leave(connection)
+            connection.accepted = None
+            if connection.transport is None:
+                self.connections.leave(connection)
                 sock.close()
 
-    def opened(self, connection: Connection, reading: PacedReading, transport: asyncio.Transport) -> None:
-        """It has its protocol."""
-        self._transports[connection.number] = transport
-        self._by_transport[transport] = connection, reading
-
-    def reading(self, request: web.Request) -> PacedReading | None:
-        """How the connection of a request is read; None: it is closed."""
-        transport = request.transport
-        return None if transport is None or transport not in self._by_transport else self._by_transport[transport][1]
-
-    def lost(self, connection: Connection) -> None:
-        """It is closed."""
-        transport = self._transports.pop(connection.number, None)
-        if transport is not None:
-            del self._by_transport[transport]
-        self._connections.leave(connection)
-
-    def _cut(self, connection: Connection) -> None:
-        transport = self._transports.get(connection.number)
-        if transport is not None:
-            transport.abort()
-        elif connection.number in self._sockets:
-            _shut(self._sockets[connection.number])
-
-    # -- all of them --------------------------------------------------------------------------------------------------
-
     def _sweep(self) -> None:
-        for connection in self._connections.overdue(_now_s()):
-            self._cut(connection)
+        self._sweeper = asyncio.get_running_loop().call_later(SWEEP_INTERVAL_S, self._sweep)
+        for connection in self.connections.overdue(_now_s()):
+            connection.abort()
 
     def _note_exhausted(self) -> None:
-        self._connections.closed["no_descriptors"] += 1
+        self.connections.closed["no_descriptors"] += 1
         self._log_crowd("")
 
     def _log_crowd(self, address: str) -> None:
-        """The first, then what came since, at most once in LOG_INTERVAL_S."""
+        """Log refused and closed connections: the first at once, the others at most once in LOG_INTERVAL_S."""
         now_s = _now_s()
         if now_s >= self._log_at_s:
             self._log_at_s = now_s + LOG_INTERVAL_S
-            news = self._connections.closed - self._logged
-            self._logged = self._connections.closed.copy()
-            log.warning("client.crowded", peer=address, connections=len(self._connections), **news)
+            news = self.connections.closed - self._logged
+            self._logged = self.connections.closed.copy()
+            log.warning("client.crowded", peer=address, connections=len(self.connections), **news)
 
 
-class _Watched(PacedReading):
-    """The protocol of one connection; the listener knows when it begins and ends."""
-
-    def __init__(
-        self,
-        inner: asyncio.Protocol,
-        listener: ApiListener,
-        connection: Connection,
-        hub: Hub,
-        behind_since_s: float | None,
-    ) -> None:
-        super().__init__(
-            inner,
-            hub.turns(),
-            hub.budget["receiving"],
-            hub.gates.came_s,
-            max_message_bytes=hub.config.api.max_message_bytes,
-            timeout_s=hub.config.api.request_timeout_s,
-            behind_since_s=behind_since_s,
-        )
-        self._listener, self._connection = listener, connection
-
-    def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        self._listener.opened(self._connection, self, cast("asyncio.Transport", transport))  # uvloop's is no subclass
-        super().connection_made(transport)
-
-    def connection_lost(self, exc: Exception | None) -> None:
-        self._listener.lost(self._connection)
-        super().connection_lost(exc)
-
-
-class _Every:
-    """Calls something at an interval, until it is cancelled."""
-
-    def __init__(self, interval_s: float, call: Callable[[], None]) -> None:
-        self._interval_s, self._call = interval_s, call
-        self._timer = asyncio.get_running_loop().call_later(interval_s, self._run)
-
-    def cancel(self) -> None:
-        self._timer.cancel()
-
-    def _run(self) -> None:
-        self._timer = asyncio.get_running_loop().call_later(self._interval_s, self._run)
-        self._call()
+def reading_of(request: web.Request) -> PacedReading | None:
+    """Return the protocol of a request's connection; None if the connection is closed."""
+    protocol = None if request.transport is None else request.transport.get_protocol()
+    return protocol if isinstance(protocol, PacedReading) else None
 
 
 def _refuse(sock: socket.socket, answer: bytes) -> None:
     with contextlib.suppress(OSError):
         sock.send(answer)
     sock.close()
-
-
-def _shut(sock: socket.socket) -> None:
-    """End both directions; the owner of the socket closes it."""
-    with contextlib.suppress(OSError):
-        sock.shutdown(socket.SHUT_RDWR)
 
 
 def _now_s() -> float:

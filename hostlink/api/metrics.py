@@ -1,4 +1,4 @@
-"""Metrics for Prometheus: the counters of the hub and of the clients, read at each request, and latencies."""
+"""Metrics for Prometheus: counters of the hub and of the clients, read at each request, and latencies."""
 
 import asyncio
 import dataclasses
@@ -19,7 +19,7 @@ from prometheus_client.registry import Collector
 
 from hostlink import logs
 from hostlink.api.clients import Clients
-from hostlink.api.connections import Connections
+from hostlink.api.listener import ApiConnections
 from hostlink.api.rate_limit import RateLimit
 from hostlink.api.rest import Owners
 from hostlink.api.routes import Route
@@ -29,12 +29,12 @@ from hostlink.latency import Latency
 from hostlink.recording.folder import MEGABYTE, DiskUsage, Folder
 from hostlink.recording.recordings import Recordings
 
-DISK_INTERVAL_S = 5.0  # between two looks at the disk: a folder may have thousands of files
-DISK_TIMEOUT_S = 1.0  # a disk that does not answer leaves its figures out, and nothing else
+DISK_INTERVAL_S = 5.0  # between two measurements of the disk: a folder may have thousands of files
+DISK_TIMEOUT_S = 1.0  # without an answer of the disk its figures are omitted
 
 
 class RecordingMetrics(Collector):
-    """Call `observe_disk` before each collection: it waits for the disk, the rest does not."""
+    """Metrics of recordings. Call `observe_disk` before each collection: it waits for the disk, the rest does not."""
 
     def __init__(self, recordings: Recordings, config: Config) -> None:
         self._recordings, self._config = recordings, config
@@ -44,11 +44,11 @@ class RecordingMetrics(Collector):
         self._due_s = 0.0
 
     def describe(self) -> list[Metric]:
-        """Nothing at registration: there is no event loop yet."""
+        """Return nothing at registration: there is no event loop yet."""
         return []
 
     async def observe_disk(self) -> None:
-        """Look at the disk in a thread, one at a time and not too often."""
+        """Measure the disk in a thread, one measurement at a time and at most every DISK_INTERVAL_S."""
         loop = asyncio.get_running_loop()
         if self._looking is None and loop.time() >= self._due_s:
             self._looking = loop.run_in_executor(None, _usage_of, self._folders)
@@ -58,9 +58,9 @@ class RecordingMetrics(Collector):
             if not found:
                 self._usage = {}
 
-    def _note_usage(self, looked: "asyncio.Future[dict[str, DiskUsage]]") -> None:
+    def _note_usage(self, measured: "asyncio.Future[dict[str, DiskUsage]]") -> None:
         self._looking, self._due_s = None, asyncio.get_running_loop().time() + DISK_INTERVAL_S
-        self._usage = {} if looked.cancelled() else looked.result()
+        self._usage = {} if measured.cancelled() else measured.result()
 
     def collect(self) -> Iterator[Metric]:
         yield from self._of_recordings()
@@ -70,45 +70,39 @@ class RecordingMetrics(Collector):
     def _of_recordings(self) -> Iterator[Metric]:
         recordings = self._recordings
         totals = recordings.totals()
-        yield GaugeMetricFamily(
-            "hostlink_recordings_running", "Recordings under way", value=len(recordings.under_way())
-        )
+        yield GaugeMetricFamily("hostlink_recordings_running", "Running recordings", value=len(recordings.under_way()))
         yield CounterMetricFamily("hostlink_recording_messages", "Messages written", value=totals.messages)
         yield CounterMetricFamily("hostlink_recording_bytes", "Bytes written", value=totals.written_bytes)
         yield CounterMetricFamily(
-            "hostlink_recording_dropped", "Messages that the disk was too slow for, or had no room for",
+            "hostlink_recording_dropped", "Messages dropped because the disk was too slow or full",
             value=totals.dropped,
         )  # fmt: skip
+        yield CounterMetricFamily("hostlink_recordings_failed", "Recordings that failed", value=recordings.failed)
         yield CounterMetricFamily(
-            "hostlink_recordings_failed", "Recordings that ended before they were stopped", value=recordings.failed
-        )
-        yield CounterMetricFamily(
-            "hostlink_recordings_removed", "Old files that were removed for the budget", value=recordings.removed
+            "hostlink_recordings_removed", "Old files removed for the budget", value=recordings.removed
         )
 
     def _of_black_box(self) -> Iterator[Metric]:
         box, config = self._recordings.black_box, self._config.black_box
-        yield GaugeMetricFamily("hostlink_incidents_pending", "Incidents that are to be saved", value=len(box.pending))
-        incidents = CounterMetricFamily("hostlink_incidents", "Incidents, by what became of them", labels=["outcome"])
+        yield GaugeMetricFamily("hostlink_incidents_pending", "Incidents not saved yet", value=len(box.pending))
+        incidents = CounterMetricFamily("hostlink_incidents", "Incidents, by outcome", labels=["outcome"])
         incidents.add_metric(["saved"], box.saved)
         incidents.add_metric(["failed"], box.missed)
         yield incidents
-        yield GaugeMetricFamily(
-            "hostlink_black_box_bytes", "Memory that the last minutes take", value=box.rings.size_bytes
-        )
+        yield GaugeMetricFamily("hostlink_black_box_bytes", "Memory of the black box", value=box.rings.size_bytes)
         yield GaugeMetricFamily(
             "hostlink_black_box_max_bytes",
-            "Memory that they may take; 0: it is off",
+            "Memory limit of the black box; 0: off",
             value=config.max_memory_mb * MEGABYTE if config.enabled else 0,
         )
         yield GaugeMetricFamily(
             "hostlink_black_box_keep_seconds",
-            "How far back an incident reaches; 0: it is off",
+            "Time before an incident that is saved; 0: off",
             value=config.before_s if config.enabled else 0,
         )
         yield CounterMetricFamily(
             "hostlink_black_box_dropped",
-            "Messages that went before their time, for want of memory",
+            "Messages removed early because of the memory limit",
             value=box.rings.dropped,
         )
 
@@ -116,10 +110,10 @@ class RecordingMetrics(Collector):
         figures = {
             name: GaugeMetricFamily(f"hostlink_disk_{name}", help_, labels=["folder"])
             for name, help_ in {
-                "used_bytes": "Of the files in the folder",
-                "budget_bytes": "What they may take; over it the oldest go",
+                "used_bytes": "Size of the files in the folder",
+                "budget_bytes": "Size limit; above it the oldest files are removed",
                 "free_bytes": "Free on the folder's disk",
-                "min_free_bytes": "What must stay free on it; below it a recording ends",
+                "min_free_bytes": "Free space to keep; below it a recording ends",
             }.items()
         }
         for folder, usage in self._usage.items():
@@ -129,47 +123,47 @@ class RecordingMetrics(Collector):
 
 
 def _usage_of(folders: dict[str, Folder]) -> dict[str, DiskUsage]:
-    """Of those whose disk can be read."""
+    """Return the usage of the folders whose disk can be read."""
     found = {}
     for name, folder in folders.items():
         try:
             found[name] = folder.usage()
-        except OSError:  # the figure is missing, which is one
+        except OSError:  # the figure is omitted
             continue
     return found
 
 
 _LINK_COUNTERS = {
-    "frames_from_device": "Frames that came",
-    "frames_to_device": "Frames that left",
-    "bytes_from_device": "Bytes that came",
-    "bytes_to_device": "Bytes that left",
-    "skipped_bytes": "Bytes that were no frame",
+    "frames_from_device": "Frames received",
+    "frames_to_device": "Frames sent",
+    "bytes_from_device": "Bytes received",
+    "bytes_to_device": "Bytes sent",
+    "skipped_bytes": "Bytes that are not part of a frame",
     "unknown_ids": "Frames of a topic that the device never announced",
-    "refused_frames": "Frames that were refused",
-    "malformed": "Control frames whose payload makes no sense",
+    "refused_frames": "Frames refused",
+    "malformed": "Control frames with an invalid payload",
     "excess_topics": "Topics over the bound of one device",
-    "negotiations": "Times that the device announced its topics",
-    "topic_requests": "Requests for its topics",
+    "negotiations": "Topic announcements of the device",
+    "topic_requests": "Requests for the device's topics",
 }
 
 _LINK_CLOCK = {
-    "offset_s": ("clock_offset_seconds", "From a header stamp to its arrival, on the fastest way"),
+    "offset_s": ("clock_offset_seconds", "Smallest time from a header stamp to its arrival"),
     "drift_ppm": ("clock_drift_ppm", "How much faster the device's clock runs than the host's"),
-    "round_trip_s": ("round_trip_seconds", "Of the network, as TCP measures it"),
-    "answer_s": ("answer_seconds", "From a request for the device's topics to the first of them"),
+    "round_trip_s": ("round_trip_seconds", "Round trip of the network, as TCP measures it"),
+    "answer_s": ("answer_seconds", "Time from a topic request to the first answer"),
 }
 
 
 class Metrics:
-    """The registry of one daemon."""
+    """The metrics registry of one daemon."""
 
     def __init__(
         self,
         hub: Hub,
         clients: Clients,
         limit: RateLimit,
-        connections: Connections,
+        connections: ApiConnections,
         owners: Owners,
         recordings: Recordings,
     ) -> None:
@@ -181,7 +175,7 @@ class Metrics:
         self._registry.register(self._recording)
 
     def route(self) -> Route:
-        """GET /metrics."""
+        """Return the route GET /metrics."""
         return Route(
             "/metrics",
             self._show,
@@ -197,14 +191,14 @@ class Metrics:
 
 
 class _Graph(Collector):
-    """Reads the hub and the clients at each request: nothing is counted twice."""
+    """Reads the hub and the clients at each request, so that no counter exists twice."""
 
     def __init__(
         self,
         hub: Hub,
         clients: Clients,
         limit: RateLimit,
-        connections: Connections,
+        connections: ApiConnections,
         owners: Owners,
         to_client: Latency,
     ) -> None:
@@ -212,7 +206,7 @@ class _Graph(Collector):
         self._owners, self._to_client = owners, to_client
 
     def describe(self) -> list[Metric]:
-        """Nothing at registration: there is no event loop yet."""
+        """Return nothing at registration: there is no event loop yet."""
         return []
 
     def collect(self) -> Iterator[Metric]:
@@ -220,44 +214,44 @@ class _Graph(Collector):
         yield GaugeMetricFamily("hostlink_links", "Live connections of devices", value=len(self._hub.links.all()))
         yield CounterMetricFamily(
             "hostlink_link_crashes",
-            "Connections that a fault of hostlink ended",
+            "Connections ended by an internal error of hostlink",
             value=self._hub.isolation.crashes["link"],
         )
         yield CounterMetricFamily(
             "hostlink_messages_unheard",
-            "Messages of devices that were not known in time",
+            "Messages of devices whose topics were not known in time",
             value=self._hub.links.undelivered,
         )
-        crashes = CounterMetricFamily("hostlink_crashes", "Faults of hostlink, by what they ended", labels=["what"])
+        crashes = CounterMetricFamily("hostlink_crashes", "Internal errors, by what they ended", labels=["what"])
         for what, count in self._hub.isolation.crashes.items():
             crashes.add_metric([what], count)
         yield crashes
         yield CounterMetricFamily(
             "hostlink_device_calls_refused",
-            "Calls of services by devices that were over a bound",
+            "Service calls of devices refused because of a limit",
             value=self._hub.links.calls.refused,
         )
         yield CounterMetricFamily(
             "hostlink_service_late_answers",
-            "Answers of devices' services that nobody waited for any more",
+            "Answers of devices' services after their timeout",
             value=self._hub.links.late_answers,
         )
         yield CounterMetricFamily(
             "hostlink_messages_out_of_order",
-            "Messages that were delivered before their turn: too many waited",
+            "Messages delivered before their turn because too many waited",
             value=self._hub.topics.deliveries.out_of_order,
         )
         yield CounterMetricFamily(
-            "hostlink_log_lines_lost", "Lines that could not be written", value=logs.output.lost_lines
+            "hostlink_log_lines_lost", "Log lines that could not be written", value=logs.output.lost_lines
         )
         yield CounterMetricFamily(
-            "hostlink_log_lines_left_out", "Lines over the budget of who caused them", value=logs.budget.left_out
+            "hostlink_log_lines_left_out", "Log lines over the budget of their source", value=logs.budget.left_out
         )
-        refused = CounterMetricFamily("hostlink_connections_refused", "Devices turned away, by cause", labels=["cause"])
+        refused = CounterMetricFamily("hostlink_connections_refused", "Devices refused, by cause", labels=["cause"])
         for cause, count in self._hub.counts.refused.items():
             refused.add_metric([cause], count)
         yield refused
-        dropped = CounterMetricFamily("hostlink_datagrams_dropped", "Of UDP, either way, by cause", labels=["cause"])
+        dropped = CounterMetricFamily("hostlink_datagrams_dropped", "UDP datagrams dropped, by cause", labels=["cause"])
         for cause, count in self._hub.counts.datagrams_dropped.items():
             dropped.add_metric([cause], count)
         yield dropped
@@ -270,7 +264,7 @@ class _Graph(Collector):
         yield from self._to_port()
 
     def _graphs(self) -> Iterator[Metric]:
-        events = CounterMetricFamily("hostlink_graph_events", "What of a graph has happened", labels=["graph", "what"])
+        events = CounterMetricFamily("hostlink_graph_events", "Events of a graph", labels=["graph", "what"])
         for graph, counts in self._hub.counts.graphs.items():
             for what, count in counts().items():
                 events.add_metric([graph, what], count)
@@ -283,9 +277,9 @@ class _Graph(Collector):
 
     def _robots(self) -> Iterator[Metric]:
         now_s = asyncio.get_running_loop().time()
-        connected = GaugeMetricFamily("hostlink_robot_connected", "1 when its device is there", labels=["robot"])
-        age = GaugeMetricFamily("hostlink_robot_odometry_age_seconds", "Since the newest pose", labels=["robot"])
-        poses = CounterMetricFamily("hostlink_robot_poses", "Poses that came", labels=["robot"])
+        connected = GaugeMetricFamily("hostlink_robot_connected", "1 while its device is connected", labels=["robot"])
+        age = GaugeMetricFamily("hostlink_robot_odometry_age_seconds", "Age of the newest pose", labels=["robot"])
+        poses = CounterMetricFamily("hostlink_robot_poses", "Poses received", labels=["robot"])
         refused = CounterMetricFamily(
             "hostlink_robot_velocity_refused", "Velocities that the device could not receive", labels=["robot"]
         )
@@ -302,7 +296,7 @@ class _Graph(Collector):
             labels=["robot", "outcome"],
         )
         unreadable = CounterMetricFamily(
-            "hostlink_robot_unreadable", "Messages of its odometry that are none", labels=["robot"]
+            "hostlink_robot_unreadable", "Odometry messages that could not be decoded", labels=["robot"]
         )
         for robot in self._hub.robots.here():
             unreadable.add_metric([robot.name], robot.unreadable)
@@ -312,20 +306,20 @@ class _Graph(Collector):
                 gates.add_metric([robot.name, f"refused_{kind}"], count)
         forgotten = CounterMetricFamily(
             "hostlink_robots_forgotten",
-            "Robots that were away for long, or before many others",
+            "Robots forgotten after a long disconnection, or because of too many",
             value=self._hub.robots.forgotten,
         )
         yield from (connected, age, poses, refused, unreadable, gates, forgotten)
 
     def _driving(self) -> Iterator[Metric]:
         now_s = asyncio.get_running_loop().time()
-        locked = GaugeMetricFamily("hostlink_robot_locked", "1 while nobody may drive it", labels=["robot"])
-        driven = GaugeMetricFamily("hostlink_robot_driven", "1 while somebody drives it", labels=["robot"])
+        locked = GaugeMetricFamily("hostlink_robot_locked", "1 while the robot is locked", labels=["robot"])
+        driven = GaugeMetricFamily("hostlink_robot_driven", "1 while the robot is driven", labels=["robot"])
         commanded = GaugeMetricFamily(
-            "hostlink_robot_commanded_speed", "What it is sent, m/s and rad/s", labels=["robot", "axis"]
+            "hostlink_robot_commanded_speed", "Commanded, m/s and rad/s", labels=["robot", "axis"]
         )
-        measured = GaugeMetricFamily("hostlink_robot_speed", "By its odometry, m/s and rad/s", labels=["robot", "axis"])
-        battery = GaugeMetricFamily("hostlink_robot_battery_volts", "As its device measures it", labels=["robot"])
+        measured = GaugeMetricFamily("hostlink_robot_speed", "Measured, m/s and rad/s", labels=["robot", "axis"])
+        battery = GaugeMetricFamily("hostlink_robot_battery_volts", "Measured by the device", labels=["robot"])
         for robot in self._hub.robots.here():
             locked.add_metric([robot.name], robot.gate.lock_reason is not None)
             driven.add_metric([robot.name], robot.gate.owner is not None)
@@ -348,11 +342,11 @@ class _Graph(Collector):
             name: CounterMetricFamily(f"hostlink_link_{name}", help_, labels=names)
             for name, help_ in _LINK_COUNTERS.items()
         }
-        replaced = CounterMetricFamily("hostlink_link_replaced", "Messages that a newer one replaced", labels=names)
+        replaced = CounterMetricFamily("hostlink_link_replaced", "Messages replaced by a newer one", labels=names)
         rejected = CounterMetricFamily(
             "hostlink_link_rejected", "False starts of frames, by cause", labels=[*names, "cause"]
         )
-        silent = GaugeMetricFamily("hostlink_link_silent_seconds", "Since the last byte", labels=names)
+        silent = GaugeMetricFamily("hostlink_link_silent_seconds", "Time since the last byte", labels=names)
         oldest = GaugeMetricFamily(
             "hostlink_link_oldest_waiting_seconds", "Age of the oldest frame that waits for the device", labels=names
         )
@@ -361,7 +355,7 @@ class _Graph(Collector):
             for name, (metric, help_) in _LINK_CLOCK.items()
         }
         latency = HistogramMetricFamily(
-            "hostlink_command_to_device_seconds", "From a velocity's command to the device's socket", labels=names
+            "hostlink_command_to_device_seconds", "Time from a velocity command to the device's socket", labels=names
         )
         for link in self._hub.links.all():
             robot = self._hub.robots.of_link(link)
@@ -383,12 +377,12 @@ class _Graph(Collector):
 
     def _to_clients(self) -> Iterator[Metric]:
         clients = self._clients.views()
-        kinds = GaugeMetricFamily("hostlink_clients", "Clients that are connected", labels=["kind"])
+        kinds = GaugeMetricFamily("hostlink_clients", "Connected clients", labels=["kind"])
         for kind in ("rosbridge", "foxglove", "events"):
             kinds.add_metric([kind], sum(client["kind"] == kind for client in clients))
         yield kinds
         dropped = self._clients.gone_dropped + sum(client["dropped"] for client in clients)
-        yield CounterMetricFamily("hostlink_client_dropped", "Messages that clients were too slow for", value=dropped)
+        yield CounterMetricFamily("hostlink_client_dropped", "Messages dropped for slow clients", value=dropped)
         yield GaugeMetricFamily(
             "hostlink_client_waiting_bytes",
             "Bytes that wait for clients",
@@ -396,36 +390,36 @@ class _Graph(Collector):
         )
         yield GaugeMetricFamily(
             "hostlink_client_lag_seconds",
-            "How old the oldest message is that waits for a client",
+            "Age of the oldest message that waits for a client",
             value=max((client["lag_s"] for client in clients), default=0.0),
         )
         yield CounterMetricFamily(
-            "hostlink_clients_refused", "Clients turned away: too many", value=self._clients.refused
+            "hostlink_clients_refused", "Clients refused because there were too many", value=self._clients.refused
         )
         yield HistogramMetricFamily(
             "hostlink_device_to_client_seconds",
-            "From the arrival of a message to the client's socket",
+            "Time from the arrival of a message to the client's socket",
             buckets=self._to_client.buckets(),
             sum_value=self._to_client.sum_s,
         )
         yield CounterMetricFamily(
-            "hostlink_owners_evicted", "Drivers over REST that others took the place of", value=self._owners.evicted
+            "hostlink_owners_evicted", "REST participants removed at the limit", value=self._owners.evicted
         )
         yield CounterMetricFamily(
-            "hostlink_requests_refused", "Requests turned away: too many a second", value=self._limit.refused
+            "hostlink_requests_refused", "Requests refused by the rate limit", value=self._limit.refused
         )
 
     def _kept(self) -> Iterator[Metric]:
-        held = GaugeMetricFamily("hostlink_kept_bytes", "What clients have sent and is kept, by kind", labels=["kind"])
+        held = GaugeMetricFamily("hostlink_kept_bytes", "Bytes from clients that are kept, by kind", labels=["kind"])
         refused = CounterMetricFamily(
-            "hostlink_kept_refused", "What found no room in the bytes of its kind, and was not kept", labels=["kind"]
+            "hostlink_kept_refused", "Items refused because the byte budget of their kind was full", labels=["kind"]
         )
         for kind, share in self._hub.budget.shares.items():
             held.add_metric([kind], share.held_bytes)
             refused.add_metric([kind], share.refused)
         replaced = CounterMetricFamily(
             "hostlink_velocities_replaced",
-            "Velocities of clients that a newer one replaced before they were obeyed",
+            "Velocities of clients replaced by a newer one before they were executed",
             labels=["kind"],
         )
         for kind, count in self._hub.counts.velocities_replaced.items():
@@ -437,7 +431,7 @@ class _Graph(Collector):
             "hostlink_api_connections", "TCP connections to the API's port", value=len(self._connections)
         )
         closed = CounterMetricFamily(
-            "hostlink_api_connections_closed", "That hostlink refused or cut, by cause", labels=["cause"]
+            "hostlink_api_connections_closed", "Connections refused or closed by hostlink, by cause", labels=["cause"]
         )
         for cause, count in self._connections.closed.items():
             closed.add_metric([cause], count)

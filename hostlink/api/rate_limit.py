@@ -1,11 +1,11 @@
-"""RateLimit: how often a client may send requests, as a token bucket for each of them."""
+"""RateLimit: requests of each client a second, as token buckets."""
 
 from collections import OrderedDict
 from collections.abc import Hashable
 from typing import NamedTuple
 
-REFUSED_VELOCITIES_S = 1.0  # of which a client is told, for each topic: it may publish ten times a second
-MAX_KEYS = 1024  # the one that was used longest ago is forgotten first: by then its bucket is full again
+REFUSED_VELOCITIES_S = 1.0  # statuses a second about refused velocities of one topic, which may have ten a second
+MAX_KEYS = 1024  # the least recently used is dropped: its bucket is full again by then
 
 
 class _Bucket(NamedTuple):
@@ -13,22 +13,8 @@ class _Bucket(NamedTuple):
     at_s: float
 
 
-class Bucket:
-    """The token bucket of one client whose messages are counted, and not refused one by one."""
-
-    def __init__(self, per_s: float, now_s: float) -> None:
-        self._per_s, self._left, self._at_s = per_s, per_s, now_s
-
-    def debt_s(self, now_s: float) -> float:
-        """Count a message. Return how long the client must be silent to be within the rate."""
-        left = self._left + (now_s - self._at_s) * self._per_s
-        self._at_s = now_s
-        self._left = (left if left < self._per_s else self._per_s) - 1
-        return -self._left / self._per_s if self._left < 0 else 0.0
-
-
 class RateLimit:
-    """At most `per_s` a second in the long run, and a second's worth at once."""
+    """At most `per_s` requests a second on average, with bursts of one second's worth."""
 
     def __init__(self, per_s: float) -> None:
         self.refused = 0
@@ -36,7 +22,7 @@ class RateLimit:
         self._buckets: OrderedDict[Hashable, _Bucket] = OrderedDict()
 
     def allows(self, key: Hashable, now_s: float) -> bool:
-        """Whether `key` may send one more now; what is refused is not counted against it."""
+        """Whether `key` may send one more request. A refused request does not count against it."""
         left = self._left(key, now_s)
         is_right = left >= 1
         self._keep(key, _Bucket(left - is_right, now_s))

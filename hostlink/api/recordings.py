@@ -1,4 +1,4 @@
-"""Recordings over REST: start and stop one, list them, fetch a file, remove one."""
+"""Recordings over REST: start, stop, list, download and remove them."""
 
 import asyncio
 import time
@@ -18,8 +18,8 @@ from hostlink.recording.folder import NAME_PATTERN, StoredFile
 from hostlink.recording.recorder import TopicSelection
 from hostlink.recording.recordings import Recording, Recordings
 
-MAX_PATTERNS = 256  # topics and robots that a request may name
-MAX_LISTED = 1000  # files, the newest
+MAX_PATTERNS = 256  # topics and robots in one request
+MAX_LISTED = 1000  # files; the newest are listed
 _BAD, _NOT_FOUND = HTTPStatus.BAD_REQUEST, HTTPStatus.NOT_FOUND
 _BUSY, _FULL = HTTPStatus.CONFLICT, HTTPStatus.INSUFFICIENT_STORAGE
 
@@ -28,7 +28,7 @@ Patterns = Annotated[list[str], msgspec.Meta(max_length=MAX_PATTERNS)]
 
 
 class RecordingRequest(msgspec.Struct, forbid_unknown_fields=True):
-    """The body of POST recordings, which may be empty: everything of all robots."""
+    """Body of POST recordings, which may be empty: all topics of all robots."""
 
     topics: Patterns = []
     robots: Patterns = []
@@ -36,7 +36,7 @@ class RecordingRequest(msgspec.Struct, forbid_unknown_fields=True):
 
 
 class RecordingView(TypedDict):
-    """A recording that is under way, or has just been stopped."""
+    """A recording that is running or was just stopped."""
 
     name: str
     owner: str
@@ -50,7 +50,7 @@ class RecordingView(TypedDict):
 
 
 class StoredView(TypedDict):
-    """A file of the folder."""
+    """A file in the folder of recordings."""
 
     file: str
     bytes: int
@@ -59,7 +59,7 @@ class StoredView(TypedDict):
 
 
 class RecordingsView(TypedDict):
-    """What is under way, and the newest files; where they are on the daemon's computer."""
+    """Running recordings and the newest files; their folder on the daemon's computer."""
 
     recordings: list[RecordingView]
     files: list[StoredView]
@@ -67,23 +67,23 @@ class RecordingsView(TypedDict):
 
 
 class RemovedView(TypedDict):
-    """The file that is no more."""
+    """The removed file."""
 
     removed: str
 
 
 class RecordingRoutes:
-    """The handlers."""
+    """The routes of recordings."""
 
     def __init__(self, recordings: Recordings) -> None:
         self._recordings = recordings
 
     def routes(self) -> list[Route]:
-        """Every path of this file."""
+        """Return the routes."""
         path = "/api/recordings"
         one = f"{path}/{{name}}"
         return [
-            Route(path, self._all, "Recordings that are under way, and the files", RecordingsView),
+            Route(path, self._all, "Running recordings, and the files", RecordingsView),
             Route(
                 path,
                 self._start,
@@ -98,7 +98,7 @@ class RecordingRoutes:
             Route(
                 one,
                 self._file,
-                "The MCAP file of that name; ranges are answered, also while it is written",
+                "The MCAP file of that name, or ranges of it, also while it is written",
                 None,
                 media_type=FILE,
                 fails=(_NOT_FOUND,),
@@ -106,7 +106,7 @@ class RecordingRoutes:
             Route(
                 f"{one}/stop",
                 self._stop,
-                "End a recording; its file is complete then",
+                "Stop a recording and complete its file",
                 RecordingView,
                 method="POST",
                 role=Role.DRIVE,
@@ -159,13 +159,13 @@ class RecordingRoutes:
 
 
 def send_file(path: Path) -> web.FileResponse:
-    """A file to be saved, or read in ranges."""
+    """Send a file, whole or in ranges."""
     headers = {"Cache-Control": "no-store", "Content-Disposition": f'attachment; filename="{path.name}"'}
     return web.FileResponse(path, headers={**headers, "Content-Type": FILE})
 
 
 def recording_view(recording: Recording) -> RecordingView:
-    """JSON of a recording."""
+    """Return a recording as the API shows it."""
     thread = recording.thread
     view: RecordingView = {
         "name": recording.name,

@@ -42,13 +42,13 @@ from hostlink.recording.drives import Drive, DriveLog
 from hostlink.robot.state import MAX_PRIORITY
 from hostlink.robot.velocity import PlanarVelocity
 
-MAX_OWNERS = 64  # as many as one robot keeps apart; each that drives sends a request in every lease
+MAX_OWNERS = 64  # the number of sources that one robot distinguishes; a driving one sends a request in every lease
 
 
 class Owners:
-    """All requests with one token, or from one computer, are one participant; its lease ends by itself.
+    """Participants of REST requests: one for each token, or for each client address without tokens.
 
-    Over MAX_OWNERS the one leaves that sent nothing for the longest time, and what it drives stops.
+    When there are more than MAX_OWNERS, the one that was silent longest leaves, and what it drives stops.
     """
 
     def __init__(self, hub: Hub) -> None:
@@ -61,17 +61,17 @@ class Owners:
 
     @property
     def names(self) -> list[str]:
-        """Of tokens; of addresses, while there are no tokens."""
+        """Return the names: of tokens, or of addresses without tokens."""
         return list(self._owners)
 
     def end(self, names: Iterable[str]) -> None:
-        """Their tokens are withdrawn: what they drive stops."""
+        """Remove participants whose tokens are revoked: what they drive stops."""
         for name in names:
             if name in self._owners:
                 self._owners.pop(name).leave()
 
     def of(self, name: str, role: Role) -> Participant:
-        """The participant of this name, a new one if there is none."""
+        """Return the participant of this name; create it if there is none."""
         owner = self._owners.pop(name, None)
         if owner is None or owner.has_left:
             owner = self._hub.join(f"rest {name}", role=role)
@@ -83,26 +83,26 @@ class Owners:
 
 
 SIM = "hostlink sim"
-SIM_CONNECTS_TO = ("127.0.0.1", 11411)  # without --connect
+SIM_CONNECTS_TO = ("127.0.0.1", 11411)  # the address that it uses without --connect
 LOOPBACK = {4: "127.0.0.1", 6: "::1"}
 
 
 class AddressView(TypedDict):
-    """An address; `0.0.0.0` and `::` are all addresses of the computer."""
+    """An address. `0.0.0.0` and `::` are all addresses of the computer."""
 
     host: str
     port: int
 
 
 class SerialPortView(TypedDict):
-    """A serial port that is opened when it is there, and the rates that are tried."""
+    """A serial port that is opened when it exists, and the rates that are tried."""
 
     port: str
     bauds: list[int]
 
 
 class ListeningView(TypedDict):
-    """Where devices connect; `simulate`: what to run on the daemon's computer for a simulated robot, null: none may."""
+    """Addresses that devices connect to. simulate: command that starts a simulated robot here; null: refused."""
 
     tcp: AddressView | None
     udp: AddressView | None
@@ -111,13 +111,13 @@ class ListeningView(TypedDict):
 
 
 class ListeningRoute:
-    """`GET /api/listening`."""
+    """The route `GET /api/listening`."""
 
     def __init__(self, hub: Hub) -> None:
         self._hub = hub
 
     def routes(self) -> list[Route]:
-        """The path of this file."""
+        """Return the route."""
         return [Route("/api/listening", self._show, "Where devices connect", ListeningView)]
 
     async def _show(self, _: web.Request) -> web.Response:
@@ -125,7 +125,7 @@ class ListeningRoute:
 
 
 def listening_view(listening: Listening, config: Config) -> ListeningView:
-    """What a person has to know who brings a device."""
+    """Return the addresses that devices connect to."""
     return {
         "tcp": _address(listening.tcp),
         "udp": _address(listening.udp),
@@ -139,7 +139,7 @@ def _address(address: tuple[str, int] | None) -> AddressView | None:
 
 
 def _simulate(address: tuple[str, int] | None, config: TcpConfig | UdpConfig | None, option: str = "") -> str | None:
-    """The command; None: nobody listens, or a robot of this computer is turned away, which has no key."""
+    """Return the command; None without a listener, or if a keyless robot of this computer is refused."""
     if address is None or config is None:
         return None
     bound = ipaddress.ip_address(address[0])
@@ -148,16 +148,16 @@ def _simulate(address: tuple[str, int] | None, config: TcpConfig | UdpConfig | N
         return None
     if (host, address[1]) == SIM_CONNECTS_TO:
         return SIM + option
-    return f"{SIM}{option} --connect {f'[{host}]' if bound.version == 6 else host}:{address[1]}"  # noqa: PLR2004 - of IP
+    return f"{SIM}{option} --connect {f'[{host}]' if bound.version == 6 else host}:{address[1]}"  # noqa: PLR2004
 
 
 def _is_in(host: str, networks: Iterable[str]) -> bool:
-    """Whether the address of this computer is within one of them; it is where its own connections come from."""
+    """Whether an address of this computer is in one of the networks."""
     return any(ipaddress.ip_address(host) in ipaddress.ip_network(network) for network in networks)
 
 
 class ReloadView(TypedDict):
-    """Settings that were changed, settings that differ but need a restart, and robots' new names by their old ones."""
+    """Settings that changed, settings that need a restart, and new names of robots by their old names."""
 
     changed: list[str]
     needs_restart: list[str]
@@ -165,18 +165,18 @@ class ReloadView(TypedDict):
 
 
 class ReloadRoute:
-    """`POST /api/reload`."""
+    """The route `POST /api/reload`."""
 
     def __init__(self, reloader: Reloader) -> None:
         self._reloader = reloader
 
     def routes(self) -> list[Route]:
-        """The path of this file."""
+        """Return the route."""
         return [
             Route(
                 "/api/reload",
                 self._reload,
-                "Read the configuration again: names and limits of robots, tokens and origins; all of it or nothing",
+                "Read the configuration again: names and limits of robots, tokens, origins. An error changes nothing",
                 ReloadView,
                 method="POST",
                 role=Role.DRIVE,
@@ -195,13 +195,13 @@ class ReloadRoute:
         )
 
 
-MAX_DIGITS = 6  # of a limit
+MAX_DIGITS = 6  # digits of a limit
 
 
 class DriveView(TypedDict):
-    """One drive: who, from when to when (UTC), how fast at most (m/s, rad/s). `end` is empty while it lasts.
+    """One drive: its driver, its times (UTC), its highest speeds (m/s, rad/s). `end` is empty while it lasts.
 
-    address: from which he was connected; empty: of a part of a daemon, or at another daemon.
+    address: of the driver's connection; empty for a part of a daemon, and for a driver at another daemon.
     """
 
     robot: str
@@ -218,26 +218,28 @@ class DriveView(TypedDict):
 
 
 class DrivesView(TypedDict):
-    """The newest first; how many could not be written to the disk."""
+    """Drives, the newest first. lost: number of drives that could not be written to the disk."""
 
     drives: list[DriveView]
     lost: int
 
 
 class DriveRoute:
-    """`GET /api/drives`."""
+    """The route `GET /api/drives`."""
 
     def __init__(self, drives: DriveLog) -> None:
         self._drives = drives
 
     def routes(self) -> list[Route]:
-        """The path of this file."""
-        summary = "Who drove which robot, from when to when, the newest first; ?robot=NAME of one, ?limit=N so many"
+        """Return the route."""
+        summary = "Drives of robots, the newest first; ?robot=NAME: of one robot, ?limit=N: at most N"
         return [Route("/api/drives", self._all, summary, DrivesView, fails=(HTTPStatus.BAD_REQUEST,))]
 
     async def _all(self, request: web.Request) -> web.Response:
-        """Raises:
-        BadRequest: the limit is no number.
+        """List drives.
+
+        Raises:
+            BadRequest: the limit is not a number.
         """
         limit = request.query.get("limit")
         if limit is not None and not (limit.isascii() and limit.isdigit() and len(limit) <= MAX_DIGITS):
@@ -281,29 +283,29 @@ TOO_LARGE, BAD_REQUEST = HTTPStatus.REQUEST_ENTITY_TOO_LARGE, HTTPStatus.BAD_REQ
 
 
 class VelocityRequest(msgspec.Struct, forbid_unknown_fields=True):
-    """The body of PUT velocity: m/s and rad/s, counter-clockwise positive; `linear_y_m_s`: to the left."""
+    """Body of PUT velocity: m/s and rad/s, counter-clockwise positive. linear_y_m_s: to the left."""
 
     linear: float
     angular: float
     linear_y_m_s: float = 0.0
     priority: Annotated[int, msgspec.Meta(ge=0, le=MAX_PRIORITY)] = PROGRAM_PRIORITY
-    epoch: int | None = None  # of the robot, as its state or an answer gave it
+    epoch: int | None = None  # of the robot, from its state or an answer
 
 
 class LockRequest(msgspec.Struct, forbid_unknown_fields=True):
-    """The body of POST lock, which may be empty: the reason, for the next driver."""
+    """Body of POST lock, which may be empty. reason: text for the next driver."""
 
     reason: str = LOCK_REASON
 
 
 class RobotsView(TypedDict):
-    """Every robot that is known, connected or not, here and at the other daemons of the fleet."""
+    """Every known robot, connected or not, of this daemon and of the other daemons of the fleet."""
 
     robots: list[RobotView]
 
 
 class StoppedRobotsView(TypedDict):
-    """Every robot that is known, and what was measured of each after a stop."""
+    """Every known robot, and what was measured of each after a stop."""
 
     robots: list[StoppedRobotView]
 
@@ -321,7 +323,7 @@ class TopicsView(TypedDict):
 
 
 class ClientsView(TypedDict):
-    """Every client; and how many were refused because there were too many."""
+    """Every client, and how many were refused because there were too many."""
 
     clients: list[ClientView]
     refused: int
@@ -335,19 +337,19 @@ class HealthView(TypedDict):
 
 
 class ReadinessView(TypedDict):
-    """At least one robot is connected, and none that is known is missing."""
+    """At least one robot is connected, and no known robot of this daemon is disconnected."""
 
     status: str
 
 
 class Rest:
-    """The handlers: each calls the hub and shows its result."""
+    """Handlers of the routes. Each calls the hub and returns its result."""
 
     def __init__(self, hub: Hub, clients: Clients, owners: Owners) -> None:
         self._hub, self._clients, self._owners = hub, clients, owners
 
     def routes(self) -> list[Route]:
-        """Every path of this file."""
+        """Return the routes."""
         robot = "/api/robots/{name}"
         return [
             Route("/api/robots", self._robots, "Every robot", RobotsView),
@@ -356,7 +358,7 @@ class Rest:
             Route(
                 f"{robot}/velocity",
                 self._velocity,
-                "Drive for the length of a lease; repeat it to drive on",
+                "Drive for the length of a lease; repeat the request to keep driving",
                 VelocityAnswer,
                 method="PUT",
                 request=VelocityRequest,
@@ -368,7 +370,7 @@ class Rest:
             Route(
                 f"{robot}/stop",
                 self._stop,
-                "Stop, whoever drives; a token that may read may stop. Answers with what was measured since, after"
+                "Stop the robot, whichever client drives it, with the role read. Answers with the measured result after"
                 " wait_s seconds at most (1.5)",
                 StoppedRobotView,
                 method="POST",
@@ -378,7 +380,7 @@ class Rest:
             Route(
                 "/api/stop",
                 self._stop_all,
-                "Stop every robot. Answers with what was measured since, after wait_s seconds at most (1.5)",
+                "Stop every robot. Answers with the measured result after wait_s seconds at most (1.5)",
                 StoppedRobotsView,
                 method="POST",
                 is_limited=False,
@@ -387,7 +389,7 @@ class Rest:
             Route(
                 f"{robot}/lock",
                 self._lock,
-                "Emergency stop: zero at once, and no command until it is unlocked. Answers as stop does",
+                "Emergency stop: zero velocity at once, commands are refused until unlock. Answers as stop does",
                 StoppedRobotView,
                 method="POST",
                 request=LockRequest,
@@ -401,7 +403,7 @@ class Rest:
             Route(
                 f"{robot}/unlock",
                 self._unlock,
-                "Let it be driven again",
+                "Unlock the robot",
                 RobotView,
                 method="POST",
                 role=Role.DRIVE,
@@ -410,7 +412,7 @@ class Rest:
             Route(
                 f"{robot}/odometry/reset",
                 self._reset_odometry,
-                "Make the present place the origin",
+                "Set the origin of odometry to the present pose",
                 ResetAnswer,
                 method="POST",
                 role=Role.DRIVE,
@@ -419,25 +421,25 @@ class Rest:
             Route(
                 f"{robot}/standstill",
                 self._standstill,
-                "Whether it stands, by odometry from now on; waits for that for wait_s seconds at most (1.5)",
+                "Whether odometry says from now on that the robot is stopped; waits wait_s seconds at most (1.5)",
                 StoppedRobotView,
                 fails=(BAD_REQUEST, NOT_FOUND),
             ),
             Route(
                 "/api/standstill",
                 self._standstills,
-                "The same of every robot",
+                "Whether odometry says that the robots are stopped",
                 StoppedRobotsView,
                 fails=(BAD_REQUEST,),
             ),
             Route("/api/links", self._links, "Every live connection of a device", LinksView),
             Route("/api/topics", self._topics, "Every topic", TopicsView),
-            Route("/api/clients", self._all_clients, "Every client and how well it keeps up", ClientsView),
-            Route("/healthz", self._health, "Whether the daemon lives", HealthView, role=None),
+            Route("/api/clients", self._all_clients, "Every client and its backlog", ClientsView),
+            Route("/healthz", self._health, "Whether the daemon runs", HealthView, role=None),
             Route(
                 "/readyz",
                 self._readiness,
-                "Whether every robot is there",
+                "Whether every known robot is connected",
                 ReadinessView,
                 role=None,
                 fails=(UNAVAILABLE,),
@@ -445,15 +447,15 @@ class Rest:
         ]
 
     def _find(self, request: web.Request) -> Robot:
-        """The robot that the path names.
+        """Return the robot that the path names.
 
         Raises:
-            UnknownTopic: there is none of that name.
+            UnknownTopic: no robot has this name.
         """
         return self._hub.robots.find(request.match_info["name"])
 
     def _find_to_drive(self, request: web.Request) -> Robot:
-        """The robot that the path names, for whoever commands it to move; as `_find`."""
+        """Return the robot that the path names, for a request that drives it. Raises as `_find`."""
         return self._hub.robots.find(request.match_info["name"], driver=lambda: self._owner(request))
 
     async def _robots(self, _: web.Request) -> web.Response:
@@ -466,7 +468,7 @@ class Rest:
         robot = self._find(request)
         odometry = robot.odometry.snapshot(_now_s())
         if odometry is None:
-            raise DeviceGone(f"{robot.name}: no odometry came yet")
+            raise DeviceGone(f"{robot.name}: no odometry has arrived yet")
         return reply(odometry_view(odometry))
 
     async def _velocity(self, request: web.Request) -> web.Response:
@@ -503,7 +505,7 @@ class Rest:
         return await self._all_measured(request, _now_s())
 
     async def _measured(self, request: web.Request, robot: Robot, since_s: float) -> web.Response:
-        """Every stop has been sent before this waits."""
+        """Measure whether the robots are stopped. Every stop has been sent before this waits."""
         measured = await self._hub.standstills.measure([robot], since_s, wait_s=_wait_s(request))
         return reply(stopped_view(robot, measured[0]))
 
@@ -513,10 +515,10 @@ class Rest:
         return reply({"robots": [stopped_view(*each) for each in zip(robots, measured, strict=True)]})
 
     async def _lock(self, request: web.Request) -> web.Response:
-        """A wrong body is refused, but the robot is locked first: an emergency stop does not fail for its reason."""
+        """Lock the robot, then check the body: an emergency stop does not fail because of an invalid reason."""
         robot, since_s = self._find(request), _now_s()
         try:
-            body = decode_body(request[BODY] or b"{}", LockRequest, '{"reason": a text} or empty; it is locked')
+            body = decode_body(request[BODY] or b"{}", LockRequest, '{"reason": a text} or empty; the robot is locked')
         except BadRequest:
             robot.lock()
             raise
@@ -537,7 +539,7 @@ class Rest:
             raise UnknownTopic("reset topic", f"{robot.name}/reset_odometry")
         if robot.link is None:
             raise DeviceGone(robot.name)
-        self._owner(request).publish(reset, b"")  # a std_msgs/Empty
+        self._owner(request).publish(reset, b"")  # std_msgs/Empty
         return reply({"reset": reset})
 
     async def _links(self, _: web.Request) -> web.Response:
@@ -553,7 +555,7 @@ class Rest:
         return reply({"status": "alive", "loop_time_s": round(asyncio.get_running_loop().time(), 3)})
 
     async def _readiness(self, _: web.Request) -> web.Response:
-        """Ready: at least one robot is connected here, and none that is known here is missing."""
+        """Report ready if a robot is connected and no known robot of this daemon is disconnected."""
         robots = self._hub.robots.here()
         missing = [robot.name for robot in robots if robot.link is None]
         is_ready = bool(robots) and not missing
@@ -563,7 +565,7 @@ class Rest:
 
 
 def _wait_s(request: web.Request) -> float:
-    """How long the request waits for a measurement. A stop is sent before this is read: it does not fail for that.
+    """Return how long the request waits for a measurement. The stop is sent before, also for an invalid value.
 
     Raises:
         BadRequest: `wait_s` is not a number from 0 to MAX_WAIT_S.
@@ -583,10 +585,10 @@ def _now_s() -> float:
 
 
 def decode_body(data: bytes, type_: type[Body], shape: str) -> Body:
-    """The body of a request; `shape` is the example in the error.
+    """Decode the body of a request. `shape` is the example in the error.
 
     Raises:
-        BadRequest: it is not of that shape.
+        BadRequest: the body does not have this shape.
     """
     try:
         return msgspec.json.decode(data, type=type_)

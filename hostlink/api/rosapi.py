@@ -1,26 +1,127 @@
-"""rosapi: the services by which rosbridge's clients read the graph, answered from the hub as it is now."""
+"""RosApi: the services by which rosbridge's clients read the graph, answered from the hub."""
 
 import socket
 import time
 from collections.abc import Awaitable, Callable, Hashable, Mapping
 from typing import Any
 
-from hostlink.api.parameters import Parameters
-from hostlink.api.rosbridge_request import to_time
+import msgspec
+
+from hostlink.api.rosbridge import to_time
 from hostlink.api.views import node_name, receivers
+from hostlink.config import ParameterScalar, ParameterValue
 from hostlink.errors import BadRequest, UnknownTopic
 from hostlink.hub.hub import DAEMON, Hub
+from hostlink.hub.parameters import to_parameter
 from hostlink.hub.topic import Topic
 from hostlink.hub.topic_graph import resolve
 from hostlink.messages.fields import BUILT_IN, FLOATS, SCALAR, Constant, bool_value
 from hostlink.messages.message_type import MessageType, ServiceType
 
+MAX_PARAMETERS = 1024
+MAX_VALUE_CHARACTERS = 4096  # of JSON; no device accepts more
+_Value = ParameterScalar | list[ParameterScalar]
+
+
+class Parameters:
+    """Parameters by full name (`/robot_0/gain`). The settings may have relative names."""
+
+    def __init__(self, settings: dict[str, ParameterValue]) -> None:
+        self._settings = settings
+
+    def names(self) -> list[str]:
+        """Return all names."""
+        return sorted(map(resolve, self._settings))
+
+    def values(self) -> dict[str, ParameterValue]:
+        """Return all values by name, without trees."""
+        return {resolve(setting): value for setting, value in self._settings.items()}
+
+    def has(self, name: str) -> bool:
+        """Whether there is a parameter of this name, or one below it."""
+        return bool(self._below(name))
+
+    def get(self, name: str, default: str) -> str:
+        """Return the value as JSON: an object if parameters are below the name. `default` is JSON or a text."""
+        found = self._below(name)
+        if not found:
+            return _as_json(default)
+        return msgspec.json.encode(self._tree(resolve(name).rstrip("/"), found)).decode()
+
+    def put(self, name: str, text: str) -> None:
+        """Replace the parameter and all below it by this JSON.
+
+        Raises:
+            HostlinkError: a device could not be answered with the value.
+        """
+        if len(text) > MAX_VALUE_CHARACTERS:
+            raise BadRequest(f"set_param: value is longer than {MAX_VALUE_CHARACTERS} characters")
+        leaves: dict[str, ParameterValue] = {}
+        try:
+            _flatten(resolve(name), msgspec.json.decode(text), leaves)
+        except (msgspec.DecodeError, msgspec.ValidationError, RecursionError) as error:
+            wanted = "a number, a text, true or false, a list of them, or an object of those"
+            raise BadRequest(f"set_param: value must be JSON of {wanted}: {error}") from None
+        for full, value in leaves.items():
+            to_parameter(full, value)
+        replaced = self._below(name)
+        if len(self._settings) - len(replaced) + len(leaves) > MAX_PARAMETERS:
+            raise BadRequest(f"set_param: more than {MAX_PARAMETERS} parameters")
+        for setting in replaced.values():
+            del self._settings[setting]
+        self._settings.update({replaced.get(full, full): value for full, value in leaves.items()})
+
+    def delete(self, name: str) -> None:
+        """Delete the parameter and all below it. Raise UnknownTopic if there is none."""
+        found = self._below(name)
+        if not found:
+            raise UnknownTopic("parameter", name, tuple(self.names()))
+        for setting in found.values():
+            del self._settings[setting]
+
+    def _below(self, name: str) -> dict[str, str]:
+        """Return the names in the settings, by full name, of the parameter and of those below it."""
+        wanted = resolve(name).rstrip("/")
+        full_names = {resolve(setting): setting for setting in self._settings}
+        return {full: own for full, own in full_names.items() if full == wanted or full.startswith(f"{wanted}/")}
+
+    def _tree(self, name: str, found: dict[str, str]) -> object:
+        if name in found:
+            return self._settings[found[name]]
+        tree: dict[str, Any] = {}
+        for full, setting in sorted(found.items()):
+            *branches, leaf = full.removeprefix(f"{name}/").split("/")
+            place = tree
+            for branch in branches:
+                if not isinstance(place.get(branch), dict):
+                    place[branch] = {}
+                place = place[branch]
+            place[leaf] = self._settings[setting]
+        return tree
+
+
+def _as_json(default: str) -> str:
+    try:
+        msgspec.json.decode(default or "null")
+    except (msgspec.DecodeError, RecursionError):
+        return msgspec.json.encode(default).decode()
+    return default or "null"
+
+
+def _flatten(name: str, value: Any, leaves: dict[str, ParameterValue]) -> None:
+    if isinstance(value, dict) and value:
+        for key, inner in value.items():
+            _flatten(f"{name.rstrip('/')}/{key}", inner, leaves)
+    else:
+        leaves[name] = msgspec.convert(value, _Value)
+
+
 _TIMES = ("time", "duration")
-_EXAMPLES = {"string": "", "bool": "False", "float32": "0.0", "float64": "0.0"}  # as Python prints the defaults
+_EXAMPLES = {"string": "", "bool": "False", "float32": "0.0", "float64": "0.0"}  # defaults as Python prints them
 
 
 def describe(type_: MessageType) -> list[dict[str, Any]]:
-    """The TypeDefs of a type and of all types in it: the root first, depth first, each once."""
+    """Return the TypeDefs of a type and of all types in it: the root first, depth first, each once."""
     typedefs: dict[str, dict[str, Any]] = {}
     _add(type_, typedefs)
     return list(typedefs.values())
@@ -67,7 +168,7 @@ def _example(type_name: str, array_length: int) -> str:
 
 
 def _value(constant: Constant) -> str:
-    """As Python prints the constant of the generated class."""
+    """Format a constant as Python prints the one of the generated class."""
     if constant.type in FLOATS:
         return str(float(constant.text))
     if constant.type == "bool":
@@ -82,7 +183,7 @@ _WRITERS = frozenset({"set_param", "delete_param"})
 
 
 class RosApi:
-    """One method a service, by its name; `offer` provides them all."""
+    """The /rosapi/ services, one method each. `offer` provides them all."""
 
     def __init__(self, hub: Hub) -> None:
         self._hub = hub
@@ -117,7 +218,7 @@ class RosApi:
             "delete_param": ("DeleteParam", self._delete_param),
             "get_param_names": ("GetParamNames", lambda _: {"names": self._parameters.names()}),
             "get_time": ("GetTime", lambda _: {"time": to_time(time.time_ns())}),
-            "get_ros_version": ("GetROSVersion", lambda _: {"version": 1, "distro": "noetic"}),  # whose types these are
+            "get_ros_version": ("GetROSVersion", lambda _: {"version": 1, "distro": "noetic"}),  # of the types
         }
         for name, (type_name, answer) in answers.items():
             self._participant.provide(
@@ -127,7 +228,7 @@ class RosApi:
     # -- topics and types ---------------------------------------------------------------------------------------------
 
     def _known_topics(self) -> list[Topic]:
-        """Those whose type is known: a topic that has subscribers alone may have none."""
+        """Return the topics whose type is known. A topic that has only subscribers may have none."""
         return [topic for topic in self._hub.topics.all() if topic.type_name]
 
     def _topics(self, _: Request) -> Response:
@@ -186,7 +287,7 @@ class RosApi:
         return {"host": socket.gethostname() if is_known else ""}
 
     def _service_providers(self, request: Request) -> Response:
-        """Of a service, or of every service of a type: rosbridge's versions differ."""
+        """Return the providers of a service, or of every service of a type: rosbridge's versions differ."""
         wanted = _text(request, "service")
         names = [name for name, type_name in self._hub.services.all() if wanted == type_name or resolve(wanted) == name]
         return {"providers": sorted({self._node_of_service(name) for name in names})}
@@ -241,7 +342,7 @@ class RosApi:
         return {"exists": self._parameters.has(_text(request, "name"))}
 
     def _search_param(self, request: Request) -> Response:
-        """There is one namespace to search: the root."""
+        """Search a parameter. The root is the only namespace."""
         name = _text(request, "name")
         return {"global_name": resolve(name) if self._parameters.has(name) else ""}
 
@@ -265,6 +366,6 @@ def _text(request: Request, key: str) -> str:
 
 
 def _plain(type_name: str) -> str:
-    """ "pkg/msg/Type" -> "pkg/Type"."""
+    """Convert "pkg/msg/Type" to "pkg/Type"."""
     parts = type_name.split("/")
     return f"{parts[0]}/{parts[-1]}" if len(parts) > 1 else type_name

@@ -1,43 +1,517 @@
-"""RosbridgeClient: one client that speaks rosbridge v2. JSON comes in, JSON and calls of the hub go out; no socket."""
+"""RosbridgeClient: one client that speaks rosbridge v2. Decodes operations and calls the hub, without a socket."""
 
 import asyncio
 import base64
+import binascii
+import functools
 import itertools
+import math
 import reprlib
+import struct
 import time
 from collections import defaultdict
-from collections.abc import Awaitable, Callable, Coroutine, Mapping
+from collections.abc import Awaitable, Callable, Coroutine, Hashable, Mapping
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple, TypedDict
 
+import cbor2
 import msgspec
 import structlog
 
-from hostlink.api.clients import ClientQueue, Outgoing, put_json
-from hostlink.api.inbox import Operation, velocity_of_request
+from hostlink.api.clients import ClientQueue, Operation, Outgoing, is_zero_payload, put_json
 from hostlink.api.rate_limit import REFUSED_VELOCITIES_S, RateLimit
-from hostlink.api.rosbridge_request import MAX_PIECES, Fragments, Request, fill_stamps
-from hostlink.api.rosbridge_subscriptions import ClientSubscriptions
 from hostlink.api.views import velocity_answer
-from hostlink.errors import BadRequest, CommandRefused, HostlinkError, ServiceFailed
+from hostlink.errors import BadPayload, BadRequest, CommandRefused, HostlinkError, ServiceFailed
+from hostlink.hub.byte_budget import Share
 from hostlink.hub.graph_view import Graph, GraphTopic
 from hostlink.hub.hub import Hub
-from hostlink.hub.message import PROGRAM_PRIORITY
+from hostlink.hub.message import PROGRAM_PRIORITY, Message
 from hostlink.hub.node import Role
-from hostlink.hub.participant import MAX_ADVERTISED, MAX_CALLS, Participant
+from hostlink.hub.participant import MAX_ADVERTISED, MAX_CALLS, MAX_SUBSCRIPTIONS, Participant
 from hostlink.hub.robot import LocalRobot, Robot
 from hostlink.hub.robot_topic_publisher import command_topics
 from hostlink.hub.robots import Robots
-from hostlink.hub.topic_graph import resolve
+from hostlink.hub.subscription import Subscription
+from hostlink.hub.topic_graph import TopicGraph, resolve
 from hostlink.logs import printable
 from hostlink.messages.catalog import Catalog
+from hostlink.messages.fields import SCALAR
 from hostlink.messages.message_type import MessageType, ServiceType
 from hostlink.robot.admission import EARLIER_EPOCH
 from hostlink.robot.state import MAX_PRIORITY
 from hostlink.robot.velocity import TWIST_TYPE, PlanarVelocity
 
+MAX_TEXT = 1024  # characters of a name or an id; roslib's longest ids are a name and 50 more
+
+
+class Request:
+    """A JSON object with an `op`. Methods raise a BadRequest that names the invalid field."""
+
+    def __init__(self, fields: dict[str, Any], size_bytes: int = 0) -> None:
+        """Check `op`. `size_bytes`: size of the message."""
+        self.fields, self.size_bytes = fields, size_bytes
+        self.came_s: float | None = None  # earliest time of arrival; None: now
+        self.replaced: list[Request] = []  # velocities that this one replaces
+        op = fields["op"]
+        if not isinstance(op, str) or not op:
+            raise BadRequest(f"{reprlib.repr(op)}: op must be a text")
+        self.op = op
+
+    @classmethod
+    def read(cls, text: str | bytes) -> "Request":
+        """Decode one message of a client.
+
+        Raises:
+            BadRequest: the text is not JSON, or not an object with an `op`.
+        """
+        try:
+            fields = msgspec.json.decode(text)
+        except (msgspec.DecodeError, UnicodeError) as error:
+            raise BadRequest(f"invalid JSON: {error}") from None
+        except RecursionError:
+            raise BadRequest("invalid JSON: nested too deeply") from None
+        if not isinstance(fields, dict) or "op" not in fields:
+            raise BadRequest('a message is a JSON object with an "op"')
+        return cls(fields, len(text))
+
+    @property
+    def id(self) -> object:
+        """Return the id as the client wrote it; None without an id.
+
+        Raises:
+            BadRequest: the id is neither a number nor a short text.
+        """
+        found = self.fields.get("id")
+        if isinstance(found, list | dict) or (isinstance(found, str) and len(found) > MAX_TEXT):
+            raise BadRequest(f"{self.op}: id must be a number, or a text of at most {MAX_TEXT} characters")
+        return found
+
+    def text(self, key: str) -> str:
+        """Return a required text.
+
+        Raises:
+            BadRequest: the field is missing, not a text, or too long.
+        """
+        value = self.fields.get(key)
+        if not isinstance(value, str) or not value:
+            raise BadRequest(f"{self.op}: {key} must be a text")
+        if len(value) > MAX_TEXT:
+            raise BadRequest(f"{self.op}: {key} is longer than {MAX_TEXT} characters")
+        return value
+
+    def text_or(self, key: str, default: str) -> str:
+        """Return a text; `default` if it is missing, empty or null.
+
+        Raises:
+            BadRequest: the field is not a text, or too long.
+        """
+        return self.text(key) if self.fields.get(key) else default
+
+    def number_or(self, key: str, default: float) -> float:
+        """Return a number of 0 or more; `default` if it is missing or null.
+
+        Raises:
+            BadRequest: the field is not such a number.
+        """
+        value = self.fields.get(key)
+        if value is None:
+            return default
+        if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value < math.inf:
+            raise BadRequest(f"{self.op}: {key} must be a number of 0 or more")
+        return float(min(value, 2**53))  # an integer may be too large for a float
+
+    def whole(self, key: str, default: int, largest: int) -> int:
+        """Return an integer from 0 to `largest`.
+
+        Raises:
+            BadRequest: the field is not such an integer.
+        """
+        value = self.fields.get(key, default)
+        if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value <= largest:
+            raise BadRequest(f"{self.op}: {key} must be an integer from 0 to {largest}")
+        return value
+
+    def table(self, key: str) -> dict[str, Any]:
+        """Return an object; an empty one if the field is missing.
+
+        Raises:
+            BadRequest: the field is not an object.
+        """
+        value = self.fields.get(key, {})
+        if not isinstance(value, dict):
+            raise BadRequest(f"{self.op}: {key} must be an object")
+        return value
+
+    def is_set(self, key: str) -> bool:
+        """Whether a field is true."""
+        return self.fields.get(key) is True
+
+
+MAX_PENDING = 4  # incomplete messages of one client
+MAX_PIECES = 1024  # fragments of one message
+TIMEOUT_S = 60.0  # since the last fragment of a message
+
+
+@dataclass(slots=True)
+class _Pending:
+    total: int
+    fed_at_s: float
+    pieces: dict[int, str] = field(default_factory=dict)
+
+
+class Fragments:
+    """Incomplete messages of one client by id. Together they are at most as large as one message."""
+
+    def __init__(self, max_bytes: int, share: Share) -> None:
+        """Create the store of one client. `share`: byte budget of all clients."""
+        self._max_bytes, self._share = max_bytes, share
+        self._bytes = 0
+        self._pending: dict[object, _Pending] = {}
+
+    def add(self, key: object, *, number: int, total: int, data: str, now_s: float) -> str | None:
+        """Add a fragment. Return the whole message with its last one.
+
+        Raises:
+            BadRequest: the fragment is invalid or has no room; its message is dropped.
+        """
+        self._expire(now_s)
+        pending = self._pending.get(key)
+        if pending is None:
+            if len(self._pending) >= MAX_PENDING:
+                raise BadRequest(f"fragment: more than {MAX_PENDING} messages are incomplete")
+            pending = self._pending[key] = _Pending(total, now_s)
+        problem = self._problem(pending, number, total, data)
+        if problem:
+            self._drop(key)
+            raise BadRequest(f"fragment: {problem}; the message is dropped")
+        size = _size(data)
+        if not self._share.take(size):
+            self._drop(key)
+            raise BadRequest(
+                f"fragment: all clients together have {self._share.max_bytes} bytes of fragments; send it later"
+            )
+        pending.pieces[number] = data
+        pending.fed_at_s = now_s
+        self._bytes += size
+        if len(pending.pieces) < total:
+            return None
+        self._drop(key)
+        return "".join(pending.pieces[index] for index in range(total))
+
+    def close(self) -> None:
+        """Drop everything: the client has disconnected."""
+        for key in list(self._pending):
+            self._drop(key)
+
+    def _problem(self, pending: _Pending, number: int, total: int, data: str) -> str:
+        if not 1 <= total <= MAX_PIECES:
+            return f"total must be from 1 to {MAX_PIECES}"
+        if total != pending.total:
+            return f"total was {pending.total} and is {total}"
+        if not 0 <= number < total:
+            return f"num must be from 0 to {total - 1}"
+        if number in pending.pieces:
+            return f"fragment {number} was sent twice"
+        if self._bytes + _size(data) > self._max_bytes:
+            return f"more than {self._max_bytes} bytes of fragments"
+        return ""
+
+    def _expire(self, now_s: float) -> None:
+        for key in [key for key, pending in self._pending.items() if now_s >= pending.fed_at_s + TIMEOUT_S]:
+            self._drop(key)
+
+    def _drop(self, key: object) -> None:
+        size = sum(map(_size, self._pending.pop(key).pieces.values()))
+        self._bytes -= size
+        self._share.give(size)
+
+
+def _size(data: str) -> int:
+    return len(data.encode("utf-8", "surrogatepass"))
+
+
+HEADER = "std_msgs/Header"
+MAX_PARTS = 2000  # about 15 ms; a path of a small robot has a few hundred poses
+_NS_PER_S = 1_000_000_000
+
+
+def fill_stamps(type_: MessageType, message: dict[str, Any], now_ns: int) -> dict[str, Any]:
+    """Return the message with its times filled in. Values that do not fit the type are left to the codec.
+
+    Raises:
+        BadRequest: more than MAX_PARTS parts have times; walking through them would delay commands.
+    """
+    return _Filler(to_time(now_ns)).fill(type_, message) if type_.has_time else message
+
+
+def to_time(stamp_ns: int) -> dict[str, int]:
+    """Return a time as a message has it."""
+    secs, nsecs = divmod(stamp_ns, _NS_PER_S)
+    return {"secs": secs, "nsecs": nsecs}
+
+
+class _Filler:
+    """Fills in the times of one message, part by part."""
+
+    def __init__(self, now: dict[str, int]) -> None:
+        self._now = now
+        self._parts = 0
+
+    def fill(self, type_: MessageType, message: dict[str, Any]) -> dict[str, Any]:
+        self._parts += 1
+        if self._parts > MAX_PARTS:
+            raise BadRequest(f"more than {MAX_PARTS} parts with times: fill in the times, or send several messages")
+        filled = dict(message)
+        if type_.name == HEADER:
+            filled = {name: value for name, value in message.items() if value is not None}  # roslibpy's unset
+            if _is_zero(filled.get("stamp")):
+                filled["stamp"] = self._now
+        for each in type_.fields:
+            nested = type_.nested.get(each.type)
+            if each.type == "time":
+                if each.name in filled:
+                    filled[each.name] = _each(filled[each.name], self._time)
+            elif nested is not None and nested.has_time and (each.name in filled or each.array_length == SCALAR):
+                part = filled.get(each.name, {})
+                filled[each.name] = _each(part, functools.partial(self._nested, nested))
+        return filled
+
+    def _time(self, value: Any) -> Any:
+        return self._now if value == "now" else value
+
+    def _nested(self, type_: MessageType, value: Any) -> Any:
+        return self.fill(type_, value) if isinstance(value, dict) else value
+
+
+def _each(value: Any, fill: Callable[[Any], Any]) -> Any:
+    return [fill(item) for item in value] if isinstance(value, list) else fill(value)
+
+
+def _is_zero(stamp: object) -> bool:
+    return stamp is None or (isinstance(stamp, dict) and not any(stamp.values()))
+
+
+_NUMBERS = frozenset((int, float))  # exact types: JSON's true and false are not numbers
+_NONE = (None, False)  # not a velocity, or an invalid one, which is refused and not replaced
+
+
+def velocity_of_request(request: Request, topics: TopicGraph) -> tuple[Hashable, bool]:
+    """Return the key of a velocity (None: not a velocity) and whether it is zero. The key has robot and priority."""
+    fields = request.fields
+    priority = fields.get("priority")
+    if not isinstance(priority, int | None):
+        return _NONE
+    if request.op == "drive":
+        robot = fields.get("robot")
+        x, y, yaw = fields.get("linear"), fields.get("linear_y", 0), fields.get("angular")
+        if not (type(robot) is str and type(x) in _NUMBERS and type(y) in _NUMBERS and type(yaw) in _NUMBERS):
+            return _NONE
+        return ("drive", robot, priority), not (x or y or yaw)
+    name = fields.get("topic")
+    topic = topics.find_or_none(name) if request.op == "publish" and isinstance(name, str) else None
+    if topic is None or not topic.is_gated:
+        return _NONE
+    is_zero = _is_zero_message(fields)
+    return _NONE if is_zero is None else (("publish", topic.name, priority), is_zero)
+
+
+def _is_zero_message(fields: dict[str, Any]) -> bool | None:
+    """Whether a Twist or a TwistStamped (JSON, or bytes in base64) is zero; None for another message."""
+    raw, message = fields.get("raw"), fields.get("msg")
+    if raw is not None:
+        try:
+            return is_zero_payload(base64.b64decode(raw, validate=True))
+        except (TypeError, ValueError, binascii.Error):
+            return None
+    if not isinstance(message, dict):
+        return None
+    twist = message.get("twist", message)
+    if not isinstance(twist, dict):
+        return None
+    numbers: list[Any] = []
+    for name in ("linear", "angular"):
+        vector = twist.get(name, {})
+        if not isinstance(vector, dict):
+            return None
+        numbers += vector.values()
+    return not any(numbers) if _NUMBERS.issuperset(map(type, numbers)) else None
+
+
+_NS_PER_S = 1_000_000_000
+# RFC 8746, little-endian: the tags that roslibjs reads.
+_TAGS = {
+    "uint16": (69, "H"),
+    "uint32": (70, "I"),
+    "uint64": (71, "Q"),
+    "int8": (72, "b"),
+    "int16": (77, "h"),
+    "int32": (78, "i"),
+    "int64": (79, "q"),
+    "float32": (85, "f"),
+    "float64": (86, "d"),
+}
+
+
+def encode_cbor(topic: str, message: Message) -> bytes:
+    """Encode the `publish` operation with the fields of the message.
+
+    Raises:
+        BadPayload: the bytes are not a message of the type.
+    """
+    fields: Any = message.decoded
+    if message.type is not None:
+        fields = _with_typed_arrays(message.type, message.decoded)
+    return cbor2.dumps({"op": "publish", "topic": topic, "msg": fields})
+
+
+def encode_cbor_raw(topic: str, message: Message) -> bytes:
+    """Encode the `publish` operation with the serialised message: rosserial and ROS 1 serialise alike."""
+    secs, nsecs = divmod(message.stamp_ns, _NS_PER_S)
+    raw = {"secs": secs, "nsecs": nsecs, "bytes": message.payload}
+    return cbor2.dumps({"op": "publish", "topic": topic, "msg": raw})
+
+
+def _with_typed_arrays(type_: MessageType, fields: Mapping[str, Any]) -> dict[str, Any]:
+    shaped = dict(fields)
+    for each in type_.fields:
+        value, nested = fields[each.name], type_.nested.get(each.type)
+        if nested is not None:
+            is_list = isinstance(value, list)
+            shaped[each.name] = (
+                [_with_typed_arrays(nested, item) for item in value] if is_list else _with_typed_arrays(nested, value)
+            )
+        elif isinstance(value, list) and each.type in _TAGS:
+            tag, layout = _TAGS[each.type]
+            shaped[each.name] = cbor2.CBORTag(tag, struct.pack(f"<{len(value)}{layout}", *value))
+    return shaped
+
+
+MAX_QUEUE_LENGTH = 256
+Warn = Callable[[str], None]
+
+_BINARY = {"cbor": encode_cbor, "cbor-raw": encode_cbor_raw}
+_FORMS = ("none", "cbor", "cbor-raw")  # the highest counts where ids of one topic differ, as in rosbridge
+
+
+class _SubscriptionOptions(NamedTuple):
+    """Options of one id of a subscribed topic."""
+
+    interval_s: float
+    queue_length: int
+    form: str
+
+
+class _ClientSubscription:
+    """One topic as the client spells it. Several ids may share it; each message is sent once."""
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self.form = "none"
+        self.options: dict[object, _SubscriptionOptions] = {}
+        self.subscription: Subscription | None = None
+        self._prefix = msgspec.json.encode({"op": "publish", "topic": name})[:-1] + b',"msg":'
+
+    def merge(self) -> tuple[float, int]:
+        """Set the highest encoding of all ids. Return the shortest interval and the shortest queue."""
+        options = self.options.values()
+        self.form = max((each.form for each in options), key=_FORMS.index)
+        return min(each.interval_s for each in options), min(each.queue_length for each in options)
+
+    def encode(self, message: Message) -> bytes:
+        """Encode a `publish` operation.
+
+        Raises:
+            BadPayload: the bytes do not fit the type, or the type is unknown.
+        """
+        encode = _BINARY.get(self.form)
+        return self._prefix + message.made("json", encode_json) + b"}" if encode is None else encode(self.name, message)
+
+
+class ClientSubscriptions:
+    """Subscriptions by topic as the client spells it: `odom` and `/odom` are two, and each has its own messages."""
+
+    def __init__(self, participant: Participant, queue: ClientQueue, warn: Warn) -> None:
+        self._participant, self._queue, self._warn = participant, queue, warn
+        self._subscriptions: dict[str, _ClientSubscription] = {}
+
+    def subscribe(self, request: Request) -> None:
+        """Add an id to a topic, or change its options.
+
+        Raises:
+            BadRequest: a field is wrong, or there are too many subscriptions.
+            WrongType: the topic is in use with another type.
+        """
+        name, form = request.text("topic"), request.text_or("compression", "none")
+        chosen = _SubscriptionOptions(
+            request.number_or("throttle_rate", 0.0) / 1000,
+            min(int(request.number_or("queue_length", 0.0)), MAX_QUEUE_LENGTH),
+            form if form in _FORMS else "none",
+        )
+        known = self._subscriptions.get(name)
+        is_new = known is None or request.id not in known.options
+        if is_new and sum(len(other.options) for other in self._subscriptions.values()) >= MAX_SUBSCRIPTIONS:
+            raise BadRequest(f"more than {MAX_SUBSCRIPTIONS} subscriptions")
+        mine = _ClientSubscription(name) if known is None else known
+        mine.options[request.id] = chosen
+        if mine.subscription is None:
+            self._subscribe(mine, request.text_or("type", ""))
+        else:
+            self._update(mine)
+        if form not in _FORMS:
+            self._warn(f"subscribe: compression {form} is not offered, {name} is sent as JSON")
+
+    def unsubscribe(self, request: Request) -> None:
+        """Remove one id, or without an id the whole topic. An unknown id is ignored."""
+        name = request.text("topic")
+        mine = self._subscriptions.get(name)
+        if mine is None:
+            return
+        if request.id is None:
+            mine.options.clear()
+        mine.options.pop(request.id, None)
+        if mine.options:
+            self._update(mine)
+            return
+        del self._subscriptions[name]
+        self._queue.forget(name)
+        if mine.subscription is not None:
+            mine.subscription.close()
+
+    def _subscribe(self, mine: _ClientSubscription, type_name: str) -> None:
+        interval_s, queue_length = mine.merge()
+        mine.subscription = self._participant.subscribe(
+            mine.name,
+            functools.partial(self._put, mine),
+            type_name=type_name,
+            interval_s=interval_s,
+            queue_length=queue_length,
+            on_throttled=self._queue.wake,
+        )
+        self._subscriptions[mine.name] = mine
+
+    def _update(self, mine: _ClientSubscription) -> None:
+        interval_s, queue_length = mine.merge()
+        if mine.subscription is not None:
+            mine.subscription.change(interval_s=interval_s, queue_length=queue_length)
+            self._queue.wake()
+
+    def _put(self, mine: _ClientSubscription, message: Message) -> None:
+        """Queue a message. It is encoded once for all clients with the same encoding and name."""
+        try:
+            outgoing = Outgoing(message.made((mine.form, mine.name), mine.encode), mine.form in _BINARY)
+        except BadPayload as error:
+            self._warn(str(error))
+        else:
+            self._queue.put_message(mine.name, outgoing, message.at_s)
+
+
+def encode_json(message: Message) -> bytes:
+    """Encode the fields as JSON: NaN is null, uint8[] is base64."""
+    return msgspec.json.encode(message.decoded)
+
 
 class ClientTopics:
-    """The ids of advertised topics; a topic is taken back with its last id."""
+    """Topics that a client advertises. The client may use several ids for one topic; the last id withdraws it."""
 
     def __init__(self, participant: Participant) -> None:
         self._participant = participant
@@ -45,10 +519,10 @@ class ClientTopics:
         self._latched: set[str] = set()
 
     def advertise(self, request: Request) -> None:
-        """Note a topic.
+        """Advertise a topic.
 
         Raises:
-            BadRequest: nobody knows its type, or there are too many.
+            BadRequest: the type is unknown, or more than MAX_ADVERTISED topics are advertised.
             WrongType: the topic is in use with another type.
         """
         name, is_latched = resolve(request.text("topic")), request.is_set("latch")
@@ -61,14 +535,14 @@ class ClientTopics:
             self._latched.add(name)
 
     def publish(self, request: Request) -> None:
-        """A `publish` that names the type advertises its topic, unless that is done; errors as `advertise`."""
+        """Advertise the topic of a `publish` that names its type, if that is not done yet. Raises as `advertise`."""
         name = resolve(request.text("topic"))
         is_known = name in self._latched or (name in self._ids and not request.is_set("latch"))
         if not is_known and request.fields.get("type"):
             self.advertise(request)
 
     def unadvertise(self, request: Request) -> None:
-        """Take back one id, or without an id the whole topic; one that is not there is no error."""
+        """Withdraw one id, or without an id the whole topic. An unknown id is ignored."""
         name = resolve(request.text("topic"))
         ids = self._ids.get(name, set())
         ids.discard(request.id)
@@ -82,10 +556,10 @@ class ClientTopics:
 Values = Mapping[str, object]
 
 
-class _Call(NamedTuple):
-    """A call that the client has not answered yet."""
+class _PendingCall(NamedTuple):
+    """A service call that the client has not answered yet."""
 
-    service: str  # as the client spells it
+    service: str  # name as the client spells it
     type: ServiceType | None
     answer: asyncio.Future[Values]
 
@@ -98,26 +572,26 @@ class _Call(NamedTuple):
             self.answer.set_exception(error)
 
     def completed(self, values: Values) -> Values:
-        """As the type of the service has it, as through ROS; BadRequest for what does not fit."""
+        """Complete the values by the type of the service, as ROS does. Raise BadRequest for values that do not fit."""
         return values if self.type is None else self.type.response.decode(self.type.response.encode(values))
 
 
 class ClientServices:
-    """Provided, called and answered."""
+    """Services that a client provides: advertised, called and answered."""
 
     def __init__(
         self, participant: Participant, catalog: Catalog, queue: ClientQueue, warn: Callable[[str], None]
     ) -> None:
-        """`warn` sends the client what is no error of its own."""
+        """Create the services of one participant. `warn` sends the client a status of level warning."""
         self._participant, self._catalog, self._queue, self._warn = participant, catalog, queue, warn
         self._numbers = itertools.count(1)
-        self._waiting: dict[str, _Call] = {}
+        self._waiting: dict[str, _PendingCall] = {}
 
     def advertise(self, request: Request) -> None:
-        """Provide a service; the newest offer of a name counts.
+        """Provide a service. The newest provider of a name replaces the others.
 
         Raises:
-            BadRequest: a field is wrong, there are too many, or the name is the daemon's own.
+            BadRequest: a field is wrong, there are too many services, or the name is reserved for the daemon.
         """
         name, type_name = request.text("service"), request.text("type")
 
@@ -127,18 +601,18 @@ class ClientServices:
         self._participant.provide(name, type_name, answer, notify=self._warn)
 
     def unadvertise(self, request: Request) -> None:
-        """Provide it no more."""
+        """Withdraw a service."""
         self._participant.withdraw(request.text("service"))
 
     def respond(self, request: Request) -> None:
-        """Accept the client's `service_response`; one that nobody waits for is late, and harmless.
+        """Accept the client's `service_response`. Answer one that no call waits for with a warning.
 
         Raises:
-            BadRequest: it is none, and the call has failed.
+            BadRequest: the response is invalid; the call has failed.
         """
         call = self._waiting.get(str(request.id))
         if call is None or call.answer.done():
-            self._warn("service_response: no call waits for an answer with this id (any more)")
+            self._warn("service_response: no call waits for an answer with this id")
             return
         try:
             self._accept(call, request)
@@ -146,28 +620,28 @@ class ClientServices:
             call.fail(error)
             raise
 
-    def _accept(self, call: _Call, request: Request) -> None:
-        """As rosbridge does, an object goes to the caller whatever `result` is: success is a field of the object.
+    def _accept(self, call: _PendingCall, request: Request) -> None:
+        """Pass an object to the caller even if `result` is false, as rosbridge does: success is a field of the object.
 
-        Only what could be no answer of the service's is a failure.
+        Fail the call only if the response cannot be one of the service.
         """
         values, is_right = request.fields.get("values"), request.fields.get("result")
-        if is_right not in (True, False, None):  # roslibpy sends null where its function returns nothing
+        if is_right not in (True, False, None):  # roslibpy sends null for a function that returns None
             raise BadRequest(f"{call.service}: result must be true or false")
         if is_right is False and not isinstance(values, dict):
             call.fail(ServiceFailed(call.service, values if isinstance(values, str) else reprlib.repr(values)))
         elif isinstance(values, dict | None):
             call.succeed(call.completed(values or {}))
         else:
-            raise BadRequest(f"{call.service}: its answer is no object")
+            raise BadRequest(f"{call.service}: the answer is not an object")
 
     async def _call(self, name: str, type_name: str, arguments: Values) -> Values:
-        """Call the client. Where the type has a definition, both ways are complete and right, as through ROS."""
+        """Call the client. With a known type, arguments and answer are checked and completed, as in ROS."""
         type_ = self._catalog.service(type_name)
         if type_ is not None:
             arguments = type_.request.decode(type_.request.encode(arguments))
         key = f"{self._participant.name} {next(self._numbers)}"
-        call = self._waiting[key] = _Call(name, type_, asyncio.get_running_loop().create_future())
+        call = self._waiting[key] = _PendingCall(name, type_, asyncio.get_running_loop().create_future())
         request = {"op": "call_service", "id": key, "service": name, "args": arguments}
         try:
             put_json(self._queue, request)
@@ -176,13 +650,13 @@ class ClientServices:
             del self._waiting[key]
 
 
-MAX_ANSWERS = 64  # that one client waits for
+MAX_ANSWERS = 64  # calls of one client that wait for another daemon
 
 
-class DriveRequest(msgspec.Struct):
-    """m/s, rad/s counter-clockwise; `linear_y`: to the left.
+class DriveOperation(msgspec.Struct):
+    """Fields of the operation `drive`: m/s and rad/s, counter-clockwise positive; `linear_y` is to the left.
 
-    All from `link` on is for commands that a program sends by itself.
+    Only programs that send commands by themselves need the fields from `sent_s` on.
     """
 
     robot: str
@@ -190,17 +664,17 @@ class DriveRequest(msgspec.Struct):
     angular: float
     linear_y: float = 0.0
     priority: int = PROGRAM_PRIORITY
-    sent_s: float | None = None  # when, by the client's own clock
-    epoch: int | None = None  # of the robot, as the answer before gave it
-    stops: int | None = None  # a synonym of `epoch`
-    link: int | None = None  # the connection of the device for which it is meant: with another, an earlier epoch
+    sent_s: float | None = None  # time of sending by the client's own clock
+    epoch: int | None = None  # of the robot, from the previous answer
+    stops: int | None = None  # synonym of `epoch`
+    link: int | None = None  # number of the device's connection; for another number the epoch counts as an earlier one
 
 
-class Drive:
-    """One client's commands. Each is answered, so that a refusal is known at once and not by the next command.
+class DriveCommands:
+    """Velocity commands of one client. Each is answered, so that the client learns of a refusal at once.
 
-    A robot of another daemon answers from there, MAX_ANSWERS of one client at a time; over that what was sent is the
-    answer.
+    A robot of another daemon is answered for by that daemon, at most MAX_ANSWERS commands at a time. Above that the
+    answer is the velocity as sent.
     """
 
     def __init__(
@@ -211,14 +685,28 @@ class Drive:
         *,
         spawn: Callable[[Coroutine[Any, Any, None]], object],
     ) -> None:
-        """`spawn` runs what waits for an answer, at most as long as the client is there."""
+        """Create the commands of one client. `spawn` runs a wait for another daemon in the client's task group."""
         self._participant, self._robots, self._queue, self._spawn = participant, robots, queue, spawn
         self._waiting = 0
 
     def receive(self, request: Request) -> None:
-        """Do the operation; whatever comes of it is the answer, also to those in the place of which it is done."""
+        """Execute a `drive`. The answer is also sent for each operation that it replaced."""
         try:
-            robot, velocity, limited = self._command(request)
+            try:
+                wanted = msgspec.convert(request.fields, DriveOperation)
+            except msgspec.ValidationError as error:
+                raise BadRequest(f"drive: {error}") from error
+            if not 0 <= wanted.priority <= MAX_PRIORITY:
+                raise BadRequest(f"drive: priority must be a number from 0 to {MAX_PRIORITY}")
+            velocity = PlanarVelocity(wanted.linear, wanted.linear_y, wanted.angular)
+            robot = self._robots.find(wanted.robot, driver=None if velocity.is_zero else lambda: self._participant)
+            epoch = wanted.stops if wanted.epoch is None else wanted.epoch
+            if wanted.link is not None and robot.link is not None:
+                is_same = robot.resumed_link <= wanted.link <= robot.link.number
+                epoch = epoch if is_same else EARLIER_EPOCH
+            limited = self._participant.drive(
+                robot, velocity, priority=wanted.priority, received_s=request.came_s, sent_s=wanted.sent_s, epoch=epoch
+            )
         except HostlinkError as error:
             self._refuse(request, error)
             return
@@ -240,19 +728,17 @@ class Drive:
             self._waiting -= 1
 
     def _accept(self, request: Request, robot: Robot, velocity: PlanarVelocity, limited: PlanarVelocity) -> None:
-        link = None if robot.link is None else robot.link.number
-        answer = {
+        answer: dict[str, object] = {
             "op": "drive_result",
             "result": True,
-            "link": link,
-            "epoch": robot.admission.epoch,
+            "link": None if robot.link is None else robot.link.number,
             "stops": robot.admission.epoch,
             "client": self._participant.name,
         }
         self._put(request, answer | velocity_answer(robot, velocity, limited))
 
     def _refuse(self, request: Request, error: HostlinkError) -> None:
-        answer = {"op": "drive_result", "result": False, "kind": error.kind, "reason": str(error)}
+        answer: dict[str, object] = {"op": "drive_result", "result": False, "kind": error.kind, "reason": str(error)}
         if isinstance(error, CommandRefused):
             answer["epoch"] = self._robots.find(error.robot).admission.epoch
         self._put(request, answer)
@@ -260,29 +746,12 @@ class Drive:
     def _put(self, request: Request, answer: dict[str, object]) -> None:
         for replaced in request.replaced:
             put_json(self._queue, answer | {"id": replaced.fields.get("id"), "is_replaced": True})
-        put_json(self._queue, answer | {"id": request.fields.get("id")})
-
-    def _command(self, request: Request) -> tuple[Robot, PlanarVelocity, PlanarVelocity]:
-        try:
-            wanted = msgspec.convert(request.fields, DriveRequest)
-        except msgspec.ValidationError as error:
-            raise BadRequest(f"drive: {error}") from error
-        if not 0 <= wanted.priority <= MAX_PRIORITY:
-            raise BadRequest(f"drive: priority must be a number from 0 to {MAX_PRIORITY}")
-        velocity = PlanarVelocity(wanted.linear, wanted.linear_y, wanted.angular)
-        robot = self._robots.find(wanted.robot, driver=None if velocity.is_zero else lambda: self._participant)
-        epoch = wanted.stops if wanted.epoch is None else wanted.epoch
-        if wanted.link is not None and robot.link is not None:
-            is_same = robot.resumed_link <= wanted.link <= robot.link.number
-            epoch = epoch if is_same else EARLIER_EPOCH
-        limited = self._participant.drive(
-            robot, velocity, priority=wanted.priority, received_s=request.came_s, sent_s=wanted.sent_s, epoch=epoch
-        )
-        return robot, velocity, limited
+        answer["id"] = request.fields.get("id")
+        self._queue.put_result(Outgoing(msgspec.json.encode(answer)))
 
 
 class GraphTopicView(TypedDict):
-    """A topic, with what others than the group do with it."""
+    """A topic, and what participants outside the client's group do with it."""
 
     name: str
     type: str
@@ -293,32 +762,32 @@ class GraphTopicView(TypedDict):
 
 
 class GraphServiceView(TypedDict):
-    """A service."""
+    """A service and its type."""
 
     name: str
     type: str
 
 
 class GraphRobotView(TypedDict):
-    """A robot of this daemon, and the topics that drive it; `link` is null while its device is not connected."""
+    """A robot of this daemon and its velocity topics. `link` is null while the device is disconnected."""
 
     name: str
     link: int | None
-    velocity_topics: dict[str, str]  # types by name
+    velocity_topics: dict[str, str]  # types by topic name
 
 
 class ClientGraph:
-    """Sends the whole graph after each change; the daemon notes changes every 50 ms at most."""
+    """The operation `watch_graph`: sends the whole graph after each change, at most every 50 ms."""
 
     def __init__(self, participant: Participant, robots: Robots, queue: ClientQueue) -> None:
         self._participant, self._robots, self._queue = participant, robots, queue
         self._sent = b""
 
     def watch(self, _: Request) -> None:
-        """Send `graph` now and after every change.
+        """Send `graph` now and after each change.
 
         Raises:
-            BadRequest: it has left.
+            BadRequest: the participant has left.
         """
         self._sent = b""
         self._participant.watch_graph(self._send)
@@ -343,7 +812,7 @@ class ClientGraph:
 
 
 def graph_view(graph: Graph) -> dict[str, object]:
-    """Topics and services."""
+    """Return topics and services as JSON objects."""
     services: list[GraphServiceView] = [{"name": each.name, "type": each.type_name} for each in graph.services]
     return {"topics": [_topic_view(topic) for topic in graph.topics], "services": services}
 
@@ -367,14 +836,14 @@ def _velocity_topics(robot: LocalRobot, gated: set[str]) -> dict[str, str]:
 
 log = structlog.get_logger()
 
-MAX_UNKNOWN_OPS = 8  # that are logged; a client may send any number
+MAX_UNKNOWN_OPS = 8  # logged for each client; the number of invalid operations is unbounded
 _ONLY_READS = frozenset({"subscribe", "unsubscribe", "call_service", "set_level", "auth", "fragment", "watch_graph"})
-_LEVELS = ("info", "warning", "error", "none")  # of `set_level`: from this one on the client receives `status`
+_LEVELS = ("info", "warning", "error", "none")  # of `set_level`: the client receives `status` of this level and above
 _WARNING, _ERROR = 1, 2
 
 
 class RosbridgeClient:
-    """One participant, and the language that its program speaks."""
+    """One participant and its rosbridge operations."""
 
     def __init__(
         self,
@@ -386,7 +855,7 @@ class RosbridgeClient:
         role: Role = Role.DRIVE,
         group: str = "",
     ) -> None:
-        """`spawn` runs a service call as a child of the client's connection; `group`: the graph for which it stands."""
+        """Join the hub. `spawn` runs a service call in the client's task group; `group`: the mirrored graph."""
         self.participant = hub.join(name, role=role, group=group, on_end=queue.close)
         self._topics = ClientTopics(self.participant)
         services = ClientServices(self.participant, hub.catalog, queue, self._warn)
@@ -394,12 +863,12 @@ class RosbridgeClient:
         self._hub = hub
         self._queue = queue
         self._spawn = spawn
-        self._calls = 0
-        self._status_from: int | None = None  # of _LEVELS; None: the client has not said
+        self.calls = 0  # pending
+        self._status_from: int | None = None  # index in _LEVELS; None: not set by the client
         self._refused_velocities = RateLimit(REFUSED_VELOCITIES_S)
         self._unknown_ops: set[str] = set()
         self._fragments = Fragments(hub.config.api.max_message_bytes, hub.budget["fragments"])
-        self._drive = Drive(self.participant, hub.robots, queue, spawn=spawn)
+        self._drive = DriveCommands(self.participant, hub.robots, queue, spawn=spawn)
         self._operations: dict[str, Callable[[Request], None]] = {
             "advertise": self._topics.advertise,
             "unadvertise": self._topics.unadvertise,
@@ -421,11 +890,11 @@ class RosbridgeClient:
         }
 
     def receive(self, text: str | bytes, came_s: float | None = None) -> None:
-        """Do what one message of the client's says; what is wrong with it becomes a status, and is never raised."""
+        """Execute one message of the client. An error becomes a status and is never raised."""
         self.do(self.read(text, asyncio.get_running_loop().time() if came_s is None else came_s))
 
     def read(self, data: str | bytes, came_s: float) -> Operation[Request | BadRequest]:
-        """Decode a message; `do` tells the client what is wrong with it."""
+        """Decode a message. An error is returned as the content, and sent to the client by `do`."""
         try:
             request = Request.read(data)
         except BadRequest as error:
@@ -435,7 +904,7 @@ class RosbridgeClient:
         return Operation(request, came_s, velocity_of, is_zero)
 
     def do(self, operation: Operation[Request | BadRequest]) -> None:
-        """Do what a message says; what is wrong with it becomes a status, and is never raised."""
+        """Execute a decoded message. An error becomes a status and is never raised."""
         if isinstance(operation.content, BadRequest):
             self._put_error(operation.content)
             return
@@ -453,16 +922,11 @@ class RosbridgeClient:
             self._put_error(error, request)
 
     def flush(self, now_s: float) -> float | None:
-        """Send what subscriptions held back until now; returns when the next is due."""
+        """Queue messages that throttled subscriptions hold back. Return when the next one is due."""
         return self.participant.flush(now_s)
 
-    @property
-    def is_crowded(self) -> bool:
-        """Whether many calls are under way."""
-        return self._calls > MAX_CALLS // 2
-
     def close(self) -> None:
-        """The client has left: all that it has goes with it."""
+        """End the participant and release everything that it has."""
         self.participant.leave()
         self._fragments.close()
 
@@ -482,16 +946,16 @@ class RosbridgeClient:
         self.participant.publish(topic, payload, priority=priority, at_s=request.came_s)
 
     def _call_service(self, request: Request) -> None:
-        if self._calls >= MAX_CALLS:
-            self._answer(request, f"more than {MAX_CALLS} calls under way", is_right=False)
+        if self.calls >= MAX_CALLS:
+            self._answer(request, f"more than {MAX_CALLS} calls are pending", is_right=False)
             return
-        request.id  # noqa: B018 - one that cannot be answered is refused before anything is called
-        self._calls += 1
+        request.id  # noqa: B018 - raises for an invalid id before the service is called
+        self.calls += 1
         self._spawn(self._finish_call(request))
 
     async def _finish_call(self, request: Request) -> None:
         try:
-            with self._hub.budget["calls"].holding(request.size_bytes, "calls that are under way"):
+            with self._hub.budget["calls"].holding(request.size_bytes, "pending calls"):
                 name = request.text("service")
                 timeout_s = request.number_or("timeout", 0.0) or None
                 arguments = _arguments(request, self._hub.services.type_of(name))
@@ -500,12 +964,12 @@ class RosbridgeClient:
         except HostlinkError as error:
             self._answer(request, str(error), is_right=False)
         finally:
-            self._calls -= 1
+            self.calls -= 1
 
     def _add_fragment(self, request: Request) -> None:
         data = request.fields.get("data")
         if request.id is None or not isinstance(data, str):
-            raise BadRequest("fragment: id and data must be there")
+            raise BadRequest("fragment: id and data are required")
         number, total = request.whole("num", -1, MAX_PIECES), request.whole("total", -1, MAX_PIECES)
         now_s = asyncio.get_running_loop().time()
         whole = self._fragments.add(request.id, number=number, total=total, data=data, now_s=now_s)
@@ -513,9 +977,9 @@ class RosbridgeClient:
             self.receive(whole, request.came_s)
 
     def _refuse_goal(self, request: Request) -> None:
-        """rosserial has no actions: a goal is refused at once, so that nobody waits."""
-        answer = {"op": "action_result", "action": request.text("action"), "values": "no actions here", "status": 6}
-        self._put(request, answer | {"result": False})
+        """Refuse a goal at once: rosserial has no actions."""
+        answer = {"op": "action_result", "action": request.text("action"), "values": "actions are unsupported"}
+        self._put(request, answer | {"status": 6, "result": False})
 
     def _set_level(self, request: Request) -> None:
         level = request.text("level")
@@ -540,9 +1004,10 @@ class RosbridgeClient:
             put_json(self._queue, {"op": "status", "level": "warning", "msg": text})
 
     def _put_error(self, error: HostlinkError, request: Request | None = None) -> None:
-        """A client that has not said which status it wants gets those of its refused velocities, now and then.
+        """Send an error as a status, if the client has asked for it.
 
-        rosbridge's document has "error" as the default, but its own clients log an exception for each status.
+        rosbridge's document has "error" as the default level, but its own clients log an exception for each status.
+        A client that has set no level receives only statuses of refused velocities, at a limited rate.
         """
         log.debug("client.refused", client=self.participant.name, reason=str(error))
         if not (self._is_shown_velocity(request) if self._status_from is None else self._status_from <= _ERROR):
@@ -554,7 +1019,7 @@ class RosbridgeClient:
         put_json(self._queue, status)
 
     def _is_shown_velocity(self, request: Request | None) -> bool:
-        """Whether a refusal is that of a published velocity, and the client was told of none on this topic lately."""
+        """Whether the error refuses a published velocity, and the rate limit of its topic admits a status."""
         name = request.fields.get("topic") if request is not None and request.op == "publish" else None
         topic = self._hub.topics.find_or_none(name) if isinstance(name, str) else None
         if topic is None or not topic.is_gated:
@@ -568,33 +1033,33 @@ class RosbridgeClient:
 
 
 def _accept(request: Request) -> None:
-    """Old clients authenticate; nothing here requires it."""
+    """Accept `auth`, which old clients send. Tokens are checked when the WebSocket opens."""
 
 
 def _refuse_action(request: Request) -> None:
-    raise BadRequest(f"{request.op}: no actions here")
+    raise BadRequest(f"{request.op}: actions are unsupported")
 
 
 def _raw_payload(request: Request, type_: MessageType) -> bytes:
-    """The serialised message in base64, as `cbor-raw` has it; empty: the request has its fields instead.
+    """Return the serialised message of the field `raw`, which is base64; empty without that field.
 
     Raises:
-        BadRequest: it is no base64.
-        BadPayload: it is no message of the type.
+        BadRequest: the field is not base64.
+        BadPayload: the bytes are not a message of the type.
     """
     raw = request.fields.get("raw")
     if raw is None:
         return b""
     try:
         payload = base64.b64decode(raw, validate=True)
-    except (TypeError, ValueError):  # binascii.Error is one
+    except (TypeError, ValueError):  # binascii.Error is a ValueError
         raise BadRequest("publish: raw must be base64") from None
     type_.decode(payload)
     return payload
 
 
 def _arguments(request: Request, type_: ServiceType | None) -> Mapping[str, object]:
-    """The arguments of a service call: an object, or a list that goes to the request's fields in their order."""
+    """Return the arguments of a service call: an object, or a list whose items are the request's fields in order."""
     arguments = request.fields.get("args") or {}
     if isinstance(arguments, list) and type_ is not None:
         return {field.name: value for field, value in zip(type_.request.fields, arguments, strict=False)}

@@ -31,27 +31,27 @@ from hostlink.errors import (
 )
 from hostlink.hub.node import Role
 
-BODY = web.RequestKey("body", bytes)  # of a request whose route has one
-CAME = web.RequestKey("came", float)  # when its first byte came, at the earliest, by the loop's clock
-MAX_BODY_BYTES = 64 * 1024  # of routes that say nothing else
-SMALL_BODY_BYTES = 4096  # of a velocity or a lock: not in the budget, so that others' bodies keep out none of them
+BODY = web.RequestKey("body", bytes)  # of a request whose route has a body
+CAME = web.RequestKey("came", float)  # earliest arrival of its first byte, by the event loop's clock
+MAX_BODY_BYTES = 64 * 1024  # default of a route
+SMALL_BODY_BYTES = 4096  # of a velocity or a lock; outside the byte budget, so that large bodies cannot block them
 
 Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
 
-FILE = "application/octet-stream"  # the media type of what is read in ranges
+FILE = "application/octet-stream"  # media type of files that are read in ranges
 _REFERENCE = "#/components/schemas/{name}"
 _EVERYWHERE = (HTTPStatus.UNAUTHORIZED, HTTPStatus.FORBIDDEN, HTTPStatus.TOO_MANY_REQUESTS)
 
 
 class ErrorReason(TypedDict):
-    """Why something was refused: a kind for programs, a reason for people."""
+    """Reason of an error: a kind for programs, a text for people."""
 
     kind: str
     reason: str
 
 
 class ErrorView(TypedDict):
-    """The body of every error."""
+    """Body of every error."""
 
     error: ErrorReason
 
@@ -63,30 +63,30 @@ class Route:
     path: str
     handler: Handler
     summary: str
-    response: type | None  # the type of its JSON; None: it is no JSON
+    response: type | None  # type of its JSON; None: not JSON
     _: KW_ONLY
     method: str = "GET"
     media_type: str = "application/json"
-    request: type | None = None  # the type of its body
+    request: type | None = None  # type of its body
     max_body_bytes: int = MAX_BODY_BYTES
     is_body_optional: bool = False
-    check_head: Callable[[web.Request], object] | None = None  # raises what refuses it before its body is read
-    on_head: Callable[[web.Request], None] | None = None  # done at once when its body is not there yet
-    role: Role | None = Role.READ  # None: everybody, without a token
-    is_limited: bool = True  # False: answered however often it comes, because it stops a robot
+    check_head: Callable[[web.Request], object] | None = None  # refuses a request before its body is read
+    on_head: Callable[[web.Request], None] | None = None  # called at once when the body is still missing
+    role: Role | None = Role.READ  # None: no token is needed
+    is_limited: bool = True  # False: exempt from the rate limit, because it stops a robot
     fails: tuple[HTTPStatus, ...] = ()
 
 
-_PHRASES = {HTTPStatus.REQUEST_ENTITY_TOO_LARGE: "Request Entity Too Large"}  # others since Python 3.13
+_PHRASES = {HTTPStatus.REQUEST_ENTITY_TOO_LARGE: "Request Entity Too Large"}  # changed in Python 3.13
 
 
 def openapi(routes: Iterable[Route]) -> dict[str, Any]:
-    """The OpenAPI 3.1 document of the routes."""
+    """Return the OpenAPI 3.1 document of the routes."""
     listed = list(routes)
     types = [each for route in listed for each in (route.response, route.request) if each is not None]
     _, schemas = msgspec.json.schema_components([*types, ErrorView], ref_template=_REFERENCE)
     for schema in schemas.values():
-        if "description" in schema:  # a docstring, which only Python 3.13 strips of its indentation
+        if "description" in schema:  # a docstring, whose indentation Python removes only since 3.13
             schema["description"] = inspect.cleandoc(schema["description"])
     paths: dict[str, Any] = {}
     for route in listed:
@@ -169,34 +169,34 @@ REFUSAL_STATUS = {
     RefusalKind.LATE: HTTPStatus.CONFLICT,
     RefusalKind.CROWDED: HTTPStatus.TOO_MANY_REQUESTS,
 }
-COMPRESSED_BYTES = 4096  # of an answer; below it, compression saves no packet
+COMPRESSED_BYTES = 4096  # smaller answers fit in a few packets without compression
 _KEPT_HEADERS = ("Allow", "WWW-Authenticate", "Retry-After")
 
 
 def reply(body: Mapping[str, object], status: HTTPStatus = HTTPStatus.OK) -> web.Response:
-    """JSON that no cache may keep."""
+    """Answer with JSON that no cache may store."""
     return reply_encoded(msgspec.json.encode(body), status)
 
 
 def reply_encoded(body: bytes, status: HTTPStatus = HTTPStatus.OK) -> web.Response:
-    """Answer with JSON that was made in a thread."""
+    """Answer with encoded JSON."""
     answer = web.Response(
         body=body, status=status, content_type="application/json", headers={"Cache-Control": "no-store"}
     )
     if len(body) >= COMPRESSED_BYTES:
-        answer.enable_compression()  # if the client accepts it; a thread does it
+        answer.enable_compression()  # in a thread, if the client accepts it
     return answer
 
 
 def refusal(kind: str, reason: str, status: HTTPStatus) -> web.Response:
-    """The JSON of an error."""
+    """Return the JSON of an error."""
     body: ErrorView = {"error": {"kind": kind, "reason": reason}}
     return reply(body, status)
 
 
 @web.middleware
 async def explain_errors(request: web.Request, handler: Handler) -> web.StreamResponse:
-    """Every error is JSON with a kind and a reason."""
+    """Turn every error into JSON with a kind and a reason."""
     try:
         return await handler(request)
     except HostlinkError as error:
@@ -206,53 +206,55 @@ async def explain_errors(request: web.Request, handler: Handler) -> web.StreamRe
         if error.status < HTTPStatus.BAD_REQUEST:
             raise
         status = HTTPStatus(error.status)
-        is_own = error.reason not in ("", status.phrase)  # a reason that a person understands by itself
+        is_own = error.reason not in ("", status.phrase)  # a handler's own reason, not the standard phrase
         reason = error.reason if is_own else f"{request.method} {request.path}: {status.phrase}"
         answer = refusal("HTTP", reason, status)
         answer.headers.update({name: error.headers[name] for name in _KEPT_HEADERS if name in error.headers})
         return answer
 
 
-FOXGLOVE = ("foxglove.sdk.v1", "foxglove.websocket.v1")  # subprotocols: the same protocol by two names
+FOXGLOVE = ("foxglove.sdk.v1", "foxglove.websocket.v1")  # subprotocols: two names of one protocol
 _READ_AS_TEXT = ("Host", "Origin", "Expect", "Sec-WebSocket-Key")
 
 Answer = Callable[[web.BaseRequest], Awaitable[web.StreamResponse]]
 
 
 def readable(value: str) -> str:
-    """A header's value with what is no UTF-8 replaced: aiohttp makes surrogates of it, which cannot be sent."""
+    """Replace bytes of a header that are not UTF-8: aiohttp decodes them to surrogates, which cannot be sent."""
     return value.encode(errors="replace").decode()
 
 
 def refuse_unreadable(answer: Answer) -> Answer:
-    """Answer 400 to a head that is no text, or whose sender has left; `answer` does the rest.
+    """Answer 400 to a head that is not text, or whose sender has disconnected. `answer` handles other requests.
 
-    aiohttp itself would read Expect before a middleware does.
+    aiohttp itself reads Expect before middlewares run.
     """
 
     async def answer_readable(request: web.BaseRequest) -> web.StreamResponse:
         for name in _READ_AS_TEXT:
-            if any(readable(value) != value for value in request.headers.getall(name, ())):
-                return refusal("BadRequest", f"the header {name} is no UTF-8", HTTPStatus.BAD_REQUEST)
+            try:
+                "".join(request.headers.getall(name, ())).encode()
+            except UnicodeEncodeError:
+                return refusal("BadRequest", f"the header {name} is not UTF-8", HTTPStatus.BAD_REQUEST)
         try:
             return await answer(request)
-        except ClientConnectionResetError:  # before aiohttp's "100 Continue", whose failure it logs as a fault
-            return refusal("HTTP", "it broke off before its body was requested", HTTPStatus.BAD_REQUEST)
+        except ClientConnectionResetError:  # aiohttp logs a failed "100 Continue" as an error
+            return refusal("HTTP", "the client disconnected before its body was requested", HTTPStatus.BAD_REQUEST)
 
     return answer_readable
 
 
 def is_foxglove(request: web.Request) -> bool:
-    """Whether a WebSocket is to speak Foxglove's protocol; without a subprotocol it is rosbridge's.
+    """Whether a WebSocket speaks Foxglove's protocol. Without a subprotocol it speaks rosbridge.
 
     Raises:
-        web.HTTPBadRequest: it requests other subprotocols alone.
+        web.HTTPBadRequest: only unknown subprotocols are offered.
     """
     names = request.headers.get("Sec-WebSocket-Protocol")
     if names is None:
         return False
     if not {name.strip() for name in names.split(",")} & set(FOXGLOVE):
         raise web.HTTPBadRequest(
-            reason=f"{readable(names)[:120]} is not spoken here, but {' and '.join(FOXGLOVE)}; rosbridge v2 has no name"
+            reason=f"unknown subprotocol {readable(names)[:120]}; use {' or '.join(FOXGLOVE)}, or none for rosbridge v2"
         )
     return True

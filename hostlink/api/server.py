@@ -1,11 +1,11 @@
-"""The API server: rosbridge and Foxglove on the WebSocket at `/`, the page for a browser there, and other routes."""
+"""The API server: rosbridge and Foxglove on the WebSocket at `/`, the page at `/`, and all other routes."""
 
 import asyncio
 import contextlib
 import errno
 import mimetypes
 import socket as sockets
-from collections.abc import AsyncIterator, Callable, Iterator
+from collections.abc import AsyncIterator, Callable
 from http import HTTPStatus
 from importlib.resources import files
 from typing import TypedDict
@@ -19,12 +19,10 @@ from hostlink.acceptor import bind, why
 from hostlink.api.access import GRANT, Access, Grant, Grants, check_role, tls_context, token_of
 from hostlink.api.captures import Captures
 from hostlink.api.clients import Client, ClientQueue, Clients
-from hostlink.api.connections import KEPT_FOR_REQUESTS, Connections
 from hostlink.api.events import Events
-from hostlink.api.foxglove import FoxgloveClient
-from hostlink.api.foxglove_directory import FoxgloveDirectory
+from hostlink.api.foxglove import FoxgloveClient, FoxgloveDirectory
 from hostlink.api.history import HistoryRoutes, IncidentRoutes
-from hostlink.api.listener import ApiListener, MakeProtocol
+from hostlink.api.listener import KEPT_FOR_REQUESTS, ApiConnections, ApiListener, MakeProtocol, reading_of
 from hostlink.api.metrics import Metrics
 from hostlink.api.rate_limit import RateLimit
 from hostlink.api.recordings import RecordingRoutes
@@ -57,7 +55,7 @@ from hostlink.logs import printable
 from hostlink.recording.recordings import Recordings
 from hostlink.transport.base import READ_BYTES
 
-PAGE = files("hostlink.api") / "web" / "built"  # by Vite, from the sources beside it: make web
+PAGE = files("hostlink.api") / "web" / "built"  # built by Vite: make web
 PAGE_HEADERS = {
     "Cache-Control": "no-store",
     "Content-Security-Policy": "default-src 'none'; style-src 'self'; script-src 'self'; connect-src 'self'; "
@@ -68,11 +66,11 @@ PAGE_HEADERS = {
 
 
 async def page_file(request: web.Request) -> web.StreamResponse:
-    """A file of the page: it needs no token, because no robot is named in it."""
+    """Serve a file of the page. It needs no token, because it names no robot."""
     name = request.match_info.get("file")
     folder = PAGE if name is None else PAGE / "web"
     found = next((each for each in folder.iterdir() if each.name == (name or "index.html")), None)
-    if found is None:  # also for ..%2F..: a name is one of the folder's, not a way out of it
+    if found is None:  # a name is matched against the folder, so ..%2F.. leads nowhere
         raise web.HTTPNotFound
     kind, _ = mimetypes.guess_type(found.name)
     answer = web.Response(body=found.read_bytes(), headers=PAGE_HEADERS | {"Content-Type": kind or "text/plain"})
@@ -82,12 +80,12 @@ async def page_file(request: web.Request) -> web.StreamResponse:
 
 log = structlog.get_logger()
 
-PING_INTERVAL_S = 10.0  # a client that is gone without closing is noticed within one and a half of it
+PING_INTERVAL_S = 10.0  # a lost client is noticed within 1.5 intervals
 SHUTDOWN_TIMEOUT_S = 0.3
-LINGER_S = 1.0  # for a body that no route expects, before its connection is closed
-REQUEST_S = 0.0005  # the cost of a small request
-SEND_BUFFER_BYTES = 64 * 1024  # in the process and again in the kernel, behind the client's queue
-MAX_GROUP = 64  # characters of the name of a group
+LINGER_S = 1.0  # for an unexpected body, before its connection is closed
+REQUEST_S = 0.0005  # cost of a small request
+SEND_BUFFER_BYTES = 64 * 1024  # in the process, and again in the kernel, behind the client's queue
+MAX_GROUP = 64  # characters of a group's name
 ALLOWED_HEADERS = "Authorization, Content-Type, Range"
 EXPOSED_HEADERS = "Accept-Ranges, Content-Length, Content-Range, ETag, Last-Modified"  # for readers of recordings
 
@@ -110,7 +108,7 @@ class ApiServer:
         self._config = config
         self._access = Access(config)
         self._limit = RateLimit(config.max_requests_s)
-        connections = Connections(
+        connections = ApiConnections(
             config.max_connections,
             config.max_connections_per_address,
             request_timeout_s=config.request_timeout_s,
@@ -124,13 +122,13 @@ class ApiServer:
         self._directory = FoxgloveDirectory(hub)
         self._metrics = Metrics(hub, self._clients, self._limit, connections, self._owners, recordings)
         self._sockets: set[web.WebSocketResponse] = set()
-        self._turns = hub.turns()  # of all requests together
+        self._turns = hub.turns()  # shared by all requests
         self._routes: list[Route] = []
         self._by_handler: dict[Handler, Route] = {}
         RosApi(hub).offer()
 
     def application(self) -> web.Application:
-        """Everything that is served."""
+        """Return the aiohttp application with all routes."""
         app = web.Application(middlewares=[explain_errors, self._admit], client_max_size=self._config.max_message_bytes)
         history_turn = asyncio.Semaphore(1)
         self._routes = [
@@ -154,7 +152,7 @@ class ApiServer:
         ]
         for route in self._routes:
             app.router.add_route(route.method, route.path, route.handler)
-            if route.media_type == FILE:  # a program requests its length before it reads ranges
+            if route.media_type == FILE:  # programs request the length before they read ranges
                 app.router.add_route("HEAD", route.path, route.handler)
         self._by_handler = {route.handler: route for route in self._routes}
         app.router.add_get("/", self._root)
@@ -163,7 +161,7 @@ class ApiServer:
         return app
 
     def _prepare_access(self, config: Config) -> Callable[[], None]:
-        """Other tokens and origins: whoever has a token that is withdrawn is cut off, and what it drives stops."""
+        """Prepare new tokens and origins. Applying them ends requests with a revoked token; what they drive stops."""
         new = Access(config.api)
 
         def apply() -> None:
@@ -179,23 +177,28 @@ class ApiServer:
 
     @web.middleware
     async def _admit(self, request: web.Request, handler: Handler) -> web.StreamResponse:
-        """Refuse what is not allowed, before anything else reads the request."""
-        reading = self.listener.reading(request)
-        with self.listener.answering(request.transport):
-            request[CAME] = asyncio.get_running_loop().time() if reading is None else reading.request_came_s
-            try:
-                return await self._answer(request, handler)
-            finally:
-                if reading is not None and not request.content.is_eof() and not _has_small_body(request):
-                    reading.refuse_body()
+        """Check a request before any other code reads it."""
+        reading = reading_of(request)
+        if reading is None:
+            request[CAME] = asyncio.get_running_loop().time()
+            return await self._answer(request, handler)
+        reading.begin_request()
+        request[CAME] = reading.request_came_s
+        try:
+            return await self._answer(request, handler)
+        finally:
+            if not request.content.is_eof() and not _has_small_body(request):
+                reading.refuse_body()
+            reading.end_request()
 
     async def _answer(self, request: web.Request, handler: Handler) -> web.StreamResponse:
         origin = request.headers.get("Origin")
         self._access.check_place(origin=origin, host=request.host)
-        if request.method == "OPTIONS" and origin is not None:  # a browser's preflight for a page of another origin
+        if request.method == "OPTIONS" and origin is not None:  # preflight of a browser for a page of another origin
             answer: web.StreamResponse = web.Response(status=HTTPStatus.NO_CONTENT)
         else:
-            with self._granted(request):
+            grant = self._check(request)  # may be revoked within the block
+            with contextlib.nullcontext() if grant is None else self._grants.using(grant):
                 await self._turns.wait(REQUEST_S)
                 await self._receive_body(request)
                 answer = await handler(request)
@@ -207,18 +210,12 @@ class ApiServer:
             answer.headers["Vary"] = "Origin"
         return answer
 
-    @contextlib.contextmanager
-    def _granted(self, request: web.Request) -> Iterator[None]:
-        """Refuse what is not allowed; what is, may be withdrawn within the block."""
-        grant = self._check(request)
-        with contextlib.nullcontext() if grant is None else self._grants.using(grant):
-            yield
-
     def _check(self, request: web.Request) -> Grant | None:
+        """Check the rate and the token of a request. Return None if its route needs no token."""
         route = self._by_handler.get(request.match_info.handler)
         is_limited = route is None or route.is_limited
         if is_limited and not self._limit.allows(request.remote, asyncio.get_running_loop().time()):
-            reason = f"more than {self._config.max_requests_s:g} a second"
+            reason = f"more than {self._config.max_requests_s:g} requests a second"
             raise web.HTTPTooManyRequests(reason=reason, headers={"Retry-After": "1"})
         is_page = request.match_info.handler in (self._root, page_file) and not _is_websocket(request)
         role = route.role if route is not None else None if is_page else Role.READ
@@ -230,7 +227,7 @@ class ApiServer:
         return grant
 
     async def _receive_body(self, request: web.Request) -> None:
-        """Read the body of a request, before its handler runs, where the route has one: a stop waits for none."""
+        """Read the body for routes that have one, before the handler runs. A stop does not wait for its body."""
         route = self._by_handler.get(request.match_info.handler)
         if route is None or route.request is None:
             return
@@ -246,7 +243,8 @@ class ApiServer:
             raise web.HTTPServiceUnavailable(reason="too many bodies at once", headers={"Retry-After": "1"})
         timeout_s, body = self._config.request_timeout_s, bytearray()
         try:
-            with self.listener.receiving(request.transport):
+            reading = reading_of(request)
+            with contextlib.nullcontext() if reading is None else reading.receiving_body():
                 async with asyncio.timeout(timeout_s):
                     while piece := await content.readany():
                         body += piece
@@ -254,9 +252,9 @@ class ApiServer:
                             raise _too_large(most_bytes)
             request[BODY] = bytes(body)
         except TimeoutError:
-            raise web.HTTPRequestTimeout(reason=f"the body did not come within {timeout_s:g} s") from None
+            raise web.HTTPRequestTimeout(reason=f"the body did not arrive within {timeout_s:g} s") from None
         except (OSError, web.RequestPayloadError, HttpProcessingError) as error:
-            raise web.HTTPBadRequest(reason="the body broke off, or is not what its head announces") from error
+            raise web.HTTPBadRequest(reason="the body is incomplete, or does not match its head") from error
         finally:
             bodies.give(held_bytes)
 
@@ -274,12 +272,12 @@ class ApiServer:
             compress=False,
             protocols=FOXGLOVE,
             timeout=SHUTDOWN_TIMEOUT_S,
-            writer_limit=0,  # each send waits for room in the buffer, so that what is too much waits in the queue
+            writer_limit=0,  # each send waits for room, so that excess waits in the client's queue
         )
         with bound_contextvars(client=client.name, peer=request.remote):
             try:
                 await socket.prepare(request)
-                reading, transport = self.listener.reading(request), request.transport
+                reading, transport = reading_of(request), request.transport
                 if reading is None or transport is None:
                     raise ConnectionResetError("the connection was closed during the handshake")
                 _bound_buffers(transport)
@@ -309,26 +307,26 @@ class ApiServer:
                 self._clients.leave(client)
                 queue.clear()
                 if request.transport is not None and request.transport.get_write_buffer_size():
-                    request.transport.abort()  # it accepts nothing: closing would wait for it without end
+                    request.transport.abort()  # closing would wait without end for a client that does not read
                 log.info("client.closed", code=socket.close_code, dropped=queue.dropped)
         raise_if_cancelled()
-        return socket if socket.prepared else web.Response(status=HTTPStatus.BAD_REQUEST)  # it broke off before
+        return socket if socket.prepared else web.Response(status=HTTPStatus.BAD_REQUEST)  # the client left before
 
     def _program(self, client: Client, queue: ClientQueue, tasks: asyncio.TaskGroup, group: str) -> Program:
-        """What speaks the client's language."""
+        """Create the protocol that the client speaks."""
         name, role = client.name, client.grant.role
         if client.kind == "foxglove":
             return FoxgloveClient(name, self._hub, self._directory, queue, spawn=tasks.create_task, role=role)
         return RosbridgeClient(name, self._hub, queue, spawn=tasks.create_task, role=role, group=group)
 
     async def _close_sockets(self, _: web.Application) -> None:
-        async with asyncio.TaskGroup() as tasks:  # all at once: a hundred that are stuck last no longer than one
+        async with asyncio.TaskGroup() as tasks:  # all at once: many stuck clients take no longer than one
             for socket in self._sockets:
                 tasks.create_task(close_going_away(socket, SHUTDOWN_TIMEOUT_S))
 
 
 def _bound_buffers(transport: asyncio.Transport) -> None:
-    """Keep the buffers behind the client's queue small, in the process and the kernel: they drop and count nothing."""
+    """Bound the buffers behind the client's queue, in the process and in the kernel: they drop and count nothing."""
     transport.set_write_buffer_limits(SEND_BUFFER_BYTES)
     transport.get_extra_info("socket").setsockopt(sockets.SOL_SOCKET, sockets.SO_SNDBUF, SEND_BUFFER_BYTES)
 
@@ -339,7 +337,7 @@ def _too_large(most_bytes: int) -> web.HTTPRequestEntityTooLarge:
 
 
 def _has_small_body(request: web.Request) -> bool:
-    """Whether its end may be awaited, though nobody reads it."""
+    """Whether the end of the body may be awaited without a handler that reads it."""
     return request.content_length is not None and request.content_length <= MAX_BODY_BYTES
 
 
@@ -347,12 +345,17 @@ def _is_websocket(request: web.Request) -> bool:
     return request.headers.get("Upgrade", "").lower() == "websocket"
 
 
+def url_of(host: str, port: int, *, has_tls: bool) -> str:
+    """Return the URL of an address."""
+    return f"{'https' if has_tls else 'http'}://{f'[{host}]' if ':' in host else host}:{port}"
+
+
 @contextlib.asynccontextmanager
 async def serve_api(config: ApiConfig, hub: Hub, recordings: Recordings, reloader: Reloader) -> AsyncIterator[str]:
-    """Serve until the block is left; yields the address as a URL.
+    """Serve within the block. Yields the address as a URL.
 
     Raises:
-        ConfigError: the port is in use, or the address cannot be listened on.
+        ConfigError: the port is in use, or the address is invalid.
     """
     server = ApiServer(hub, config, recordings, reloader)
     runner = web.AppRunner(
@@ -361,22 +364,23 @@ async def serve_api(config: ApiConfig, hub: Hub, recordings: Recordings, reloade
         handle_signals=False,
         shutdown_timeout=SHUTDOWN_TIMEOUT_S,
         lingering_time=LINGER_S,
-        auto_decompress=False,  # a kilobyte of a body is at most a kilobyte
-        read_bufsize=READ_BYTES,  # twice as much of a body waits, then no more is read of it
+        auto_decompress=False,  # a compressed body cannot expand
+        read_bufsize=READ_BYTES,  # aiohttp buffers twice as much, then pauses reading
     )
     tls = tls_context(config)
     await runner.setup()
     try:
         listening = await _bind(config)
         host, port = listening[0].getsockname()[:2]
-        async with server.listener.serving(listening, _protocols(runner), tls):
-            yield f"{'http' if tls is None else 'https'}://{f'[{host}]' if ':' in host else host}:{port}"
+        async with server.listener.serving(listening, protocols_of(runner), tls):
+            yield url_of(host, port, has_tls=tls is not None)
     finally:
         await runner.cleanup()
 
 
-def _protocols(runner: web.AppRunner) -> MakeProtocol:
-    assert runner.server is not None  # noqa: S101 - after its setup
+def protocols_of(runner: web.AppRunner) -> MakeProtocol:
+    """Return the factory of HTTP protocols, which refuse unreadable heads."""
+    assert runner.server is not None  # noqa: S101 - set by setup()
     runner.server.request_handler = refuse_unreadable(runner.server.request_handler)
     return runner.server
 
@@ -387,8 +391,6 @@ async def _bind(config: ApiConfig) -> list[sockets.socket]:
     except (OSError, OverflowError, UnicodeError) as error:
         where = f"API port {config.port}"
         if isinstance(error, OSError) and error.errno == errno.EADDRINUSE:
-            problem = (
-                "is in use: another hostlink or rosbridge runs; stop it, or choose another port with --api HOST:PORT"
-            )
+            problem = "is in use by another hostlink or rosbridge; stop it, or choose another port with --api HOST:PORT"
             raise ConfigError(where, problem) from error
-        raise ConfigError(f"{where} of {config.host}", f"cannot be listened on: {why(error)}") from error
+        raise ConfigError(f"{where} of {config.host}", f"cannot be opened:{why(error)}") from error

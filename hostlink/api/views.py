@@ -1,4 +1,4 @@
-"""Views: what the API shows of the hub. The OpenAPI document is made of these types. Numbers carry their unit."""
+"""Views: what the API shows of the hub. These types are the OpenAPI document. Numbers carry their unit."""
 
 import asyncio
 import functools
@@ -18,18 +18,18 @@ from hostlink.robot.velocity import PlanarVelocity
 
 View = TypeVar("View")
 
-SLICE_S = 0.0002  # of one turn of the loop: eight robots, or one link with very many topics
+SLICE_S = 0.0002  # of one turn of the event loop: eight robots, or one link with very many topics
 
 
 class Slices:
-    """The turns of one encoder; `spent_s` is what its work has cost."""
+    """Spreads the work of one encoder over turns of the event loop. `spent_s`: CPU time of its work."""
 
     def __init__(self, hub: Hub) -> None:
         self.spent_s = 0.0
         self._turns = hub.turns()
 
     async def run(self, views: Iterator[View], work: Callable[[View], None]) -> None:
-        """Make the views and do the work for each, in a turn as many as fill SLICE_S."""
+        """Do the work for each view, as many in a turn as fill SLICE_S."""
         now_s = asyncio.get_running_loop().time
         is_done = False
 
@@ -49,18 +49,18 @@ class Slices:
 
 
 def node_name(hub: Hub, key: Hashable) -> str:
-    """A robot by its name, another device by its link, a client by its number."""
+    """Return the name of a node: a robot's name, a device's link, or a client's number."""
     robot = hub.robots.of_link(key)
     return f"/{str(key).split(' (', maxsplit=1)[0].replace(' ', '_') if robot is None else robot.name}"
 
 
 def receivers(topic: Topic) -> Iterable[Hashable]:
-    """The keys of the devices and the clients that get its messages."""
+    """Return the keys of the devices and clients that receive the topic's messages."""
     return (*topic.devices, *(subscriber.key for subscriber in topic.subscribers))
 
 
 class VelocityView(TypedDict):
-    """Forwards, to the left, and counter-clockwise."""
+    """Velocity forwards, to the left, and counter-clockwise."""
 
     linear_m_s: float
     linear_y_m_s: float
@@ -68,20 +68,20 @@ class VelocityView(TypedDict):
 
 
 class VelocityAnswer(TypedDict):
-    """The velocity after the limits, and how long it lasts.
+    """The velocity after the limits, and its lease.
 
-    limited_by: the setting of the robot that slows it down most; null: none does, or its daemon is another.
+    limited_by: the setting of the robot that reduces it most; null: none does, or another daemon has the robot.
     """
 
     velocity: VelocityView
     is_limited: bool
     limited_by: str | None
     lease_s: float
-    epoch: int  # a command with it is meant since the newest interruption
+    epoch: int  # commands with it are newer than the last interruption
 
 
 class PoseView(TypedDict):
-    """A pose by a robot's odometry: metres, radians, counter-clockwise from its x axis."""
+    """A pose by a robot's odometry: metres, and radians counter-clockwise from the x axis."""
 
     x_m: float
     y_m: float
@@ -89,7 +89,7 @@ class PoseView(TypedDict):
 
 
 class OdometryView(TypedDict):
-    """The newest pose, and the motion over the last few."""
+    """The newest pose, and the motion over the last poses."""
 
     pose: PoseView
     twist: VelocityView
@@ -104,15 +104,15 @@ class OdometryView(TypedDict):
 class RobotView(TypedDict):
     """One robot: its topics, its driver, its velocity, its odometry, its device.
 
-    holder_address: from which who drives it is connected; null: nobody, a part of a daemon, or at another daemon.
-    played: its device is a recording, which obeys nobody. unreachable: why its device could not receive the last
-    velocity; null: it could. host: the daemon that has its link; null: this one. also_at: other daemons that have a
-    robot of this name. wheel_separation_m, kinematics: as they are configured. frames: how many its device has sent on
-    this link, so that a reader notices when it falls silent; null: it is not connected, or not here. epoch: counts
-    interruptions: stops, locks, reconnections. battery_v, battery_percent: the newest that its device has sent on this
-    link; null: it sends none. signal_dbm: of its device's WiFi; null: it does not report it. device_errors: the codes
-    of what `hostlink doctor` finds wrong with the device, the likeliest cause first. firmware: name and version, as
-    the device logs them; null: it does not.
+    holder_address: address of the driver's connection; null: no driver, a part of a daemon, or at another daemon.
+    played: the device is a recording that is played, which obeys no command. unreachable: why the device could not
+    receive the last velocity; null: it could. host: the daemon that has its link; null: this one. also_at: other
+    daemons with a robot of this name. wheel_separation_m, kinematics: as configured. frames: number that the device has
+    sent on this link, so that a reader notices silence; null: not connected, or at another daemon. epoch: number of
+    interruptions: stops, locks, reconnections. battery_v, battery_percent: newest values that the device has sent on
+    this link; null: it sends none. signal_dbm: WiFi signal of the device; null: it does not report it. device_errors:
+    codes of what `hostlink doctor` finds wrong with the device, the most likely cause first. firmware: name and version
+    in the device's log; null: it logs none.
     """
 
     name: str
@@ -144,10 +144,10 @@ class RobotView(TypedDict):
 
 
 class StandstillView(TypedDict):
-    """What a robot's odometry says after a stop or a lock.
+    """Motion of a robot after a stop or a lock, by its odometry.
 
-    state: stands, moves or unknown. speed_m_s, turn_rad_s: the newest; null: no odometry came since then. after_s: when
-    it stood first; null unless it stands. reason: why it moves, or why it is not known; empty if it stands.
+    state: `stands`, `moves` or `unknown`. speed_m_s, turn_rad_s: newest; null: no odometry arrived since the stop.
+    after_s: time until it was stopped; null unless stopped. reason: why it moves, or why its motion is unknown.
     """
 
     state: str
@@ -164,7 +164,7 @@ class StoppedRobotView(RobotView):
 
 
 class TopicInfoView(TypedDict):
-    """A topic of a device: its name in the graph, and the one that the device announced."""
+    """A topic of a device: its name in the graph, and the name that the device announced."""
 
     kind: str
     id: int
@@ -176,7 +176,7 @@ class TopicInfoView(TypedDict):
 
 
 class FindingView(TypedDict):
-    """One thing that is wrong: a name for programs, the cause, the next step, and the numbers found."""
+    """One problem: a code for programs, the cause, the next step, and the numbers found."""
 
     code: str
     cause: str
@@ -185,10 +185,10 @@ class FindingView(TypedDict):
 
 
 class ClockView(TypedDict):
-    """A device's clock and the way to it, in parts that are null until they are measured.
+    """A device's clock and the network to it. Values are null until they are measured.
 
-    offset_s: from a header stamp to its arrival, on the fastest way. drift_ppm: how much faster it runs.
-    round_trip_s: of the network, as TCP measures it. answer_s: from a request for its topics to the first of them.
+    offset_s: smallest time from a header stamp to its arrival. drift_ppm: how much faster the device's clock runs.
+    round_trip_s: of the network, as TCP measures it. answer_s: from a topic request to the first answer.
     """
 
     offset_s: float | None
@@ -198,10 +198,9 @@ class ClockView(TypedDict):
 
 
 class LinkView(TypedDict):
-    """One live connection, its topics, its counters, and what is wrong with it, the likeliest cause first.
+    """One live connection: topics, counters, and problems, the most likely cause first.
 
-    robot: the name of its robot; null where it is none. parameters: what its device was answered, and uses until it
-    connects again; an empty list: there was none.
+    robot: name of its robot; null without one. parameters: answers to the device, used until it reconnects.
     """
 
     number: int
@@ -233,7 +232,7 @@ class LinkView(TypedDict):
 
 
 class EndedLinkView(TypedDict):
-    """One of the last connections that ended: why, after how long, and what was wrong with it."""
+    """One of the last connections that ended: the reason, the duration, and its problems."""
 
     number: int
     peer: str
@@ -252,8 +251,8 @@ class ClosedPortView(TypedDict):
 
 
 class LinkHistoryView(TypedDict):
-    """The last connections that ended, latest first; serial ports that cannot be opened; how many links a fault of
-    hostlink itself ended; how many were refused, by cause.
+    """The last ended connections, the newest first; closed serial ports; how many links an internal error of hostlink
+    ended; how many connections were refused, by cause.
     """
 
     ended: list[EndedLinkView]
@@ -263,7 +262,7 @@ class LinkHistoryView(TypedDict):
 
 
 class LinksView(LinkHistoryView):
-    """Every live connection, and what became of others."""
+    """Every live connection, and the last ended ones."""
 
     links: list[LinkView]
 
@@ -279,7 +278,7 @@ class TopicView(TypedDict):
 
 
 def robot_view(robot: Robot) -> RobotView:
-    """One robot as it is now."""
+    """Return the present state of one robot."""
     state = robot.state(asyncio.get_running_loop().time())
     return {
         "name": state.name,
@@ -312,7 +311,7 @@ def robot_view(robot: Robot) -> RobotView:
 
 
 def stopped_view(robot: Robot, measured: Standstill) -> StoppedRobotView:
-    """One robot as it is now, and what was measured after a stop."""
+    """Return the present state of one robot, and what was measured after a stop."""
     return {
         **robot_view(robot),
         "standstill": {
@@ -326,7 +325,7 @@ def stopped_view(robot: Robot, measured: Standstill) -> StoppedRobotView:
 
 
 def velocity_view(velocity: PlanarVelocity) -> VelocityView:
-    """The three numbers of a robot on a floor."""
+    """Return the three components of a velocity."""
     return {
         "linear_m_s": velocity.x_m_s,
         "linear_y_m_s": velocity.y_m_s,
@@ -335,9 +334,13 @@ def velocity_view(velocity: PlanarVelocity) -> VelocityView:
 
 
 def velocity_answer(robot: Robot, requested: PlanarVelocity, limited: PlanarVelocity) -> VelocityAnswer:
-    """The velocity after the limits, beside the requested one."""
+    """Return the velocity after the limits, with what reduced it."""
     return {
-        "velocity": velocity_view(limited),
+        "velocity": {
+            "linear_m_s": limited.x_m_s,
+            "linear_y_m_s": limited.y_m_s,
+            "angular_rad_s": limited.yaw_rad_s,
+        },
         "is_limited": limited != requested,
         "limited_by": robot.limited_by(requested),
         "lease_s": robot.admission.lease_s,
@@ -346,7 +349,7 @@ def velocity_answer(robot: Robot, requested: PlanarVelocity, limited: PlanarVelo
 
 
 def odometry_view(known: OdometrySnapshot) -> OdometryView:
-    """The newest pose with its age."""
+    """Return the newest pose with its age."""
     return {
         "pose": {"x_m": known.pose.x_m, "y_m": known.pose.y_m, "theta_rad": known.pose.theta_rad},
         "twist": velocity_view(known.twist),
@@ -360,7 +363,7 @@ def odometry_view(known: OdometrySnapshot) -> OdometryView:
 
 
 def link_view(hub: Hub, diagnosis: Diagnosis) -> LinkView:
-    """One live connection as it is now."""
+    """Return the present state of one live connection."""
     link = diagnosis.link
     facts = link.facts()
     counts, clock = facts.counts, facts.clock
@@ -405,7 +408,7 @@ def link_view(hub: Hub, diagnosis: Diagnosis) -> LinkView:
 
 
 def topic_info_views(hub: Hub, diagnosis: Diagnosis) -> list[TopicInfoView]:
-    """The topics of one device, under the graph's names and its own."""
+    """Return the topics of one device, under the graph's names and the device's own."""
     shown_name = functools.partial(hub.links.shown_name, diagnosis.link)
     return [
         {
@@ -422,7 +425,7 @@ def topic_info_views(hub: Hub, diagnosis: Diagnosis) -> list[TopicInfoView]:
 
 
 def link_views(hub: Hub) -> Iterator[LinkView]:
-    """Every live connection, each as it is when the iteration reaches it."""
+    """Yield every live connection, each with its state at that moment."""
     for link in hub.links.all():
         diagnosis = hub.diagnoses.find(link.number)
         if diagnosis is not None:
@@ -430,14 +433,14 @@ def link_views(hub: Hub) -> Iterator[LinkView]:
 
 
 async def links_view(hub: Hub, slices: Slices) -> dict[str, object]:
-    """A LinksView, ready to be encoded. The topics of many devices are megabytes of JSON: so it is made in slices."""
+    """Return a LinksView, ready to be encoded. It is made in slices: topics of many devices are megabytes of JSON."""
     links: list[msgspec.Raw] = []
     await slices.run(link_views(hub), lambda view: links.append(msgspec.Raw(msgspec.json.encode(view))))
     return {"links": links, **link_history_view(hub)}
 
 
 def link_history_view(hub: Hub) -> LinkHistoryView:
-    """The connections that are not live."""
+    """Return the ended connections and the closed ports."""
     return {
         "ended": ended_views(hub),
         "ports": [{"name": name, "diagnosis": finding_views([each])} for name, each in hub.diagnoses.ports.items()],
@@ -447,7 +450,7 @@ def link_history_view(hub: Hub) -> LinkHistoryView:
 
 
 def ended_views(hub: Hub) -> list[EndedLinkView]:
-    """The last links that ended, the latest first."""
+    """Return the last ended links, the newest first."""
     now_s = asyncio.get_running_loop().time()
     return [
         {
@@ -464,7 +467,7 @@ def ended_views(hub: Hub) -> list[EndedLinkView]:
 
 
 def finding_views(findings: Iterable[Finding]) -> list[FindingView]:
-    """In the words of the log and of the documents."""
+    """Return findings in the words of the log and of the documents."""
     return [
         {"code": each.code, "cause": each.cause, "next_step": each.next_step, "detail": each.detail}
         for each in findings
@@ -472,7 +475,7 @@ def finding_views(findings: Iterable[Finding]) -> list[FindingView]:
 
 
 def topic_views(hub: Hub) -> list[TopicView]:
-    """Every topic of the graph."""
+    """Return every topic of the graph."""
     return [
         {
             "name": topic.name,

@@ -1,4 +1,4 @@
-"""ClientSocket: one client's WebSocket. What it sends is done in its turns; what waits for it is one write a turn."""
+"""ClientSocket: the WebSocket of one client. Executes its messages in turns and writes its queue once a turn."""
 
 import asyncio
 import contextlib
@@ -6,53 +6,37 @@ import contextvars
 import struct
 from collections.abc import Callable
 from functools import partial
-from typing import Any, Protocol
+from typing import Any
 
 import structlog
 from aiohttp import WSCloseCode, WSMsgType, web
 
-from hostlink.api.clients import Client, ClientQueue
-from hostlink.api.inbox import Inbox
-from hostlink.api.inbox import Program as InboxProgram
+from hostlink.api.clients import Client, ClientProgram, ClientQueue, OperationQueue
 from hostlink.api.listener import PacedReading
-from hostlink.api.rate_limit import Bucket
+from hostlink.hub.participant import MAX_CALLS
 from hostlink.latency import Latency
 from hostlink.link.fair_share import Turns
 
 log = structlog.get_logger()
 
-DEBT_S = 1.0  # so many seconds of a client's messages may come too early; who begins subscribes to much at once
-SEND_TIMEOUT_S = 5.0  # a client whose socket accepts nothing for that time is gone
-READY_TIMEOUT_S = 1.0  # for the answer to the first ping; a client that answers none is sent to nevertheless
+DEBT_S = 1.0  # that a client may be ahead of its message rate: programs subscribe to many topics at first
+SEND_TIMEOUT_S = 5.0  # without progress in writing the client is disconnected
+READY_TIMEOUT_S = 1.0  # for the answer to the first ping; after that messages are sent without an answer
 SEND_BATCH = 64  # messages in one write
-WRITE_BYTES = 64 * 1024  # in one write, unless one message has more
+WRITE_BYTES = 64 * 1024  # in one write, unless one message is larger
 CLOSING = (WSMsgType.CLOSE, WSMsgType.CLOSING, WSMsgType.CLOSED)
 
 _FINAL_TEXT, _FINAL_BINARY = 0x81, 0x82  # first bytes of a frame: RFC 6455, 5.2
-_MAX_SHORT, _MAX_MEDIUM = 125, 0xFFFF  # payloads whose length fits in one byte and in two
-
-
-class Program(InboxProgram[Any], Protocol):
-    """RosbridgeClient or FoxgloveClient."""
-
-    @property
-    def is_crowded(self) -> bool:
-        """Whether many calls are under way."""
-
-    def flush(self, now_s: float) -> float | None:
-        """Queue what was held back until now. Return when more is due."""
-
-    def close(self) -> None:
-        """End the participant."""
+_MAX_SHORT, _MAX_MEDIUM = 125, 0xFFFF  # largest payloads whose length takes one byte and two bytes
 
 
 class ClientSocket:
-    """Everything that runs for one WebSocket: a task that receives, and callbacks of the event loop that do and send.
+    """The WebSocket of one client: a task that receives, and callbacks of the event loop that execute and send.
 
     | turn of the loop | what happens                                                                                  |
     |------------------|-----------------------------------------------------------------------------------------------|
     | bytes are read   | PacedReading passes them to aiohttp, which decodes the messages                               |
-    | the next one     | `receive` puts all of them into the inbox; `_work` does them, and writes the answers at once  |
+    | the next one     | `receive` queues all of them; `_work` executes them, and writes the answers at once           |
     | a device's bytes | the hub queues messages                                                                       |
     | the next one     | `_send` writes all of them at once                                                            |
 
@@ -65,7 +49,7 @@ class ClientSocket:
         transport: asyncio.Transport,
         reading: PacedReading,
         client: Client,
-        program: Program,
+        program: ClientProgram[Any],
         queue: ClientQueue,
         turns: Turns,
         *,
@@ -74,19 +58,18 @@ class ClientSocket:
         on_replaced: Callable[[], None],
         to_client: Latency,
     ) -> None:
-        """`to_client`: from the arrival of a message to the client's socket, of all clients."""
+        """Take over the socket. `to_client`: latency from the arrival of a message to the socket, of all clients."""
         self._socket, self._transport, self._reading = socket, transport, reading
         self._client, self._program, self._queue = client, program, queue
         self._turns, self._tasks, self._to_client = turns, tasks, to_client
         self._loop = asyncio.get_running_loop()
-        self._context = contextvars.copy_context()  # the log lines of callbacks name the client, too
-        self._inbox: Inbox[Any] = Inbox(program, on_replaced)
-        self._progress = asyncio.Event()  # the inbox has become shorter
+        self._context = contextvars.copy_context()  # so that log lines of callbacks name the client
+        self._operations = OperationQueue[Any](program, on_replaced, max_messages_s)
+        self._progress = asyncio.Event()  # set when an operation was executed
         self._max_messages_s = max_messages_s
-        self._bucket = Bucket(max_messages_s, self._loop.time())
         self._is_ended = False
-        self._is_work_due = self._is_send_due = False  # a callback is scheduled
-        self._is_ready = client.kind != "foxglove"  # rosbridge's clients speak first
+        self._is_work_due = self._is_send_due = False  # whether a callback is scheduled
+        self._is_ready = client.kind != "foxglove"  # rosbridge clients send first
         self._flush_timer: asyncio.TimerHandle | None = None
         self._flush_due_s: float | None = None
         self._stuck_timer: asyncio.TimerHandle | None = None
@@ -96,8 +79,8 @@ class ClientSocket:
     # -- from the client ----------------------------------------------------------------------------------------------
 
     async def receive(self) -> None:
-        """Receive until the client leaves, then end its participant."""
-        inbox, loop, reading = self._inbox, self._loop, self._reading
+        """Receive until the client disconnects, then end its participant."""
+        operations, loop, reading = self._operations, self._loop, self._reading
         try:
             if self._is_ready:
                 self._note_news()
@@ -105,26 +88,26 @@ class ClientSocket:
                 await self._socket.ping()
                 loop.call_later(READY_TIMEOUT_S, self._become_ready, context=self._context)
             while True:
-                inbox.is_behind = True  # unless the loop goes on before the message comes
-                waiting = loop.call_soon(inbox.note_wait)
+                reads = reading.reads
                 message = await self._socket.receive()
-                waiting.cancel()
                 if message.type in CLOSING:
-                    await self._until(lambda: not inbox)
+                    await self._until(lambda: not operations.waiting)
                     return
                 if message.type not in (WSMsgType.TEXT, WSMsgType.BINARY):
                     await self._receive_control(message.type, message.data)
                     continue
                 self._client.messages_from_client += 1
-                inbox.put(message.data, reading.came_s)
+                operations.put(message.data, reading.came_s, loop.time(), is_behind=reading.reads == reads)
                 if not self._is_work_due:
                     self._expect_work()
-                if self._bucket.debt_s(loop.time()) > DEBT_S:
+                if operations.debt_s > DEBT_S:
                     await self._refuse_flood()
                     return
-                if not inbox.has_room:
-                    await self._until(lambda: inbox.has_room)
-                reading.receive_message()
+                if not operations.has_room:
+                    await self._until(lambda: operations.has_room)
+                reading.unread_bytes = 0
+                if reading.has_room:
+                    reading.give_room()
         finally:
             self._is_ended = True
             for timer in (self._flush_timer, self._stuck_timer):
@@ -138,17 +121,17 @@ class ClientSocket:
             await self._socket.pong(data or b"")
         elif kind is WSMsgType.PONG:
             self._become_ready()
-        if kind in (WSMsgType.PING, WSMsgType.PONG):  # otherwise a broken frame, behind which the socket is closed
+        if kind in (WSMsgType.PING, WSMsgType.PONG):  # otherwise the frame is invalid, and aiohttp closes the socket
             self._reading.receive_control(len(data or b""))
 
     async def _until(self, is_right: Callable[[], bool]) -> None:
-        """Wait while the inbox is worked on."""
+        """Wait until a condition of the operations holds."""
         while not is_right():
             self._progress.clear()
             await self._progress.wait()
 
     async def _refuse_flood(self) -> None:
-        """Close: to read more slowly would be worse, because commands would come late, the stop behind them too."""
+        """Close the connection. Reading more slowly would delay commands, and the stop behind them."""
         log.warning("client.too_fast", limit_s=self._max_messages_s)
         reason = f"more than {self._max_messages_s:g} messages a second"
         await self._socket.close(code=WSCloseCode.POLICY_VIOLATION, message=reason.encode(), drain=False)
@@ -156,45 +139,40 @@ class ClientSocket:
     # -- its turns ----------------------------------------------------------------------------------------------------
 
     def _expect_work(self) -> None:
-        """Work soon: once all that was read at once is in the inbox, so that only the newest velocity is done."""
+        """Schedule work for when all that was read is queued, so that only the newest velocity is executed."""
         if not self._is_work_due:
             self._is_work_due = True
             self._loop.call_soon(self._work, context=self._context)
 
     def _work(self, *, is_admitted: bool = False) -> None:
-        """Do what has come, one message after the other, as long as it is the client's turn; then send the answers."""
+        """Execute operations while the client has its turn, then send the answers."""
         self._is_work_due = False
         if self._is_ended:
             return
-        inbox, turns = self._inbox, self._turns
-        was_send_due, self._is_send_due = self._is_send_due, True  # the answers leave together, at the end
+        operations, queue, turns = self._operations, self._queue, self._turns
+        self._is_send_due = True  # the answers are sent together, at the end
         try:
-            while inbox and not self._is_work_due:
-                if is_admitted or turns.share.is_free(is_flooding=inbox.is_flooding):
+            while operations.waiting and not self._is_work_due:
+                if is_admitted or turns.share.is_free(is_flooding=operations.is_flooding):
                     is_admitted = False
                     began_s = self._loop.time()
                     try:
-                        inbox.work()
+                        operations.work()
                     finally:
                         turns.end(began_s)
                         self._progress.set()
-                    self._wait_for_answers()
+                    if not queue.has_room:  # a client that does not read its answers is not read from
+                        self._is_work_due = True
+                        self._tasks.create_task(self._work_with_room(), context=self._context)
+                    elif self._program.calls > MAX_CALLS // 2:  # most calls of one read are answered at once
+                        self._expect_work()
                 else:
                     self._is_work_due = True
                     work = partial(self._context.run, partial(self._work, is_admitted=True))
-                    turns.call(work, is_flooding=inbox.is_flooding)
+                    turns.call(work, is_flooding=operations.is_flooding)
         except Exception as error:  # noqa: BLE001 - raised in the client's task group
             self._fail(error)
-        self._is_send_due = was_send_due
         self._send()
-
-    def _wait_for_answers(self) -> None:
-        """Do nothing more until answers have room: a client that does not read them is not read from."""
-        if not self._queue.has_room:
-            self._is_work_due = True
-            self._tasks.create_task(self._work_with_room(), context=self._context)
-        elif self._program.is_crowded:  # many calls came in one read, and most are answered at once
-            self._expect_work()
 
     async def _work_with_room(self) -> None:
         await self._queue.room()
@@ -203,17 +181,14 @@ class ClientSocket:
     # -- to the client ------------------------------------------------------------------------------------------------
 
     def _note_news(self) -> None:
-        """Send soon, together with everything else that is queued in this turn of the loop."""
+        """Schedule one write for all messages of this turn of the loop."""
         if not self._is_send_due and not self._is_ended:
             self._is_send_due = True
-            self._loop.call_soon(self._send_due, context=self._context)
-
-    def _send_due(self) -> None:
-        self._is_send_due = False
-        self._send()
+            self._loop.call_soon(self._send, context=self._context)
 
     def _send(self) -> None:
         """Write what is queued, up to a bound, and schedule the rest."""
+        self._is_send_due = False
         if self._is_ended or not self._is_ready or self._reading.is_writing_paused:
             return
         queue = self._queue
@@ -222,35 +197,35 @@ class ClientSocket:
             return
         if self._socket.closed or self._transport.is_closing():
             return
+        now_s = self._loop.time()
         try:
-            self._write(queue, self._loop.time())
-        except Exception as error:  # noqa: BLE001 - raised in the client's task group
-            self._fail(error)
-
-    def _write(self, queue: ClientQueue, now_s: float) -> None:
-        if queue.is_flush_due or (self._flush_due_s is not None and now_s >= self._flush_due_s):
-            self._flush(now_s)
-        pieces: list[bytes] = []
-        count = size_bytes = 0
-        while count < SEND_BATCH and size_bytes < WRITE_BYTES and (waiting := queue.pop()) is not None:
-            item = waiting.item
-            if item.before:
-                pieces += (frame_head(len(item.before), is_binary=True), item.before)
-            pieces += (frame_head(len(item.data), is_binary=item.is_binary), item.data)
-            count += 1
-            size_bytes += waiting.size_bytes
-            self._to_client.add(now_s - waiting.since_s)
-        if count:
+            if queue.is_flush_due or (self._flush_due_s is not None and now_s >= self._flush_due_s):
+                self._flush(now_s)
+            pieces: list[bytes] = []
+            count = size_bytes = 0
+            while count < SEND_BATCH and size_bytes < WRITE_BYTES and (waiting := queue.pop()) is not None:
+                item = waiting.item
+                if item.before:
+                    pieces += (frame_head(len(item.before), is_binary=True), item.before)
+                pieces += (frame_head(len(item.data), is_binary=item.is_binary), item.data)
+                count += 1
+                size_bytes += waiting.size_bytes
+                self._to_client.add(now_s - waiting.since_s)
+            if not count:
+                return
             self._client.messages_to_client += count
             self._client.bytes_to_client += size_bytes
             self._transport.write(b"".join(pieces))
-            if self._reading.is_writing_paused:
-                self._stuck_timer = self._loop.call_later(SEND_TIMEOUT_S, self._fail, TimeoutError("it reads nothing"))
-            elif queue.waiting_messages:
-                self._note_news()
+        except Exception as error:  # noqa: BLE001 - raised in the client's task group
+            self._fail(error)
+            return
+        if self._reading.is_writing_paused:
+            self._stuck_timer = self._loop.call_later(SEND_TIMEOUT_S, self._fail, TimeoutError("it does not read"))
+        elif queue.waiting_messages:
+            self._note_news()
 
     def _flush(self, now_s: float) -> None:
-        """Queue what subscriptions held back until now."""
+        """Queue messages that throttled subscriptions held back until now."""
         self._queue.is_flush_due = False
         due_s = self._program.flush(now_s)
         if due_s != self._flush_due_s:
@@ -262,17 +237,17 @@ class ClientSocket:
                 self._flush_timer = self._loop.call_at(due_s, self._note_news, context=self._context)
 
     def _become_ready(self) -> None:
-        """Send from now on: the program at the other end has seen that the connection is open.
+        """Start sending: the client has seen that the connection is open.
 
-        Programs add their listeners then. A message that is read together with the end of the handshake reaches none:
-        Foxglove's `mcap-record` so lost the channels, and recorded nothing.
+        Programs add their listeners then. Listeners miss a message that is read together with the end of the handshake:
+        Foxglove's `mcap-record` missed the channels and recorded nothing.
         """
         if not self._is_ready:
             self._is_ready = True
             self._note_news()
 
     def _note_writable(self) -> None:
-        """Send on: the transport's buffer has room."""
+        """Continue to send: the transport's buffer has room."""
         if self._stuck_timer is not None:
             self._stuck_timer.cancel()
             self._stuck_timer = None
@@ -287,18 +262,18 @@ class ClientSocket:
             self._tasks.create_task(_raise(error))
 
     async def _end(self) -> None:
-        """Close: the client cannot keep up with its answers, or its participant has ended."""
+        """Close the connection: answers exceed the queue, or the participant has ended."""
         queue = self._queue
         if self._is_ended:
             return
         self._is_ended = True
-        if queue.is_closed:  # a fault of hostlink has ended the participant, and is logged
+        if queue.is_closed:  # a fault of hostlink has ended the participant; it is logged there
             await self._socket.close(code=WSCloseCode.INTERNAL_ERROR, message=b"a fault of hostlink", drain=False)
-            raise ConnectionAbortedError("a fault of hostlink")
+            raise ConnectionAbortedError("internal error of hostlink")
         log.warning("client.too_slow", dropped=queue.dropped)
         reason = b"too slow: answers pile up"
         await self._socket.close(code=WSCloseCode.POLICY_VIOLATION, message=reason, drain=False)
-        raise ConnectionAbortedError("answers pile up")  # ends the reader too, which may wait for room
+        raise ConnectionAbortedError("answers pile up")  # ends the receiving task, which may wait for room
 
 
 async def _raise(error: Exception) -> None:
@@ -316,7 +291,7 @@ def frame_head(size_bytes: int, *, is_binary: bool) -> bytes:
 
 
 async def close_going_away(socket: web.WebSocketResponse, timeout_s: float) -> None:
-    """Close at the end of the daemon."""
+    """Close a socket because the daemon ends."""
     with contextlib.suppress(TimeoutError):
         async with asyncio.timeout(timeout_s):
             await socket.close(code=WSCloseCode.GOING_AWAY, message=b"hostlink stops", drain=False)

@@ -1,4 +1,4 @@
-"""The spelling of addresses on the command line."""
+"""Addresses on the command line: HOST:PORT, origins of web pages and serial ports."""
 
 import ipaddress
 from urllib.parse import urlsplit
@@ -11,19 +11,19 @@ MAX_DIGITS = 9  # of a port or a baud rate; Python refuses to read a number of t
 
 
 def parse_address(option: str, text: str, default_host: str) -> tuple[str, int]:
-    """`HOST:PORT`, `:PORT` or `[::1]:PORT`.
+    """Return the host and the port of `HOST:PORT`, `:PORT` or `[::1]:PORT`.
 
     Raises:
-        ConfigError: it is none of them; `option` names it.
+        ConfigError: `text` has another form; the error begins with `option`.
     """
     host, colon, port = text.rpartition(":")
     if not colon or not _is_number(port) or int(port) > MAX_PORT:
-        raise ConfigError(option, f"{text!r} is not HOST:PORT")
+        raise ConfigError(option, f"{text!r} is not HOST:PORT; an example: 192.168.4.1:11411")
     return host.strip("[]") or default_host, int(port)
 
 
 def is_origin(text: str) -> bool:
-    """Whether a browser could send it as the origin of a page; "*" is all of them, "file://" a program's own page."""
+    """Whether a browser could send `text` as a page's origin; "*" is every origin, "file://" a program's own page."""
     try:
         parts = urlsplit(text)
     except ValueError:  # brackets that do not match
@@ -32,20 +32,20 @@ def is_origin(text: str) -> bool:
 
 
 def parse_serial(text: str) -> SerialConfig:
-    """`/dev/ttyACM0`, `/dev/ttyACM0@57600`, or with rates to try `/dev/ttyACM0@57600,115200`.
+    """Read `/dev/ttyACM0`, `/dev/ttyACM0@57600`, or with rates to try `/dev/ttyACM0@57600,115200`.
 
     Raises:
-        ConfigError: it is none of them.
+        ConfigError: `text` has another form.
     """
     path, at, rates = text.partition("@")
     bauds = rates.split(",") if at else []
     if not path or not all(_is_number(baud) and int(baud) for baud in bauds):
-        raise ConfigError("--serial", f"{text!r} is not PORT or PORT@BAUD")
+        raise ConfigError("--serial", f"{text!r} is not PORT or PORT@BAUD; an example: /dev/ttyACM0@57600")
     return SerialConfig(path=path, baud=tuple(map(int, bauds))) if at else SerialConfig(path=path)
 
 
 def is_address(text: str) -> bool:
-    """Whether it is a whole IP address."""
+    """Whether `text` is a whole IP address."""
     try:
         ipaddress.ip_address(text)
     except ValueError:

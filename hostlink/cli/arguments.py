@@ -14,12 +14,12 @@ from hostlink.errors import ConfigError, HostlinkError
 
 # -- completion -------------------------------------------------------------------------------------------------------
 
-TIMEOUT_S = 1.0  # a person has pressed a key and waits
+TIMEOUT_S = 1.0  # a person who has pressed Tab waits
 _SAFE = re.compile(r"[A-Za-z0-9_/.-]+")
 
 
 def topic_names(context: typer.Context, incomplete: str) -> list[str]:
-    """The topics that begin so."""
+    """Names of topics that begin with `incomplete`."""
 
     async def read(host: Host) -> Iterable[str]:
         return [topic["name"] for topic in await host.topics()]
@@ -28,7 +28,7 @@ def topic_names(context: typer.Context, incomplete: str) -> list[str]:
 
 
 def type_names(context: typer.Context, incomplete: str) -> list[str]:
-    """The types of topics that begin so."""
+    """Types of topics that begin with `incomplete`."""
 
     async def read(host: Host) -> Iterable[str]:
         return {topic["type"] for topic in await host.topics()}
@@ -37,7 +37,7 @@ def type_names(context: typer.Context, incomplete: str) -> list[str]:
 
 
 def robot_names(context: typer.Context, incomplete: str) -> list[str]:
-    """The robots that begin so."""
+    """Names of robots that begin with `incomplete`."""
 
     async def read(host: Host) -> Iterable[str]:
         return [robot["name"] for robot in await host.robots()]
@@ -46,7 +46,7 @@ def robot_names(context: typer.Context, incomplete: str) -> list[str]:
 
 
 def service_names(context: typer.Context, incomplete: str) -> list[str]:
-    """The services that begin so."""
+    """Names of services that begin with `incomplete`."""
 
     async def read(host: Host) -> Iterable[str]:
         return [str(name) for name in (await host.call("/rosapi/services", {}))["services"]]
@@ -55,7 +55,7 @@ def service_names(context: typer.Context, incomplete: str) -> list[str]:
 
 
 def graph_names(context: typer.Context, incomplete: str) -> list[str]:
-    """The topics, nodes and services that begin so."""
+    """Names of topics, nodes and services that begin with `incomplete`."""
 
     async def read(host: Host) -> Iterable[str]:
         topics = [topic["name"] for topic in await host.topics()]
@@ -66,7 +66,7 @@ def graph_names(context: typer.Context, incomplete: str) -> list[str]:
 
 
 def parameter_names(context: typer.Context, incomplete: str) -> list[str]:
-    """The parameters that begin so."""
+    """Names of parameters that begin with `incomplete`."""
 
     async def read(host: Host) -> Iterable[str]:
         return [str(name) for name in (await host.call("/rosapi/get_param_names", {}))["names"]]
@@ -90,37 +90,42 @@ def _complete(context: typer.Context, incomplete: str, read: Callable[[Host], Aw
 
 # -- arguments --------------------------------------------------------------------------------------------------------
 
-Url = Annotated[str, typer.Option(help="Where hostlink's API is.", envvar="HOSTLINK_URL")]
+Url = Annotated[
+    str,
+    typer.Option(help="Address of the daemon's API: for a daemon on another computer or port.", envvar="HOSTLINK_URL"),
+]
 Token = Annotated[
     str | None,
     typer.Option(
-        help="For an API that needs one; in the environment no other user can read it.",
+        help="Token, for an API that needs one. Other users cannot read it from the environment.",
         envvar="HOSTLINK_TOKEN",
         show_default=False,
     ),
 ]
-Json = Annotated[bool, typer.Option("--json", help="For programs.")]
-JsonLines = Annotated[bool, typer.Option("--json", help="One JSON object a line, for programs.")]
-Seconds = Annotated[float, typer.Option(min=0.0, help="End after this time; 0: with Ctrl-C.")]
+Json = Annotated[bool, typer.Option("--json", help="Print JSON, for programs.")]
+JsonLines = Annotated[bool, typer.Option("--json", help="Print one JSON object a line, for programs.")]
+Seconds = Annotated[float, typer.Option(min=0.0, help="End after this time, for scripts; 0: run until Ctrl-C.")]
 TopicName = Annotated[str, typer.Argument(show_default=False, autocompletion=topic_names)]
 ServiceName = Annotated[str, typer.Argument(show_default=False, autocompletion=service_names)]
 RobotName = Annotated[str | None, typer.Argument(show_default=False, autocompletion=robot_names)]
 ParameterName = Annotated[str, typer.Argument(show_default=False, autocompletion=parameter_names)]
-TypeName = Annotated[str, typer.Argument(help="As geometry_msgs/Twist.", show_default=False, autocompletion=type_names)]
+TypeName = Annotated[
+    str, typer.Argument(help="A type, for example geometry_msgs/Twist.", show_default=False, autocompletion=type_names)
+]
 
 
 def json_object(name: str, text: str) -> dict[str, object]:
-    """The object of an argument, in JSON or in YAML's flow style.
+    """Read the object of an argument, in JSON or in YAML's flow style.
 
     Raises:
-        ConfigError: it is none; the exit status is 2.
+        ConfigError: `text` is not an object; the exit status is 2.
     """
     try:
         value = read_message(text)
     except (ValueError, RecursionError) as error:
-        raise ConfigError(name, f'is no JSON: {error}; write it as \'{{"linear": {{"x": 0.1}}}}\'') from error
+        raise ConfigError(name, f'is not JSON: {error}; write it as \'{{"linear": {{"x": 0.1}}}}\'') from error
     if not isinstance(value, dict):
-        raise ConfigError(name, 'must be a JSON object, as {"data": 1}')
+        raise ConfigError(name, 'is JSON, but not an object; write it as {"data": 1}')
     return value
 
 
@@ -134,11 +139,11 @@ _LITERALS = {"true": "true", "false": "false", "null": "null", "yes": "true", "n
 
 
 def read_message(text: str) -> Any:
-    """JSON as it is; else YAML in one line, with or without the braces.
+    """Read JSON, or YAML in one line, with or without the braces.
 
     Raises:
-        ValueError: it is neither; what is wrong with it as JSON.
-        RecursionError: it is nested too deeply.
+        ValueError: `text` is neither; the error says what is wrong with it as JSON.
+        RecursionError: `text` is nested too deeply.
     """
     try:
         return json.loads(text)
@@ -151,7 +156,7 @@ def read_message(text: str) -> Any:
 
 
 def _as_json(text: str) -> str:
-    """Texts, names and words get their double quotes; what has them already is passed over."""
+    """Put strings, names and words of YAML into double quotes; a string in double quotes stays as it is."""
     text = text if text.startswith(("{", "[")) else f"{{{text}}}"
     text = _SINGLE.sub(lambda found: found[1] or json.dumps(found[2].replace("''", "'")), text)
     text = _NAME.sub(lambda found: found[1] or f'"{found[2]}"', text)

@@ -1,4 +1,4 @@
-"""The commands for boards: `arduino-library` writes their library, `board` reads and sets what a board keeps."""
+"""The commands for boards: `arduino-library` writes their library, `board` reads and writes a board's settings."""
 
 import asyncio
 import contextlib
@@ -28,19 +28,24 @@ from hostlink.transport.serial import open_serial
 
 def arduino_library(
     *,
-    output: Annotated[Path, typer.Option("-o", "--output", help="The ZIP.")] = Path("hostlink_rosserial.zip"),
+    output: Annotated[Path, typer.Option("-o", "--output", help="ZIP file to write.")] = Path("hostlink_rosserial.zip"),
     messages: Annotated[
         list[Path] | None,
-        typer.Option("--messages", help="A folder of packages with .msg and .srv files. May be repeated."),
+        typer.Option(
+            "--messages", help="Folder of packages with .msg and .srv files of your own types. May be repeated."
+        ),
     ] = None,
     only: Annotated[
         list[str] | None,
-        typer.Option(help="Packages or types, as geometry_msgs,std_msgs/String; what they contain comes along."),
+        typer.Option(
+            help="Packages or types to include, for a smaller library: geometry_msgs,std_msgs/String. "
+            "Types that they contain are added."
+        ),
     ] = None,
-    force: Annotated[bool, typer.Option("--force", help="Write over a file that is there.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Replace an existing file.")] = False,
     json: Json = False,
 ) -> None:
-    """Write rosserial for boards with a header for each message and service: for the Arduino IDE, PlatformIO, CMake."""
+    """Write the rosserial library with headers of all messages and services, for Arduino IDE, PlatformIO and CMake."""
     check_new_file("--output", output, is_forced=force, example="hostlink_rosserial.zip")
     show_progress("reading the definitions")
     catalog = Catalog(messages or ())
@@ -57,17 +62,19 @@ def arduino_library(
 
 
 def _select(catalog: Catalog, only: list[str] | None, needed: Collection[str]) -> TypeSelection:
-    """The types of --only, and those that the library's own sources need.
+    """Return the types of --only, and those that the library's own sources need.
 
     Raises:
-        ConfigError: a name is not known, or a definition is wrong.
+        ConfigError: a name is unknown, or a definition is wrong.
     """
     if only is None:
         return select(catalog, None)
     names = [name.strip() for names in only for name in names.split(",") if name.strip()]
     known = known_names(catalog)
     if not names:
-        raise ConfigError("--only", "names nothing; name packages or types, as geometry_msgs,std_msgs/String")
+        raise ConfigError(
+            "--only", "no name is given; name packages or types, for example geometry_msgs,std_msgs/String"
+        )
     for name in names:
         if name not in known:
             raise ConfigError("--only", f"no package or type named {name}; {_hint(name, known)}")
@@ -77,7 +84,7 @@ def _select(catalog: Catalog, only: list[str] | None, needed: Collection[str]) -
 def _hint(name: str, known: Iterable[str]) -> str:
     found = near(name, known)
     packages = sorted({each.partition("/")[0] for each in known})
-    return f"near it: {', '.join(found)}" if found else f"there is: {', '.join(packages[:LISTED])} ..."
+    return f"similar names: {', '.join(found)}" if found else f"packages are: {', '.join(packages[:LISTED])} ..."
 
 
 def _report(output: Path, selection: TypeSelection, size_bytes: int, *, as_json: bool) -> None:
@@ -94,27 +101,33 @@ def _report(output: Path, selection: TypeSelection, size_bytes: int, *, as_json:
     write(
         f"{output}: {counts} of {len(selection.packages)} packages, {size_bytes / 1000:.0f} kB. Next, one of:",
         "  Arduino IDE: Sketch > Include Library > Add .ZIP Library...",
-        f"  PlatformIO:  lib_deps = file://{output.resolve()}",  # as it is: PlatformIO decodes no %20
+        f"  PlatformIO:  lib_deps = file://{output.resolve()}",  # unquoted: PlatformIO does not decode %20
         "  CMake:       unpack it, then add_subdirectory(hostlink_rosserial)",
     )
 
 
 # -- settings of a board ----------------------------------------------------------------------------------------------
 
-USUAL_PORT = 11411  # that the library has where none is set
-CLEAR = "-"  # the answer that empties a setting
+USUAL_PORT = 11411  # of the library, if the board has no setting
+CLEAR = "-"  # the answer that clears a setting
 
-Port = Annotated[str, typer.Argument(help="The serial port, as /dev/ttyUSB0.", show_default=False)]
-Baud = Annotated[int, typer.Option(help="That of the sketch's Serial.begin().", min=300)]
-Wait = Annotated[float, typer.Option(help="Seconds for the board to start and to answer.", min=0.1)]
-SecretFile = Annotated[Path | None, typer.Option(help="A file with it: an argument could be read by others.")]
+Port = Annotated[str, typer.Argument(help="Serial port of the board, for example /dev/ttyUSB0.", show_default=False)]
+Baud = Annotated[int, typer.Option(help="Baud rate, as in the sketch's Serial.begin().", min=300)]
+Wait = Annotated[
+    float, typer.Option(help="Seconds to wait for an answer: longer for a board that starts slowly.", min=0.1)
+]
+SecretFile = Annotated[
+    Path | None, typer.Option(help="File with the secret, because other users can read an argument.")
+]
 
-app = typer.Typer(help="Read and set what a board keeps: its host, name, WiFi and keys.", no_args_is_help=True)
+app = typer.Typer(
+    help="Read and set the settings that a board stores: host, name, WiFi and keys.", no_args_is_help=True
+)
 
 
 @app.command()
 def info(port: Port, *, baud: Baud = 115200, wait: Wait = 10.0, json: Json = False) -> None:
-    """Show the settings of a board; of passwords and keys, whether they are set."""
+    """Show the settings of a board. Of a password or key it shows only whether it is set."""
     values = asyncio.run(_read(port, baud, wait))
     if json:
         write(msgspec.json.encode(values).decode())
@@ -129,15 +142,15 @@ def setup(
     baud: Baud = 115200,
     wait: Wait = 10.0,
     host: Annotated[str | None, typer.Option(help="Name or address of the computer that runs hostlink.")] = None,
-    host_port: Annotated[str | None, typer.Option(help="Its port for devices; 11411 unless it was changed.")] = None,
-    name: Annotated[str | None, typer.Option(help="The robot's name, before its topics.")] = None,
-    wifi_name: Annotated[str | None, typer.Option(help="The WiFi's name.")] = None,
+    host_port: Annotated[str | None, typer.Option(help="Port of the daemon for devices, if it is not 11411.")] = None,
+    name: Annotated[str | None, typer.Option(help="Name of the robot, which begins its topics.")] = None,
+    wifi_name: Annotated[str | None, typer.Option(help="Name of the WiFi.")] = None,
     wifi_password_file: SecretFile = None,
     key_file: SecretFile = None,
     update_password_file: SecretFile = None,
     json: Json = False,
 ) -> None:
-    """Set what a board keeps. Without an option it asks for each; an empty answer keeps what is there, - empties it."""
+    """Set the settings of a board. Without options it asks for each; an empty answer keeps the value, - clears it."""
     files = {"wifi_password": wifi_password_file, "key": key_file, "update_password": update_password_file}
     texts = {"host": host, "port": host_port, "name": name, "wifi_name": wifi_name}
     given = {name: text for name, text in texts.items() if text is not None}
@@ -145,7 +158,10 @@ def setup(
     for each, value in given.items():
         _check(SETTINGS[each], value)
     if not given and not sys.stdin.isatty():
-        raise ConfigError("board setup", "nobody answers here; name the settings: --host, --name, --wifi-name ...")
+        raise ConfigError(
+            "board setup",
+            "standard input is not a terminal; give the settings as options: --host, --name, --wifi-name ...",
+        )
     values = asyncio.run(_write(port, baud, wait, given or _ask(asyncio.run(_read(port, baud, wait)))))
     if json:
         write(msgspec.json.encode(values).decode())
@@ -160,14 +176,18 @@ async def _read(port: str, baud: int, wait_s: float) -> dict[str, str]:
 
 
 async def _write(port: str, baud: int, wait_s: float, wanted: dict[str, str]) -> dict[str, str]:
-    """Write, and read again what the board has then; a sketch may restart in between."""
+    """Write the settings, and read them back; a sketch may restart in between.
+
+    Raises:
+        HostlinkError: the board has not stored them.
+    """
     async with _opened(port, baud, wait_s) as board:
         await board.write(wanted)
         after = await board.read()
     for name, value in wanted.items():
         kept = ("set" if value else "unset") if SETTINGS[name].is_secret else value
         if after.get(name) != kept:
-            raise HostlinkError(f"{port}: {name} was stored and is not there; run the command again")
+            raise HostlinkError(f"{port}: the board did not store {name}; run the command again")
     return after
 
 
@@ -177,7 +197,7 @@ async def _opened(port: str, baud: int, wait_s: float) -> AsyncIterator[BoardSet
     try:
         transport = await open_serial(SerialConfig(path=port, baud=baud))
     except OSError as error:
-        raise ConfigError("PORT", error.strerror or str(error)) from error
+        raise ConfigError("PORT", error.strerror or f"{port} cannot be opened: {error}") from error
     try:
         yield BoardSettings(transport, patience_s=wait_s, baud=baud)
     except OSError as error:
@@ -189,10 +209,10 @@ async def _opened(port: str, baud: int, wait_s: float) -> AsyncIterator[BoardSet
 
 
 def _ask(before: dict[str, str]) -> dict[str, str]:
-    """The settings for which there was an answer.
+    """Ask for each setting; return the answered ones.
 
     Raises:
-        HostlinkError: all is to stay as it is, or the answers end.
+        HostlinkError: no setting was changed, or standard input ends.
     """
     wanted = {}
     for setting in SETTINGS.values():
@@ -200,18 +220,20 @@ def _ask(before: dict[str, str]) -> dict[str, str]:
         if answer:
             wanted[setting.name] = "" if answer == CLEAR else answer
     if not wanted:
-        raise HostlinkError("nothing was changed")
+        raise HostlinkError("every answer was empty, so no setting was changed")
     return wanted
 
 
 def _answer(setting: Setting, before: str) -> str:
-    """The first one that the board would accept; empty: as it was."""
+    """Ask until the board would accept the answer; an empty one keeps the setting."""
     text = plain(f"{setting.question}{f' [{before}]' if before else ''} ")
     while True:
         try:
             answer = getpass.getpass(text) if setting.is_secret else input(text).strip()
         except EOFError:
-            raise HostlinkError("no answer; nothing is stored") from None
+            raise HostlinkError(
+                "standard input ended, and no setting was stored; give the settings as options"
+            ) from None
         try:
             check_value(setting, "" if answer == CLEAR else answer)
         except BadRequest as error:
@@ -223,13 +245,13 @@ def _answer(setting: Setting, before: str) -> str:
 def _secret(name: str, file: Path) -> str:
     option = f"--{name.replace('_', '-')}-file"
     try:
-        secret = file.read_text(encoding="utf-8-sig").strip("\r\n")  # some editors begin a file with a mark
+        secret = file.read_text(encoding="utf-8-sig").strip("\r\n")  # some editors begin a file with a byte order mark
     except OSError as error:
-        raise ConfigError(option, f"{file}: {error.strerror}") from error
+        raise ConfigError(option, f"{file} cannot be read: {error.strerror}") from error
     except UnicodeDecodeError as error:
-        raise ConfigError(option, f"{file}: not UTF-8") from error
+        raise ConfigError(option, f"{file} is not UTF-8; save it as UTF-8") from error
     if not secret and file.is_file():
-        raise ConfigError(option, f"{file} is empty; /dev/null empties the setting")
+        raise ConfigError(option, f"{file} is empty; name /dev/null to clear the setting")
     return secret
 
 

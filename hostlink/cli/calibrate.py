@@ -1,4 +1,4 @@
-"""`hostlink calibrate`: from a tape measure to the numbers with which a robot drives straight."""
+"""`hostlink calibrate`: find a robot's wheel radii and wheel separation by drives and a tape measure."""
 
 import contextlib
 import json as json_text
@@ -10,8 +10,17 @@ import typer
 
 from hostlink.cli.arguments import Token, Url
 from hostlink.cli.calibration_picture import picture as draw
-from hostlink.cli.calibration_plan import Saved, Sizes, StateFile, Step, checks_of, default_path, open_state, steps_of
-from hostlink.cli.calibration_session import MISTAKES, AtTheTerminal, Drives, Session, Simulated, numbers_of
+from hostlink.cli.calibration_plan import (
+    SavedCalibration,
+    Sizes,
+    StateFile,
+    Step,
+    checks_of,
+    default_path,
+    open_state,
+    steps_of,
+)
+from hostlink.cli.calibration_session import MISTAKES, AtTheTerminal, CalibrationSession, Drives, Simulated, numbers_of
 from hostlink.cli.output import table, write, write_error
 from hostlink.cli.settings_file import Tables, require_changeable, toml_lines, write_settings
 from hostlink.client import DEFAULT_URL
@@ -30,78 +39,114 @@ from hostlink.robot.odometry import OdometryCorrection
 from hostlink.sim.firmware_module import read, require_wasmtime
 
 TARGETS = ("device", "hostlink")
-CASTER_SHARE = 0.01  # by which the separations of turns and squares differ before it is worth a line
-DEFAULT_WORLD = "track_m=0.2142\nleft.radius_m=0.0448\nright.radius_m=0.0453\n"  # a usual error of each number
-RADIUS_M, SEPARATION_M = (0.005, 0.5), (0.02, 5.0)  # what hostlink's firmware accepts
+CASTER_SHARE = 0.01  # difference between the separations by turns and by squares that is reported
+DEFAULT_WORLD = "track_m=0.2142\nleft.radius_m=0.0448\nright.radius_m=0.0453\n"  # a common error of each number
+RADIUS_M, SEPARATION_M = (0.005, 0.5), (0.02, 5.0)  # limits of hostlink's firmware
 _BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")
 
 
 def command(
-    robot: Annotated[str, typer.Argument(help="Its name.", show_default=False)],
+    robot: Annotated[str, typer.Argument(help="Name of the robot.", show_default=False)],
     *,
     url: Url = DEFAULT_URL,
     token: Token = None,
-    length: Annotated[float, typer.Option(min=0.5, max=20.0, help="Of the line, m.")] = 3.0,
-    side: Annotated[float, typer.Option(min=0.5, max=10.0, help="Of the squares, m.")] = 2.0,
-    turns: Annotated[int, typer.Option(min=0, max=50, help="On the spot, each way; 0 leaves them out.")] = 5,
-    repeats: Annotated[int, typer.Option(min=1, max=10, help="Of the line and of both squares.")] = 2,
-    linear: Annotated[float, typer.Option(min=0.05, max=1.0, help="Speed of the drives, m/s.")] = 0.2,
-    angular: Annotated[float, typer.Option(min=0.1, max=4.0, help="Speed of the turns, rad/s.")] = 0.8,
+    length: Annotated[
+        float,
+        typer.Option(
+            min=0.5, max=20.0, help="Length of the line, m: shorter in a small room, longer for more precision."
+        ),
+    ] = 3.0,
+    side: Annotated[
+        float, typer.Option(min=0.5, max=10.0, help="Side of the squares, m: shorter in a small room.")
+    ] = 2.0,
+    turns: Annotated[
+        int,
+        typer.Option(
+            min=0, max=50, help="Turns on the spot in each direction; 0 for a robot that cannot turn on the spot."
+        ),
+    ] = 5,
+    repeats: Annotated[
+        int,
+        typer.Option(min=1, max=10, help="Number of lines, and of squares in each direction: more for more precision."),
+    ] = 2,
+    linear: Annotated[
+        float, typer.Option(min=0.05, max=1.0, help="Speed of the drives, m/s: slower on a slippery floor.")
+    ] = 0.2,
+    angular: Annotated[
+        float, typer.Option(min=0.1, max=4.0, help="Speed of the turns, rad/s: slower on a slippery floor.")
+    ] = 0.8,
     nominal: Annotated[
         str | None,
         typer.Option(
-            help="In which wheels the robot believes: left and right radius and separation, m, as 0.045,0.045,0.21.",
+            help="Wheels that the firmware uses, if the daemon does not know them: left radius, right radius and "
+            "separation, m, for example 0.045,0.045,0.21.",
             show_default="the daemon's parameters, else the paper's",
         ),
     ] = None,
     target: Annotated[
         str | None,
         typer.Option(
-            help="Who gets the numbers: device (parameters of hostlink's firmware) or hostlink (it corrects the "
-            "odometry of any other).",
-            show_default="what the robot is",
+            help="Where the result is used: device (parameters of hostlink's firmware) or hostlink (which corrects the "
+            "odometry of other firmware).",
+            show_default="by the robot's firmware",
         ),
     ] = None,
     write_to: Annotated[
-        Path | None, typer.Option("--write", help="Write them into this configuration; a copy stays beside it.")
+        Path | None,
+        typer.Option("--write", help="Write the result into this configuration file; the old file is kept as a copy."),
     ] = None,
     apply: Annotated[
-        bool, typer.Option("--apply", help="Give the running daemon the parameters, for the robot's next connection.")
+        bool, typer.Option("--apply", help="Set the parameters in the running daemon, for the robot's next connection.")
     ] = False,
     state: Annotated[
-        Path | None, typer.Option(help="Where it waits between two drives.", show_default="in the state folder")
+        Path | None,
+        typer.Option(
+            help="File that keeps the finished drives, to continue on another day.", show_default="in the state folder"
+        ),
     ] = None,
-    anew: Annotated[bool, typer.Option("--anew", help="Do not resume what that file has.")] = False,
-    picture: Annotated[Path | None, typer.Option(help="An SVG of the drives.", show_default="beside the state")] = None,
+    anew: Annotated[bool, typer.Option("--anew", help="Begin again instead of continuing from that file.")] = False,
+    picture: Annotated[
+        Path | None, typer.Option(help="SVG file of the drives, for a report.", show_default="next to the state file")
+    ] = None,
     simulate: Annotated[
-        bool, typer.Option("--simulate", help="A simulated robot and person, without a daemon, in seconds.")
+        bool,
+        typer.Option("--simulate", help="Practise with a simulated robot and person, without a daemon, in seconds."),
     ] = False,
     write_simulated: Annotated[
-        bool, typer.Option("--write-simulated", help="With --simulate and --write: that file is for no real robot.")
+        bool,
+        typer.Option(
+            "--write-simulated", help="With --simulate: allow --write, into a configuration that no real robot uses."
+        ),
     ] = False,
     world: Annotated[
-        list[str] | None, typer.Option(help="With --simulate: a number of its world, as track_m=0.214. Repeatable.")
+        list[str] | None,
+        typer.Option(
+            help="With --simulate: a parameter of the simulated world, for example track_m=0.214. May be repeated."
+        ),
     ] = None,
     mistake: Annotated[
-        str | None, typer.Option(help=f"With --simulate: what the person does wrong: {', '.join(MISTAKES)}.")
+        str | None,
+        typer.Option(help=f"With --simulate: a mistake of the person, to see how it is found: {', '.join(MISTAKES)}."),
     ] = None,
-    json: Annotated[bool, typer.Option("--json", help="The result as JSON on standard output.")] = False,
+    json: Annotated[bool, typer.Option("--json", help="Print the result as JSON, for programs.")] = False,
 ) -> None:
     """Find a robot's wheel radii and wheel separation with a tape measure.
 
-    It drives a line twice, turns on the spot once each way, and drives a square twice each way; after each drive you
-    enter what the tape measure shows. Then check drives must confirm the gain; nothing is kept before.
+    The robot drives a line twice, turns on the spot in each direction, and drives a square twice in each direction.
+    After each drive you enter what the tape measure shows. The result is used only if check drives confirm it.
     """
     _refuse_others("--target", target, TARGETS)
     _refuse_others("--mistake", mistake, MISTAKES)
     for option, value in {"--world": world, "--mistake": mistake}.items():
         if value is not None and not simulate:
-            raise ConfigError(option, "goes with --simulate: this would drive a real robot")
+            raise ConfigError(option, "is for a simulated robot, but this would drive a real one; add --simulate")
     if simulate and write_to is not None and not write_simulated:
-        raise ConfigError("--write", f"{write_to} would get numbers that no robot has; to practise: --write-simulated")
+        raise ConfigError(
+            "--write", f"{write_to} would get the numbers of a simulated robot; add --write-simulated to practise"
+        )
     sizes = Sizes(length, side, turns, repeats)
     name = robot.strip("/")
-    session: Session
+    session: CalibrationSession
     if simulate:
         session = Simulated(_world(world or []), mistake)
     else:
@@ -110,14 +155,15 @@ def command(
     _check_file(write_to, name, chosen)
     path = state or default_path(f"{name}-simulated" if simulate else name)
     believed = session.nominal() if nominal is None else _chosen_nominal(session, _nominal(nominal))
-    saved = open_state(path, Saved(name, sizes, believed), anew=anew or simulate)
+    saved = open_state(path, SavedCalibration(name, sizes, believed), anew=anew or simulate)
     calibration = GuidedCalibration(session, saved, picture or path.with_suffix(".svg"), is_quiet=json)
     try:
         found, confirmation = calibration.run()
     except KeyboardInterrupt:
         write_error(
             "",
-            f"the robot was sent a stop; drives done: {len(saved.saved.runs)}. The same command goes on, from {path}",
+            f"the robot was sent a stop; {len(saved.saved.runs)} drives are kept in {path}",
+            "run the same command to continue",
         )
         raise
     settings = settings_of(name, found, chosen, write_to)
@@ -130,30 +176,30 @@ def command(
 
 
 class GuidedCalibration:
-    """From the first drive to the confirmation."""
+    """Calibration from the first drive to its confirmation."""
 
-    def __init__(self, session: Session, state: StateFile, picture: Path, *, is_quiet: bool) -> None:
+    def __init__(self, session: CalibrationSession, state: StateFile, picture: Path, *, is_quiet: bool) -> None:
         self._session, self._state, self._picture = session, state, picture
         self._saved = state.saved
         self._steps = steps_of(self._saved.sizes)
         self._print = write_error if is_quiet else write  # standard output is for the JSON
 
     def run(self) -> tuple[Calibration, Confirmation]:
-        """Drive what is left.
+        """Drive the remaining drives and the check.
 
         Raises:
-            HostlinkError: the numbers cannot be, the check does not confirm them, or nobody answers.
+            HostlinkError: the measurements are impossible, the check does not confirm them, or standard input ends.
         """
         count, total = len(self._saved.runs), len(self._steps)
         self._print(
-            f"Calibrating {self._saved.robot}: {total} drives, then 3 to check"
+            f"Calibrating {self._saved.robot}: {total} drives, then 3 check drives"
             + ("." if count == 0 else f"; {count} are done."),
-            f"What you enter is kept in {self._state.path}; the same command goes on from there.",
-            "It believes in wheels of {:g} and {:g} mm, {:g} mm apart (if not: --nominal).".format(
+            f"Your measurements are kept in {self._state.path}; the same command continues from there.",
+            "The robot uses wheels of {:g} and {:g} mm, {:g} mm apart (if not: --nominal).".format(
                 *(round(1000 * value, 4) for value in self._saved.nominal)
             ),
         )
-        self._state.save()  # where it cannot be kept, nobody measures
+        self._state.save()  # fails before the first drive if the file cannot be written
         nominal = uncorrected(self._saved.nominal)
         for number in range(count, total):
             run = self._drive(self._steps[number], f"{number + 1}/{total}", nominal)
@@ -184,13 +230,17 @@ class GuidedCalibration:
                 path = None
 
     def _agree(self) -> Calibration:
-        """The wheels that explain all drives; those that contradict are done again."""
+        """Find the wheels that explain all drives; repeat drives that contradict the others.
+
+        Raises:
+            HostlinkError: the person does not repeat a contradicting drive.
+        """
         runs = self._saved.runs
         while complaint := complaint_of_runs(runs, self._saved.nominal):
             titles = [f"{step.title}: {_entered(run)}" for step, run in zip(self._steps, runs, strict=True)]
             number = self._session.choose(complaint, titles)
             if number is None:
-                raise HostlinkError(f"{complaint}. Nothing is kept")
+                raise HostlinkError(f"{complaint}. No result is used; run the same command to measure drives again")
             runs[number] = self._drive(self._steps[number], f"{number + 1} again", uncorrected(self._saved.nominal))
             self._saved.checks.clear()
             self._state.save()
@@ -205,8 +255,8 @@ class GuidedCalibration:
         self._draw(found)
         self._print(
             "",
-            f"Check drive: {confirmation.before_m * 100:.1f} cm off by the old numbers, "
-            f"{confirmation.after_m * 100:.1f} cm by the new ones.",
+            f"Check drives: the position is {confirmation.before_m * 100:.1f} cm off with the old numbers, "
+            f"{confirmation.after_m * 100:.1f} cm with the new ones.",
             f"Picture: {self._picture}",
         )
         if confirmation.complaint:
@@ -221,8 +271,8 @@ class GuidedCalibration:
             self._picture.write_text(draw(found, self._saved.runs, self._saved.checks), encoding="utf-8")
         except OSError as error:
             raise HostlinkError(
-                f"{self._picture}: {error.strerror or error}; the drives are kept: the same command with another "
-                "--picture goes on"
+                f"{self._picture} cannot be written: {error.strerror or error}; the drives are kept, so run the same "
+                "command with another --picture"
             ) from error
 
     def _describe(self, found: Calibration) -> None:
@@ -235,21 +285,21 @@ class GuidedCalibration:
         self._print(
             *table(["mm", "now", "least squares", "95 %", "UMBmark"], rows),
             "",
-            f"A square ends {found.before.largest_m * 100:.1f} cm off now, {found.after.largest_m * 100:.2f} cm with "
-            f"these (centre of the drives, E_max,syst); a single one {found.residual_m * 100:.2f} cm.",
+            f"A square ends {found.before.largest_m * 100:.1f} cm off now, and {found.after.largest_m * 100:.2f} cm "
+            f"with these numbers (mean of the drives, E_max,syst); a single one {found.residual_m * 100:.2f} cm.",
         )
         if (by_turns_m := found.separation_by_turns_m) is not None:
             share = by_turns_m / found.correction.separation_m - 1
             if abs(share) > CASTER_SHARE:
                 self._print(
-                    f"Turns on the spot give {by_turns_m * 1000:.2f} mm apart: each corner of a square turns "
-                    f"{share * 90:+.1f} degrees more than they do. A caster that swings round at the begin of a side "
-                    "does that; the numbers above are right for drives with corners."
+                    f"Turns on the spot give a separation of {by_turns_m * 1000:.2f} mm: each corner of a square turns "
+                    f"{share * 90:+.1f} degrees more than a turn on the spot. A caster that swings round at the "
+                    "beginning of a side does that; the numbers above are right for drives with corners."
                 )
 
 
 def settings_of(robot: str, found: Calibration, target: str, file: Path | None) -> Tables:
-    """The lines of hostlink.toml; in the spelling of the file, where it has them."""
+    """Return the settings for hostlink.toml, with the keys that the file has already."""
     return _settings(robot, found.geometry, found.correction, target, file)
 
 
@@ -271,26 +321,27 @@ def _settings(
     return {"parameters": {_spelling(f"/{robot}/{name}", known): value for name, value in own.items()}}
 
 
-def _keep(session: Session, settings: Tables, target: str, file: Path | None, *, apply: bool) -> None:
+def _keep(session: CalibrationSession, settings: Tables, target: str, file: Path | None, *, apply: bool) -> None:
     if file is not None:
         backup = write_settings(file, settings)
-        write_error(f"{file} has them; as it was: {backup}. They are used when the daemon and the robot start again.")
+        write_error(f"{file} is changed; the old file is {backup}. Restart the daemon and the robot to use it.")
     if apply and target == "device":
         session.set_parameters({json_text.loads(key): value for key, value in settings["parameters"].items()})
-        write_error("The daemon has them; the robot requests them when it connects the next time: reset it.")
+        write_error("The daemon has the parameters; reset the robot, which requests them when it connects.")
     elif apply:
-        write_error("--apply is for parameters: hostlink corrects odometry from its configuration, when it starts.")
+        write_error("--apply sets parameters only: hostlink reads the correction of odometry from its configuration.")
 
 
 def _check_file(file: Path | None, robot: str, target: str) -> None:
-    """Before an hour of drives: whether the numbers can stand there."""
+    """Refuse a file that cannot have the result, before an hour of drives."""
     if file is None:
         return
     config = load(file)
     is_corrected = robot in config.robots and config.robots[robot].calibration != CalibrationConfig()
     if target == "device" and is_corrected:
         raise ConfigError(
-            str(file), f"has [robots.{robot}.calibration]: remove it, or the device's new numbers are corrected again"
+            str(file),
+            f"has [robots.{robot}.calibration], which would correct the device's new numbers again; remove it",
         )
     require_changeable(file, _settings(robot, WheelGeometry(), OdometryCorrection(), target, file))
 
@@ -300,7 +351,7 @@ def _parameters_of(file: Path | None) -> list[str]:
 
 
 def _spelling(name: str, known: list[str]) -> str:
-    """A parameter may stand in the file with another beginning: `~robot_0/x` and `robot_0/x` are `/robot_0/x`."""
+    """Return the file's spelling of a parameter: `~robot_0/x` and `robot_0/x` are the same as `/robot_0/x`."""
     return json_text.dumps(next((key for key in known if key.lstrip("/~") == name.lstrip("/~")), name))
 
 
@@ -316,10 +367,16 @@ def _world(changes: list[str]) -> Any:
         raise ConfigError("--world", str(error)) from error
 
 
-def _chosen_nominal(session: Session, nominal: WheelGeometry) -> WheelGeometry:
-    """The numbers of `--nominal`, unless they are in another unit and the person says so."""
+def _chosen_nominal(session: CalibrationSession, nominal: WheelGeometry) -> WheelGeometry:
+    """Return the wheels of `--nominal`.
+
+    Raises:
+        ConfigError: their unit seems wrong, and the person agrees.
+    """
     complaint = ""
-    with contextlib.suppress(HostlinkError):  # what is known is not what the robot uses: the option is there for that
+    with contextlib.suppress(
+        HostlinkError
+    ):  # the daemon does not know what the robot uses, which is why the option was given
         complaint = complaint_of_nominal(nominal, session.nominal())
     if complaint and not session.goes_on(complaint):
         raise ConfigError("--nominal", complaint)
@@ -329,16 +386,19 @@ def _chosen_nominal(session: Session, nominal: WheelGeometry) -> WheelGeometry:
 def _nominal(text: str) -> WheelGeometry:
     values = numbers_of(text)
     if len(values) != len(WheelGeometry._fields):
-        raise ConfigError("--nominal", f"{text} is not three numbers of metres, as 0.045,0.045,0.21")
+        raise ConfigError("--nominal", f"{text} is not three numbers; enter metres, for example 0.045,0.045,0.21")
     for value, (least_m, most_m) in zip(values, (RADIUS_M, RADIUS_M, SEPARATION_M), strict=True):
         if not least_m <= value <= most_m:
-            raise ConfigError("--nominal", f"{value:g} is not {least_m:g} to {most_m:g} m, as in 0.045,0.045,0.21")
+            raise ConfigError(
+                "--nominal",
+                f"{value:g} m is outside {least_m:g} to {most_m:g} m; enter metres, for example 0.045,0.045,0.21",
+            )
     return WheelGeometry(*values)
 
 
 def _refuse_others(option: str, value: str | None, known: tuple[str, ...]) -> None:
     if value is not None and value not in known:
-        raise ConfigError(option, f"{value} is none of {', '.join(known)}")
+        raise ConfigError(option, f"unknown value {value!r}; choose one of {', '.join(known)}")
 
 
 def _entered(run: MeasuredRun) -> str:

@@ -1,15 +1,15 @@
-"""The picture of a calibration: an SVG with the squares as they were driven, and their ends before and after. Pure."""
+"""Picture of a calibration: an SVG with the driven squares, and their errors before and after. Pure."""
 
 import itertools
 import math
 from collections.abc import Iterable, Sequence
 
-from hostlink.robot.calibration import Calibration, Kind, MeasuredRun, end_of, uncorrected
+from hostlink.robot.calibration import Calibration, MeasuredRun, RunKind, end_of, uncorrected
 from hostlink.robot.odometry import OdometryCorrection
 
 WIDTH, HEIGHT, MARGIN = 520.0, 520.0, 46.0
-DRAWN = 4  # one pose in so many
-COLOURS = {Kind.SQUARE_CW: "#c2410c", Kind.SQUARE_CCW: "#1d4ed8"}
+DRAWN = 4  # every fourth pose is drawn
+COLOURS = {RunKind.SQUARE_CW: "#c2410c", RunKind.SQUARE_CCW: "#1d4ed8"}
 _SQUARES = tuple(COLOURS)
 _GOOD = "#15803d"
 
@@ -17,7 +17,7 @@ Point = tuple[float, float]
 
 
 def picture(found: Calibration, runs: Sequence[MeasuredRun], checks: Sequence[MeasuredRun]) -> str:
-    """The whole picture."""
+    """Return the picture as SVG."""
     squares = [run for run in runs if run.kind in _SQUARES]
     parts = [*_paths(found, squares), *_ends(found, squares, [run for run in checks if run.kind in _SQUARES])]
     body = "\n".join(parts)
@@ -28,7 +28,7 @@ def picture(found: Calibration, runs: Sequence[MeasuredRun], checks: Sequence[Me
 
 
 class _Panel:
-    """Metres to pixels, the same in both directions, y upwards."""
+    """Mapping of metres to pixels, with the same scale in both directions and y upwards."""
 
     def __init__(self, left: float, points: Iterable[Point]) -> None:
         xs, ys = zip(*points, strict=True)
@@ -55,7 +55,7 @@ class _Panel:
 
 
 def _paths(found: Calibration, squares: Sequence[MeasuredRun]) -> list[str]:
-    """What the odometry believed, dashed; what the new wheels make of it, with the measured end."""
+    """Draw the path by odometry (dashed), the path with the new wheels, and the measured end."""
     raw = [_path(run, uncorrected(found.nominal)) for run in squares]
     true = [_path(run, found.correction) for run in squares]
     ends = [(run.measured.x_m, run.measured.y_m) for run in squares]
@@ -69,7 +69,7 @@ def _paths(found: Calibration, squares: Sequence[MeasuredRun]) -> list[str]:
 
 
 def _ends(found: Calibration, squares: Sequence[MeasuredRun], checks: Sequence[MeasuredRun]) -> list[str]:
-    """Measured less odometry, as UMBmark draws it."""
+    """Draw the errors at the end, measured less odometry, as UMBmark does."""
     before = [(run, _error(run, uncorrected(found.nominal))) for run in squares]
     after = [(run, _error(run, found.correction)) for run in squares]
     tested = [(run, _error(run, found.correction)) for run in checks]

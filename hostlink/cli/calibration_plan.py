@@ -1,4 +1,4 @@
-"""The drives of a calibration: their order, what each needs, what is entered, and the state file between them."""
+"""Plan of a calibration: order and space of its drives, the state file between them, and lengths that people enter."""
 
 import math
 import os
@@ -9,18 +9,18 @@ from pathlib import Path
 import msgspec
 
 from hostlink.errors import HostlinkError
-from hostlink.robot.calibration import Kind, MeasuredRun, WheelGeometry
+from hostlink.robot.calibration import MeasuredRun, RunKind, WheelGeometry
 from hostlink.robot.course import Leg, square, straight, turns
 
 FORMAT = 1  # of the state file
-SPARE_M = 0.5  # of free floor beyond a course
+SPARE_M = 0.5  # free floor beyond a course
 UNITS_M = {"cm": 0.01, "mm": 0.001, "m": 1.0, "in": 0.0254}
 _LENGTH = re.compile(r"\s*([-+]?[\d.,]+(?:e[-+]?\d+)?)\s*([a-z\"]*)\s*", re.IGNORECASE)
 _EXAMPLE = "12.5 cm, 125 mm, 0.125 m or 4.92 in"
 
 
 class Sizes(msgspec.Struct, frozen=True):
-    """How large the drives are."""
+    """Lengths and number of the drives."""
 
     length_m: float = 3.0
     side_m: float = 2.0
@@ -28,8 +28,8 @@ class Sizes(msgspec.Struct, frozen=True):
     repeats: int = 2
 
 
-class Saved(msgspec.Struct):
-    """What the state file has."""
+class SavedCalibration(msgspec.Struct):
+    """Content of the state file."""
 
     robot: str
     sizes: Sizes
@@ -41,46 +41,46 @@ class Saved(msgspec.Struct):
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """One drive that the plan has."""
+    """One drive of the plan."""
 
-    kind: Kind
+    kind: RunKind
     size: float
 
     @property
     def legs(self) -> tuple[Leg, ...]:
-        """Its course."""
+        """Course of the drive."""
         match self.kind:
-            case Kind.STRAIGHT:
+            case RunKind.STRAIGHT:
                 return straight(self.size)
-            case Kind.TURNS_CCW | Kind.TURNS_CW:
+            case RunKind.TURNS_CCW | RunKind.TURNS_CW:
                 return turns(round(self.size), self.way)
             case _:
                 return square(self.size, self.way)
 
     @property
     def way(self) -> int:
-        """1: counter-clockwise, -1: clockwise."""
-        return -1 if self.kind in (Kind.TURNS_CW, Kind.SQUARE_CW) else 1
+        """Direction: 1 counter-clockwise, -1 clockwise."""
+        return -1 if self.kind in (RunKind.TURNS_CW, RunKind.SQUARE_CW) else 1
 
     @property
     def title(self) -> str:
-        """What it is."""
+        """Description of the drive."""
         way = "counter-clockwise" if self.way > 0 else "clockwise"
         match self.kind:
-            case Kind.STRAIGHT:
+            case RunKind.STRAIGHT:
                 return f"a line of {self.size:g} m"
-            case Kind.TURNS_CCW | Kind.TURNS_CW:
+            case RunKind.TURNS_CCW | RunKind.TURNS_CW:
                 return f"{self.size:g} turn{'' if self.size == 1 else 's'} on the spot, {way}"
             case _:
                 return f"a square of {self.size:g} m, {way}"
 
     @property
     def room(self) -> str:
-        """What it needs."""
+        """Free floor that the drive needs."""
         match self.kind:
-            case Kind.STRAIGHT:
+            case RunKind.STRAIGHT:
                 return f"{self.size + SPARE_M:g} m of free floor before it"
-            case Kind.TURNS_CCW | Kind.TURNS_CW:
+            case RunKind.TURNS_CCW | RunKind.TURNS_CW:
                 return "half a metre of free floor around it"
             case _:
                 side = "left" if self.way > 0 else "right"
@@ -89,16 +89,16 @@ class Step:
 
 @dataclass(slots=True)
 class StateFile:
-    """Where a calibration waits between two drives."""
+    """File that keeps the measurements of a calibration between two drives."""
 
     path: Path
-    saved: Saved
+    saved: SavedCalibration
 
     def save(self) -> None:
-        """Write it, whole or not at all.
+        """Write the whole file or nothing.
 
         Raises:
-            HostlinkError: it cannot be written.
+            HostlinkError: the file cannot be written.
         """
         beside = self.path.with_suffix(".new")
         try:
@@ -106,74 +106,76 @@ class StateFile:
             beside.write_bytes(msgspec.json.encode(self.saved))
             beside.replace(self.path)
         except OSError as error:
-            raise HostlinkError(f"{self.path}: {error.strerror or error}") from error
+            raise HostlinkError(
+                f"{self.path} cannot be written: {error.strerror or error}; name another file with --state"
+            ) from error
 
     def remove(self) -> None:
-        """The calibration is over."""
+        """Remove the file of a finished calibration."""
         self.path.unlink(missing_ok=True)
 
 
 def default_path(robot: str) -> Path:
-    """In the user's state folder (XDG)."""
+    """Return the usual state file of a robot, in the user's state folder (XDG)."""
     home = os.environ.get("XDG_STATE_HOME") or "~/.local/state"
     name = "".join(char if char.isalnum() or char in "-_." else "_" for char in robot)
     return Path(home).expanduser() / "hostlink" / f"calibrate-{name}.json"
 
 
-def open_state(path: Path, wanted: Saved, *, anew: bool) -> StateFile:
-    """What was saved of the same calibration, or a new one.
+def open_state(path: Path, wanted: SavedCalibration, *, anew: bool) -> StateFile:
+    """Open the state file of the same calibration, or begin a new one.
 
     Raises:
-        HostlinkError: the file has drives of another calibration, or is none.
+        HostlinkError: the file has drives of another calibration, or is not a state file.
     """
     if anew or not path.exists():
         return StateFile(path, wanted)
     try:
-        saved = msgspec.json.decode(path.read_bytes(), type=Saved)
+        saved = msgspec.json.decode(path.read_bytes(), type=SavedCalibration)
     except (OSError, msgspec.DecodeError) as error:
-        raise HostlinkError(f"{path} is no calibration that can be resumed ({error}); --anew begins again") from error
+        raise HostlinkError(f"{path} is not the state file of a calibration ({error}); --anew begins again") from error
     same = ("robot", "sizes", "nominal", "format")
     differs = [name for name in same if getattr(saved, name) != getattr(wanted, name)]
     if differs and saved.runs:
-        raise HostlinkError(f"{path} has a calibration with other {' and '.join(differs)}; --anew begins again")
+        raise HostlinkError(f"{path} has a calibration with another {' and '.join(differs)}; --anew begins again")
     return StateFile(path, saved if saved.runs else wanted)
 
 
 def steps_of(sizes: Sizes) -> list[Step]:
-    """The drives that are measured."""
+    """Return the drives that are measured."""
     return [
-        *[Step(Kind.STRAIGHT, sizes.length_m)] * sizes.repeats,
-        *([Step(Kind.TURNS_CCW, sizes.turns), Step(Kind.TURNS_CW, sizes.turns)] if sizes.turns else []),
-        *[Step(Kind.SQUARE_CW, sizes.side_m), Step(Kind.SQUARE_CCW, sizes.side_m)] * sizes.repeats,
+        *[Step(RunKind.STRAIGHT, sizes.length_m)] * sizes.repeats,
+        *([Step(RunKind.TURNS_CCW, sizes.turns), Step(RunKind.TURNS_CW, sizes.turns)] if sizes.turns else []),
+        *[Step(RunKind.SQUARE_CW, sizes.side_m), Step(RunKind.SQUARE_CCW, sizes.side_m)] * sizes.repeats,
     ]
 
 
 def checks_of(sizes: Sizes) -> list[Step]:
-    """The drives that must confirm it."""
-    kinds = ((Kind.STRAIGHT, sizes.length_m), (Kind.SQUARE_CW, sizes.side_m), (Kind.SQUARE_CCW, sizes.side_m))
+    """Return the drives that must confirm the result."""
+    kinds = ((RunKind.STRAIGHT, sizes.length_m), (RunKind.SQUARE_CW, sizes.side_m), (RunKind.SQUARE_CCW, sizes.side_m))
     return [Step(kind, size) for kind, size in kinds]
 
 
 class UnitMissing(ValueError):
-    """A number without its unit."""
+    """A length was entered without its unit."""
 
     def __init__(self, number: str) -> None:
         self.number = number
-        super().__init__(f"{number} of what? Enter it with its unit, as {_EXAMPLE}")
+        super().__init__(f"{number} has no unit; enter for example {_EXAMPLE}")
 
 
 def parse_length(text: str, default: str = "") -> float:
-    """Metres of `12,5 cm`, `-3 mm`, `3.012 m` or `5 in`; a number alone is in the `default` unit, zero needs none.
+    """Return the metres of `12,5 cm`, `-3 mm`, `3.012 m` or `5 in`. A bare number has the `default` unit.
 
     Raises:
-        UnitMissing: it is a number alone, and there is no default.
-        ValueError: it is no length; the text has an example.
+        UnitMissing: a bare number was entered, and no default is given.
+        ValueError: the text is not a length; the error has an example.
     """
     wanted = f"length; enter {_EXAMPLE}"
     found = _LENGTH.fullmatch(text)
     unit = "" if found is None else found[2].lower().replace('"', "in") or default
     if found is None or (unit and unit not in UNITS_M):
-        raise ValueError(f"{text.strip()!r} is no {wanted}")
+        raise ValueError(f"{text.strip()!r} is not a {wanted}")
     number = _number(found[1].replace(",", "."), text, wanted)
     if number and not unit:
         raise UnitMissing(found[1])
@@ -181,13 +183,13 @@ def parse_length(text: str, default: str = "") -> float:
 
 
 def parse_angle(text: str) -> float:
-    """Radians of degrees.
+    """Return the radians of an angle in degrees.
 
     Raises:
-        ValueError: it is none; the text has an example.
+        ValueError: the text is not an angle; the error has an example.
     """
     word = text.strip().lower().replace(",", ".").removesuffix("degrees").removesuffix("°")
-    return math.radians(_number(word, text, "angle: degrees, as -12.5"))
+    return math.radians(_number(word, text, "number of degrees; enter for example -12.5"))
 
 
 def _number(word: str, text: str, wanted: str) -> float:
@@ -196,5 +198,5 @@ def _number(word: str, text: str, wanted: str) -> float:
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
-        raise ValueError(f"{text.strip()!r} is no {wanted}")
+        raise ValueError(f"{text.strip()!r} is not a {wanted}")
     return value

@@ -1,4 +1,4 @@
-"""A calibration's robot and the person who measures it: through the daemon and at the terminal, or simulated."""
+"""Robot of a calibration and the person who measures it: a real robot of the daemon, or a simulated one."""
 
 import asyncio
 import contextlib
@@ -17,7 +17,7 @@ from hostlink.client import Host, RobotState, connect
 from hostlink.client.robot import Robot
 from hostlink.client.topics import Subscription
 from hostlink.errors import HostlinkError, RefusalKind, UnknownTopic
-from hostlink.robot.calibration import Kind, Measurement, WheelGeometry
+from hostlink.robot.calibration import Measurement, RunKind, WheelGeometry
 from hostlink.robot.course import STUCK_S, CourseFollower, Leg, Speed
 from hostlink.robot.kinematics import Pose, wrap_angle
 from hostlink.robot.odometry import OdometryCorrection
@@ -27,42 +27,42 @@ from hostlink.sim.firmware_world import FirmwareWorld, Person, follow
 # -- courses through the daemon ---------------------------------------------------------------------------------------
 
 PRIORITY = 55  # above a program, below a person at the keys
-SILENCE_S = 0.4  # of the odometry: the robot would drive blind
+SILENCE_S = 0.4  # without odometry the robot would drive blind
 FIRST_POSE_S = 3.0
-JUMP_M = 0.3  # between two poses: the device restarted, or its odometry was reset
-STAND_S = 0.3  # after the stop, before the person may touch it
-SIGNALS = (signal.SIGTERM, signal.SIGHUP)  # Ctrl-C is asyncio's own
+JUMP_M = 0.3  # a larger distance between two poses means that the device restarted or reset its odometry
+STAND_S = 0.3  # after the stop, until the person may touch the robot
+SIGNALS = (signal.SIGTERM, signal.SIGHUP)  # asyncio handles Ctrl-C itself
 OWN_PARAMETERS = ("wheel_radius", "wheel_separation", "ticks_per_turn")
-OWN_TOPIC = "pid_tune_l"  # that only hostlink's firmware subscribes to
+OWN_TOPIC = "pid_tune_l"  # only hostlink's firmware subscribes to it
 
-Show = Callable[[int, float], None]  # legs that are left, seconds
+Show = Callable[[int, float], None]  # remaining legs, seconds
 
 
 class Drives:
-    """Courses of one robot of a daemon."""
+    """Drives of one robot of a daemon along courses."""
 
     def __init__(self, url: str, token: str | None, robot: str, speed: Speed) -> None:
         self.robot = robot.strip("/")
         self._url, self._token, self._speed = url, token, speed
 
     async def follow(self, legs: Sequence[Leg], correction: OdometryCorrection, show: Show) -> tuple[Pose, ...]:
-        """Drive a course; returns the poses of the robot's own odometry. A signal cancels it.
+        """Drive a course; return the poses of the robot's own odometry. A signal cancels the drive.
 
         Raises:
-            HostlinkError: it is refused or broken off; the robot stands.
+            HostlinkError: the drive is refused or broken off; the robot was sent a stop.
         """
         async with self._connected() as host:
             state = await _state(host, self.robot)
             robot = host.robot(self.robot, priority=PRIORITY)
             async with host.subscribe(state["odometry_topic"]) as poses, _stopping(robot):
-                drive = _Drive(robot, CourseFollower(legs, self._speed), correction)
+                drive = _CourseDrive(robot, CourseFollower(legs, self._speed), correction)
                 return await drive.run(poses, show)
 
     async def nominal(self) -> WheelGeometry:
-        """The numbers that the robot uses: as it was answered, else as configured, else the paper's.
+        """Return the wheels that the robot uses: of its parameters, else of the configuration, else of the paper.
 
         Raises:
-            HostlinkError: there is no hostlink, or no such robot; or its parameters have changed since it connected.
+            HostlinkError: no daemon answers, the robot is unknown, or its parameters have changed since it connected.
         """
         usual = WheelGeometry()
         async with self._connected() as host:
@@ -74,7 +74,7 @@ class Drives:
         return WheelGeometry(radii[0], radii[-1], separation[0])
 
     async def _require_current(self, host: Host, state: RobotState) -> None:
-        """The robot must use what the daemon has now: a robot requests its parameters when it connects, no later."""
+        """Refuse a robot whose parameters have changed since it connected, which is when it requests them."""
         link = next((each for each in await host.links() if each["number"] == state["link"]), {})
         for name in OWN_PARAMETERS:
             answered = link.get("parameters", {}).get(f"/{self.robot}/{name}")
@@ -83,24 +83,24 @@ class Drives:
             if answered is not None and answered != now:
                 was, become = (", ".join(map(str, values)) for values in (answered, now))
                 raise HostlinkError(
-                    f"{self.robot} was given {was or 'no number'} as {name} when it connected, and the daemon has "
-                    f"{become or 'none'} now: reset the robot, then begin again"
+                    f"{self.robot} was given {was or 'no number'} as {name} when it connected, but the daemon has "
+                    f"{become or 'none'} now; reset the robot, then begin again"
                 )
 
     async def requests_parameters(self) -> bool:
-        """Whether it is hostlink's own firmware, which requests its wheels as parameters.
+        """Whether the robot has hostlink's own firmware, which requests its wheels as parameters.
 
         Raises:
-            HostlinkError: there is no hostlink.
+            HostlinkError: no daemon answers.
         """
         async with self._connected() as host:
             return any(topic["name"] == f"/{self.robot}/{OWN_TOPIC}" for topic in await host.topics())
 
     async def set_parameters(self, parameters: Mapping[str, str]) -> None:
-        """Give the running daemon parameters, as JSON; the robot requests them when it connects the next time.
+        """Set parameters in the running daemon, as JSON; the robot requests them at its next connection.
 
         Raises:
-            HostlinkError: they were refused.
+            HostlinkError: the daemon refuses them.
         """
         async with self._connected() as host:
             for name, value in parameters.items():
@@ -114,8 +114,8 @@ class Drives:
         return numbers_of(str(answer["value"])) or usual
 
 
-class _Drive:
-    """One course: a command at each pose."""
+class _CourseDrive:
+    """Drive along one course, with a command at each pose."""
 
     def __init__(self, robot: Robot, follower: CourseFollower, correction: OdometryCorrection) -> None:
         self._robot, self._follower, self._correction = robot, follower, correction
@@ -130,12 +130,12 @@ class _Drive:
             velocity = self._follower.update(self._shown, now_s())
             if self._follower.is_stuck:
                 raise HostlinkError(
-                    f"its odometry did not advance for {STUCK_S:g} s: a wall, or an encoder that does not count? "
-                    "The robot was stopped"
+                    f"the odometry did not change for {STUCK_S:g} s, and the robot was stopped; look for a wall "
+                    "or an encoder that does not count"
                 )
             await self._robot.command(*velocity)
             if self._robot.refusal is not None:
-                raise HostlinkError(f"{self._robot.name} is not driven any more: {self._robot.refusal.reason}")
+                raise HostlinkError(f"a command for {self._robot.name} was refused: {self._robot.refusal.reason}")
             show(self._follower.legs_left, now_s() - start_s)
             self._add(await self._next(poses, SILENCE_S))
         return tuple(self._path)
@@ -144,7 +144,9 @@ class _Drive:
         if self._path:
             before = self._path[-1]
             if math.dist(before[:2], pose[:2]) > JUMP_M or abs(wrap_angle(pose.theta_rad - before.theta_rad)) > 1.0:
-                raise HostlinkError("its odometry jumped: this drive does not count. Put it back to the start")
+                raise HostlinkError(
+                    "the odometry jumped, so this drive does not count; put the robot back to the start"
+                )
             self._shown = self._correction.advance(self._shown, before, pose)
         self._path.append(pose)
 
@@ -153,15 +155,17 @@ class _Drive:
             async with asyncio.timeout(timeout_s):
                 return pose_of(await anext(poses))
         except TimeoutError:
-            raise HostlinkError(f"no odometry for {timeout_s:g} s: the robot was stopped") from None
+            raise HostlinkError(
+                f"no odometry arrived for {timeout_s:g} s, and the robot was stopped; `hostlink doctor` finds out why"
+            ) from None
 
 
 @contextlib.asynccontextmanager
 async def _stopping(robot: Robot) -> AsyncIterator[None]:
-    """However the block is left, the robot stops first, unless another has it; a signal leaves the block."""
+    """Stop the robot when the block is left, unless another source drives it. A signal cancels the block."""
     loop = asyncio.get_running_loop()
     task = asyncio.current_task()
-    assert task is not None  # noqa: S101 - it is one that runs this
+    assert task is not None  # noqa: S101 - a task runs this
     for number in SIGNALS:
         loop.add_signal_handler(number, task.cancel)
     try:
@@ -169,7 +173,9 @@ async def _stopping(robot: Robot) -> AsyncIterator[None]:
     finally:
         for number in SIGNALS:
             loop.remove_signal_handler(number)
-        if robot.refusal is None or robot.refusal.kind != RefusalKind.HELD:  # a stop would end another's drive, too
+        if (
+            robot.refusal is None or robot.refusal.kind != RefusalKind.HELD
+        ):  # a stop would also end another source's drive
             with contextlib.suppress(HostlinkError):  # with the connection gone the daemon has stopped it
                 await robot.stop(wait_s=0.0)
     await asyncio.sleep(STAND_S)
@@ -181,16 +187,18 @@ async def _state(host: Host, name: str) -> RobotState:
         raise UnknownTopic("robot", name, names)
     state = await host.robot(name).state()
     if not state["connected"]:
-        raise HostlinkError(f"{name} is not connected")
+        raise HostlinkError(f"{name} is not connected; `hostlink doctor` finds out why")
     if state.get("locked"):
-        raise HostlinkError(f"{name} is locked: {state.get('lock_reason')}")
+        raise HostlinkError(f"{name} is locked: {state.get('lock_reason')}; `hostlink unlock {name}` unlocks it")
     if state["holder"] is not None:
-        raise HostlinkError(f"{name}: {driver(state)} drives it; end that first, or it drives on while you measure")
+        raise HostlinkError(
+            f"{name} is driven by {driver(state)}; end that program first, or the robot moves while you measure"
+        )
     return state
 
 
 def pose_of(message: Mapping[str, Any]) -> Pose:
-    """Of a geometry_msgs/Pose2D or a nav_msgs/Odometry."""
+    """Return the pose of a geometry_msgs/Pose2D or a nav_msgs/Odometry."""
     if "theta" in message:
         return Pose(message["x"], message["y"], wrap_angle(message["theta"]))
     pose = message["pose"]["pose"]
@@ -200,13 +208,13 @@ def pose_of(message: Mapping[str, Any]) -> Pose:
 
 
 def _values(text: str) -> list[Any]:
-    """Of a parameter in JSON, as the API shows what a device was answered."""
+    """Return the values of a parameter in JSON, as the API shows the answer to a device."""
     value = json.loads(text)
     return value if isinstance(value, list) else [value]
 
 
 def numbers_of(text: str) -> list[float]:
-    """Of a parameter in JSON: one number or several; nothing where it is something else."""
+    """Return the number or numbers of a parameter in JSON; empty if it has another type."""
     words = text.strip().strip("[]").split(",")
     try:
         values = [float(word) for word in words]
@@ -219,51 +227,51 @@ def numbers_of(text: str) -> list[float]:
 
 MISTAKES = ("slip", "sides")
 _SLIP = 0.1
-_TURNS = (Kind.TURNS_CCW, Kind.TURNS_CW)
+_TURNS = (RunKind.TURNS_CCW, RunKind.TURNS_CW)
 
 
-class Session(Protocol):
-    """A robot, and who measures it."""
+class CalibrationSession(Protocol):
+    """Robot, and the person who measures it."""
 
     @property
     def is_patient(self) -> bool:
         """Whether a drive is repeated after an error."""
 
     def nominal(self) -> WheelGeometry:
-        """The numbers in which the robot believes."""
+        """Return the wheels that the robot uses."""
 
     def requests_parameters(self) -> bool:
-        """Whether it requests its wheels as parameters."""
+        """Whether the robot requests its wheels as parameters."""
 
     def set_parameters(self, parameters: Mapping[str, str], /) -> None:
-        """For the next time that it connects."""
+        """Set parameters for the robot's next connection."""
 
     def prepare(self, step: Step, place: str) -> None:
-        """Before a drive."""
+        """Prepare a drive: tell the person where to put the robot, and wait."""
 
     def follow(self, legs: Sequence[Leg], correction: OdometryCorrection) -> tuple[Pose, ...]:
-        """The drive; the poses of the robot's own odometry."""
+        """Drive the course; return the poses of the robot's own odometry."""
 
     def measure(self, step: Step) -> Measurement:
-        """After it."""
+        """Ask for the measurement after a drive."""
 
     def drives_again(self, reason: str) -> bool:
-        """After numbers that cannot be: whether to drive again, else only to measure again."""
+        """Ask after an impossible measurement whether to drive again, rather than only to measure again."""
 
     def goes_on(self, doubt: str) -> bool:
-        """Whether a number that is doubted is right."""
+        """Ask whether a doubtful number is right."""
 
     def choose(self, complaint: str, titles: Sequence[str], /) -> int | None:
-        """Which drive to measure again; None: none."""
+        """Ask which drive to measure again; None to give up."""
 
 
 class AtTheTerminal:
-    """A real robot, through the daemon, and a person."""
+    """Real robot of the daemon, and a person at the terminal."""
 
     is_patient = True
 
     def __init__(self, drives: Drives, show: Callable[..., None] = write) -> None:
-        """`show` writes lines for the person; questions go to standard error."""
+        """Store how lines for the person are written; questions are written on standard error."""
         self._drives, self._show = drives, show
 
     def nominal(self) -> WheelGeometry:
@@ -280,20 +288,20 @@ class AtTheTerminal:
             "",
             f"{place}  {step.title}",
             f"  Put the robot down with {step.room}.",
-            "  Mark on the floor the middle of its axle (between the wheels) and the line along which it points.",
+            "  Mark on the floor the middle of the axle and, as a line, the direction in which the robot points.",
         )
         _forget_keys()
-        while _prompt("  Enter starts the drive, Ctrl-C stops the robot at any time: ").strip():
-            write_error("  Not started: Enter alone starts it, Ctrl-C leaves.")
+        while _prompt("  Press Enter to start the drive; Ctrl-C stops the robot at any time: ").strip():
+            write_error("  The drive was not started: press Enter alone to start it, Ctrl-C to leave.")
 
     def follow(self, legs: Sequence[Leg], correction: OdometryCorrection) -> tuple[Pose, ...]:
         def show(left: int, seconds: float) -> None:
             number = min(len(legs) - left + 1, len(legs))
-            show_progress(f"  driving: {seconds:.0f} s, leg {number} of {len(legs)}; Ctrl-C stops it")
+            show_progress(f"  driving: {seconds:.0f} s, leg {number} of {len(legs)}; Ctrl-C stops the robot")
 
         try:
             return asyncio.run(self._drives.follow(legs, correction, show))
-        except asyncio.CancelledError:  # by a signal; Ctrl-C comes as itself
+        except asyncio.CancelledError:  # by a signal; Ctrl-C raises KeyboardInterrupt itself
             raise KeyboardInterrupt from None
         finally:
             show_progress("")
@@ -301,12 +309,12 @@ class AtTheTerminal:
     def measure(self, step: Step) -> Measurement:
         if step.kind in _TURNS:
             past_rad = _read(
-                "  How far did it turn past its line? Degrees, counter-clockwise is positive: ", parse_angle
+                "  How far did the robot turn past its line? Degrees, counter-clockwise is positive: ", parse_angle
             )
             return Measurement(0.0, 0.0, step.way * step.size * math.tau + past_rad)
         self._show("  Measure from the mark to the middle of the axle, along the line and across it.")
-        # Only of a line the odometry tells the unit of a number alone: a square ends near its mark in any unit.
-        default = "cm" if step.kind is Kind.STRAIGHT else ""
+        # Only after a line does odometry tell the unit of a bare number: a square ends near its mark in any unit.
+        default = "cm" if step.kind is RunKind.STRAIGHT else ""
         unit = "cm, or with its unit" if default else "with its unit, as 12.5 cm"
         x_m = _read_length(f"  Forward along the line ({unit}; behind the mark is negative): ", default)
         y_m = _read_length("  To the left of the line (with its unit, as 12.5 cm; to the right is negative): ")
@@ -314,26 +322,26 @@ class AtTheTerminal:
 
     def drives_again(self, reason: str) -> bool:
         write_error(f"  {reason}")
-        return _prompt("  Enter: measure again; d: drive again: ").strip().lower().startswith("d")
+        return _prompt("  Press Enter to measure again, d to drive again: ").strip().lower().startswith("d")
 
     def goes_on(self, doubt: str) -> bool:
         write_error(f"  {doubt}")
-        return _prompt("  y: it is right; Enter leaves: ").strip().lower() in ("y", "yes")
+        return _prompt("  Press y if the number is right, Enter to leave: ").strip().lower() in ("y", "yes")
 
     def choose(self, complaint: str, titles: Sequence[str]) -> int | None:
         write_error("", complaint)
         self._show(*(f"  {number}  {title}" for number, title in enumerate(titles, start=1)))
-        word = _prompt("  The number of the drive to do again; Enter leaves: ").strip()
+        word = _prompt("  Number of the drive to repeat; Enter leaves: ").strip()
         return int(word) - 1 if word.isdigit() and 1 <= int(word) <= len(titles) else None
 
 
 class Simulated:
-    """A robot on a simulated floor, and a person who reads a tape measure to two millimetres."""
+    """Robot on a simulated floor, and a simulated person who reads a tape measure to two millimetres."""
 
     is_patient = False
 
     def __init__(self, world: WorldParameters, mistake: str | None) -> None:
-        """`mistake`: that the person makes in every square: "slip" or "sides"."""
+        """Connect the robot. `mistake` is the person's mistake in every square: "slip" or "sides"."""
         self._robot = FirmwareWorld(world)
         self._robot.connect()
         self._person = Person(int(world["seed"]))
@@ -348,7 +356,7 @@ class Simulated:
         return True
 
     def set_parameters(self, _: Mapping[str, str]) -> None:
-        raise HostlinkError("a simulated robot keeps nothing")
+        raise HostlinkError("a simulated robot stores no parameters; leave out --apply")
 
     def prepare(self, step: Step, place: str) -> None:
         show_progress(f"{place}  {step.title}")
@@ -367,7 +375,7 @@ class Simulated:
         x_m, y_m, theta_rad = self._person.measure(self._end)
         if step.kind in _TURNS:
             return Measurement(0.0, 0.0, theta_rad)
-        is_wrong = step.kind is not Kind.STRAIGHT and not self._is_checking
+        is_wrong = step.kind is not RunKind.STRAIGHT and not self._is_checking
         if is_wrong and self._mistake == "slip":
             return Measurement(x_m * _SLIP, y_m * _SLIP)
         return Measurement(x_m, -y_m if is_wrong and self._mistake == "sides" else y_m)
@@ -383,7 +391,7 @@ class Simulated:
 
 
 def _forget_keys() -> None:
-    """An Enter that was pressed before its question must not start a robot."""
+    """Discard keys that were pressed before the question, so that they start no robot."""
     if sys.stdin.isatty():
         termios.tcflush(sys.stdin, termios.TCIFLUSH)
 
@@ -392,18 +400,21 @@ def _prompt(question: str) -> str:
     show_question(question)
     answer = sys.stdin.readline()
     if not answer:
-        raise HostlinkError("there is nobody to answer: the input has ended")
+        raise HostlinkError("standard input is closed; run this command in a terminal")
     return answer
 
 
 def _read_length(question: str, default: str = "") -> float:
-    """A number without a unit is asked about: whoever means metres types the check drives in metres, too."""
+    """Ask for a length, and for the unit of a bare number.
+
+    Check drives cannot find a wrong unit, because a person who means metres enters metres in them, too.
+    """
     text = _prompt(question)
     while True:
         try:
             return parse_length(text, default)
         except UnitMissing as missing:
-            answer = _prompt(f"  {missing.number} of what? {', '.join(UNITS_M)}: ").strip()
+            answer = _prompt(f"  Unit of {missing.number} ({', '.join(UNITS_M)}): ").strip()
             text = f"{missing.number} {answer}" if answer.lower() in UNITS_M else answer or missing.number
         except ValueError as error:
             write_error(f"  {error}")

@@ -1,7 +1,7 @@
-"""Checks of a configuration for `serve` and `--check-config`: errors that keep it from being served, and warnings.
+"""Checks of a configuration for `serve` and `--check-config`: errors that prevent the start, and warnings.
 
-`serve` runs them before it starts, so a configuration that passes is served. What depends on the moment, such as a
-port that another program uses, is a warning.
+`serve` runs the checks before it starts, so a configuration that passes is served. A problem that may be gone later,
+such as a port that another program uses, is a warning.
 """
 
 import dataclasses
@@ -16,7 +16,7 @@ from collections.abc import Iterator
 
 from hostlink.acceptor import bind, why
 from hostlink.api.access import Access, is_loopback, tls_context
-from hostlink.api.connections import KEPT_FOR_REQUESTS
+from hostlink.api.listener import KEPT_FOR_REQUESTS
 from hostlink.cli.addresses import MAX_PORT, is_address, is_origin
 from hostlink.config import Config, SerialConfig, TcpConfig, UdpConfig, ZenohConfig
 from hostlink.errors import ConfigError, HostlinkError, LibraryMissing
@@ -33,28 +33,30 @@ from hostlink.transport.udp import serve_udp
 
 # -- descriptors ------------------------------------------------------------------------------------------------------
 
-OWN = 64  # of the daemon itself: listening sockets, the loop, the log, files that are read
-NODE_SHARES = 3  # of nodes of ROS: those that connect to each of two ports, and those to which hostlink connects
+OWN = 64  # descriptors of the daemon itself: listening sockets, the event loop, the log, files that are read
+NODE_SHARES = 3  # of nodes of ROS: connections to each of two ports, and connections of hostlink to nodes
 FEWEST = OWN + 4 * KEPT_FOR_REQUESTS
-FEWEST_DEVICES = 2  # of each port
+FEWEST_DEVICES = 2  # for each port
 
 
 def limit() -> int:
-    """How many this process may have, by the system's soft limit."""
+    """Return the number of descriptors that this process may have: the system's soft limit."""
     soft, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
     return 1 << 30 if soft == resource.RLIM_INFINITY else soft
 
 
 def fitted(config: Config, descriptors: int) -> Config:
-    """The bounds on connections such that devices, programs and nodes of ROS cannot use up each other's descriptors.
+    """Limit connections so that devices, programs and nodes of ROS cannot use up each other's descriptors.
 
-    Where there are too few, each has its share of them by what it wanted.
+    With too few descriptors, each kind gets a share in proportion to its configured maximum.
 
     Raises:
-        ConfigError: there are fewer than FEWEST.
+        ConfigError: the process has fewer than FEWEST descriptors.
     """
     if descriptors < FEWEST + len(config.serial):
-        raise ConfigError("ulimit -n", f"{descriptors} descriptors are too few: at least {FEWEST + len(config.serial)}")
+        raise ConfigError(
+            "ulimit -n", f"{descriptors} descriptors are too few; allow at least {FEWEST + len(config.serial)}"
+        )
     room = descriptors - OWN - len(config.serial)
     datagrams = 0 if config.udp is None else config.udp.max_connections
     devices, programs = config.tcp.max_connections + datagrams, config.api.max_connections
@@ -80,23 +82,23 @@ def fitted(config: Config, descriptors: int) -> Config:
 # -- checks -----------------------------------------------------------------------------------------------------------
 
 _ROS_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*(?:/[A-Za-z][A-Za-z0-9_]*)*")  # http://wiki.ros.org/Names
-_SENSIBLE = (  # setting, the least that works, and why
-    ("api.max_message_bytes", 1024, "the message of a program is a few hundred bytes of JSON"),
+_SENSIBLE = (  # setting, the smallest value that works, and the reason
+    ("api.max_message_bytes", 1024, "a message of a program is a few hundred bytes of JSON"),
     ("api.max_requests_s", 10, "a program that drives sends ten commands a second"),
-    ("api.request_timeout_s", 0.1, "a radio alone takes longer"),
+    ("api.request_timeout_s", 0.1, "a radio link takes longer"),
     ("link.max_topics", 2, "a robot has a velocity and an odometry"),
     ("link.uart_bytes_s", 120, "no UART is slower than 1200 baud"),
     ("link.silence_timeout_s", 2.5, "a device requests the time every 2.5 s"),
     ("link.idle_timeout_s", 2.5, "a device requests the time every 2.5 s"),
-    ("link.write_timeout_s", 0.1, "a radio alone takes longer"),
+    ("link.write_timeout_s", 0.1, "a radio link takes longer"),
 )
 
 
 async def check(config: Config, *, descriptors: int, is_listening: bool = False) -> list[str]:
-    """Check everything that `serve` needs; returns warnings. `is_listening`: the port for devices is open already.
+    """Check everything that `serve` needs; return warnings. `is_listening`: the port for devices is open already.
 
     Raises:
-        ConfigError: it cannot be served.
+        ConfigError: the configuration cannot be served.
     """
     _check_values(config)
     hub = Hub(config, Catalog(config.message_folders))  # message folders, limits of robots
@@ -116,14 +118,14 @@ async def check(config: Config, *, descriptors: int, is_listening: bool = False)
     if fits != config:
         sessions = "" if fits.udp is None else f", {fits.udp.max_connections} over UDP"
         warnings.append(
-            f"{descriptors} descriptors (ulimit -n) are enough for {fits.tcp.max_connections} devices{sessions} and "
-            f"{fits.api.max_connections} connections of programs only"
+            f"{descriptors} descriptors (ulimit -n) are enough only for {fits.tcp.max_connections} devices{sessions} "
+            f"and {fits.api.max_connections} connections of programs"
         )
     return [*warnings, *_suspicious(config)]
 
 
 def describe(config: Config) -> list[str]:
-    """A line for each thing that would be served."""
+    """Lines that describe what would be served."""
     tcp, udp, api = config.tcp, config.udp, config.api
     lines = [f"devices on TCP {tcp.host}:{tcp.port}, from {_describe_who(tcp)}, at most {tcp.max_connections}"]
     if udp is not None:
@@ -144,14 +146,14 @@ def describe(config: Config) -> list[str]:
 
 
 def _describe_who(config: TcpConfig | UdpConfig) -> str:
-    who = ", ".join(config.allow) or "everybody"
+    who = ", ".join(config.allow) or "any address"
     if config.key_file is None:
         return who
     return f"{who}, with the key" + (f" but {', '.join(config.keyless)}" if config.keyless else "")
 
 
 def _describe_zenoh(zenoh: ZenohConfig) -> str:
-    from hostlink.graphs.zenoh.settings import reach_of, settings_of  # noqa: PLC0415 - for who uses Zenoh alone
+    from hostlink.graphs.zenoh.settings import reach_of, settings_of  # noqa: PLC0415 - only a daemon with Zenoh needs it
 
     parts = [f"the fleet {zenoh.fleet_name}"] * zenoh.fleet + [f"ROS 2, domain {zenoh.ros_domain_id}"] * zenoh.ros2
     reach = reach_of(settings_of(zenoh), zenoh).lines
@@ -162,7 +164,7 @@ def _describe_port(port: SerialConfig) -> str:
     return f"{port.name} at {' or '.join(map(str, port.bauds))} baud"
 
 
-# -- what is refused --------------------------------------------------------------------------------------------------
+# -- wrong values -----------------------------------------------------------------------------------------------------
 
 
 def _check_values(config: Config) -> None:
@@ -171,14 +173,14 @@ def _check_values(config: Config) -> None:
     ports |= {"ros1.port": config.ros1.port, "ros1.tcpros_port": config.ros1.tcpros_port}
     for where, port in ports.items():
         if not 0 <= port <= MAX_PORT:
-            raise ConfigError(where, f"{port} is no port; they go from 0 (any free one) to {MAX_PORT}")
+            raise ConfigError(where, f"{port} is not a port; choose 0 (any free one) to {MAX_PORT}")
     for where, number in _positive(config):
         if number is not None and not 0 < number < math.inf:
-            raise ConfigError(where, f"must be above 0, and finite, not {number:g}")
+            raise ConfigError(where, f"{number:g} is not allowed; choose a finite number above 0")
 
 
 def _positive(config: Config) -> Iterator[tuple[str, float | None]]:
-    """Settings that mean nothing unless they are above zero."""
+    """Yield the settings that must be above zero."""
     for name in ("silence_timeout_s", "idle_timeout_s", "write_timeout_s", "uart_bytes_s"):
         yield f"link.{name}", getattr(config.link, name)
     for port in config.serial:
@@ -190,7 +192,11 @@ def _positive(config: Config) -> Iterator[tuple[str, float | None]]:
 
 
 async def _try_port(part: str, host: str, port: int) -> list[str]:
-    """Listen there for a moment."""
+    """Listen on the address for a moment; return a warning if the port is in use.
+
+    Raises:
+        ConfigError: the address cannot be listened on.
+    """
     try:
         close_all(await bind(host, port))
     except (OSError, OverflowError, UnicodeError) as error:
@@ -220,18 +226,18 @@ def _suspicious(config: Config) -> Iterator[str]:
     yield from _shared_frames(config)
     yield from _suspicious_api(config)
     if config.zenoh is not None:
-        from hostlink.graphs.zenoh.settings import reach_of, settings_of  # noqa: PLC0415 - for who uses Zenoh alone
+        from hostlink.graphs.zenoh.settings import reach_of, settings_of  # noqa: PLC0415 - only a daemon with Zenoh needs it
 
         yield from reach_of(settings_of(config.zenoh), config.zenoh).warnings
     if config.tcp.keyless and config.tcp.key_file is None:
-        yield "tcp.keyless means nothing without tcp.key_file: nobody needs a key"
+        yield "tcp.keyless has no effect without tcp.key_file, because no device needs a key"
     if config.udp is not None and config.udp.keyless and config.udp.key_file is None:
-        yield "udp.keyless means nothing without udp.key_file: nobody needs a key"
+        yield "udp.keyless has no effect without udp.key_file, because no device needs a key"
     for port in config.serial:
         try:
             find_port(port)
         except OSError as error:
-            if error.errno != errno.ENOENT:  # it may be plugged in later
+            if error.errno != errno.ENOENT:  # the device may be plugged in later
                 yield f"serial {error.strerror}"
     for name, value in config.parameters.items():
         try:
@@ -241,7 +247,7 @@ def _suspicious(config: Config) -> Iterator[str]:
 
 
 def _too_small(config: Config) -> Iterator[str]:
-    """What is allowed, but leaves no room for work."""
+    """Warn of values that are allowed, but too small to work with."""
     robots = ((f"robots.{name}.uart_bytes_s", robot.uart_bytes_s) for name, robot in config.robots.items())
     least_of = {setting: (least, reason) for setting, least, reason in _SENSIBLE}
     values = ((setting, operator.attrgetter(setting)(config)) for setting in least_of)
@@ -252,7 +258,7 @@ def _too_small(config: Config) -> Iterator[str]:
 
 
 def _shared_topics(config: Config) -> Iterator[str]:
-    """Two robots with one topic: a command drives both, and nobody knows whose odometry it is."""
+    """Warn of two robots with one topic: a command drives both, and their odometry is mixed."""
     owners: dict[str, str] = {}
     for name, robot in config.robots.items():
         for setting in ("odom_topic", "cmd_vel_topic", "cmd_vel_stamped_topic"):
@@ -260,16 +266,16 @@ def _shared_topics(config: Config) -> Iterator[str]:
             topic = resolve(f"{name}/{setting.removesuffix('_topic')}" if chosen is None else chosen)
             where = f"robots.{name}.{setting}"
             if chosen != "" and owners.setdefault(topic, where) != where:
-                yield f"{where} and {owners[topic]} are one topic, {topic}: give each its own name"
+                yield f"{where} and {owners[topic]} are the same topic, {topic}; give each its own name"
 
 
 def _shared_frames(config: Config) -> Iterator[str]:
-    """Two robots with one base frame: whoever reads /tf sees one robot that jumps between two places."""
+    """Warn of two robots with one base frame: in /tf they are one robot that jumps between two places."""
     owners: dict[str, str] = {}
     for name, robot in config.robots.items():
         frame, where = frames_of(name, robot).base, f"robots.{name}.base_frame"
         if owners.setdefault(frame, where) != where:
-            yield f"{where} and {owners[frame]} are one frame, {frame}: give each its own name"
+            yield f"{where} and {owners[frame]} are the same frame, {frame}; give each its own name"
 
 
 def _suspicious_robots(config: Config) -> Iterator[str]:
@@ -278,15 +284,15 @@ def _suspicious_robots(config: Config) -> Iterator[str]:
     for name, robot in config.robots.items():
         where = f"robots.{name}"
         if not _ROS_NAME.fullmatch(name):
-            yield f"{where}: ROS programs cannot use this name; one has letters, digits, _ and /, a letter first"
+            yield f"{where}: ROS programs cannot use this name; use letters, digits, _ and /, with a letter first"
         if robot.max_wheel_m_s is not None and robot.wheel_separation_m is None:
-            yield f"{where}.max_wheel_m_s needs wheel_separation_m: without it turning costs the wheels nothing"
+            yield f"{where}.max_wheel_m_s needs wheel_separation_m, without which turns are not limited"
         if robot.address is None:
             continue
         if robot.address in by_address:
             yield (
-                f"{where} and robots.{by_address[robot.address]} have one address, {robot.address}: "
-                "which device is which is known only if each has its own name"
+                f"{where} and robots.{by_address[robot.address]} have the same address, {robot.address}; "
+                "the devices can be told apart only if the firmware of each has its own name"
             )
         by_address.setdefault(robot.address, name)
         if robot.address not in ports and not is_address(robot.address):
@@ -296,12 +302,12 @@ def _suspicious_robots(config: Config) -> Iterator[str]:
 def _suspicious_api(config: Config) -> Iterator[str]:
     api = config.api
     if api.certificate is None and not is_loopback(api.host):
-        yield f"api.host {api.host} without a certificate: everybody on the network can read the tokens"
+        yield f"api.host {api.host} without a certificate: others on the network can read the tokens"
     if api.max_clients > api.max_connections - KEPT_FOR_REQUESTS:
         yield (
-            f"api.max_clients {api.max_clients}: no more than {api.max_connections - KEPT_FOR_REQUESTS} of the "
-            f"{api.max_connections} connections of api.max_connections are for them"
+            f"api.max_clients {api.max_clients} is too large: api.max_connections {api.max_connections} leaves "
+            f"{api.max_connections - KEPT_FOR_REQUESTS} connections for clients"
         )
     for origin in api.origins:
         if not is_origin(origin):
-            yield f'api.origins {origin} is none: it begins with a scheme, as "https://panel.example"'
+            yield f'api.origins {origin} is not an origin; write the scheme and the host, for example "https://panel.example"'

@@ -16,10 +16,10 @@ from hostlink.client import Host, connect
 
 @contextlib.asynccontextmanager
 async def connected(url: str, token: str | None) -> AsyncIterator[Host]:
-    """A connection to the daemon for the length of the block; what is lost is not made again.
+    """Connect to the daemon for the length of the block; a lost connection is not opened again.
 
     Raises:
-        HostlinkError: there is no hostlink at `url`, it refuses, or the connection is lost.
+        HostlinkError: no hostlink answers at `url`, the daemon refuses, or the connection is lost.
     """
     async with contextlib.AsyncExitStack() as stack:
         with waiting(f"connecting to {url}"):
@@ -39,7 +39,7 @@ Item = TypeVar("Item")
 
 
 class _Notice:
-    """A text that is shown from PATIENCE_S on, with the seconds."""
+    """Text with the seconds that have passed, shown after PATIENCE_S."""
 
     def __init__(self, text: str, show: Show) -> None:
         self._text, self._show_line = text, show
@@ -62,7 +62,7 @@ class _Notice:
 
 @contextlib.contextmanager
 def waiting(text: str, show: Show = show_progress) -> Iterator[None]:
-    """For the length of the block: if that is longer than a person waits without a sign, the text."""
+    """Show the text for the length of the block, if the block lasts longer than PATIENCE_S."""
     notice = _Notice(text, show)
     try:
         yield
@@ -73,7 +73,7 @@ def waiting(text: str, show: Show = show_progress) -> Iterator[None]:
 def counted(
     items: Iterable[Item], what: str, *, show: Show = show_progress, clock: Callable[[], float] = time.monotonic
 ) -> Iterator[Item]:
-    """The items; after PATIENCE_S and each second how many they were."""
+    """Pass the items on; after PATIENCE_S show each second how many have passed."""
     show_at_s = clock() + PATIENCE_S
     is_shown = False
     for count, item in enumerate(items):
@@ -89,21 +89,21 @@ def counted(
 
 
 def run_until_interrupted(work: Coroutine[Any, Any, None]) -> None:
-    """Run until it is done, or until Ctrl-C."""
+    """Run a coroutine until its end, or until Ctrl-C."""
     try:
         asyncio.run(work)
     except KeyboardInterrupt:
-        if sys.stderr.isatty():  # which has written ^C
+        if sys.stderr.isatty():  # the terminal has written ^C
             write_error("")
 
 
 async def write_hint(host: Host, topic: str) -> None:
-    """If nobody has announced to publish the topic: one line about it, and the names that come near."""
+    """Write one line about a topic that has no publisher, with the names that are similar."""
     topics = {each["name"]: each for each in await host.topics()}
     full = "/" + topic.lstrip("/~")
     known = topics.pop(full, None)
     if known is not None and known["publishers"]:
         return
     found = near(full, topics) if known is None or not known["messages"] else []
-    names = f"near it: {', '.join(found)}; " if found else ""
-    write_error(f"nobody publishes {full}; {names}`hostlink topics` lists what there is; waiting, Ctrl-C ends")
+    names = f"similar names: {', '.join(found)}; " if found else ""
+    write_error(f"{full} has no publisher; {names}`hostlink topics` lists all topics; waiting, Ctrl-C ends")

@@ -1,4 +1,4 @@
-"""`hostlink demo`: the daemon and simulated robots in one process, driven in a gentle curve until another drives."""
+"""`hostlink demo`: the daemon and simulated robots in one process. A demo driver moves them in a gentle curve."""
 
 import asyncio
 import contextlib
@@ -25,28 +25,32 @@ from hostlink.sim.firmware_world import RobotKind
 from hostlink.sim.run import run_fleet
 
 OWNER = "demo"
-DEMO_PRIORITY = 0  # whoever comes is more important
+DEMO_PRIORITY = 0  # every other driver takes precedence
 CURVE = PlanarVelocity(0.15, yaw_rad_s=0.3)  # a circle of a metre across
 COMMAND_INTERVAL_S = 0.2  # well within the lease
-PAUSE_S = 5.0  # somebody who drove may want to watch before the demo continues
+PAUSE_S = 5.0  # a person who has driven may want to watch before the demo continues
 LINE_INTERVAL_S = 0.2
 DRIVE = "/demo/drive"
-START_AGAIN = f"; it was interrupted, start the demo's driver again: hostlink call {DRIVE}"
-# docs/robot.md#numbers
+START_AGAIN = f"; the demo's driver was interrupted, to start it again: hostlink call {DRIVE}"
+# docs/paper-robot.md#numbers
 PAPER_ROBOT = RobotConfig(kinematics="differential", wheel_separation_m=0.210, max_wheel_m_s=0.3436)
 
 
 def command(
     *,
-    robots: Annotated[int, typer.Option(min=1, max=50, help="How many simulated robots.")] = 1,
+    robots: Annotated[int, typer.Option(min=1, max=50, help="Number of simulated robots: more to see a fleet.")] = 1,
     robot: Annotated[
-        RobotKind, typer.Option(help="nimble: at a new speed within 0.3 s; paper: the paper's, in two seconds.")
+        RobotKind, typer.Option(help="nimble: reaches a new speed in 0.3 s; paper: the paper's robot, in two seconds.")
     ] = RobotKind.NIMBLE,
-    listen: Annotated[str, typer.Option(help="Where devices connect: HOST:PORT.")] = "127.0.0.1:11411",
-    api: Annotated[str, typer.Option(help="Where programs connect: HOST:PORT.")] = "127.0.0.1:9090",
+    listen: Annotated[
+        str, typer.Option(help="Address and port on which your own devices may connect, too: HOST:PORT.")
+    ] = "127.0.0.1:11411",
+    api: Annotated[
+        str, typer.Option(help="Address and port on which programs connect, if 9090 is in use: HOST:PORT.")
+    ] = "127.0.0.1:9090",
     origin: Origins = None,
 ) -> None:
-    """Run the daemon with simulated robots; drive them from anywhere, or watch."""
+    """Run the daemon with simulated robots, to drive or to watch."""
     require_wasmtime("hostlink demo")
     logs.configure(level="error")
     names = {f"robot_{number}": PAPER_ROBOT for number in range(robots)}
@@ -54,14 +58,14 @@ def command(
 
 
 class Output:
-    """What is shown. The demo ends in order when it cannot be written any more; then that is raised."""
+    """Output of the demo. When it cannot be written, the demo ends in order, and `raise_error` raises the error."""
 
     def __init__(self, ending: Ending) -> None:
         self._ending = ending
         self._error: OSError | None = None
 
     def show(self, show: Callable[..., None], *lines: str) -> None:
-        """With `write` or `write_over`."""
+        """Write lines by `show`, which is `write` or `write_over`."""
         try:
             show(*lines)
         except OSError as error:
@@ -70,7 +74,7 @@ class Output:
 
     def raise_error(self) -> None:
         """Raises:
-        OSError: it could not be written.
+        OSError: the output could not be written.
         """
         if self._error is not None:
             raise self._error
@@ -92,7 +96,7 @@ async def _demo(config: Config, robots: int, kind: RobotKind) -> None:
             driver.cancel()
             output.show(write, "", "stopping the robots ...")
             participant.leave()
-            await asyncio.sleep(LINE_INTERVAL_S)  # the simulated robots receive it before they go
+            await asyncio.sleep(LINE_INTERVAL_S)  # so that the simulated robots receive the stop
             fleet.cancel()
     output.raise_error()
 
@@ -109,9 +113,9 @@ def _welcome(api: str) -> tuple[str, ...]:
 
 
 class DemoDriver:
-    """Drives every robot in a curve. Another driver has a robot until it has left it alone for PAUSE_S.
+    """Driver of every robot in a curve. It pauses for a robot until PAUSE_S after another driver's last command.
 
-    An interruption (a stop, a lock, a reconnection) ends it for this robot, until the service DRIVE is called.
+    After an interruption (a stop, a lock, a reconnection) it leaves the robot alone until the service DRIVE is called.
     """
 
     def __init__(self, hub: Hub, participant: Participant) -> None:
@@ -121,7 +125,7 @@ class DemoDriver:
         self.stopped: set[str] = set()  # the names of robots that are not driven until DRIVE is called
 
     async def run(self) -> None:
-        """Until cancelled."""
+        """Drive until cancelled."""
         self._participant.provide(DRIVE, "std_srvs/Trigger", self._start_again)
         while True:
             for robot in self._hub.robots.here():
@@ -138,7 +142,7 @@ class DemoDriver:
         elif robot.gate.owner not in (None, self._participant):
             self._busy_until_s[robot.name] = now_s + PAUSE_S
         elif now_s >= self._busy_until_s.get(robot.name, 0.0):
-            with contextlib.suppress(HostlinkError):  # another source drives it since, or it is interrupted just now
+            with contextlib.suppress(HostlinkError):  # another source drives the robot now, or interrupts it
                 self._participant.drive(robot, CURVE, epoch=epoch)
 
     async def _start_again(self, _: Mapping[str, object]) -> Mapping[str, object]:
@@ -150,7 +154,7 @@ class DemoDriver:
 
 
 async def _show(hub: Hub, demo: DemoDriver, output: Output) -> None:
-    """One line that is written over again on a terminal; elsewhere a line a second."""
+    """Show the robots in one line that is written over on a terminal, or in a line a second in a file or a pipe."""
     is_terminal = sys.stdout.isatty()
     while True:
         robots = hub.robots.here()

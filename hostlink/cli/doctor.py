@@ -1,4 +1,4 @@
-"""hostlink doctor: what is wrong with the devices, and what to do about it."""
+"""`hostlink doctor`: diagnosis of the devices, with a next step for each finding."""
 
 import asyncio
 import contextlib
@@ -25,12 +25,12 @@ from hostlink.errors import HostlinkError
 Report = dict[str, Any]  # {"source", "links", "findings"}: what `hostlink doctor --json` prints
 
 RECENT_END_S = 60.0
-YOUNG_S = 10.0  # a link younger than that may not have shown what is wrong with it: the one before it has
+YOUNG_S = 10.0  # a younger link may not have shown its fault yet, but the link before it has
 MAX_NAMES = 6  # of topics in a line
 
 
 def report_of(view: dict[str, Any], source: str, robots: Sequence[Any] = ()) -> Report:
-    """The links of a daemon: the live ones, and those that ended recently and explain more."""
+    """Return the live links of a daemon, and the recently ended ones that explain more."""
     by_link = {robot["link"]: robot for robot in robots}
     live = [_live(link, by_link.get(link["number"])) for link in view["links"]]
     gone: dict[str, Report] = {}
@@ -42,7 +42,7 @@ def report_of(view: dict[str, Any], source: str, robots: Sequence[Any] = ()) -> 
 
 
 def rates(counts: dict[str, Any], seconds: float) -> Report:
-    """Of a link's whole life, from its counters."""
+    """Return the mean rates of a link since it opened, from its counters."""
     came = counts["bytes_from_device"]
     return {
         "frames_from_device_s": round(counts["frames_from_device"] / max(seconds, 1e-3), 1),
@@ -67,14 +67,14 @@ def _live(link: dict[str, Any], robot: Report | None) -> Report:
 
 
 def _successor(ended: Report, live: list[Report]) -> Report | None:
-    """The present link of the device whose link has ended; of a device that is no robot, any of its address."""
+    """Return the live link of the robot whose link has ended; without a robot, any link of the device's address."""
     if ended["robot"] is not None:
         return next((link for link in live if link["robot"] == ended["robot"]), None)
     return next((link for link in live if _host(link) == _host(ended)), None)
 
 
 def _explains_more(ended: Report, live: Report | None) -> bool:
-    """Than the device's present link, if it has one."""
+    """Whether an ended link explains more than the device's live link, if it has one."""
     if live is None:
         return True
     return bool(ended["diagnosis"]) and not live["diagnosis"] and live["seconds"] < YOUNG_S
@@ -93,7 +93,7 @@ def _host(link: Report) -> str:
 
 
 def report_lines(report: Report) -> list[str]:
-    """What is wrong with no link, then each link."""
+    """Return the findings that belong to no link, then those of each link."""
     lines = [line for found in report["findings"] for line in _finding_lines(found)]
     return lines + [line for link in report["links"] for line in _link_lines(link)]
 
@@ -135,26 +135,37 @@ LISTEN = "0.0.0.0:11411"
 
 
 def command(
-    file: Annotated[Path | None, typer.Argument(help="A recording: diagnose that.", show_default=False)] = None,
+    file: Annotated[
+        Path | None, typer.Argument(help="Recording of a link's bytes to diagnose.", show_default=False)
+    ] = None,
     *,
     serial: Annotated[
-        str | None, typer.Option(help="Listen on this serial port: /dev/ttyACM0@57600.", show_default=False)
+        str | None,
+        typer.Option(
+            help="Diagnose the device on this serial port, without a daemon: /dev/ttyACM0@57600.", show_default=False
+        ),
     ] = None,
     listen: Annotated[
-        str | None, typer.Option(help="Listen here for devices: HOST:PORT.", show_default=f"{LISTEN}, without a daemon")
+        str | None,
+        typer.Option(
+            help="Wait for devices at this address, without a daemon: HOST:PORT.",
+            show_default=f"{LISTEN}, without a daemon",
+        ),
     ] = None,
-    seconds: Annotated[float, typer.Option(min=1.0, help="How long to listen.")] = 15.0,
+    seconds: Annotated[
+        float, typer.Option(min=1.0, help="Time to wait for devices: longer for one that connects rarely.")
+    ] = 15.0,
     messages: Annotated[
-        list[Path] | None, typer.Option(help="A folder of .msg and .srv files. May be repeated.")
+        list[Path] | None, typer.Option(help="Folder with .msg and .srv files of your own types. May be repeated.")
     ] = None,
     url: Url = DEFAULT_URL,
     token: Token = None,
-    json: Annotated[bool, typer.Option("--json", help="For programs.")] = False,
+    json: Annotated[bool, typer.Option("--json", help="Print JSON, for programs.")] = False,
 ) -> None:
-    """Find what is wrong with the devices, why, and what to do next.
+    """Find faults of devices, their causes and the next steps.
 
-    Queries the running daemon. Without one it listens for devices itself, on a serial port, or reads a recording.
-    Exit status: 0 nothing is wrong, 1 something is.
+    Queries the running daemon. Without a daemon it waits for devices itself, opens a serial port or reads a recording.
+    Exit status: 0 without a finding, 1 with a finding.
     """
     report: Report
     folders = tuple(messages or ())
@@ -178,7 +189,9 @@ async def _query_or_listen(url: str, token: str | None, seconds: float, folders:
         async with connected(url, token) as host:
             view, robots = await host.get("/api/links"), await host.robots()
     except HostlinkError as error:
-        if url != DEFAULT_URL or not isinstance(error.__cause__, OSError):  # named by the user; or there is a daemon
+        if url != DEFAULT_URL or not isinstance(
+            error.__cause__, OSError
+        ):  # the user named the address, or a daemon answers
             raise
         write_error(str(error))
         return await _listen(LISTEN, seconds, folders)
@@ -197,7 +210,7 @@ async def _listen(address: str, seconds: float, folders: tuple[Path, ...]) -> Re
 
 
 def _probe() -> ModuleType:
-    """What listens by itself, with a log of its own: a whole daemon. Where one runs, nobody waits for these imports."""
+    """Import the probe, which contains a whole daemon and would slow down a query of a running one."""
     importlib.import_module("hostlink.logs").configure(level="critical")
     return importlib.import_module("hostlink.cli.probe")
 

@@ -1,4 +1,4 @@
-"""Driving with keys: from the bytes of a terminal and the time to a velocity. Pure.
+"""Velocity of the pressed keys, from the bytes of a terminal and the time. Pure.
 
 When keys stop arriving, the velocity becomes zero.
 """
@@ -10,14 +10,14 @@ from typing import NamedTuple
 # -- keys -------------------------------------------------------------------------------------------------------------
 
 ARROWS = {"A": "up", "B": "down", "C": "right", "D": "left"}
-CONTROL = 4  # the bit of the modifiers in the kitty keyboard protocol, less 1
+CONTROL = 4  # bit of Ctrl in the modifiers of the kitty keyboard protocol, less 1
 _SEQUENCE = re.compile(rb"\x1b\[(\??)([\d;:]*)([A-Za-z~])")
 _UNFINISHED = re.compile(rb"\x1b(\[[\d;:?]*)?$")
-_ENTER_KITTY, _LEAVE_KITTY = "\x1b[>11u", "\x1b[<u"  # keys apart, releases too, all keys as sequences
+_ENTER_KITTY, _LEAVE_KITTY = "\x1b[>11u", "\x1b[<u"  # distinct keys, also releases, all keys as sequences
 
 
 class Action(Enum):
-    """What happened to a key."""
+    """Event of a key."""
 
     PRESSED = "1"
     REPEATED = "2"
@@ -25,14 +25,14 @@ class Action(Enum):
 
 
 class Key(NamedTuple):
-    """A key by its letter, or by name: up, down, left, right, space, escape, ctrl-c."""
+    """Key by its letter, or by name: up, down, left, right, space, escape, ctrl-c."""
 
     name: str
     action: Action = Action.PRESSED
 
 
 class KeyReader:
-    """Bytes of a terminal in, keys out; a sequence may come in pieces."""
+    """Parser of a terminal's bytes into keys; a sequence may arrive in pieces."""
 
     ENTER = _ENTER_KITTY
     LEAVE = _LEAVE_KITTY
@@ -41,7 +41,7 @@ class KeyReader:
         self._pending = b""
 
     def feed(self, data: bytes) -> list[Key]:
-        """The keys in what has come."""
+        """Return the keys that the bytes complete."""
         data = self._pending + data
         self._pending = b""
         keys = []
@@ -66,8 +66,8 @@ def _from_byte(data: bytes) -> Key:
 
 
 def _from_sequence(question: str, numbers: str, final: str) -> Key | None:
-    """`ESC [ 1 ; modifiers : action A` for arrows, `ESC [ code ; modifiers : action u` for other keys."""
-    if question:  # the answer to a question about the terminal
+    """Read `ESC [ 1 ; modifiers : action A` of arrows, and `ESC [ code ; modifiers : action u` of other keys."""
+    if question:  # an answer of the terminal to a query
         return None
     code, _, rest = numbers.partition(";")
     modifiers, _, action = rest.partition(":")
@@ -85,10 +85,10 @@ def _from_sequence(question: str, numbers: str, final: str) -> Key | None:
 # -- velocity ---------------------------------------------------------------------------------------------------------
 
 GRACE_S = 0.6  # from the first press of a key to its first repeat: half a second on usual systems
-HOLD_S = 0.2  # between repeats: three of their periods, and a little
+HOLD_S = 0.2  # between repeats: a little more than three periods
 STEP = 1.1  # a speed key changes by a tenth
 SEND_INTERVAL_S = 0.1
-ZEROS = 3  # one may be lost on a radio
+ZEROS = 3  # one may be lost on a radio link
 
 Direction = tuple[int, int]  # forward, counter-clockwise
 
@@ -115,31 +115,31 @@ _FIELD_SPEEDS: dict[str, tuple[float, float]] = {
 }  # fmt: skip
 
 LAYOUTS = {
-    # u and m change the turning speed, as in the original; the field's other keys drive.
+    # u and m change the turning speed, as in the original; the other keys of the field drive.
     "original": ({**_FIELD, **_ORIGINAL}, _ORIGINAL_SPEEDS),
     "twist": (_FIELD, _FIELD_SPEEDS),
 }
 
 
 class Driving:
-    """Which keys are held, and the velocity that they add up to.
+    """Keys that are held, and the velocity that they add up to.
 
-    A terminal sends presses and repeats, few send releases: a key lives for GRACE_S after its first press and for
-    HOLD_S after each repeat. Any key without a meaning stops; keys that are still held then move nothing until they are
-    released and pressed again.
+    A terminal sends presses and repeats, and few send releases: a key counts as held for GRACE_S after its first press
+    and for HOLD_S after each repeat. A key without a meaning stops the robot. Keys that are held at that moment have no
+    effect until they are released and pressed again.
     """
 
     def __init__(self, *, layout: str, linear_m_s: float, angular_rad_s: float) -> None:
         directions, self._speed_keys = LAYOUTS[layout]
         self._directions = {key: way for key, way in directions.items() if key not in self._speed_keys}
         self.linear_m_s, self.angular_rad_s = linear_m_s, angular_rad_s
-        self._held: dict[str, float] = {}  # key -> when it counts as released
-        self._barred: dict[str, float] = {}  # key -> the same, of those that move nothing until then
+        self._held: dict[str, float] = {}  # key -> time at which it counts as released
+        self._barred: dict[str, float] = {}  # key without effect -> time at which it counts as released
         self._zeros = 0
         self._send_at_s = float("-inf")
 
     def receive(self, key: Key, now_s: float) -> None:
-        """A key was pressed, repeated or released."""
+        """Apply the press, repeat or release of a key."""
         if self._is_barred(key, now_s):
             return
         if key.name in self._speed_keys:
@@ -154,12 +154,12 @@ class Driving:
             self.bar(now_s)
 
     def bar(self, now_s: float) -> None:
-        """Release everything; what is held moves nothing until it was released and pressed again."""
+        """Release all keys. Keys that are held have no effect until they are released and pressed again."""
         self._barred |= dict.fromkeys(self._held, now_s + GRACE_S)
         self.stop()
 
     def _is_barred(self, key: Key, now_s: float) -> bool:
-        """A key that is silent for longer than the time between its repeats was released."""
+        """Whether a key has no effect. Without a repeat for longer than HOLD_S it counts as released."""
         if self._barred.get(key.name, float("-inf")) <= now_s or key.action is Action.RELEASED:
             self._barred.pop(key.name, None)
             return False
@@ -167,12 +167,12 @@ class Driving:
         return True
 
     def stop(self) -> None:
-        """Release everything."""
+        """Release all keys."""
         self._held.clear()
         self._send_at_s = float("-inf")
 
     def velocity(self, now_s: float) -> tuple[float, float]:
-        """(m/s, rad/s) of the keys that are held now."""
+        """Return (m/s, rad/s) of the keys that are held now."""
         self._held = {key: until_s for key, until_s in self._held.items() if until_s > now_s}
         ways = [self._directions[key] for key in self._held]
         forward = max(-1, min(1, sum(way for way, _ in ways)))
@@ -181,11 +181,11 @@ class Driving:
 
     @property
     def is_ending(self) -> bool:
-        """Whether zeros are left to send."""
+        """Whether zeros remain to be sent."""
         return self._zeros > 0
 
     def due(self, now_s: float) -> tuple[float, float] | None:
-        """What to send now: the velocity while driving, zeros at the end, then nothing."""
+        """Return the velocity to send now: while driving, then ZEROS zeros; None if none is due."""
         velocity = self.velocity(now_s)
         is_moving = velocity != (0.0, 0.0)
         if is_moving:
@@ -200,6 +200,6 @@ class Driving:
         return velocity
 
     def _change_speed(self, linear: float, angular: float) -> None:
-        """Within reason; a speed key alone moves nothing."""
+        """Change the speeds within limits; a speed key alone moves no robot."""
         self.linear_m_s = min(max(self.linear_m_s * linear, 0.01), 1.0)
         self.angular_rad_s = min(max(self.angular_rad_s * angular, 0.05), 4.0)

@@ -1,4 +1,4 @@
-"""Ending: the signals that end a daemon, and a limit for the end itself."""
+"""Shutdown of a daemon by a signal, and the time limit of the shutdown."""
 
 import asyncio
 import contextlib
@@ -13,12 +13,12 @@ log = structlog.get_logger()
 
 STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
 LONGEST_END_S = 8.0  # half a second for the robots, one for each connection, two for mDNS, and as much again
-SHUTDOWN_S = 1.0  # after that the robots stand, and a second signal ends the process at once
+SHUTDOWN_S = 1.0  # after that the robots are stopped, and a second signal ends the process at once
 FORCED = 1  # exit status
 
 
 class Ending:
-    """Whether the daemon is to end, and why."""
+    """Request to end the daemon, with its cause."""
 
     def __init__(self) -> None:
         self.cause = ""
@@ -26,11 +26,11 @@ class Ending:
         self._is_requested = asyncio.Event()
 
     async def wait(self) -> None:
-        """Returns when the daemon is to end."""
+        """Wait until the daemon is to end."""
         await self._is_requested.wait()
 
     def request(self, cause: str) -> None:
-        """A signal came, or another cause. The first begins the end; what comes while robots are stopped is ignored."""
+        """Begin the shutdown. Ignore further requests while the robots are being stopped; after that, end at once."""
         now_s = asyncio.get_running_loop().time()
         if not self._is_requested.is_set():
             self.cause, self._requested_at_s = cause, now_s
@@ -42,7 +42,7 @@ class Ending:
 
 @contextlib.contextmanager
 def stop_signals() -> Iterator[Ending]:
-    """Let signals end the daemon in good order, for the length of the block."""
+    """Let signals end the daemon in order, for the length of the block."""
     ending = Ending()
     loop = asyncio.get_running_loop()
     for number in STOP_SIGNALS:
@@ -55,7 +55,7 @@ def stop_signals() -> Iterator[Ending]:
 
 
 def _force_after(seconds: float) -> None:
-    """In a thread: the loop may be what hangs, or a driver in another thread that the interpreter waits for."""
+    """Limit the shutdown by a thread: the event loop may hang, or a driver's thread that the interpreter waits for."""
     timer = threading.Timer(seconds, _force, [f"the end lasted longer than {seconds:g} s"])
     timer.daemon = True
     timer.start()

@@ -1,4 +1,4 @@
-"""The commands for recordings that are files here: export, plot, and what is in one, for info."""
+"""The commands for recordings on this computer: `export`, `plot`, and the content that `info` shows."""
 
 import importlib.util
 import time
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 class Format(StrEnum):
-    """What a recording becomes."""
+    """Format of the exported recording."""
 
     CSV = "csv"
     ROS2 = "ros2"
@@ -41,31 +41,38 @@ def export(
     file: Annotated[
         Path,
         typer.Argument(
-            help="An MCAP file, as `hostlink record` made it; a bag of ROS 1; a folder or file of rosbag2.",
+            help="MCAP file of `hostlink record`, a bag of ROS 1, or a folder or file of rosbag2.",
             show_default=False,
         ),
     ],
-    topics: Annotated[list[str] | None, typer.Argument(help="Names, or patterns: '/robot_0/*'. None: all.")] = None,
+    topics: Annotated[
+        list[str] | None, typer.Argument(help="Topics to export, by names or patterns: '/robot_0/*'. All without one.")
+    ] = None,
     *,
     format_: Annotated[
         Format,
         typer.Option("--to", help="csv: a folder, a table a topic; ros2: MCAP with CDR; rosbag2: SQLite; ros1: a .bag"),
     ],
-    output: Annotated[Path | None, typer.Option("-o", "--output", help="Else beside the recording.")] = None,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", help="File or folder to write, else next to the recording.")
+    ] = None,
     skip_unknown: Annotated[
-        bool, typer.Option("--skip-unknown", help="Leave out topics that cannot be converted; else they are an error.")
+        bool,
+        typer.Option(
+            "--skip-unknown", help="Leave out topics that cannot be converted, instead of refusing the export."
+        ),
     ] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="JSON, for programs.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON, for programs.")] = False,
 ) -> None:
     """Write a recording in a format that other programs read: spreadsheets, `ros2 bag play`, `rosbag play`."""
     target = output or file.with_name(f"{file.stem}{'.bag' if format_ is Format.ROS1 else f'_{format_.value}'}")
     if target.exists():
-        raise ConfigError("--output", f"{target} is there already; choose another name, or remove it")
+        raise ConfigError("--output", f"{target} exists already; choose another name, or remove it")
     show_progress(f"writing {target}")
     try:
         done = _export(file, target, format_, topics or [], skips_unknown=skip_unknown)
     except OSError as error:
-        raise HostlinkError(f"{target}: {error.strerror or error}") from error
+        raise HostlinkError(f"{target} cannot be written: {error.strerror or error}; name another with -o") from error
     finally:
         show_progress("")
     if as_json:
@@ -85,7 +92,7 @@ def export(
 
 
 def _export(file: Path, target: Path, format_: Format, topics: list[str], *, skips_unknown: bool) -> "Exported":
-    from hostlink.recording.reader import open_source  # noqa: PLC0415 - numpy and the codec, when they are used
+    from hostlink.recording.reader import open_source  # noqa: PLC0415 - numpy and the codec, only when they are used
 
     source = open_source(file)
     if format_ is Format.CSV:
@@ -103,21 +110,26 @@ SUFFIXES = (".pdf", ".png", ".svg")
 
 
 def plot(
-    file: Annotated[Path, typer.Argument(help="As `hostlink record` made it.", show_default=False)],
-    fields: Annotated[list[str] | None, typer.Argument(help="As /robot_0/odometry.x; may be several.")] = None,
+    file: Annotated[Path, typer.Argument(help="Recording of `hostlink record`.", show_default=False)],
+    fields: Annotated[
+        list[str] | None, typer.Argument(help="One or more fields, for example /robot_0/odometry.x.")
+    ] = None,
     *,
-    map_: Annotated[bool, typer.Option("--map", help="Draw the paths instead.")] = False,
-    output: Annotated[Path | None, typer.Option("-o", "--output", help="A .png, .svg or .pdf; else beside it.")] = None,
+    map_: Annotated[bool, typer.Option("--map", help="Draw the paths of the robots instead of fields.")] = False,
+    output: Annotated[
+        Path | None,
+        typer.Option("-o", "--output", help="File to write: .png, .svg or .pdf; else a .png next to the recording."),
+    ] = None,
 ) -> None:
-    """Draw fields of a recording over time, or with --map where the robots drove."""
+    """Draw fields of a recording over time, or with --map the paths of the robots."""
     target = output or file.with_suffix(".png")
     if bool(fields) == map_:
-        raise ConfigError("plot", "name fields, as /robot_0/odometry.x, or say --map")
+        raise ConfigError("plot", "name fields, for example /robot_0/odometry.x, or use --map, not both")
     if target.suffix not in SUFFIXES:
         raise ConfigError("--output", f"{target} must end in one of {', '.join(SUFFIXES)}")
     if importlib.util.find_spec("matplotlib") is None:
         raise LibraryMissing("plot", "matplotlib", "plot")
-    # matplotlib and the codec, after what can be refused at once
+    # matplotlib and the codec are imported after the checks that need neither
     from hostlink.recording.plot import draw_fields, draw_map, read_lines, read_paths  # noqa: PLC0415
     from hostlink.recording.reader import open_source  # noqa: PLC0415
 
@@ -138,7 +150,7 @@ def plot(
         else:
             draw_fields(lines, target)
     except OSError as error:
-        raise HostlinkError(f"{target}: {error.strerror or error}") from error
+        raise HostlinkError(f"{target} cannot be written: {error.strerror or error}; name another with -o") from error
     write(str(target))
 
 
@@ -146,10 +158,10 @@ def plot(
 
 
 def show_recording(file: Path, *, as_json: bool) -> None:
-    """Write it.
+    """Write the content of a recording.
 
     Raises:
-        RecordingFailed: it cannot be read, or is no recording.
+        RecordingFailed: the file cannot be read, or is not a recording.
     """
     found = contents_of(file)
     if as_json:
@@ -159,14 +171,14 @@ def show_recording(file: Path, *, as_json: bool) -> None:
     write(
         f"{file}: {megabytes(found.size_bytes)}, {found.messages} messages, {found.seconds:.1f} s from {begin}",
         *(f"  {name}: {value}" for name, value in found.metadata.items() if value),
-        *(f"  clock: it was set by {step.step_s:+.1f} s after {step.at_s:.1f} s" for step in found.clock_steps),
+        *(f"  the clock was set by {step.step_s:+.1f} s after {step.at_s:.1f} s" for step in found.clock_steps),
         *(f"  damage: {damage}{_mended(file)}" for damage in found.damage),
         *table(["topic", "type", "messages", "Hz", "robot", "from", "export"], [_row(topic) for topic in found.topics]),
     )
 
 
 def _mended(file: Path) -> str:
-    return f"; hostlink record --repair {file} mends it" if file.suffix == ".mcap" else ""
+    return f"; hostlink record --repair {file} repairs it" if file.suffix == ".mcap" else ""
 
 
 def _row(topic: TopicContents) -> list[str]:

@@ -1,4 +1,4 @@
-"""Figures of `hostlink top`, `links` and `robots`: rates from two samples of a daemon's state."""
+"""Figures of `hostlink top`, `links` and `robots`: rates from two snapshots of a daemon's state."""
 
 import asyncio
 from collections.abc import AsyncIterator, Mapping
@@ -7,24 +7,24 @@ from typing import Any, NamedTuple
 from hostlink.cli.names import driver, natural
 from hostlink.client import Event, Host
 
-# -- figures of two samples -------------------------------------------------------------------------------------------
+# -- figures of two snapshots -----------------------------------------------------------------------------------------
 
 LINK_COLUMNS = ("link", "peer", "robot", "topics", "from/s", "to/s", "bytes/s", "lost %", "silent s", "diagnosis")
 ROBOT_COLUMNS = ("robot", "link", "driven by", "m/s", "rad/s", "x m", "y m", "heading °", "Hz", "age s")
-DEVICE_COLUMNS = ("battery", "dBm", "errors", "firmware")  # of a robot, too: shown where any robot has one
+DEVICE_COLUMNS = ("battery", "dBm", "errors", "firmware")  # more columns of a robot, shown if any robot has a value
 _DEGREES = 57.29577951308232
 
 
-class Sample(NamedTuple):
-    """The daemon's state at one moment."""
+class Snapshot(NamedTuple):
+    """The daemon's links and robots at one moment."""
 
     at_s: float
     links: dict[str, Any]  # GET /api/links
     robots: list[dict[str, Any]]
 
 
-def figures(before: Sample, now: Sample) -> dict[str, Any]:
-    """Rates and states for programs: links, robots, links that ended."""
+def figures(before: Snapshot, now: Snapshot) -> dict[str, Any]:
+    """Return rates and states as JSON objects: links, robots, ended links and ports."""
     earlier = {link["number"]: link for link in before.links["links"]}
     names: dict[int, list[str]] = {}
     for robot in now.robots:
@@ -53,7 +53,7 @@ def _rates(before: dict[str, Any], now: dict[str, Any], seconds: float) -> dict[
 
 
 def link_rows(shown: dict[str, Any]) -> list[tuple[str, ...]]:
-    """The cells of each link under LINK_COLUMNS."""
+    """Return the cells of each link under LINK_COLUMNS."""
     return [
         (
             str(link["number"]),
@@ -72,9 +72,9 @@ def link_rows(shown: dict[str, Any]) -> list[tuple[str, ...]]:
 
 
 def robot_table(shown: dict[str, Any]) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
-    """The columns of the robots, and the cells of each robot, in the natural order of their names.
+    """Return the columns of the robots and the cells of each robot, in the natural order of their names.
 
-    A column of DEVICE_COLUMNS is left out where no robot has what it shows.
+    A column of DEVICE_COLUMNS is left out if no robot has a value for it.
     """
     robots = sorted(shown["robots"], key=lambda robot: natural(robot["name"]))
     device = [_device_row(robot) for robot in robots]
@@ -85,7 +85,7 @@ def robot_table(shown: dict[str, Any]) -> tuple[tuple[str, ...], list[tuple[str,
 
 
 def _device_row(robot: dict[str, Any]) -> tuple[str, ...]:
-    """The cells under DEVICE_COLUMNS; an older daemon sends none of this."""
+    """Return the cells under DEVICE_COLUMNS; an older daemon sends none of these values."""
     volts, percent, dbm = robot.get("battery_v"), robot.get("battery_percent"), robot.get("signal_dbm")
     battery = [f"{volts:.1f} V"] if volts is not None else []
     battery += [f"{percent:.0f} %"] if percent is not None else []
@@ -99,7 +99,7 @@ def _device_row(robot: dict[str, Any]) -> tuple[str, ...]:
 
 def _robot_row(robot: dict[str, Any]) -> tuple[str, ...]:
     odometry = robot["odometry"]
-    host = robot.get("host")  # the daemon that has it, if not the one that sent this
+    host = robot.get("host")  # the daemon that the robot is connected to, if another than the sender
     link = "gone" if robot["link"] is None else f"at {host}" if host else str(robot["link"])
     who = "locked" if robot.get("locked") else driver(robot) or "nobody"
     if odometry is None:
@@ -120,13 +120,13 @@ def _robot_row(robot: dict[str, Any]) -> tuple[str, ...]:
 
 
 def speed_text(twist: Mapping[str, Any]) -> str:
-    """m/s forward, and to the left where that is not 0."""
-    left_m_s = f"{twist.get('linear_y_m_s', 0.0):+.2f}"  # an older daemon sends none
+    """Text of a speed: m/s forward, and to the left if that is not 0."""
+    left_m_s = f"{twist.get('linear_y_m_s', 0.0):+.2f}"  # an older daemon does not send it
     return f"{twist['linear_m_s']:+.2f}{'' if float(left_m_s) == 0 else f' y {left_m_s}'}"
 
 
 def advice(shown: dict[str, Any]) -> list[str]:
-    """Lines: a cause and a next step for each finding of live links and of ports; then the last links that ended."""
+    """Return a cause and a next step for each finding of live links and of ports, then the last links that ended."""
     lines = []
     for link in shown["links"]:
         lines += [line for each in link["diagnosis"] for line in _advice(f"link {link['number']}", each)]
@@ -145,11 +145,11 @@ def _advice(about: str, found: dict[str, str]) -> list[str]:
 
 # -- figures of the daemon's events -----------------------------------------------------------------------------------
 
-EARLY_S = 0.05  # events come by tenths of a second: what is half of one early is in time
+EARLY_S = 0.05  # events arrive by tenths of a second: an event that is half of one early is in time
 
 
 async def live_figures(host: Host, interval_s: float) -> AsyncIterator[dict[str, Any]]:
-    """Figures, again and again; the first as soon as there are two looks.
+    """Yield figures once an interval; the first as soon as there are two snapshots.
 
     Raises:
         HostlinkError: the connection is lost.
@@ -162,30 +162,30 @@ async def live_figures(host: Host, interval_s: float) -> AsyncIterator[dict[str,
 
 
 class LiveFigures:
-    """The newest sample of links and robots, and the one of an interval before, from which rates are made. Pure."""
+    """Newest snapshot of links and robots, and the one an interval earlier, from which rates are computed. Pure."""
 
     def __init__(self, interval_s: float) -> None:
         self._interval_s = interval_s - EARLY_S
         self._robots: list[dict[str, Any]] = []
-        self._before: Sample | None = None
-        self._newest: Sample | None = None
+        self._before: Snapshot | None = None
+        self._newest: Snapshot | None = None
         self._shown_at_s = float("-inf")
 
     def update(self, event: Event, now_s: float) -> dict[str, Any] | None:
-        """Figures when they are due."""
+        """Add an event; return figures if they are due."""
         if event.name == "robots":
             self._robots = event.data["robots"]
         elif event.name == "links":
-            self._add(Sample(now_s, event.data, self._robots))
+            self._add(Snapshot(now_s, event.data, self._robots))
         if self._before is None or self._newest is None or now_s < self._shown_at_s + self._interval_s:
             return None
         self._shown_at_s = now_s
         return figures(self._before, self._newest._replace(robots=self._robots))
 
-    def _add(self, sample: Sample) -> None:
-        """Rates are of the interval, or of the time between two looks where that is longer."""
+    def _add(self, snapshot: Snapshot) -> None:
+        """Keep a snapshot. Rates are of the interval, or of the time between two snapshots if that is longer."""
         if self._newest is not None and (
             self._before is None or self._newest.at_s >= self._before.at_s + self._interval_s
         ):
             self._before = self._newest
-        self._newest = sample
+        self._newest = snapshot

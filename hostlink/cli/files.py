@@ -1,4 +1,4 @@
-"""Files that commands write: fetched from the daemon, or new ones here."""
+"""Files that commands write: downloads from the daemon, new files and replaced ones."""
 
 import contextlib
 import os
@@ -14,22 +14,22 @@ from hostlink.errors import ConfigError, HostlinkError
 
 
 def check_output(output: Path) -> None:
-    """Now, and not after an hour of work.
+    """Refuse a file that cannot be written before the work begins.
 
     Raises:
-        ConfigError: nothing can be written there, or there is something already.
+        ConfigError: the file exists, or its folder cannot be written.
     """
     try:
         if output.exists():
-            raise ConfigError("--output", f"{output} is there already; choose another name, or remove it")
+            raise ConfigError("--output", f"{output} exists already; choose another name, or remove it")
         output.touch()
         output.unlink()
     except OSError as error:
-        raise ConfigError("--output", f"{output}: {error.strerror}") from error
+        raise ConfigError("--output", f"{output} cannot be written: {error.strerror}; name another file") from error
 
 
 async def fetch(host: Host, path: str, target: Path) -> None:
-    """Fetch a file, with progress.
+    """Download a file, with progress.
 
     Raises:
         HostlinkError: the daemon refuses, the connection is lost, or the file cannot be written.
@@ -42,7 +42,9 @@ async def fetch(host: Host, path: str, target: Path) -> None:
                 size += len(piece)
                 show_progress(f"fetching: {megabytes(size)}")
     except OSError as error:
-        raise HostlinkError(f"{target}: {error.strerror}; the daemon still has it") from error
+        raise HostlinkError(
+            f"{target} cannot be written: {error.strerror}; the daemon still has the recording"
+        ) from error
     show_progress("")
 
 
@@ -50,34 +52,32 @@ async def fetch(host: Host, path: str, target: Path) -> None:
 
 
 def check_new_file(option: str, file: Path, *, is_forced: bool, example: str) -> None:
-    """Accept the name of a file that will be written; `example`: of such a name.
+    """Accept the name of a file that will be written; `example` is such a name.
 
     Raises:
-        ConfigError: it is no file, or is there and may not be replaced.
+        ConfigError: the name is not one of a plain file, or the file exists and may not be replaced.
     """
     if os.fspath(file) == "-":
-        raise ConfigError(option, f"- is no file: name one, as {example}")
+        raise ConfigError(option, f"'-' is not a file; name one, for example {example}")
     try:
         mode = file.stat().st_mode
-    except (FileNotFoundError, NotADirectoryError):  # writing says which
+    except (FileNotFoundError, NotADirectoryError):  # the error of writing says which
         return
     except OSError as error:
-        raise ConfigError(option, f"{file}: {error.strerror}; name another") from error
+        raise ConfigError(option, f"{file} cannot be read: {error.strerror}; name another") from error
     if not stat.S_ISREG(mode):
-        kind = "a folder" if stat.S_ISDIR(mode) else "no plain file"
-        raise ConfigError(option, f"{file} is {kind}: name a file, as {example}")
+        kind = "a folder" if stat.S_ISDIR(mode) else "not a plain file"
+        raise ConfigError(option, f"{file} is {kind}; name a file, for example {example}")
     if not is_forced:
-        raise ConfigError(option, f"{file} is there already: name another, or add --force")
+        raise ConfigError(option, f"{file} exists already; name another, or add --force")
 
 
 @contextlib.contextmanager
 def replacing(option: str, file: Path) -> Iterator[Path]:
-    """Where to write instead: what was written there takes the file's place when the block ends, or nothing does.
-
-    Of a link, it takes the place of what the link leads to.
+    """Temporary file that replaces `file` when the block ends without an error. A symbolic link keeps its target.
 
     Raises:
-        ConfigError: it cannot be written.
+        ConfigError: the file cannot be written.
     """
     place = Path(os.path.realpath(file))
     beside = place.with_name(f".{place.name}.{os.getpid()}.new")  # another run may write the same file
@@ -87,5 +87,5 @@ def replacing(option: str, file: Path) -> Iterator[Path]:
     except OSError as error:
         raise ConfigError(option, f"{file} cannot be written: {error.strerror}; name another") from error
     finally:
-        with contextlib.suppress(OSError):  # the folder may not be there
+        with contextlib.suppress(OSError):  # the folder may not exist
             beside.unlink(missing_ok=True)

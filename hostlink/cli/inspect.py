@@ -1,4 +1,4 @@
-"""`hostlink inspect`: the content of a recording of a link's bytes."""
+"""`hostlink inspect`: decode the recorded bytes of a link."""
 
 import dataclasses
 import math
@@ -27,14 +27,17 @@ _KINDS = {
 
 
 def command(
-    file: Annotated[Path, typer.Argument(help="A recording: JSON lines with t, dir, hex, conn.", show_default=False)],
+    file: Annotated[
+        Path,
+        typer.Argument(help="Recording of `hostlink capture`: JSON lines with t, dir, hex, conn.", show_default=False),
+    ],
     *,
     messages: Annotated[
-        list[Path] | None, typer.Option(help="A folder of .msg and .srv files; may be given more than once.")
+        list[Path] | None, typer.Option(help="Folder with .msg and .srv files of your own types. May be repeated.")
     ] = None,
-    json: Annotated[bool, typer.Option("--json", help="One JSON object for programs.")] = False,
+    json: Annotated[bool, typer.Option("--json", help="Print one JSON object, for programs.")] = False,
 ) -> None:
-    """Decode a recording of a link, both directions, however its reads cut the frames."""
+    """Decode a recording of a link in both directions, also when reads split the frames."""
     inspection = Inspection(Catalog(messages or ()))
     inspection.add_all(counted(load_reads(file), "lines"))
     view = report_view(inspection.report())
@@ -48,7 +51,7 @@ def command(
 
 
 def report_view(report: InspectionReport) -> dict[str, Any]:
-    """The whole recording in one object for JSON."""
+    """Return the whole recording as one JSON object."""
     return {
         "topics": [_topic_view(info) for info in report.topics],
         "messages": {name: _series_view(series) for name, series in report.messages.items()},
@@ -92,7 +95,7 @@ def _parameter_view(parameter: Parameter) -> dict[str, list[Any]]:
 
 
 def json_value(value: Any) -> Any:
-    """A decoded value for JSON: NaN and the infinities as strings, everything else as it is."""
+    """Return a decoded value for JSON, with NaN and the infinities as strings."""
     if isinstance(value, dict):
         return {key: json_value(item) for key, item in value.items()}
     if isinstance(value, list):
@@ -128,4 +131,4 @@ def _lines(view: dict[str, Any]) -> list[str]:
 
 def _short(value: Any) -> str:
     text = msgspec.json.encode(value).decode()
-    return text if len(text) <= 100 else text[:97] + "..."  # noqa: PLR2004 - what a line of a terminal holds
+    return text if len(text) <= 100 else text[:97] + "..."  # noqa: PLR2004 - the length of a line

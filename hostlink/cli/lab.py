@@ -1,4 +1,4 @@
-"""`hostlink lab`: the paper's measurements, driven again."""
+"""`hostlink lab`: repeat the paper's measurements in a simulated world."""
 
 import contextlib
 import importlib.util
@@ -19,7 +19,7 @@ from hostlink.sim.firmware_module import WorldParameters, read, require_wasmtime
 
 
 class What(StrEnum):
-    """What to find out."""
+    """Report of the laboratory."""
 
     CAUSES = "causes"
     TABLES = "tables"
@@ -28,27 +28,45 @@ class What(StrEnum):
 
 
 def command(
-    what: Annotated[What, typer.Argument(help="causes, tables, claims or pictures.", show_default=False)],
+    what: Annotated[
+        What, typer.Argument(help="Report to make: causes, tables, claims or pictures.", show_default=False)
+    ],
     *,
     runs: Annotated[
-        int | None, typer.Option(min=2, max=1000, help="Of each pattern.", show_default="12; causes 4; of the fit 6")
+        int | None,
+        typer.Option(
+            min=2,
+            max=1000,
+            help="Runs of each pattern: more for narrower intervals.",
+            show_default="12; causes 4; of the fit 6",
+        ),
     ] = None,
     world: Annotated[
-        Path | None, typer.Option(help="Lines name=value: the world of tables and pictures.", show_default=False)
+        Path | None,
+        typer.Option(
+            help="tables, pictures: file of lines name=value, for another world than the paper's.", show_default=False
+        ),
     ] = None,
-    fit: Annotated[bool, typer.Option("--fit", help="tables: fit the causes to the paper's numbers.")] = False,
-    output: Annotated[Path, typer.Option("-o", "--output", help="pictures: the PNG.")] = Path("laboratory.png"),
-    json: Annotated[bool, typer.Option("--json", help="One JSON object for programs.")] = False,
+    fit: Annotated[
+        bool, typer.Option("--fit", help="tables: also fit the causes to the paper's numbers, which takes minutes.")
+    ] = False,
+    output: Annotated[Path, typer.Option("-o", "--output", help="pictures: PNG file to write.")] = Path(
+        "laboratory.png"
+    ),
+    json: Annotated[bool, typer.Option("--json", help="Print one JSON object, for programs.")] = False,
 ) -> None:
-    """Drive the paper's measurements again, in a world that is known, with its software and with ours.
+    """Repeat the paper's measurements in a simulated world, with the paper's software and with hostlink.
 
-    causes: what each cause alone does to each of the paper's patterns. tables: tables 2-5 beside the paper's numbers.
+    causes: the effect of each cause alone on each of the paper's patterns. tables: tables 2-5 with the paper's numbers.
     claims: which numbers the paper's tables need, with intervals. pictures: each path, true and by odometry.
     """
     if fit and what is not What.TABLES:
-        raise ConfigError("--fit", "goes with: hostlink lab tables")
+        raise ConfigError("--fit", f"is an option of `hostlink lab tables`, not of `hostlink lab {what.value}`")
     if world is not None and what not in (What.TABLES, What.PICTURES):
-        raise ConfigError("--world", "goes with: hostlink lab tables, hostlink lab pictures")
+        raise ConfigError(
+            "--world",
+            f"is an option of `hostlink lab tables` and `hostlink lab pictures`, not of `hostlink lab {what.value}`",
+        )
     if what is What.PICTURES:
         _require_picture(output)
     _require("matplotlib" if what is What.PICTURES else "scipy" if fit else None)
@@ -99,19 +117,19 @@ def _fit(laboratory: Laboratory, runs: int | None) -> reports.LabReport:
 
 
 def _require_picture(file: Path) -> None:
-    """Refuse before anything is driven.
+    """Refuse a picture that cannot be written, before the drives.
 
     Raises:
-        ConfigError: no PNG can be written there.
+        ConfigError: the suffix or the folder is wrong.
     """
     if file.suffix != ".png":
         raise ConfigError("--output", f"{file} must end in .png")
     if not os.access(file.parent, os.W_OK):
-        raise ConfigError("--output", f"there is no folder {file.parent} that can be written")
+        raise ConfigError("--output", f"the folder {file.parent} cannot be written; create it, or name another")
 
 
 def _require(library: str | None) -> None:
-    """Refuse before anything is driven.
+    """Refuse a report whose library is not installed, before the drives.
 
     Raises:
         ConfigError: the library is not installed.
@@ -121,10 +139,10 @@ def _require(library: str | None) -> None:
 
 
 def _read(file: Path) -> WorldParameters:
-    """A world from a file.
+    """Read a world from a file.
 
     Raises:
-        ConfigError: it cannot be read, or is none.
+        ConfigError: the file cannot be read, or does not describe a world.
     """
     try:
         return read(file.read_text())

@@ -14,7 +14,7 @@ import typer
 
 from hostlink.cli.arguments import Json, Token, Url
 from hostlink.cli.connecting import connected, run_until_interrupted
-from hostlink.cli.figures import LINK_COLUMNS, Sample, advice, figures, link_rows
+from hostlink.cli.figures import LINK_COLUMNS, Snapshot, advice, figures, link_rows
 from hostlink.cli.output import duration, show_progress, size, table, write, write_error
 from hostlink.client import DEFAULT_URL, Host
 from hostlink.errors import BadRequest, ConfigError, HostlinkError
@@ -24,17 +24,19 @@ from hostlink.errors import BadRequest, ConfigError, HostlinkError
 
 def links(
     *,
-    ended: Annotated[bool, typer.Option("--ended", help="The last that ended, too.")] = False,
+    ended: Annotated[
+        bool, typer.Option("--ended", help="List the last links that ended, too: why a robot was lost.")
+    ] = False,
     url: Url = DEFAULT_URL,
     token: Token = None,
     json: Json = False,
 ) -> None:
-    """List the connections of devices: rates since they opened, losses, silence, what is wrong."""
+    """List the connections of devices: rates since they opened, losses, silence and findings."""
     view, robots = asyncio.run(_links(url, token))
     if json:
         write(json_text.dumps(view))
         return
-    shown = figures(Sample(0.0, {"links": []}, []), Sample(0.0, view, robots))
+    shown = figures(Snapshot(0.0, {"links": []}, []), Snapshot(0.0, view, robots))
     if not shown["links"]:
         write_error("no device is connected; `hostlink doctor` finds out why")
     write(*table(list(LINK_COLUMNS), [list(row) for row in link_rows(shown)])[1:])
@@ -68,14 +70,14 @@ COLUMNS = ("client", "kind", "peer", "role", "for s", "from", "to", "bytes to", 
 
 
 def clients(*, url: Url = DEFAULT_URL, token: Token = None, json: Json = False) -> None:
-    """List the programs that are connected: who they are, what they receive, what they are too slow for."""
+    """List the programs that are connected: name and role, traffic, and what was dropped because they are too slow."""
     view = asyncio.run(_clients(url, token))
     if json:
         write(json_text.dumps(view))
     else:
         write(*table(list(COLUMNS), [_row(client) for client in view["clients"]])[1:])
         if view["refused"]:
-            write(f"{view['refused']} were refused, because there were too many")
+            write(f"{view['refused']} clients were refused, because too many were connected")
 
 
 async def _clients(url: str, token: str | None) -> dict[str, Any]:
@@ -107,36 +109,45 @@ _START = "0-0"
 
 
 def capture(
-    link: Annotated[int | None, typer.Argument(help="Its number, as the log and `hostlink top` show it.")] = None,
+    link: Annotated[int | None, typer.Argument(help="Number of the link, as in the log and in `hostlink top`.")] = None,
     *,
-    last: Annotated[bool, typer.Option("--last", help="The link that ended last, or the newest.")] = False,
-    output: Annotated[Path | None, typer.Option("-o", "--output", help="A file; standard output without it.")] = None,
-    seconds: Annotated[float, typer.Option(min=0.0, help="Follow a live link for this time.")] = 0.0,
+    last: Annotated[
+        bool,
+        typer.Option("--last", help="Save the link that ended last, or else the newest one: after a robot was lost."),
+    ] = False,
+    output: Annotated[Path | None, typer.Option("-o", "--output", help="File to write; else standard output.")] = None,
+    seconds: Annotated[
+        float,
+        typer.Option(
+            min=0.0,
+            help="Also save what a live link transfers within this time, to catch a fault that occurs now and then.",
+        ),
+    ] = 0.0,
     url: Url = DEFAULT_URL,
     token: Token = None,
 ) -> None:
     """Save the raw bytes of a link, as JSON lines that `hostlink inspect` and `hostlink doctor` read.
 
-    The daemon keeps the last 64 KiB of each direction, of the live links and of the last 16 that ended.
+    The daemon keeps the last 64 KiB of each direction of each live link and of the last 16 that ended.
     """
     if (link is None) != last:
-        raise ConfigError("capture", "name a link by its number, or say --last")
-    saved = Saved()
+        raise ConfigError("capture", "name a link by its number, or use --last; `hostlink links` lists them")
+    saved = CaptureProgress()
     run_until_interrupted(_capture(url, token, link, output, seconds, saved))
     show_progress("")
     write_error(f"link {saved.link}: {saved.bytes} bytes{f' in {output}' if output else ''}")
 
 
 @dataclass(slots=True)
-class Saved:
-    """What was saved so far: reported also after Ctrl-C."""
+class CaptureProgress:
+    """Progress of a capture, which is reported also after Ctrl-C."""
 
     link: int | None = None
     bytes: int = 0
 
 
 async def _capture(
-    url: str, token: str | None, number: int | None, output: Path | None, seconds: float, saved: Saved
+    url: str, token: str | None, number: int | None, output: Path | None, seconds: float, saved: CaptureProgress
 ) -> None:
     async with connected(url, token) as host:
         saved.link = await _last(host) if number is None else number
@@ -148,11 +159,11 @@ async def _capture(
 
 @contextlib.contextmanager
 def _opened(output: Path | None) -> Iterator[Callable[[bytes], object]]:
-    """How to write for the length of the block.
+    """Open the file, or standard output, for the length of the block.
 
     Raises:
         ConfigError: the file cannot be opened.
-        HostlinkError: it cannot be written to its end.
+        HostlinkError: the file cannot be written completely.
     """
     if output is None:
         yield sys.stdout.buffer.write
@@ -166,19 +177,21 @@ def _opened(output: Path | None) -> Iterator[Callable[[bytes], object]]:
         with file:
             yield file.write
     except OSError as error:
-        raise HostlinkError(f"{output} is not complete: {error.strerror}") from error
+        raise HostlinkError(
+            f"{output} is not complete: {error.strerror}; free some space, or name another file"
+        ) from error
 
 
 async def _last(host: Host) -> int:
     view = await host.get("/api/links")
     numbers = [link["number"] for link in view["ended"][:1] or view["links"][-1:]]
     if not numbers:
-        raise BadRequest("no link has ended, and none is there: no device has connected")
+        raise BadRequest("no device has connected yet, so there is no link; `hostlink doctor` finds out why")
     return int(numbers[0])
 
 
 async def _reads(host: Host, number: int, seconds: float) -> AsyncIterator[dict[str, Any]]:
-    """What is kept, then what comes, until the time is over or the link is."""
+    """Yield the reads that the daemon keeps, then new ones, until the time is over or the link ends."""
     loop = asyncio.get_running_loop()
     until_s = loop.time() + seconds
     position, has_begun = _START, False
@@ -186,11 +199,11 @@ async def _reads(host: Host, number: int, seconds: float) -> AsyncIterator[dict[
         piece = await host.get(f"/api/links/{number}/capture/{position}")
         for read in piece["reads"]:
             if has_begun and read.get("event") == "open":
-                continue  # nothing has passed since the first piece
+                continue  # nothing was transferred since the first piece
             yield read
         has_begun, position = True, piece["position"]
         if piece["lost_bytes"]:
-            write_error(f"{piece['lost_bytes']} bytes before that are lost")
+            write_error(f"{piece['lost_bytes']} earlier bytes are lost")
         if loop.time() >= until_s or not piece["is_open"]:
             return
         show_progress(f"link {number}: {until_s - loop.time():.0f} s left ...")

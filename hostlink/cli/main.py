@@ -16,11 +16,12 @@ from typing import Annotated, Any
 import typer
 
 from hostlink.cli.output import allow_any_text, write, write_error
+from hostlink.cli.start import import_fast
 from hostlink.errors import ConfigError, HostlinkError
 
 # -- words of ROS and of other programs -------------------------------------------------------------------------------
 
-HABITS = {  # that a newcomer types, and what he means
+HABITS = {  # words that newcomers type, and the command that has their meaning
     "drive": "teleop",
     "joy": "teleop",
     "go": "teleop",
@@ -37,7 +38,7 @@ HABITS = {  # that a newcomer types, and what he means
     "version": "--version",
 }
 _SAME = {name: name for name in ("echo", "hz", "bw", "delay", "pub", "info", "type", "find", "call")}
-ROS_GROUPS = {  # rostopic, ros2 topic and their kind: the word behind it, and what is meant
+ROS_GROUPS = {  # rostopic, ros2 topic and similar programs: the word behind them, and the command of hostlink
     "topic": _SAME | {"list": "topics"},
     "node": {"list": "robots", "info": "info"},
     "service": _SAME | {"list": "services"},
@@ -48,7 +49,7 @@ ROS_GROUPS = {  # rostopic, ros2 topic and their kind: the word behind it, and w
     "interface": {"show": "type"},
 }
 _ALONE = {"topic": "topics", "node": "robots", "service": "services", "param": "params", "bag": "record"}
-ROS_OPTIONS = {  # of a command, as ROS has it
+ROS_OPTIONS = {  # option of a command of ROS, and the one of hostlink
     ("echo", "-n"): "--count NUMBER",
     ("echo", "-p"): "--csv",
     ("pub", "-1"): "nothing: one message is sent without --count",
@@ -56,7 +57,7 @@ ROS_OPTIONS = {  # of a command, as ROS has it
     ("pub", "-r"): "--rate HZ --count 0",
     ("hz", "-w"): "--window NUMBER",
     ("bw", "-w"): "--window NUMBER",
-    ("record", "-a"): "nothing: everything is recorded where no topic is named",
+    ("record", "-a"): "nothing: everything is recorded unless a topic is named",
     ("record", "-O"): "-o FILE",
     ("play", "-l"): "--loop",
     ("play", "-r"): "--rate FACTOR",
@@ -65,7 +66,7 @@ ROS_OPTIONS = {  # of a command, as ROS has it
 
 
 def meant(words: Sequence[str]) -> str | None:
-    """The words behind `hostlink` that are meant by these; None: they may be right as they are."""
+    """Return the words that hostlink has for a habit or a command of ROS; None if the words may be right."""
     first = words[0] if words else ""
     if first in HABITS:
         return _with_rest(HABITS[first], words[1:]) if first != "help" else _help(words[1:])
@@ -98,46 +99,46 @@ PANELS = {
         "sim": "Run simulated robots that connect to a host.",
         "ros1": "Run the daemon as a node of ROS 1, started as rosserial_python is.",
         "ros2": "Show the robots in ROS 2, and let ROS 2 drive them.",
-        "setup": "Ask ten questions and write a configuration.",
+        "setup": "Ask ten questions and write a configuration file.",
         "reload": "Let the daemon read its configuration again.",
     },
     "Robots": {
         "robots": "List the robots.",
         "teleop": "Drive a robot with the keyboard.",
-        "stop": "Stop a robot, or all of them.",
+        "stop": "Stop a robot, or all of them, now.",
         "lock": "Emergency stop: no robot moves until it is unlocked.",
         "unlock": "Let a robot be driven again.",
-        "calibrate": "Find a robot's wheels with a tape measure.",
+        "calibrate": "Find a robot's wheel radii and separation with a tape measure.",
         "step": "Drive a step of speed and show how the robot follows; tune its PID.",
-        "lab": "Drive the paper's measurements again, in a world that is known.",
+        "lab": "Repeat the paper's measurements in a simulated world.",
     },
     "Topics, services, parameters": {
         "topics": "List the topics.",
-        "info": "Show who publishes and subscribes, of a topic or a node; what is in a recording.",
+        "info": "Show publishers and subscribers of a topic or a node, or the content of a recording.",
         "type": "Show the type of a topic or a service.",
         "find": "List the topics and services of a type.",
         "echo": "Print the messages of a topic.",
         "hz": "Measure the rate of a topic.",
         "bw": "Measure the bandwidth of a topic.",
-        "delay": "Measure how old the messages of a topic are when they come.",
+        "delay": "Measure the age of a topic's messages when they arrive.",
         "pub": "Publish messages on a topic.",
         "services": "List the services.",
         "call": "Call a service.",
         "params": "List, get, set, dump and load the parameters of the devices.",
     },
     "Recordings": {
-        "record": "Record robots into an MCAP file; repair one that was never finished.",
-        "play": "Play a recording as the robots that are in it.",
-        "plot": "Draw fields or paths of a recording.",
+        "record": "Record robots into an MCAP file; repair an unfinished one.",
+        "play": "Play a recording: as robots, as a program, or to drive a robot.",
+        "plot": "Draw fields or paths of a recording as a picture.",
         "export": "Write a recording as CSV, or as a bag of ROS.",
-        "drives": "List who drove which robot, and when.",
-        "incidents": "List what happened to robots, and fetch their last minutes.",
+        "drives": "List who drove which robot and when.",
+        "incidents": "List incidents of robots, and fetch the recording of each.",
     },
     "Boards": {
-        "arduino-library": "Write rosserial for boards, with headers of all messages, as a ZIP.",
-        "board": "Read and set what a board keeps: its host, name, WiFi and keys.",
+        "arduino-library": "Write the rosserial library for boards, with headers of all messages, as a ZIP.",
+        "board": "Read and set the settings that a board stores: host, name, WiFi and keys.",
     },
-    "What is wrong": {
+    "Diagnosis": {
         "doctor": "Find what is wrong with the devices, and what to do next.",
         "top": "Watch links and robots, live.",
         "links": "List the connections of devices.",
@@ -146,7 +147,7 @@ PANELS = {
         "inspect": "Decode a recording of a link.",
     },
 }
-MODULES = {  # where the module does not have the name of the command
+MODULES = {  # modules whose name is not that of the command
     "serve": "serve_command",
     **dict.fromkeys(("info", "type", "find", "echo", "hz", "bw", "delay", "pub", "services", "call"), "topics"),
     **dict.fromkeys(("drives", "incidents"), "record"),
@@ -158,13 +159,13 @@ MODULES = {  # where the module does not have the name of the command
 }
 COMMANDS = {name: text for panel in PANELS.values() for name, text in panel.items()}
 FAILED, MISUSED = 1, 2
-UsageError: Any = typer.BadParameter.__base__  # click's own, which newer versions of typer have inside of themselves
+UsageError: Any = typer.BadParameter.__base__  # click's class, which newer versions of typer contain
 
 
 def build_app(wanted: str | None) -> typer.Typer:
-    """The command line; the commands other than `wanted` are there by name only."""
+    """Build the command line. Commands other than `wanted` have a name and a help text only."""
     app = typer.Typer(
-        help="The host for rosserial robots. It needs no ROS; commands and names are those that users of ROS know.",
+        help="The host for rosserial robots. ROS is not needed; commands and names are those that users of ROS know.",
         no_args_is_help=True,
         pretty_exceptions_enable=False,
         context_settings={"help_option_names": ["-h", "--help"]},
@@ -177,7 +178,7 @@ def build_app(wanted: str | None) -> typer.Typer:
 
 
 def _add(app: typer.Typer, name: str, text: str, panel: str, *, is_wanted: bool) -> None:
-    module: Any = importlib.import_module(module_of(name)) if is_wanted else None
+    module: Any = import_fast(module_of(name)) if is_wanted else None
     function = _function_of(module, name) if is_wanted else _name_only
     if isinstance(function, typer.Typer):
         app.add_typer(function, name=name, short_help=text, rich_help_panel=panel)
@@ -200,12 +201,12 @@ def _function_of(module: Any, command: str) -> Any:
 
 
 def module_of(command: str) -> str:
-    """Where a command is."""
+    """Name of the module of a command."""
     return f"hostlink.cli.{MODULES.get(command, command)}"
 
 
 def main() -> None:
-    """Run; an error is one line, and 2 means that the arguments or the configuration are wrong."""
+    """Run the command line. An error is one line on stderr; exit status 2: wrong arguments or configuration."""
     _open_standard_descriptors()
     allow_any_text()
     arguments = sys.argv[1:]
@@ -216,80 +217,80 @@ def main() -> None:
             raise
         _complain(str(error))
         sys.exit(MISUSED if isinstance(error, ConfigError) else FAILED)
-    except OSError as error:  # most of all: the reader of our output is gone, or its disk is full
+    except OSError as error:  # mostly: the program that read the output has ended, or the disk is full
         if "--debug" in arguments:
             raise
         _end_output()
         if not isinstance(error, BrokenPipeError):
-            _complain(f"{error.filename or 'the system refuses'}: {error.strerror or error}")
+            _complain(f"{error.filename or 'a call of the system failed'}: {error.strerror or error}")
         sys.exit(FAILED)
     except (KeyboardInterrupt, typer.Abort):
         sys.exit(128 + 2)
 
 
 def _run(arguments: list[str]) -> int:
-    """Returns the exit status.
+    """Run the command and return the exit status.
 
     Raises:
         ConfigError: the arguments are wrong.
     """
     words = meant(arguments)
     if words is not None:
-        raise ConfigError(arguments[0], f"is no command; did you mean `hostlink {words}`?")
+        raise ConfigError(arguments[0], f"is not a command; did you mean `hostlink {words}`?")
     app = build_app(wanted_command([*arguments, *completed_words(os.environ)]))
     if signal.getsignal(signal.SIGINT) is signal.SIG_DFL:  # hostlink.cli.start
         signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
         status = app(prog_name="hostlink", standalone_mode=False)
     except UsageError as error:
-        if not error.format_message():  # a group of commands has shown its help
+        if not error.format_message():  # a group of commands has printed its help
             return MISUSED
         raise ConfigError(*_complaint(error)) from error
     return status if isinstance(status, int) else 0
 
 
 def _complaint(error: Any) -> tuple[str, str]:
-    """Of which command, and what is wrong, in one line with the next step."""
+    """Return the command and its error in one line with the next step."""
     command = "" if error.ctx is None else error.ctx.command_path.removeprefix("hostlink").strip()
     text = " ".join(error.format_message().split()).replace("Value error, ", "").rstrip(".")
     option = ROS_OPTIONS.get((command, getattr(error, "option_name", "")))
-    then = f"here it is {option}" if option else f"`hostlink {f'{command} --help'.strip()}` shows what there is"
+    then = f"use {option}" if option else f"`hostlink {f'{command} --help'.strip()}` lists the options"
     return command or "arguments", f"{text[:1].lower()}{text[1:]}{' ' if text.endswith('?') else '; '}{then}"
 
 
 def _complain(text: str) -> None:
-    with contextlib.suppress(OSError):  # nobody can read it; the status says it, too
+    with contextlib.suppress(OSError):  # stderr is closed; the exit status reports the error, too
         write_error(f"hostlink: {text}")
 
 
 def _end_output() -> None:
-    """Nothing is written any more: what waits in the buffer would fail again at the end."""
+    """Discard the buffered output, which would fail again when the interpreter ends."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def wanted_command(words: Iterable[str]) -> str | None:
-    """The first word that is a command's name."""
+    """Return the first word that is a command's name."""
     return next((word for word in words if word in COMMANDS), None)
 
 
 def completed_words(environment: Mapping[str, str]) -> list[str]:
-    """The words of a line that a shell wants to be completed, as typer's scripts for bash, zsh and fish pass them."""
+    """Return the words of the line that a shell completes, as typer's scripts for bash, zsh and fish pass them."""
     if "_HOSTLINK_COMPLETE" not in environment:
         return []
     line = environment.get("_TYPER_COMPLETE_ARGS") or environment.get("COMP_WORDS", "")
     try:
         return shlex.split(line)[1:]
-    except ValueError:  # a quotation that is not closed yet
+    except ValueError:  # an unclosed quotation
         return line.split()[1:]
 
 
 def _open_standard_descriptors() -> None:
-    """Of a process that was started without some (`2>&-`): else a robot's connection gets the number of stderr."""
+    """Open closed standard descriptors (`2>&-`), else a robot's connection gets the number of stderr."""
     for name, descriptor in (("stdin", 0), ("stdout", 1), ("stderr", 2)):
         try:
             os.fstat(descriptor)
         except OSError:
-            os.open(os.devnull, os.O_RDWR)  # gets the lowest number that is free: this one
+            os.open(os.devnull, os.O_RDWR)  # takes the lowest free number, which is this one
             setattr(sys, name, open(descriptor, "r" if name == "stdin" else "w", closefd=False))  # noqa: SIM115
 
 
@@ -306,7 +307,7 @@ def _options(
         bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version.")
     ] = False,
 ) -> None:
-    del debug, show_version  # `main` reads the first: it must work for errors of the arguments too
+    del debug, show_version  # `main` reads --debug, because it also applies to errors of the arguments
 
 
 def _name_only() -> None:

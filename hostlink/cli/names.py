@@ -1,4 +1,4 @@
-"""Names for a person: their order, suggestions for unknown ones, and the name of a driver. Pure."""
+"""Names in the output: their natural order, suggestions for unknown ones, and the name of a driver. Pure."""
 
 import difflib
 import re
@@ -10,19 +10,19 @@ from hostlink.errors import HostlinkError
 
 MOST = 3
 CLOSE = 0.6  # difflib's ratio: /robot_0/odom and /robot_0/odometry have 0.83, /led and /odom 0.44
-LESS = 0.15  # than the closest: what is less close is not meant
+LESS = 0.15  # below the closest ratio: a name that is less similar is not suggested
 LISTED = 8
 _NUMBER = re.compile(r"([0-9]+)")
 
 
 def natural(name: str) -> list[tuple[int, str]]:
-    """The key of a natural order: robot_2 before robot_10."""
+    """Sort key of the natural order: robot_2 before robot_10."""
     parts = _NUMBER.split(name)  # texts at even places, digits between them
     return [(len(part.lstrip("0")) if place % 2 else 0, part) for place, part in enumerate(parts)]
 
 
 def near(name: str, known: Iterable[str]) -> list[str]:
-    """The names that come near: by their letters, by a part, or else none."""
+    """Names that are similar by their letters or contain the last part; at most MOST."""
     names = sorted(known, key=natural)
     found = difflib.get_close_matches(name, names, n=MOST, cutoff=CLOSE)
     ratios = {each: difflib.SequenceMatcher(None, each, name).ratio() for each in found}
@@ -33,10 +33,10 @@ def near(name: str, known: Iterable[str]) -> list[str]:
 
 
 def unknown(kind: str, name: str, known: Iterable[str], *, command: str) -> HostlinkError:
-    """The error of a name that is not known: what comes near, or what there is, and the command that lists it."""
+    """Error of an unknown name: similar names, or else known ones, and the command that lists them."""
     names = sorted(known, key=natural)
     found = near(name, names)
-    hint = f"near it: {', '.join(found)}" if found else f"there is: {', '.join(names[:LISTED]) or 'none yet'}"
+    hint = f"similar names: {', '.join(found)}" if found else f"known are: {', '.join(names[:LISTED]) or 'none yet'}"
     return HostlinkError(f"no {kind} named {name}; {hint}; `hostlink {command}` lists them")
 
 
@@ -44,7 +44,7 @@ def unknown(kind: str, name: str, known: Iterable[str], *, command: str) -> Host
 
 
 def driver(robot: Mapping[str, object], client_name: str | None = None) -> str | None:
-    """Who drives a robot, of its view; None: nobody. `client_name`: what this program is called there, which is you."""
+    """Return the driver in a robot's view; None without one. `client_name`, the name of this program, becomes "you"."""
     if robot.get("played"):
         return "a recording"
     name = robot["holder"]
@@ -54,7 +54,7 @@ def driver(robot: Mapping[str, object], client_name: str | None = None) -> str |
 
 
 def named(name: str, address: str) -> str:
-    """As `client 3 (phone, 10.0.0.5)`; a name that has the address already stays as it is."""
+    """Return the name with its address: `client 3 (phone, 10.0.0.5)`. A name that contains the address is unchanged."""
     if not address or address in name:
         return name
     return f"{name.removesuffix(')')}, {address})" if name.endswith(")") else f"{name} ({address})"

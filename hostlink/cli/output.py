@@ -1,4 +1,4 @@
-"""Output of the commands. It contains names and texts of devices and programs: none of them steers a terminal."""
+"""Output of the commands. Names and texts of devices and programs are escaped, so that none controls the terminal."""
 
 import codecs
 import contextlib
@@ -11,21 +11,21 @@ from typing import Any, TextIO
 
 BYTES_PER_MB = 1_000_000
 _CLEAR_LINE = "\r\x1b[2K"
-_AS_JSON = "hostlink.json"  # how a text is written that the terminal's encoding does not have
+_AS_JSON = "hostlink.json"  # error handler for characters that the terminal's encoding does not have
 
 
 def allow_any_text() -> None:
-    """Let no character fail on a terminal or in a pipe of another encoding: it is escaped as in JSON."""
+    """Escape characters as in JSON that the encoding of the terminal or pipe does not have, instead of failing."""
     codecs.register_error(_AS_JSON, _escape_unknown)
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
-            with contextlib.suppress(OSError):  # its place is asked for, which a pipe behind the same number has not
+            with contextlib.suppress(OSError):  # reconfigure asks for the position, which a pipe does not have
                 stream.reconfigure(errors=_AS_JSON)
 
 
 def _escape_unknown(error: UnicodeError) -> tuple[str, int]:
     """Raises:
-    UnicodeError: it is none of encoding.
+    UnicodeError: the error is one of decoding.
     """
     if not isinstance(error, UnicodeEncodeError):
         raise error
@@ -33,9 +33,9 @@ def _escape_unknown(error: UnicodeError) -> tuple[str, int]:
 
 
 def plain(text: str) -> str:
-    """The text in one line; what is not printable is escaped as in JSON, so that JSON stays the JSON that it was.
+    """Return the text in one line, with unprintable characters escaped as in JSON: JSON keeps its meaning.
 
-    That is controls, ESC and the C1 of old terminals, what turns the direction of reading, and ends of lines.
+    Escaped are control characters (ESC, C1), marks that change the direction of reading, and ends of lines.
     """
     return text if text.isprintable() else "".join(map(_escaped, text))
 
@@ -51,17 +51,17 @@ def write_error(*lines: str) -> None:
 
 
 def write_over(line: str) -> None:
-    """Write a line over the one before on a terminal; elsewhere a line each."""
+    """Write a line over the previous one on a terminal; write a new line to a file or a pipe."""
     _write(sys.stdout, f"{_CLEAR_LINE}{plain(line)}" if sys.stdout.isatty() else f"{plain(line)}\n")
 
 
 def show_question(text: str) -> None:
-    """Write on standard error what somebody at the terminal answers behind it."""
+    """Write a question on standard error; the answer is typed behind it."""
     _write(sys.stderr, plain(text))
 
 
 def show_progress(line: str) -> None:
-    """On a terminal, a line of standard error that is written over; elsewhere nobody waits for it."""
+    """Write a line of standard error over the previous one on a terminal; write nothing to a file or a pipe."""
     if sys.stderr.isatty():
         _write(sys.stderr, f"{_CLEAR_LINE}{_fitting(plain(line), sys.stderr)}")
 
@@ -91,7 +91,7 @@ def terminal_size() -> tuple[int, int]:
 
 
 def _fitting(line: str, terminal: TextIO) -> str:
-    """As much of it as fits: of a line that wraps, only the end would be written over."""
+    """Cut a line to the terminal's width: of a line that wraps, only the end could be written over."""
     with contextlib.suppress(OSError):
         if columns := os.get_terminal_size(terminal.fileno()).columns:
             return line[: columns - 1]
@@ -104,7 +104,7 @@ def _escaped(char: str) -> str:
 
 def _write(stream: TextIO, text: str) -> None:
     """Raises:
-    OSError: with the stream's name.
+    OSError: the stream cannot be written; `filename` is the stream's name.
     """
     try:
         stream.write(text)
@@ -115,7 +115,7 @@ def _write(stream: TextIO, text: str) -> None:
 
 
 def table(head: list[str], rows: list[list[Any]]) -> list[str]:
-    """Columns under a head; nothing where there are no rows."""
+    """Lines of a table: columns under a head; none without rows."""
     if not rows:
         return []
     cells = [head, *([plain(str(cell)) for cell in row] for row in rows)]
@@ -127,7 +127,7 @@ def table(head: list[str], rows: list[list[Any]]) -> list[str]:
 
 
 def duration(seconds: float) -> str:
-    """With as many digits as a person reads: 0.412 ms, 33.3 ms, 1.23 s."""
+    """Text of a duration with three digits: 0.412 ms, 33.3 ms, 1.23 s."""
     value = abs(seconds)
     if value == 0:
         return "0 ms"
@@ -137,7 +137,7 @@ def duration(seconds: float) -> str:
 
 
 def size(count: float) -> str:
-    """Bytes: 320 B, 9.6 kB, 1.2 MB."""
+    """Text of a number of bytes: 320 B, 9.6 kB, 1.2 MB."""
     for unit in ("B", "kB", "MB"):
         if count < 1000:  # noqa: PLR2004 - orders of magnitude
             return f"{count:.0f} {unit}" if unit == "B" else f"{count:.1f} {unit}"
@@ -146,5 +146,5 @@ def size(count: float) -> str:
 
 
 def megabytes(count: float) -> str:
-    """Of a file: always in MB, so that a column or a line that is written again and again keeps its unit."""
+    """Text of a file's size, always in MB, so that a column or a progress line keeps its unit."""
     return f"{count / BYTES_PER_MB:.1f} MB"

@@ -1,4 +1,4 @@
-"""`hostlink params`: the parameters that devices request: listed, read, set, saved into a file and loaded from one."""
+"""`hostlink params`: list, get, set, delete, dump and load the parameters that devices request."""
 
 import asyncio
 import json as json_text
@@ -18,13 +18,13 @@ from hostlink.errors import ConfigError
 
 app = typer.Typer(
     no_args_is_help=True,
-    help="The parameters that devices request: those of the configuration, and what was set since.",
+    help="The parameters that devices request: those of the configuration, and those that were set since.",
 )
 
 
 @app.command("list")
 def list_(*, url: Url = DEFAULT_URL, token: Token = None, json: Json = False) -> None:
-    """List the names of the parameters, with their values."""
+    """List the parameters with their values."""
     found = _run(url, token, _values)
     if json:
         write(json_text.dumps(found))
@@ -32,37 +32,41 @@ def list_(*, url: Url = DEFAULT_URL, token: Token = None, json: Json = False) ->
         width = max(map(len, found))
         write(*(f"{name:<{width}}  {json_text.dumps(value)}" for name, value in found.items()))
     else:
-        write_error("no parameters; `hostlink params set NAME VALUE` or [parameters] of the configuration sets one")
+        write_error(
+            "there are no parameters; `hostlink params set NAME VALUE` or [parameters] of the configuration sets one"
+        )
 
 
 @app.command()
 def get(name: ParameterName, *, url: Url = DEFAULT_URL, token: Token = None) -> None:
-    """Print a parameter as JSON; a name with others below it is an object of them."""
+    """Print a parameter as JSON; the name of a group prints an object of the parameters in it."""
     write(json_text.dumps(_run(url, token, lambda host: _get(host, name))))
 
 
 @app.command("set")
 def set_(
     name: ParameterName,
-    value: Annotated[str, typer.Argument(help="JSON, as 1.5, true or [1, 2]; anything else is a text.")],
+    value: Annotated[str, typer.Argument(help="JSON, for example 1.5, true or [1, 2]; any other text is a string.")],
     *,
     url: Url = DEFAULT_URL,
     token: Token = None,
 ) -> None:
-    """Set a parameter, for as long as the daemon runs. A device gets it when it requests it: mostly as it starts."""
+    """Set a parameter until the daemon ends. A device receives it when it requests it, usually when it connects."""
     _run(url, token, lambda host: _set(host, {name: _value(value)}))
-    write_error(f"{name} is {json_text.dumps(_value(value))}, until the daemon ends; [parameters] keeps it")
+    write_error(
+        f"{name} is {json_text.dumps(_value(value))} until the daemon ends; write it under [parameters] to keep it"
+    )
 
 
 @app.command()
 def delete(name: ParameterName, *, url: Url = DEFAULT_URL, token: Token = None) -> None:
-    """Delete a parameter, and all below it."""
+    """Delete a parameter, or a group with all its parameters."""
     _run(url, token, lambda host: host.call("/rosapi/delete_param", {"name": name}))
 
 
 @app.command()
 def dump(
-    file: Annotated[Path | None, typer.Argument(help="Standard output without it.")] = None,
+    file: Annotated[Path | None, typer.Argument(help="File to write; else standard output.")] = None,
     *,
     url: Url = DEFAULT_URL,
     token: Token = None,
@@ -89,7 +93,7 @@ def load(
     url: Url = DEFAULT_URL,
     token: Token = None,
 ) -> None:
-    """Set the parameters of a file; the others stay as they are."""
+    """Set the parameters of a file; other parameters keep their values."""
     values = _read(file)
     _run(url, token, lambda host: _set(host, values))
     write_error(f"{len(values)} parameters set")
@@ -135,18 +139,18 @@ def _value(text: str) -> Any:
 
 
 def _read(file: Path) -> dict[str, Any]:
-    """The parameters of a file, by name.
+    """Return the parameters of a file by name.
 
     Raises:
-        ConfigError: it cannot be read, or has none.
+        ConfigError: the file cannot be read, or has no parameters.
     """
     try:
         text = file.read_text(encoding="utf-8")
         values = tomllib.loads(text).get("parameters") if file.suffix == ".toml" else json_text.loads(text)
     except OSError as error:
-        raise ConfigError("FILE", f"{file}: {error.strerror}") from error
+        raise ConfigError("FILE", f"{file} cannot be read: {error.strerror}") from error
     except (ValueError, RecursionError) as error:
-        raise ConfigError("FILE", f"{file}: {error}") from error
+        raise ConfigError("FILE", f"{file} is neither JSON nor TOML: {error}") from error
     if not isinstance(values, dict):
-        raise ConfigError("FILE", f"{file} has no parameters: a JSON object, or [parameters] of a hostlink.toml")
+        raise ConfigError("FILE", f"{file} has no parameters; write a JSON object, or [parameters] in a .toml file")
     return values

@@ -1,4 +1,4 @@
-"""`hostlink play`: a recording as the robots that are in it, or as a program that publishes its topics."""
+"""`hostlink play`: play a recording as its robots, as a program that publishes its topics, or to drive a robot."""
 
 import asyncio
 import contextlib
@@ -28,7 +28,7 @@ from hostlink.sim.played_device import PlayedDevice, PlayedTopic
 TWIST = "geometry_msgs/Twist"
 NO_MD5 = "*"
 READY_TIMEOUT_S = 5.0
-SETTLE_S = 1.0  # until the robots' topics are in every graph: what is sent before reaches nobody
+SETTLE_S = 1.0  # until the robots' topics are in every graph: earlier messages would have no subscriber
 PROGRESS_S = 0.5
 SOON_S = 0.001
 
@@ -36,63 +36,89 @@ Put = Callable[[StoredMessage], Awaitable[None]]
 
 
 @dataclass(frozen=True, slots=True)
-class Pace:
-    """How a recording is played."""
+class Playback:
+    """Speed, range and order in which a recording is played."""
 
     rate: float
     start_s: float
     is_looped: bool
     is_stepped: bool
-    max_pause_s: float = math.inf  # that a longer pause of the recording is played as
+    max_pause_s: float = math.inf  # a longer pause of the recording is shortened to this
 
 
 def command(
-    file: Annotated[Path, typer.Argument(help="As `hostlink record` made it.", show_default=False)],
-    topics: Annotated[list[str] | None, typer.Argument(help="Of --as-program: names, or patterns.")] = None,
+    file: Annotated[Path, typer.Argument(help="A recording of `hostlink record`.", show_default=False)],
+    topics: Annotated[list[str] | None, typer.Argument(help="With --as-program: names of topics, or patterns.")] = None,
     *,
-    to: Annotated[str, typer.Option("--connect", help="Of the host, for devices: HOST:PORT.")] = "127.0.0.1:11411",
-    robot: Annotated[list[str] | None, typer.Option(help="This robot alone. May be repeated.")] = None,
-    rate: Annotated[float, typer.Option(min=0.01, max=100.0, help="2 is twice as fast.")] = 1.0,
-    start: Annotated[float, typer.Option(min=0.0, help="Seconds to leave out at the beginning.")] = 0.0,
-    loop: Annotated[bool, typer.Option("--loop", help="Again and again, until Ctrl-C.")] = False,
+    to: Annotated[
+        str,
+        typer.Option("--connect", help="Address of the host for devices, if it is not on this computer: HOST:PORT."),
+    ] = "127.0.0.1:11411",
+    robot: Annotated[
+        list[str] | None, typer.Option(help="Play this robot only, of a recording of several. May be repeated.")
+    ] = None,
+    rate: Annotated[
+        float, typer.Option(min=0.01, max=100.0, help="Speed: 2 is twice as fast, 0.5 shows a moment in slow motion.")
+    ] = 1.0,
+    start: Annotated[float, typer.Option(min=0.0, help="Seconds to skip at the beginning.")] = 0.0,
+    loop: Annotated[
+        bool, typer.Option("--loop", help="Repeat until Ctrl-C, for a demonstration or a long test.")
+    ] = False,
     max_pause: Annotated[
-        float, typer.Option(min=0.0, help="Seconds that a longer pause of the recording is played as; 0: as it was.")
+        float,
+        typer.Option(min=0.0, help="Shorten longer pauses of the recording to so many seconds; 0: keep every pause."),
     ] = 60.0,
-    step: Annotated[bool, typer.Option("--step", help="Enter sends the next message.")] = False,
+    step: Annotated[
+        bool, typer.Option("--step", help="Send the next message when you press Enter, to examine a moment.")
+    ] = False,
     as_program: Annotated[
-        bool, typer.Option("--as-program", help="Publish these topics to robots that are there; no Twist.")
+        bool,
+        typer.Option(
+            "--as-program", help="Publish the topics to connected robots, except velocities, instead of playing robots."
+        ),
     ] = False,
     drive: Annotated[
-        str | None, typer.Option(metavar="ROBOT", help="Drive this robot as the recorded one was driven. It moves!")
+        str | None,
+        typer.Option(metavar="ROBOT", help="Drive this robot as the recorded one was driven. The robot moves!"),
     ] = None,
     url: Url = DEFAULT_URL,
     token: Token = None,
 ) -> None:
     """Play a recording: its robots connect as devices do, marked as played, and every program sees them.
 
-    They obey nobody. With --as-program or --drive no device is played: messages go to robots that are there.
+    Played robots obey no command. With --as-program or --drive, messages go to connected robots instead.
     """
-    pace = Pace(rate, start, loop, step, max_pause or math.inf)
+    playback = Playback(rate, start, loop, step, max_pause or math.inf)
     if drive is not None and (step or as_program):
-        raise ConfigError("--drive", "goes without --step and --as-program: a robot is driven at the recorded times")
+        raise ConfigError(
+            "--drive",
+            "cannot be combined with --step or --as-program, because the robot is driven at the recorded times",
+        )
     if drive is not None:
-        asyncio.run(drive_robot(url, token, file, pace, drive, robot or []))
+        asyncio.run(drive_robot(url, token, file, playback, drive, robot or []))
     elif as_program:
         if not topics:
-            raise ConfigError("--as-program", "name the topics to be published, or a pattern: '/chat' '/robot_0/led*'")
-        asyncio.run(publish_topics(url, token, file, pace, topics))
+            raise ConfigError(
+                "--as-program", "no topic is named; name the topics to publish, or a pattern: '/chat' '/robot_0/led*'"
+            )
+        asyncio.run(publish_topics(url, token, file, playback, topics))
     elif topics:
-        raise ConfigError("topics", "go with --as-program; robots are chosen with --robot")
+        raise ConfigError("topics", "they need --as-program; choose robots with --robot")
     else:
-        asyncio.run(play_devices(file, pace, parse_address("--connect", to, "127.0.0.1"), robot or []))
+        asyncio.run(play_devices(file, playback, parse_address("--connect", to, "127.0.0.1"), robot or []))
 
 
-async def play_devices(file: Path, pace: Pace, address: tuple[str, int], wanted: list[str]) -> None:
+async def play_devices(file: Path, playback: Playback, address: tuple[str, int], wanted: list[str]) -> None:
     channels = _channels_of(file)
     robots = {name: found for name, found in robots_of(channels).items() if not wanted or name in wanted}
     if not robots:
-        there = ", ".join(sorted(robots_of(channels))) or "none: no device was recorded"
-        raise BadRequest(f"{file} has no such robot; there are: {there}")
+        known = ", ".join(sorted(robots_of(channels)))
+        named = ", ".join(wanted)
+        raise BadRequest(
+            f"{file} has no robot named {named}; choose one of: {known}"
+            if known
+            else f"{file} has no robots, because no device was recorded; --as-program plays topics of programs"
+        )
     devices = {name: _device(name, file, found) for name, found in robots.items()}
 
     def is_wanted(channel: Channel) -> bool:
@@ -104,20 +130,20 @@ async def play_devices(file: Path, pace: Pace, address: tuple[str, int], wanted:
         await device.drained()
 
     async with _connected(devices, address):
-        write_error(f"playing {', '.join(sorted(devices))}; Ctrl-C ends it")
-        count = await _play(file, pace, is_wanted, put)
+        write_error(f"playing {', '.join(sorted(devices))}; Ctrl-C ends")
+        count = await _play(file, playback, is_wanted, put)
     dropped = sum(device.dropped for device in devices.values())
     left_out = sum(device.left_out for device in devices.values())
-    without = f", {dropped} of them while no host was there" if dropped else ""
+    without = f", {dropped} of them without a connection to the host" if dropped else ""
     write_error(f"{count} messages played{without}{f', {left_out} left out' if left_out else ''}")
 
 
 @contextlib.asynccontextmanager
 async def _connected(devices: dict[str, PlayedDevice], address: tuple[str, int]) -> AsyncIterator[None]:
-    """The devices are known to the host for the length of the block.
+    """Connect the devices to the host for the length of the block.
 
     Raises:
-        HostlinkError: there is no host, or it requests no topics.
+        HostlinkError: no host answers, or the host requests no topics.
     """
     problem: BaseException | None = None
     try:
@@ -133,9 +159,17 @@ async def _connected(devices: dict[str, PlayedDevice], address: tuple[str, int])
                 for task in running:
                     task.cancel()
     except* TimeoutError:
-        problem = HostlinkError("what answers at {}:{} requests no topics: is it hostlink?".format(*address))
+        problem = HostlinkError(
+            "the program at {}:{} does not request topics; is it hostlink? `hostlink doctor` examines it".format(
+                *address
+            )
+        )
     except* OSError as error:
-        problem = HostlinkError("no host at {}:{}: is `hostlink serve` running? ({})".format(*address, _why(error)))
+        problem = HostlinkError(
+            "no host answers at {}:{} ({}); start one with `hostlink serve`, or name another with --connect".format(
+                *address, _why(error)
+            )
+        )
     except* HostlinkError as error:
         problem = error.exceptions[0]
     raise_if_cancelled()
@@ -144,7 +178,7 @@ async def _connected(devices: dict[str, PlayedDevice], address: tuple[str, int])
 
 
 def _why(error: ExceptionGroup[OSError]) -> str:
-    """Of the first, without asyncio's words."""
+    """Text of the first error, without the words that asyncio adds."""
     first = error.exceptions[0]
     return os.strerror(first.errno) if isinstance(first, OSError) and first.errno else str(first)
 
@@ -163,7 +197,7 @@ def _device(name: str, file: Path, channels: list[Channel]) -> PlayedDevice:
     return PlayedDevice(name, file.name, topics)
 
 
-async def publish_topics(url: str, token: str | None, file: Path, pace: Pace, topics: list[str]) -> None:
+async def publish_topics(url: str, token: str | None, file: Path, playback: Playback, topics: list[str]) -> None:
     decoders = Decoders()
 
     def is_wanted(channel: Channel) -> bool:
@@ -171,7 +205,10 @@ async def publish_topics(url: str, token: str | None, file: Path, pace: Pace, to
         return is_readable and not may_move(channel) and _matches(channel.topic, topics)
 
     if not any(map(is_wanted, _channels_of(file))):
-        raise BadRequest(f"{file} has no topic {' '.join(topics)} that may be published; velocities need --drive")
+        raise BadRequest(
+            f"{file} has no topic {' '.join(topics)} that may be published; `hostlink info {file}` lists "
+            "its topics, and --drive plays velocities"
+        )
     async with connect(url, token=token, reconnect=False) as host:
 
         async def put(message: StoredMessage) -> None:
@@ -179,116 +216,122 @@ async def publish_topics(url: str, token: str | None, file: Path, pace: Pace, to
             if fields is not None:
                 await host.publish(message.channel.topic, fields, type_name=message.channel.type_name)
 
-        write_error(f"{await _play(file, pace, is_wanted, put)} messages played, those of {' '.join(topics)}")
+        write_error(f"{await _play(file, playback, is_wanted, put)} messages of {' '.join(topics)} played")
 
 
-async def drive_robot(url: str, token: str | None, file: Path, pace: Pace, robot: str, recorded: list[str]) -> None:
-    """Drive a robot as the one in the recording was, through its gate; the end of it all stops the robot."""
+async def drive_robot(
+    url: str, token: str | None, file: Path, playback: Playback, robot: str, recorded: list[str]
+) -> None:
+    """Drive a robot through its gate as the recorded one was driven; the robot stops at the end."""
     velocities = [channel for channel in _channels_of(file) if is_drive(channel)]
     names = sorted({channel.robot for channel in velocities if not recorded or channel.robot in recorded})
     if len(names) != 1:
-        raise BadRequest(f"{file} has velocities of {', '.join(names) or 'no robot'}: choose one with --robot")
+        raise BadRequest(
+            f"{file} has velocities of {', '.join(names) or 'no robot'}; choose one robot of a recording with --robot"
+        )
     topic = min(channel.topic for channel in velocities if channel.robot == names[0])
     async with connect(url, token=token, reconnect=False) as host:
         driven = host.robot(robot)
-        write_error(f"driving {robot} as {names[0]} was driven; Ctrl-C stops it, and so does whoever stops the robot")
-        count = await drive_as_recorded(driven, file, pace, names[0], topic)
+        write_error(f"driving {robot} as {names[0]} was driven; Ctrl-C stops the robot, and so does `hostlink stop`")
+        count = await drive_as_recorded(driven, file, playback, names[0], topic)
     write_error(f"{count} velocities driven")
 
 
-async def drive_as_recorded(driven: Robot, file: Path, pace: Pace, recorded: str, topic: str) -> int:
-    """Drive as a robot of the recording was driven by this topic, and stop; returns how many velocities there were.
+async def drive_as_recorded(driven: Robot, file: Path, playback: Playback, recorded: str, topic: str) -> int:
+    """Drive as a robot of the recording was driven by this topic, then stop; return the number of velocities.
 
     Raises:
         HostlinkError: a velocity is refused.
     """
     count = 0
     while True:
-        due_messages = _schedule(file, pace, is_drive)
-        clock = Clock(pace, "velocities")
-        for due in drives(due_messages, recorded, topic, rate=pace.rate):
+        due_messages = _schedule(file, playback, is_drive)
+        clock = PlaybackClock(playback, "velocities")
+        for due in drives(due_messages, recorded, topic, rate=playback.rate):
             await clock.reach(due.at_s)
             await driven.drive(due.velocity.x_m_s, due.velocity.yaw_rad_s, due.velocity.y_m_s)
             clock.count += 1
         count += clock.done()
-        if not pace.is_looped:
+        if not playback.is_looped:
             break
     await driven.stop(wait_s=0.0)
     return count
 
 
-class Clock:
-    """Of one play: when what is due, and how far it is, on a terminal."""
+class PlaybackClock:
+    """PlaybackClock of one run through a recording, with its progress on a terminal."""
 
-    def __init__(self, pace: Pace, what: str) -> None:
+    def __init__(self, playback: Playback, what: str) -> None:
         self.count = 0
-        self._pace, self._what = pace, what
+        self._playback, self._what = playback, what
         self._began_s, self._shown_s = asyncio.get_running_loop().time(), float("-inf")
 
     async def reach(self, at_s: float) -> None:
-        """Sleep until then; in a long pause too somebody sees that it goes on."""
+        """Sleep until a time of the recording; show the progress in long pauses, too."""
         loop = asyncio.get_running_loop()
         while (wait_s := self._began_s + at_s - loop.time()) > SOON_S:
             await self.show()
             await asyncio.sleep(min(wait_s, PROGRESS_S))
 
     async def show(self) -> None:
-        """How far it is, twice a second at most."""
+        """Show the progress, at most twice a second."""
         loop = asyncio.get_running_loop()
         if loop.time() >= self._shown_s + PROGRESS_S:
             self._shown_s = loop.time()
-            at_s = (self._shown_s - self._began_s) * self._pace.rate + self._pace.start_s
+            at_s = (self._shown_s - self._began_s) * self._playback.rate + self._playback.start_s
             show_progress(f"{at_s:.1f} s  {self.count} {self._what}")
-            await asyncio.sleep(0)  # a file without pauses leaves the devices their turn
+            await asyncio.sleep(0)  # lets the devices run, if the file has no pauses
 
     def done(self) -> int:
-        """How many there were.
+        """Return the number of messages.
 
         Raises:
-            BadRequest: none; played in a loop it would never end, and never wait.
+            BadRequest: there was none, so that a loop would run for ever without waiting.
         """
         show_progress("")
         if not self.count:
-            raise BadRequest(f"the recording has no {self._what} after {self._pace.start_s:g} s")
+            raise BadRequest(
+                f"the recording has no {self._what} after {self._playback.start_s:g} s; use a smaller --start"
+            )
         return self.count
 
 
-def _schedule(file: Path, pace: Pace, wanted: Wanted) -> Iterator[Due]:
-    """The messages of the channels that are wanted, by steady time; says which pauses it cuts."""
+def _schedule(file: Path, playback: Playback, wanted: Wanted) -> Iterator[Due]:
+    """Yield the messages of the wanted channels by monotonic time; report each pause that is shortened."""
     begin_ns = _begin_ns(file)
-    messages = McapReader(file).messages(wanted, after_s=pace.start_s)
+    messages = McapReader(file).messages(wanted, after_s=playback.start_s)
     for due in schedule(
-        messages, begin_ns=begin_ns, rate=pace.rate, start_s=pace.start_s, max_pause_s=pace.max_pause_s
+        messages, begin_ns=begin_ns, rate=playback.rate, start_s=playback.start_s, max_pause_s=playback.max_pause_s
     ):
         if due.cut_s:
             show_progress("")
-            whole_s = due.cut_s + pace.max_pause_s
-            write_error(f"a pause of {whole_s:.1f} s is played as {pace.max_pause_s:g} s (--max-pause)")
+            whole_s = due.cut_s + playback.max_pause_s
+            write_error(f"a pause of {whole_s:.1f} s is shortened to {playback.max_pause_s:g} s (--max-pause)")
         yield due
 
 
 def _begin_ns(file: Path) -> int | None:
-    """The steady time of the recording's first message; None: there is none."""
+    """Return the monotonic time of the first message; None for an empty recording."""
     return next((message.steady_ns for message in McapReader(file).messages()), None)
 
 
-async def _play(file: Path, pace: Pace, wanted: Wanted, put: Put) -> int:
-    """Put every message that is wanted when it is due; returns how many.
+async def _play(file: Path, playback: Playback, wanted: Wanted, put: Put) -> int:
+    """Send every wanted message when it is due; return their number.
 
     Raises:
         RecordingFailed: the file cannot be read.
     """
     count = 0
     while True:
-        count += await _play_once(file, pace, wanted, put)
-        if not pace.is_looped:
+        count += await _play_once(file, playback, wanted, put)
+        if not playback.is_looped:
             return count
 
 
-async def _play_once(file: Path, pace: Pace, wanted: Wanted, put: Put) -> int:
-    clock = Clock(pace, "messages")
-    for due in _schedule(file, pace, wanted):
-        if pace.is_stepped:
+async def _play_once(file: Path, playback: Playback, wanted: Wanted, put: Put) -> int:
+    clock = PlaybackClock(playback, "messages")
+    for due in _schedule(file, playback, wanted):
+        if playback.is_stepped:
             await _ask(due)
         else:
             await clock.reach(due.at_s)
@@ -302,7 +345,7 @@ async def _ask(due: Due) -> None:
     message = due.message
     show_question(f"{due.at_s:9.3f} s  {message.channel.topic}  {len(message.payload)} bytes; Enter sends it ")
     if not await asyncio.to_thread(_read_line):
-        raise HostlinkError("there is nobody to press Enter: the input has ended")
+        raise HostlinkError("--step: standard input is closed; run this command in a terminal")
 
 
 def _read_line() -> str:
@@ -310,7 +353,7 @@ def _read_line() -> str:
 
 
 def _channels_of(file: Path) -> list[Channel]:
-    """In a first look at the file."""
+    """Read the channels of the file, with progress."""
     show_progress(f"reading {file}")
     try:
         return McapReader(file).read_channels()

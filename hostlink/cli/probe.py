@@ -1,4 +1,4 @@
-"""What hostlink doctor finds without a daemon: on a port, a serial port, or in a capture."""
+"""Diagnosis by `hostlink doctor` without a daemon: of a TCP port, a serial port or a recording."""
 
 import asyncio
 import contextlib
@@ -33,13 +33,13 @@ _SOCKET = re.compile(r"socket:\[(\d+)\]")
 
 
 def user_of_port(port: int) -> str:
-    """The process that listens on a TCP port: "rosserial_python (pid 1234)"."""
+    """Return the process that listens on a TCP port: "rosserial_python (pid 1234)"; empty if unknown."""
     wanted = set(_listening_sockets(port))
     return _user(lambda target: bool((found := _SOCKET.fullmatch(target)) and found[1] in wanted))
 
 
 def user_of_file(path: str) -> str:
-    """The process that has a file or a serial port open."""
+    """Return the process that has a file or a serial port open; empty if unknown."""
     real = os.path.realpath(path)
     return _user(lambda target: target == real)
 
@@ -57,7 +57,7 @@ def _user(is_it: Callable[[str], bool]) -> str:
     for process in PROC.glob("[0-9]*"):
         if int(process.name) == os.getpid():
             continue
-        with contextlib.suppress(OSError):  # it has ended, or is another user's
+        with contextlib.suppress(OSError):  # the process has ended, or belongs to another user
             if any(is_it(_target(descriptor)) for descriptor in (process / "fd").iterdir()):
                 return f"{(process / 'comm').read_text().strip()} (pid {process.name})"
     return ""
@@ -75,8 +75,8 @@ def _target(descriptor: Path) -> str:
 Show = Callable[[str], None]
 
 COMMON_BAUDS = (57600, 115200, 38400, 9600, 250000, 500000, 1000000, 230400, 19200)  # rosserial's default first
-BAUD_TRY_S = 4.5  # an answer comes in 2 s, a board that the opening resets boots in 2
-SETTLE_S = 9.0  # after the topics: three requests for the time
+BAUD_TRY_S = 4.5  # a device answers in 2 s, and a board that is reset when the port opens boots in 2 s
+SETTLE_S = 9.0  # after the topics, for three time requests
 _POLL_S = 1.0
 _LOOPBACK = TcpConfig(host="127.0.0.1", port=0)
 _NO_API = ApiConfig(port=0)
@@ -121,7 +121,7 @@ async def probe_port(port: SerialConfig, folders: tuple[Path, ...], show: Show) 
     for link in report["links"]:
         if found_for_s:
             link["baud"] = baud
-        else:  # the last speed that was tried is no better than the others
+        else:  # no baud rate worked, so the findings of all of them count
             link["diagnosis"] = finding_views(list(diagnosed.values()))
     if found_for_s and baud not in port.bauds:
         wrong = finding("wrong_baud", f"the device answers at {baud} baud, not at {port.bauds[0]}")
@@ -132,7 +132,7 @@ async def probe_port(port: SerialConfig, folders: tuple[Path, ...], show: Show) 
 
 
 def probe_capture(path: Path, folders: tuple[Path, ...]) -> Report:
-    """What was wrong with the connections of a recording."""
+    """Diagnose the connections of a recording."""
     catalog = Catalog(folders)
     connections = replay(counted(load_reads(path), "lines"), lambda info: check_type(catalog, info))
     links = [_recorded(number, str(path), connection) for number, connection in connections.items()]
@@ -162,7 +162,7 @@ def _report(source: str, only: Finding) -> Report:
 
 
 async def _report_of(hub: Hub, source: str) -> Report:
-    """From what a daemon's API would answer."""
+    """Return the report from the view that the API of a daemon would send."""
     view: dict[str, Any] = msgspec.json.decode(msgspec.json.encode(await links_view(hub, Slices(hub))))
     return report_of(view, source, [robot_view(robot) for robot in hub.robots.all()])
 
@@ -184,10 +184,10 @@ def _is_in_use(host: str, port: int) -> bool:
 
 
 def _own_address() -> str:
-    """The address that this computer has towards others; connecting a UDP socket sends nothing."""
+    """Return this computer's address in its network. Connecting a UDP socket sends no packet."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         try:
-            probe.connect(("192.0.2.1", 9))  # RFC 5737: nobody's
+            probe.connect(("192.0.2.1", 9))  # RFC 5737: for documentation, assigned to no host
         except OSError:
             return "in no network"
         return str(probe.getsockname()[0])

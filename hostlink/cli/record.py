@@ -1,4 +1,4 @@
-"""The commands for recordings of the daemon: record, drives, incidents."""
+"""The commands for recordings of the daemon: `record`, `drives`, `incidents`."""
 
 import asyncio
 import json as json_text
@@ -28,27 +28,37 @@ _PATH = "/api/recordings"
 
 
 def record(
-    topics: Annotated[list[str] | None, typer.Argument(help="Names, or patterns: '/robot_0/*'. None: all.")] = None,
+    topics: Annotated[
+        list[str] | None, typer.Argument(help="Topics to record, by names or patterns: '/robot_0/*'. All without one.")
+    ] = None,
     *,
     output: Annotated[
-        Path | None, typer.Option("-o", "--output", help="Where the file is put at the end; else it stays there.")
+        Path | None,
+        typer.Option(
+            "-o", "--output", help="Download the file to this path at the end; else it stays in the daemon's folder."
+        ),
     ] = None,
-    robot: Annotated[list[str] | None, typer.Option(help="Of this robot alone. May be repeated.")] = None,
-    seconds: Annotated[float | None, typer.Option(min=0.1, help="For so long; else until Ctrl-C.")] = None,
-    name: Annotated[str, typer.Option(help="What the daemon calls it; else the time.")] = "",
+    robot: Annotated[
+        list[str] | None, typer.Option(help="Record this robot only, for a smaller file. May be repeated.")
+    ] = None,
+    seconds: Annotated[float | None, typer.Option(min=0.1, help="Duration, for scripts; else until Ctrl-C.")] = None,
+    name: Annotated[str, typer.Option(help="Name of the recording, to find it again; else the time.")] = "",
     list_: Annotated[bool, typer.Option("--list", help="List the recordings of the daemon.")] = False,
-    stop: Annotated[str | None, typer.Option(metavar="NAME", help="End a recording that somebody began.")] = None,
-    repair: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Give a file that was never finished its index.")
+    stop: Annotated[
+        str | None, typer.Option(metavar="NAME", help="End a recording that another terminal or program started.")
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="JSON, for programs.")] = False,
+    repair: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Repair a file that was not closed, for example after a power cut."),
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON, for programs.")] = False,
     url: Url = DEFAULT_URL,
     token: Token = None,
 ) -> None:
-    """Record topics, commands and who gave them, log and parameters of robots into an MCAP file.
+    """Record topics, commands with their drivers, logs and parameters of robots into an MCAP file.
 
-    The daemon writes it, on its own computer, and goes on if this command is killed: `hostlink record --list` shows
-    what is recorded, `--stop NAME` ends it. Foxglove, Lichtblick and PlotJuggler open the file.
+    The daemon writes the file on its own computer, and continues if this command is killed: `hostlink record --list`
+    lists recordings, `--stop NAME` ends one. Foxglove, Lichtblick and PlotJuggler open the file.
     """
     if repair is not None:
         _repair(repair, as_json=as_json)
@@ -56,7 +66,10 @@ def record(
     if output is not None:
         check_output(output)
     if name and not is_name(name):
-        raise ConfigError("--name", f"{name} is none: letters and digits, and . _ + - between them, 100 at most")
+        raise ConfigError(
+            "--name",
+            f"{name} is not a name of a recording; use at most 100 letters and digits, with . _ + - between them",
+        )
     if list_:
         work = _list(url, token, as_json=as_json)
     elif stop is not None:
@@ -77,7 +90,7 @@ async def _record(
     async with connect(url, token=token, reconnect=False) as host:
         view = await host.post(_PATH, request)
         name = view["name"]
-        write_error(f"recording {name}; Ctrl-C ends it")
+        write_error(f"recording {name}; Ctrl-C ends")
         until_s = float("inf") if seconds is None else loop.time() + seconds
         while not ending.is_set() and loop.time() < until_s:
             view = await _find(host, name)
@@ -93,19 +106,25 @@ async def _record(
 
 
 async def _find(host: Host, name: str) -> dict[str, Any]:
-    """The recording, as it is now.
+    """Return the present state of a recording.
 
     Raises:
-        HostlinkError: it ended without us.
+        HostlinkError: the recording has ended.
     """
     for view in (await host.get(_PATH))["recordings"]:
         if view["name"] == name:
             return dict(view)
-    raise HostlinkError(f"recording {name} has ended: its disk is full, or somebody stopped it; see the daemon's log")
+    raise HostlinkError(
+        f"recording {name} has ended: the disk is full, or another program stopped it; see the daemon's log"
+    )
 
 
 async def _finish(host: Host, view: dict[str, Any], output: Path | None, *, as_json: bool) -> None:
-    """Fetch the files; several have a number each."""
+    """Fetch the files of an ended recording; each of several files has a number.
+
+    Raises:
+        HostlinkError: a file cannot be fetched, or the recording ended early.
+    """
     fetched = []
     for number, file in enumerate(view["files"]):
         if output is not None:
@@ -148,7 +167,7 @@ def _line(view: dict[str, Any]) -> str:
 
 
 def _repair(file: Path, *, as_json: bool) -> None:
-    from hostlink.recording.salvage import repair  # noqa: PLC0415 - for other commands nothing of it is needed
+    from hostlink.recording.salvage import repair  # noqa: PLC0415 - other commands do not need it
 
     began_s = time.monotonic()
     found = repair(file, lambda count: show_progress(f"{count} messages"))
@@ -158,9 +177,9 @@ def _repair(file: Path, *, as_json: bool) -> None:
         facts = {"file": str(file), "messages": found.messages, "damage": found.damage, "seconds": round(seconds, 3)}
         write(msgspec.json.encode(facts).decode())
     elif found.damage:
-        write(f"{file}: {found.messages} messages; it is whole now. Before: {'; '.join(found.damage)}")
+        write(f"{file}: {found.messages} messages; the file is repaired. It had: {'; '.join(found.damage)}")
     else:
-        write(f"{file}: {found.messages} messages; it was whole, and stays as it is")
+        write(f"{file}: {found.messages} messages; the file is not damaged, and was not changed")
 
 
 # -- drives -----------------------------------------------------------------------------------------------------------
@@ -169,14 +188,14 @@ HEADS = ["from UTC", "s", "robot", "who", "top m/s", "rad/s", "why it ended"]
 
 
 def drives(robot: RobotName = None, *, url: Url = DEFAULT_URL, token: Token = None, json: Json = False) -> None:
-    """List who drove a robot, or any robot, and when; the newest first."""
+    """List who drove a robot, or any robot, and when, with the newest drive first."""
     view = asyncio.run(_fetch(url, token, robot))
     if json:
         write(json_text.dumps(view))
     else:
-        nobody = "nobody drove yet" if robot is None else f"nobody drove {robot} yet"
+        none = f"there are no drives of {'any robot' if robot is None else robot} yet"
         today = datetime.now(UTC).date().isoformat()
-        write(*(table(HEADS, [row(each, today) for each in view["drives"]])[1:] or [nobody]))
+        write(*(table(HEADS, [row(each, today) for each in view["drives"]])[1:] or [none]))
 
 
 async def _fetch(url: str, token: str | None, robot: str | None) -> dict[str, Any]:
@@ -186,7 +205,7 @@ async def _fetch(url: str, token: str | None, robot: str | None) -> dict[str, An
 
 
 def row(drive: dict[str, Any], today: str) -> list[str]:
-    """The cells of a drive under HEADS. `today` is the date, as 2026-11-22: of its drives the time is enough."""
+    """Return the cells of a drive under HEADS. The date is left out if it is `today`, for example 2026-11-22."""
     began = drive["began"].replace("T", " ").partition(".")[0].removeprefix(f"{today} ")
     who = named(drive["owner"], drive.get("address", ""))
     speeds = [f"{drive['fastest_m_s']:.2f}", f"{drive['fastest_rad_s']:.2f}"]
@@ -199,21 +218,28 @@ _INCIDENTS_PATH = "/api/incidents"
 
 
 def incidents(
-    name: Annotated[str | None, typer.Argument(help="The file of one, as the list names it; with --output.")] = None,
+    name: Annotated[
+        str | None, typer.Argument(help="File of an incident, as the list names it; needs --output.")
+    ] = None,
     *,
-    output: Annotated[Path | None, typer.Option("-o", "--output", help="Where to put that file.")] = None,
-    save: Annotated[str | None, typer.Option(metavar="ROBOT", help="Save this robot's last minutes now.")] = None,
-    reason: Annotated[str, typer.Option(help="With --save: why.")] = "",
-    as_json: Annotated[bool, typer.Option("--json", help="JSON, for programs.")] = False,
+    output: Annotated[Path | None, typer.Option("-o", "--output", help="Download that file to this path.")] = None,
+    save: Annotated[
+        str | None,
+        typer.Option(metavar="ROBOT", help="Save this robot's last minutes now, after something that you saw."),
+    ] = None,
+    reason: Annotated[str, typer.Option(help="With --save: reason that the list shows.")] = "",
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON, for programs.")] = False,
     url: Url = DEFAULT_URL,
     token: Token = None,
 ) -> None:
-    """List what happened to robots: locks, drivers that vanished, links that broke, errors, what doctor found.
+    """List incidents of robots: locks, lost drivers, broken links, errors and findings of doctor.
 
-    The daemon has the two minutes before each and the half minute after in an MCAP file.
+    The daemon keeps an MCAP file of each, from two minutes before the incident to half a minute after it.
     """
     if (name is None) != (output is None):
-        raise ConfigError("incidents", "name the file of one, and say where to put it with -o FILE")
+        raise ConfigError(
+            "incidents", "name the file of an incident and where to write it, as in `hostlink incidents NAME -o FILE`"
+        )
     if output is not None:
         check_output(output)
     asyncio.run(_work(url, token, name, output, save, reason, as_json=as_json))
@@ -232,7 +258,7 @@ async def _work(
     async with connect(url, token=token, reconnect=False) as host:
         if save is not None:
             view = await host.post(_INCIDENTS_PATH, {"robot": save, "reason": reason})
-            write_error("it is saved when the time after it is over: hostlink incidents")
+            write_error("the incident will be saved in half a minute; `hostlink incidents` lists it then")
         elif name is not None and output is not None:
             await fetch(host, f"{_INCIDENTS_PATH}/{name}", output)
             write(str(output))
@@ -246,7 +272,7 @@ async def _work(
             [each["at"], each["robot"], each["cause"], each["file"] or "being saved", each["detail"]]
             for each in view["incidents"]
         ]
-        write(*(table(["when", "robot", "cause", "file", "detail"], rows)[1:] or ["nothing has happened"]))
+        write(*(table(["when", "robot", "cause", "file", "detail"], rows)[1:] or ["there are no incidents"]))
 
 
 COMMANDS = {"record": record, "drives": drives, "incidents": incidents}

@@ -19,10 +19,10 @@ from hostlink.robot.standstill import sentence
 
 
 async def chosen(host: Host, name: str | None) -> list[RobotState]:
-    """The robot of that name; without a name every robot, in natural order.
+    """Return the robot of that name; without a name every robot, in natural order.
 
     Raises:
-        HostlinkError: there is none of that name, or none at all.
+        HostlinkError: no robot has that name, or none has connected.
     """
     robots = await host.robots()
     if not robots:
@@ -39,7 +39,7 @@ async def chosen(host: Host, name: str | None) -> list[RobotState]:
 
 
 def robots(*, url: Url = DEFAULT_URL, token: Token = None, json: Json = False) -> None:
-    """List the robots: who drives them, how fast they are, where they are."""
+    """List the robots: driver, speed and position of each."""
     robots = asyncio.run(_robots(url, token))
     if json:
         write(json_text.dumps(robots))
@@ -60,9 +60,9 @@ async def _robots(url: str, token: str | None) -> list[RobotState]:
 
 
 def stop(robot: RobotName = None, *, url: Url = DEFAULT_URL, token: Token = None, json: Json = False) -> None:
-    """Stop a robot, or all of them, whoever drives, and measure whether it stands; exit status 1: not all do.
+    """Stop a robot, or all of them, and measure whether they are stopped; exit status 1: at least one is not.
 
-    A source that was driving must let go before it can drive again. `hostlink lock` keeps a robot stopped.
+    A program that was driving must let go before it can drive again. `hostlink lock` keeps a robot stopped.
     """
     asyncio.run(_stop(url, token, robot, json=json))
 
@@ -83,7 +83,7 @@ async def report(
     """Write what was measured of each robot after a stop; `done` is what was done to each, for example "is locked".
 
     Raises:
-        typer.Exit: not all of them are known to stand.
+        typer.Exit: not every robot is known to be stopped.
     """
     robots = [robot for robot in await chosen(host, name) if robot["name"] in measured]
     if json:
@@ -101,14 +101,14 @@ async def report(
 def lock(
     robot: RobotName = None,
     *,
-    reason: Annotated[str, typer.Option(help="For the next driver.")] = "a lock from the terminal",
+    reason: Annotated[str, typer.Option(help="Reason that the next driver is shown.")] = "a lock from the terminal",
     url: Url = DEFAULT_URL,
     token: Token = None,
     json: Json = False,
 ) -> None:
     """Emergency stop of a robot, or of all of them: zero at once, and no command until `hostlink unlock`.
 
-    It measures whether they stand, too; exit status 1: not all do.
+    Measures whether the robots are stopped; exit status 1: at least one is not.
     """
     asyncio.run(_lock(url, token, robot, reason, json=json))
 
@@ -118,7 +118,7 @@ async def _lock(url: str, token: str | None, name: str | None, reason: str, *, j
         names = [robot["name"] for robot in await chosen(host, name)]
         if len(names) == 1:
             measured = {names[0]: await host.robot(names[0]).lock(reason)}
-        else:  # none waits for the measurement of another
+        else:  # no lock waits for the measurement of another robot
             for each in names:
                 await host.robot(each).lock(reason, wait_s=0.0)
             measured = {each: found for each, found in (await host.standstill()).items() if each in names}
@@ -131,14 +131,14 @@ async def _lock(url: str, token: str | None, name: str | None, reason: str, *, j
 def unlock(
     robot: RobotName = None,
     *,
-    everything: Annotated[bool, typer.Option("--all", help="Every robot that is locked.")] = False,
+    everything: Annotated[bool, typer.Option("--all", help="Unlock every robot that is locked.")] = False,
     url: Url = DEFAULT_URL,
     token: Token = None,
     json: Json = False,
 ) -> None:
-    """Let a robot be driven again; its name may be left out where only one is locked. Nothing moves by that."""
+    """Let a robot be driven again. The name is optional if only one robot is locked. No robot moves by this command."""
     if robot is not None and everything:
-        raise ConfigError("--all", "is every robot: give no name")
+        raise ConfigError("--all", f"means every robot, but {robot!r} is named too; leave one of them out")
     unlocked = asyncio.run(_unlock(url, token, robot, everything=everything))
     write(*([json_text.dumps(unlocked)] if json else (f"{each['name']} may be driven" for each in unlocked)))
 
@@ -157,10 +157,10 @@ async def _meant(host: Host, name: str | None, *, everything: bool) -> list[Robo
         return robots
     locked = [robot for robot in robots if robot.get("locked")]
     if not locked:
-        raise HostlinkError("no robot is locked")
+        raise HostlinkError("no robot is locked; `hostlink robots` lists them")
     if len(locked) > 1 and not everything:
         names = ", ".join(robot["name"] for robot in locked)
-        raise HostlinkError(f"which robot? `hostlink unlock NAME`, or --all; locked are: {names}")
+        raise HostlinkError(f"several robots are locked: {names}; name one, as in `hostlink unlock NAME`, or use --all")
     return locked
 
 

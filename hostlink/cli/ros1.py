@@ -1,4 +1,4 @@
-"""`hostlink ros1`: the daemon in place of rosserial_python: its names, arguments and parameters."""
+"""`hostlink ros1`: the daemon with the names, arguments and parameters of rosserial_python."""
 
 import dataclasses
 import importlib
@@ -14,13 +14,14 @@ import typer
 from hostlink.cli.addresses import MAX_PORT, parse_serial
 from hostlink.cli.output import write
 from hostlink.cli.serve_command import merge, open_device_port, with_master
+from hostlink.cli.start import import_fast
 from hostlink.config import Config, Ros1Config, SerialConfig, load
 from hostlink.errors import ConfigError
 from hostlink.graphs.ros1.names import NodeArguments, parse_arguments
 
 NODE = "serial_node"
-PORT, BAUD, TCP_PORT = "/dev/ttyUSB0", 57600, 11411  # rosserial_python's own
-TCP = "tcp"  # instead of a serial port
+PORT, BAUD, TCP_PORT = "/dev/ttyUSB0", 57600, 11411  # defaults of rosserial_python
+TCP = "tcp"  # argument in the place of a serial port
 
 PACKAGE, NODE_FILE = "hostlink", "serial_node.py"
 PACKAGE_XML = """<?xml version="1.0"?>
@@ -33,7 +34,7 @@ PACKAGE_XML = """<?xml version="1.0"?>
   <buildtool_depend>catkin</buildtool_depend>
 </package>
 """
-# The node is a shell script: catkin_install_python would have Python read it.
+# The node is a shell script, so it is installed as a program: catkin_install_python would treat it as Python.
 CMAKE_LISTS = """cmake_minimum_required(VERSION 3.5)
 project(hostlink)
 find_package(catkin REQUIRED)
@@ -42,8 +43,8 @@ install(PROGRAMS scripts/serial_node.py DESTINATION ${CATKIN_PACKAGE_BIN_DESTINA
 """
 
 _EPILOG = (
-    "Arguments of roslaunch are understood: __name:=serial_node, __ns:=/lab, _port:=/dev/ttyACM0, _baud:=115200, "
-    "cmd_vel:=/robot_0/cmd_vel. What is given nowhere is a parameter of the node: ~port, ~baud, ~tcp_port."
+    "Arguments of roslaunch are accepted: __name:=serial_node, __ns:=/lab, _port:=/dev/ttyACM0, _baud:=115200, "
+    "cmd_vel:=/robot_0/cmd_vel. Missing ones are read from the node's parameters ~port, ~baud and ~tcp_port."
 )
 
 
@@ -53,64 +54,79 @@ def command(
     ] = None,
     *,
     tcp: Annotated[
-        int | None, typer.Option(help="Serve devices on this TCP port.", min=0, max=MAX_PORT, show_default=False)
+        int | None,
+        typer.Option(
+            help="Serve devices on this TCP port, instead of a serial port.", min=0, max=MAX_PORT, show_default=False
+        ),
     ] = None,
     serial: Annotated[
         str | None, typer.Option(help="Serve the device on this serial port.", show_default=False)
     ] = None,
-    baud: Annotated[int | None, typer.Option(help="Of the serial port.", min=1, show_default=False)] = None,
-    master: Annotated[str, typer.Option(help="The master.", envvar="ROS_MASTER_URI")] = "http://localhost:11311",
+    baud: Annotated[int | None, typer.Option(help="Baud rate of the serial port.", min=1, show_default=False)] = None,
+    master: Annotated[
+        str, typer.Option(help="Address of the ROS master.", envvar="ROS_MASTER_URI")
+    ] = "http://localhost:11311",
     host: Annotated[
         str | None,
         typer.Option(
-            help="By which name other nodes reach this one.", envvar=["ROS_HOSTNAME", "ROS_IP"], show_default=False
+            help="Name or address by which other nodes reach this one, if the host name does not resolve.",
+            envvar=["ROS_HOSTNAME", "ROS_IP"],
+            show_default=False,
         ),
     ] = None,
-    namespace: Annotated[str, typer.Option(help="Of the node.", envvar="ROS_NAMESPACE")] = "/",
+    namespace: Annotated[str, typer.Option(help="Namespace of the node.", envvar="ROS_NAMESPACE")] = "/",
     api: Annotated[
-        str | None, typer.Option(help="Where programs connect: HOST:PORT.", show_default="127.0.0.1:9090")
+        str | None,
+        typer.Option(help="Address and port on which programs connect: HOST:PORT.", show_default="127.0.0.1:9090"),
     ] = None,
     messages: Annotated[
-        list[Path] | None, typer.Option(help="A folder of .msg and .srv files. May be repeated.")
+        list[Path] | None, typer.Option(help="Folder with .msg and .srv files of your own types. May be repeated.")
     ] = None,
-    config: Annotated[Path | None, typer.Option(help="hostlink.toml", show_default=False)] = None,
+    config: Annotated[
+        Path | None,
+        typer.Option(
+            help="Configuration file, usually hostlink.toml: for settings without an option.", show_default=False
+        ),
+    ] = None,
     write_package: Annotated[
         Path | None,
-        typer.Option(metavar="FOLDER", help="Write a package for roslaunch into FOLDER, as ~/catkin_ws/src, and end."),
+        typer.Option(
+            metavar="FOLDER", help="Write a package for roslaunch into FOLDER, for example ~/catkin_ws/src, and end."
+        ),
     ] = None,
-    log_level: Annotated[str, typer.Option(help="debug, info, warning or error.")] = "info",
+    log_level: Annotated[str, typer.Option(help="debug, info, warning or error: debug to trace a fault.")] = "info",
 ) -> None:
     """Run the daemon as a node of ROS 1, started as rosserial_python's serial_node.py is.
 
-    It ends when the node is shut down, as by rosnode kill, or when a newer node has its name.
+    The daemon ends when the node is shut down, for example by rosnode kill, or when a newer node takes its name.
     """
     if write_package is not None:
         write(*_write_package(write_package))
         return
     if log_level.upper() not in ("DEBUG", "INFO", "WARNING", "ERROR"):
-        raise ConfigError("--log-level", f"{log_level} is none of debug, info, warning, error")
+        raise ConfigError("--log-level", f"unknown level {log_level!r}; choose debug, info, warning or error")
     arguments = parse_arguments(words or ())
     settings = merge(load(config) if config else Config(), listen=None, serial=None, api=api, messages=messages)
     node = _node(settings.ros1, arguments, master=master, host=host, namespace=namespace)
     settings = dataclasses.replace(settings, ros1=node)
-    options = _Options(tcp, serial, baud)
-    plain = with_devices(settings, {}, arguments.others, options)  # wrong arguments are reported before all else
+    options = _PortOptions(tcp, serial, baud)
+    plain = with_devices(settings, {}, arguments.others, options)  # reports wrong arguments first
     listening = [] if is_port_at_master(arguments.others, options) else open_device_port(plain.tcp)
-    if settings.message_folders:  # what is wrong in them is reported before the master is waited for
+    if settings.message_folders:  # reports wrong definitions before the wait for the master
         importlib.import_module("hostlink.messages.catalog").Catalog(settings.message_folders)
     master_parameters = importlib.import_module("hostlink.cli.ros1_parameters")
     parameters, listening = master_parameters.read(node, arguments.parameters, plain.tcp, listening)
     settings = with_devices(settings, parameters, arguments.others, options)
     listening = listening or open_device_port(settings.tcp)
     importlib.import_module("hostlink.logs").configure(level=log_level)
-    importlib.import_module("hostlink.cli.serve").run(settings, listening, None, ends_with_graph=True)
+    import_fast("hostlink.cli.serve").run(settings, listening, None, ends_with_graph=True)
 
 
 def _write_package(folder: Path) -> list[str]:
-    """A package with a node of the name that rosserial_python's has; returns what to do with it.
+    """Write a package with a node of rosserial_python's name; return lines that explain its use.
 
     Raises:
-        ConfigError: it cannot be written.
+        ConfigError: the package cannot be written.
     """
     package = folder / PACKAGE
     node = package / "scripts" / NODE_FILE
@@ -131,15 +147,15 @@ def _write_package(folder: Path) -> list[str]:
 
 
 def _catkin_version(text: str) -> str:
-    """Three numbers, as catkin has them: without what pip knows beside, as in 0.2.0.dev1."""
+    """Return the version as catkin's three numbers, without suffixes of pip such as in 0.2.0.dev1."""
     found = re.match(r"\d+(?:\.\d+)*", text)
     numbers = found[0].split(".") if found else []
     return ".".join((*numbers, "0", "0", "0")[:3])
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
-class _Options:
-    """Of the command line, with two dashes."""
+class _PortOptions:
+    """Options --tcp, --serial and --baud."""
 
     tcp: int | None
     serial: str | None
@@ -147,7 +163,7 @@ class _Options:
 
 
 def _node(config: Ros1Config, arguments: NodeArguments, *, master: str, host: str | None, namespace: str) -> Ros1Config:
-    """Arguments of the node precede options, and those the environment."""
+    """Return the settings of the node. Its arguments take precedence over options, and those over the environment."""
     specials = arguments.specials
     names = arguments.names(NODE, namespace or "/")
     return dataclasses.replace(
@@ -159,19 +175,21 @@ def _node(config: Ros1Config, arguments: NodeArguments, *, master: str, host: st
     )
 
 
-def is_port_at_master(others: tuple[str, ...], options: _Options) -> bool:
-    """Whether parameters of the master decide on which TCP port devices are served."""
+def is_port_at_master(others: tuple[str, ...], options: _PortOptions) -> bool:
+    """Whether parameters of the master determine the TCP port for devices."""
     return options.tcp is None and options.serial is None and others in ((), (TCP,))
 
 
-def with_devices(config: Config, parameters: Mapping[str, Any], others: tuple[str, ...], options: _Options) -> Config:
-    """The settings with the port that was meant: options first, then arguments, then parameters, then the default.
+def with_devices(
+    config: Config, parameters: Mapping[str, Any], others: tuple[str, ...], options: _PortOptions
+) -> Config:
+    """Return the settings with the port for devices: of the options, else arguments, else parameters, else the default.
 
     Raises:
-        ConfigError: there are more arguments than a port and a TCP port, or one is no port.
+        ConfigError: too many arguments were given, or one of them is not a port.
     """
     if len(others) > 2 or (len(others) == 2 and others[0] != TCP):  # noqa: PLR2004 - the two of rosserial_python
-        raise ConfigError(" ".join(others), "the arguments are a serial port, or tcp and a TCP port")
+        raise ConfigError(" ".join(others), "too many arguments; give a serial port, or tcp and a TCP port")
     port = others[0] if others else str(parameters.get("port", PORT))
     tcp_port = others[1] if len(others) > 1 else parameters.get("tcp_port", TCP_PORT)
     if options.tcp is not None:
@@ -196,5 +214,5 @@ def _number(what: str, value: object, largest: int = 10**8) -> int:
     except ValueError:
         number = -1
     if not 0 <= number <= largest:
-        raise ConfigError(what, f"{value!r} is none")
+        raise ConfigError(what, f"{value!r} is not a number from 0 to {largest}")
     return number

@@ -1,4 +1,4 @@
-"""Parameters of the master that concern the port of `hostlink ros1`, before the daemon is imported."""
+"""Parameters of the ROS master that set the port of `hostlink ros1`, read before the daemon is imported."""
 
 import socket
 import time
@@ -13,17 +13,20 @@ from hostlink.graphs.ros1.names import NameResolver, joined
 from hostlink.graphs.ros1.xml_rpc import BadXml, CallRefused, EarlyMaster, Unreachable
 from hostlink.listening import close_all
 
-GLOBAL_TCP_PORT = "/rosserial_embeddedlinux/tcp_port"  # read where the node has none of its own
+GLOBAL_TCP_PORT = "/rosserial_embeddedlinux/tcp_port"  # read if the node does not have its own
 RETRY_S = 1.0
 
 
 def read(
     config: Ros1Config, given: Mapping[str, str], tcp: TcpConfig, listening: list[socket.socket]
 ) -> tuple[dict[str, Any], list[socket.socket]]:
-    """Those of the node that concern its port; what was given is set at the master, as every node of ROS does.
+    """Set the given parameters at the master, and return those of the node's port with the sockets for devices.
 
-    A master that is not there yet is waited for, as every node of ROS does: the port may be known to it alone. Nobody
-    serves devices meanwhile: they are refused, and try again. Returns the sockets for them, too, opened anew.
+    Wait for a master that does not answer, as every node of ROS does, because only the master may know the port. In
+    this time devices are refused, and try again; the sockets are opened again afterwards.
+
+    Raises:
+        ConfigError: the master refuses a parameter.
     """
     names = NameResolver(joined(config.namespace, config.name))
     master = EarlyMaster(config.master, names.node)
@@ -49,18 +52,18 @@ def _read(master: EarlyMaster, names: NameResolver, given: Mapping[str, str]) ->
         try:
             master.call("setParam", names.resolve(f"~{name}"), scalar(text))
         except (BadXml, CallRefused) as error:
-            raise ConfigError(f"_{name}:={text}", f"the master cannot have it: {error}") from error
+            raise ConfigError(f"_{name}:={text}", f"the master refuses this parameter: {error}") from error
     found: dict[str, Any] = {}
     for key, name in (("tcp_port", GLOBAL_TCP_PORT), ("port", "~port"), ("baud", "~baud"), ("tcp_port", "~tcp_port")):
         try:
             found[key] = master.call("getParam", names.resolve(name))
-        except CallRefused:  # it is not set
+        except CallRefused:  # the parameter is not set
             continue
     return found
 
 
 def scalar(text: str) -> bool | int | float | str:
-    """A parameter of the command line, as ROS reads it: a number, true or false, else a text."""
+    """Read a parameter of the command line as ROS does: a number, true or false, else a string."""
     for kind in (int, float):
         try:
             return kind(text)

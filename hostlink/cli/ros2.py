@@ -1,4 +1,4 @@
-"""`hostlink ros2`: robots in a ROS 2 graph, by a process beside the daemon."""
+"""`hostlink ros2`: robots in a ROS 2 graph, by a process of its own."""
 
 import asyncio
 import sys
@@ -13,25 +13,34 @@ from hostlink.cli.output import write_error
 from hostlink.client import DEFAULT_URL, PRIORITY
 from hostlink.errors import ConfigError, HostlinkError
 
-CONTEXT = {"ignore_unknown_options": True, "allow_extra_args": True}  # what is behind --ros-args is ROS 2's
+CONTEXT = {"ignore_unknown_options": True, "allow_extra_args": True}  # arguments behind --ros-args are for ROS 2
 ROS_ARGS = "--ros-args"
-SWITCH_INTERVAL_S = 0.0005  # rclpy's thread is in Python for a millisecond a message; the event loop would wait for it
+SWITCH_INTERVAL_S = (
+    0.0005  # rclpy's thread holds the interpreter for a millisecond a message, and the event loop would wait
+)
 
 
 def command(
     context: typer.Context,
     *,
-    priority: Annotated[int, typer.Option(min=0, max=100, help="Of velocities; teleop is 60.")] = PRIORITY,
+    priority: Annotated[
+        int,
+        typer.Option(
+            min=0, max=100, help="Priority of velocities from ROS 2: 60 is that of teleop, a higher one overrules it."
+        ),
+    ] = PRIORITY,
     url: Url = DEFAULT_URL,
     token: Token = None,
 ) -> None:
     """Show the daemon's robots in ROS 2, and let ROS 2 drive them.
 
-    It needs rclpy: a ROS 2 installation that is sourced, or its packages from PyPI. What is behind --ros-args goes to
-    rclpy: --ros-args -r __ns:=/site -p use_sim_time:=true. docs/ros2.md has the rest.
+    Needs rclpy: a sourced ROS 2 installation, or its packages from PyPI. Arguments behind --ros-args are passed to
+    rclpy: --ros-args -r __ns:=/site -p use_sim_time:=true. docs/ros2.md explains them.
     """
     if context.args and context.args[0] != ROS_ARGS:
-        raise ConfigError(context.args[0], f"is no option of hostlink ros2; ROS 2's own stand behind {ROS_ARGS}")
+        raise ConfigError(
+            context.args[0], f"is not an option of hostlink ros2; write arguments of ROS 2 behind {ROS_ARGS}"
+        )
     try:
         from hostlink.graphs.ros2.bridge import BridgeConfig, run_bridge  # noqa: PLC0415 - it takes time to import
         from hostlink.graphs.ros2.node import ros2_node  # noqa: PLC0415 - rclpy may not be there

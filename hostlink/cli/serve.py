@@ -1,4 +1,4 @@
-"""`hostlink serve`: the composition root. It connects the parts, and stops them in order."""
+"""`hostlink serve`: the composition root, which starts the parts of the daemon and stops them in order."""
 
 import asyncio
 import contextlib
@@ -44,10 +44,14 @@ from hostlink.transport.udp import serve_udp
 
 log = structlog.get_logger()
 
-SWITCH_INTERVAL_S = 0.0005  # a tenth of the usual
+SWITCH_INTERVAL_S = 0.0005  # a tenth of Python's default
 M_MMAP_THRESHOLD = -3  # of malloc.h
 LARGE_BYTES = 128 * 1024  # glibc's own threshold at the start
-GC_THRESHOLDS = (100, 5, 100)  # often, so that each lasts a millisecond or two; the oldest after 50,000 objects
+GC_THRESHOLDS = (
+    100,
+    5,
+    100,
+)  # often, so that each collection lasts a millisecond or two; the oldest generation after 50,000 objects
 
 
 OnGraphEnd = Callable[[str], None]
@@ -55,7 +59,7 @@ OnGraphEnd = Callable[[str], None]
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Addresses:
-    """Where a running daemon listens; port 0 in the configuration is a real one here."""
+    """Addresses on which a running daemon listens; a port 0 of the configuration is replaced by the chosen one."""
 
     tcp: tuple[str, int]
     api: str
@@ -71,13 +75,15 @@ async def running(
     read: Read | None = None,
     listening: Sequence[socket.socket] = (),
 ) -> AsyncIterator[tuple[Hub, Addresses]]:
-    """The whole daemon for the length of a block.
+    """Run the whole daemon for the length of a block.
 
     However the block is left, first every robot is stopped and every device is sent its stop; then the rest ends.
-    `on_graph_end` is called with the reason when this node of a ROS graph was shut down from there. `read` reads
-    the configuration again, as a new start would. `listening`: the sockets for devices, where they are open already.
+    `on_graph_end` is called with the reason when this node of a ROS graph was shut down by ROS. `read` reads the
+    configuration again, as a new start would. `listening` are the sockets for devices, if they are open already.
     """
-    folders = config.message_folders  # of which one may be on a dead disk: the loop must hear the signal that ends it
+    folders = (
+        config.message_folders
+    )  # one may be on a dead disk, while the event loop must still receive the signal that ends it
     catalog = await DetachedThread("message folders").run(lambda: Catalog(folders))
     hub = Hub(config, catalog, guard=guard)
     reloader = Reloader(hub, read)
@@ -90,7 +96,8 @@ async def running(
             _listening(hub, config, recordings, reloader, listening) as addresses,
         ):
             udp = {} if addresses.udp is None else {"udp": "{}:{}".format(*addresses.udp)}
-            log.info("daemon.started", tcp="{}:{}".format(*addresses.tcp), api=addresses.api, **udp)
+            loop = getattr(asyncio.get_running_loop(), "name", "asyncio")
+            log.info("daemon.started", tcp="{}:{}".format(*addresses.tcp), api=addresses.api, loop=loop, **udp)
             try:
                 yield hub, addresses
             except Exception as error:
@@ -99,20 +106,20 @@ async def running(
             finally:
                 log.info("daemon.stopping")
                 await hub.shutdown()
-    except BaseExceptionGroup as group:  # one error has one line; the others are its consequences
+    except BaseExceptionGroup as group:  # one error is one line; the others follow from it
         raise _first(group) from None
     logs.log_what_is_missing()
     log.info("daemon.stopped")
 
 
 def _first(error: BaseException) -> BaseException:
-    """What is in a group, and in the groups of the parts that run around what failed."""
+    """Return the first error in nested groups: the cause, which ended the parts around it."""
     return _first(error.exceptions[0]) if isinstance(error, BaseExceptionGroup) else error
 
 
 @contextlib.asynccontextmanager
 async def _hub_running(hub: Hub) -> AsyncIterator[None]:
-    """In a task group of its own: whatever else fails, links live until they were shut down."""
+    """Run the hub in a task group of its own, so that links live until they were shut down."""
     async with asyncio.TaskGroup() as tasks:
         heart = tasks.create_task(hub.run(), name="hub")
         await hub.is_running.wait()
@@ -124,7 +131,7 @@ async def _hub_running(hub: Hub) -> AsyncIterator[None]:
 
 @contextlib.asynccontextmanager
 async def _recordings(hub: Hub) -> AsyncIterator[Recordings]:
-    """They end after the robots were stopped, which is worth recording."""
+    """Open the recordings. They end after the robots were stopped, so that the stop is recorded."""
     recordings = Recordings(hub)
     await recordings.open()
     try:
@@ -137,7 +144,7 @@ async def _recordings(hub: Hub) -> AsyncIterator[Recordings]:
 async def _listening(
     hub: Hub, config: Config, recordings: Recordings, reloader: Reloader, listening: Sequence[socket.socket]
 ) -> AsyncIterator[Addresses]:
-    """Listeners and ports, for devices and for programs."""
+    """Open the listeners for devices and programs, and the serial ports."""
     async with (
         serve_api(config.api, hub, recordings, reloader) as api,
         contextlib.AsyncExitStack() as last,  # mDNS may be slow
@@ -156,7 +163,7 @@ async def _listening(
 
 @contextlib.asynccontextmanager
 async def _datagrams(hub: Hub, config: UdpConfig | None) -> AsyncIterator[tuple[str, int] | None]:
-    """The port for devices over UDP, where it is configured."""
+    """Open the UDP port for devices, if one is configured."""
     if config is None:
         yield None
         return
@@ -171,7 +178,7 @@ async def _datagrams(hub: Hub, config: UdpConfig | None) -> AsyncIterator[tuple[
 
 @contextlib.asynccontextmanager
 async def _graphs(hub: Hub, config: Config, on_end: OnGraphEnd) -> AsyncIterator[None]:
-    """The daemon's parts in graphs of ROS and Zenoh; what one of them needs is imported with it."""
+    """Connect to the graphs of ROS 1 and Zenoh that are configured; the modules of the others are not imported."""
     async with contextlib.AsyncExitStack() as graphs:
         if config.zenoh is not None:
             module = importlib.import_module("hostlink.graphs.zenoh.running")
@@ -201,10 +208,10 @@ def run(
     read: Read | None = None,
     ends_with_graph: bool = False,
 ) -> None:
-    """Serve with settings that nobody has checked yet. `listening`: the sockets for devices; without any it opens them.
+    """Check the settings, then serve. `listening` are the open sockets for devices; without them they are opened here.
 
     Raises:
-        ConfigError: they cannot be served.
+        ConfigError: the settings cannot be served.
     """
     try:
         for warning in asyncio.run(check(config, descriptors=limit(), is_listening=bool(listening))):
@@ -215,14 +222,14 @@ def run(
                 serve(fitted(config, limit()), ends_with_graph=ends_with_graph, read=read_again, listening=listening)
             )
     finally:
-        close_all(listening)  # of a start that failed: devices that wait are reset, and try again
+        close_all(listening)  # after a failed start: waiting devices are reset, and try again
 
 
 def show_check(config: Config) -> None:
     """Print what the settings would serve, and warnings.
 
     Raises:
-        ConfigError: they cannot be served.
+        ConfigError: the settings cannot be served.
     """
     warnings = asyncio.run(check(config, descriptors=limit()))
     write(*describe(config))
@@ -232,8 +239,8 @@ def show_check(config: Config) -> None:
 def shorten_pauses() -> None:
     """Keep the garbage collector and other threads from stopping the loop.
 
-    Nothing here makes cycles, and what the start made stays: with a thousand robots a full collection took 0.23 s, ten
-    times as long as a stop may wait. A thread that examines bytes keeps the loop waiting for an interval each time.
+    The daemon makes no cycles, and objects of the start live for ever: with a thousand robots a full collection took
+    0.23 s, ten times as long as a stop may wait. A thread that examines bytes holds the loop up for an interval.
     """
     gc.collect()
     gc.freeze()
@@ -242,11 +249,11 @@ def shorten_pauses() -> None:
 
 
 def return_large_blocks() -> None:
-    """Let the system have back what large messages took, once they are gone.
+    """Return the memory of large messages to the system when they are deleted.
 
-    glibc gives a freed block of LARGE_BYTES back, and from then on keeps blocks of that size in its heap, between which
-    small objects hold the rest: 30 programs with 4 latched messages of 900 KB each left 40 to 48 MiB behind, and 10 so.
-    A threshold that was set stays. Other C libraries have no such function, or ignore the option.
+    glibc returns a freed block of LARGE_BYTES once, then keeps blocks of that size in its heap, where small objects
+    between them hold the rest: 30 programs with 4 latched messages of 900 KB each left 40 to 48 MiB behind, and 10 MiB
+    with a fixed threshold. Other C libraries have no such function, or ignore the option.
     """
     with contextlib.suppress(AttributeError):
         ctypes.CDLL(None).mallopt(M_MMAP_THRESHOLD, LARGE_BYTES)
@@ -259,7 +266,7 @@ async def serve(
     read: Read | None = None,
     listening: Sequence[socket.socket] = (),
 ) -> None:
-    """Run the daemon until a signal ends it; with `ends_with_graph` also when its node is shut down."""
+    """Run the daemon until a signal; with `ends_with_graph` also until its node is shut down."""
     return_large_blocks()
     notifier = Notifier(os.environ)
     with stop_signals() as ending, guarded(is_wanted=config.guardian) as guardian:
@@ -291,8 +298,8 @@ def _status(hub: Hub) -> str:
 
 @contextlib.contextmanager
 def reload_signal(reloader: Reloader) -> Iterator[None]:
-    """Answer it within the block; what is wrong is logged, and nothing changes."""
-    if threading.current_thread() is not threading.main_thread():  # no signal arrives there
+    """Reload the configuration at SIGUSR1, for the length of the block. A wrong one is logged and changes nothing."""
+    if threading.current_thread() is not threading.main_thread():  # signals arrive in the main thread only
         yield
         return
     loop = asyncio.get_running_loop()
@@ -306,15 +313,15 @@ def reload_signal(reloader: Reloader) -> Iterator[None]:
 # -- garbage ----------------------------------------------------------------------------------------------------------
 
 CHECK_INTERVAL_S = 1.0
-LONGEST_INTERVAL_S = 8.0  # 200 connections a second leave some 10 MiB behind in it
-ENOUGH = 20  # collections of the generation before it: about a hundred connections since the last time
-WORTH = 1000  # objects: a dozen connections
+LONGEST_INTERVAL_S = 8.0  # 200 connections a second leave some 10 MiB behind in this time
+ENOUGH = 20  # collections of the younger generation: about a hundred connections since the last full one
+WORTH = 1000  # collected objects: those of a dozen connections
 
 
 async def collect_while_idle(robots: Robots) -> None:
-    """Check regularly whether it is worth it, until cancelled; less often while it is not.
+    """Collect garbage while no robot moves, until cancelled; less often while a collection frees little.
 
-    A crowd of robots makes enough objects for a collection each second, and leaves no cycles behind.
+    Many robots make enough objects for a collection each second, but leave no cycles behind.
     """
     interval_s = CHECK_INTERVAL_S
     while True:
@@ -331,7 +338,7 @@ _US_PER_S = 1_000_000
 
 
 class Notifier:
-    """Silent when nobody listens."""
+    """Client of systemd's notify socket. Does nothing when NOTIFY_SOCKET is unset."""
 
     def __init__(self, environment: Mapping[str, str]) -> None:
         address = environment.get("NOTIFY_SOCKET", "")
@@ -343,7 +350,7 @@ class Notifier:
             self._interval_s = int(microseconds) / _US_PER_S / 2  # as sd_watchdog_enabled(3) advises
 
     def notify(self, *assignments: str) -> None:
-        """Send `NAME=value` lines; a systemd that receives nothing must not stop a robot's host."""
+        """Send `NAME=value` lines. A socket that cannot be written is logged and does not stop the daemon."""
         if not self._address:
             return
         with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC | socket.SOCK_NONBLOCK) as channel:
@@ -353,7 +360,7 @@ class Notifier:
                 log.debug("systemd.notify_failed", reason=error.strerror)
 
     async def beat(self, status: Callable[[], str]) -> None:
-        """Report that the event loop runs, and what it does, until cancelled."""
+        """Feed systemd's watchdog and report the status, until cancelled."""
         while self._address:
             self.notify("WATCHDOG=1", f"STATUS={status()}")
             await asyncio.sleep(self._interval_s)
@@ -369,7 +376,10 @@ NO_DESCRIPTORS = "no_descriptors"
 
 @contextlib.asynccontextmanager
 async def complaints_logged(refused: Counter[str]) -> AsyncIterator[None]:
-    """For the length of the block. `refused`: counts the connections that could not be accepted."""
+    """Log complaints of libraries and of the event loop, for the length of the block.
+
+    `refused` counts the connections that could not be accepted.
+    """
     loop = asyncio.get_running_loop()
     budget = Budget(loop.time)
     before, handler = loop.get_exception_handler(), _LibraryLog(budget)
@@ -383,7 +393,7 @@ async def complaints_logged(refused: Counter[str]) -> AsyncIterator[None]:
 
 
 class Budget:
-    """The first complaint of a kind is logged, then one in LOG_INTERVAL_S with their count."""
+    """Rate limit of complaints: the first of a kind is logged, then one in LOG_INTERVAL_S with their count."""
 
     def __init__(self, clock: Callable[[], float]) -> None:
         self._clock = clock
@@ -391,7 +401,7 @@ class Budget:
         self._log_at_s: dict[str, float] = {}
 
     def due(self, kind: str) -> int:
-        """How many there were since the last line; 0: no line now."""
+        """Count a complaint; return the number since the last line, or 0 if no line is due."""
         if kind not in self._log_at_s and len(self._log_at_s) >= MAX_KINDS:
             kind = "others"
         self._since[kind] += 1
@@ -403,7 +413,7 @@ class Budget:
 
 
 class _LoopErrors:
-    """An exception handler of the loop."""
+    """Exception handler of the event loop."""
 
     def __init__(self, budget: Budget, refused: Counter[str]) -> None:
         self._budget, self._refused = budget, refused
@@ -419,7 +429,7 @@ class _LoopErrors:
 
 
 class _LibraryLog(logging.Handler):
-    """A handler of the standard library's log, which nothing of hostlink's own uses."""
+    """Handler of the standard library's log, which only libraries use."""
 
     def __init__(self, budget: Budget) -> None:
         super().__init__(logging.WARNING)

@@ -1,6 +1,6 @@
-"""`hostlink serve`: its arguments. The port for devices is opened before the daemon is imported, which takes a while.
+"""Arguments of `hostlink serve`. The port for devices is opened before the daemon is imported, which takes 0.4 s.
 
-A device that connects meanwhile waits in the kernel until it is served, or is reset where the start fails.
+A device that connects in this time waits in the kernel until it is served, or is reset if the start fails.
 """
 
 import dataclasses
@@ -15,6 +15,7 @@ import typer
 
 from hostlink.cli.addresses import is_origin, parse_address, parse_serial
 from hostlink.cli.output import write
+from hostlink.cli.start import import_fast
 from hostlink.config import Config, Ros1Config, TcpConfig, UdpConfig, ZenohConfig, load
 from hostlink.errors import ConfigError, LibraryMissing
 from hostlink.listening import listen as listen_at
@@ -24,11 +25,13 @@ from hostlink.listening import listen as listen_at
 if TYPE_CHECKING:
     import asyncio
 
+LOOPS = ("auto", "asyncio", "uvloop")
+
 Origins = Annotated[
     list[str] | None,
     typer.Option(
         "--origin",
-        help="A web page of elsewhere that may use the API: https://app.foxglove.dev. May be repeated.",
+        help="Web page of another server that may use the API, for example https://app.foxglove.dev. May be repeated.",
         show_default=False,
     ),
 ]
@@ -36,36 +39,45 @@ Origins = Annotated[
 
 def command(
     *,
-    config: Annotated[Path | None, typer.Option(help="hostlink.toml", show_default=False)] = None,
+    config: Annotated[
+        Path | None,
+        typer.Option(
+            help="Configuration file, usually hostlink.toml: for settings without an option.", show_default=False
+        ),
+    ] = None,
     listen: Annotated[
-        str | None, typer.Option(help="Where devices connect: HOST:PORT.", show_default="0.0.0.0:11411")
+        str | None,
+        typer.Option(help="Address and port on which devices connect: HOST:PORT.", show_default="0.0.0.0:11411"),
     ] = None,
-    udp: Annotated[
-        str | None, typer.Option(help="Where devices send datagrams: PORT or HOST:PORT; without it nowhere.")
-    ] = None,
+    udp: Annotated[str | None, typer.Option(help="Also serve devices over UDP, on this PORT or HOST:PORT.")] = None,
     serial: Annotated[
-        list[str] | None, typer.Option(help="A serial port with a device: /dev/ttyACM0@57600. May be repeated.")
+        list[str] | None, typer.Option(help="Serial port with a device: /dev/ttyACM0@57600. May be repeated.")
     ] = None,
     api: Annotated[
-        str | None, typer.Option(help="Where programs connect: HOST:PORT.", show_default="127.0.0.1:9090")
+        str | None,
+        typer.Option(help="Address and port on which programs connect: HOST:PORT.", show_default="127.0.0.1:9090"),
     ] = None,
     origin: Origins = None,
     messages: Annotated[
-        list[Path] | None, typer.Option(help="A folder of .msg and .srv files. May be repeated.")
+        list[Path] | None, typer.Option(help="Folder with .msg and .srv files of your own types. May be repeated.")
     ] = None,
     zenoh: Annotated[
         bool, typer.Option("--zenoh", help="Show and drive the robots of other daemons in this network: docs/fleet.md.")
     ] = False,
     ros1: Annotated[
-        str | None, typer.Option(metavar="URL", help="Be a node of this ROS 1 master: http://localhost:11311.")
+        str | None,
+        typer.Option(metavar="URL", help="Show the robots in ROS 1, as a node of this master: http://localhost:11311."),
     ] = None,
-    log_level: Annotated[str, typer.Option(help="debug, info, warning or error.")] = "info",
-    loop: Annotated[str, typer.Option(help="The event loop: asyncio, or uvloop for crowds of robots.")] = "asyncio",
+    log_level: Annotated[str, typer.Option(help="debug, info, warning or error: debug to trace a fault.")] = "info",
+    loop: Annotated[
+        str, typer.Option(help="Event loop: asyncio, uvloop, or auto, which is uvloop where it is installed.")
+    ] = "auto",
     check_config: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Say what FILE would serve, or what is wrong with it.")
+        Path | None,
+        typer.Option(metavar="FILE", help="Report what FILE would serve, or its errors, without starting the daemon."),
     ] = None,
     example: Annotated[
-        str | None, typer.Option(metavar="NAME", help="Print an example file: config, systemd or udev.")
+        str | None, typer.Option(metavar="NAME", help="Print an example file to start from: config, systemd or udev.")
     ] = None,
 ) -> None:
     """Run the daemon: devices on TCP port 11411, serial ports and UDP, programs on port 9090.
@@ -76,7 +88,7 @@ def command(
         write(*read_example(example).splitlines())
         return
     if log_level.upper() not in ("DEBUG", "INFO", "WARNING", "ERROR"):
-        raise ConfigError("--log-level", f"{log_level} is none of debug, info, warning, error")
+        raise ConfigError("--log-level", f"unknown level {log_level!r}; choose debug, info, warning or error")
     file = check_config or config
 
     def read() -> Config:
@@ -94,7 +106,7 @@ def command(
     listening = [] if check_config else open_device_port(settings.tcp)
     new_loop = loop_factory(loop)
     importlib.import_module("hostlink.logs").configure(level=log_level)
-    daemon = importlib.import_module("hostlink.cli.serve")
+    daemon = import_fast("hostlink.cli.serve")
     if check_config:
         daemon.show_check(settings)
     else:
@@ -102,7 +114,7 @@ def command(
 
 
 def open_device_port(config: TcpConfig) -> list[socket.socket]:
-    """Listen for devices; of an address on which nobody can listen nothing, and the daemon reports why."""
+    """Listen for devices. Return no socket if the address cannot be used; the daemon reports the reason later."""
     try:
         return listen_at(config.host, config.port)
     except (OSError, OverflowError, UnicodeError):
@@ -110,13 +122,13 @@ def open_device_port(config: TcpConfig) -> list[socket.socket]:
 
 
 def with_master(config: Ros1Config, where: str, url: str) -> Ros1Config:
-    """The settings with this master.
+    """Return the settings with this master.
 
     Raises:
-        ConfigError: it is no address of one; `where` names it.
+        ConfigError: `url` is not the address of a master; the error begins with `where`.
     """
     if not url:
-        raise ConfigError(where, "no address of a master is given; they look like http://localhost:11311")
+        raise ConfigError(where, "no address of a master is given; an example: http://localhost:11311")
     try:
         return dataclasses.replace(config, master=url)
     except ValueError as error:
@@ -124,31 +136,37 @@ def with_master(config: Ros1Config, where: str, url: str) -> Ros1Config:
 
 
 def loop_factory(name: str) -> "Callable[[], asyncio.AbstractEventLoop] | None":
-    """Of what `--loop` names; None is asyncio's own.
+    """Return what makes the loop that `--loop` names; None for asyncio's own.
 
     Raises:
-        ConfigError: there is no such loop, or it is not installed.
+        ConfigError: the name is unknown.
+        LibraryMissing: uvloop is requested and not installed.
     """
+    if name not in LOOPS:
+        raise ConfigError("--loop", f"unknown loop {name!r}; choose {', '.join(LOOPS)}")
     if name == "asyncio":
         return None
-    if name != "uvloop":
-        raise ConfigError("--loop", f"{name} is none of asyncio, uvloop")
     try:
-        factory: Callable[[], asyncio.AbstractEventLoop] = importlib.import_module("uvloop").new_event_loop
+        factory: Callable[[], asyncio.AbstractEventLoop] = importlib.import_module("hostlink.cli.uvloop_loop").UvLoop
     except ImportError as error:
+        if name == "auto":
+            return None
         raise LibraryMissing("--loop", "uvloop", "uvloop") from error
     return factory
 
 
 def allow_origins(config: Config, origins: list[str] | None) -> Config:
-    """The configuration with the origins of `--origin` beside its own.
+    """Return the configuration with the origins of `--origin` added to its own.
 
     Raises:
-        ConfigError: one is none.
+        ConfigError: a text is not an origin.
     """
     for origin in origins or ():
         if not is_origin(origin):
-            raise ConfigError("--origin", f"{origin} is none: it begins with a scheme, as https://app.foxglove.dev")
+            raise ConfigError(
+                "--origin",
+                f"{origin} is not an origin; write the scheme and the host, for example https://app.foxglove.dev",
+            )
     api = dataclasses.replace(config.api, origins=config.api.origins + tuple(origins or ()))
     return dataclasses.replace(config, api=api)
 
@@ -162,10 +180,10 @@ def merge(
     api: str | None = None,
     messages: list[Path] | None = None,
 ) -> Config:
-    """The configuration with the flags over it.
+    """Return the configuration with the values of the options, which take precedence.
 
     Raises:
-        ConfigError: a flag is wrong.
+        ConfigError: an option is wrong.
     """
     if listen is not None:
         host, port = parse_address("--listen", listen, config.tcp.host)
@@ -187,11 +205,11 @@ EXAMPLES = {"config": "hostlink.toml", "systemd": "hostlink.service", "udev": "7
 
 
 def read_example(name: str) -> str:
-    """The text of one of EXAMPLES.
+    """Return the text of one of EXAMPLES.
 
     Raises:
-        ConfigError: there is none of that name.
+        ConfigError: the name is unknown.
     """
     if name not in EXAMPLES:
-        raise ConfigError("--example", f"{name} is none of {', '.join(EXAMPLES)}")
+        raise ConfigError("--example", f"unknown example {name!r}; choose one of {', '.join(EXAMPLES)}")
     return (files("hostlink") / "data" / EXAMPLES[name]).read_text()

@@ -1,4 +1,4 @@
-"""Settings that a program writes into a person's TOML file: the rest of it stays as it is, and a copy beside it."""
+"""Changes of single settings in a TOML file that a person wrote. The rest is kept, and a copy of the old file."""
 
 import contextlib
 import copy
@@ -18,7 +18,7 @@ _HEADER = re.compile(r"^\s*\[\s*(?P<name>[^\[\]]+?)\s*\]\s*(#.*)?$")
 
 
 def toml_lines(tables: Tables) -> list[str]:
-    """As they stand in a file."""
+    """Lines of the tables, as TOML has them."""
     lines: list[str] = []
     for header, values in tables.items():
         lines += [f"[{header}]", *(f"{key} = {value}" for key, value in values.items())]
@@ -26,10 +26,10 @@ def toml_lines(tables: Tables) -> list[str]:
 
 
 def write_settings(path: Path, tables: Tables) -> Path:
-    """Set them; returns the copy of the file as it was.
+    """Write settings into the file; return the path of the copy of the old one.
 
     Raises:
-        ConfigError: the file cannot be read or written, or has such a setting in a form that is not changed here.
+        ConfigError: the file cannot be read or written, or has such a setting in a form that cannot be changed here.
     """
     with _refused(path):
         file = path.resolve()  # what a link points to, not the link
@@ -37,7 +37,7 @@ def write_settings(path: Path, tables: Tables) -> Path:
 
 
 def require_changeable(path: Path, tables: Tables) -> None:
-    """Fail before the numbers are known, not afterwards.
+    """Refuse a file that cannot be changed, before the values are measured.
 
     Raises:
         ConfigError: `write_settings` would fail with settings of these names.
@@ -50,7 +50,7 @@ def require_changeable(path: Path, tables: Tables) -> None:
 
 
 def changed(text: str, tables: Tables) -> str:
-    """The text with these settings; a line of the same key is replaced, a table that is not there is added."""
+    """Return the text with these settings. A line of the same key is replaced; a missing table is added."""
     lines = text.removesuffix("\n").split("\n") if text else []  # TOML has no other ends of lines
     for header, values in tables.items():
         for key, value in values.items():
@@ -63,17 +63,19 @@ def _refused(path: Path) -> Iterator[None]:
     try:
         yield
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise ConfigError(str(path), f"is not changed: {error}") from error
+        raise ConfigError(str(path), f"the file is not changed: {error}") from error
 
 
 def _text_with(file: Path, tables: Tables) -> str:
-    """Its text with these settings, and with its own ends of lines."""
+    """Return the file's text with these settings and its own line endings."""
     before = file.read_bytes().decode()
     newline = "\r\n" if "\r\n" in before else "\n"
     plain = before.replace(newline, "\n")
     after = changed(plain, tables)
     if not _is_only_changed(plain, after, tables):
-        raise ConfigError(str(file), f"cannot be changed by hostlink: write there {'; '.join(toml_lines(tables))}")
+        raise ConfigError(
+            str(file), f"hostlink cannot change this file; write into it yourself: {'; '.join(toml_lines(tables))}"
+        )
     return after.replace("\n", newline)
 
 
@@ -90,7 +92,7 @@ def _set(lines: list[str], header: str, key: str, value: str) -> list[str]:
 
 
 def _comment_of(line: str) -> str:
-    """From the `#` that ends the setting, with the blanks before it; one within a string ends none."""
+    """Return the comment behind a setting, with the blanks before it. A `#` within a string does not begin one."""
     for found in re.finditer(r"\s*#", line):
         with contextlib.suppress(tomllib.TOMLDecodeError):
             tomllib.loads(line[: found.start()])
@@ -111,7 +113,7 @@ def _names(header: str) -> Any:
 
 
 def _is_only_changed(before: str, after: str, tables: Tables) -> bool:
-    """Whether the file now has these settings, and all others that it had."""
+    """Whether `after` has these settings, and all others of `before`."""
     wanted = copy.deepcopy(tomllib.loads(before))
     for header, values in tables.items():
         _merge(wanted, tomllib.loads("\n".join(toml_lines({header: values}))))
@@ -130,7 +132,7 @@ def _merge(into: dict[str, Any], other: Mapping[str, Any]) -> None:
 
 
 def _replace(path: Path, text: str) -> Path:
-    """Through a file beside it, which must be a configuration that the daemon accepts."""
+    """Replace the file by a new one, which must be a configuration that the daemon accepts."""
     beside, backup = path.with_name(f"{path.name}.new"), path.with_name(f"{path.name}.before")
     number = 2
     while backup.exists():
@@ -138,7 +140,9 @@ def _replace(path: Path, text: str) -> Path:
     try:
         shutil.copy2(path, beside)
         owner = path.stat()
-        os.chown(beside, owner.st_uid, owner.st_gid)  # root's copy is root's: the daemon may be another user
+        os.chown(
+            beside, owner.st_uid, owner.st_gid
+        )  # a copy that root makes belongs to root, but the daemon may run as another user
         beside.write_bytes(text.encode())
         load(beside)
         shutil.copy2(path, backup)

@@ -1,4 +1,4 @@
-"""The commands for the configuration: setup asks ten questions and writes one, reload lets the daemon read it again."""
+"""The commands for the configuration: `setup` asks ten questions and writes a file, `reload` has the daemon read it."""
 
 import asyncio
 import ipaddress
@@ -34,7 +34,7 @@ LEAST_NUMBER = 0.01  # m, m/s, m/s2
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Question:
-    """One question: what an empty answer means, whether it is asked at all, and what is wrong with an answer."""
+    """Question with its default, the condition under which it is asked, and the check of an answer."""
 
     key: str
     text: str
@@ -44,14 +44,14 @@ class Question:
 
 
 def questions(serial_ports: Sequence[str]) -> list[Question]:
-    """All ten. `serial_ports`: those that this computer has."""
-    seen = f" (there is: {', '.join(serial_ports)})" if serial_ports else " (none is plugged in now)"
+    """Return all ten questions. `serial_ports` are those of this computer."""
+    seen = f" (this computer has: {', '.join(serial_ports)})" if serial_ports else " (none is plugged in now)"
     port = serial_ports[0] if serial_ports else "/dev/ttyACM0"
     return [
         Question(key="way", text="How do robots connect: wifi, usb or both?", default="wifi", complaint=_one_of(WAYS)),
         Question(
             key="network",
-            text="Which network may they come from, as 192.168.4.0/24? Empty: any",
+            text="From which network may robots connect, for example 192.168.4.0/24? Empty: any",
             default="",
             complaint=_network,
             is_asked=_has_wifi,
@@ -67,7 +67,9 @@ def questions(serial_ports: Sequence[str]) -> list[Question]:
             key="serial",
             text=f"Which serial port{seen}?",
             default=port,
-            complaint=lambda answer: "" if answer.startswith("/") else "a path that begins with /dev/",
+            complaint=lambda answer: (
+                "" if answer.startswith("/") else "a path that begins with /dev/, for example /dev/ttyACM0"
+            ),
             is_asked=_has_usb,
         ),
         Question(
@@ -75,7 +77,7 @@ def questions(serial_ports: Sequence[str]) -> list[Question]:
         ),
         Question(
             key="robot",
-            text="The robot's name, as its firmware has it? Its limits follow; -: no limits",
+            text="The robot's name, as in its firmware? The next questions are its limits; -: no limits",
             default="robot_0",
             complaint=lambda answer: (
                 "" if answer == "-" or _is_name(answer) else "letters, digits and _, a letter first"
@@ -83,14 +85,14 @@ def questions(serial_ports: Sequence[str]) -> list[Question]:
         ),
         _number(
             "separation_m",
-            "Distance between its two driven wheels in m? Empty: unknown, or another drive",
+            "Distance between the two driven wheels in m? Empty: unknown, or another kind of drive",
             most=10.0,
         ),
-        _number("speed_m_s", "The fastest that it may drive, in m/s?", most=20.0, default="0.5"),
-        _number("deceleration_m_s2", "How hard it may brake, in m/s2? Empty: at once", most=100.0),
+        _number("speed_m_s", "The highest speed of the robot, in m/s?", most=20.0, default="0.5"),
+        _number("deceleration_m_s2", "The strongest braking, in m/s2? Empty: no limit", most=100.0),
         Question(
             key="reach",
-            text="Who may use page and API: this computer, or the network (with a token)?",
+            text="Who may use the page and the API: this computer, or the network (with a token)?",
             default="computer",
             complaint=_one_of(REACHES),
         ),
@@ -98,9 +100,9 @@ def questions(serial_ports: Sequence[str]) -> list[Question]:
 
 
 def configuration(answers: Answers, *, token: str) -> str:
-    """The TOML; `token` is for an API that the network reaches."""
+    """Return the configuration as TOML; `token` is for an API that the network reaches."""
     parts = [
-        "# Made by `hostlink setup`; every other setting: hostlink serve --example config",
+        "# Written by `hostlink setup`; all other settings: hostlink serve --example config",
         *_tcp(answers),
         *_serial(answers),
         *_api(answers, token),
@@ -111,7 +113,7 @@ def configuration(answers: Answers, *, token: str) -> str:
 
 def _tcp(answers: Answers) -> list[str]:
     if not _has_wifi(answers):
-        return ["", "[tcp]", 'host = "127.0.0.1"  # robots come by USB alone']
+        return ["", "[tcp]", 'host = "127.0.0.1"  # robots connect by USB only']
     allow = [f"allow = [{_toml(answers['network'])}]"] if answers["network"] else []
     return ["", "[tcp]", f"port = {answers['device_port']}", *allow]
 
@@ -195,7 +197,7 @@ def _whole(least: int, most: int) -> Callable[[str], str]:
 
 
 def _number(key: str, text: str, *, most: float, default: str = "") -> Question:
-    """A figure of the robot; without a default it may be left out."""
+    """Question for a number of the robot; without a default the answer may be empty."""
 
     def complaint(answer: str) -> str:
         if not answer and not default:
@@ -210,23 +212,27 @@ def _number(key: str, text: str, *, most: float, default: str = "") -> Question:
 
 
 def _toml(text: str) -> str:
-    """The text as TOML quotes it: JSON's escapes, but for what lies beyond 16 bits, and for DEL."""
+    """Quote a text for TOML: JSON's escapes, except DEL and characters beyond 16 bits."""
     return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
 # -- setup ------------------------------------------------------------------------------------------------------------
 
-PLACES = ("serial/by-id/*", "ttyACM*", "ttyUSB*")  # the first has names that stay
-OWNER_ONLY = 0o600  # a token stands in it
+PLACES = (
+    "serial/by-id/*",
+    "ttyACM*",
+    "ttyUSB*",
+)  # names in the first one do not change when a port is plugged in again
+OWNER_ONLY = 0o600  # the file contains a token
 
 
 def setup(
-    file: Annotated[Path, typer.Argument(help="What is written.")] = Path("hostlink.toml"),
+    file: Annotated[Path, typer.Argument(help="The file to write.")] = Path("hostlink.toml"),
     *,
-    yes: Annotated[bool, typer.Option("--yes", help="The usual answer to every question.")] = False,
-    force: Annotated[bool, typer.Option("--force", help="Write over a file that is there.")] = False,
+    yes: Annotated[bool, typer.Option("--yes", help="Take the default answer to every question, for scripts.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Replace an existing file.")] = False,
 ) -> None:
-    """Ask ten questions and write a configuration. An empty answer means what is in brackets; Ctrl-C writes nothing."""
+    """Ask ten questions and write a configuration. An empty answer means the default. Ctrl-C writes no file."""
     check_new_file("FILE", file, is_forced=force, example="hostlink.toml")
     answers: dict[str, str] = {}
     asked = questions(list(_serial_ports()))
@@ -236,7 +242,10 @@ def setup(
     _write(file, configuration(answers, token=secrets.token_urlsafe(24)))
     write(f"{file} is written. Next:", f"  hostlink serve --check-config {file}", f"  hostlink serve --config {file}")
     if answers["reach"] == "network":
-        write("Page and API want the token that stands in it; without [api] certificate it can be read on the network.")
+        write(
+            "Page and API need the token in that file.",
+            "Without a certificate under [api] others can read it on the network.",
+        )
 
 
 def _serial_ports() -> Iterator[str]:
@@ -245,7 +254,7 @@ def _serial_ports() -> Iterator[str]:
 
 
 def _ask(question: Question, place: str) -> str:
-    """The first answer that is none of those that are refused.
+    """Ask until an answer is accepted.
 
     Raises:
         HostlinkError: standard input ends.
@@ -256,7 +265,9 @@ def _ask(question: Question, place: str) -> str:
             answer = input(f"{place}  {question.text}{shown} ").strip() or question.default
         except EOFError:
             write("")  # the question has no end of a line
-            raise HostlinkError(f"no answer to question {place}; nothing is written") from None
+            raise HostlinkError(
+                f"standard input ended at question {place}, and nothing was written; answer all questions, or use --yes"
+            ) from None
         complaint = question.complaint(answer)
         if not complaint:
             return answer
@@ -264,10 +275,10 @@ def _ask(question: Question, place: str) -> str:
 
 
 def _write(file: Path, text: str) -> None:
-    """Complete or not at all; what is written can be served.
+    """Write the whole file or nothing; the daemon accepts what is written.
 
     Raises:
-        ConfigError: it cannot be written.
+        ConfigError: the file cannot be written.
     """
     with replacing("FILE", file) as beside:
         descriptor = os.open(beside, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, OWNER_ONLY)
@@ -282,7 +293,7 @@ def _write(file: Path, text: str) -> None:
 def reload(*, url: Url = DEFAULT_URL, token: Token = None, json: Json = False) -> None:
     """Let the daemon read its configuration again: names and limits of robots, tokens and origins.
 
-    All of it is changed, or, where a setting is wrong, nothing. Other settings need a restart, and are listed.
+    A wrong setting leaves all of them unchanged. Settings that need a restart are listed.
     """
     reloaded = asyncio.run(_reload(url, token))
     write(*([json_text.dumps(reloaded)] if json else _lines(reloaded)))
@@ -295,7 +306,7 @@ async def _reload(url: str, token: str | None) -> dict[str, Any]:
 
 def _lines(reloaded: dict[str, Any]) -> list[str]:
     lines = [f"changed: {name}" for name in reloaded["changed"]]
-    lines += [f"renamed: {old} is {new} now" for old, new in reloaded["renamed"].items()]
+    lines += [f"renamed: {old} is now {new}" for old, new in reloaded["renamed"].items()]
     lines += [f"needs a restart: {name}" for name in reloaded["needs_restart"]]
     return lines or ["nothing has changed"]
 

@@ -1,4 +1,4 @@
-"""`hostlink sim`: robots without hardware that connect to a host."""
+"""`hostlink sim`: simulated robots that connect to a host."""
 
 import asyncio
 import contextlib
@@ -18,22 +18,31 @@ from hostlink.sim.run import run_fleet
 
 def command(
     *,
-    connect: Annotated[str, typer.Option(help="The host's address for devices: HOST:PORT.")] = "127.0.0.1:11411",
-    robots: Annotated[int, typer.Option(min=1, max=200, help="How many: robot_0, robot_1, ...")] = 1,
-    udp: Annotated[bool, typer.Option("--udp", help="Over UDP, not TCP.")] = False,
-    first: Annotated[int, typer.Option(min=0, help="The number of the first one.")] = 0,
+    connect: Annotated[
+        str, typer.Option(help="Address of the host for devices, if it is not on this computer: HOST:PORT.")
+    ] = "127.0.0.1:11411",
+    robots: Annotated[
+        int, typer.Option(min=1, max=200, help="Number of robots, for tests of a fleet: robot_0, robot_1, ...")
+    ] = 1,
+    udp: Annotated[bool, typer.Option("--udp", help="Connect over UDP, to test a host that serves UDP.")] = False,
+    first: Annotated[
+        int, typer.Option(min=0, help="Number of the first robot, if another simulator has the lower ones.")
+    ] = 0,
     world: Annotated[
-        Path | None, typer.Option(help="A file of lines name=value: what their motors, wheels and floor are like.")
+        Path | None,
+        typer.Option(help="File of lines name=value, for other motors, wheels and floors than the default."),
     ] = None,
     robot: Annotated[
-        RobotKind, typer.Option(help="nimble: at a new speed within 0.3 s; paper: the paper's, in two seconds.")
+        RobotKind, typer.Option(help="nimble: reaches a new speed in 0.3 s; paper: the paper's robot, in two seconds.")
     ] = RobotKind.PAPER,
-    fault: Annotated[str | None, typer.Option(help=f"What is wrong with them: {', '.join(FAULTS)}.")] = None,
+    fault: Annotated[
+        str | None, typer.Option(help=f"Fault of the robots, to see how it is reported: {', '.join(FAULTS)}.")
+    ] = None,
 ) -> None:
-    """Run simulated robots: the firmware of the paper's, in a simulated world and on a 38400 baud UART."""
+    """Run simulated robots: the paper's firmware in a simulated world, on a 38400 baud UART."""
     require_wasmtime("hostlink sim")
     if fault is not None and fault not in FAULTS:
-        raise ConfigError("--fault", f"{fault} is none of {', '.join(FAULTS)}")
+        raise ConfigError("--fault", f"unknown fault {fault!r}; choose one of {', '.join(FAULTS)}")
     chosen = HEALTHY if fault is None else FAULTS[fault]
     host, port = parse_address("--connect", connect, "127.0.0.1")
     parameters = WorldParameters() if world is None else _read(world)

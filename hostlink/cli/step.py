@@ -1,4 +1,4 @@
-"""hostlink step: drive a step of speed, show how the robot follows, tune its PID."""
+"""`hostlink step`: drive a step of speed, show how the robot follows, tune its PID."""
 
 import asyncio
 import contextlib
@@ -34,12 +34,12 @@ from hostlink.robot.step_response import FULL_PWM, Record, Sample, StepFigures, 
 
 # -- step stages ------------------------------------------------------------------------------------------------------
 
-FIRST_SHARE, LEVELS = 0.4, 6  # of the speed, rising to all of it
-FIRST_LEVEL_S, LEVEL_S = 2.4, 1.2  # the first one begins with a robot that stands
+FIRST_SHARE, LEVELS = 0.4, 6  # share of the speed at the first level; the last level has the whole speed
+FIRST_LEVEL_S, LEVEL_S = 2.4, 1.2  # the first level begins with a stopped robot
 
 
 class Wheel(StrEnum):
-    """The one that turns while the other stands."""
+    """Wheel that turns while the other one is stopped."""
 
     LEFT = "left"
     RIGHT = "right"
@@ -47,7 +47,7 @@ class Wheel(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Stage:
-    """A velocity, and for how long; `speed_m_s` is that of the wheels that turn."""
+    """Velocity and its duration; `speed_m_s` is that of the wheels that turn."""
 
     speed_m_s: float
     linear_m_s: float
@@ -56,7 +56,7 @@ class Stage:
 
 
 def make_stage(speed_m_s: float, seconds: float, wheel: Wheel | None, separation_m: float) -> Stage:
-    """Straight ahead, or one wheel round the other."""
+    """Build the stage of a speed: straight ahead, or one wheel round the other."""
     if wheel is None:
         return Stage(speed_m_s, speed_m_s, 0.0, seconds)
     turn = -1 if wheel is Wheel.LEFT else 1  # the left wheel alone turns the robot clockwise
@@ -64,7 +64,7 @@ def make_stage(speed_m_s: float, seconds: float, wheel: Wheel | None, separation
 
 
 def rising_stages(speed_m_s: float, wheel: Wheel | None, separation_m: float) -> tuple[Stage, ...]:
-    """Small steps upwards: the robot never brakes between two messages, where nobody would notice."""
+    """Build rising steps. The robot never brakes between two messages, which would go unnoticed."""
     shares = [FIRST_SHARE + (1 - FIRST_SHARE) * level / (LEVELS - 1) for level in range(LEVELS)]
     lengths_s = [FIRST_LEVEL_S, *[LEVEL_S] * (LEVELS - 1)]
     return tuple(
@@ -74,14 +74,14 @@ def rising_stages(speed_m_s: float, wheel: Wheel | None, separation_m: float) ->
 
 
 def describe_way(robot: str, stages: Sequence[Stage], wheel: Wheel | None, separation_m: float) -> str:
-    """What the robot will do, for the person who must make room."""
+    """Describe the drive, for the person who must make room."""
     way_m = sum(abs(stage.speed_m_s) * stage.seconds for stage in stages)
     seconds = sum(stage.seconds for stage in stages)
     speed_m_s = stages[-1].speed_m_s
     pace = f"at up to {abs(speed_m_s):.2f} m/s for {seconds:.1f} s"
     direction = "forwards" if speed_m_s > 0 else "backwards"
     if wheel is None:
-        return f"{robot} drives {way_m:.2f} m straight {direction} {pace}; keep half a metre more free"
+        return f"{robot} drives {way_m:.2f} m straight {direction} {pace}; keep that way and half a metre more free"
     other = Wheel.RIGHT if wheel is Wheel.LEFT else Wheel.LEFT
     return (
         f"{robot}'s {wheel.value} wheel rolls {way_m:.2f} m {direction} round the {other.value} one {pace}; "
@@ -93,37 +93,37 @@ def describe_way(robot: str, stages: Sequence[Stage], wheel: Wheel | None, separ
 
 TICK_S = 0.02
 COMMAND_INTERVAL_S = 0.1  # a fifth of the lease
-LONGEST_PAUSE_S = 0.4  # of this program; after a lease the robot has stopped
-CREEP_M_S = 0.01  # a zero takes a robot over from nobody
+LONGEST_PAUSE_S = 0.4  # of this program; after the lease, 0.5 s, the robot has stopped
+CREEP_M_S = 0.01  # a zero does not take a robot over from another driver
 STANDING_S = 0.5
 STOP_INTERVAL_S = 1.0
 STANDING_TIMEOUT_S = 5.0
 STANDING_TICKS_S, STANDING_M_S = 1.5, 0.005
 FIRST_MESSAGE_S = 2.0
-SILENCE_S = 0.9  # of what measures it: the robot would drive blind
-SEPARATION_M = 0.210  # docs/robot.md#numbers
-LEAST_SEPARATION_M, MOST_SEPARATION_M = 0.02, 5.0  # that hostlink's firmware accepts
+SILENCE_S = 0.9  # without measurements the robot would drive blind
+SEPARATION_M = 0.210  # docs/paper-robot.md#numbers
+LEAST_SEPARATION_M, MOST_SEPARATION_M = 0.02, 5.0  # limits of hostlink's firmware
 PLOT_TYPE, GAINS_TYPE = "geometry_msgs/Twist", "geometry_msgs/Vector3"
 ODOMETRY_TYPE = "nav_msgs/Odometry"
 
-Samples = Mapping[str, Sample]  # by wheel; "robot" where only the whole is known
+Samples = Mapping[str, Sample]  # by wheel; "robot" if only the robot's speed is known
 Reader = Callable[[Mapping[str, Any], Stage], Samples]
 
 
 @dataclass(frozen=True, slots=True)
 class Source:
-    """Where a robot's speeds come from."""
+    """Topic from which a robot's speeds are read."""
 
     topic: str
     type_name: str
     unit: str
     read: Reader
-    standing: float  # in the unit; slower is a standstill
+    standing: float  # in the unit; a lower speed counts as stopped
 
 
 @dataclass(frozen=True, slots=True)
-class Recording:
-    """What came of a drive."""
+class StepRecording:
+    """Speeds that were recorded during a step, and the velocity that the robot's limits accepted."""
 
     source: str
     records: Mapping[str, Record]
@@ -131,14 +131,14 @@ class Recording:
 
 
 class RobotTopics:
-    """A robot's topics by their leaf, as the daemon knows them on its link."""
+    """Topics of a robot's link, found by their last part."""
 
     def __init__(self, state: RobotState, links: Sequence[Mapping[str, Any]]) -> None:
         self._namespace = state["velocity_topic"].rpartition("/")[0] + "/"
         self._topics = [topic for link in links if link["number"] == state["link"] for topic in link["topics"]]
 
     def find(self, leaf: str, type_name: str) -> str | None:
-        """The robot's own topic first; None: it has none."""
+        """Find a topic; one in the robot's namespace takes precedence. None without one."""
         found = [
             topic["name"]
             for topic in self._topics
@@ -149,13 +149,12 @@ class RobotTopics:
 
 
 async def connected_state(robot: Robot) -> RobotState:
-    """The state of a robot that may be driven.
+    """Return the state of a robot that may be driven.
 
     Raises:
-        HostlinkError: there is no such robot.
-        DeviceGone: it is not connected.
-        CommandRefused: it is locked.
-        HostlinkError: a source of the same or a higher priority drives it.
+        HostlinkError: the robot is unknown, or a source of the same or a higher priority drives it.
+        DeviceGone: the robot is not connected.
+        CommandRefused: the robot is locked.
     """
     state = await robot.state()
     if not state["connected"]:
@@ -164,7 +163,7 @@ async def connected_state(robot: Robot) -> RobotState:
         reason = f"{robot.name}: locked: {state.get('lock_reason')}; to drive it again: hostlink unlock {robot.name}"
         raise CommandRefused(robot.name, RefusalKind.LOCKED, reason)
     if state["holder"] is not None and not _is_less_important(state):
-        raise HostlinkError(f"{robot.name}: {driver(state)} drives it; end that first")
+        raise HostlinkError(f"{robot.name} is driven by {driver(state)}; end that program first")
     return state
 
 
@@ -174,7 +173,7 @@ def _is_less_important(state: RobotState) -> bool:
 
 
 async def find_source(host: Host, state: RobotState, wheel: Wheel | None, separation_m: float) -> Source:
-    """Where its speeds come from: plot_data, else the odometry that the daemon publishes.
+    """Choose the topic of the speeds: plot_data, else the odometry that the daemon publishes.
 
     Raises:
         HostlinkError: the robot has neither.
@@ -185,7 +184,10 @@ async def find_source(host: Host, state: RobotState, wheel: Wheel | None, separa
     odometry = f"/{state['name']}/odom"
     if any(topic["name"] == odometry and topic["type"] == ODOMETRY_TYPE for topic in await host.topics()):
         return Source(odometry, ODOMETRY_TYPE, "m/s", _odometry_reader(wheel, separation_m), STANDING_M_S)
-    raise HostlinkError(f"{state['name']} sends neither plot_data nor odometry: nothing measures its speed")
+    raise HostlinkError(
+        f"{state['name']} publishes neither plot_data nor odometry, so its speed cannot be measured; "
+        "`hostlink doctor` finds out why"
+    )
 
 
 def _plot_reader(wheel: Wheel | None) -> Reader:
@@ -213,22 +215,23 @@ def _odometry_reader(wheel: Wheel | None, separation_m: float) -> Reader:
 
 
 class StepRecorder:
-    """Drives one robot; whatever ends `record`, the robot is stopped, unless somebody else has it."""
+    """Drive and record of one robot. `record` always ends with a stop, unless another source drives the robot."""
 
     def __init__(self, host: Host, robot: Robot, source: Source, *, show: Callable[[str], None]) -> None:
         self._host, self._robot, self._source, self._show = host, robot, source, show
         self._arrivals_s: list[float] = []
         self._samples: list[Samples] = []
-        self._is_measured = False  # a message came
+        self._is_measured = False  # whether a message has arrived
         self._has_commanded = False
         self._ran_at_s = 0.0
         self._commanded_at_s = -math.inf
 
-    async def record(self, stages: Sequence[Stage]) -> Recording:
-        """Wait until the robot stands, drive the stages, stop.
+    async def record(self, stages: Sequence[Stage]) -> StepRecording:
+        """Wait until the robot is stopped, drive the stages, stop.
 
         Raises:
-            HostlinkError: it is driven by another, refused, not measured, does not stand, or the connection is lost.
+            HostlinkError: another source drives the robot, a command is refused, no speed is measured, the robot does
+                not stop, or the connection is lost.
         """
         source = self._source
         async with self._host.subscribe(source.topic, type_name=source.type_name) as messages, self._stopping():
@@ -239,7 +242,7 @@ class StepRecorder:
             accepted = (await self._robot.state())["velocity"]
         names = self._samples[0]
         arrivals_s = [arrival_s - began_s for arrival_s in self._arrivals_s]
-        return Recording(
+        return StepRecording(
             source.topic,
             {name: make_record(source.unit, arrivals_s, [each[name] for each in self._samples]) for name in names},
             (accepted["linear_m_s"], accepted["angular_rad_s"]),
@@ -256,12 +259,12 @@ class StepRecorder:
 
     @property
     def _may_move(self) -> bool:
-        """Whether it moves as commanded here; a stop would end another's drive, too."""
+        """Whether the robot may move by a command of this program; a stop would also end another source's drive."""
         refusal = self._robot.refusal
         return self._has_commanded and (refusal is None or refusal.kind != RefusalKind.HELD)
 
     async def _stand(self, messages: Mailbox[dict[str, Any]]) -> None:
-        """Stop the robot, and keep the last half second of its standing."""
+        """Stop the robot, and keep the last half second before the step."""
         began_s, stopped_s = _now_s(), -math.inf
         rest = Stage(0.0, 0.0, 0.0, 0.0)
         while not self._stands():
@@ -271,12 +274,17 @@ class StepRecorder:
             await asyncio.sleep(TICK_S)
             self._receive(messages, rest)
             if not self._is_measured and _now_s() > began_s + FIRST_MESSAGE_S:
-                raise HostlinkError(f"nothing comes on {self._source.topic}; see `hostlink doctor`")
+                raise HostlinkError(
+                    f"{self._source.topic} had no message in {FIRST_MESSAGE_S:g} s; `hostlink doctor` finds out why"
+                )
             if _now_s() > began_s + STANDING_TIMEOUT_S:
-                raise HostlinkError(f"{self._robot.name} does not come to rest; a step begins with a robot that stands")
+                raise HostlinkError(
+                    f"{self._robot.name} still moves {STANDING_TIMEOUT_S:g} s after the stop, and a step begins with a "
+                    "stopped robot; lift its wheels or end what moves it"
+                )
 
     async def _take_over(self) -> None:
-        """Stop what somebody less important drives; he may have begun since."""
+        """Stop the robot, also when a source of lower priority drives it."""
         state = await connected_state(self._robot)
         if state["holder"] is not None:
             self._has_commanded = True
@@ -284,7 +292,7 @@ class StepRecorder:
         await self._robot.stop(wait_s=0.0)
 
     def _stands(self) -> bool:
-        """For half a second; what came before that is forgotten."""
+        """Whether the robot is stopped for half a second; earlier samples are discarded."""
         moving = [
             number
             for number, samples in enumerate(self._samples)
@@ -303,13 +311,15 @@ class StepRecorder:
             await asyncio.sleep(min(TICK_S, max(0.0, end_s - _now_s())))
             self._receive(messages, stage)
             if _now_s() > self._arrivals_s[-1] + SILENCE_S:
-                raise HostlinkError(f"{self._source.topic} has fallen silent; the robot was sent a stop")
+                raise HostlinkError(
+                    f"{self._source.topic} had no message for {SILENCE_S:g} s; the robot was sent a stop"
+                )
 
     async def _command(self, stage: Stage) -> None:
         now_s = _now_s()
         if now_s > self._ran_at_s + LONGEST_PAUSE_S:
             raise HostlinkError(
-                f"this program did not run for {now_s - self._ran_at_s:.1f} s; the robot was sent a stop"
+                f"this program was paused for {now_s - self._ran_at_s:.1f} s; the robot was sent a stop"
             )
         self._ran_at_s = now_s
         refusal = self._robot.refusal
@@ -327,10 +337,10 @@ class StepRecorder:
 
 
 async def wheel_parameter(host: Host, robot: str, leaf: str) -> list[float]:
-    """Numbers of a parameter of the robot, as the daemon's configuration has them; empty: none.
+    """Return the numbers of a parameter of the robot; empty if the daemon's configuration does not set it.
 
     Raises:
-        HostlinkError: there is no connection.
+        HostlinkError: the daemon is not connected.
     """
     answer = await host.call("/rosapi/get_param", {"name": f"/{robot}/{leaf}", "default": ""})
     return _numbers(str(answer["value"]))
@@ -344,10 +354,10 @@ def _numbers(text: str) -> list[float]:
 
 
 async def separation_of(host: Host, robot: str) -> float:
-    """Wheel to wheel: the parameter unless the firmware refuses it, else the robot's setting, else the paper's.
+    """Return the wheel separation: the parameter unless the firmware refuses it, else the setting, else the paper's.
 
     Raises:
-        HostlinkError: there is no connection, or no such robot.
+        HostlinkError: the daemon is not connected, or the robot is unknown.
     """
     parameter = await wheel_parameter(host, robot, "wheel_separation")
     if parameter and LEAST_SEPARATION_M <= parameter[0] <= MOST_SEPARATION_M:
@@ -356,10 +366,10 @@ async def separation_of(host: Host, robot: str) -> float:
 
 
 async def require_robot(host: Host, name: str) -> Robot:
-    """A robot that the daemon knows.
+    """Return a robot that the daemon knows.
 
     Raises:
-        UnknownTopic: it does not; the text names those that it does.
+        UnknownTopic: the robot is unknown; the error lists the known ones.
     """
     known = tuple(state["name"] for state in await host.robots())
     if name.strip("/") not in known:
@@ -380,22 +390,23 @@ _SET_POINT, _MEASURED, _PWM = "#888888", "#0b6bcb", "#c25e00"
 
 
 def require_picture(path: Path) -> None:
-    """Fail before the robot moves, not afterwards.
+    """Refuse a picture that cannot be written, before the robot moves.
 
     Raises:
-        ConfigError: no picture can be written there.
+        ConfigError: the suffix or the folder is wrong.
+        LibraryMissing: matplotlib is not installed.
     """
     if path.suffix not in SUFFIXES:
         raise ConfigError("--picture", f"{path} must end in one of {', '.join(SUFFIXES)}")
     if not path.parent.is_dir():
-        raise ConfigError("--picture", f"there is no folder {path.parent}")
+        raise ConfigError("--picture", f"the folder {path.parent} does not exist; create it, or name another")
     if importlib.util.find_spec(LIBRARY) is None:
         raise LibraryMissing("--picture", "matplotlib", "pictures")
 
 
 def draw_picture(path: Path, title: str, records: Mapping[str, Record]) -> None:
     """Write a picture with a column for each wheel."""
-    from matplotlib.figure import Figure  # noqa: PLC0415 - takes a second, and is an extra
+    from matplotlib.figure import Figure  # noqa: PLC0415 - an extra, whose import takes a second
 
     figure = Figure(figsize=(_WIDTH_IN, _HEIGHT_IN), layout="constrained")
     figure.suptitle(title)
@@ -425,7 +436,7 @@ DIGITS = 4
 
 
 def step_lines(figures: Mapping[str, StepFigures], units: Mapping[str, str]) -> list[str]:
-    """A column for each wheel."""
+    """Table of the figures, with a column for each wheel."""
     unit = next(iter(units.values()))
     rows = [
         ["set-point", *(f"{each.target:.4g} {unit}" for each in figures.values())],
@@ -443,7 +454,7 @@ def step_lines(figures: Mapping[str, StepFigures], units: Mapping[str, str]) -> 
 
 
 def record_views(records: Mapping[str, Record], figures: Mapping[str, StepFigures]) -> dict[str, Any]:
-    """By wheel: figures and samples."""
+    """Return figures and samples by wheel."""
     return {
         side: {"figures": rounded(asdict(each)), "samples": sample_view(records[side])}
         for side, each in figures.items()
@@ -451,7 +462,7 @@ def record_views(records: Mapping[str, Record], figures: Mapping[str, StepFigure
 
 
 def sample_view(record: Record) -> dict[str, Any]:
-    """What was recorded, as lists."""
+    """Return a record as lists."""
     return {
         "unit": record.unit,
         "t_s": [round(float(value), DIGITS) for value in record.t_s],
@@ -462,23 +473,23 @@ def sample_view(record: Record) -> dict[str, Any]:
 
 
 def rounded(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Numbers with as many digits as mean something."""
+    """Round numbers to the digits that are significant."""
     return {name: round(value, DIGITS) if isinstance(value, float) else value for name, value in values.items()}
 
 
 def notes_of(stage: Stage, accepted: tuple[float, float], records: Mapping[str, Record]) -> list[str]:
-    """What makes the figures of a drive other than they seem."""
+    """Return notes on what distorts the figures of a drive."""
     notes = []
     wanted = (stage.linear_m_s, stage.angular_rad_s)
     if not all(
         math.isclose(one, other, rel_tol=0.001, abs_tol=0.0005) for one, other in zip(wanted, accepted, strict=True)
     ):
         notes.append(
-            f"the robot's limits made {accepted[0]:.3f} m/s, {accepted[1]:.3f} rad/s "
-            f"of {wanted[0]:.3f} m/s, {wanted[1]:.3f} rad/s"
+            f"the robot's limits reduced {wanted[0]:.3f} m/s, {wanted[1]:.3f} rad/s "
+            f"to {accepted[0]:.3f} m/s, {accepted[1]:.3f} rad/s"
         )
     if any(record.is_set_point_changing for record in records.values()):
-        notes.append("the set-point was still on its way at the end; request more --seconds")
+        notes.append("the set-point was still changing at the end; use more --seconds")
     return notes
 
 
@@ -492,31 +503,31 @@ def _percent(value: float | None) -> str:
 
 # -- step tuning ------------------------------------------------------------------------------------------------------
 
-PAPER_GAINS = {"left": PidGains(23.0, 36.0, 0.1), "right": PidGains(24.0, 35.0, 0.1)}  # docs/robot.md#numbers
+PAPER_GAINS = {"left": PidGains(23.0, 36.0, 0.1), "right": PidGains(24.0, 35.0, 0.1)}  # docs/paper-robot.md#numbers
 GAINS = 3
 RULE = "SIMC: S. Skogestad, J. Process Control 13 (2003) 291-309, tau_c = dead time"
 
 
 @dataclass(frozen=True, slots=True)
 class TunedWheel:
-    """One motor and its gains."""
+    """Model of one motor, and its gains."""
 
     model: MotorModel
     present: PidGains
-    is_configured: bool  # present are the ones of the configuration, else those of the firmware
+    is_configured: bool  # whether `present` is from the configuration, else from the firmware
     proposed: PidGains
 
 
 @dataclass(frozen=True, slots=True)
 class Tuning:
-    """What tuning a robot gave."""
+    """Result of tuning a robot."""
 
     robot: str
     wheels: Mapping[str, TunedWheel]
     is_sent: bool
 
     def lines(self) -> list[str]:
-        """For people."""
+        """Lines of the report."""
         rows = [
             row
             for side, wheel in self.wheels.items()
@@ -534,13 +545,15 @@ class Tuning:
             *table(["", "", "Kp", "Ki", "Kd", ""], rows),
             f"rule: {RULE}",
             "",
-            "sent to the robot, until it is switched off" if self.is_sent else "not sent; --send sends them",
-            "for good, under [parameters] of the daemon's configuration:",
+            "sent to the robot, which keeps them until it is switched off"
+            if self.is_sent
+            else "not sent; --send sends them",
+            "to keep them, write under [parameters] of the daemon's configuration:",
             *settings,
         ]
 
     def view(self, records: Mapping[str, Record]) -> dict[str, Any]:
-        """For programs."""
+        """Return the result as a JSON object."""
         return {
             "rule": RULE,
             "is_sent": self.is_sent,
@@ -557,10 +570,10 @@ class Tuning:
 
 
 async def tune(host: Host, robot: str, records: Mapping[str, Record], *, sends: bool) -> Tuning:
-    """Identify each motor, and send the gains where that is requested.
+    """Identify each motor; with `sends`, send the gains.
 
     Raises:
-        HostlinkError: a motor was not identified; the robot accepts no gains; there is no connection.
+        HostlinkError: a motor was not identified, the robot accepts no gains, or the daemon is not connected.
     """
     wheels = {}
     for side, record in records.items():
@@ -579,7 +592,10 @@ async def _send(host: Host, robot: str, wheels: Mapping[str, TunedWheel]) -> Non
     found = {side: topics.find(f"pid_tune_{side[0]}", GAINS_TYPE) for side in wheels}
     for side, topic in found.items():
         if topic is None:
-            raise HostlinkError(f"{robot} accepts no gains: it subscribes to no pid_tune_{side[0]} of {GAINS_TYPE}")
+            raise HostlinkError(
+                f"{robot} accepts no gains, because it does not subscribe to pid_tune_{side[0]} of {GAINS_TYPE}; "
+                "leave out --send"
+            )
     for side, topic in found.items():
         gains = wheels[side].proposed
         await host.publish(str(topic), {"x": gains.kp, "y": gains.ki, "z": gains.kd}, type_name=GAINS_TYPE)
@@ -608,48 +624,65 @@ class _Request:
     wheel: Wheel | None
     tunes: bool
     sends: bool
-    is_confirmed: bool
     as_json: bool
     full_pwm: float
     picture: Path | None
 
 
 def command(
-    robot: Annotated[str, typer.Argument(help="Its name.", show_default=False)],
+    robot: Annotated[str, typer.Argument(help="Name of the robot.", show_default=False)],
     *,
-    speed: Annotated[float, typer.Option(help="Of the wheels, m/s; below zero: backwards.")] = 0.2,
+    speed: Annotated[
+        float, typer.Option(help="Speed of the wheels, m/s, for the range in which you drive; below zero: backwards.")
+    ] = 0.2,
     wheel: Annotated[
-        Wheel | None, typer.Option(help="This wheel alone; the other stands.", show_default="both, straight ahead")
+        Wheel | None,
+        typer.Option(help="Turn this wheel only, to compare the two motors.", show_default="both, straight ahead"),
     ] = None,
     seconds: Annotated[
-        float | None, typer.Option(min=2.0, max=60.0, help="How long a step lasts.", show_default=f"{STEP_S:g}")
+        float | None,
+        typer.Option(
+            min=2.0, max=60.0, help="Duration of the step, s: longer for a slow robot.", show_default=f"{STEP_S:g}"
+        ),
     ] = None,
     tune: Annotated[
-        bool, typer.Option("--tune", "--relay", help="Identify the motors by rising steps, and compute PID gains.")
+        bool, typer.Option("--tune", help="Identify the motors by rising steps, and compute PID gains.")
     ] = False,
-    send: Annotated[bool, typer.Option("--send", help="With --tune: send the gains to the robot.")] = False,
-    yes: Annotated[bool, typer.Option("--yes", "-y", help="There is room for the way; do not ask.")] = False,
+    send: Annotated[
+        bool, typer.Option("--send", help="With --tune: send the gains to the robot, to try them at once.")
+    ] = False,
+    yes: Annotated[bool, typer.Option("--yes", "-y", help="Do not ask whether there is room, for scripts.")] = False,
     picture: Annotated[
-        Path | None, typer.Option(help="Draw the speeds into this file: .png, .svg or .pdf.", show_default=False)
+        Path | None,
+        typer.Option(help="Draw the speeds into this file, for a report: .png, .svg or .pdf.", show_default=False),
     ] = None,
-    full_pwm: Annotated[float, typer.Option(min=1.0, help="The robot's full PWM, to find saturation.")] = FULL_PWM,
+    full_pwm: Annotated[
+        float,
+        typer.Option(min=1.0, help="PWM of full power, if the robot's differs: saturation is measured against it."),
+    ] = FULL_PWM,
     url: Url = DEFAULT_URL,
     token: Token = None,
-    json: Annotated[bool, typer.Option("--json", help="For programs; needs --yes.")] = False,
+    json: Annotated[bool, typer.Option("--json", help="Print JSON, for programs; needs --yes.")] = False,
 ) -> None:
-    """Drive a step of speed, and show how the robot follows it. It moves: the way is shown first.
+    """Drive a step of speed, and show how the robot follows it. The robot moves; the distance is shown first.
 
-    Rise time, overshoot, settling time, steady error, dead time and saturation of each wheel, from the robot's
-    plot_data; of a robot without it from odometry. Ctrl-C stops the robot at once.
+    Shows rise time, overshoot, settling time, steady error, dead time and saturation of each wheel, from the robot's
+    plot_data, or without it from odometry. Ctrl-C stops the robot at once.
     """
     if not LEAST_SPEED_M_S <= abs(speed) <= MOST_SPEED_M_S:
-        raise ConfigError("--speed", f"{speed:g} m/s is not {LEAST_SPEED_M_S:g} to {MOST_SPEED_M_S:g}, either way")
+        raise ConfigError(
+            "--speed", f"{speed:g} m/s is outside {LEAST_SPEED_M_S:g} to {MOST_SPEED_M_S:g} m/s, forwards or backwards"
+        )
     if send and not tune:
-        raise ConfigError("--send", "sends the gains that --tune computes; name both")
+        raise ConfigError("--send", "sends the gains that --tune computes; add --tune")
     if tune and seconds is not None:
-        raise ConfigError("--seconds", "is of a single step: --tune drives rising ones of lengths of its own")
+        raise ConfigError(
+            "--seconds", "cannot be combined with --tune, which drives rising steps of fixed durations; leave it out"
+        )
     if not yes and (json or not sys.stdin.isatty()):
-        raise ConfigError("--yes", "is needed where nobody can be asked: the robot will move")
+        raise ConfigError(
+            "--yes", "the robot will move, and this command cannot ask whether there is room; add --yes if there is"
+        )
     if picture is not None:
         require_picture(picture)
     request = _Request(
@@ -659,12 +692,11 @@ def command(
         wheel=wheel,
         tunes=tune,
         sends=send,
-        is_confirmed=yes,
         as_json=json,
         full_pwm=full_pwm,
         picture=picture,
     )
-    way = asyncio.run(_describe(url, token, request))  # without a connection nobody waits while a person reads
+    way = asyncio.run(_describe(url, token, request))  # the connection is closed while the person reads
     if not json:
         write_error(f"{way}.")
     if not yes:
@@ -701,12 +733,12 @@ async def _step(url: str, token: str | None, request: _Request) -> None:
             _report_step(robot.name, recording, notes, request)
 
 
-def _draw(picture: Path, title: str, recording: Recording) -> list[str]:
-    """A picture that fails costs no figures: the robot has driven for them."""
+def _draw(picture: Path, title: str, recording: StepRecording) -> list[str]:
+    """Draw the picture. A failure is a note, because the robot has driven for the figures."""
     try:
         draw_picture(picture, title, recording.records)
     except OSError as error:
-        return [f"no picture: {picture}: {error.strerror or error}"]
+        return [f"the picture {picture} cannot be written: {error.strerror or error}"]
     return []
 
 
@@ -716,7 +748,7 @@ def _stages(request: _Request, separation_m: float) -> tuple[Stage, ...]:
     return (make_stage(request.speed_m_s, request.seconds, request.wheel, separation_m),)
 
 
-def _report_step(name: str, recording: Recording, notes: list[str], request: _Request) -> None:
+def _report_step(name: str, recording: StepRecording, notes: list[str], request: _Request) -> None:
     figures = {side: step_figures(record, full_pwm=request.full_pwm) for side, record in recording.records.items()}
     if request.as_json:
         wheels = record_views(recording.records, figures)
@@ -727,7 +759,7 @@ def _report_step(name: str, recording: Recording, notes: list[str], request: _Re
     write(*(f"note: {note}" for note in notes))
 
 
-async def _report_tuning(host: Host, name: str, recording: Recording, notes: list[str], request: _Request) -> None:
+async def _report_tuning(host: Host, name: str, recording: StepRecording, notes: list[str], request: _Request) -> None:
     tuned = await tune(host, name, recording.records, sends=request.sends)
     if request.as_json:
         view = {"robot": name, "source": recording.source, "speed_m_s": request.speed_m_s, "notes": notes}

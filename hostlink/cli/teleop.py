@@ -1,4 +1,4 @@
-"""`hostlink teleop`: drive a robot with the keyboard. The robot stops however the command ends."""
+"""`hostlink teleop`: drive a robot with the keyboard. The robot stops however this command ends."""
 
 import asyncio
 import atexit
@@ -31,19 +31,19 @@ _CLEAR = "\x1b[2J\x1b[H"
 
 
 class Terminal:
-    """The terminal of standard input and output."""
+    """Terminal of standard input and output."""
 
     def __init__(self) -> None:
         self.input = sys.stdin.fileno()
         self._saved = termios.tcgetattr(self.input)
 
     def enter(self) -> None:
-        """Keys without echo and without waiting for a line; signals stay signals."""
+        """Switch to keys without echo and without line input; Ctrl-C and Ctrl-Z still send signals."""
         tty.setcbreak(self.input)
         write_control(_HIDE_CURSOR + KeyReader.ENTER + _CLEAR)
 
     def leave(self) -> None:
-        """As it was before; also when the terminal itself is gone."""
+        """Restore the terminal; do nothing if it is closed."""
         with contextlib.suppress(OSError, termios.error, ValueError):
             termios.tcsetattr(self.input, termios.TCSADRAIN, self._saved)
             write_control(KeyReader.LEAVE + _SHOW_CURSOR + "\n")
@@ -51,13 +51,15 @@ class Terminal:
 
 @contextlib.contextmanager
 def key_terminal() -> Iterator[Terminal]:
-    """The terminal in key mode for the length of the block.
+    """Switch the terminal to key mode for the length of the block.
 
     Raises:
-        ConfigError: there is no terminal.
+        ConfigError: standard input or output is not a terminal.
     """
     if not (sys.stdin.isatty() and sys.stdout.isatty()):
-        raise ConfigError("teleop", "needs a terminal for its keys; a program drives with `hostlink pub` or the API")
+        raise ConfigError(
+            "teleop", "standard input or output is not a terminal; from a script, drive with `hostlink pub` or the API"
+        )
     terminal = Terminal()
     atexit.register(terminal.leave)
     terminal.enter()
@@ -74,16 +76,16 @@ TICK_S = 0.02
 
 
 class WatchedRobot:
-    """The robot as the daemon shows it."""
+    """Robot's state as the daemon reports it."""
 
     def __init__(self, state: RobotState) -> None:
         self.state = state
 
     async def follow(self, events: AsyncIterator[Event]) -> None:
-        """Until the connection is lost.
+        """Update the state until the connection is lost.
 
         Raises:
-            HostlinkError: it is lost.
+            HostlinkError: the connection is lost.
             UnknownTopic: the daemon has forgotten the robot.
         """
         async for event in events:
@@ -96,11 +98,11 @@ class WatchedRobot:
 
 @contextlib.asynccontextmanager
 async def watched_robot(host: Host, state: RobotState) -> AsyncIterator["WatchedRobot"]:
-    """The robot's state, kept up to date for the length of the block.
+    """Keep a robot's state up to date for the length of the block.
 
     Raises:
-        HostlinkError: the connection is lost; it ends the block.
-        UnknownTopic: the daemon has forgotten the robot; it ends the block.
+        HostlinkError: the connection is lost, which ends the block.
+        UnknownTopic: the daemon has forgotten the robot, which ends the block.
     """
     watched = WatchedRobot(state)
     try:
@@ -115,7 +117,7 @@ async def watched_robot(host: Host, state: RobotState) -> AsyncIterator["Watched
 
 
 class KeyDriver:
-    """Sends the velocity of the keys as commands."""
+    """Sender of the keys' velocity as commands."""
 
     def __init__(self, robot: Robot, driving: Driving, watched: WatchedRobot) -> None:
         self.refusal = ""
@@ -123,15 +125,19 @@ class KeyDriver:
         self._refused: Refusal | None = None
         self._is_moving = False
 
-    async def send_what_is_due(self) -> None:
-        """What is refused must be released and pressed again, unless somebody more important drives for a while."""
+    async def send_due(self) -> None:
+        """Send the velocity that is due.
+
+        After a refusal the keys have no effect until they are released and pressed again; except while a driver of
+        higher priority has the robot.
+        """
         refused, before = self._robot.refusal, self._refused
         self._refused = refused
-        if refused is not None and refused is not before:  # one more command was refused
+        if refused is not None and refused is not before:  # another command was refused
             self.refusal = refused.reason
             if refused.kind != RefusalKind.HELD:
                 self._driving.bar(_now_s())
-        elif refused is None and self._is_moving:  # what moves it was accepted; a zero always is
+        elif refused is None and self._is_moving:  # a velocity was accepted; a zero always is
             self.refusal = ""
         velocity = self._driving.due(_now_s())
         if velocity is not None:
@@ -143,7 +149,7 @@ class KeyDriver:
         await self._robot.command(*velocity)
 
     async def stop(self) -> None:
-        """Stop the robot, whoever drives. A connection that is lost shows by the next command."""
+        """Stop the robot, also when another source drives it. A lost connection is reported by the next command."""
         try:
             await self._robot.stop(wait_s=0.0)
             self.refusal = ""
@@ -151,7 +157,7 @@ class KeyDriver:
             self.refusal = str(error)
 
     async def unlock(self) -> None:
-        """Unlock the robot, if it is locked; what is held must be released and pressed again."""
+        """Unlock the robot if it is locked. Held keys have no effect until they are released and pressed again."""
         if not self._watched.state.get("locked"):
             return
         self._driving.bar(_now_s())
@@ -162,7 +168,7 @@ class KeyDriver:
             self.refusal = str(error)
 
     async def finish(self) -> None:
-        """Send the zeros at the end."""
+        """Send the remaining zeros at the end."""
         while (velocity := self._driving.due(_now_s())) is not None or self._driving.is_ending:
             if velocity is not None:
                 await self.send(velocity)
@@ -175,7 +181,7 @@ def _now_s() -> float:
 
 # -- command ----------------------------------------------------------------------------------------------------------
 
-PRIORITY = 60  # a person at the keys comes before a program
+PRIORITY = 60  # a person at the keys takes precedence over a program
 DRAW_INTERVAL_S = 0.2
 RETRY_S = 1.0
 STOP_KEYS = ("space", "k", "s")
@@ -187,21 +193,26 @@ def command(
     robot: Annotated[
         str | None,
         typer.Argument(
-            help="Its name; the only one that is connected.", show_default=False, autocompletion=robot_names
+            help="Name of the robot; optional if only one is connected.", show_default=False, autocompletion=robot_names
         ),
     ] = None,
     *,
     url: Url = DEFAULT_URL,
     token: Token = None,
     layout: Annotated[
-        str, typer.Option(help="original (q w e / a d / z x c) or twist (u i o / j l / m , .).")
+        str,
+        typer.Option(
+            help="Keys: original (q w e / a d / z x c), or twist (u i o / j l / m , .) as in teleop_twist_keyboard."
+        ),
     ] = "original",
-    linear: Annotated[float, typer.Option(min=0.01, max=1.0, help="Forward speed to begin with, m/s.")] = 0.2,
-    angular: Annotated[float, typer.Option(min=0.05, max=4.0, help="Turning speed to begin with, rad/s.")] = 0.8,
+    linear: Annotated[
+        float, typer.Option(min=0.01, max=1.0, help="Forward speed at the beginning, m/s: lower in a narrow room.")
+    ] = 0.2,
+    angular: Annotated[float, typer.Option(min=0.05, max=4.0, help="Turning speed at the beginning, rad/s.")] = 0.8,
 ) -> None:
-    """Drive a robot with the keyboard: it moves while a key is held, and stops when none is."""
+    """Drive a robot with the keyboard: the robot moves while a key is held, and stops when no key is held."""
     if layout not in LAYOUTS:
-        raise ConfigError("--layout", f"{layout} is none of {', '.join(LAYOUTS)}")
+        raise ConfigError("--layout", f"unknown layout {layout!r}; choose {' or '.join(LAYOUTS)}")
     driving = Driving(layout=layout, linear_m_s=linear, angular_rad_s=angular)
     asyncio.run(_teleop(url, token, robot, driving, layout))
 
@@ -215,7 +226,7 @@ async def _teleop(url: str, token: str | None, name: str | None, driving: Drivin
                 async with connect(url, token=token, reconnect=False) as host:
                     await _drive(host, found, keyboard, layout)
             except HostlinkError as lost:
-                keyboard.driving.bar(_now_s())  # what is held must not move the robot when the connection is back
+                keyboard.driving.bar(_now_s())  # held keys must not move the robot when the connection returns
                 draw(lost_screen(found, str(lost), width=terminal_size()[0] - 1))
                 await keyboard.wait(RETRY_S)
 
@@ -227,7 +238,9 @@ async def _choose(host: Host, name: str | None) -> str:
         connected = [robot["name"] for robot in robots if robot["connected"]]
         if len(connected) != 1:
             listed = ", ".join(names) or "none yet"
-            raise HostlinkError(f"which robot? say `hostlink teleop NAME`; there are: {listed}")
+            raise HostlinkError(
+                f"{len(connected)} robots are connected; name one, as in `hostlink teleop NAME`: {listed}"
+            )
         return str(connected[0])
     if name.strip("/") not in names:
         raise UnknownTopic("robot", name, names)
@@ -273,11 +286,11 @@ async def _obey(keyboard: "_Keyboard", driver: KeyDriver) -> None:
     if keyboard.wants_suspend:
         await driver.send((0.0, 0.0))
         keyboard.suspend()
-    await driver.send_what_is_due()
+    await driver.send_due()
 
 
 class _Keyboard:
-    """Keys and signals of the terminal, passed to a Driving as they come."""
+    """Keys and signals of the terminal, passed to a Driving as they arrive."""
 
     def __init__(self, terminal: Terminal, driving: Driving) -> None:
         self.driving = driving
@@ -307,19 +320,19 @@ class _Keyboard:
         return wanted
 
     def pop_unlock(self) -> bool:
-        """Whether the key that unlocks was pressed since the last call."""
+        """Whether the unlock key was pressed since the last call."""
         wanted, self._wants_unlock = self._wants_unlock, False
         return wanted
 
     def suspend(self) -> None:
-        """Ctrl-Z: the shell gets its terminal back until it resumes this program."""
+        """Suspend this program as Ctrl-Z does; the shell has the terminal until it resumes this program."""
         self.wants_suspend = False
         self._terminal.leave()
         os.kill(os.getpid(), signal.SIGSTOP)
         self._terminal.enter()
 
     async def wait(self, timeout_s: float) -> None:
-        """Wait for a key or a signal, not longer."""
+        """Wait for a key or a signal, at most `timeout_s` seconds."""
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(timeout_s):
                 await self._news.wait()

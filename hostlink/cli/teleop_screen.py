@@ -1,4 +1,4 @@
-"""What teleop shows: the robot, the keys, and what is wrong. Pure: a state and a width come in, lines go out."""
+"""Screen of teleop: lines of a state and a width, with the robot, the keys and warnings. Pure."""
 
 import math
 import textwrap
@@ -10,7 +10,7 @@ from hostlink.cli.figures import speed_text
 from hostlink.cli.names import driver
 from hostlink.client import RobotState
 
-GAP = 3  # spaces between two facts of a line, where it may be broken
+GAP = 3  # spaces between two facts of a line, at which it may be broken
 UNLOCK_KEY = "r"
 RED, YELLOW = "31;1", "33;1"
 
@@ -30,29 +30,29 @@ _MAP_WIDTH = 33
 
 
 class Line(NamedTuple):
-    """One line, and its colour as a terminal has it: numbers of SGR."""
+    """Line with its colour, as numbers of SGR."""
 
     text: str
     colour: str = ""
 
 
 class OwnState(NamedTuple):
-    """What this program knows beside the robot's state as the daemon shows it."""
+    """State of this program: its name at the daemon, the last refusal and a warning."""
 
-    client_name: str | None = None  # what the daemon calls this program
+    client_name: str | None = None
     refusal: str = ""
     warning: str = ""
 
 
 def screen(state: RobotState, driving: Driving, now_s: float, own: OwnState, *, layout: str, width: int) -> list[Line]:
-    """Every line, none wider than the terminal."""
+    """Return the lines of the screen, none wider than the terminal."""
     lines = [*_facts(state, driving, now_s, own), Line(""), *_keys(layout, width)]
-    lines.append(Line("arrows drive too; space, k or s stops whoever drives; any other key lets go; Ctrl-C ends"))
+    lines.append(Line("arrows drive too; space, k or s stops the robot; any other key lets go; Ctrl-C ends"))
     return [Line(part, line.colour) for line in lines for part in folded(line.text, width)]
 
 
 def lost_screen(name: str, reason: str, *, width: int) -> list[Line]:
-    """While there is no connection."""
+    """Return the lines of the screen while the connection is lost."""
     lines = [Line(f"{name}: {reason}", RED), Line("the robot stops by itself; trying again, Ctrl-C ends")]
     return [Line(part, line.colour) for line in lines for part in folded(line.text, width)]
 
@@ -67,7 +67,7 @@ def _facts(state: RobotState, driving: Driving, now_s: float, own: OwnState) -> 
     else:
         yield Line(own.warning, YELLOW)
     yield Line(f"speeds    {driving.linear_m_s:5.2f} m/s  {driving.angular_rad_s:5.2f} rad/s")
-    yield Line(f"asked     {linear_m_s:+5.2f} m/s  {angular_rad_s:+5.2f} rad/s")
+    yield Line(f"command   {linear_m_s:+5.2f} m/s  {angular_rad_s:+5.2f} rad/s")
     yield from _odometry(state)
     why = "" if state.get("locked") else own.refusal
     yield Line(f"driven by {driver(state, own.client_name) or 'nobody'}   {why}".rstrip(), YELLOW if why else "")
@@ -87,7 +87,7 @@ def _odometry(state: RobotState) -> Iterator[Line]:
 
 
 def _keys(layout: str, width: int) -> Iterator[Line]:
-    """The map of the keys; what they are for beside it, or below it where that is too wide."""
+    """Yield the map of the keys with their meanings next to it, or below it on a narrow terminal."""
     rows = MAPS[layout]
     if width >= _MAP_WIDTH + max(len(text) for _, text in rows):
         yield from (Line(f"   {keys:<{_MAP_WIDTH - 3}}{text}") for keys, text in rows)
@@ -97,7 +97,7 @@ def _keys(layout: str, width: int) -> Iterator[Line]:
 
 
 def folded(text: str, width: int) -> Sequence[str]:
-    """The lines of a text, broken between facts, else between words."""
+    """Break a text into lines between facts, else between words."""
     if len(text) <= width:
         return [text]
     lines: list[str] = []

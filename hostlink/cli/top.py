@@ -1,4 +1,4 @@
-"""`hostlink top`: links and robots, live; once or as JSON for scripts."""
+"""`hostlink top`: live figures of links and robots, or once, or as JSON."""
 
 import asyncio
 import json as json_text
@@ -17,21 +17,24 @@ from hostlink.errors import ConfigError
 
 def command(
     *,
-    once: Annotated[bool, typer.Option("--once", help="Print the figures once, and end.")] = False,
-    json: Annotated[bool, typer.Option("--json", help="One JSON object each time, for programs.")] = False,
+    once: Annotated[bool, typer.Option("--once", help="Print the figures once and end, for scripts.")] = False,
+    json: Annotated[bool, typer.Option("--json", help="Print a JSON object each interval, for programs.")] = False,
     interval: Annotated[
-        float, typer.Option(min=0.1, help="Seconds between looks; rates are of a second at least.")
+        float,
+        typer.Option(
+            min=0.1, help="Seconds between updates: longer on a slow connection. Rates are of a second at least."
+        ),
     ] = 1.0,
     url: Url = DEFAULT_URL,
     token: Token = None,
 ) -> None:
-    """Watch links and robots: rates, losses, ages, and what is wrong. Ends with q or Ctrl-C."""
+    """Watch links and robots: rates, losses, ages and findings. Ends with q or Ctrl-C."""
     if once or json:
         asyncio.run(_print(url, token, interval, is_once=once, as_json=json))
     elif not sys.stdout.isatty():
-        raise ConfigError("top", "needs a terminal; elsewhere use --once or --json")
+        raise ConfigError("top", "standard output is not a terminal; use --once or --json")
     else:
-        from hostlink.cli.top_screen import TopScreen  # noqa: PLC0415 - textual takes longer to load than all the rest
+        from hostlink.cli.top_screen import TopScreen  # noqa: PLC0415 - textual loads longer than everything else
 
         screen = TopScreen(url, token, interval)
         screen.run()

@@ -1,4 +1,4 @@
-"""The full-screen table of `hostlink top`, by textual."""
+"""Full-screen table of `hostlink top`, by textual."""
 
 from typing import Any, ClassVar
 
@@ -18,7 +18,7 @@ Rows = list[tuple[str, ...]]
 
 
 class TopScreen(App[None]):
-    """Two tables and, below them, what is wrong. `failure` is why it ended, if not by the user."""
+    """Two tables with the findings below them. `failure` is the error that ended the screen; None if the user did."""
 
     CSS = """
     DataTable { height: auto; max-height: 40%; margin-bottom: 1; }
@@ -34,7 +34,7 @@ class TopScreen(App[None]):
         self._robot_columns: tuple[str, ...] = ROBOT_COLUMNS
 
     def compose(self) -> ComposeResult:
-        """The parts of the screen."""
+        """Yield the parts of the screen."""
         yield Static(f"hostlink top   {self._url}", id="title", markup=False)
         yield DataTable(id="links", cursor_type="none", show_cursor=False)
         yield DataTable(id="robots", cursor_type="none", show_cursor=False)
@@ -43,14 +43,14 @@ class TopScreen(App[None]):
         yield Footer()
 
     def on_mount(self) -> None:
-        """Begin to watch."""
+        """Start to watch the daemon."""
         self.query_one("#links", DataTable).add_columns(*LINK_COLUMNS)
         self.query_one("#robots", DataTable).add_columns(*ROBOT_COLUMNS)
         self._watch()
 
     @work
     async def _watch(self) -> None:
-        """Until the app ends; a daemon that goes away ends it."""
+        """Show figures until the app ends; a lost connection ends it."""
         try:
             async with connect(self._url, token=self._token, reconnect=False) as host:
                 async for shown in live_figures(host, self._interval_s):
@@ -68,7 +68,7 @@ class TopScreen(App[None]):
             robots.add_columns(*columns)
             self._robot_columns = columns
         _fill(robots, rows)
-        self.query_one("#advice", Static).update("\n".join(map(plain, advice(shown))) or "nothing is wrong")
+        self.query_one("#advice", Static).update("\n".join(map(plain, advice(shown))) or "no findings")
 
 
 def _fill(table: "DataTable[str]", rows: Rows) -> None:

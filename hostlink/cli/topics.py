@@ -40,23 +40,26 @@ from hostlink.errors import ConfigError, HostlinkError
 
 # -- topics -----------------------------------------------------------------------------------------------------------
 
-RATE_S = 1.0  # rates of -v are of this time
+RATE_S = 1.0  # in which the rates of -v are measured
 HEAD = ("topic", "type", "publishers", "subscribers", "messages", "rate")
 
 
 def topics(
     *,
-    verbose: Annotated[bool, typer.Option("--verbose", "-v", help="With heads, and rates of a second.")] = False,
+    verbose: Annotated[
+        bool,
+        typer.Option("--verbose", "-v", help="Show column heads and the rate of each topic, measured for a second."),
+    ] = False,
     url: Url = DEFAULT_URL,
     token: Token = None,
     json: Json = False,
 ) -> None:
-    """List the topics: name, type, who publishes and who takes them, how many messages have passed."""
+    """List the topics: name, type, number of publishers, subscribers and messages."""
     topics = asyncio.run(_topics(url, token, with_rates=verbose))
     if json:
         write(json_text.dumps(topics))
     elif not topics:
-        write_error("no topics: no device has connected yet; `hostlink doctor` finds out why")
+        write_error("there are no topics, because no device has connected yet; `hostlink doctor` finds out why")
     else:
         write(*(table(list(HEAD), [_topic_row(topic) for topic in topics])[1:] if verbose else _topic_lines(topics)))
 
@@ -68,7 +71,7 @@ async def _topics(url: str, token: str | None, *, with_rates: bool) -> list[Any]
 
 
 async def _rated(host: Host) -> list[Any]:
-    """With `rate_hz`: of the time between two requests; null for a topic that has come in between."""
+    """Return the topics with `rate_hz`, measured between two requests; null for a topic that appeared in between."""
     loop = asyncio.get_running_loop()
     before_s, before = loop.time(), {topic["name"]: topic["messages"] for topic in await host.topics()}
     show_progress("measuring for a second ...")
@@ -103,10 +106,10 @@ def _topic_lines(topics: list[Any]) -> list[str]:
 
 
 def show_name(name: str, url: str, token: str | None, *, as_json: bool) -> None:
-    """Write what is known of a topic, a node or a service.
+    """Write the facts of a topic, a node or a service.
 
     Raises:
-        HostlinkError: there is none of that name, or no daemon.
+        HostlinkError: the graph has no such name, or no daemon answers.
     """
     found = asyncio.run(_find_name(url, token, "/" + name.lstrip("/~")))
     write(*([json_text.dumps(found)] if as_json else _fact_lines(found)))
@@ -149,14 +152,14 @@ async def _service(host: Host, name: str) -> dict[str, Any]:
 
 
 def _fact_lines(found: dict[str, Any]) -> list[str]:
-    """A line for each fact; a list is a line an item."""
+    """Lines of the facts: one for each fact, and one for each item of a list."""
     width = max(map(len, found)) + 2
     lines = []
     for key, value in found.items():
         if isinstance(value, list):
             lines += [f"{key:<{width}}{len(value) or 'none'}", *(f"  {item}" for item in value)]
         else:
-            lines.append(f"{key:<{width}}{value if value != '' else '(nobody has named it)'}")
+            lines.append(f"{key:<{width}}{value if value != '' else '(not known yet)'}")
     return lines
 
 
@@ -171,7 +174,7 @@ def info(
         str,
         typer.Argument(
             metavar="NAME|FILE",
-            help="A topic, a node or a service; or a recording, as `hostlink record` made it.",
+            help="A topic, a node or a service; or a recording of `hostlink record`.",
             show_default=False,
             autocompletion=graph_names,
         ),
@@ -181,12 +184,12 @@ def info(
     token: Token = None,
     json: Json = False,
 ) -> None:
-    """Show who publishes and subscribes, of a topic, a node or a service; or what is in a recording.
+    """Show the publishers and subscribers of a topic, a node or a service, or the content of a recording.
 
-    Of a recording: topics, types, rates, what of the file is damaged.
+    Of a recording: topics, types, rates and damage.
     """
     if is_recording(name):
-        from hostlink.cli.export import show_recording  # noqa: PLC0415 - for other names nothing of it is needed
+        from hostlink.cli.export import show_recording  # noqa: PLC0415 - other names do not need it
 
         show_recording(Path(name), as_json=json)
     else:
@@ -194,10 +197,10 @@ def info(
 
 
 def is_recording(name: str) -> bool:
-    """Whether it is meant as a file or a folder of rosbag2; what can be no file's name is one of the graph."""
+    """Whether `name` is a file or a folder of rosbag2, rather than a name of the graph."""
     try:
         return name.endswith(_RECORDING) or Path(name).is_file() or (Path(name) / _BAG_METADATA).is_file()
-    except (OSError, ValueError):  # too long, or with a zero byte
+    except (OSError, ValueError):  # the name is too long for a file, or has a zero byte
         return False
 
 
@@ -205,7 +208,7 @@ def is_recording(name: str) -> bool:
 
 NameOrType = Annotated[
     str,
-    typer.Argument(help="Of a topic or a service; or a type.", autocompletion=graph_names),
+    typer.Argument(help="A topic or a service; or a type.", autocompletion=graph_names),
 ]
 
 
@@ -213,13 +216,13 @@ def type_(
     name: NameOrType,
     *,
     fields: Annotated[
-        bool, typer.Option("--fields", "-f", help="Its fields too, as `pub` and `call` want them.")
+        bool, typer.Option("--fields", "-f", help="Show its fields too, as `pub` and `call` need them.")
     ] = False,
     url: Url = DEFAULT_URL,
     token: Token = None,
     json: Json = False,
 ) -> None:
-    """Show the type of a topic or of a service; of a type its fields."""
+    """Show the type of a topic or of a service, or the fields of a type."""
     found = asyncio.run(_find_type(url, token, "/" + name.lstrip("/~"), with_fields=fields))
     if json:
         write(json_text.dumps(found))
@@ -242,13 +245,15 @@ async def _find_type(url: str, token: str | None, name: str, *, with_fields: boo
                 raise unknown("topic or service", name, [*topics, *services], command="topics")
             return of_type
         if not type_name:
-            raise HostlinkError(f"{name} has no type yet: it has subscribers, and nobody publishes it")
+            raise HostlinkError(
+                f"{name} has no type yet, because it has no publisher; `hostlink topics` lists all topics"
+            )
         found: dict[str, Any] = {"name": name, "type": type_name}
         return found | {"fields": await _fields(host, details, type_name)} if with_fields else found
 
 
 async def _of_type(host: Host, type_name: str) -> dict[str, Any] | None:
-    """What `rosmsg show` has: the fields of a type of messages; None: there is none of that name."""
+    """Return the fields of a message type, as `rosmsg show` does; None if the type is unknown."""
     try:
         fields = await _fields(host, "message_details", type_name)
     except HostlinkError:
@@ -257,7 +262,7 @@ async def _of_type(host: Host, type_name: str) -> dict[str, Any] | None:
 
 
 async def _fields(host: Host, details: str, type_name: str) -> list[dict[str, str]]:
-    """Of the type and of those that it contains, by their paths."""
+    """Return the fields of the type and of the types that it contains, by their paths."""
     typedefs = (await host.call(f"/rosapi/{details}", {"type": type_name}))["typedefs"]
     known = {each["type"]: each for each in typedefs}
 
@@ -299,7 +304,7 @@ async def _find_of_type(url: str, token: str | None, type_name: str) -> tuple[li
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Echo:
-    """What is printed, and how."""
+    """Arguments of `hostlink echo`."""
 
     topic: str
     field: str
@@ -313,15 +318,19 @@ class Echo:
 def echo(
     topic: TopicName,
     *,
-    count: Annotated[int, typer.Option(min=0, help="Stop after so many messages; 0: never.")] = 0,
-    once: Annotated[bool, typer.Option("--once", help="Stop after the first message.")] = False,
+    count: Annotated[int, typer.Option(min=0, help="End after so many messages, for scripts; 0: never.")] = 0,
+    once: Annotated[bool, typer.Option("--once", help="End after the first message.")] = False,
     field: Annotated[
-        str, typer.Option(help="Only this field, as pose.position.x or ranges[0].", show_default=False)
+        str, typer.Option(help="Print only this field, for example pose.position.x or ranges[0].", show_default=False)
     ] = "",
-    csv: Annotated[bool, typer.Option("--csv", help="A table: the time, and a column a field.")] = False,
-    throttle_ms: Annotated[int, typer.Option(min=0, help="At most one message in so many milliseconds.")] = 0,
+    csv: Annotated[
+        bool, typer.Option("--csv", help="Print CSV, for a spreadsheet: the time and a column for each field.")
+    ] = False,
+    throttle_ms: Annotated[
+        int, typer.Option(min=0, help="Print at most one message in so many milliseconds, of a fast topic.")
+    ] = 0,
     timeout: Annotated[
-        float, typer.Option(min=0.0, help="Seconds to wait for a message, else it fails; 0: for ever.")
+        float, typer.Option(min=0.0, help="Fail when no message arrives for so many seconds; 0: wait for ever.")
     ] = 0.0,
     url: Url = DEFAULT_URL,
     token: Token = None,
@@ -329,7 +338,7 @@ def echo(
 ) -> None:
     """Print the messages of a topic until Ctrl-C."""
     if csv and json:
-        raise ConfigError("--csv", "is no JSON: give one of the two")
+        raise ConfigError("--csv", "cannot be combined with --json; use one of them")
     echo = Echo(
         topic=topic,
         field=field,
@@ -368,31 +377,34 @@ def _message_lines(message: dict[str, Any], echo: Echo, *, is_first: bool) -> li
 
 
 async def _within(messages: AsyncIterator[dict[str, Any]], echo: Echo) -> AsyncIterator[dict[str, Any]]:
-    """Every message.
+    """Yield every message.
 
     Raises:
-        HostlinkError: none came for so long.
+        HostlinkError: no message arrived within `timeout_s` seconds.
     """
     while True:
         try:
             async with asyncio.timeout(echo.timeout_s or None):
                 message = await anext(messages)
         except TimeoutError:
-            raise HostlinkError(f"{echo.topic}: no message came within {echo.timeout_s:g} s") from None
+            raise HostlinkError(
+                f"{echo.topic}: no message arrived within {echo.timeout_s:g} s; "
+                f"`hostlink info {echo.topic}` lists its publishers"
+            ) from None
         yield message
 
 
 # -- fields -----------------------------------------------------------------------------------------------------------
 
-DIGITS = 6  # after the point of what is 1 or more, and significant ones below: a float32 has no more
+DIGITS = 6  # after the point of a number of 1 or more, and significant ones below 1: a float32 has no more
 _STEP = re.compile(r"([^.\[\]]+)|\[(\d{1,9})\]")
 
 
 def field_of(message: Any, path: str) -> Any:
-    """The value at a path, as pose.position.x or ranges[0].
+    """Return the value at a path, for example pose.position.x or ranges[0].
 
     Raises:
-        HostlinkError: there is no such field; it names those that there are.
+        HostlinkError: the message has no such field; the error lists the fields that it has.
     """
     value = message
     for name, index in _STEP.findall(path):
@@ -401,18 +413,18 @@ def field_of(message: Any, path: str) -> Any:
         elif isinstance(value, list) and (index or name).isdecimal() and int(index or name) < len(value):
             value = value[int(index or name)]
         else:
-            raise HostlinkError(f"no field {path}: there is {_known(value)}")
+            raise HostlinkError(f"no field {path}; at that place the message has {_known(value)}")
     return value
 
 
 def _known(value: Any) -> str:
     if isinstance(value, dict):
-        return ", ".join(value) or "none"
+        return ", ".join(value) or "no fields"
     return f"a list of {len(value)}" if isinstance(value, list) else "a single value"
 
 
 def flat(value: Any, name: str = "") -> Iterator[tuple[str, Any]]:
-    """(path, value) of every field that has no fields of its own; a list is one of them."""
+    """Yield (path, value) of every field that has no fields of its own; a list counts as one value."""
     if isinstance(value, dict):
         for key, inner in value.items():
             yield from flat(inner, f"{name}.{key}" if name else key)
@@ -421,7 +433,7 @@ def flat(value: Any, name: str = "") -> Iterator[tuple[str, Any]]:
 
 
 def csv_line(cells: Iterable[Any]) -> str:
-    """A line of a table; lists are JSON."""
+    """Return a line of CSV; lists are JSON."""
     line = io.StringIO()
     csv.writer(line, lineterminator="").writerow(
         json_text.dumps(cell) if isinstance(cell, list | dict | bool) else cell for cell in cells
@@ -430,7 +442,7 @@ def csv_line(cells: Iterable[Any]) -> str:
 
 
 def readable(value: Any) -> Any:
-    """The value with the digits that a person reads."""
+    """Round the numbers of a value to DIGITS."""
     if isinstance(value, dict):
         return {key: readable(inner) for key, inner in value.items()}
     if isinstance(value, list):
@@ -442,12 +454,12 @@ def readable(value: Any) -> Any:
 
 # -- measuring --------------------------------------------------------------------------------------------------------
 
-RATE_WINDOW = 10_000  # messages, as rostopic has it
+RATE_WINDOW = 10_000  # messages, rostopic's default
 
 
 @dataclass(frozen=True, slots=True)
 class Distribution:
-    """What many numbers are like."""
+    """Count, mean, extremes and standard deviation of numbers."""
 
     count: int
     mean: float
@@ -457,7 +469,7 @@ class Distribution:
 
 
 def distribution(numbers: Iterable[float]) -> Distribution | None:
-    """None: there are no numbers."""
+    """Return the distribution of numbers; None without numbers."""
     known = list(numbers)
     if not known:
         return None
@@ -466,8 +478,8 @@ def distribution(numbers: Iterable[float]) -> Distribution | None:
     return Distribution(len(known), mean, min(known), max(known), math.sqrt(variance))
 
 
-class Measured:
-    """The messages of the window: when they came, and a figure of each."""
+class MessageWindow:
+    """Last messages of a topic: the arrival time and a measured figure of each."""
 
     def __init__(self, window: int) -> None:
         self.messages = 0
@@ -475,25 +487,25 @@ class Measured:
         self._figures: deque[float] = deque(maxlen=window)
 
     def add(self, time_s: float, figure: float = 0.0) -> None:
-        """One message."""
+        """Add one message."""
         self.messages += 1
         self._times_s.append(time_s)
         self._figures.append(figure)
 
     @property
     def figures(self) -> Distribution | None:
-        """None before the first message."""
+        """Distribution of the figures; None before the first message."""
         return distribution(self._figures)
 
     @property
     def between_s(self) -> Distribution | None:
-        """From each message to the next; None before the second of them."""
+        """Distribution of the intervals between messages; None before the second message."""
         times_s = list(self._times_s)
         return distribution(later - earlier for earlier, later in itertools.pairwise(times_s))
 
     @property
     def rate_hz(self) -> float:
-        """0 before the second message."""
+        """Mean rate; 0 before the second message."""
         between_s = self.between_s
         return 0.0 if between_s is None or between_s.mean <= 0 else 1 / between_s.mean
 
@@ -504,34 +516,39 @@ INTERVAL_S = 1.0
 
 
 async def _nothing_to_check(_host: Host, _topic: str) -> None:
-    """Every topic can be measured."""
+    """Accept every topic."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Figures:
-    """What a command measures of each message, and how it shows that."""
+    """Measured figure of each message, and the format of the result."""
 
     text: str  # the help of the command
-    view: Callable[[Measured], dict[str, Any]]  # for programs
-    line: Callable[[Measured], str]
+    view: Callable[[MessageWindow], dict[str, Any]]  # for programs
+    line: Callable[[MessageWindow], str]
     figure: Callable[[RawMessage], float] = lambda _: 0.0
     window: int = RATE_WINDOW
     check: Callable[[Host, str], Awaitable[None]] = _nothing_to_check  # raises HostlinkError for a topic without it
 
 
 def command_of(figures: Figures) -> Callable[..., None]:
-    """The command of these figures."""
+    """Build the command that measures these figures."""
 
     def command(
         topic: TopicName,
         *,
-        window: Annotated[int, typer.Option(min=2, help="Of the last so many messages.")] = figures.window,
+        window: Annotated[
+            int,
+            typer.Option(
+                min=2, help="Number of last messages that the figures are of: a smaller window follows changes sooner."
+            ),
+        ] = figures.window,
         seconds: Seconds = 0.0,
         url: Url = DEFAULT_URL,
         token: Token = None,
         json: JsonLines = False,
     ) -> None:
-        measured = Measured(window)
+        measured = MessageWindow(window)
         began_s = time.monotonic()
 
         async def run() -> None:
@@ -550,9 +567,9 @@ def command_of(figures: Figures) -> Callable[..., None]:
 
 
 async def _measure(
-    figures: Figures, measured: Measured, messages: Mailbox[RawMessage], *, seconds: float, as_json: bool
+    figures: Figures, measured: MessageWindow, messages: Mailbox[RawMessage], *, seconds: float, as_json: bool
 ) -> None:
-    """A line each second."""
+    """Write a line each second, until the time is over."""
     next_s = asyncio.get_running_loop().time()
     end_s = next_s + seconds
     while next_s < end_s:
@@ -570,7 +587,7 @@ async def _measure(
 # -- hz ---------------------------------------------------------------------------------------------------------------
 
 
-def _hz_view(measured: Measured) -> dict[str, Any]:
+def _hz_view(measured: MessageWindow) -> dict[str, Any]:
     between_s = measured.between_s
     if between_s is None:
         return {"rate_hz": None}
@@ -579,7 +596,7 @@ def _hz_view(measured: Measured) -> dict[str, Any]:
     return {"rate_hz": round(measured.rate_hz, 4), "window": between_s.count + 1} | rounded
 
 
-def _hz_line(measured: Measured) -> str:
+def _hz_line(measured: MessageWindow) -> str:
     between_s = measured.between_s
     if between_s is None:
         return "one message"
@@ -596,10 +613,10 @@ hz = command_of(
 
 # -- bw ---------------------------------------------------------------------------------------------------------------
 
-BW_WINDOW = 100  # messages, as rostopic has it
+BW_WINDOW = 100  # messages, rostopic's default
 
 
-def _bw_view(measured: Measured) -> dict[str, Any]:
+def _bw_view(measured: MessageWindow) -> dict[str, Any]:
     bytes_ = measured.figures
     if bytes_ is None:
         return {"bytes_s": None}
@@ -612,7 +629,7 @@ def _bw_view(measured: Measured) -> dict[str, Any]:
     }
 
 
-def _bw_line(measured: Measured) -> str:
+def _bw_line(measured: MessageWindow) -> str:
     bytes_ = measured.figures
     if bytes_ is None or measured.between_s is None:
         return "one message"
@@ -635,19 +652,19 @@ bw = command_of(
 
 # -- delay ------------------------------------------------------------------------------------------------------------
 
-_HEADER = struct.Struct("<III")  # seq, secs, nsecs: what a std_msgs/Header begins with
+_HEADER = struct.Struct("<III")  # seq, secs, nsecs: the beginning of a std_msgs/Header
 
 
 async def _check_header(host: Host, topic: str) -> None:
-    """Raises HostlinkError for a topic whose type has no header."""
+    """Raise HostlinkError for a topic whose type has no header."""
     type_name = (await host.call("/rosapi/topic_type", {"topic": topic}))["type"]
     if not type_name:
-        raise HostlinkError(f"{topic} has no type yet: nobody publishes it; `hostlink topics` lists them")
+        raise HostlinkError(f"{topic} has no type yet, because it has no publisher; `hostlink topics` lists all topics")
     fields = (await host.call("/rosapi/message_details", {"type": type_name}))["typedefs"][0]["fieldtypes"]
     if fields[:1] != ["std_msgs/Header"]:
         raise HostlinkError(
-            f"{topic}: a {type_name} has no header, and so no stamp to measure by; "
-            f"`hostlink hz {topic}` shows when its messages come"
+            f"{topic}: {type_name} has no header, so its age cannot be measured; "
+            f"`hostlink hz {topic}` measures the rate"
         )
 
 
@@ -656,7 +673,7 @@ def _age_s(message: RawMessage) -> float:
     return float(time.time() - secs - nsecs / 1e9)
 
 
-def _delay_view(measured: Measured) -> dict[str, Any]:
+def _delay_view(measured: MessageWindow) -> dict[str, Any]:
     age_s = measured.figures
     if age_s is None:
         return {"delay_s": None}
@@ -664,7 +681,7 @@ def _delay_view(measured: Measured) -> dict[str, Any]:
     return {key: round(value, 6) for key, value in seconds.items()} | {"window": age_s.count}
 
 
-def _delay_line(measured: Measured) -> str:
+def _delay_line(measured: MessageWindow) -> str:
     age_s = measured.figures
     if age_s is None:
         return "no messages yet"
@@ -676,8 +693,8 @@ def _delay_line(measured: Measured) -> str:
 
 delay = command_of(
     Figures(
-        text="Measure how old the messages of a topic are; a line each second until Ctrl-C. "
-        "They need a header with a stamp.",
+        text="Measure the age of a topic's messages when they arrive; a line each second until Ctrl-C. "
+        "The messages need a header with a stamp.",
         view=_delay_view,
         line=_delay_line,
         figure=_age_s,
@@ -691,19 +708,13 @@ delay = command_of(
 _TYPE = re.compile(r"[A-Za-z]\w*(/msg)?/[A-Za-z]\w*")
 
 
-@dataclass(frozen=True, slots=True)
-class Pace:
-    """How often, and how many; 0: until Ctrl-C."""
+@dataclass(slots=True)
+class Publishing:
+    """Rate and number of the messages of `pub`, and how many were sent, which is reported also after Ctrl-C."""
 
     rate_hz: float
-    count: int
-
-
-@dataclass(slots=True)
-class Sent:
-    """How many were sent so far: reported also after Ctrl-C."""
-
-    messages: int = 0
+    count: int  # 0: until Ctrl-C
+    sent: int = 0
 
 
 def pub(
@@ -712,37 +723,46 @@ def pub(
         list[str] | None,
         typer.Argument(
             metavar="[TYPE] [MESSAGE]",
-            help='JSON, as {"linear": {"x": 0.1}}; missing fields are zero, all of them without it.',
+            help='The message as JSON, for example {"linear": {"x": 0.1}}. Missing fields are zero.',
         ),
     ] = None,
     *,
     type_name: Annotated[
-        str, typer.Option("--type", help="As geometry_msgs/Twist; that of the topic if it is known.")
+        str,
+        typer.Option("--type", help="Type, for example geometry_msgs/Twist: only for a topic that does not exist yet."),
     ] = "",
-    rate: Annotated[float, typer.Option(min=0.01, max=1000.0, help="Messages a second, with --count.")] = 10.0,
-    count: Annotated[int, typer.Option(min=0, help="How many; 0: until Ctrl-C.")] = 1,
+    rate: Annotated[
+        float,
+        typer.Option(
+            min=0.01, max=1000.0, help="Messages a second, with --count: a robot stops after 0.5 s without one."
+        ),
+    ] = 10.0,
+    count: Annotated[int, typer.Option(min=0, help="Number of messages; 0: until Ctrl-C.")] = 1,
     url: Url = DEFAULT_URL,
     token: Token = None,
 ) -> None:
-    """Publish a message once, or at a rate. A robot that is driven so stops when this command ends."""
-    sent = Sent()
+    """Publish a message once, or at a rate. A robot that it drives stops when this command ends."""
     named_type, message = type_and_message(words or [])
     request = json_object("MESSAGE", message)
-    run_until_interrupted(_pub(connected(url, token), topic, request, type_name or named_type, Pace(rate, count), sent))
+    publishing = Publishing(rate, count)
+    run_until_interrupted(_pub(connected(url, token), topic, request, type_name or named_type, publishing))
     show_progress("")
-    write_error(f"{sent.messages} sent")
+    write_error(f"{publishing.sent} sent")
 
 
 def type_and_message(words: list[str]) -> tuple[str, str]:
-    """Of `[TYPE] [MESSAGE]`, as rostopic and ros2 have them; the type is empty where none is named.
+    """Return the type and the message of `[TYPE] [MESSAGE]`, as rostopic and ros2 have them; a missing type is empty.
 
     Raises:
-        ConfigError: there are more of them.
+        ConfigError: more than these two were given.
     """
     is_typed = bool(words) and _TYPE.fullmatch(words[0]) is not None
     type_name, rest = (words[0].replace("/msg/", "/"), words[1:]) if is_typed else ("", words)
     if len(rest) > 1:
-        raise ConfigError("MESSAGE", f"is one argument, in quotes: {shlex.quote('{linear: {x: 0.1}}')}")
+        raise ConfigError(
+            "MESSAGE",
+            f"{len(rest)} arguments were given; put the message in quotes: {shlex.quote('{linear: {x: 0.1}}')}",
+        )
     return type_name, rest[0] if rest else "{}"
 
 
@@ -751,17 +771,17 @@ async def _pub(
     topic: str,
     message: dict[str, object],
     type_name: str,
-    pace: Pace,
-    sent: Sent,
+    publishing: Publishing,
 ) -> None:
     async with daemon as host:
-        while not pace.count or sent.messages < pace.count:
-            if sent.messages:
-                await asyncio.sleep(1 / pace.rate_hz)
+        while not publishing.count or publishing.sent < publishing.count:
+            if publishing.sent:
+                await asyncio.sleep(1 / publishing.rate_hz)
             await host.publish(topic, message, type_name=type_name)
-            sent.messages += 1
-            if sent.messages > pace.rate_hz * PATIENCE_S and not sent.messages % max(1, round(pace.rate_hz)):
-                show_progress(f"{sent.messages} sent{f' of {pace.count}' if pace.count else ''}; Ctrl-C ends")
+            publishing.sent += 1
+            sent, rate_hz = publishing.sent, publishing.rate_hz
+            if sent > rate_hz * PATIENCE_S and not sent % max(1, round(rate_hz)):
+                show_progress(f"{sent} sent{f' of {publishing.count}' if publishing.count else ''}; Ctrl-C ends")
         await host.settle()
 
 
@@ -772,19 +792,21 @@ _OWN = "/rosapi/"
 
 def services(
     *,
-    everything: Annotated[bool, typer.Option("--all", "-a", help="The daemon's own too: /rosapi/...")] = False,
+    everything: Annotated[
+        bool, typer.Option("--all", "-a", help="List the daemon's own services too: /rosapi/...")
+    ] = False,
     url: Url = DEFAULT_URL,
     token: Token = None,
     json: Json = False,
 ) -> None:
-    """List the services: name, type, who provides it."""
+    """List the services: name, type and node."""
     services = asyncio.run(_services(url, token, with_own=everything))
     if json:
         write(json_text.dumps(services))
     elif services:
         write(*table(["service", "type", "node"], [list(each.values()) for each in services])[1:])
     else:
-        write_error("no device or program offers a service; --all lists the daemon's own")
+        write_error("no device or program offers a service; --all lists the daemon's own services")
 
 
 async def _services(url: str, token: str | None, *, with_own: bool) -> list[dict[str, Any]]:
@@ -806,9 +828,11 @@ async def _services(url: str, token: str | None, *, with_own: bool) -> list[dict
 
 def call(
     service: ServiceName,
-    request: Annotated[str, typer.Argument(help='JSON, as {"data": true}.')] = "{}",
+    request: Annotated[str, typer.Argument(help='The request as JSON, for example {"data": true}.')] = "{}",
     *,
-    timeout: Annotated[float, typer.Option(min=0.01, max=3600.0, help="Seconds to wait for the answer.")] = 5.0,
+    timeout: Annotated[
+        float, typer.Option(min=0.01, max=3600.0, help="Seconds to wait for the answer: more for a slow device.")
+    ] = 5.0,
     url: Url = DEFAULT_URL,
     token: Token = None,
 ) -> None:

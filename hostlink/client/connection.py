@@ -1,4 +1,4 @@
-"""Connection: the WebSocket to hostlink, made again whenever it is lost. It knows requests and answers, no robots."""
+"""WebSocket to the daemon, opened again whenever it is lost. Requests and answers are known here, robots are not."""
 
 import asyncio
 import contextlib
@@ -31,7 +31,7 @@ _NO_LINGER = struct.pack("ii", 1, 0)
 Message = dict[str, Any]
 
 
-class Connection:
+class HostConnection:
     """WebSocket with reconnection. `run` must run while it is used.
 
     | state     | event                               | next      | then                                             |

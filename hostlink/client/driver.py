@@ -1,4 +1,4 @@
-"""Driver: the velocities that this client commands: those that one task repeats, and single ones.
+"""Velocities that this client commands: those that one task repeats, and single ones.
 
 What is broken off is never resumed.
 """
@@ -14,7 +14,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
-from hostlink.client.connection import Connection, Message
+from hostlink.client.connection import HostConnection, Message
 from hostlink.client.views import Driven, Refusal
 from hostlink.errors import CommandRefused, HostlinkError, RefusalKind, Refused
 from hostlink.robot.admission import LEASE_S
@@ -59,7 +59,7 @@ class _Repeated:
     thread: threading.Thread | None = field(default_factory=calling_thread.get)  # None: the connection's own
 
 
-class Driver:
+class VelocitySender:
     """Velocities that this client commands.
 
     A repeated command ends by the next `drive` or `stop`; it is broken off by a refusal, by the loss of the connection,
@@ -67,7 +67,7 @@ class Driver:
     the robot stops, and the next `drive` raises why, once, instead of driving.
     """
 
-    def __init__(self, connection: Connection, clock: Callable[[], float] = boot_s) -> None:
+    def __init__(self, connection: HostConnection, clock: Callable[[], float] = boot_s) -> None:
         """`clock`: in seconds; it also counts while the computer sleeps."""
         self.refusals: dict[str, Refusal | None] = {}  # by robot: of the newest answered `command`
         self.client_name: str | None = None  # as the daemon's newest answer calls this connection

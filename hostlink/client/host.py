@@ -8,8 +8,8 @@ from collections.abc import AsyncGenerator, AsyncIterator, Generator, Mapping
 from types import TracebackType
 from typing import Any, NoReturn, cast
 
-from hostlink.client.connection import Connection
-from hostlink.client.driver import Driver
+from hostlink.client.connection import HostConnection
+from hostlink.client.driver import VelocitySender
 from hostlink.client.http_client import CLOSE_TIMEOUT_S, DEFAULT_PORT, REQUEST_TIMEOUT_S, HttpClient, measured
 from hostlink.client.mailbox import Mailbox
 from hostlink.client.robot import PRIORITY, WAIT_S, Robot
@@ -28,13 +28,13 @@ class Host:
     def __init__(self, http: HttpClient, *, reconnect: bool, group: str = "") -> None:
         self.url = http.url
         self._http = http
-        self._connection = Connection(http, reconnects=reconnect, group=group)
+        self._connection = HostConnection(http, reconnects=reconnect, group=group)
         self._connection.on_open.append(self._set_level)
         self._connection.on_lost.append(self._lose)
         self._topics = Topics(self._connection)
         self._services = ProvidedServices(self._connection)
         self._graph = GraphWatch(self._connection)
-        self._driver = Driver(self._connection)
+        self._driver = VelocitySender(self._connection)
         self._connection.on_open.append(self._report_return)
         self._ends_when_lost = not reconnect
         self._lost: HostlinkError | None = None

@@ -97,10 +97,13 @@ class HttpClient:
         if not token.isprintable():
             raise HostlinkError("the token has a character that is not printable, such as the end of a line: remove it")
         self._has_token = bool(token)
+        if context is None:  # aiohttp's own may have no certificates: hostlink.cli.start
+            is_secure = parts.scheme in ("https", "wss")
+            context = ssl.create_default_context() if is_secure else ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
         self._session = aiohttp.ClientSession(
             timeout=aiohttp.ClientTimeout(total=REQUEST_TIMEOUT_S),
             headers={"Authorization": f"Bearer {token}"} if token else None,
-            connector=aiohttp.TCPConnector(ssl=True if context is None else context),
+            connector=aiohttp.TCPConnector(ssl=context),
         )
         self._streams: weakref.WeakSet[aiohttp.ClientResponse] = weakref.WeakSet()
 

@@ -4,8 +4,8 @@ from collections.abc import AsyncIterator
 from typing import cast
 from urllib.parse import quote
 
-from hostlink.client.connection import Connection
-from hostlink.client.driver import Driver
+from hostlink.client.connection import HostConnection
+from hostlink.client.driver import VelocitySender
 from hostlink.client.http_client import CLOSE_TIMEOUT_S, HttpClient, measured
 from hostlink.client.views import Driven, Odometry, Refusal, RobotState
 from hostlink.robot.standstill import Standstill
@@ -18,7 +18,9 @@ WAIT_S = 1.5  # for the odometry of a robot that was stopped
 class Robot:
     """One robot of a host; get one from `Host.robot`."""
 
-    def __init__(self, name: str, priority: int, *, http: HttpClient, driver: Driver, connection: Connection) -> None:
+    def __init__(
+        self, name: str, priority: int, *, http: HttpClient, driver: VelocitySender, connection: HostConnection
+    ) -> None:
         self.name = name.strip("/")
         self.priority = priority
         self._http, self._driver, self._connection = http, driver, connection

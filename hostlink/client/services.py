@@ -6,7 +6,7 @@ import inspect
 from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
 from typing import Any
 
-from hostlink.client.connection import Connection, Message
+from hostlink.client.connection import HostConnection, Message
 from hostlink.errors import HostlinkError
 
 Values = Mapping[str, Any]
@@ -17,7 +17,7 @@ MAX_CALLS = 64  # under way at once; the daemon has as many for one program
 class ProvidedServices:
     """Calls come from the connection's reader, and each is answered by a task of its own."""
 
-    def __init__(self, connection: Connection) -> None:
+    def __init__(self, connection: HostConnection) -> None:
         self._connection = connection
         self._answers: dict[str, tuple[str, Answer]] = {}  # by service: its type, and who answers
         self._tasks: asyncio.TaskGroup | None = None

@@ -8,7 +8,7 @@ from collections.abc import AsyncIterator, Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from hostlink.client.connection import Connection, refused_by
+from hostlink.client.connection import HostConnection, refused_by
 from hostlink.client.mailbox import Mailbox
 from hostlink.client.views import RawMessage
 from hostlink.errors import HostlinkError, Refused
@@ -32,7 +32,7 @@ class _Subscribed:
 class Topics:
     """Subscriptions, each with an id of its own, advertisements, and refusals of what was published."""
 
-    def __init__(self, connection: Connection) -> None:
+    def __init__(self, connection: HostConnection) -> None:
         self._connection = connection
         self._numbers = itertools.count(1)
         self._subscribed: dict[str, _Subscribed] = {}
@@ -177,7 +177,7 @@ Graphs = Mailbox[dict[str, Any]]
 class GraphWatch:
     """Watchers of the graph. Nothing is requested without a watcher."""
 
-    def __init__(self, connection: Connection) -> None:
+    def __init__(self, connection: HostConnection) -> None:
         self._connection = connection
         self._watchers: weakref.WeakSet[Graphs] = weakref.WeakSet()
         connection.handlers["graph"].append(self._receive)

@@ -76,8 +76,7 @@ class Complaint(NamedTuple):
     ago_s: float
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Tally:
+class Tally(NamedTuple):
     """Counts over some time. `Evidence` has one since the link opened and one of the last RECENT_S."""
 
     bytes_from_device: int = 0
@@ -86,6 +85,9 @@ class Tally:
     unknown_ids: int = 0  # since the last negotiation, which explained the earlier ones
     bad_checksums: int = 0
     wrong_sizes: int = 0
+
+
+_NO_COUNTS = Tally()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -97,8 +99,8 @@ class Evidence:
 
     age_s: float
     silent_s: float
-    total: Tally = Tally()
-    recent: Tally = Tally()
+    total: Tally = _NO_COUNTS
+    recent: Tally = _NO_COUNTS
     baud: int | None = None  # of a serial port; None for TCP
     requests: int = 0  # number of topic requests
     negotiated_s: float | None = None  # since the first negotiation

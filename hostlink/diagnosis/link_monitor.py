@@ -2,7 +2,7 @@
 
 import math
 import re
-from collections import deque
+from array import array
 
 from hostlink.diagnosis.evidence import RECENT_S, Complaint, EarlierLink, Evidence, Tally
 from hostlink.host_pauses import HostPauses
@@ -14,6 +14,8 @@ from hostlink.protocol.session import Session
 from hostlink.protocol.stream import Rejection
 
 SAMPLE_INTERVAL_S = 1.0
+MAX_SAMPLES = int(RECENT_S / SAMPLE_INTERVAL_S) + 1
+_COLUMNS = 1 + len(Tally._fields)  # time and counts of a sample
 TOGETHER_S = TIME_PERIOD_S[0]  # time requests that arrive closer together have waited on their way
 STAMPS_SAMPLES = 10  # DeviceClock accepts a step after 5 s, and a device sets its clock every 2.5 s
 REVIVALS_S = 60.0  # a board that restarts four times a minute has a fault
@@ -28,6 +30,31 @@ SIGNAL_S = 150.0  # the line is sent once a minute, and when the signal has chan
 _TOO_LARGE_TEXT = "larger than buffer"  # rosserial: "Message from device dropped: message larger than buffer."
 
 
+class _Samples:
+    """Counts of the last RECENT_S, as rows of numbers: a Tally for each needs five times the memory."""
+
+    __slots__ = ("_rows",)
+
+    def __init__(self, at_s: float, tally: Tally) -> None:
+        self._rows = array("d", (at_s, *tally))
+
+    def add(self, at_s: float, tally: Tally) -> None:
+        """Add a sample, and drop the oldest above MAX_SAMPLES."""
+        self._rows.extend((at_s, *tally))
+        del self._rows[: -MAX_SAMPLES * _COLUMNS]
+
+    @property
+    def newest_s(self) -> float:
+        """Time of the last sample."""
+        return self._rows[-_COLUMNS]
+
+    def since(self, at_s: float) -> Tally:
+        """Return the first sample that is not older than `at_s`, or the last one of all."""
+        times_s = self._rows[::_COLUMNS]
+        row = next((row for row, time_s in enumerate(times_s) if time_s >= at_s), len(times_s) - 1)
+        return Tally(*map(int, self._rows[row * _COLUMNS + 1 : (row + 1) * _COLUMNS]))
+
+
 class LinkMonitor:
     """Gatherer of one link's evidence.
 
@@ -38,22 +65,20 @@ class LinkMonitor:
         self.baud: int | None = None  # of a serial port
         self._session = session
         self._opened_at_s = now_s
-        self._samples: deque[tuple[float, Tally]] = deque(
-            [(now_s, Tally())], maxlen=int(RECENT_S / SAMPLE_INTERVAL_S) + 1
-        )
+        self._samples = _Samples(now_s, Tally())
         self._negotiated_at_s: float | None = None
         self._early_non_rosserial = b""
         self._unknown_before = 0  # unknown ids that the last negotiation explained
         self._is_provoked = False  # a device sends a time request with its topics
         self._is_fresh = False  # the last time request was read when it was sent
         self._excluded = Tally()  # losses while the host was paused
-        self._stamps_behind_s: deque[float] = deque(maxlen=STAMPS_SAMPLES)
+        self._stamps_behind_s: list[float] = []
         self._fell_silent = False
         self._was_host_away = False  # since the last time request: a device without answers falls silent
         self._time_requested_at_s: float | None = None
         self._previous_at_s = -math.inf  # last time request, including provoked ones
-        self._intervals_s: deque[float] = deque(maxlen=_KEPT)
-        self._revived_at_s: deque[float] = deque(maxlen=_KEPT)
+        self._intervals_s: list[float] = []
+        self._revived_at_s: list[float] = []
         self._device_complaint = ""
         self._complaints: dict[str, tuple[str, float]] = {}  # fault -> last log line about it, and its time
         self._signal = (0, -math.inf)  # dBm, and time of the line
@@ -62,8 +87,7 @@ class LinkMonitor:
     def set_baud(self, baud: int, now_s: float) -> None:
         """Note the baud rate at which the line is read. Earlier counts are dropped."""
         self.baud = baud
-        self._samples.clear()
-        self._samples.append((now_s, self._total()))
+        self._samples = _Samples(now_s, self._total())
 
     def observe(self, event: events.Event, now_s: float, *, has_waited: bool = False) -> None:
         """Note an event of the session. `has_waited`: it was read right after a pause of the host."""
@@ -93,21 +117,21 @@ class LinkMonitor:
 
     def sample(self, now_s: float) -> None:
         """Sample the counts. Recent counts are a difference to the samples."""
-        if now_s >= self._samples[-1][0] + SAMPLE_INTERVAL_S / 2:
-            self._samples.append((now_s, self._total()))
+        if now_s >= self._samples.newest_s + SAMPLE_INTERVAL_S / 2:
+            self._samples.add(now_s, self._total())
             offset_ns = self._session.device_clock.offset_ns
             if offset_ns is not None:
                 self._stamps_behind_s.append(offset_ns / 1e9)
+                del self._stamps_behind_s[:-STAMPS_SAMPLES]
 
     def exclude_waited(self) -> None:
         """Exclude the losses since the last sample, because the host was paused."""
-        self._exclude(since=self._samples[-1][1])
+        self._exclude(since=self._samples.since(math.inf))
         self._was_host_away = True
 
     def _begin_anew(self, now_s: float) -> None:
         self._exclude(since=Tally())
-        self._samples.clear()
-        self._samples.append((now_s, self._total()))
+        self._samples = _Samples(now_s, self._total())
 
     def _exclude(self, since: Tally) -> None:
         total, before = self._total(), self._excluded
@@ -122,7 +146,7 @@ class LinkMonitor:
     @property
     def sampled_at_s(self) -> float:
         """Time of the last sample."""
-        return self._samples[-1][0]
+        return self._samples.newest_s
 
     @property
     def was_negotiated(self) -> bool:
@@ -150,8 +174,7 @@ class LinkMonitor:
         """
         host = HostPauses() if pauses is None else pauses
         session, total = self._session, self._total()
-        before = next((tally for at_s, tally in self._samples if at_s >= now_s - RECENT_S), self._samples[-1][1])
-        recent = _difference(total, before)
+        recent = _difference(total, self._samples.since(now_s - RECENT_S))
         return Evidence(
             age_s=host.awake_s(self._opened_at_s, now_s),
             silent_s=silent_s,
@@ -199,8 +222,10 @@ class LinkMonitor:
             return
         if was_fresh and not are_together and not has_waited:
             self._intervals_s.append(interval_s)
+            del self._intervals_s[:-_KEPT]
         if self._fell_silent and self._time_requested_at_s is not None:
             self._revived_at_s.append(now_s)
+            del self._revived_at_s[:-_KEPT]
         self._fell_silent = False
         self._time_requested_at_s = now_s
 

@@ -2,7 +2,6 @@
 
 import struct
 import time
-from collections import deque
 from collections.abc import Callable
 from functools import partial
 from typing import TYPE_CHECKING
@@ -25,7 +24,7 @@ from hostlink.protocol.control import Parameter, TopicInfo
 from hostlink.protocol.events import MessageReceived
 from hostlink.protocol.frame import Id
 from hostlink.robot.admission import Admission
-from hostlink.robot.directory import RobotTopicNames, is_played
+from hostlink.robot.directory import Presence, RobotTopicNames, is_played
 from hostlink.robot.state import BATTERY_TYPE
 from hostlink.robot.velocity import TWIST_TYPE, ZERO, Kinematics, Twist
 from hostlink.robot.velocity_gate import Unlimited, VelocityGate
@@ -37,15 +36,15 @@ log = structlog.get_logger()
 
 
 class ShownNames:
-    """Of one device. Those of a robot that is named otherwise than it announces itself stand under the robot's name.
+    """Names of one device's topics in the graph. They are in the robot's namespace if the robot has another name here.
 
     `/robot_0/imu` of a robot that is named `a` is `/a/imu`, and so is `imu` of one that has no namespace. Velocity,
-    odometry and reset are the robot's wherever they are: `/odom` is `/a/odom`. All else has the name that it
-    announces, and is shared with who else uses it, as in ROS.
+    odometry and reset are always the robot's: `/odom` is `/a/odom`. Every other topic keeps its announced name, and is
+    shared with other users of the name, as in ROS.
     """
 
     def __init__(self, robot: RobotTopicNames | None = None, name: str | None = None) -> None:
-        """`name`: what the robot is called here."""
+        """`name`: the robot's name here."""
         self._is_renamed = robot is not None and name not in (None, robot.name)
         self._name = name or ""
         namespace = () if robot is None else robot.namespace
@@ -54,7 +53,7 @@ class ShownNames:
         self._own = {resolve(topic) for topic in own if topic is not None}
 
     def of(self, name: str) -> str:
-        """The full name in the graph of what the device names so."""
+        """Return the full name in the graph of the device's topic or service."""
         full = resolve(name)
         if not self._is_renamed:
             return full
@@ -64,7 +63,7 @@ class ShownNames:
         return f"/{self._name}{full}" if is_relative or full in self._own else full
 
     def of_robot(self, robot: RobotTopicNames) -> RobotTopicNames:
-        """The robot's topics, by their names in the graph."""
+        """Return the robot's topics by their names in the graph."""
         reset = None if robot.reset is None else self.of(robot.reset)
         return RobotTopicNames(
             self._name or robot.name, self.of(robot.velocity), self.of(robot.odometry), robot.odometry_type, reset
@@ -75,12 +74,16 @@ _HEADER = Field("header", "std_msgs/Header")
 _STAMP = struct.Struct("<4xII")  # seq, secs, nsecs
 _NS_PER_S = 1_000_000_000
 EARLY_MESSAGES, EARLY_BYTES = 128, 65536  # three seconds of the project's robot
-MAX_PARAMETERS = 64  # whose answers are remembered; a name can be as long as a frame
+MAX_PARAMETERS = 64  # answers that are kept; a name can be as long as a frame
 COMMAND_DEPTH = 16  # messages of one topic that may wait for a slow device; a velocity has one slot of its own
 
 
 def check_type(catalog: Catalog, info: TopicInfo) -> int | None:
-    """The fixed size of an endpoint's payloads, None if it varies or the type is unknown; WrongType for a wrong md5."""
+    """Return the fixed payload size of an endpoint; None if it varies or the type is unknown.
+
+    Raises:
+        WrongType: the md5 sum is wrong.
+    """
     checks = {
         Id.PUBLISHER: catalog.check_message,
         Id.SUBSCRIBER: catalog.check_message,
@@ -94,40 +97,40 @@ def check_type(catalog: Catalog, info: TopicInfo) -> int | None:
 
 
 class Device:
-    """What belongs to a link: its device in the graph, its robot, what is driven by it, and what is wrong with it.
+    """Device of one link: its endpoints in the graph, its robot, its velocity gates and its diagnosis.
 
     `Robots` has the devices of all live links.
     """
 
     __slots__ = (
         "_awaited", "_hub", "_observers", "_odometry", "diagnosis", "drivables", "early", "guarded_ids",
-        "infos", "is_played", "is_undecided", "link", "names", "parameters", "received_at_s", "robot", "routes",
+        "infos", "is_played", "is_undecided", "link", "names", "parameters", "presence", "robot", "routes",
         "services", "shown",
     )  # fmt: skip
 
-    def __init__(self, link: Link, diagnosis: Diagnosis, hub: "Hub") -> None:
+    def __init__(self, link: Link, diagnosis: Diagnosis, presence: Presence, hub: "Hub") -> None:
         self.link = link
+        self.presence = presence
         self.diagnosis = diagnosis
-        self.robot: LocalRobot | None = None  # that it is; Robots sets it
-        self.drivables: list[Drivable] = []  # Gates sets them
-        self.guarded_ids: list[int] = []  # the velocity topics that the guardian stops; Gates sets them
-        self.routes: dict[int, Topic] = {}  # where the messages of an id go
+        self.robot: LocalRobot | None = None  # set by Robots
+        self.drivables: list[Drivable] = []  # set by Gates
+        self.guarded_ids: list[int] = []  # ids of the velocity topics that the guardian stops; set by Gates
+        self.routes: dict[int, Topic] = {}  # topic of each id from the device
         self.shown = ShownNames()
-        self.names: frozenset[str] = frozenset()  # of its topics, as they are shown
-        self.services: dict[str, DeviceService] = {}  # its own, by the names that it announces
+        self.names: frozenset[str] = frozenset()  # names of its topics in the graph
+        self.services: dict[str, DeviceService] = {}  # services of the device, by announced name
         self.early = EarlyMessages()
-        self.is_undecided = False  # whether it is known who it is
-        self.infos: tuple[TopicInfo, ...] = ()  # what it announced last
-        self.is_played = False  # it is a recording
-        self.received_at_s = float("-inf")  # of the last read that was noted
-        self.parameters: dict[str, Parameter] = {}  # what it was answered, by the names that are shown
-        self._observers: dict[int, Callable[[bytes], None]] = {}  # by id: what the hub itself reads of a message
-        self._awaited: set[str] = set()  # its services that may still answer a call of before it left the graph
+        self.is_undecided = False  # its identity is not known yet
+        self.infos: tuple[TopicInfo, ...] = ()  # endpoints of the last announcement
+        self.is_played = False  # it plays a recording
+        self.parameters: dict[str, Parameter] = {}  # answers to its requests, by name in the graph
+        self._observers: dict[int, Callable[[bytes], None]] = {}  # readers of the hub itself, by id
+        self._awaited: set[str] = set()  # services that may still answer a call from before the last `leave`
         self._odometry: list[Callable[[], None]] = []  # ends the robot's subscription
         self._hub = hub
 
     def announce(self, infos: tuple[TopicInfo, ...], shown: ShownNames, robot: LocalRobot | None = None) -> None:
-        """Put the device's endpoints into the graph in place of those that it had."""
+        """Replace the device's endpoints in the graph."""
         self.leave()
         self.shown = shown
         self.is_played = is_played([(info.name, info.type, info.is_to_device) for info in infos])
@@ -148,7 +151,7 @@ class Device:
         self._awaited.clear()
 
     def displace(self, name: str, type_name: str, robot: LocalRobot | None) -> None:
-        """End what the device has by a name in the graph: it is another robot's own, with this type."""
+        """Remove the device from a topic, because the topic is another robot's own, with this type."""
         topic = self._hub.topics.find(name)
         log.warning("topic.refused", topic=printable(name), reason=str(WrongType(name, type_name, topic.type_name)))
         self.routes = {topic_id: each for topic_id, each in self.routes.items() if each is not topic}
@@ -162,9 +165,9 @@ class Device:
                 self._route_refused(info, robot)
 
     def receive(self, message: MessageReceived, at_s: float | None = None) -> None:
-        """Pass a message of the device to whoever subscribes; `at_s`: when it arrived, if not in the last read.
+        """Publish a message of the device. `at_s` is its arrival time, if it did not arrive with the last read.
 
-        What was recorded drives no robot.
+        A played recording drives no robot.
         """
         topic_id, now_s = message.topic.topic_id, self.link.received_at_s
         observe = self._observers.get(topic_id)
@@ -178,16 +181,16 @@ class Device:
                 log.debug("message.refused", topic=topic.name, reason=str(error))
 
     def announced_again(self) -> None:
-        """It has announced what it had: a board that restarted behind a line that stayed has received nothing yet."""
+        """Send latched messages again: a board that announces the same topics may have restarted."""
         self._hub.topics.send_latched(self.link)
 
     def stand(self) -> None:
-        """Zero to whatever it can be driven by: it may be a robot that has come back and obeys an old command."""
+        """Send zero to every velocity topic: a reconnected robot may still obey an old command."""
         for info in filter(is_velocity, self.infos):
             self._hub.gates.attach(self._drivable(info, None), self)
 
     def note_parameter(self, name: str, parameter: Parameter) -> None:
-        """It was answered this; of too many names the first ones are kept."""
+        """Note the answer to a parameter request. Of more than MAX_PARAMETERS names, the first are kept."""
         if name in self.parameters or len(self.parameters) < MAX_PARAMETERS:
             self.parameters[name] = parameter
 
@@ -219,7 +222,7 @@ class Device:
     # -- from the device ----------------------------------------------------------------------------------------------
 
     def _route(self, info: TopicInfo, topic: Topic, robot: LocalRobot | None) -> None:
-        """A robot reads the topic of its own odometry by the link and the id, whatever others publish there."""
+        """Route an id to its topic. A robot reads its odometry by link and id, independent of other publishers."""
         self.routes[info.topic_id] = topic
         if robot is not None and info == self._battery_info():
             self._observers[info.topic_id] = partial(self._observe_battery, robot)
@@ -229,7 +232,7 @@ class Device:
             self._subscribe_robot(topic, robot)
 
     def _route_refused(self, info: TopicInfo, robot: LocalRobot | None) -> None:
-        """A robot receives its odometry also where the graph has another type by this name."""
+        """Route a robot's odometry even if the graph has another type by this name."""
         if robot is not None and info.kind is Id.PUBLISHER and info.name == robot.topics.odometry:
             topic = Topic(self.shown.of(info.name))
             topic.type, topic.type_name = self._hub.catalog.message(info.type), info.type
@@ -240,7 +243,7 @@ class Device:
         self._odometry.append(lambda: topic.remove_subscriber(number))
 
     def _fail(self, robot: LocalRobot) -> Callable[[Exception], None]:
-        """What ends a link whose robot's odometry cannot be read: it begins anew, at rest."""
+        """Return the callback that ends the link after a crash of odometry. The robot then reconnects, at rest."""
 
         def fail(error: Exception) -> None:
             self.link.end(LinkEnd.CRASHED)
@@ -249,7 +252,7 @@ class Device:
         return fail
 
     def _battery_info(self) -> TopicInfo | None:
-        """The topic of the robot's battery: the first of its type; None: the device has none."""
+        """Return the first topic of the battery's type; None if there is none."""
         kind = (Id.PUBLISHER, BATTERY_TYPE)
         return next((info for info in self.infos if (info.kind, info.type) == kind), None)
 
@@ -258,7 +261,7 @@ class Device:
         robot.receive_battery(payload)
 
     def _observe_stamp(self, payload: bytes) -> None:
-        """The stamp of a header is a sample of the device's clock."""
+        """Use a header's stamp as a sample of the device's clock."""
         if len(payload) >= _STAMP.size:
             secs, nsecs = _STAMP.unpack_from(payload)
             stamp_ns, now_s = secs * _NS_PER_S + nsecs, self.link.received_at_s
@@ -286,13 +289,13 @@ class Device:
         topic = self._hub.topics.subscribe_device(name, self.link, subscription, type_name=info.type)
         if drivable is not None:
             drivable.echoes[topic.name] = topic
-            if robot is None:  # nothing of it is known from before
+            if robot is None:  # a robot's gate has joined before
                 drivable.join(topic)
 
     def _drivable(self, info: TopicInfo, robot: LocalRobot | None) -> Drivable:
-        """Another velocity of a robot, with its limits and its lock, or one of a device that publishes no pose.
+        """Create the gate of a further velocity topic of a robot, or of a device without a pose.
 
-        Nothing is configured for the second: its six numbers stay as they are.
+        The first has the robot's limits and lock. The second has no limits: its six numbers stay as they are.
         """
         if robot is None:
             shown = self.shown.of(info.name)
@@ -328,27 +331,25 @@ def _is_reset(info: TopicInfo, robot: LocalRobot | None) -> bool:
 
 
 class EarlyMessages:
-    """What a device sent while it was not known who it is, to be passed on later; over a bound the oldest goes."""
+    """Messages of a device that is not identified yet. Above a bound, the oldest is dropped."""
 
     def __init__(self) -> None:
-        self._waiting: deque[tuple[MessageReceived, float]] = deque()
+        self._waiting: list[tuple[MessageReceived, float]] = []
         self._bytes = 0
 
     def __len__(self) -> int:
         return len(self._waiting)
 
     def add(self, message: MessageReceived, at_s: float) -> int:
-        """Add one that arrived `at_s`; returns how many went for it."""
+        """Add a message that arrived `at_s`. Return the number of dropped messages."""
         before = len(self._waiting)
         self._waiting.append((message, at_s))
         self._bytes += len(message.payload)
         while len(self._waiting) > EARLY_MESSAGES or self._bytes > EARLY_BYTES:
-            self._bytes -= len(self._waiting.popleft()[0].payload)
+            self._bytes -= len(self._waiting.pop(0)[0].payload)
         return before + 1 - len(self._waiting)
 
     def pop_all(self) -> list[tuple[MessageReceived, float]]:
-        """All of them, and when they arrived; none is left."""
-        waiting = list(self._waiting)
-        self._waiting.clear()
-        self._bytes = 0
+        """Remove and return all messages with their arrival times."""
+        waiting, self._waiting, self._bytes = self._waiting, [], 0
         return waiting

@@ -40,28 +40,28 @@ from hostlink.protocol.session import response_bytes
 log = structlog.get_logger()
 
 CALL_S = 0.0003  # what a call costs
-MAX_CALLS = 16  # of one device, under way and waiting; ros_lib makes one and stands still
-MAX_WAITING = 4  # of them for one service, behind the one that is under way
+MAX_CALLS = 16  # of one device, active and waiting; ros_lib makes one and blocks
+MAX_WAITING = 4  # of one service, behind the active call
 RETRY_S = 0.05  # between two checks for room among the replies
-MAX_REASON = 256  # characters of a reason in the log; names of devices stand in it
+MAX_REASON = 256  # characters of a reason in the log; it contains names from devices
 LAST_S = 1.0  # for an answer that is late already to find room in the queue of the replies
 
 _Outcome = Mapping[str, object] | bytes | HostlinkError
 
 
-class _Call:
+class _DeviceCall:
     """A request of a device, until it is answered."""
 
     def __init__(self, link: Link, event: ServiceRequested, now_s: float) -> None:
         self.link, self.endpoint, self.payload = link, event.service, event.payload
-        self.negotiations = link.session.counts.negotiations  # when it came
+        self.negotiations = link.session.counts.negotiations  # before the call
         self.deadline_s = now_s + DEVICE_TIMEOUT_S
-        self.is_over = False  # nobody waits for the answer any more
+        self.is_over = False  # the device no longer waits for the answer
         self._timeout: asyncio.Timeout | None = None
 
     @contextlib.asynccontextmanager
     async def until(self, deadline_s: float) -> AsyncIterator[None]:
-        """The block has until then, or until the call is over; then TimeoutError."""
+        """Limit the block to the deadline, or to the end of the call. Then raise TimeoutError."""
         async with asyncio.timeout_at(deadline_s) as timeout:
             self._timeout = timeout
             try:
@@ -70,14 +70,14 @@ class _Call:
                 self._timeout = None
 
     def drop(self) -> None:
-        """Nobody waits for the answer any more."""
+        """End the call: the device no longer waits for the answer."""
         self.is_over = True
         if self._timeout is not None:
             expire(self._timeout)
 
 
 class DeviceCalls:
-    """One call of an endpoint after another; bounded for each device, and what is over the bound fails at once."""
+    """Calls of devices to services: one after another for each endpoint. Calls over the bound fail at once."""
 
     def __init__(
         self,
@@ -90,15 +90,15 @@ class DeviceCalls:
         turns: Turns,
     ) -> None:
         """`give_up` ends the link of a device that cannot be answered; `name_of`: the service that a device means."""
-        self.refused = 0  # over a bound
+        self.refused = 0  # calls over a bound
         self._services, self._catalog = services, catalog
         self._spawn, self._give_up, self._name_of = spawn, give_up, name_of
         self._turns = turns
-        self._calls: dict[int, dict[int, deque[_Call]]] = {}  # by link, by endpoint
+        self._calls: dict[int, dict[int, deque[_DeviceCall]]] = {}  # by link, by endpoint
 
     def accept(self, link: Link, event: ServiceRequested) -> None:
-        """A device calls a service, and waits from now on."""
-        call = _Call(link, event, asyncio.get_running_loop().time())
+        """Start a call of a device, or queue it behind earlier ones."""
+        call = _DeviceCall(link, event, asyncio.get_running_loop().time())
         of_link = self._calls.setdefault(link.number, {})
         waiting = of_link.get(event.service.topic_id)
         if waiting is None and _count(of_link) < MAX_CALLS:
@@ -114,13 +114,13 @@ class DeviceCalls:
             waiting.append(call)
 
     def leave(self, link: Link) -> None:
-        """The device is gone, and waits for nothing."""
+        """Drop all calls of a device that disconnected."""
         for waiting in self._calls.pop(link.number, {}).values():
             for call in waiting:
                 call.drop()
 
-    def _refuse(self, call: _Call, *, is_only: bool) -> None:
-        """Fail at once; what finds no room among the replies is answered by those that are there, unless none is."""
+    def _refuse(self, call: _DeviceCall, *, is_only: bool) -> None:
+        """Answer with DeviceBusy. Without room for the answer, end the link unless earlier answers are queued."""
         self.refused += 1
         try:
             self._respond(call, DeviceBusy(call.endpoint.name, MAX_CALLS))
@@ -128,7 +128,7 @@ class DeviceCalls:
             if is_only:
                 self._spawn(self._end(call, error), name=f"end of link {call.link.number}")
 
-    async def _work(self, of_link: dict[int, deque[_Call]], topic_id: int) -> None:
+    async def _work(self, of_link: dict[int, deque[_DeviceCall]], topic_id: int) -> None:
         waiting = of_link[topic_id]
         try:
             while waiting:
@@ -141,7 +141,7 @@ class DeviceCalls:
         finally:
             del of_link[topic_id]
 
-    async def _finish(self, call: _Call) -> None:
+    async def _finish(self, call: _DeviceCall) -> None:
         outcome: _Outcome = ServiceFailed.timeout(call.endpoint.name, DEVICE_TIMEOUT_S)
         with contextlib.suppress(TimeoutError):
             async with call.until(call.deadline_s):
@@ -153,8 +153,8 @@ class DeviceCalls:
         except (TimeoutError, HostlinkError) as error:
             await self._end(call, error)
 
-    async def _outcome(self, call: _Call) -> _Outcome:
-        """What the service answers, or why it does not."""
+    async def _outcome(self, call: _DeviceCall) -> _Outcome:
+        """Call the service, and return its answer or its error."""
         if call.is_over:
             return DeviceGone(call.endpoint.name)
         type_ = self._catalog.service(call.endpoint.type)
@@ -167,16 +167,16 @@ class DeviceCalls:
         except HostlinkError as error:
             return error
 
-    async def _pass_on(self, call: _Call) -> bytes:
-        """Let another device answer whose program was built from the same definition: nobody else need know it."""
+    async def _pass_on(self, call: _DeviceCall) -> bytes:
+        """Call a device whose program was built from the same definition. The host needs no definition then."""
         service = self._services.of_device(self._name_of(call.link, call.endpoint.name))
         sums = (call.endpoint.md5, call.link.session.response_endpoint(call.endpoint).md5)
         if service is not None and service.md5_sums == sums:
             return await service.call(call.payload, timeout_s=DEVICE_TIMEOUT_S)
         raise WrongType(call.endpoint.name, "a service type with a definition", call.endpoint.type)
 
-    async def _deliver(self, call: _Call, outcome: _Outcome) -> None:
-        """Queue the answer as soon as there is room, and the device has announced where it goes."""
+    async def _deliver(self, call: _DeviceCall, outcome: _Outcome) -> None:
+        """Queue the answer as soon as there is room and the device has announced the endpoint of the response."""
         if isinstance(outcome, HostlinkError) and not call.is_over:
             log.warning(
                 "service.failed", service=printable(call.endpoint.name), reason=printable(str(outcome), MAX_REASON)
@@ -189,7 +189,7 @@ class DeviceCalls:
             else:
                 return
 
-    def _respond(self, call: _Call, outcome: _Outcome) -> None:
+    def _respond(self, call: _DeviceCall, outcome: _Outcome) -> None:
         session = call.link.session
         response = session.response_endpoint(call.endpoint)
         known = None if session.is_refused(response) else self._catalog.service(response.type)
@@ -202,8 +202,8 @@ class DeviceCalls:
             session.too_large = str(problem) if is_cut else session.too_large  # the diagnosis knows what to do
         call.link.wake()
 
-    async def _end(self, call: _Call, error: Exception) -> None:
-        """A device that would wait without end begins anew instead; one that has other topics now has begun anew."""
+    async def _end(self, call: _DeviceCall, error: Exception) -> None:
+        """End the link of a device that would wait without end. A device with other topics has restarted already."""
         if not call.is_over and call.link.session.has(call.endpoint):
             reason = printable(str(error), MAX_REASON) or "no room for the answer"
             log.error("service.unanswerable", service=printable(call.endpoint.name), reason=reason)
@@ -213,9 +213,9 @@ class DeviceCalls:
 def encode_response(
     type_: MessageType | None, outcome: _Outcome, response: TopicInfo
 ) -> tuple[bytes | None, HostlinkError | None]:
-    """As much of an answer as fits the device's buffer, and what is wrong with an answer that does not.
+    """Encode as much of an answer as fits the device's buffer; also return the problem of an answer that does not fit.
 
-    None for a payload: only zeros are possible, for nobody here knows the layout.
+    A payload of None means zeros: the layout is unknown here.
 
     Raises:
         FrameTooLarge: the device's buffer is smaller than the shortest response.
@@ -240,7 +240,7 @@ def encode_response(
 
 
 def _encode_failure(type_: MessageType, reason: HostlinkError, response: TopicInfo) -> bytes:
-    """Defaults, and the reason as far as there is room for it."""
+    """Encode default values, and as much of the reason as there is room for."""
     has_message = any(field.name == "message" and field.type_text == "string" for field in type_.fields)
     payload = encode_within(type_, {"message": str(reason)} if has_message else {}, response_bytes(response))
     if payload is None:
@@ -253,5 +253,5 @@ def _too_large(response: TopicInfo, payload_bytes: int) -> FrameTooLarge:
     return FrameTooLarge(response.name, payload_bytes + OVERHEAD_BYTES, limit_bytes + OVERHEAD_BYTES)
 
 
-def _count(of_link: Mapping[int, deque[_Call]]) -> int:
+def _count(of_link: Mapping[int, deque[_DeviceCall]]) -> int:
     return sum(map(len, of_link.values()))

@@ -30,74 +30,75 @@ log = structlog.get_logger()
 ENDED_LINKS = 16  # with their buffers 2 MiB at most
 EARLIER_S = 60.0  # what ended before that explains nothing now
 AWAY_S = 12.0  # a device that gets no answers for 11 s gives up, as docs/protocol.md#time has it
-LOG_AGAIN_S = 60.0  # a device that comes back every second does not fill the log
+LOG_AGAIN_S = 60.0  # so that a device that reconnects every second does not fill the log
 MAX_LOGGED = 256
-MAX_ANNOUNCED = 4  # negotiations with other topics than before, the last of a link: a capture is read by them
+MAX_ANNOUNCED = 4  # last announcements with changed topics; they are needed to read a capture
 
 Announced = tuple[TopicInfo, ...]
 
 
 @dataclass(slots=True, eq=False)
 class Diagnosis:
-    """One link, what its monitor knows, and what is wrong with it."""
+    """Diagnosis of one link: its monitor and its findings."""
 
     link: Link
     monitor: LinkMonitor
     findings: list[Finding] = field(default_factory=list)
     end: LinkEnd | None = None
     ended_at_s: float = 0.0
-    was_host_away: bool = False  # shortly before the link ended: why it did is not the device's doing
-    last_evidence: Evidence | None = None  # of a link that has ended, until it is evaluated
-    robot: str = ""  # what its robot is called here; also once the link has ended
-    own_name: str = ""  # what that calls itself, if it had to be given a number
-    _announced: deque[tuple[int, Announced]] = field(default_factory=lambda: deque(maxlen=MAX_ANNOUNCED))
+    was_host_away: bool = False  # the host was paused shortly before the end, which the device did not cause
+    last_evidence: Evidence | None = None  # of an ended link, until it is evaluated
+    robot: str = ""  # name of the robot here; kept after the end
+    own_name: str = ""  # announced name, if the robot's name got a number
+    _announced: list[tuple[int, Announced]] = field(default_factory=list)
 
     @property
     def baud(self) -> int | None:
-        """The speed at which its serial port is read; None behind TCP."""
+        """Baud rate of the serial port; None for other transports."""
         return self.monitor.baud
 
     @property
     def seconds(self) -> float:
-        """How long a link that has ended was open."""
+        """Duration of an ended link."""
         return self.ended_at_s - self.link.opened_at_s
 
     def captured(self, since: tuple[int, int] = (0, 0)) -> Captured:
-        """The link's bytes; their times count from its beginning."""
+        """Return the link's captured bytes, with times since its start."""
         found = self.link.captured(since)
         pieces = tuple(each._replace(time_s=each.time_s - self.link.opened_at_s) for each in found.pieces)
         return dataclasses.replace(found, pieces=pieces)
 
     def note_topics(self) -> None:
-        """The device has announced its topics; those that were refused are among them."""
+        """Note an announcement of topics, including refused ones."""
         session = self.link.session
         topics = (*session.topics, *(info for info, _ in session.refusals))
         if not self._announced or self._announced[-1][1] != topics:
             self._announced.append((session.counts.bytes_from_device, topics))
+            del self._announced[:-MAX_ANNOUNCED]
 
     def announced_before(self, position: int) -> bytes:
-        """The device's announcement of its topics with its first `position` bytes; its first one, if that was later."""
+        """Encode the last announcement within the first `position` bytes, or the first announcement if it was later."""
         before = [topics for at, topics in self._announced if at <= position]
         topics = before[-1] if before else next((topics for _, topics in self._announced), ())
         return b"".join(encode(info.kind, encode_topic_info(info)) for info in topics)
 
     def is_same_device(self, other: "Diagnosis") -> bool:
-        """Whether both links are one device's: by address and robot; one that is no robot is known by its topics."""
+        """Whether both links belong to one device: same address and robot, or same topics if it has no robot."""
         mine, its = (self.link.address, self.robot), (other.link.address, other.robot)
         return mine == its and (bool(self.robot) or self.topics == other.topics)
 
     @property
     def topics(self) -> Announced:
-        """What its device announced last, with what was refused of it."""
+        """Topics of the last announcement, including refused ones."""
         return self._announced[-1][1] if self._announced else ()
 
     def renaming(self) -> str:
-        """The text about a device whose name was another's; empty: it has its own."""
+        """Return a text about a robot that was renamed because another device has its name; else empty."""
         return f"{self.own_name} is another device's name; this is {self.robot}" if self.own_name else ""
 
 
 class Diagnoses:
-    """Owns the diagnoses. `run` updates each of them once a second; the rest of the hub only passes events."""
+    """Diagnoses of all links. `run` updates each of them once a second; the rest of the hub only passes events."""
 
     def __init__(
         self,
@@ -105,7 +106,7 @@ class Diagnoses:
         events: RobotEvents | None = None,
         pauses: Callable[[float], HostPauses] = never_paused,
     ) -> None:
-        """`events` has each new finding; `pauses`: when the host itself did not run."""
+        """`events` gets each new finding. `pauses` returns when the host itself did not run."""
         self._pauses = pauses
         self._events = RobotEvents() if events is None else events
         words()  # read now: later there may be no descriptor for it
@@ -118,26 +119,26 @@ class Diagnoses:
         self.ports: dict[str, Finding] = {}  # serial ports that cannot be opened
 
     def observe_port(self, name: str, error: OSError | None) -> None:
-        """A serial port was opened, or could not be."""
+        """Note that a serial port was opened, or the error."""
         if error is None:
             self.ports.pop(name, None)
         else:
             self.ports[name] = port_finding(error)
 
     def begin(self, link: Link) -> Diagnosis:
-        """A link has opened."""
+        """Create the diagnosis of a new link."""
         diagnosis = Diagnosis(link, LinkMonitor(link.session, now_s=link.opened_at_s))
         self._live[link.number] = diagnosis
         return diagnosis
 
     def observe_baud(self, link: Link, baud: int) -> None:
-        """The link's serial port is read at this speed from now on."""
+        """Note the baud rate at which the link's serial port is read from now on."""
         diagnosis = self._live.get(link.number)
         if diagnosis is not None:
             diagnosis.monitor.set_baud(baud, _now_s())
 
     def note(self, link: Link, event: events.Event) -> None:
-        """The session of a live link has an event other than a message."""
+        """Note an event of a live link's session other than a message."""
         diagnosis = self._live.get(link.number)
         if diagnosis is not None:
             if isinstance(event, events.TopicsNegotiated):
@@ -146,7 +147,7 @@ class Diagnoses:
             diagnosis.monitor.observe(event, now_s, has_waited=not self._pauses(now_s).has_recovered(now_s))
 
     def finish(self, link: Link, end: LinkEnd) -> None:
-        """A link has ended; its diagnosis and its buffers are kept for a while."""
+        """End a link's diagnosis. It is kept among the last ENDED_LINKS, with the link's buffers."""
         diagnosis = self._live.pop(link.number, None)
         if diagnosis is not None:
             diagnosis.end, diagnosis.ended_at_s = end, _now_s()
@@ -158,25 +159,25 @@ class Diagnoses:
             self.ended.append(diagnosis)
 
     def of(self, link: Link) -> list[Finding]:
-        """What is wrong with a live link, as of the last update."""
+        """Return the findings of a live link, as of the last update."""
         diagnosis = self._live.get(link.number)
         return [] if diagnosis is None else diagnosis.findings
 
     def find(self, number: int) -> Diagnosis | None:
-        """The link of that number, live or among the last that ended."""
+        """Return the diagnosis of a live link, or of one of the last that ended."""
         ended = (diagnosis for diagnosis in self.ended if diagnosis.link.number == number)
         return self._live.get(number) or next(ended, None)
 
     def live(self) -> list[Diagnosis]:
-        """Of the live links, oldest first."""
+        """Return the diagnoses of the live links, oldest first."""
         return list(self._live.values())
 
     def numbers(self) -> list[int]:
-        """Of every link that has a diagnosis."""
+        """Return the numbers of all links that have a diagnosis."""
         return sorted([*self._live, *(diagnosis.link.number for diagnosis in self.ended)])
 
     async def run(self) -> None:
-        """Update every diagnosis, again and again, until cancelled."""
+        """Update every diagnosis once a second, until cancelled."""
         while True:
             now_s = _now_s()
             self._host_clock = self._clock.check(now_s + slept_s(), time.time_ns())
@@ -192,9 +193,9 @@ class Diagnoses:
             await asyncio.sleep(SAMPLE_INTERVAL_S)
 
     async def _observe(self, diagnosis: Diagnosis) -> None:
-        """Judge a live link, unless this process was paused: what is seen of a device right afterwards is not its own.
+        """Update a live link's findings, unless this process was paused: late bytes would be blamed on the device.
 
-        The findings stay as they are until it has recovered.
+        The findings are unchanged until the process has recovered.
         """
         now_s = _now_s()
         pauses = self._pauses(now_s)
@@ -206,7 +207,7 @@ class Diagnoses:
         await self._evaluate(diagnosis, self._evidence(diagnosis, now_s))
 
     async def _evaluate(self, diagnosis: Diagnosis, evidence: Evidence) -> None:
-        """In a thread where bytes must be examined: the first model of a speed takes part of a second."""
+        """Evaluate evidence, in a thread if bytes must be examined: the first model of a baud rate is slow."""
         is_slow = evidence.recent.skipped_bytes > 0
         found = await asyncio.to_thread(diagnose, evidence) if is_slow else diagnose(evidence)
         news = {each.code for each in found} - {each.code for each in diagnosis.findings}
@@ -249,7 +250,7 @@ class Diagnoses:
         )
 
     def _log(self, diagnosis: Diagnosis, found: Finding) -> None:
-        """One line, not again for the same address within LOG_AGAIN_S."""
+        """Log a finding once in LOG_AGAIN_S for each address."""
         now_s = _now_s()
         key = (diagnosis.link.address, found.code)
         if now_s < self._logged_at_s.get(key, float("-inf")) + LOG_AGAIN_S:

@@ -1,7 +1,7 @@
-"""DiagnosticsTopic: what `hostlink doctor` finds, once a second as diagnostic_msgs/DiagnosticArray on /diagnostics.
+"""DiagnosticsTopic: the findings of `hostlink doctor` as diagnostic_msgs/DiagnosticArray on /diagnostics.
 
-Nothing is made while nobody subscribes. A crowd of robots is several arrays, each made in a turn of its own: who reads
-them joins them by the names.
+The topic is published once a second while it has subscribers. Many robots are split into several arrays, each made in
+a turn of its own; a reader joins them by name.
 """
 
 import asyncio
@@ -22,13 +22,13 @@ from hostlink.hub.participant import Participant
 from hostlink.hub.robot import LocalRobot
 from hostlink.hub.robots import Robots
 
-STALE_AFTER_S = 10.0  # a robot that comes back sooner has only rebooted, or its network had a gap
+STALE_AFTER_S = 10.0  # a robot that reconnects sooner has only rebooted, or its network had a gap
 
 Status = dict[str, Any]  # a DiagnosticStatus, to be encoded; the name of the node is put before its name
 
 
 class Level(IntEnum):
-    """Of diagnostic_msgs/DiagnosticStatus."""
+    """Level of a diagnostic_msgs/DiagnosticStatus."""
 
     OK = 0
     WARN = 1
@@ -45,12 +45,12 @@ WARNINGS = frozenset(  # the device works in spite of these; every other finding
 
 
 def level_of(findings: Iterable[Finding]) -> Level:
-    """Of the worst of them."""
+    """Return the level of the worst finding."""
     return max((Level.WARN if each.code in WARNINGS else Level.ERROR for each in findings), default=Level.OK)
 
 
 def robot_status(robot: LocalRobot, diagnosis: Diagnosis, now_s: float) -> Status:
-    """A robot whose device is connected."""
+    """Build the status of a robot whose device is connected."""
     lock = robot.gate.lock_reason
     odometry = robot.odometry.snapshot(now_s)
     figures = {
@@ -63,12 +63,15 @@ def robot_status(robot: LocalRobot, diagnosis: Diagnosis, now_s: float) -> Statu
 
 
 def device_status(name: str, diagnosis: Diagnosis) -> Status:
-    """A device that is no robot, or not known to be one yet."""
+    """Build the status of a device that is not known to be a robot."""
     return _connected(name, diagnosis, {}, "")
 
 
 def absent_status(robot: LocalRobot, address: str, gone_s: float | None, why: str) -> Status:
-    """A robot without a device; `gone_s`: for how long, if that is known; `why`: how its last link ended."""
+    """Build the status of a robot without a device.
+
+    `gone_s` is None if the time is unknown; `why` is the reason of the last link's end.
+    """
     is_stale = gone_s is None or gone_s >= STALE_AFTER_S
     since = "" if gone_s is None else f" for {gone_s:.0f} s"
     return _status(
@@ -81,12 +84,12 @@ def absent_status(robot: LocalRobot, address: str, gone_s: float | None, why: st
 
 
 def port_status(name: str, found: Finding) -> Status:
-    """A serial port that cannot be opened."""
+    """Build the status of a serial port that cannot be opened."""
     return _status(f"port {name}", Level.ERROR, _line(found), name, {"next step": found.next_step})
 
 
 def daemon_status(counts: Mapping[str, int], refused: Mapping[str, int], crashes: int) -> Status:
-    """The daemon itself."""
+    """Build the status of the daemon itself."""
     level = Level.ERROR if crashes else Level.OK
     message = f"{crashes} faults of hostlink itself: see its log" if crashes else "running"
     figures = {**counts, **{f"refused: {cause}": count for cause, count in refused.items()}}
@@ -94,7 +97,7 @@ def daemon_status(counts: Mapping[str, int], refused: Mapping[str, int], crashes
 
 
 def _connected(name: str, diagnosis: Diagnosis, figures: Mapping[str, str], remark: str) -> Status:
-    """`remark`: what a person should know though nothing is wrong."""
+    """Build the status of a connected device. `remark` is a text for people when nothing is wrong."""
     link, findings = diagnosis.link, diagnosis.findings
     level = max(level_of(findings), Level.WARN if remark else Level.OK)
     message = _line(findings[0]) if findings else remark or "connected"
@@ -147,7 +150,7 @@ _NS_PER_S = 1_000_000_000
 
 
 class DiagnosticsTopic:
-    """Publishes for the whole daemon."""
+    """Publisher of the daemon's diagnostics."""
 
     def __init__(
         self,
@@ -158,7 +161,7 @@ class DiagnosticsTopic:
         refused: Counter[str],
         namespace: str,
     ) -> None:
-        """`namespace`: of the node in a graph where several daemons share the topic; "/": of the only one."""
+        """`namespace` of the node distinguishes daemons that share the topic; "/" for a single daemon."""
         self._participant = participant
         self._node = "/".join([NODE, *filter(None, namespace.split("/"))])
         self._diagnoses, self._robots, self._isolation = diagnoses, robots, isolation
@@ -185,11 +188,11 @@ class DiagnosticsTopic:
             await asyncio.sleep(0)
 
     def _named(self, status: Status) -> Status:
-        """`node: component` is the usual form of a name, by which an aggregator selects."""
+        """Prefix the name as "node: component", the usual form by which an aggregator selects."""
         return {**status, "name": f"{self._node}: {status['name']}"}
 
     def _makers(self) -> Iterator[Callable[[], Status]]:
-        """What makes each status: the daemon's first, then robots by name, other devices, ports."""
+        """Yield a function for each status: the daemon's first, then robots by name, other devices, ports."""
         yield self._daemon
         now_s = asyncio.get_running_loop().time()
         absent: dict[str, Diagnosis] = {each.robot: each for each in self._diagnoses.ended if each.robot}

@@ -1,6 +1,6 @@
-"""Gates: every velocity gate, and the one clock of all. No velocity reaches a device but through here.
+"""Gates: all velocity gates and their clock. Every velocity to a device passes through here.
 
-`Driven` is whatever velocities can be published to, `Drivable` a velocity topic of a device here with its gate.
+`VelocityTarget` accepts velocities. `Drivable` is one: a velocity topic of a device here, with its gate.
 """
 
 import asyncio
@@ -42,30 +42,32 @@ log = structlog.get_logger()
 
 
 class Guard(Protocol):
-    """Its methods do not wait, and do not fail."""
+    """Interface of the guardian. Its methods do not wait and raise nothing."""
 
     def watch(
         self, number: int, connection: Callable[[], int | None], *, topic_ids: Sequence[int], claim_bytes: int
     ) -> None:
-        """A link has these velocity topics.
+        """Guard a link with these velocity topics.
 
-        `connection`: its descriptor while it is open; `claim_bytes`: the longest frame that was sent.
+        `connection` returns its descriptor while it is open. `claim_bytes` is the length of the longest sent frame.
         """
         ...
 
     def beat(self, driven: set[int]) -> None:
-        """This process runs, and these links have robots that may move; without a beat for a second they are stopped.
+        """Report that this process runs, and which links have robots that may move.
 
-        Call it at least ten times a second while there are any, and once when there are none any more.
+        The guardian stops them after a second without a beat.
+
+        Call it at least ten times a second while there are any, and once when there are none left.
         """
         ...
 
     def release(self, number: int) -> None:
-        """A link has ended, or has no velocity topic any more."""
+        """Stop guarding a link, which has ended or has no velocity topic left."""
         ...
 
 
-LOG_INTERVAL_S = 10.0  # for what is refused again and again: a driver repeats his command ten times a second
+LOG_INTERVAL_S = 10.0  # between log lines about repeated refusals: a driver repeats a command ten times a second
 
 
 @dataclass(slots=True)
@@ -73,12 +75,12 @@ class Refusals:
     """Velocities that did not fit a robot's device."""
 
     count: int = 0
-    cause: str | None = None  # of the last velocity; None: it was sent
+    cause: str | None = None  # for the last velocity; None if it was sent
     log_at_s: float = float("-inf")
     logged: int = 0
 
     def add(self, robot: str, error: HostlinkError) -> None:
-        """Log the first, then one in LOG_INTERVAL_S with the number of those since."""
+        """Count a refusal. Log the first, then one line in LOG_INTERVAL_S with their number."""
         self.count += 1
         self.cause = str(error)
         now_s = asyncio.get_running_loop().time()
@@ -87,43 +89,43 @@ class Refusals:
             self.log_at_s, self.logged = now_s + LOG_INTERVAL_S, self.count
 
 
-TICK_S = 0.05  # between two steps of a ramp; the end of a lease is not waited past
-MAX_STEPS = 64  # of gates in one turn of the loop: a device may have 256, and a stop comes in between
+TICK_S = 0.05  # between two steps of a ramp; the end of a lease is a step, too
+MAX_STEPS = 64  # of gates in one turn of the loop: a device may have 256, and a stop must not wait for them
 FEED_INTERVAL_S = 0.125  # a source that commands at 10 Hz feeds the device by itself; a quarter of its own watchdog
-MAX_GUARDED = 16  # velocity topics of a device that the guard stops; each that comes must be sent to it
+MAX_GUARDED = 16  # velocity topics of a device that the guardian stops; each is a record to it
 _NS_PER_S = 1_000_000_000
-ENDING = "hostlink is stopping, and drives no robot any more"
+ENDING = "hostlink is stopping and accepts no commands"
 
 
-class Driven(ABC):
-    """Whatever velocities can be published to: a velocity topic of a device here, or a robot of another daemon."""
+class VelocityTarget(ABC):
+    """Target of velocities: a velocity topic of a device here, or a robot of another daemon."""
 
     name: str
     admission: Admission  # decides whether a command may move it
 
     def join(self, topic: Topic) -> None:
-        """Note that it subscribes to a topic which others may be publishing already."""
+        """Note the publishers from before it subscribed to a topic."""
         self.admission.join((*topic.publishers, *topic.earlier), _now_s())
 
     @abstractmethod
     def command(self, command: Command[Any]) -> Any:
-        """Drive for the length of a lease, if the command is admitted; returns the velocity after the limits.
+        """Drive for the length of a lease, if the command is admitted. Return the velocity after the limits.
 
         Raises:
-            CommandRefused: the robot's admission has refused it, or the daemon stops.
-            FrameTooLarge, WrongType, UnknownTopic: the command does not fit the device; then its source drives no more.
-            DeviceGone: another daemon has the robot, and does not answer.
+            CommandRefused: the robot's admission refused the command, or the daemon stops.
+            FrameTooLarge, WrongType, UnknownTopic: the command does not fit the device; the device is stopped.
+            DeviceGone: the robot's daemon does not answer.
         """
 
     def receive(self, message: Message) -> None:
-        """Obey a Twist or a TwistStamped that was published, as a command of its publisher. A stamp of 0 is none.
+        """Receive a published Twist or TwistStamped as a command of its publisher. A stamp of 0 is ignored.
 
-        A robot has three of the six numbers; a velocity topic that belongs to no robot has them all. A joystick at rest
-        publishes zeros while another source drives: that is no error.
+        A robot uses three of the six numbers, a velocity topic without a robot all of them. A zero while another source
+        drives is ignored: a joystick at rest publishes zeros.
 
         Raises:
-            HostlinkError: as `command`.
-            WrongType: the message is neither.
+            HostlinkError: as from `command`.
+            WrongType: the message has another type.
         """
         stamp_age_s = None
         if message.type_name == TWIST_TYPE:
@@ -153,72 +155,72 @@ class Driven(ABC):
                 raise
 
 
-class Connection(Protocol):
-    """A device's place in the registry of links (`Robots.devices`), as gates and robots use it."""
+class RegisteredDevice(Protocol):
+    """Device in the registry of links (`Robots.devices`), as gates and robots use it."""
 
     link: Link
-    drivables: list["Drivable"]  # what is driven by this link, a robot's own velocity first
-    guarded_ids: list[int]  # the velocity topics that the guardian stops
+    drivables: list["Drivable"]  # velocity topics of the link, the robot's own first
+    guarded_ids: list[int]  # ids of the velocity topics that the guardian stops
     diagnosis: Diagnosis
 
 
 @dataclass(eq=False, kw_only=True)
-class Drivable(Driven):
-    """A velocity topic of a device, behind the gate that is its only subscriber in the graph.
+class Drivable(VelocityTarget):
+    """Velocity topic of a device, with its gate, which is the only subscriber in the graph.
 
-    It is a robot's own velocity topic, another one of it, or that of a device which publishes no pose.
+    It belongs to a robot, or to a device that publishes no pose.
     """
 
     name: str  # of the robot, or of the topic in the graph
-    velocity_topic: str  # as the device names it
+    velocity_topic: str  # name that the device uses
     gate: VelocityGate[Any]  # of a PlanarVelocity for a robot, else of a Twist
     gates: "Gates"
-    connection: Connection | None = None
-    echoes: dict[str, Topic] = field(default_factory=dict)  # topics of its gate, where all receive what it sent
-    last_frame: bytes = b""  # its zero, as the device receives it
-    resumed_link: int = 0  # the link since which no reconnection was an interruption
+    connection: RegisteredDevice | None = None
+    echoes: dict[str, Topic] = field(default_factory=dict)  # topics on which the sent velocities are published
+    last_frame: bytes = b""  # frame of a zero
+    resumed_link: int = 0  # number of the link since which no reconnection was an interruption
     sent: AnyVelocity = ZERO
     sent_at_s: float = 0.0
     refusals: Refusals = field(default_factory=Refusals)
-    admission: Admission = field(init=False)  # of its gate
+    admission: Admission = field(init=False)  # that of the gate
 
     def __post_init__(self) -> None:
         self.admission = self.gate.admission
 
     @property
     def link(self) -> Link | None:
-        """The link of its device; None: the device is not connected."""
+        """Link of the device; None if it is not connected."""
         return None if self.connection is None else self.connection.link
 
     @property
     def beside(self) -> list["Drivable"]:
-        """This one, and whatever else is driven by the same link."""
+        """All velocity topics of the link, including this one."""
         return [self] if self.connection is None else list(self.connection.drivables)
 
     def command(self, command: Command[V]) -> V:
-        """Drive through its gate."""
+        """Drive through the gate; as `VelocityTarget.command`."""
         return self.gates.command(self, command)
 
 
 def is_velocity(info: TopicInfo) -> bool:
-    """Whether a device is driven by this topic, by type and name: a Twist may mean other things."""
+    """Whether a topic drives a device, by type and name: a Twist may have another meaning."""
     leaf = info.name.rpartition("/")[2].lower()
     return info.kind is Id.SUBSCRIBER and info.type == TWIST_TYPE and "vel" in leaf
 
 
 class RemoteHosts(Protocol):
-    """What is requested of all other daemons of the fleet. What is no coroutine does not wait."""
+    """Interface to all other daemons of the fleet. Methods that are not coroutines do not wait."""
 
     def release(self, owner: Hashable) -> None:
-        """A source of commands is gone."""
+        """Report that a source of commands has left."""
         ...
 
     def stop(self, name: str | None) -> None:
-        """Stop whatever has this name, wherever it is; None: every robot."""
+        """Stop the robots of this name at all other daemons; None means every robot."""
         ...
 
     def lock(self, name: str, reason: str) -> None:
-        """Lock whatever has this name, wherever it is."""
+        """Lock the robots of this name at all other daemons."""
         ...
 
     async def settled(self) -> None:
@@ -227,24 +229,24 @@ class RemoteHosts(Protocol):
 
 
 class Gates:
-    """Sends what the gates give. Methods are synchronous; `run` is the clock."""
+    """Sender of the velocities of all gates. Methods are synchronous; `run` is the clock."""
 
     def __init__(self, isolation: Isolation, guard: Guard | None = None, events: RobotEvents | None = None) -> None:
-        """`guard` stops the devices when this process cannot any more; `events` has what is commanded and stopped."""
+        """`guard` stops the devices when this process cannot. `events` gets commands and stops."""
         self.events = RobotEvents() if events is None else events
-        self.is_closed = False  # the daemon ends, and drives nobody any more
-        self.hosts: RemoteHosts | None = None  # the way to the other daemons of the fleet
+        self.is_closed = False  # the daemon ends and accepts no commands
+        self.hosts: RemoteHosts | None = None  # other daemons of the fleet
         self._isolation, self._guardian = isolation, guard
-        self._driven = set[int]()  # links, as the guard knows them
-        self._admissions: Counter[Admission] = Counter()  # of robots and attached drivables, also of other daemons
-        self._active: dict[Drivable, None] = {}  # whose gate may have something to send
+        self._driven = set[int]()  # links of the last beat to the guardian
+        self._admissions: Counter[Admission] = Counter()  # registrations of all robots and attached drivables
+        self._active: dict[Drivable, None] = {}  # drivables whose gate may have a velocity to send
         self._wake = asyncio.Event()
         self._stalls = StallWatch()
 
     # -- which there are ----------------------------------------------------------------------------------------------
 
-    def attach(self, drivable: Drivable, connection: Connection) -> None:
-        """Its device is ready: no earlier command is valid any more, and its first velocity is zero."""
+    def attach(self, drivable: Drivable, connection: RegisteredDevice) -> None:
+        """Attach a velocity topic to its device. Earlier commands are void: the first velocity is zero."""
         drivable.connection, drivable.last_frame = connection, b""
         self.register(drivable.admission)
         if drivable.gate.admission.connect(_now_s()):
@@ -256,8 +258,8 @@ class Gates:
         self._guard(drivable, connection)
         self._activate(drivable)
 
-    def detach(self, connection: Connection) -> None:
-        """Nothing is driven by this link any more: what may move is sent a zero."""
+    def detach(self, connection: RegisteredDevice) -> None:
+        """Detach all velocity topics from a link, after a last zero to those that may move."""
         drivables, connection.drivables = connection.drivables, []
         for drivable in drivables:
             with self._isolation.around("robot", robot=drivable.name):  # the others must be detached, too
@@ -273,14 +275,14 @@ class Gates:
             self._guardian.release(connection.link.number)
 
     def reach(self, hosts: RemoteHosts | None) -> None:
-        """This is the way to the other daemons of the fleet from now on; None: there is none any more."""
+        """Set the interface to the other daemons of the fleet; None if there is none."""
         self.hosts = hosts
         self._wake.set()
 
     def register(self, admission: Admission) -> None:
-        """Interrupt this admission after a pause of the process, and withdraw from it each source that leaves.
+        """Register an admission: pauses of the process interrupt it, and sources that leave are withdrawn from it.
 
-        Whoever registers it more than once unregisters it as often: a robot does, and each of its drivables.
+        It is registered for a robot and for each of its drivables, and is unregistered as often.
         """
         self._admissions[admission] += 1
 
@@ -293,13 +295,13 @@ class Gates:
     # -- driving ------------------------------------------------------------------------------------------------------
 
     def command(self, drivable: Drivable, command: Command[V]) -> V:
-        """Drive a device here for the length of a lease, if the command is admitted; as `Driven.command`."""
+        """Drive a device here; as `VelocityTarget.command`."""
         gate: VelocityGate[V] = drivable.gate
         velocity, owner = command.velocity, command.source
         facts = {"owner": str(owner), "address": address_of(owner), "priority": command.priority, "velocity": velocity}
         try:
             command, now_s = self.timed(drivable.name, command), asyncio.get_running_loop().time()
-            # Two zeros of one moment would leave a slow line as one.
+            # Two zeros at the same time would become one frame on a slow line.
             is_stopping = velocity.is_zero and gate.is_stopping and drivable.refusals.cause is None
             limited = gate.command(command, now_s=now_s)
             refusal = None if is_stopping else self._step(drivable, now_s, is_news=True)
@@ -318,9 +320,9 @@ class Gates:
         return limited
 
     def timed(self, name: str, command: Command[V]) -> Command[V]:
-        """The command with the time at which it may have come: it may have waited while the loop was late.
+        """Return the command with the earliest time of its arrival: it may have waited while the loop was late.
 
-        Every command of a robot, here or of another daemon, goes through here before its admission decides.
+        Every command of a robot, here or of another daemon, passes through here before its admission.
 
         Raises:
             CommandRefused: the daemon stops.
@@ -333,18 +335,18 @@ class Gates:
         return command._replace(received_s=came_s) if came_s < command.received_s else command
 
     def came_s(self, now_s: float) -> float:
-        """Since when something that is read at this moment may have waited for it."""
+        """Return the earliest arrival time of bytes that are read now."""
         return now_s - self._stalls.late_s(now_s)
 
     def _notice_pause(self, now_s: float) -> None:
-        """Interrupt every robot, here or of another daemon, if this process has just gone on after a pause."""
+        """Interrupt every robot, here or of another daemon, if this process has just resumed after a pause."""
         since_s = self._stalls.pop_pause(now_s)
         if since_s is not None:
-            for admission in tuple(self._admissions):  # of a robot at rest, too: its sources may be disarmed
+            for admission in tuple(self._admissions):  # also of a robot at rest: its sources may be disarmed
                 admission.interrupt(now_s, since_s=since_s)
 
     def _overrule(self, beside: list[Drivable], drivable: Drivable, owner: Hashable, priority: int) -> None:
-        """Stop what a source of a lower priority drives of the same robot; its next command is refused."""
+        """Stop velocity topics of the robot that a source of lower priority drives. Its next command is refused."""
         now_s = _now_s()
         for other in beside:
             gate = other.gate
@@ -355,7 +357,7 @@ class Gates:
                 self._step(other, now_s, is_news=True)
 
     def release(self, owner: Hashable) -> None:
-        """A source of commands is gone: what it drives stops."""
+        """Stop everything that a source drives, because it has left."""
         if self.hosts is not None:
             self.hosts.release(owner)
         for admission in self._admissions:
@@ -369,7 +371,7 @@ class Gates:
                 self._step(drivable, now_s, is_news=True)
 
     def stop(self, drivables: Iterable[Drivable]) -> None:
-        """Stop these as fast as decelerations allow, whoever drives.
+        """Stop these within their deceleration limits, for every source.
 
         Raises:
             HostlinkError: the zero does not fit a device; all others have been stopped.
@@ -397,17 +399,17 @@ class Gates:
             await self.hosts.settled()
 
     def stop_at_once(self, drivables: Iterable[Drivable]) -> None:
-        """Zero, whatever the limits; a device that it does not fit is passed over."""
+        """Send zero at once, without the limits. Devices that it does not fit are skipped."""
         now_s = _now_s()
         for drivable in drivables:
             drivable.gate.stop_at_once()
             self._step(drivable, now_s, is_news=True)
 
     def lock(self, drivables: Iterable[Drivable], reason: str) -> None:
-        """Zero at once, and no command until the gates are unlocked.
+        """Send zero at once, and refuse commands until `unlock`.
 
         Raises:
-            HostlinkError: the zero does not fit a device; its gate is locked all the same.
+            HostlinkError: the zero does not fit a device; its gate is locked nevertheless.
         """
         drivables, now_s, refusal = list(drivables), _now_s(), None
         for admission in {drivable.admission for drivable in drivables}:
@@ -419,22 +421,22 @@ class Gates:
             raise refusal
 
     def unlock(self, drivables: Iterable[Drivable]) -> None:
-        """Admit commands again; nothing moves by it."""
+        """Admit commands again. Unlocking moves nothing."""
         for admission in {drivable.admission for drivable in drivables}:
             admission.unlock(_now_s())
 
     def pauses(self, now_s: float) -> HostPauses:
-        """When this process did not run."""
+        """Return the pauses of this process."""
         return self._stalls.pauses(now_s)
 
     def close(self) -> None:
-        """The daemon ends: no command is accepted any more, for good."""
+        """Refuse every command from now on, because the daemon ends."""
         self.is_closed = True
 
     # -- the clock ----------------------------------------------------------------------------------------------------
 
     async def run(self) -> None:
-        """Step every gate that is active; sleep while none is."""
+        """Step every active gate. Sleep while none is active."""
         loop = asyncio.get_running_loop()
         while True:
             now_s = loop.time()
@@ -465,7 +467,7 @@ class Gates:
                 await self._idle()
 
     async def _idle(self) -> None:
-        """Wait until a gate is active, or for a beat: what was paused must be known of every link."""
+        """Wait until a gate is active, or for BEAT_S: pauses must be noticed also while no robot moves."""
         self._wake.clear()
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(BEAT_S):
@@ -476,10 +478,10 @@ class Gates:
         self._wake.set()
 
     def _step(self, drivable: Drivable, now_s: float, *, is_news: bool = False) -> HostlinkError | None:
-        """Send what the gate gives, if it is time; returns why it does not fit the device.
+        """Send the gate's velocity if it is due. Return the error if it does not fit the device.
 
-        `is_news`: the gate has just changed, so that it is time. A crash here is this device's own: its link ends, with
-        a zero as its last frame.
+        `is_news`: the gate has just changed, so the velocity is due. A crash here ends the link of this device, with a
+        zero as its last frame.
         """
         if is_news:
             self._active[drivable] = None
@@ -503,8 +505,9 @@ class Gates:
             payload = velocity.encode()
             try:
                 link.session.publish(drivable.velocity_topic, payload, is_urgent=True, is_kept=is_first)
-                link.session.keep_clear(
-                    robot_moves=gate.may_move or any(each.gate.may_move for each in connection.drivables)
+                # Frames that would delay a stop on a slow line are held back or refused while the robot moves.
+                link.session.outbox.robot_moves = gate.may_move or any(
+                    each.gate.may_move for each in connection.drivables
                 )
             except HostlinkError as error:
                 drivable.refusals.add(drivable.name, error)
@@ -514,7 +517,7 @@ class Gates:
             link.wake()
             for topic in drivable.echoes.values():
                 topic.deliver(payload, source=drivable, at_s=now_s)
-        except Exception as error:  # noqa: BLE001 - counted; no other gate may miss its turn
+        except Exception as error:  # noqa: BLE001 - counted; the other gates are stepped
             if connection is not None:
                 connection.link.end(LinkEnd.CRASHED)
             self._isolation.crashed("robot", error, robot=drivable.name)
@@ -526,7 +529,7 @@ class Gates:
         self.events.note(EventKind.STOPPED, drivable.name, reason=reason, owner=owner)
 
     def _send_last_zero(self, drivable: Drivable, link: Link) -> None:
-        """To a device that may have announced other topics, or has another link by now; most often it is gone."""
+        """Send the last zero. The device may have announced other topics, may have another link, or may be gone."""
         if drivable.gate.may_move:
             try:
                 link.session.publish(drivable.velocity_topic, ZERO.encode(), is_urgent=True)
@@ -536,13 +539,13 @@ class Gates:
             link.wake()
 
     def _beat(self, driven: set[int]) -> None:
-        """Notify the guard that this process runs, and which links have robots that may move."""
+        """Report to the guardian that this process runs, and which links have robots that may move."""
         self._driven = driven
         if self._guardian is not None:
             self._guardian.beat(driven)
 
-    def _guard(self, drivable: Drivable, connection: Connection) -> None:
-        """Let link and guard stop it when nobody else can; what subscribes to no velocity cannot be driven."""
+    def _guard(self, drivable: Drivable, connection: RegisteredDevice) -> None:
+        """Give link and guardian the frame that stops the device when this process cannot."""
         link, guarded_ids = connection.link, connection.guarded_ids
         with contextlib.suppress(HostlinkError):
             drivable.last_frame = link.session.frame_to(drivable.velocity_topic, ZERO.encode())

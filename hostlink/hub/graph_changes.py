@@ -1,18 +1,18 @@
-"""GraphChanges: what has changed in the graph, and who wants to know that topics, services or robots have changed."""
+"""GraphChanges: log of changes of topics, services and robots, and the watchers that are notified of them."""
 
 import asyncio
 import time
 from collections.abc import Callable, Hashable
 from enum import Enum
 
-NOTIFY_AFTER_S = 0.05  # a device that comes changes twenty topics; they are one change
-SHARE = 0.1  # of the loop, for all watchers: what costs more is called less often
-LATEST_S = 0.5  # however much they cost
-MAX_KEPT = 1024  # names that have changed; who has not read more than that begins anew
+NOTIFY_AFTER_S = 0.05  # a device that connects changes twenty topics, which are one notification
+SHARE = 0.1  # of the loop for all watchers: expensive ones are called less often
+LATEST_S = 0.5  # longest delay, independent of their cost
+MAX_KEPT = 1024  # changed names; a reader that missed more reads the whole graph
 
 
-class Kind(Enum):
-    """Of what has a name in the graph."""
+class GraphKind(Enum):
+    """Kind of a name in the graph."""
 
     TOPIC = "topic"
     SERVICE = "service"
@@ -20,16 +20,16 @@ class Kind(Enum):
 
 
 class GraphChanges:
-    """Watchers are called soon after a change, once for all changes until then, each in a turn of its own."""
+    """Log of changes. Watchers are called soon after a change, once for several, each in a turn of its own."""
 
     def __init__(self, computed_s: Callable[[], float] = time.thread_time) -> None:
-        """`computed_s`: how long this thread has computed; that it waited for a core is no watcher's fault."""
+        """`computed_s` returns the thread's CPU time, without the time for which it waited for a core."""
         self._computed_s = computed_s
         self.version = 0  # grows with each change
-        self._kept: dict[tuple[Kind, str], int] = {}  # the version in which each changed last, oldest first
-        self._forgotten = 0  # the version of the newest change that is not kept
+        self._kept: dict[tuple[GraphKind, str], int] = {}  # version of each name's last change, oldest first
+        self._forgotten = 0  # version of the newest change that is not kept
         self._watchers: dict[Hashable, Callable[[], None]] = {}
-        self._due: dict[Hashable, None] = {}  # watchers that are to be called in this round
+        self._due: dict[Hashable, None] = {}  # watchers to call in this round
         self._is_expected = False
         self._spent_s = 0.0  # in the last round
 
@@ -39,11 +39,11 @@ class GraphChanges:
         self._expect()
 
     def unwatch(self, key: Hashable) -> None:
-        """End the watching of a key; one that watches nothing is no error."""
+        """Remove the watcher of a key. Do nothing if it has none."""
         self._watchers.pop(key, None)
 
-    def note(self, kind: Kind, name: str) -> None:
-        """Something of this name has changed, has come or has gone."""
+    def note(self, kind: GraphKind, name: str) -> None:
+        """Note that something of this name was added, changed or removed."""
         self.version += 1
         self._kept.pop((kind, name), None)
         self._kept[kind, name] = self.version
@@ -51,8 +51,8 @@ class GraphChanges:
             self._forgotten = self._kept.pop(next(iter(self._kept)))
         self._expect()
 
-    def since(self, version: int) -> list[tuple[Kind, str]] | None:
-        """What has changed after this version; None: too much."""
+    def since(self, version: int) -> list[tuple[GraphKind, str]] | None:
+        """Return the changes after a version, newest first; None if there were more than MAX_KEPT."""
         if version < self._forgotten:
             return None
         found = []

@@ -1,4 +1,4 @@
-"""The graph as one group sees it: topics and services as values, updated from what has changed since."""
+"""GraphView: topics and services as one group sees them, as values that are updated from the latest changes."""
 
 import bisect
 from collections.abc import Mapping
@@ -6,34 +6,34 @@ from dataclasses import dataclass
 from typing import Generic, Protocol, TypeVar
 from weakref import WeakValueDictionary
 
-from hostlink.hub.graph_changes import GraphChanges, Kind
+from hostlink.hub.graph_changes import GraphChanges, GraphKind
 from hostlink.hub.node import Node, is_of
 from hostlink.hub.services import DeviceService, Provider, Services
 from hostlink.hub.topic import Topic
 from hostlink.hub.topic_graph import TopicGraph
 from hostlink.messages.message_type import MessageType
 
-OBSERVERS = "recording"  # a group that receives what there is: no reason to bring a topic from another graph
-ROSAPI = "/rosapi/"  # answers about this daemon's graph to clients of rosbridge; another graph has its own
+OBSERVERS = "recording"  # group whose subscriptions do not import a topic from another graph
+ROSAPI = "/rosapi/"  # services about this daemon's graph, for clients of rosbridge only
 
 
 @dataclass(frozen=True, slots=True)
 class GraphTopic:
-    """A topic, as those see it who do not belong to the group that asks."""
+    """Topic as it is outside of the requesting group."""
 
     name: str
-    type_name: str  # empty: only subscribers use it, and none named a type
-    type: MessageType | None  # None: nobody has a definition
+    type_name: str  # empty: it has only subscribers, and none named a type
+    type: MessageType | None  # None: the type has no definition here
     is_published: bool
     is_subscribed: bool
     is_latched: bool
-    is_velocity: bool  # what is published to it drives a robot
-    is_derived: bool  # hostlink alone publishes it, from what devices publish
+    is_velocity: bool  # its messages drive a robot
+    is_derived: bool  # only hostlink publishes it, from messages of devices
 
 
 @dataclass(frozen=True, slots=True)
 class GraphService:
-    """A service that somebody outside of the group answers."""
+    """Service that is provided outside of the requesting group."""
 
     name: str
     type_name: str
@@ -41,14 +41,14 @@ class GraphService:
 
 @dataclass(frozen=True, slots=True)
 class Graph:
-    """All topics and services that somebody outside of the group uses, by name."""
+    """All topics and services outside of the requesting group, by name."""
 
     topics: tuple[GraphTopic, ...]
     services: tuple[GraphService, ...]
 
 
 def graph_topic(topic: Topic, group: str) -> GraphTopic | None:
-    """The topic as the group sees it; None: nobody outside of it uses it."""
+    """Return the topic as the group sees it; None if it has no user outside of the group."""
     publishers = [key for key in topic.publishers if not is_of(key, group)]
     subscribers = [each.key for each in topic.subscribers if not is_of(each.key, OBSERVERS)]
     found = GraphTopic(
@@ -65,7 +65,7 @@ def graph_topic(topic: Topic, group: str) -> GraphTopic | None:
 
 
 def graph_service(name: str, service: DeviceService | Provider, group: str) -> GraphService | None:
-    """The service as the group sees it; None: the group answers it itself, or it is no part of another graph."""
+    """Return the service as the group sees it; None if the group provides it, or if it is one of ROSAPI."""
     is_shown = not name.startswith(ROSAPI) and not is_of(service.key, group)
     return GraphService(name, service.type_name) if is_shown else None
 
@@ -80,16 +80,16 @@ Entry = TypeVar("Entry", bound=_Named)
 
 @dataclass(frozen=True, slots=True)
 class GraphNews:
-    """What has changed since somebody read last."""
+    """Changes since a version."""
 
     version: int  # for the next reading
-    topics: Mapping[str, GraphTopic | None]  # None: it is gone, or nobody outside of the group uses it
-    robots: frozenset[str]  # that came, left or were forgotten
-    is_whole: bool  # `topics` are all that there are: too much has changed, or it is the first reading
+    topics: Mapping[str, GraphTopic | None]  # None: removed, or without a user outside of the group
+    robots: frozenset[str]  # names that were added, disconnected or forgotten
+    is_whole: bool  # `topics` has all topics: it is the first reading, or too much has changed
 
 
 class GraphView:
-    """One for all participants of a group."""
+    """View of the graph for all participants of one group."""
 
     def __init__(self, topics: TopicGraph, services: Services, changes: GraphChanges, group: str) -> None:
         self._all_topics, self._all_services, self._changes, self._group = topics, services, changes, group
@@ -97,36 +97,36 @@ class GraphView:
         self._topics, self._services = _Table[GraphTopic](), _Table[GraphService]()
 
     def graph(self) -> Graph:
-        """What others than this group have; the same object until that changes."""
+        """Return the topics and services outside of the group."""
         self._update()
         return Graph(self._topics.entries(), self._services.entries())
 
     def topic(self, name: str) -> GraphTopic | None:
-        """One of them."""
+        """Return one topic of the view; None if it has none of this name."""
         self._update()
         return self._topics.get(name)
 
     def news(self, version: int) -> GraphNews:
-        """What has changed after this version, -1 for the first reading."""
+        """Return the changes after a version; -1 for the first reading."""
         self._update()
         changed = None if version < 0 else self._changes.since(version)
         if changed is None:
             topics: dict[str, GraphTopic | None] = {topic.name: topic for topic in self._topics.entries()}
             return GraphNews(self._version, topics, frozenset(), is_whole=True)
-        names = [name for kind, name in changed if kind is Kind.TOPIC]
-        robots = frozenset(name for kind, name in changed if kind is Kind.ROBOT)
+        names = [name for kind, name in changed if kind is GraphKind.TOPIC]
+        robots = frozenset(name for kind, name in changed if kind is GraphKind.ROBOT)
         return GraphNews(self._version, {name: self._topics.get(name) for name in names}, robots, is_whole=False)
 
     def _update(self) -> None:
         changed = None if self._version < 0 else self._changes.since(self._version)
         self._version = self._changes.version
         if changed is None:
-            changed = [(Kind.TOPIC, name) for name in {*self._topics.names(), *self._all_topics.names()}]
-            changed += [(Kind.SERVICE, name) for name in {*self._services.names(), *self._all_services.names()}]
+            changed = [(GraphKind.TOPIC, name) for name in {*self._topics.names(), *self._all_topics.names()}]
+            changed += [(GraphKind.SERVICE, name) for name in {*self._services.names(), *self._all_services.names()}]
         for kind, name in changed:
-            if kind is Kind.TOPIC:
+            if kind is GraphKind.TOPIC:
                 self._topics.put(name, self._make_topic(name))
-            elif kind is Kind.SERVICE:
+            elif kind is GraphKind.SERVICE:
                 self._services.put(name, self._make_service(name))
 
     def _make_topic(self, name: str) -> GraphTopic | None:
@@ -139,7 +139,7 @@ class GraphView:
 
 
 class _Table(Generic[Entry]):
-    """Entries by name, in the order of names; one that comes costs the others nothing but their places."""
+    """Entries sorted by name. An insertion only moves the others."""
 
     def __init__(self) -> None:
         self._by_name: dict[str, Entry] = {}
@@ -153,7 +153,7 @@ class _Table(Generic[Entry]):
         return self._names
 
     def put(self, name: str, entry: Entry | None) -> None:
-        """None: it is gone."""
+        """Set or replace an entry; None removes it."""
         before = self._by_name.get(name)
         if entry == before:
             return
@@ -173,14 +173,14 @@ class _Table(Generic[Entry]):
 
 
 class GraphViews:
-    """The views by group, each as long as a participant has it."""
+    """Views by group. A view lives as long as a participant uses it."""
 
     def __init__(self, topics: TopicGraph, services: Services, changes: GraphChanges) -> None:
         self._parts = topics, services, changes
         self._views: WeakValueDictionary[str, GraphView] = WeakValueDictionary()
 
     def of(self, group: str) -> GraphView:
-        """The group's."""
+        """Return the view of a group."""
         view = self._views.get(group)
         if view is None:
             view = self._views[group] = GraphView(*self._parts, group)

@@ -1,4 +1,4 @@
-"""Hub: the parts that devices and participants share. It runs them, and stops every robot when the daemon ends."""
+"""Hub: the parts that devices and participants share. The hub runs them, and stops every robot at the daemon's end."""
 
 import asyncio
 import contextlib
@@ -14,7 +14,7 @@ from hostlink.hub.byte_budget import ByteBudget
 from hostlink.hub.diagnoses import Diagnoses
 from hostlink.hub.diagnostics_topic import DiagnosticsTopic
 from hostlink.hub.gates import Gates, Guard
-from hostlink.hub.graph_changes import GraphChanges, Kind
+from hostlink.hub.graph_changes import GraphChanges, GraphKind
 from hostlink.hub.graph_view import GraphViews
 from hostlink.hub.isolation import Isolation
 from hostlink.hub.links import Links, addresses_of
@@ -39,46 +39,46 @@ log = structlog.get_logger()
 
 @dataclass(frozen=True, slots=True)
 class Counts:
-    """Whoever counts writes into it."""
+    """Counters of listeners, clients and graphs, which write into it."""
 
-    refused: Counter[str] = field(default_factory=Counter)  # connections not served or evicted, by cause
-    datagrams_dropped: Counter[str] = field(default_factory=Counter)  # of UDP, either way, by cause
-    velocities_replaced: Counter[str] = field(default_factory=Counter)  # of clients, by a newer one, by their kind
-    graphs: dict[str, Callable[[], Mapping[str, int]]] = field(default_factory=dict)  # of each that the hub is part of
+    refused: Counter[str] = field(default_factory=Counter)  # refused and evicted connections, by cause
+    datagrams_dropped: Counter[str] = field(default_factory=Counter)  # UDP datagrams in both directions, by cause
+    velocities_replaced: Counter[str] = field(default_factory=Counter)  # by newer ones, by kind of client
+    graphs: dict[str, Callable[[], Mapping[str, int]]] = field(default_factory=dict)  # counters of each connected graph
 
 
 @dataclass(frozen=True, slots=True)
 class Listening:
-    """Addresses as sockets have them; None: it does not listen there."""
+    """Addresses of the listening sockets; None if it does not listen."""
 
     tcp: tuple[str, int] | None = None
     udp: tuple[str, int] | None = None
 
 
-DAEMON = "hostlink"  # the name of the daemon's own parts in the graph
+DAEMON = "hostlink"  # name of the daemon's own participants in the graph
 STOP_REPEATS = 3  # a single stop can be lost on a radio
 STOP_INTERVAL_S = 0.05
 SHUTDOWN_TIMEOUT_S = 0.5
-LOG_INTERVAL_S = 10.0  # between two lines about lines that are missing
+LOG_INTERVAL_S = 10.0  # between two lines about dropped log lines
 
 
 class Hub:
-    """Everything that is connected. Its methods are synchronous, so each is atomic; only services wait.
+    """Everything that is connected. Methods are synchronous, so each is atomic; only services wait.
 
-    `reraises`: a crash of one link brings the hub down, as tests want it, instead of being logged and counted.
+    `reraises` is for tests: a crash of one link ends the hub. Otherwise it is logged and counted.
     """
 
     def __init__(self, config: Config, catalog: Catalog, *, reraises: bool = False, guard: Guard | None = None) -> None:
         self.config, self.catalog = config, catalog
-        self.is_running = asyncio.Event()  # once set, it can `spawn`
+        self.is_running = asyncio.Event()  # `spawn` works when it is set
         self.counts = Counts()
-        self.listening = Listening()  # who listens sets it
-        self.parameters = dict(config.parameters)  # what devices request; clients may change it
+        self.listening = Listening()  # set by the listeners
+        self.parameters = dict(config.parameters)  # parameters for devices; clients may change them
         self.isolation = Isolation(reraises=reraises)
         self.changes = GraphChanges()
         self.budget = ByteBudget()
         self.share = FairShare()  # of the event loop, for links and participants
-        self.node = Node(DAEMON, is_daemon=True)  # publishes and subscribes what robots have by the names of ROS
+        self.node = Node(DAEMON, is_daemon=True)  # publishes and subscribes the topics of robots that have names of ROS
         self.topics = TopicGraph(catalog, self.changes, self.budget)
         self.services = Services(catalog, self.changes)
         self.views = GraphViews(self.topics, self.services, self.changes)
@@ -100,7 +100,7 @@ class Hub:
         self._tasks: asyncio.TaskGroup | None = None
 
     async def run(self) -> None:
-        """Serve until cancelled; the parent of whatever is spawned."""
+        """Serve until cancelled. This task is the parent of every spawned one."""
         async with asyncio.TaskGroup() as self._tasks:
             self.spawn(self.diagnoses.run(), name="diagnoses")
             self.spawn(self.robots.run(), name="known robots")
@@ -110,7 +110,7 @@ class Hub:
             await self.gates.run()
 
     def spawn(self, work: Coroutine[Any, Any, object], *, name: str) -> None:
-        """Run something, at most as long as the hub. Its crash ends nothing else."""
+        """Run work at most as long as the hub. A crash ends only this work."""
         if self._tasks is None:
             raise RuntimeError("the hub does not run yet")
         self._tasks.create_task(self._isolated(work, name), name=name)
@@ -120,13 +120,13 @@ class Hub:
             await work
 
     def turns(self) -> Turns:
-        """The part of one more link or participant in what the loop does for all."""
+        """Create the share of one more link or participant in the event loop."""
         return Turns(self.share)
 
     def reconfigure(self, config: Config, places: Places) -> dict[str, str]:
-        """Other names and limits of robots from now on; returns the new names of those that are connected, by the old.
+        """Change names and limits of robots. Return the new names of connected robots by their old ones.
 
-        `places`: what `places_of` has made of the same settings.
+        `places` are from `places_of` with the same settings.
 
         Raises:
             ReloadRefused: a robot that is driven or locked would have another name; nothing has changed.
@@ -147,21 +147,21 @@ class Hub:
         group: str = "",
         on_end: Callable[[], None] = lambda: None,
     ) -> Participant:
-        """A program takes part from now on, until it leaves; `on_end` is called when a failure of its own ends it.
+        """Create the participant of a program. `on_end` is called when a failure of its callbacks ends it.
 
-        `group`: the bridge to another graph, as ROS 2, of which it is a part. What the group publishes does not come
-        back to it.
+        `group` is the bridge to another graph, such as ROS 2, to which it belongs. The group does not receive its own
+        messages.
         """
         return Participant(self, name, role=role, priority=priority, group=group, on_end=on_end)
 
     def join_daemon(self, *, group: str = "") -> Participant:
-        """A part of the daemon takes part; whatever of it fails, it stays. `group`: as of `join`."""
+        """Create a participant of the daemon, which no failure of its callbacks ends. `group` is as for `join`."""
         return Participant(self, DAEMON, is_daemon=True, group=group)
 
     async def shutdown(self) -> None:
-        """Stop every robot, request silence of every device, end every link; bounded by SHUTDOWN_TIMEOUT_S.
+        """Stop every robot, request silence of every device, end every link, within SHUTDOWN_TIMEOUT_S.
 
-        From its first moment on nobody moves a robot any more: the last velocity that leaves is zero.
+        Commands are refused from the start, so that the last velocity to each robot is zero.
         """
         self.gates.close()
         with contextlib.suppress(TimeoutError):
@@ -173,8 +173,8 @@ class Hub:
         self.links.end_all()
 
     def _note_robot(self, name: str) -> None:
-        """A robot of this name has come, has left or is forgotten."""
-        self.changes.note(Kind.ROBOT, name)
+        """Note that a robot of this name connected, disconnected or was forgotten."""
+        self.changes.note(GraphKind.ROBOT, name)
         self._lock_services.update(name)
 
     def _forget_robot(self, robot: LocalRobot) -> None:
@@ -192,7 +192,7 @@ class Hub:
 
 
 def places_of(config: Config) -> Places:
-    """Where the robots are configured to be; their limits are checked. For any thread: of thousands it takes a while.
+    """Return the configured addresses of robots, and check their limits. With thousands of robots, call it in a thread.
 
     Raises:
         ConfigError: limits of a robot cannot be kept.

@@ -1,4 +1,4 @@
-"""Isolation: the boundaries at which a crash is logged and counted, and behind which nothing else ends."""
+"""Isolation: boundaries at which a crash is logged and counted, so that it ends nothing else."""
 
 import contextlib
 from collections import Counter
@@ -11,28 +11,28 @@ log = structlog.get_logger()
 
 
 class Isolation:
-    """The boundaries between links, robots, participants and the daemon's own work."""
+    """Boundaries between links, robots, participants and tasks of the daemon."""
 
     def __init__(self, *, reraises: bool = False) -> None:
-        """`reraises`: a crash is raised after it was counted, for tests."""
+        """`reraises` is for tests: a crash is raised after it was counted."""
         self.crashes: Counter[str] = Counter()
         self._reraises = reraises
 
     @contextlib.contextmanager
     def around(self, what: str, **facts: object) -> Iterator[None]:
-        """Keep an exception of the block from whoever entered it; logged as `what`.crashed."""
+        """Catch an exception of the block, and log it as `what`.crashed."""
         try:
             yield
         except Exception as error:  # noqa: BLE001 - this is the boundary
             self.crashed(what, error, **facts)
 
     def crashed(self, what: str, error: Exception, **facts: object) -> None:
-        """Count it and log it: without the traceback where that fails, which reads source files and needs memory."""
+        """Count and log a crash. Without the traceback if that fails: it reads source files and needs memory."""
         self.crashes[what] += 1
         event = f"{what}.crashed"
         try:
             log.error(event, exc_info=error, **facts)
-        except Exception:  # noqa: BLE001 - whatever it was, the crash itself matters more
+        except Exception:  # noqa: BLE001 - the crash itself matters more
             with contextlib.suppress(Exception):
                 log.error(event, cause=repr(error), **facts)  # noqa: TRY400 - without the traceback, which failed
         if self._reraises:
@@ -40,6 +40,6 @@ class Isolation:
 
 
 class Spawn(Protocol):
-    """Run something, at most as long as the hub; its crash ends nothing else."""
+    """Run work at most as long as the hub. A crash ends only this work."""
 
     def __call__(self, work: Coroutine[Any, Any, object], *, name: str) -> object: ...

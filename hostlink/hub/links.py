@@ -32,24 +32,24 @@ if TYPE_CHECKING:
 
 log = structlog.get_logger()
 
-SILENCE_TIMEOUT_S = 0.5  # for what a device is sent before its link ends
+SILENCE_TIMEOUT_S = 0.5  # for the request for silence before a link ends
 END_S = 0.0005  # CPU time for removing a device from the graph
 DECIDE_INTERVAL_S = 0.05  # a robot sends every 0.1 s
-LAST_ZERO_S = 0.2  # for the zero to a link that is replaced while its robot drives
+LAST_ZERO_S = 0.2  # for the last zero on a link that is replaced while its robot moves
 
 
 class Links:
     """Opens, serves and ends the links, and answers what devices request: services, parameters, the time.
 
-    `Directory` decides which robot a device is. This class does what was decided. `Robots.devices` has the `Device` of
-    each live link; events of a link that was replaced are ignored.
+    `Directory` decides which robot a device is. This class carries the decision out. `Robots.devices` has the `Device`
+    of each live link; events of a link that was replaced are ignored.
     """
 
     def __init__(self, hub: "Hub") -> None:
-        self.parameter_source: ParameterSource | None = None  # of parameters that are not set here
-        self.wall_ns: Callable[[], int] = time.time_ns  # the time that devices are given
-        self.undelivered = 0  # messages of devices that left unidentified, or sent too many before
-        self.late_answers = 0  # answers of devices' services after their calls had timed out
+        self.parameter_source: ParameterSource | None = None  # for parameters that are not set here
+        self.wall_ns: Callable[[], int] = time.time_ns  # time in answers to devices
+        self.undelivered = 0  # dropped messages of devices that were not identified yet
+        self.late_answers = 0  # answers of devices' services after the timeout of the call
         self._hub, self._devices = hub, hub.robots.devices
         self._directory = Directory(addresses_of(hub.config))
         self._ends = Turns(hub.share)
@@ -76,7 +76,7 @@ class Links:
     # -- connections --------------------------------------------------------------------------------------------------
 
     def open(self, transport: Transport, link_config: LinkConfig | None = None) -> Link:
-        """A link for one connection, to be served from now on."""
+        """Create the link of one connection. `serve` must follow."""
         hub = self._hub
         config = hub.config.link if link_config is None else link_config
         session = Session(
@@ -95,11 +95,11 @@ class Links:
             wall_ns=self._read_wall_ns,
             pauses=hub.gates.pauses,
         )
-        self._devices[link.number] = Device(link, hub.diagnoses.begin(link), hub)
+        self._devices[link.number] = Device(link, hub.diagnoses.begin(link), self._directory.presence(link.number), hub)
         return link
 
     async def serve(self, link: Link, authenticate: Authenticate = trust) -> LinkEnd:
-        """Serve an opened link to its end; rosserial begins when `authenticate` returns."""
+        """Serve a link to its end. rosserial begins when `authenticate` returns."""
         hub, end = self._hub, LinkEnd.CRASHED
         with bound_contextvars(link=link.number, peer=printable(link.peer), **of_peer(link.address)):
             log.info("link.opened")
@@ -107,7 +107,7 @@ class Links:
             try:
                 with hub.isolation.around("link"):  # a bug in one link must not stop another robot
                     end = await link.run(authenticate)
-                    await self._ends.wait(END_S, is_flooding=True)  # many that leave at once leave one by one
+                    await self._ends.wait(END_S, is_flooding=True)  # many links that end at once are removed one by one
             except asyncio.CancelledError:
                 end = LinkEnd.STOPPED
                 raise
@@ -122,11 +122,11 @@ class Links:
         return end
 
     def all(self) -> list[Link]:
-        """The live links, oldest first."""
+        """Return the live links, oldest first."""
         return [device.link for device in self._devices.values()]
 
     async def silence(self) -> None:
-        """Request silence of every device; returns when each has been sent that."""
+        """Send every device the request for silence. Return when all were sent."""
         await _silence(self.all())
 
     def end_all(self) -> None:
@@ -135,12 +135,12 @@ class Links:
             link.end(LinkEnd.STOPPED)
 
     def shown_name(self, link: Link, name: str) -> str:
-        """The name in the graph of what a device calls `name`."""
+        """Return the name in the graph of a device's topic, service or parameter."""
         device = self._devices.get(link.number)
         return name if device is None else device.shown.of(name)
 
     def answered_parameters(self, link: Link) -> Mapping[str, Parameter]:
-        """What the device of a link was answered, by the shown names: it uses them until it requests them again."""
+        """Return the parameters that were sent to a device, by name in the graph."""
         device = self._devices.get(link.number)
         return {} if device is None else device.parameters
 
@@ -153,7 +153,7 @@ class Links:
         return next((rate for rate in rates if rate is not None), config.uart_bytes_s)
 
     async def _give_up(self, link: Link) -> None:
-        """End the link of a device that waits for an answer that does not fit it; it stops, and waits no more."""
+        """Stop a device that waits for an answer that does not fit its buffer, and end its link."""
         device = self._devices.get(link.number)
         self._hub.gates.stop_at_once([] if device is None else device.drivables)
         with contextlib.suppress(TimeoutError):
@@ -162,24 +162,22 @@ class Links:
         link.end(LinkEnd.UNANSWERABLE)
 
     def _service_name(self, link: Link, name: str) -> str:
-        """The service of the robot's name here, if one is offered; else the name that all devices of its kind call."""
+        """Return the service in the robot's namespace if it exists; else the announced name."""
         shown = self.shown_name(link, name)
         return shown if self._hub.services.is_offered(shown) else name
 
     # -- events of sessions -------------------------------------------------------------------------------------------
 
     def react(self, link: Link, event: events.Event) -> None:
-        """Do what an event of a live link means."""
+        """React to an event of a live link."""
         device = self._devices.get(link.number)
         if device is None:
             return
-        if link.received_at_s != device.received_at_s:  # else more came in one read
-            device.received_at_s = link.received_at_s
-            self._directory.note_read(link.number, link.received_at_s)
+        device.presence.note_read(link.received_at_s)
         if not isinstance(event, events.MessageReceived):
             self._hub.diagnoses.note(link, event)
             reaction = self._reactions.get(type(event))
-            if reaction is not None:  # else the session has done all that there is to do
+            if reaction is not None:  # otherwise the session alone has reacted
                 reaction(link, event)
         elif device.is_undecided:
             self.undelivered += device.early.add(event, link.received_at_s)
@@ -190,7 +188,7 @@ class Links:
         log.info("topics.negotiated", count=len(event.topics), gap_at=event.gap_at, is_changed=event.is_changed)
         device = self._devices[link.number]
         if event.is_changed:
-            link.last_frame = b""  # its id may be another topic's now
+            link.last_frame = b""  # its id may belong to another topic now
             device.infos = event.topics
             self._identify(device)
         else:
@@ -216,7 +214,7 @@ class Links:
     # -- which robot a device is --------------------------------------------------------------------------------------
 
     def forget_robot(self, robot: LocalRobot) -> None:
-        """Forget a robot that was away for long."""
+        """Forget a robot that has been disconnected for long."""
         self._directory.forget(robot.name)
         self._hub.robot_topics.forget(robot)
 
@@ -236,7 +234,7 @@ class Links:
                 raise ReloadRefused(f"{name} is locked: unlock it before its name changes")
 
     def reconfigure(self, places: Places) -> dict[str, str]:
-        """Name robots by these places from now on; returns the new names of those that are connected, by the old."""
+        """Replace the configured addresses of robots. Return the new names of connected robots by their old ones."""
         misplaced = self._directory.reconfigure(places)
         links = {name: link for name, link in misplaced.items() if link is not None}
         for link in links.values():
@@ -249,16 +247,16 @@ class Links:
         return {name: robot.name for name, robot in found.items() if robot is not None}
 
     def _forget(self, link: Link) -> None:
-        """Remove the device of a link that has ended, or that another link replaces."""
+        """Remove the device of a link that ended or was replaced."""
         device = self._devices.pop(link.number, None)
         if device is not None:
             self.undelivered += len(device.early)
             self._leave_graph(device)
-            self._hub.gates.release(link)  # a device may drive another
+            self._hub.gates.release(link)  # the device may have driven another one
             self._directory.leave(link.number)
 
     def _identify(self, device: Device) -> None:
-        """Find out which device it is, as far as that is known by now."""
+        """Identify a device: accept it, refuse it, or wait for the Directory to decide."""
         link, infos = device.link, device.infos
         claim = self._directory.claim(
             link.number,
@@ -276,7 +274,7 @@ class Links:
             self._accept(device, claim)
 
     def _wait(self, device: Device, claim: Undecided) -> None:
-        """Request the topics of other links that may be the same device, silent or dead, and claim again soon."""
+        """Request the topics of other links that may be the same device, and identify this one again soon."""
         for number in claim.probe:
             rival = self._devices[number].link
             rival.session.request_topics("claimed_twice")
@@ -301,7 +299,7 @@ class Links:
         link.end(LinkEnd.REFUSED)
 
     def _accept(self, device: Device, claim: Accepted) -> None:
-        """Put the device into the graph, as the robot that it is."""
+        """Put a device into the graph, as its robot if it has one."""
         if claim.replaces is not None:
             self._replace(claim.replaces)
         touched, before = device.names, device.robot
@@ -332,9 +330,9 @@ class Links:
         return robot
 
     def _displace(self, robot: LocalRobot) -> None:
-        """End what other devices have by the robot's own names with another type.
+        """Remove other devices from the robot's own topics if they have another type.
 
-        Another robot keeps a name that is its own, unless it is this robot's velocity.
+        Another robot keeps a topic of its own, unless it is this robot's velocity topic.
         """
         for name, type_name in robot.shown.own.items():
             for key in self._hub.topics.devices_against(name, type_name):
@@ -345,7 +343,7 @@ class Links:
                     device.displace(name, type_name, other)
 
     def _log_name(self, device: Device, claim: Accepted) -> None:
-        """Note the device's names for its diagnosis, which tells a reboot from another board; log a numbered name."""
+        """Note names for the diagnosis, which distinguishes a reboot from another board. Log a numbered name."""
         name = "" if claim.robot is None else claim.robot.name
         device.diagnosis.robot = name
         device.diagnosis.own_name = claim.own_name if claim.is_numbered else ""
@@ -358,7 +356,7 @@ class Links:
             )
 
     def _replace(self, number: int) -> None:
-        """End the old link of a device that reconnected; if its robot was moving, wait until the zero was sent."""
+        """End the old link of a device that reconnected. If its robot was moving, wait until the zero was sent."""
         old = self._devices.get(number)
         if old is None:
             return
@@ -377,7 +375,7 @@ class Links:
 
 
 def addresses_of(config: Config) -> dict[str, str | None]:
-    """The configured addresses of robots, by their names."""
+    """Return the configured addresses of robots, by name."""
     return {name: robot.address for name, robot in config.robots.items()}
 
 

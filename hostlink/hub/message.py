@@ -1,11 +1,11 @@
-"""Message: one payload on one topic, as it came; decoded only when somebody needs the fields, and then once for all."""
+"""Message: one payload on one topic, as received. It is decoded at the first request for its fields, once for all."""
 
 from collections.abc import Callable, Hashable
 
 from hostlink.errors import BadPayload
 from hostlink.messages.message_type import MessageType
 
-PROGRAM_PRIORITY = 50  # of a program that names none
+PROGRAM_PRIORITY = 50  # of a program that gives none
 
 
 class Message:
@@ -34,7 +34,7 @@ class Message:
     ) -> None:
         self.topic = topic
         self.type_name = type_name
-        self.type = type_  # None: a type that nobody has a definition of; the payload passes as it is
+        self.type = type_  # None: the type has no definition here; the payload passes unchanged
         self.payload = payload
         self.source = source
         self.stamp_ns = stamp_ns
@@ -46,7 +46,7 @@ class Message:
 
     @property
     def decoded(self) -> dict[str, object]:
-        """The fields.
+        """Decoded fields.
 
         Raises:
             BadPayload: the bytes do not fit the type, or the type is unknown.
@@ -58,7 +58,7 @@ class Message:
         return self._decoded
 
     def made(self, form: Hashable, make: Callable[["Message"], bytes]) -> bytes:
-        """The message in another form, made once for all who need it in this form."""
+        """Return the message in another form, which is made once for all subscribers."""
         if self._made is None:
             self._made = {}
         if form not in self._made:

@@ -1,4 +1,4 @@
-"""The parameters that devices request, in the form that rosserial has for them."""
+"""Answers to parameter requests of devices, in rosserial's form."""
 
 import contextlib
 from collections import OrderedDict
@@ -17,22 +17,22 @@ from hostlink.protocol.control import Parameter
 
 log = structlog.get_logger()
 
-MAX_WAITING = 64  # requests that wait for a source; one more is answered at once, as unknown
-MAX_UNKNOWN_NAMES = 256  # that are remembered; a name can be as long as a frame
+MAX_WAITING = 64  # requests that wait for a source; further ones are answered at once as unknown
+MAX_UNKNOWN_NAMES = 256  # logged names that are kept; a name can be as long as a frame
 
 _INT_MIN, _INT_MAX = -(2**31), 2**31 - 1
 
 
 class ParameterSource(Protocol):
-    """Where parameters are that are not set here, as at a ROS master."""
+    """Interface of another source of parameters, such as a ROS master."""
 
     async def get(self, name: str) -> ParameterValue | None:
-        """The parameter that a device names so, well within the second that it waits; None: there is none."""
+        """Return the parameter, well within the second for which a device waits; None if it does not exist."""
         ...
 
 
 class ParameterAnswers:
-    """Answers every request: a device spins until it receives something."""
+    """Answers to parameter requests. Every request is answered, because a device blocks until then."""
 
     def __init__(
         self,
@@ -40,16 +40,16 @@ class ParameterAnswers:
         source: Callable[[], ParameterSource | None] = lambda: None,
         spawn: Spawn | None = None,
     ) -> None:
-        """`settings` may change at any time; `source` has what is not among them, and `spawn` waits for it."""
+        """`settings` may change at any time. `source` has further parameters, and `spawn` runs the requests to it."""
         self._settings = settings
         self._source, self._spawn = source, spawn
-        self._waiting = 0  # for the source
-        self._unknown: OrderedDict[str, None] = OrderedDict()  # names that were logged, the latest last
+        self._waiting = 0  # requests that wait for the source
+        self._unknown: OrderedDict[str, None] = OrderedDict()  # logged names, the latest last
 
     def answer(self, link: Link, name: str, shown: str, note: Callable[[Parameter], None] = lambda _: None) -> None:
-        """Answer with the parameter; an empty one where there is none, now or when the source has answered.
+        """Answer with the parameter, now or when the source has answered; with an empty one if it does not exist.
 
-        `shown`: the name under the robot's; `note` is called with what the device is answered.
+        `shown` is the name in the robot's namespace. `note` is called with the answer.
         """
         source = self._source()
         try:
@@ -91,13 +91,13 @@ class ParameterAnswers:
             link.session.answer_parameter(name, Parameter())
 
     def _find(self, name: str, shown: str) -> Parameter | None:
-        """That of the robot's name here precedes that of the name which all of its kind announce."""
+        """Find a parameter in the robot's namespace first, then by the name that the device sent."""
         own = find_parameter(self._settings, shown)
         is_renamed = shown != resolve(name)
         return find_parameter(self._settings, name) if own is None and is_renamed else own
 
     def _note_unknown(self, name: str) -> None:
-        """Log it once, while it is remembered."""
+        """Log an unknown name once, while it is kept."""
         if name not in self._unknown:
             log.warning("parameter.unknown", name=printable(name))
         self._unknown[name] = None
@@ -107,10 +107,10 @@ class ParameterAnswers:
 
 
 def find_parameter(parameters: Mapping[str, ParameterValue], name: str) -> Parameter | None:
-    """The parameter of that name, with or without its leading `/` or `~`; None if there is none.
+    """Find a parameter by name, with or without its leading `/` or `~`; None if it does not exist.
 
     Raises:
-        WrongType: it cannot be sent.
+        WrongType: rosserial cannot carry the value.
     """
     wanted = name.lstrip("/~")
     value = next((value for key, value in parameters.items() if key.lstrip("/~") == wanted), None)
@@ -118,10 +118,10 @@ def find_parameter(parameters: Mapping[str, ParameterValue], name: str) -> Param
 
 
 def to_parameter(name: str, value: ParameterValue) -> Parameter:
-    """A setting as ints, floats or strings; a list must be of one kind, ints among floats are floats.
+    """Convert a setting to ints, floats or strings. In a list with a float, all numbers become floats.
 
     Raises:
-        WrongType: it has strings among numbers, or an int over 32 bits.
+        WrongType: a list has strings among numbers, or an int exceeds 32 bits.
     """
     items: Sequence[bool | int | float | str] = value if isinstance(value, list) else [value]
     if all(isinstance(item, str) for item in items):

@@ -1,6 +1,6 @@
-"""Participant: how everything that is no device takes part in the hub; when it leaves, all that it has goes with it.
+"""Participant: interface of the hub for everything except devices. Leaving releases everything that it has.
 
-Payloads are bytes here, as devices send and receive them; whoever speaks another language translates.
+Payloads are bytes, as devices send and receive them. Other languages are translated outside of the hub.
 """
 
 import asyncio
@@ -28,19 +28,19 @@ if TYPE_CHECKING:
     from hostlink.hub.hub import Hub
 
 MAX_ADVERTISED = 256  # topics
-MAX_LATCHED = 16  # topics; each keeps a message
+MAX_LATCHED = 16  # latched topics; each keeps a message
 MAX_SUBSCRIPTIONS = 256
 MAX_SERVICES = 64
-MAX_CALLS = 64  # of services, under way at once
+MAX_CALLS = 64  # of services at once
 
 Given = ParamSpec("Given")
 
 
 class Participant(Node):
-    """One program, or one part of the daemon.
+    """Participant for one program, or for one part of the daemon.
 
-    A callback of it that fails ends it: that is counted and logged, and touches no link and no other participant. A
-    part of the daemon stays: an emergency stop that has failed once is better than none.
+    A failure of one of its callbacks ends the participant, and nothing else; it is counted and logged. A part of the
+    daemon is not ended: an emergency stop that failed once is better than none.
     """
 
     def __init__(
@@ -54,16 +54,17 @@ class Participant(Node):
         group: str = "",
         on_end: Callable[[], None] = lambda: None,
     ) -> None:
-        """`priority`: of its velocities; `on_end`: called when a failure ends it.
+        """`priority` is that of its velocities. `on_end` is called when a failure ends the participant.
 
-        `group`: the bridge to another graph, as ROS 2, of which it is a part. What the group publishes is not received.
+        `group` is the bridge to another graph, such as ROS 2, to which it belongs. It does not receive messages of the
+        group.
         """
         super().__init__(name, is_daemon=is_daemon, group=group)
         self.role, self.priority = role, priority
         self.has_left = False
-        self.view = hub.views.of(group)  # of the graph; its news cost what has changed
+        self.view = hub.views.of(group)  # of the graph, with the changes since a version
         self._hub, self._on_end = hub, on_end
-        self._advertised: dict[str, bool] = {}  # whether it is latched, by topic
+        self._advertised: dict[str, bool] = {}  # topic -> whether it is latched
         self._subscriptions: dict[Subscription, None] = {}
         self._services: set[str] = set()
         self._followed: set[Robot] = set()
@@ -72,10 +73,10 @@ class Participant(Node):
     # -- topics -------------------------------------------------------------------------------------------------------
 
     def advertise(self, topic: str, type_name: str, *, is_latched: bool = False) -> Topic:
-        """Note that it publishes the topic; with `is_latched` its last message is kept for later subscribers.
+        """Advertise a topic. With `is_latched`, the last message is kept for later subscribers.
 
         Raises:
-            BadRequest: nobody knows the type, it may not publish, or it has too many topics.
+            BadRequest: the type is unknown, the role does not allow it, or there are too many topics.
             WrongType: the topic is in use with another type.
         """
         self.check(Role.DRIVE, "advertise")
@@ -93,12 +94,12 @@ class Participant(Node):
         return found
 
     def unadvertise(self, topic: str) -> None:
-        """It publishes the topic no more; one that it did not advertise is no error."""
+        """Stop publishing a topic. Do nothing if it was not advertised."""
         self._advertised.pop(resolve(topic), None)
         self._hub.topics.unadvertise(topic, self)
 
     def message_type(self, topic: str, type_name: str = "") -> MessageType:
-        """The type of a topic's messages: as it is known, else the one of this name.
+        """Return the type of a topic's messages: that of the topic if it has one, else the one of this name.
 
         Raises:
             UnknownTopic: neither the topic nor the type is known.
@@ -124,16 +125,16 @@ class Participant(Node):
         at_s: float | None = None,
         epoch: int | None = None,
     ) -> None:
-        """Send a payload to all who subscribe; a velocity is a command at this priority, with this epoch.
+        """Publish a payload. A velocity is a command at this priority, with this epoch.
 
-        `at_s` is the earliest time at which this daemon may have received it; None: now.
+        `at_s` is the earliest time at which this daemon may have received it; None means now.
 
         Raises:
-            BadRequest: it may not publish, or its own callback has sent this too often.
+            BadRequest: the role does not allow it, or callbacks publish in an endless loop.
             DeviceGone: the daemon stops.
             CommandRefused: a robot's admission has refused the velocity.
-            FrameTooLarge, WrongType: it does not fit a device; all others have it.
-            BadRequest: it is latched, and was delivered, but cannot be kept: there is too much.
+            FrameTooLarge, WrongType: the message does not fit a device; all others have received it.
+            BadRequest: the message was delivered, but there is no room to latch it.
         """
         self.check(Role.DRIVE, "publish")
         if self._hub.gates.is_closed:
@@ -158,7 +159,7 @@ class Participant(Node):
                 )
 
     def note_publishing(self, topic: str) -> None:
-        """Note that it publishes what nobody can receive yet: it does not drive a device that subscribes later."""
+        """Note a publisher of a topic without subscribers. It does not drive a device that subscribes later."""
         self._hub.topics.earlier.note(resolve(topic), self, asyncio.get_running_loop().time())
 
     def subscribe(
@@ -171,12 +172,12 @@ class Participant(Node):
         queue_length: int = 0,
         on_throttled: Callable[[], None] = lambda: None,
     ) -> Subscription:
-        """Call `receive` with what was latched and every message from now on, at most one in `interval_s`.
+        """Call `receive` with latched messages and with every message from now on, at most one in `interval_s`.
 
-        In between the newest `queue_length` are held for `flush`, and `on_throttled` is called for each.
+        Between two of them, the newest `queue_length` messages wait for `flush`, and `on_throttled` is called for each.
 
         Raises:
-            BadRequest: it has left, or has too many subscriptions.
+            BadRequest: the participant has left, or has too many subscriptions.
             WrongType: the topic is in use with another type.
         """
         self.check(Role.READ, "subscribe")
@@ -200,24 +201,24 @@ class Participant(Node):
 
         def close() -> None:
             subscription.end()
-            subscription.close = nothing_to_close  # else the two keep each other until the garbage collector comes
+            subscription.close = nothing_to_close  # otherwise they form a reference cycle
             unsubscribe()
             self._subscriptions.pop(subscription, None)
 
         subscription.close = close
-        if self.has_left:  # what was latched ended it
+        if self.has_left:  # a latched message ended it
             close()
         return subscription
 
     def flush(self, now_s: float) -> float | None:
-        """Deliver what subscriptions held back until now; returns when the next is due."""
+        """Deliver waiting messages that are due. Return the time at which the next one is due."""
         next_s = None
         try:
             for subscription in list(self._subscriptions):
                 due_s = subscription.flush(now_s) if subscription.waiting else None
                 if due_s is not None and (next_s is None or due_s < next_s):
                     next_s = due_s
-        except Exception as error:  # noqa: BLE001 - as when a message comes
+        except Exception as error:  # noqa: BLE001 - as for every message
             self.fail(error)
             return None
         return next_s
@@ -233,12 +234,12 @@ class Participant(Node):
         notify: Notify | None = None,
         is_reading: bool = False,
     ) -> None:
-        """Answer the calls of a service; the newest offer of a name counts.
+        """Provide a service. The newest provider of a name gets the calls.
 
-        `notify` is called with a text when another gets the calls; `is_reading`: a call changes nothing.
+        `notify` is called with a text when another provider gets the calls. `is_reading`: a call changes nothing.
 
         Raises:
-            BadRequest: it may not serve, has too many services, or the name is the daemon's own.
+            BadRequest: the role does not allow it, there are too many services, or the name is the daemon's own.
         """
         self.check(Role.DRIVE, "advertise_service")
         name = resolve(service)
@@ -249,19 +250,19 @@ class Participant(Node):
         self._services.add(name)
 
     def withdraw(self, service: str) -> None:
-        """Answer it no more; one that it did not provide is no error."""
+        """Stop providing a service. Do nothing if it was not provided."""
         self._services.discard(resolve(service))
         self._hub.services.withdraw(service, self)
 
     async def call(
         self, service: str, request: Mapping[str, object], *, timeout_s: float | None = None
     ) -> Mapping[str, object]:
-        """Call a service, whoever provides it.
+        """Call a service of any provider.
 
         Raises:
-            UnknownTopic: nobody provides it.
-            WrongType, BadRequest, BadPayload: request or answer is not of its type, or it may not call it.
-            ServiceFailed, DeviceBusy, DeviceGone, FrameTooLarge: it was not done.
+            UnknownTopic: the service has no provider.
+            WrongType, BadRequest, BadPayload: request or answer has a wrong type, or the role does not allow the call.
+            ServiceFailed, DeviceBusy, DeviceGone, FrameTooLarge: the call failed.
         """
         self.check(Role.READ, "call_service")
         if self.role < Role.DRIVE and not self._hub.services.is_reading(service):
@@ -290,15 +291,15 @@ class Participant(Node):
         sent_s: float | None = None,
         epoch: int | None = None,
     ) -> PlanarVelocity:
-        """Drive for the length of a lease; returns the velocity after the limits.
+        """Drive for the length of a lease. Return the velocity after the limits.
 
         `received_s`, `sent_s` and `epoch` are those of a `Command`; `received_s` is now if it is None.
 
         Raises:
             BadRequest: this participant may not drive.
             CommandRefused: the robot's admission has refused the command.
-            FrameTooLarge, WrongType, UnknownTopic: the command does not fit the device; then nobody drives.
-            DeviceGone: another daemon has the robot, and does not answer.
+            FrameTooLarge, WrongType, UnknownTopic: the command does not fit the device, which is stopped.
+            DeviceGone: the daemon of the robot does not answer.
         """
         self.check(Role.DRIVE, "drive")
         command = Command(
@@ -317,7 +318,7 @@ class Participant(Node):
             deliveries.senders = senders
 
     async def driven(self, robot: Robot, limited: PlanarVelocity) -> PlanarVelocity:
-        """What became of the newest `drive`, which returned `limited`: for a robot that is here, just that.
+        """Return the answer to the newest `drive`: `limited` for a robot of this daemon.
 
         Raises:
             DeviceGone: the daemon that has the robot has not answered in time, or its device is not connected.
@@ -327,10 +328,10 @@ class Participant(Node):
         return limited if answer is None else await answer
 
     def follow(self, robot: Robot, receive: Callable[[], None]) -> None:
-        """Call `receive` after each new pose of the robot, whatever its topic is, until it leaves.
+        """Call `receive` after each new pose of the robot, until the participant leaves.
 
         Raises:
-            BadRequest: it has left.
+            BadRequest: the participant has left.
         """
         self.check(Role.READ, "follow")
 
@@ -341,35 +342,35 @@ class Participant(Node):
     # -- the graph ----------------------------------------------------------------------------------------------------
 
     def graph(self) -> Graph:
-        """The topics and services of all who do not belong to its group."""
+        """Return the topics and services outside of its group."""
         return self.view.graph()
 
     def watch_graph(self, on_change: Callable[[], None]) -> None:
         """Call `on_change` soon, and soon after every change of topics, services and robots, until it leaves.
 
         Raises:
-            BadRequest: it has left.
+            BadRequest: the participant has left.
         """
         self.check(Role.READ, "watch_graph")
 
         self._hub.changes.watch(self, self._failing_alone(on_change))
 
     def observe(self, receive: Callable[[RobotEvent], None]) -> None:
-        """Call `receive` for all that happens to robots and links, until it leaves.
+        """Call `receive` with every event of robots and links, until the participant leaves.
 
         Raises:
-            BadRequest: it has left.
+            BadRequest: the participant has left.
         """
         self.check(Role.READ, "observe")
         self._hub.events.observe(self, self._failing_alone(receive))
 
     def _failing_alone(self, callback: Callable[Given, None]) -> Callable[Given, None]:
-        """What the callback raises ends this participant, and is nothing to whoever calls it."""
+        """Wrap a callback: an exception ends this participant, and does not reach the caller."""
 
         def guarded(*args: Given.args, **kwargs: Given.kwargs) -> None:
             try:
                 callback(*args, **kwargs)
-            except Exception as error:  # noqa: BLE001 - as when a message comes
+            except Exception as error:  # noqa: BLE001 - as for every message
                 self.fail(error)
 
         return guarded
@@ -377,10 +378,10 @@ class Participant(Node):
     # -- its end ------------------------------------------------------------------------------------------------------
 
     def check(self, role: Role, what: str) -> None:
-        """Refuse what is not allowed.
+        """Check that the participant has this role.
 
         Raises:
-            BadRequest: it has left, or its role is less.
+            BadRequest: the participant has left, or its role is lower.
         """
         if self.has_left:
             raise BadRequest(f"{what}: {self.name} has left")
@@ -388,19 +389,19 @@ class Participant(Node):
             raise BadRequest(f"{what}: the token may only read")
 
     def fail(self, error: Exception) -> None:
-        """A callback of it has failed: it is counted, and ends."""
+        """Count a failure of a callback, and end the participant."""
         if not self.is_daemon:
             self.leave()
             self._on_end()
         self._hub.isolation.crashed("participant", error, participant=self.name)
 
     def leave(self) -> None:
-        """Take back all that it has: what it drove stops, what it provided is no more, its calls fail."""
+        """Release everything: its robots stop, its services are withdrawn, its calls fail."""
         if self.has_left:
             return
         self.has_left = True
         for subscription in self._subscriptions:
-            subscription.is_closed = True  # its own zero is nothing to it any more
+            subscription.is_closed = True  # it does not receive its own last zero
         self._hub.gates.release(self)
         for subscription in list(self._subscriptions):
             subscription.close()

@@ -1,10 +1,11 @@
-"""Queue: what waits for one participant; bounded, so that a slow one costs nobody else anything."""
+"""Queue: bounded send queue of one participant, so that a slow one does not affect the others."""
 
 import asyncio
 from collections import deque
 from collections.abc import Callable
 from typing import Generic, NamedTuple, TypeVar
 
+from hostlink.compiled import mypyc_attr
 from hostlink.hub.byte_budget import OWN_QUEUE_BYTES, SHARES, Share
 
 MAX_MESSAGES = 1024
@@ -16,7 +17,7 @@ Item = TypeVar("Item")
 
 
 class Waiting(NamedTuple, Generic[Item]):
-    """An item and since when it waits."""
+    """Item with its order, size and time of arrival."""
 
     order: int
     item: Item
@@ -24,14 +25,15 @@ class Waiting(NamedTuple, Generic[Item]):
     since_s: float
 
 
+@mypyc_attr(allow_interpreted_subclasses=True)
 class Queue(Generic[Item]):
-    """Telemetry by topic, where the oldest of a full queue is dropped and counted; results, which may not be lost.
+    """Queue of telemetry by topic and of results. When it is full, the oldest telemetry is dropped and counted.
 
-    Everything leaves in the order in which it came. A participant that lets its results pile up is `is_too_slow`.
+    Items leave in their order of arrival. Results are never dropped: a participant with too many `is_too_slow`.
     """
 
     def __init__(self, size_of: Callable[[Item], int], clock: Callable[[], float], share: Share | None = None) -> None:
-        """`size_of` an item in bytes; `clock` is the event loop's; `share`: of all queues together."""
+        """`size_of` returns the bytes of an item. `clock` is the event loop's. `share` bounds all queues together."""
         self.dropped = 0
         self.is_too_slow = False
         self.is_closed = False
@@ -44,35 +46,35 @@ class Queue(Generic[Item]):
         self._topics: dict[str, deque[Waiting[Item]]] = {}
         self._results: deque[Waiting[Item]] = deque()
         self._news = asyncio.Event()
-        self.on_news: Callable[[], None] = self._news.set  # an owner that does not `wait` replaces it
+        self.on_news: Callable[[], None] = self._news.set  # replaced by an owner that does not `wait`
         self._room = asyncio.Event()
         self._room.set()
 
     @property
     def waiting_messages(self) -> int:
-        """Telemetry and results."""
+        """Number of queued telemetry items and results."""
         return self._messages + len(self._results)
 
     @property
     def waiting_bytes(self) -> int:
-        """Of telemetry and results."""
+        """Size of queued telemetry and results."""
         return self._bytes + self._result_bytes
 
     @property
     def telemetry_bytes(self) -> int:
-        """Of what may be dropped."""
+        """Size of queued telemetry, which may be dropped."""
         return self._bytes
 
     @property
     def oldest_s(self) -> float | None:
-        """When the oldest was put; None: nothing waits."""
+        """Time of arrival of the oldest item; None if the queue is empty."""
         heads = [waiting[0].since_s for waiting in self._topics.values()]
         if self._results:
             heads.append(self._results[0].since_s)
         return min(heads, default=None)
 
     def put_message(self, topic: str, item: Item, at_s: float | None = None) -> None:
-        """Queue telemetry, which arrived `at_s`; over a bound the oldest of this topic goes, else of the longest."""
+        """Queue telemetry that arrived `at_s`. Above a bound, drop the oldest of this topic, else of the longest."""
         waiting = self._topics.get(topic)
         if waiting is None:
             waiting = self._topics[topic] = deque()
@@ -108,12 +110,12 @@ class Queue(Generic[Item]):
         self.on_news()
 
     def forget(self, topic: str) -> None:
-        """Nothing of this topic is wanted any more."""
+        """Remove all telemetry of a topic."""
         while topic in self._topics:
             self._pop(topic)
 
     def pop(self) -> Waiting[Item] | None:
-        """The oldest of all, or None."""
+        """Remove and return the oldest item; None if the queue is empty."""
         topic, order = None, self._order + 1
         for name, waiting in self._topics.items():
             if waiting[0].order < order:
@@ -130,12 +132,12 @@ class Queue(Generic[Item]):
         return self._pop(topic)
 
     def close(self) -> None:
-        """The participant has ended: `is_closed` from now on, and `wait` returns."""
+        """Mark the queue as closed, and let `wait` return."""
         self.is_closed = True
         self.on_news()
 
     def clear(self) -> None:
-        """Nobody receives it any more: nothing is kept."""
+        """Remove all items."""
         while self.pop() is not None:
             continue
 
@@ -153,11 +155,11 @@ class Queue(Generic[Item]):
         return self._room.is_set()
 
     async def room(self) -> None:
-        """Wait while results fill half of the queue: whoever requests more must read first."""
+        """Wait while results fill half of the queue. A client must read them before its next request is read."""
         await self._room.wait()
 
     def _make_room(self) -> None:
-        """All queues together have too much: the largest loses its oldest telemetry, down to OWN_QUEUE_BYTES."""
+        """Drop the oldest telemetry of the largest queues until all queues fit their share, down to OWN_QUEUE_BYTES."""
         while self._share.is_over:
             largest = max(self._share.queues, key=lambda queue: queue.telemetry_bytes)
             if largest.telemetry_bytes <= OWN_QUEUE_BYTES:
@@ -172,7 +174,7 @@ class Queue(Generic[Item]):
             self._room.set()
 
     def drop_oldest(self, topic: str | None = None) -> None:
-        """Drop and count the oldest of this topic, or of the one that has most."""
+        """Drop and count the oldest item of a topic; by default, of the topic with most items."""
         self._pop(max(self._topics, key=lambda name: len(self._topics[name])) if topic is None else topic)
         self.dropped += 1
 

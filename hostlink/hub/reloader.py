@@ -34,7 +34,7 @@ API = ("tokens", "origins")
 
 
 class Change(NamedTuple):
-    """`config`: the settings from now on; `changed`: names of those that differ; `needs_restart`: not in `config`."""
+    """Applicable settings, names of changed settings, and names of settings that need a restart."""
 
     config: Config
     changed: tuple[str, ...]
@@ -42,7 +42,7 @@ class Change(NamedTuple):
 
 
 def change(old: Config, new: Config) -> Change:
-    """What of `new` can be used at once by a daemon that runs with `old`."""
+    """Return the settings of `new` that a daemon with `old` can apply at once."""
     names = {**old.robots, **new.robots}
     robots = {name: _robot(old, new, name) for name in names}
     kept = {name: robot for name, robot in robots.items() if name in new.robots or robot != RobotConfig()}
@@ -59,12 +59,12 @@ def _robot(old: Config, new: Config, name: str) -> RobotConfig:
 
 
 def _with_robots(config: Config, names: Iterable[str]) -> Config:
-    """A robot that is not configured has the usual settings."""
+    """Add the default settings of robots that are not configured."""
     return dataclasses.replace(config, robots={name: config.robots.get(name, RobotConfig()) for name in names})
 
 
 def _differences(old: object, new: object, where: str = "") -> Iterator[str]:
-    """The names of the settings that differ, as they stand in the file."""
+    """Yield the names of different settings, as in the file."""
     if old == new:
         return
     parts, others = _parts(old), _parts(new)
@@ -76,7 +76,7 @@ def _differences(old: object, new: object, where: str = "") -> Iterator[str]:
 
 
 def _parts(part: Any) -> dict[str, Any] | None:
-    """Of a table; None: it is a value."""
+    """Return the entries of a table; None for a value."""
     if isinstance(part, dict):
         return part
     if part is None or not dataclasses.is_dataclass(part):
@@ -88,12 +88,12 @@ READ_TIMEOUT_S = 10.0  # 20,000 robots take 2 to 4 s on a busy machine; longer w
 MAX_LOGGED = 50  # settings in a line of the log
 
 Read = Callable[[], Config]
-Prepare = Callable[[Config], Callable[[], None]]  # refuses what is wrong, or returns what changes it; in a thread
+Prepare = Callable[[Config], Callable[[], None]]  # checks settings in a thread; returns the function that applies them
 
 
 @dataclass(frozen=True, slots=True)
 class Reloaded:
-    """Names of settings, and the new names of robots by their old ones."""
+    """Result of a reload: names of settings, and new names of robots by their old ones."""
 
     changed: tuple[str, ...] = ()
     needs_restart: tuple[str, ...] = ()
@@ -101,7 +101,7 @@ class Reloaded:
 
 
 class _Prepared(NamedTuple):
-    """What was read, compared and checked; `applies` change the parts beside the hub."""
+    """Checked settings. `applies` change the parts outside of the hub."""
 
     change: Change
     places: Places
@@ -109,20 +109,20 @@ class _Prepared(NamedTuple):
 
 
 class Reloader:
-    """`read`: the settings as a new start would have them; None: there is no file.
+    """Reload of the settings. Files are read, and settings are compared and checked, in a thread.
 
-    Files are read, and settings are compared and checked, in a thread: the loop goes on meanwhile.
+    `read` returns the settings as a new start would have them; None if the daemon has no file.
     """
 
     def __init__(self, hub: Hub, read: Read | None = None, *, read_timeout_s: float = READ_TIMEOUT_S) -> None:
-        self.prepares: list[Prepare] = []  # of the parts beside the hub
+        self.prepares: list[Prepare] = []  # checks of the parts outside of the hub
         self._hub, self._read, self._read_timeout_s = hub, read, read_timeout_s
         self._thread = DetachedThread("reload")
-        self._turn = asyncio.Lock()  # who comes meanwhile reads again afterwards: the file may have changed since
+        self._turn = asyncio.Lock()  # a request during a reload reads again: the file may have changed
         self._is_requested = False
 
     def request(self) -> None:
-        """Read the settings again soon; what is wrong with them is logged."""
+        """Reload soon. Errors are logged."""
         if not self._is_requested:
             self._is_requested = True
             self._hub.spawn(self._reload_as_requested(), name="reload")
@@ -132,7 +132,7 @@ class Reloader:
             await self.reload()
 
     async def reload(self) -> Reloaded:
-        """Read the settings again.
+        """Reload the settings.
 
         Raises:
             ReloadRefused: the daemon was started without a file, a file cannot be read within READ_TIMEOUT_S, or a
@@ -174,11 +174,11 @@ class Reloader:
         return Reloaded(prepared.change.changed, prepared.change.needs_restart, renamed)
 
     def _prepare(self, read: Read) -> _Prepared:
-        """In the thread."""
+        """Read, compare and check the settings. Runs in the thread."""
         changes = change(self._hub.config, read())
         return _Prepared(changes, places_of(changes.config), [prepare(changes.config) for prepare in self.prepares])
 
 
 def _shown(names: tuple[str, ...]) -> tuple[str, ...]:
-    """As many as a line of the log may have."""
+    """Shorten a list of names for a log line."""
     return names if len(names) <= MAX_LOGGED else (*names[:MAX_LOGGED], f"and {len(names) - MAX_LOGGED} more")

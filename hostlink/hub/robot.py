@@ -1,4 +1,4 @@
-"""Robots as the rest of hostlink uses them: `LocalRobot` has its link here, `RemoteRobot` at another daemon."""
+"""Robot: interface of a robot. `LocalRobot` is connected to this daemon, `RemoteRobot` to another one."""
 
 import asyncio
 import dataclasses
@@ -14,7 +14,7 @@ import structlog
 
 from hostlink.config import CalibrationConfig, RobotConfig
 from hostlink.errors import BadPayload, CommandRefused, DeviceGone, HostlinkError
-from hostlink.hub.gates import Drivable, Driven, Gates, RemoteHosts
+from hostlink.hub.gates import Drivable, Gates, RemoteHosts, VelocityTarget
 from hostlink.hub.message import Message
 from hostlink.hub.node import Node, address_of
 from hostlink.hub.robot_events import EventKind
@@ -34,7 +34,7 @@ log = structlog.get_logger()
 
 
 def of_namesake(config: RobotConfig | None) -> RobotConfig:
-    """The limits of a robot apply to others that announce the same name; its topics and wheels are its own."""
+    """Return the settings of a robot that announces a configured name but is another one: only the limits apply."""
     if config is None:
         return RobotConfig()
     return dataclasses.replace(
@@ -50,7 +50,7 @@ def of_namesake(config: RobotConfig | None) -> RobotConfig:
 
 
 def correction_of(config: RobotConfig) -> OdometryCorrection | None:
-    """The correction of the robot's odometry; None: it has none."""
+    """Return the correction of the robot's odometry; None if it is not calibrated."""
     calibration = config.calibration
     if calibration == CalibrationConfig():
         return None
@@ -63,10 +63,10 @@ def correction_of(config: RobotConfig) -> OdometryCorrection | None:
 
 
 def limits_of(config: RobotConfig) -> Limits:
-    """The limits as the gate has them.
+    """Return the limits of a robot's gate.
 
     Raises:
-        ConfigError: one of them cannot be kept.
+        ConfigError: a limit is invalid.
     """
     return Limits(
         max_linear_m_s=config.max_linear_m_s,
@@ -80,49 +80,49 @@ def limits_of(config: RobotConfig) -> Limits:
     )
 
 
-LOCK_REASON = "emergency stop"  # where none was given
+LOCK_REASON = "emergency stop"  # default
 
 Follow = Callable[[Message | None], None]
 
 
-class Robot(Driven):
-    """A robot, connected or not. Methods are synchronous; what is asked of another daemon is answered later."""
+class Robot(VelocityTarget):
+    """Robot, connected or not. Methods are synchronous; another daemon answers later."""
 
-    host: str | None  # the name of the daemon that has it; None: this one
-    also_at: tuple[str, ...]  # other daemons that have a robot of this name
+    host: str | None  # name of its daemon; None for this one
+    also_at: tuple[str, ...]  # other daemons with a robot of this name
     odometry: "OdometryEstimator | RemoteOdometry"
-    followers: dict[Hashable, Follow]  # called after each new pose; the message is None for one of another daemon
-    resumed_link: int  # the number of the connection since which no reconnection was an interruption
+    followers: dict[Hashable, Follow]  # called after each new pose; the message is None for a remote robot
+    resumed_link: int  # number of the connection since which no reconnection was an interruption
 
     @property
     @abstractmethod
     def link(self) -> "Link | RemoteLink | None":
-        """The connection of its device; None: its device is not connected."""
+        """Connection of the device; None if it is not connected."""
 
     @abstractmethod
     def state(self, now_s: float) -> RobotState:
-        """Everything that is shown of it."""
+        """Return the robot's state for all APIs."""
 
     @abstractmethod
     def command(self, command: Command[PlanarVelocity]) -> PlanarVelocity:
-        """Drive for the length of a lease; as `Driven.command`."""
+        """Drive for the length of a lease; as `VelocityTarget.command`."""
 
     @abstractmethod
     def answer(self, owner: Hashable) -> Awaitable[PlanarVelocity] | None:
-        """What becomes of the newest command of an owner; None: what `command` returned is the answer.
+        """Return the later answer to the newest command of a source; None if `command` has returned it.
 
         Raises (when it is awaited):
-            DeviceGone: the daemon that has the robot has not answered in time, or its device is not connected.
-            CommandRefused, FrameTooLarge, WrongType, UnknownTopic: it has refused the command.
+            DeviceGone: the robot's daemon did not answer in time, or its device is not connected.
+            CommandRefused, FrameTooLarge, WrongType, UnknownTopic: the robot's daemon refused the command.
         """
 
     @abstractmethod
     def limited_by(self, velocity: PlanarVelocity) -> str | None:
-        """The setting that slows a velocity down most; None: none does, or another daemon has it."""
+        """Return the setting that slows a velocity down most; None if none does, or for a remote robot."""
 
     @abstractmethod
     def stop(self) -> None:
-        """Stop it, and whatever else its link drives, as fast as decelerations allow, whoever drives.
+        """Stop the robot and all velocity topics of its link, within the deceleration limits, for every source.
 
         Raises:
             HostlinkError: the zero does not fit the device.
@@ -130,30 +130,30 @@ class Robot(Driven):
 
     @abstractmethod
     def lock(self, reason: str = LOCK_REASON) -> None:
-        """Zero at once, and no command until `unlock`; also while its device is not connected.
+        """Send zero at once, and refuse commands until `unlock`, also while the device is not connected.
 
         Raises:
-            HostlinkError: the zero does not fit the device; the robot is locked all the same.
+            HostlinkError: the zero does not fit the device; the robot is locked nevertheless.
         """
 
     @abstractmethod
     def unlock(self) -> None:
-        """Let it be driven again; nothing moves by it.
+        """Admit commands again. Unlocking moves nothing.
 
         Raises:
-            DeviceGone: it is not known which robot is meant.
+            DeviceGone: several robots have this name.
         """
 
     @abstractmethod
     def why_moving(self) -> str:
-        """Why it moves although it was sent a stop."""
+        """Return the reason why the robot moves after a stop."""
 
     @abstractmethod
     def why_unknown(self) -> str:
-        """Why its odometry does not say whether it stands."""
+        """Return the reason why odometry does not show whether the robot is stopped."""
 
     def measured(self, now_s: float) -> OdometrySnapshot | None:
-        """The newest odometry that is new enough to say whether it moves; None: there is none."""
+        """Return the newest odometry if it is recent enough to show whether the robot moves; else None."""
         odometry = self.odometry.snapshot(now_s)
         return None if self.link is None or odometry is None or odometry.age_s >= SURE_S else odometry
 
@@ -163,27 +163,28 @@ class Robot(Driven):
 
 @dataclass(eq=False, kw_only=True)
 class LocalRobot(Drivable, Robot):
-    """It outlives its link: a robot that comes back continues with the same gate, at zero."""
+    """Robot of this daemon. It outlives its link: after a reconnection it continues with the same gate, at zero."""
 
     gate: VelocityGate[PlanarVelocity]
     config: RobotConfig
     odometry: OdometryEstimator
-    topics: RobotTopicNames  # as its device names them
-    shown: RobotTopicNames  # as the graph names them
-    on_lock: "Callable[[LocalRobot], None]"  # it was locked or unlocked: one that is locked is never forgotten
-    locked_link: Link | None = None  # the one that it had when it was locked
+    topics: RobotTopicNames  # names that the device uses
+    shown: RobotTopicNames  # names in the graph
+    on_lock: "Callable[[LocalRobot], None]"  # called after a lock or unlock: a locked robot is never forgotten
+    locked_link: Link | None = None  # link at the time of the lock
     is_played: bool = False
     host: None = None
     also_at: tuple[str, ...] = ()
-    unreadable: int = 0  # messages of its odometry that are none
-    velocities: dict[str, str] = field(default_factory=dict)  # its device's velocity topics as shown, and as named
-    heard: frozenset[str] = frozenset()  # topics that its gate subscribes to, also while its device is away
-    battery: BatteryReading | None = None  # the newest on this link
+    unreadable: int = 0  # messages of its odometry that could not be decoded
+    velocities: dict[str, str] = field(default_factory=dict)  # velocity topics: name in the graph -> device's name
+    heard: frozenset[str] = frozenset()  # topics of its gate, also while its device is not connected
+    battery: BatteryReading | None = None  # newest reading on this link
     followers: dict[Hashable, Follow] = field(default_factory=dict)
 
     def state(self, now_s: float) -> RobotState:
-        """Everything that is shown of it."""
+        """Return the robot's state for all APIs."""
         gate, shown, connection, battery = self.gate, self.shown, self.connection, self.battery
+        driver, admission = gate.driver, gate.admission
         monitor = None if connection is None else connection.diagnosis.monitor
         return RobotState(
             name=self.name,
@@ -195,15 +196,15 @@ class LocalRobot(Drivable, Robot):
             odometry_type=shown.odometry_type,
             reset_topic=shown.reset,
             is_played=self.is_played,
-            holder=gate.owner_name,
-            holder_address=address_of(gate.owner) or None,
-            priority=gate.priority,
-            lock_reason=gate.lock_reason,
-            epoch=gate.admission.epoch,
+            holder=None if driver is None else str(driver.source),
+            holder_address=None if driver is None else address_of(driver.source) or None,
+            priority=None if driver is None else driver.priority,
+            lock_reason=admission.lock_reason,
+            epoch=admission.epoch,
             unreachable=self.refusals.cause,
             wheel_separation_m=self.config.wheel_separation_m,
-            kinematics=gate.admission.kinematics,
-            lease_s=gate.admission.lease_s,
+            kinematics=admission.kinematics,
+            lease_s=admission.lease_s,
             velocity=gate.current,
             odometry=self.odometry.snapshot(now_s),
             battery_v=None if battery is None else battery.voltage_v,
@@ -213,32 +214,32 @@ class LocalRobot(Drivable, Robot):
             firmware=None if monitor is None else monitor.firmware,
         )
 
-    def answer(self, owner: Hashable) -> None:  # noqa: ARG002 - of another daemon's robot it matters
-        """What `command` returned is the answer."""
+    def answer(self, owner: Hashable) -> None:  # noqa: ARG002 - used by RemoteRobot
+        """Return None: `command` has returned the answer."""
         return
 
     def limited_by(self, velocity: PlanarVelocity) -> str | None:
-        """The setting that slows a velocity down most."""
+        """Return the setting that slows a velocity down most; None if none does."""
         return self.gate.limits.slowest(velocity)
 
     def stop(self) -> None:
-        """Stop it, and robots of its name at other daemons."""
+        """Stop the robot, and robots of its name at other daemons."""
         if self.also_at and self.gates.hosts is not None:
             self.gates.hosts.stop(self.name)
         self.stop_here()
 
     def stop_here(self) -> None:
-        """Stop it alone."""
+        """Stop only this robot."""
         self.gates.stop(self.beside)
 
     def lock(self, reason: str = LOCK_REASON) -> None:
-        """Lock it, and robots of its name at other daemons."""
+        """Lock the robot, and robots of its name at other daemons."""
         if self.also_at and self.gates.hosts is not None:
             self.gates.hosts.lock(self.name, printable(reason))
         self.lock_here(reason)
 
     def lock_here(self, reason: str) -> None:
-        """Lock it alone."""
+        """Lock only this robot."""
         self.locked_link = self.link
         try:
             self.gates.lock(self.beside, printable(reason))
@@ -248,7 +249,7 @@ class LocalRobot(Drivable, Robot):
             self.gates.events.note(EventKind.LOCKED, self.name, reason=self.gate.lock_reason)
 
     def unlock(self) -> None:
-        """Let it be driven again; one of its name at another daemon stays as it is."""
+        """Admit commands again. Robots of its name at other daemons are not unlocked."""
         if self.gate.lock_reason is not None:
             log.warning("robot.unlocked", robot=self.name, reason=self.gate.lock_reason)
             self.gates.events.note(EventKind.UNLOCKED, self.name, reason=self.gate.lock_reason)
@@ -256,12 +257,12 @@ class LocalRobot(Drivable, Robot):
         self.on_lock(self)
 
     def is_surely_there(self) -> bool:
-        """Whether a locked robot is on the link on which it was locked, and that link lives."""
+        """Whether a locked robot still has the link on which it was locked, and the device sends on it."""
         link = self.link
         return link is not None and link is self.locked_link and link.received_at_s > _now_s() - SURE_S
 
     def why_moving(self) -> str:
-        """Why it moves although it was sent a stop."""
+        """Return the reason why the robot moves after a stop."""
         return _why_moving(
             is_played=self.is_played,
             drivers=(each.gate.owner_name for each in self.beside),
@@ -270,7 +271,7 @@ class LocalRobot(Drivable, Robot):
         )
 
     def why_unknown(self) -> str:
-        """Why its odometry does not say whether it stands."""
+        """Return the reason why odometry does not show whether the robot is stopped."""
         link = self.link
         if link is None:
             return "its device is not connected"
@@ -281,7 +282,7 @@ class LocalRobot(Drivable, Robot):
         return "no odometry has come since the stop"
 
     def receive_odometry(self, message: Message) -> None:
-        """A message of its odometry's topic. A pose belongs to the robot of the link by which it came."""
+        """Receive a message of the odometry topic. Messages that did not arrive on the robot's own link are ignored."""
         link = None if self.connection is None else self.connection.link
         if message.source is not link or message.type_name != self.topics.odometry_type:
             return
@@ -301,7 +302,7 @@ class LocalRobot(Drivable, Robot):
                 follow(message)
 
     def receive_battery(self, payload: bytes) -> None:
-        """A message of its battery's topic."""
+        """Receive a message of the battery's topic."""
         self.battery = read_battery(payload)
 
 
@@ -309,32 +310,32 @@ class LocalRobot(Drivable, Robot):
 
 
 class RobotHosts(RemoteHosts, Protocol):
-    """How the daemons that have other robots are reached."""
+    """Interface to the daemons of remote robots."""
 
     def drive(
         self, robot: "RemoteRobot", velocity: PlanarVelocity, *, owner: Hashable, priority: int, epoch: int | None
     ) -> None:
-        """Send a command of an owner; what it was refused for is raised by the next one, or by `answer`."""
+        """Send a command of a source. Its refusal is raised by the next command, or by `answer`."""
         ...
 
     async def answer(self, robot: "RemoteRobot", owner: Hashable) -> PlanarVelocity:
-        """The answer to the newest command of an owner: the velocity after the limits."""
+        """Return the answer to the newest command of a source: the velocity after the limits."""
         ...
 
     def unlock(self, robot: "RemoteRobot") -> None:
-        """Let it be driven again."""
+        """Unlock a robot."""
         ...
 
 
 class RemoteLink(NamedTuple):
-    """The device's connection over there. `number` is one of this daemon's numbers, `own_number` the other's."""
+    """Connection of a device at another daemon. `number` is of this daemon, `own_number` of the other one."""
 
     number: int
     own_number: int
 
 
 class RemoteOdometry:
-    """The newest pose that the other daemon sent. It sends poses as they come while they are read here."""
+    """Newest pose from another daemon, which sends all poses while they are read here."""
 
     def __init__(self) -> None:
         self.read_at_s = -math.inf
@@ -343,13 +344,13 @@ class RemoteOdometry:
         self._at_s = 0.0
 
     def update(self, newest: OdometrySnapshot, now_s: float) -> bool:
-        """Returns whether it is another pose than before."""
+        """Set the newest pose. Return whether it differs from the one before."""
         is_new = self._newest is None or (newest.count, newest.restarts) != (self._newest.count, self._newest.restarts)
         self._newest, self._at_s, self.count = newest, now_s, newest.count
         return is_new
 
     def snapshot(self, now_s: float) -> OdometrySnapshot | None:
-        """The newest pose with its age; None before the first."""
+        """Return the newest pose with its age; None before the first."""
         self.read_at_s = now_s
         if self._newest is None:
             return None
@@ -358,26 +359,26 @@ class RemoteOdometry:
 
 @dataclass(eq=False, kw_only=True)
 class RemoteRobot(Robot):
-    """A robot as the daemon that has it describes it. Its gate and its lease are there.
+    """Robot of another daemon, which has its gate and its lease, and describes its state.
 
-    Whoever publishes here on one of its velocity topics commands it, as with a robot that is here.
+    Messages on its velocity topics here are commands, as for a robot of this daemon.
     """
 
     name: str
     host: str
-    place: Hashable  # which daemon that is: names may repeat
-    known: RobotState  # as it was sent last
+    place: Hashable  # identity of the daemon: names may repeat
+    known: RobotState  # newest state from its daemon
     hosts: RobotHosts
     gates: Gates
     graph: TopicGraph
     link: RemoteLink | None = None
-    also_at: tuple[str, ...] = ()  # then it is not driven from here
+    also_at: tuple[str, ...] = ()  # if any, it is not driven from here
     resumed_link: int = 0
     odometry: RemoteOdometry = field(default_factory=RemoteOdometry)
     followers: dict[Hashable, Follow] = field(default_factory=dict)
-    admission: Admission = field(init=False)  # of commands that are sent there from here
-    _epoch: int | None = None  # of the admission there
-    _node: Node = field(init=False)  # subscribes to its velocity topics
+    admission: Admission = field(init=False)  # of commands from here
+    _epoch: int | None = None  # of its daemon's admission
+    _node: Node = field(init=False)  # key of the subscriptions to its velocity topics
     _velocities: frozenset[tuple[str, str]] = frozenset()
 
     def __post_init__(self) -> None:
@@ -385,7 +386,7 @@ class RemoteRobot(Robot):
         self._node = Node(f"{self.name} at {self.host}")
 
     def state(self, now_s: float) -> RobotState:
-        """Everything that is shown of it, with the numbers and the epoch that programs here know."""
+        """Return the robot's state for all APIs, with the link number and the epoch of this daemon."""
         return msgspec.structs.replace(
             self.known,
             host=self.host,
@@ -398,12 +399,12 @@ class RemoteRobot(Robot):
         )
 
     def command(self, command: Command[PlanarVelocity]) -> PlanarVelocity:
-        """Send a command to the daemon that has the robot, if it is admitted here; returns it as it was sent.
+        """Send a command to the robot's daemon if it is admitted here. Return the sent velocity.
 
         Raises:
-            CommandRefused: it is not admitted; or as the answer to the command of its source before this one.
-            DeviceGone: it is not known which robot is meant, or its daemon does not answer.
-            FrameTooLarge, WrongType: so was the command of its source before this one answered.
+            CommandRefused: the command is not admitted, or the previous one of this source was refused.
+            DeviceGone: several robots have this name, or the robot's daemon does not answer.
+            FrameTooLarge, WrongType: the answer to the previous command of this source.
         """
         command = self.gates.timed(self.name, command)
         self._check_unique()
@@ -415,34 +416,34 @@ class RemoteRobot(Robot):
         return command.velocity
 
     def answer(self, owner: Hashable) -> Awaitable[PlanarVelocity]:
-        """What the other daemon answers to the newest command of an owner."""
+        """Return the other daemon's answer to the newest command of a source."""
         return self.hosts.answer(self, owner)
 
-    def limited_by(self, velocity: PlanarVelocity) -> None:  # noqa: ARG002 - of one that is here it matters
-        """Its limits are at its daemon."""
+    def limited_by(self, velocity: PlanarVelocity) -> None:  # noqa: ARG002 - used by LocalRobot
+        """Return None: the limits are at the robot's daemon."""
         return
 
     def stop(self) -> None:
-        """Stop whatever has its name, wherever it is, but here."""
+        """Stop the robots of this name at other daemons."""
         if self.gates.hosts is not None:
             self.gates.hosts.stop(self.name)
 
     def lock(self, reason: str = LOCK_REASON) -> None:
-        """Lock whatever has its name, wherever it is, but here."""
+        """Lock the robots of this name at other daemons."""
         if self.gates.hosts is not None:
             self.gates.hosts.lock(self.name, printable(reason))
 
     def unlock(self) -> None:
-        """Let it be driven again.
+        """Unlock the robot.
 
         Raises:
-            DeviceGone: it is not known which robot is meant.
+            DeviceGone: several robots have this name.
         """
         self._check_unique()
         self.hosts.unlock(self)
 
     def why_moving(self) -> str:
-        """Why it moves although it was sent a stop."""
+        """Return the reason why the robot moves after a stop."""
         known = self.known
         return _why_moving(
             is_played=known.is_played,
@@ -452,7 +453,7 @@ class RemoteRobot(Robot):
         )
 
     def why_unknown(self) -> str:
-        """Why its odometry does not say whether it stands."""
+        """Return the reason why odometry does not show whether the robot is stopped."""
         if self.link is None:
             return "its device is not connected"
         if self.odometry.count == 0:
@@ -460,9 +461,9 @@ class RemoteRobot(Robot):
         return f"no odometry of it has come from {self.host} since the stop"
 
     def update(self, known: RobotState, *, epoch: int | None) -> None:
-        """Its daemon describes it as this now: what was interrupted there is interrupted here.
+        """Set the state from the robot's daemon. An interruption there is one here.
 
-        `epoch`: None: its daemon knows no epochs.
+        `epoch` is None if that daemon has no epochs.
         """
         self.known = known
         self.admission.lease_s = known.lease_s
@@ -472,7 +473,7 @@ class RemoteRobot(Robot):
                 follow(None)
 
     def note_epoch(self, epoch: int | None, *, lock_reason: str | None) -> None:
-        """Note what the other daemon says of its admission."""
+        """Note epoch and lock of the other daemon's admission."""
         admission, now_s = self.admission, _now_s()
         if lock_reason is not None and admission.lock_reason != lock_reason:
             admission.lock(lock_reason, now_s)
@@ -484,9 +485,9 @@ class RemoteRobot(Robot):
             self._epoch = epoch if self._epoch is None else max(epoch, self._epoch)
 
     def connect(self, own_number: int | None, epoch: int | None, new_number: Callable[[], int]) -> None:
-        """Its device has this connection over there; None: none. `new_number`: for one more connection.
+        """Set the device's connection at the other daemon; None if it has none. `new_number` numbers a new connection.
 
-        Whether a reconnection is an interruption is decided there: then its `epoch` is another.
+        The other daemon decides whether a reconnection is an interruption: then its `epoch` differs.
         """
         if own_number is None:
             if self.link is not None:
@@ -498,10 +499,10 @@ class RemoteRobot(Robot):
             self.admission.resume_after_reconnect_s = math.inf if is_resumed else 0.0
             if self.admission.connect(_now_s()):
                 self.resumed_link = self.link.number
-            self._epoch = epoch  # it may have another beginning
+            self._epoch = epoch  # also if it is lower: the other daemon may have restarted
 
     def offer(self, velocities: Iterable[tuple[str, str]]) -> None:
-        """It is driven by these topics, by name and type, while no device here has them."""
+        """Subscribe to these velocity topics, by name and type, while no device here has them."""
         wanted = frozenset(velocities)
         if self._velocities == wanted:
             return
@@ -518,21 +519,21 @@ class RemoteRobot(Robot):
                     self.join(topic)
 
     def leave(self) -> None:
-        """No other daemon has it any more."""
+        """Leave the graph: no other daemon has the robot."""
         self.graph.leave(self._node)
 
     def _receive(self, message: Message) -> None:
-        """A velocity that was published here.
+        """Receive a velocity that was published here.
 
         Raises:
-            HostlinkError: as `command`; also where a device here has the same topic.
+            HostlinkError: as from `command`; also if a device here has the same topic.
         """
         if sum(not device.is_away for device in self.graph.find(message.topic).devices.values()) > 1:
             raise DeviceGone(self.name, f"{message.topic} is a topic here and at {self.host}")
         self.receive(message)
 
     def _check_unique(self) -> None:
-        """Refuse what could mean either of two robots.
+        """Refuse a request that could mean either of two robots.
 
         Raises:
             DeviceGone: robots of several daemons have this name.

@@ -1,4 +1,4 @@
-"""RobotTopicPublisher: a robot's topics under the names that ROS programs expect: odom, tf, cmd_vel."""
+"""RobotTopicPublisher: topics of robots under the usual names of ROS: odom, tf, cmd_vel."""
 
 import functools
 from collections import defaultdict
@@ -28,10 +28,10 @@ _NS_PER_S = 1_000_000_000
 
 @dataclass(slots=True)
 class _Offer:
-    """What one robot has by the names of ROS; None: not offered, or a device's own.
+    """Topics of one robot by the names of ROS; None if not offered, or if a device has the topic itself.
 
-    While its device is away, a robot has its velocity topics alone: what is published there is refused, and the
-    admission knows who was publishing when the device connects.
+    While its device is not connected, a robot has only its velocity topics: velocities are refused, and the admission
+    knows their publishers when the device connects.
     """
 
     robot: LocalRobot
@@ -39,34 +39,31 @@ class _Offer:
     is_away: bool
     odom: Topic | None = None
     publishes_tf: bool = False
-    commands: list[str] = field(default_factory=list)  # topics of its gate
-    wanted: frozenset[str] = frozenset()  # every name that it has, or would have if it were nobody else's
+    commands: list[str] = field(default_factory=list)  # velocity topics
+    wanted: frozenset[str] = frozenset()  # all names that it offers, or would offer if they were free
 
 
 class RobotTopicPublisher:
-    """Offered while a robot is known; a name that a device uses for the same is the device's.
+    """Publisher of the topics of all known robots. A device's own topic of such a name has precedence.
 
-    A robot whose device is away gives a name up to a device and to a robot that is connected.
+    A robot that is not connected gives up a name for a device or a connected robot.
 
-    Frame ids have the robot's name in front, unless its configuration chooses others. They never depend on which robot
-    connects first.
+    Frame ids begin with the robot's name unless configured otherwise. They never depend on the order of connections.
     """
 
     def __init__(self, graph: TopicGraph, node: Node, catalog: Catalog) -> None:
-        """`node` publishes and subscribes."""
+        """`node` is the key of the publishers and subscribers."""
         self._graph, self._node = graph, node
         self._types = {name: _type(catalog, name) for name in (ODOMETRY_TYPE, TF_TYPE)}
-        self._offers: dict[str, _Offer] = {}  # by robot
-        self._commands: set[str] = set()  # topics of all offers
-        self._candidates: defaultdict[str, dict[str, None]] = defaultdict(
-            dict
-        )  # robots, by the names that they would have
+        self._offers: dict[str, _Offer] = {}  # by name of the robot
+        self._commands: set[str] = set()  # velocity topics of all offers
+        self._candidates: defaultdict[str, dict[str, None]] = defaultdict(dict)  # topic -> robots that would offer it
         self._tf: Topic | None = None  # while a robot publishes its transform
 
     def update(self, robots: Iterable[LocalRobot], touched: frozenset[str]) -> None:
-        """These robots came, left, or their devices have other topics; `touched` are those, by their full names.
+        """Update robots that connected, disconnected or have other topics; `touched` are full names of those topics.
 
-        What that changes is offered anew. With a thousand robots, one that comes touches no other.
+        Only affected robots are updated: with a thousand robots, a new one affects no other.
         """
         changed = {robot.name: robot for robot in robots}
         lost = [self._offers[name] for name in changed if name in self._offers]
@@ -87,14 +84,14 @@ class RobotTopicPublisher:
             self._close_tf()
 
     def forget(self, robot: LocalRobot) -> None:
-        """It is not known any more."""
+        """Remove the topics of a forgotten robot."""
         offer = self._offers.pop(robot.name, None)
         if offer is not None:
             self._close(offer)
             self.update((), offer.wanted)
 
     def _relay(self, offer: _Offer, message: Message | None) -> None:
-        """Publish what a pose of the robot means, where anybody subscribes."""
+        """Publish odometry and transform of a new pose, if they have subscribers."""
         if message is None:
             return
         odom, tf = offer.odom, self._tf if offer.publishes_tf else None
@@ -138,7 +135,7 @@ class RobotTopicPublisher:
         robot.followers[self] = functools.partial(self._relay, offer)
 
     def _note_heard(self, offer: _Offer) -> None:
-        """Who publishes to a topic that the robot's gates have not subscribed to until now has begun before."""
+        """Note the publishers of topics to which the robot's gates have just subscribed: they began before."""
         robot = offer.robot
         heard = frozenset(offer.commands)
         heard |= {name for name in robot.velocities if self._is_gate_of(robot, name)}
@@ -160,12 +157,12 @@ class RobotTopicPublisher:
             self._graph.unadvertise(offer.odom.name, self._node)
         for name in offer.commands:
             self._graph.unsubscribe_device(name, self._node)
-            if not offer.is_away:  # else a device that has come has the name by now
+            if not offer.is_away:  # otherwise a device that connected has the name now
                 offer.robot.echoes.pop(name, None)
             self._commands.discard(name)
 
     def _reopen_tf(self) -> None:
-        """A device has begun or ceased to use it: the type may be another."""
+        """Advertise /tf again after a device began or ended to use it: the type may have changed."""
         self._close_tf()
         if any(offer.publishes_tf for offer in self._offers.values()):
             self._tf = self._advertise(TF_TOPIC, TF_TYPE)
@@ -176,7 +173,7 @@ class RobotTopicPublisher:
             self._tf = None
 
     def _advertise(self, name: str, type_name: str, own: str = "") -> Topic | None:
-        """None for a name that is switched off, that a device publishes itself, or that has another type."""
+        """Advertise a topic; None if it is turned off, published by a device, or has another type."""
         known = self._graph.find_or_none(name)
         is_devices = name != TF_TOPIC and known is not None and known.has_device_publisher
         if not name or is_devices or resolve(name) == own:
@@ -188,7 +185,7 @@ class RobotTopicPublisher:
             return None
 
     def _subscribe(self, robot: LocalRobot, name: str, type_name: str) -> bool:
-        """False for a name that is switched off, of a device or another robot, or of another type."""
+        """Subscribe a gate; False if the topic is turned off, has another user, or has another type."""
         known = self._graph.find_or_none(name)
         if not name or resolve(name) in self._commands or (known is not None and known.devices):
             return False
@@ -205,7 +202,7 @@ class RobotTopicPublisher:
         return True
 
     def _yielding(self, receive: Receive) -> Receive:
-        """Leave a message to another gate of the topic: the device may be connected to another daemon now."""
+        """Wrap a gate to yield to another gate of the topic: the device may be connected to another daemon."""
 
         def receive_alone(message: Message) -> None:
             if len(self._graph.find(message.topic).devices) == 1:
@@ -219,7 +216,7 @@ class RobotTopicPublisher:
 
 
 def frames_of(name: str, config: RobotConfig) -> FrameIds:
-    """The frames of the robot of this name."""
+    """Return the frame ids of a robot."""
     return FrameIds(config.odom_frame or f"{name}/odom", config.base_frame or f"{name}/base_link")
 
 
@@ -228,12 +225,12 @@ def _odom(robot: LocalRobot) -> str:
 
 
 def own_topics(robot: LocalRobot) -> list[str]:
-    """The names of all topics that hostlink has for a robot, as they are configured: a graph may have namespaces."""
+    """Return the configured names of all topics that hostlink offers for a robot."""
     return [name for name in (_odom(robot), *command_topics(robot)) if name]
 
 
 def command_topics(robot: LocalRobot) -> dict[str, str]:
-    """The names that its velocity topic has beside its own, with their types; empty: that one is switched off."""
+    """Return further names of the velocity topic, with their types. An empty name is turned off."""
     return {
         _chosen(robot.config.cmd_vel_topic, f"{robot.name}/cmd_vel"): TWIST_TYPE,
         _chosen(robot.config.cmd_vel_stamped_topic, f"{robot.name}/cmd_vel_stamped"): TWIST_STAMPED_TYPE,
@@ -246,5 +243,5 @@ def _chosen(configured: str | None, default: str) -> str:
 
 def _type(catalog: Catalog, name: str) -> MessageType:
     found = catalog.message(name)
-    assert found is not None  # noqa: S101 - of the store that the project is built on
+    assert found is not None  # noqa: S101 - part of every installed type store
     return found

@@ -25,11 +25,11 @@ from hostlink.robot.velocity_gate import VelocityGate
 
 log = structlog.get_logger()
 
-MAX_AWAY = 64  # more robots than people name without configuring them
+MAX_AWAY = 64  # disconnected robots that are not configured
 
 
 class RetentionPolicy:
-    """Names in the order in which they left. Times are monotonic, in seconds."""
+    """Retention of disconnected robots, in the order in which they disconnected. Times are monotonic, in seconds."""
 
     def __init__(self, forget_after_s: float = math.inf) -> None:
         self._forget_after_s = forget_after_s
@@ -39,35 +39,35 @@ class RetentionPolicy:
         return len(self._left_at_s)
 
     def put(self, name: str, now_s: float) -> None:
-        """It left; if it was away already it left again."""
+        """Note that a robot disconnected."""
         self._left_at_s.pop(name, None)
         self._left_at_s[name] = now_s
 
     def remove(self, name: str) -> None:
-        """It is back, or must not be forgotten."""
+        """Keep a robot: it is connected, or must not be forgotten."""
         self._left_at_s.pop(name, None)
 
     def pop_forgotten(self, now_s: float) -> list[str]:
-        """Those whose time has come."""
+        """Remove and return the names whose retention ended."""
         popped: list[str] = []
         while len(self._left_at_s) > MAX_AWAY or now_s >= self.next_s():
             popped.append(self._left_at_s.popitem(last=False)[0])
         return popped
 
     def pop_first(self) -> str | None:
-        """The one that left first, if anybody has."""
+        """Remove and return the name that disconnected first; None if there is none."""
         return self._left_at_s.popitem(last=False)[0] if self._left_at_s else None
 
     def next_s(self) -> float:
-        """When the next one is forgotten; infinite: nobody is."""
+        """Time at which the next name is forgotten; infinite if there is none."""
         return next(iter(self._left_at_s.values()), math.inf) + self._forget_after_s
 
 
-MAX_ROBOTS = 4096  # connected or locked, which are never forgotten: over it no new one is accepted
+MAX_ROBOTS = 4096  # connected or locked robots, which are never forgotten; further ones are refused
 
 
 class Robots:
-    """The one place that knows what belongs to a link, and which robots there are. Methods are synchronous.
+    """Registry of links, devices and robots. Methods are synchronous.
 
     It owns:
     - `devices`: the Device of each live link, by the number of the link. A Device has its link, its diagnosis, its
@@ -75,11 +75,11 @@ class Robots:
     - the robots of this daemon by name, connected or not.
     - `remote`: the robots of other daemons by name.
 
-    The Directory decides from what devices announce which robot a device is; this is what was decided. All others ask
-    here, and keep no table of links or robots of their own.
+    The Directory decides from the announced topics which robot a device is; the registry keeps the decisions. No other
+    part has a table of links or robots.
 
-    A robot is forgotten when it has been away for `forget_after_s`, or when MAX_AWAY others left after it; one that is
-    configured or locked never is.
+    A robot is forgotten after `forget_after_s` without a connection, or when MAX_AWAY others disconnected after it. A
+    configured or locked robot is never forgotten.
     """
 
     def __init__(
@@ -91,15 +91,15 @@ class Robots:
         on_forgotten: Callable[[LocalRobot], None] = lambda _: None,
         on_change: Callable[[str], None] = lambda _: None,
     ) -> None:
-        """Make a table without robots; `on_change` is called with its name when one comes, leaves or is forgotten.
+        """Create an empty registry. `on_change` is called with the name of a robot that is added, removed or changed.
 
         Raises:
-            ConfigError: limits of a robot cannot be kept. They belong to the start, not to its first connection.
+            ConfigError: limits of a robot are invalid. They are checked at the start, not at its first connection.
         """
         self.forgotten = 0
         self.max_robots = MAX_ROBOTS + len(configs)
         self.devices: dict[int, Device] = {}  # oldest first
-        self.remote: dict[str, RemoteRobot] = {}  # to be read alone
+        self.remote: dict[str, RemoteRobot] = {}  # other code only reads it
         self._numbers = itertools.count(1)
         self._configs, self._gates = configs, gates
         for config in configs.values():
@@ -107,44 +107,43 @@ class Robots:
         self._on_forgotten, self._on_change = on_forgotten, on_change
         self._robots: dict[str, LocalRobot] = {}
         self._earlier = EarlierCommands()
-        self._away = RetentionPolicy(forget_after_s)  # who may be forgotten
+        self._away = RetentionPolicy(forget_after_s)  # robots that may be forgotten
         self._wake = asyncio.Event()
 
     # -- links --------------------------------------------------------------------------------------------------------
 
     def new_number(self) -> int:
-        """For one more connection of a device, here or to another daemon."""
+        """Return a number for a new connection, here or at another daemon."""
         return next(self._numbers)
 
     def device(self, key: Hashable) -> Device | None:
-        """The device of a live link; None: it is no link, or has ended."""
+        """Return the device of a live link; None if the key is not a link, or has ended."""
         return self.devices.get(key.number) if isinstance(key, Link) else None
 
     def of_link(self, key: Hashable) -> LocalRobot | None:
-        """The robot whose device has this link."""
+        """Return the robot of a live link; None if it has none."""
         device = self.device(key)
         return None if device is None else device.robot
 
     def drivables(self) -> list[Drivable]:
-        """Whatever can be driven now."""
+        """Return all velocity topics of connected devices."""
         return [drivable for device in self.devices.values() for drivable in device.drivables]
 
     # -- robots -------------------------------------------------------------------------------------------------------
 
     def here(self) -> list[LocalRobot]:
-        """Every robot that is connected to this daemon, or was and is not forgotten, by name."""
+        """Return the robots of this daemon by name, connected or not yet forgotten."""
         return [self._robots[name] for name in sorted(self._robots)]
 
     def all(self) -> list[Robot]:
-        """Every robot, also of other daemons, by name; as `find` finds it."""
-        found = (self._find(name) for name in sorted(self._robots.keys() | self.remote.keys()))
-        return [robot for robot in found if robot is not None]
+        """Return all robots by name, including those of other daemons. Of one name, the robot that `find` returns."""
+        return list(filter(None, map(self._find, sorted(self._robots.keys() | self.remote.keys()))))
 
     def find(self, name: str, *, driver: Callable[[], Hashable] | None = None) -> Robot:
-        """The robot of that name, connected or not.
+        """Return the robot of this name, connected or not.
 
         Raises:
-            UnknownTopic: there is none. A stream of the source that `driver` returns moves no later robot.
+            UnknownTopic: it does not exist. A stream of the source that `driver` returns moves no later robot.
         """
         plain = name.strip("/")
         here = self._robots.get(plain)
@@ -161,25 +160,25 @@ class Robots:
             self._earlier.note(name, driver(), _now_s())
 
     def _join_early(self, robot: Robot) -> None:
-        """Note who commanded a robot of this name when there was none: it is in the middle of a motion."""
+        """Note sources that commanded this name before the robot existed: they are in the middle of a motion."""
         now_s = _now_s()
         robot.admission.join(self._earlier.sources(robot.name, now_s), now_s)
 
     def has(self, name: str) -> bool:
-        """Whether there is one of that name, here or elsewhere."""
+        """Whether a robot of this name exists, here or at another daemon."""
         return self._find(name) is not None
 
     def _find(self, name: str) -> Robot | None:
-        """A robot of this daemon comes first, unless it has left and is connected to another one now."""
+        """Find a robot. One of this daemon precedes, unless it is disconnected and another daemon has it."""
         robot, remote = self._robots.get(name), self.remote.get(name)
         is_elsewhere = robot is not None and robot.link is None and remote is not None and remote.link is not None
         return remote if robot is None or is_elsewhere else robot
 
     def find_here(self, name: str, *, driver: Callable[[], Hashable] | None = None) -> LocalRobot:
-        """The robot of this daemon that has this name, connected or not; as `find`.
+        """Return the robot of this daemon with this name, connected or not; as `find`.
 
         Raises:
-            UnknownTopic: there is none.
+            UnknownTopic: it does not exist.
         """
         robot = self.get_here(name)
         if robot is None:
@@ -188,15 +187,15 @@ class Robots:
         return robot
 
     def get_here(self, name: str) -> LocalRobot | None:
-        """The robot of this daemon that has this name, if any."""
+        """Return the robot of this daemon with this name; None if it does not exist."""
         return self._robots.get(name)
 
     def is_known(self, robot: Robot) -> bool:
-        """Whether it is not forgotten."""
+        """Whether a robot is not forgotten."""
         return robot in (self._robots.get(robot.name), self.remote.get(robot.name))
 
     def locked_likewise(self, robot: LocalRobot) -> LocalRobot | None:
-        """A locked robot that may be this one, which has come back under another name; None: there is none."""
+        """Return a locked robot that may be this one, reconnected under another name; None if there is none."""
         for other in self._robots.values():
             is_alike = other is not robot and other.topics.name == robot.topics.name
             if is_alike and other.gate.lock_reason is not None and not other.is_surely_there():
@@ -204,7 +203,7 @@ class Robots:
         return None
 
     def stop_all(self) -> None:
-        """Stop every robot, at other daemons too.
+        """Stop every robot, including those of other daemons.
 
         Raises:
             HostlinkError: the zero does not fit a device; all others have been stopped.
@@ -214,7 +213,7 @@ class Robots:
         self._gates.stop(self.drivables())
 
     def stop_all_here(self) -> None:
-        """Stop whatever this daemon drives.
+        """Stop every robot of this daemon.
 
         Raises:
             HostlinkError: the zero does not fit a device; all others have been stopped.
@@ -224,15 +223,15 @@ class Robots:
     # -- which come and leave -----------------------------------------------------------------------------------------
 
     def make_room(self, name: str) -> bool:
-        """Whether a robot of this name may come, if need be in the place of one that is away."""
+        """Return whether there is room for a robot of this name, after forgetting a disconnected one if necessary."""
         if name not in self._robots and len(self._robots) >= self.max_robots:
             self._forget(self._away.pop_first())
         return name in self._robots or len(self._robots) < self.max_robots
 
     def appear(self, name: str, topics: RobotTopicNames, shown: RobotTopicNames, device: Device) -> LocalRobot:
-        """A robot's device is ready, with these topics as it names them, and as they are shown in the graph.
+        """Connect a robot to its device, with topics as the device names them and as the graph shows them.
 
-        Whatever was commanded before means nothing now; its first velocity is zero.
+        Earlier commands are void: the first velocity is zero.
         """
         if device.robot is not None and device.robot.name != name:
             self.vanish(device)
@@ -258,7 +257,7 @@ class Robots:
         return robot
 
     def vanish(self, device: Device) -> LocalRobot | None:
-        """A device is no robot any more: the one that it was is sent a zero, and is without a device."""
+        """Disconnect the robot of a device, after a last zero. Return the robot; None if the device had none."""
         robot, device.robot = device.robot, None
         was_moving = robot is not None and robot.gate.is_driven
         self._gates.detach(device)
@@ -272,7 +271,7 @@ class Robots:
         return robot
 
     def put_remote(self, robot: RemoteRobot) -> None:
-        """Another daemon has it."""
+        """Add a robot of another daemon."""
         self.pop_remote(robot.name)
         self.remote[robot.name] = robot
         self._gates.register(robot.admission)
@@ -280,7 +279,7 @@ class Robots:
         self._on_change(robot.name)
 
     def pop_remote(self, name: str) -> RemoteRobot | None:
-        """No other daemon has it any more; None: none had."""
+        """Remove and return a robot of another daemon; None if there is none of this name."""
         robot = self.remote.pop(name, None)
         if robot is not None:
             robot.leave()
@@ -289,7 +288,7 @@ class Robots:
         return robot
 
     def reconfigure(self, configs: Mapping[str, RobotConfig]) -> None:
-        """Limits, and who is never forgotten, from now on."""
+        """Replace the settings of robots: their limits, and which ones are never forgotten."""
         self.max_robots += len(configs) - len(self._configs)
         before, self._configs = self._configs, configs
         for robot in list(self._robots.values()):
@@ -305,28 +304,28 @@ class Robots:
                 self._put_away(robot)
 
     def forget(self, name: str) -> None:
-        """A robot without a device has another name now."""
+        """Forget a disconnected robot, whose device has another name now."""
         robot = self._robots.get(name)
         if robot is not None and robot.link is None and name not in self._configs:
             self._away.remove(name)
             self._forget(name)
 
     def _note_lock(self, robot: LocalRobot) -> None:
-        """It was locked, and must not be forgotten; or unlocked."""
+        """Update the retention of a robot after a lock or unlock: a locked one is not forgotten."""
         if robot.gate.lock_reason is not None:
             self._away.remove(robot.name)
         else:
             self._put_away(robot)
 
     def _put_away(self, robot: LocalRobot) -> None:
-        """It may be forgotten from now on, unless it is connected, configured or locked."""
+        """Start the retention of a robot, unless it is connected, configured or locked."""
         if robot.link is None and robot.gate.lock_reason is None and robot.name not in self._configs:
             self._away.put(robot.name, _now_s())
             self._forget_some()
             self._wake.set()
 
     async def run(self) -> None:
-        """Forget the robots whose time has come, until cancelled."""
+        """Forget robots whose retention ended, until cancelled."""
         while True:
             self._wake.clear()
             forgets_at_s = self._away.next_s()

@@ -1,4 +1,4 @@
-"""Rosout: the logs of devices, in the daemon's log and as rosgraph_msgs/Log on /rosout; and warnings of the daemon."""
+"""Rosout: logs of devices in the daemon's log and as rosgraph_msgs/Log on /rosout; also warnings of the daemon."""
 
 import contextlib
 import time
@@ -17,24 +17,24 @@ log = structlog.get_logger()
 TOPIC, TYPE = "/rosout", "rosgraph_msgs/Log"
 _NS_PER_S = 1_000_000_000
 _WARNING = 2  # of rosserial's levels
-_METHODS = ("debug", "info", "warning", "error", "error")  # the log's, for each of rosserial's levels
+_METHODS = ("debug", "info", "warning", "error", "error")  # methods of the log, for each of rosserial's levels
 
 
 class Rosout:
-    """Publishes for all devices."""
+    """Publisher of /rosout for all devices."""
 
     def __init__(self, participant: Participant) -> None:
         self._participant = participant
         self._topic = participant.advertise(TOPIC, TYPE)
 
     def log(self, link: Link, event: DeviceLogged) -> None:
-        """A device logs."""
+        """Log a line of a device."""
         level, text = event.level, printable(event.text)
         getattr(log, _METHODS[level])("device.logged", level_name=LOG_LEVELS[level], text=text)
         self._publish(level, link.peer, event.text)
 
     def warn(self, name: str, text: str) -> None:
-        """Warn the users of a graph, as its node `name`; the daemon's own log is the caller's."""
+        """Publish a warning as node `name`. The caller writes the daemon's own log."""
         self._publish(_WARNING, name, text)
 
     def _publish(self, level: int, name: str, text: str) -> None:

@@ -1,7 +1,7 @@
-"""Services both ways: the devices' own, and those that clients and other devices offer to a device.
+"""Services of devices, of programs and of the daemon.
 
-rosserial has no request number, so a device's service has one call in flight; an answer that comes after its deadline
-must not pass for the answer to the next call.
+rosserial has no request number, so a device's service has one call in flight. An answer after the deadline must not be
+taken for the answer to the next call.
 """
 
 import asyncio
@@ -22,7 +22,7 @@ from hostlink.errors import (
     UnknownTopic,
     WrongType,
 )
-from hostlink.hub.graph_changes import GraphChanges, Kind
+from hostlink.hub.graph_changes import GraphChanges, GraphKind
 from hostlink.hub.node import Node
 from hostlink.hub.topic_graph import resolve
 from hostlink.logs import printable
@@ -33,8 +33,8 @@ log = structlog.get_logger()
 
 DEVICE_TIMEOUT_S = 5.0
 PROGRAM_TIMEOUT_S = 60.0  # a program may do something slow, and rosbridge would wait without end
-LONGEST_TURN_S = 60.0  # of one call at a device, whatever its caller would wait: a request may be lost on the way
-MAX_WAITING = 256  # calls for one service of a device, each within its own deadline
+LONGEST_TURN_S = 60.0  # of one call at a device, also for a caller that waits longer: a request may be lost
+MAX_WAITING = 256  # calls of one service of a device, each with its own deadline
 Send = Callable[[bytes], None]
 Answer = Callable[[Mapping[str, object]], Awaitable[Mapping[str, object]]]
 Notify = Callable[[str], None]
@@ -42,24 +42,24 @@ _Offer = TypeVar("_Offer")
 
 
 class DeviceService:
-    """A service of a device's: one call in flight, the others wait their turn within their own deadlines."""
+    """Service of a device: one call in flight; the others wait in order, each with its own deadline."""
 
     def __init__(self, name: str, type_name: str, type_: ServiceType | None, key: Hashable, send: Send) -> None:
         self.name, self.type_name, self.type, self.key = name, type_name, type_, key
         self.md5_sums = ("", "")  # of requests and responses, as the device announced them
         self._send = send
         self._calls = 0
-        self._turn = asyncio.Lock()  # the queue of the calls: the protocol has room for one
+        self._turn = asyncio.Lock()  # queue of the calls: the protocol allows one at a time
         self._answer: asyncio.Future[bytes] | None = None
-        self._late: asyncio.Future[None] | None = None  # an answer to a call that was given up may still come
+        self._late: asyncio.Future[None] | None = None  # late answer to a call that was given up
 
     async def call(self, payload: bytes, *, timeout_s: float) -> bytes:
-        """The payload of the answer.
+        """Call the service, and return the payload of the answer.
 
         Raises:
             DeviceBusy: too many calls wait.
-            DeviceGone: the device is gone.
-            ServiceFailed: it did not answer in time.
+            DeviceGone: the device disconnected.
+            ServiceFailed: no answer within timeout_s seconds.
             FrameTooLarge: the device's buffer is smaller than the request.
         """
         if self._calls > MAX_WAITING:
@@ -74,7 +74,7 @@ class DeviceService:
             self._calls -= 1
 
     def answered(self, payload: bytes) -> bool:
-        """The device answered; False when nobody waits for it (any more)."""
+        """Pass on an answer of the device. Return False if no call waits for it."""
         if self._answer is not None and not self._answer.done():
             self._answer.set_result(payload)
             return True
@@ -88,11 +88,11 @@ class DeviceService:
         return any(each is not None and not each.done() for each in (self._answer, self._late))
 
     def expect_late(self) -> None:
-        """The device may still answer a call of before it announced its topics again."""
+        """Expect a late answer to a call from before the device announced its topics again."""
         self._late = asyncio.get_running_loop().create_future()
 
     def close(self) -> None:
-        """The device is gone: every call fails at once."""
+        """Fail every call at once, because the device disconnected."""
         self._send = self._fail
         if self._answer is not None and not self._answer.done():
             self._answer.set_exception(DeviceGone(self.name))
@@ -112,24 +112,24 @@ class DeviceService:
         try:
             self._send(payload)
             return await self._answer
-        except asyncio.CancelledError:  # given up, by its deadline or with its caller; the device may answer yet
+        except asyncio.CancelledError:  # given up by its deadline or its caller; the device may still answer
             self._late = asyncio.get_running_loop().create_future()
             raise
         finally:
             self._answer = None
 
     async def _settle(self, grace_s: float) -> None:
-        """Let the answer to a call that was given up come first; after `grace_s` it counts as lost."""
+        """Wait for the late answer to a call that was given up. After `grace_s` it counts as lost."""
         if self._late is not None:
             await asyncio.wait([self._late], timeout=grace_s)
             self._late = None
 
-    def _fail(self, payload: bytes) -> None:  # noqa: ARG002 - the shape of Send
+    def _fail(self, payload: bytes) -> None:  # noqa: ARG002 - signature of Send
         raise DeviceGone(self.name)
 
 
 class Provider:
-    """Somebody else who answers calls: a client of the API, or the daemon itself."""
+    """Provider of a service other than a device: a program, or the daemon itself."""
 
     def __init__(
         self,
@@ -142,7 +142,7 @@ class Provider:
         fail: Callable[[Exception], None] = lambda _: None,
         is_reading: bool = False,
     ) -> None:
-        """`notify` is called with a text when somebody else gets the calls; `fail` with the error of a bug.
+        """`notify` is called with a text when another provider gets the calls; `fail` with the error of a bug.
 
         `is_reading`: a call changes nothing.
         """
@@ -153,12 +153,12 @@ class Provider:
         self._calls: set[asyncio.Timeout] = set()
 
     async def call(self, name: str, request: Mapping[str, object], *, timeout_s: float) -> Mapping[str, object]:
-        """The answer; `name` is the service's as its caller spells it.
+        """Call the service, and return the answer. `name` is the caller's spelling.
 
         Raises:
-            UnknownTopic: it was withdrawn before it answered.
-            ServiceFailed: it did not answer in time, or has a bug, which ends who provides it.
-            HostlinkError: what else it answers.
+            UnknownTopic: the service was withdrawn before it answered.
+            ServiceFailed: no answer within timeout_s seconds, or a bug, which ends the provider.
+            HostlinkError: the error that the provider answers.
         """
         try:
             async with asyncio.timeout(timeout_s) as end:  # `withdraw` sets it
@@ -179,34 +179,34 @@ class Provider:
             raise ServiceFailed(self.name, f"{type(error).__name__}: {error}") from error
 
     def withdraw(self) -> None:
-        """It is provided no more: every call that waits fails at once."""
+        """Fail every waiting call at once, because the service is withdrawn."""
         self._is_withdrawn = True
         for end in self._calls:
             expire(end)
 
     @property
     def is_daemon(self) -> bool:
-        """Whether it is hostlink's own."""
+        """Whether the daemon itself provides the service."""
         return isinstance(self.key, Node) and self.key.is_daemon
 
 
 class Services:
-    """Every service by name, and whoever offers it by key.
+    """All services by name and provider.
 
-    A service of the daemon's own goes before one of a device's, that before one of a program's; of several of a kind
-    the newest gets the calls, and when it goes the one before it does again.
+    The daemon's own service precedes a device's, and that precedes a program's. Of several of one kind, the newest gets
+    the calls; when it is withdrawn, the one before it.
     """
 
     def __init__(self, catalog: Catalog, changes: GraphChanges | None = None) -> None:
-        """`changes` are told of every service that comes or goes."""
+        """`changes` is notified of every added and removed service."""
         self._catalog = catalog
         self._changes = GraphChanges() if changes is None else changes
         self._devices: dict[str, dict[Hashable, DeviceService]] = {}
         self._providers: dict[str, dict[Hashable, Provider]] = {}
-        self._names: defaultdict[Hashable, set[str]] = defaultdict(set)  # what a key offers
+        self._names: defaultdict[Hashable, set[str]] = defaultdict(set)  # names of each provider
 
     def add_device_service(self, service: DeviceService) -> None:
-        """A device offers a service.
+        """Add a service of a device.
 
         Raises:
             BadRequest: the name is the daemon's own.
@@ -224,10 +224,10 @@ class Services:
             log.warning("service.taken_over", service=printable(service.name), by=str(service.key))
         offers[service.key] = service
         self._names[service.key].add(service.name)
-        self._changes.note(Kind.SERVICE, service.name)
+        self._changes.note(GraphKind.SERVICE, service.name)
 
     def provide(self, provider: Provider) -> None:
-        """A program offers a service.
+        """Add a service of a program or of the daemon.
 
         Raises:
             BadRequest: the name is the daemon's own.
@@ -236,7 +236,7 @@ class Services:
         before = self.provider(name)
         if before is not None and before.is_daemon and not provider.is_daemon:
             raise BadRequest(f"{name} is a service of hostlink's own")
-        if provider.is_daemon:  # the emergency stop is nobody else's
+        if provider.is_daemon:  # no device may answer the emergency stop
             self._remove_device_services(name)
         elif self.of_device(name) is not None:
             provider.notify(f"{name} is a service of a device's, which gets the calls")
@@ -246,7 +246,7 @@ class Services:
         offers.pop(provider.key, None)
         offers[provider.key] = provider
         self._names[provider.key].add(name)
-        self._changes.note(Kind.SERVICE, name)
+        self._changes.note(GraphKind.SERVICE, name)
 
     def _remove_device_services(self, name: str) -> None:
         for key, service in self._devices.pop(name, {}).items():
@@ -254,18 +254,18 @@ class Services:
             self._names[key].discard(name)
 
     def withdraw(self, name: str, key: Hashable) -> None:
-        """A program offers it no more."""
+        """Remove a service of a program."""
         name = resolve(name)
         provider = _remove(self._providers, name, key)
         if provider is not None:
             provider.withdraw()
             self._names[key].discard(name)
-            self._changes.note(Kind.SERVICE, name)
+            self._changes.note(GraphKind.SERVICE, name)
 
     def leave(self, key: Hashable) -> None:
-        """`key` is gone with all that it offered."""
+        """Remove all services of a provider."""
         for name in self._names.pop(key, set()):
-            self._changes.note(Kind.SERVICE, name)
+            self._changes.note(GraphKind.SERVICE, name)
             service = _remove(self._devices, name, key)
             if service is not None:
                 service.close()
@@ -274,19 +274,19 @@ class Services:
                 provider.withdraw()
 
     def of_device(self, name: str) -> DeviceService | None:
-        """The device's service of that name, of several the newest."""
+        """Return the newest service of this name of a device."""
         return _newest(self._devices, resolve(name))
 
     def of_link(self, name: str, key: Hashable) -> DeviceService | None:
-        """The service of that name of one device."""
+        """Return the service of this name of one device."""
         return self._devices.get(resolve(name), {}).get(key)
 
     def provider(self, name: str) -> Provider | None:
-        """The service of that name of a program or of the daemon, of several the newest."""
+        """Return the newest service of this name of a program or of the daemon."""
         return _newest(self._providers, resolve(name))
 
     def is_offered(self, name: str) -> bool:
-        """Whether there is a service of that name."""
+        """Whether a service of this name exists."""
         return self.of_device(name) is not None or self.provider(name) is not None
 
     def is_reading(self, name: str) -> bool:
@@ -295,18 +295,18 @@ class Services:
         return found is not None and found.is_reading
 
     def names(self) -> Iterable[str]:
-        """Of every service, in no order."""
+        """Return the names of all services, in no order."""
         return self._providers.keys() | self._devices.keys()
 
     def all(self) -> list[tuple[str, str]]:
-        """(name, type) of every service."""
+        """Return (name, type) of all services."""
         return sorted((name, self.find(name).type_name) for name in self.names())
 
     def find(self, name: str) -> DeviceService | Provider:
-        """Who gets the calls of that name.
+        """Return the service that gets the calls of this name.
 
         Raises:
-            UnknownTopic: nobody offers it.
+            UnknownTopic: the service does not exist.
         """
         found = self.find_or_none(name)
         if found is None:
@@ -315,17 +315,17 @@ class Services:
         return found
 
     def find_or_none(self, name: str) -> DeviceService | Provider | None:
-        """Who gets the calls of that name, if anybody does."""
+        """Return the service that gets the calls of this name; None if it does not exist."""
         program = self.provider(name)
         if program is not None and program.is_daemon:
             return program
         return self.of_device(name) or program
 
     def type_of(self, name: str) -> ServiceType | None:
-        """The type of a service, if it has a definition.
+        """Return the type of a service; None if it has no definition.
 
         Raises:
-            UnknownTopic: nobody offers it.
+            UnknownTopic: the service does not exist.
         """
         service = self.find(name)
         return self._catalog.service(service.type_name) if isinstance(service, Provider) else service.type
@@ -333,12 +333,12 @@ class Services:
     async def call(
         self, name: str, request: Mapping[str, object], *, timeout_s: float | None = None
     ) -> Mapping[str, object]:
-        """Call a service, whoever offers it.
+        """Call a service of any provider.
 
         Raises:
-            UnknownTopic: nobody offers it.
+            UnknownTopic: the service does not exist.
             WrongType, BadRequest, BadPayload: the request or the answer is not of its type.
-            ServiceFailed, DeviceBusy, DeviceGone, FrameTooLarge: it was not done.
+            ServiceFailed, DeviceBusy, DeviceGone, FrameTooLarge: the call failed.
         """
         service = self.find(name)
         if isinstance(service, Provider):
@@ -368,4 +368,4 @@ def _remove(offers: dict[str, dict[Hashable, _Offer]], name: str, key: Hashable)
 
 
 def _ignore(text: str) -> None:
-    """The `notify` of a provider that needs none."""
+    """Ignore a text: `notify` of a provider that needs none."""

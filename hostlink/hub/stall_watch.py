@@ -1,4 +1,4 @@
-"""StallWatch: whether this process ran without a pause. What is read right after one has waited for an unknown time."""
+"""StallWatch: detector of pauses of this process. Bytes that are read right after one have waited an unknown time."""
 
 import time
 from collections.abc import Callable
@@ -10,52 +10,52 @@ from hostlink.robot.admission import LEASE_S
 
 log = structlog.get_logger()
 
-BEAT_S = 0.1  # how often it must be called
-STALL_S = LEASE_S  # a command that waited for longer means nothing
-GRACE_S = LEASE_S / 2  # what waited through a pause is read by then
+BEAT_S = 0.1  # interval of the beats
+STALL_S = LEASE_S  # a command that waited longer is void
+GRACE_S = LEASE_S / 2  # bytes that waited through a pause are read by then
 
 
 def slept_s() -> float:
-    """For how long this computer has slept since its start: the event loop's clock stands still meanwhile."""
-    boot_clock = getattr(time, "CLOCK_BOOTTIME", None)  # Linux alone has it
+    """Return for how long this computer has slept since its start. The event loop's clock does not count that time."""
+    boot_clock = getattr(time, "CLOCK_BOOTTIME", None)  # only on Linux
     return 0.0 if boot_clock is None else time.clock_gettime(boot_clock) - time.monotonic()
 
 
 class StallWatch:
-    """The process was stopped (SIGSTOP, a debugger, a virtual machine, a computer asleep), or its loop was blocked."""
+    """Detector of pauses: SIGSTOP, a debugger, a paused virtual machine, a sleeping computer, or a blocked loop."""
 
     def __init__(self, slept_s: Callable[[], float] = slept_s) -> None:
-        """`slept_s`: for how long the computer has slept so far."""
+        """`slept_s` returns for how long the computer has slept so far."""
         self._slept_s = slept_s
         self._slept_before_s = slept_s()
-        self._beat_s: float | None = None  # None: there was no beat yet
-        self._due_s = float("inf")  # when the next beat comes, if the loop is in time
-        self._late_s = 0.0  # of the newest beat
+        self._beat_s: float | None = None  # None before the first beat
+        self._due_s = float("inf")  # time of the next beat, if the loop is in time
+        self._late_s = 0.0  # delay of the newest beat
         self._paused_s = 0.0
         self._void_until_s = float("-inf")
-        self._pause_began_s: float | None = None  # of one that nobody has popped
+        self._pause_began_s: float | None = None  # start of a pause that was not popped yet
         self._pauses = HostPauses()
 
     def beat(self, now_s: float) -> None:
-        """Note that the process runs; the next beat is due in BEAT_S, unless `expect` says otherwise."""
+        """Note that the process runs. The next beat is due in BEAT_S, or at the time of `expect`."""
         slept_s = self._notice(now_s)
         self._late_s = max(0.0, now_s - self._due_s + slept_s)
         self._beat_s, self._due_s, self._slept_before_s = now_s, now_s + BEAT_S, self._slept_s()
 
     def expect(self, due_s: float) -> None:
-        """The next beat is due then."""
+        """Set the time of the next beat."""
         self._due_s = due_s
 
     def late_s(self, now_s: float) -> float:
-        """How late the event loop is: what is read now may have waited for so long.
+        """Return the delay of the event loop: bytes that are read now may have waited that long.
 
-        A turn of the loop that takes long is noticed by the beat that it delays, or by the one that it has delayed.
-        After a pause what waited is not all read at once.
+        A long turn of the loop is noticed by the beat that it delays, or by the one that it has delayed. After a pause,
+        waiting bytes are not all read at once.
         """
         return max(0.0, self._late_s, now_s - self._due_s, self._paused_s if now_s < self._void_until_s else 0.0)
 
     def _notice(self, now_s: float) -> float:
-        """Note a pause that has ended since the last beat; return for how long the computer has slept since."""
+        """Note a pause that ended since the last beat. Return for how long the computer slept since then."""
         all_slept_s = self._slept_s()
         slept_s = all_slept_s - self._slept_before_s
         if self._beat_s is None:
@@ -69,12 +69,12 @@ class StallWatch:
         return slept_s
 
     def pauses(self, now_s: float) -> HostPauses:
-        """The pauses until now: also one that has just ended, before the next beat."""
+        """Return the pauses until now, including one that has just ended."""
         self._notice(now_s)
         return self._pauses
 
     def pop_pause(self, now_s: float) -> float | None:
-        """Return when a pause began that has ended since the last call; None: there was none."""
+        """Return the start of a pause that ended since the last call; None if there was none."""
         self._notice(now_s)
         began_s, self._pause_began_s = self._pause_began_s, None
         return began_s

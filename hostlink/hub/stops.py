@@ -1,6 +1,6 @@
-"""What follows a stop or a lock: what odometry says of it, and the services <robot>/lock and <robot>/unlock.
+"""Standstills measures a stop by odometry. LockServices provides <robot>/lock and <robot>/unlock.
 
-`lock` is the word of every API.
+Every API says `lock` for the emergency stop.
 """
 
 import asyncio
@@ -12,65 +12,55 @@ from hostlink.hub.robot import Robot
 from hostlink.hub.robots import Robots
 from hostlink.robot.standstill import Speeds, Standstill, StandstillState, StopWatch, sentence
 
-WAIT_S = 1.5  # the simulated robot stands after 0.2 s, and its odometry shows that 0.4 s later
+WAIT_S = 1.5  # the simulated robot is stopped after 0.2 s, and its odometry shows that 0.4 s later
 MAX_WAIT_S = 10.0
 POLL_S = 0.05
-MAX_WATCHED = 256  # robots, by all who wait; one who waits alone may have more
+MAX_WATCHED = 256  # robots of all concurrent measurements; a single one may have more
 _TYPE = "std_srvs/Trigger"
 _LOCK, _UNLOCK = "lock", "unlock"
 
 
 class Standstills:
-    """Measures; a flood of stops is measured in part only, and what is not measured is said to be unknown."""
+    """Measurement of stops by odometry. During a flood of stops, some are reported as unknown instead."""
 
     def __init__(self) -> None:
         self._watched = 0
 
     async def measure(self, robots: Sequence[Robot], since_s: float, *, wait_s: float = WAIT_S) -> list[Standstill]:
-        """What each of these robots does after a stop at `since_s`; returns when all stand, after `wait_s` at most."""
+        """Return the state of each robot after a stop at `since_s`, when all are stopped, or after `wait_s`."""
         if self._watched > 0 and self._watched + len(robots) > MAX_WATCHED:
             reason = "too many stops are measured at once"
             return [Standstill(StandstillState.UNKNOWN, reason=reason) for _ in robots]
         self._watched += len(robots)
+        watches = [(robot, StopWatch(since_s)) for robot in robots]
+        until_s = since_s + wait_s
         try:
-            return await _measure(robots, since_s, since_s + wait_s)
+            while True:
+                now_s = asyncio.get_running_loop().time()
+                is_awaited = False
+                for robot, watch in watches:
+                    odometry = None if watch.is_standing else robot.measured(now_s)
+                    if odometry is not None:  # without odometry, waiting would measure nothing
+                        twist = odometry.twist
+                        watch.observe(Speeds(twist.speed_m_s, twist.yaw_rad_s), now_s - odometry.age_s)
+                        is_awaited |= not watch.is_standing
+                if not is_awaited or now_s >= until_s:
+                    return [watch.result(robot.why_moving, robot.why_unknown) for robot, watch in watches]
+                await asyncio.sleep(min(POLL_S, until_s - now_s))
         finally:
             self._watched -= len(robots)
 
 
-async def _measure(robots: Sequence[Robot], since_s: float, until_s: float) -> list[Standstill]:
-    watches = [StopWatch(since_s) for _ in robots]
-    while True:
-        now_s = asyncio.get_running_loop().time()
-        is_awaited = False
-        for robot, watch in zip(robots, watches, strict=True):
-            if not watch.is_standing:
-                is_awaited |= _observe(watch, robot, now_s)
-        if not is_awaited or now_s >= until_s:
-            break
-        await asyncio.sleep(min(POLL_S, until_s - now_s))
-    return [watch.result(robot.why_moving(), robot.why_unknown()) for robot, watch in zip(robots, watches, strict=True)]
-
-
-def _observe(watch: StopWatch, robot: Robot, now_s: float) -> bool:
-    """Observe the newest odometry; returns whether waiting for more may tell more."""
-    odometry = robot.measured(now_s)
-    if odometry is None:
-        return False
-    watch.observe(Speeds(odometry.twist.speed_m_s, odometry.twist.yaw_rad_s), now_s - odometry.age_s)
-    return not watch.is_standing
-
-
 class LockServices:
-    """The services by which any program of the graph locks and unlocks a robot, here or at another daemon."""
+    """Services to lock and unlock robots, of this daemon and of others, for any program of the graph."""
 
     def __init__(self, robots: Robots, gates: Gates, standstills: Standstills, participant: Participant) -> None:
-        """`participant` serves the services; nobody else may provide services of these names."""
+        """`participant` provides the services. It must be of the daemon, so that no program can take the names over."""
         self._robots, self._gates, self._standstills, self._participant = robots, gates, standstills, participant
         self._served: set[str] = set()
 
     def update(self, name: str) -> None:
-        """The robot of this name has come, has left or is forgotten."""
+        """Provide the services of a known robot, and withdraw those of a forgotten one."""
         is_known = self._robots.has(name)
         if is_known and name not in self._served:
             self._served.add(name)
@@ -99,5 +89,5 @@ class LockServices:
 
 
 def own_services(name: str) -> tuple[str, str]:
-    """The names of the services that hostlink has for the robot of this name."""
+    """Return the names of a robot's lock and unlock services."""
     return f"{name}/{_LOCK}", f"{name}/{_UNLOCK}"

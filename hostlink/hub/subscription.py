@@ -1,4 +1,4 @@
-"""Subscription: what a participant receives of one topic, at the rate that it chose."""
+"""Subscription: messages of one topic for a participant, at its chosen rate."""
 
 from collections import deque
 from collections.abc import Callable
@@ -9,7 +9,7 @@ from hostlink.hub.node import is_of
 
 
 class Subscription:
-    """At most one message in `interval_s`, as rosbridge's `throttle_rate` and `queue_length` have it.
+    """Subscription with at most one message in `interval_s`, as rosbridge's `throttle_rate` and `queue_length`.
 
     Between two of them, messages are dropped, except the newest `queue_length`, which wait for `flush`. `close` ends
     the subscription.
@@ -29,26 +29,26 @@ class Subscription:
         group: str = "",
         share: Share | None = None,
     ) -> None:
-        """`on_throttled` is called for each message that comes while others wait.
+        """`on_throttled` is called for each message that arrives while others wait.
 
-        `group`: what it publishes is not received: messages that go out to a graph must not come again from it.
-        `share`: of the bytes that wait in all subscriptions.
+        Messages of `group` are not received: messages to another graph must not return from it. `share` bounds the
+        waiting bytes of all subscriptions.
         """
-        self.close: Callable[[], None] = nothing_to_close  # until it is in the graph
-        self.is_closed = False  # then nothing is delivered, not even of what is on its way
+        self.close: Callable[[], None] = nothing_to_close  # set when it is in the graph
+        self.is_closed = False  # then no message is delivered, not even one on its way
         self.waiting: deque[Message] = deque(maxlen=queue_length)
         self._deliver, self._on_throttled, self._group = deliver, on_throttled, group
         self._interval_s, self._free_at_s = interval_s, float("-inf")
         self._share = Share(SHARES["held_back"]) if share is None else share
 
     def end(self) -> None:
-        """Deliver nothing from now on, and drop what waits."""
+        """Deliver nothing from now on, and drop waiting messages."""
         self.is_closed = True
         while self.waiting:
             self._pop()
 
     def change(self, *, interval_s: float, queue_length: int) -> None:
-        """Set another rate; what waits and fits continues to wait."""
+        """Set another rate. Waiting messages that fit the new queue length are kept."""
         if (interval_s, queue_length) != (self._interval_s, self.waiting.maxlen):
             self._free_at_s += interval_s - self._interval_s
             self._interval_s = interval_s
@@ -57,7 +57,7 @@ class Subscription:
             self.waiting = deque(self.waiting, maxlen=queue_length)
 
     def receive(self, message: Message) -> None:
-        """Deliver a message, or an older one that waits in its place, or keep the message for later."""
+        """Deliver a message, or a waiting older one in its place, or keep the message for later."""
         if self.is_closed or (self._group and is_of(message.source, self._group)):
             return
         if self._interval_s <= 0:
@@ -74,14 +74,14 @@ class Subscription:
             self._on_throttled()
 
     def flush(self, now_s: float) -> float | None:
-        """Deliver what is due; returns when the next message is due, None if none waits."""
+        """Deliver due messages. Return the time at which the next one is due; None if none waits."""
         while not self.is_closed and self.waiting and now_s >= self._free_at_s:
             self._free_at_s = now_s + self._interval_s
             self._deliver(self._pop())
         return self._free_at_s if self.waiting else None
 
     def _keep(self, message: Message) -> None:
-        """Let a message wait; the oldest are dropped where too much waits."""
+        """Let a message wait. Above a bound, the oldest are dropped."""
         if not self.waiting.maxlen:
             return
         if len(self.waiting) == self.waiting.maxlen:

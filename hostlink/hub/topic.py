@@ -17,8 +17,8 @@ from hostlink.messages.message_type import MessageType
 
 log = structlog.get_logger()
 
-MAX_NESTED = 8  # messages and commands of one sender, each sent in a callback that the one before caused
-MAX_WAITING = 1024  # messages that callbacks have published, and that wait for the message before them
+MAX_NESTED = 8  # nested messages and commands of one sender, each sent in a callback of the one before
+MAX_WAITING = 1024  # messages from callbacks that wait for the message before them
 
 Deliver = Callable[[Message], None]
 Result = TypeVar("Result")
@@ -31,18 +31,18 @@ class _Waiting(NamedTuple):
 
 
 class Deliveries:
-    """Of one hub: one message is delivered at a time. Over MAX_WAITING one is delivered at once, before its turn."""
+    """Delivery order of a hub: one message at a time. Above MAX_WAITING, one is delivered at once, out of order."""
 
     def __init__(self) -> None:
-        self.out_of_order = 0  # messages that were delivered before their turn
-        self.senders: tuple[Hashable, ...] = ()  # each sends in a callback that the one before caused
+        self.out_of_order = 0  # messages delivered before their turn
+        self.senders: tuple[Hashable, ...] = ()  # nested senders: each sends in a callback of the one before
         self._waiting: deque[_Waiting] = deque()
         self._is_under_way = False
 
     def add(self, deliver: Deliver, message: Message) -> None:
         """Deliver a message, now or after those before it."""
         if not self._is_under_way:
-            self._is_under_way = True  # as `run` does, on the path of every message
+            self._is_under_way = True  # the code of `run`, repeated on the path of every message
             try:
                 deliver(message)
                 if self._waiting:
@@ -56,7 +56,7 @@ class Deliveries:
             deliver(message)
 
     def run(self, work: Callable[[Message], Result], message: Message) -> Result:
-        """Do something with a message; what is to be delivered meanwhile is delivered afterwards."""
+        """Run `work` with a message. Messages from its callbacks are delivered afterwards."""
         if self._is_under_way:
             return work(message)
         self._is_under_way = True
@@ -69,10 +69,10 @@ class Deliveries:
         return result
 
     def begin_sending(self, sender: Hashable) -> tuple[Hashable, ...]:
-        """Note that a sender sends from now on; returns the `senders` before, to be restored when it has sent.
+        """Add a sender to `senders`. Return the value before, which the caller restores after sending.
 
         Raises:
-            BadRequest: callbacks of the sender have sent too often what calls them back: it would never end.
+            BadRequest: callbacks of the sender cause each other, MAX_NESTED times.
         """
         senders = self.senders
         if senders and senders.count(sender) >= MAX_NESTED:
@@ -92,37 +92,37 @@ class Deliveries:
 
 Receive = Callable[[Message], None]
 
-PROGRAM_RANK, DAEMON_RANK, DEVICE_RANK = range(3)  # whose type of a topic precedes another's
+PROGRAM_RANK, DAEMON_RANK, DEVICE_RANK = range(3)  # a higher rank decides the type of a topic
 
 
 class Subscriber(NamedTuple):
-    """Who receives the messages of a topic, and the type that it expects, if it names one."""
+    """Subscriber of a topic. `type_name` is empty if it expects no particular type."""
 
     receive: Receive
     key: Hashable
     type_name: str
-    fail: Callable[[Exception], None]  # ends what the callback belongs to
+    fail: Callable[[Exception], None]  # ends the owner of the callback
 
 
 class DeviceSubscription(NamedTuple):
-    """A device's end of a topic: its link, or the gate before it. `receive` raises what refuses a message."""
+    """Subscription of a device: of its link, or of a velocity gate. `receive` raises the refusal of a message."""
 
     receive: Receive
     is_gate: bool
-    is_command: bool = False  # each message is acted on once, as a reset of the odometry
+    is_command: bool = False  # each message is an action, such as a reset of odometry
     is_away: bool = False  # the gate of a robot whose device is not connected
 
     @property
     def takes_latched(self) -> bool:
-        """Whether a message from before the subscription is sent: a velocity or another command is old by then."""
+        """Whether latched messages are sent: a velocity or another command would be old."""
         return not (self.is_gate or self.is_command)
 
 
 class Topic:
-    """One name in the graph. Whoever publishes or subscribes is known by a key: a link, or a Node.
+    """Topic of the graph. Publishers and subscribers have a key: a link, or a Node.
 
-    Where a velocity gate subscribes, messages go to the gates alone; what they send to their devices is delivered to
-    the other subscribers.
+    If a velocity gate subscribes, messages are passed to the gates only; the other subscribers receive the velocities
+    that the gates send to their devices.
     """
 
     __slots__ = (
@@ -131,35 +131,33 @@ class Topic:
     )  # fmt: skip
 
     def __init__(self, name: str, deliveries: Deliveries | None = None, budget: ByteBudget | None = None) -> None:
-        """`deliveries` and `budget`: those of the graph, for a topic that is in it."""
+        """`deliveries` and `budget` are those of the graph."""
         self.name = name
-        self.type_name = ""  # until somebody names it
+        self.type_name = ""  # until a publisher or subscriber names it
         self.type: MessageType | None = None
-        self.rank = PROGRAM_RANK  # of who named the type
+        self.rank = PROGRAM_RANK  # of the user that named the type
         self.messages = 0
         self.publishers: set[Hashable] = set()
-        self.earlier: tuple[Hashable, ...] = ()  # who published without it when the newest device subscribed
+        self.earlier: tuple[Hashable, ...] = ()  # publishers without `advertise` from before the newest device
         self.devices: dict[Hashable, DeviceSubscription] = {}
-        self.latched: dict[
-            Hashable, bytes | None
-        ] = {}  # by publisher: its last message, for later subscribers; newest last
+        self.latched: dict[Hashable, bytes | None] = {}  # last message of each publisher that latches; newest last
         self._subscribers: dict[int, Subscriber] = {}
         self._numbers = itertools.count()
-        self._expected: dict[str, int] = {}  # how many subscribers expect each type
-        self._snapshot: tuple[Subscriber, ...] | None = ()  # None: to be made anew, as a message comes
+        self._expected: dict[str, int] = {}  # number of subscribers that expect each type
+        self._snapshot: tuple[Subscriber, ...] | None = ()  # None: made again for the next message
         self._is_gated = False
         self._deliveries = Deliveries() if deliveries is None else deliveries
         self._budget = ByteBudget() if budget is None else budget
 
     @property
     def subscribers(self) -> tuple[Subscriber, ...]:
-        """Every subscriber that is no device, oldest first. One that comes or leaves costs the same among many."""
+        """All subscribers except devices, oldest first. Adding and removing cost the same among many."""
         if self._snapshot is None:
             self._snapshot = tuple(self._subscribers.values())
         return self._snapshot
 
     def add_subscriber(self, subscriber: Subscriber) -> int:
-        """Returns the number by which it is removed."""
+        """Add a subscriber. Return the number for `remove_subscriber`."""
         number = next(self._numbers)
         self._subscribers[number], self._snapshot = subscriber, None
         if subscriber.type_name:
@@ -167,7 +165,7 @@ class Topic:
         return number
 
     def remove_subscriber(self, number: int) -> None:
-        """Remove a subscriber; one that is not there is no error."""
+        """Remove a subscriber. Do nothing if it was removed already."""
         gone = self._subscribers.pop(number, None)
         self._snapshot = None
         if gone is not None and gone.type_name:
@@ -176,43 +174,43 @@ class Topic:
                 del self._expected[gone.type_name]
 
     def add_device(self, key: Hashable, subscription: DeviceSubscription) -> None:
-        """A device, or a gate, subscribes."""
+        """Add a device or a gate."""
         self.devices[key] = subscription
         self._is_gated = any(each.is_gate for each in self.devices.values())
 
     def remove_device(self, key: Hashable) -> None:
-        """Remove a device or a gate; one that is not there is no error."""
+        """Remove a device or a gate. Do nothing if it is not subscribed."""
         self.devices.pop(key, None)
         self._is_gated = any(each.is_gate for each in self.devices.values())
 
     @property
     def expected_type(self) -> str:
-        """The type that the first subscriber expects that named one; empty: none did."""
+        """Type that the first subscriber with a type expects; empty if none has one."""
         return next(iter(self._expected), "")
 
     @property
     def is_used(self) -> bool:
-        """Whether anybody publishes or subscribes."""
+        """Whether the topic has a publisher or subscriber."""
         return bool(self.publishers or self._subscribers or self.devices)
 
     @property
     def is_gated(self) -> bool:
-        """Whether a velocity gate subscribes: what is published drives a robot."""
+        """Whether a velocity gate subscribes, so that messages drive a robot."""
         return self._is_gated
 
     @property
     def has_subscribers(self) -> bool:
-        """Whether a message would reach anybody."""
+        """Whether the topic has a subscriber or a device."""
         return bool(self._subscribers or self.devices)
 
     @property
     def has_device_publisher(self) -> bool:
-        """Whether a device publishes it."""
+        """Whether a device publishes the topic."""
         return any(rank_of(key) == DEVICE_RANK for key in self.publishers)
 
     @property
     def highest_rank(self) -> int:
-        """Of its publishers and devices; a device mostly comes first."""
+        """Highest rank of its publishers and devices. Devices are searched first, because most topics have one."""
         ranks = map(rank_of, itertools.chain(self.devices, self.publishers))
         highest = PROGRAM_RANK
         for rank in ranks:
@@ -222,7 +220,7 @@ class Topic:
         return highest
 
     def forget_publisher(self, key: Hashable) -> None:
-        """`key` publishes no more."""
+        """Remove a publisher and its latched message."""
         self.publishers.discard(key)
         self._budget.latch(key, self.latched.pop(key, None), None)
 
@@ -235,10 +233,10 @@ class Topic:
         priority: int = PROGRAM_PRIORITY,
         epoch: int | None = None,
     ) -> None:
-        """Pass a payload to every device and subscriber but its source. `at_s`: loop time of its arrival, if not now.
+        """Pass a payload to all devices and subscribers except its source. `at_s` is the loop time of its arrival.
 
         Raises:
-            HostlinkError: a device, or its gate, refused it; all others have it.
+            HostlinkError: a device or its gate refused the message; all others have received it.
         """
         if not self._subscribers and not self.devices:
             self.messages += 1
@@ -263,7 +261,7 @@ class Topic:
             raise refusal
 
     def deliver(self, payload: bytes, *, source: Hashable, at_s: float) -> None:
-        """Pass a payload to every subscriber, and to no device."""
+        """Pass a payload to all subscribers, but to no device."""
         if self._subscribers:
             self._deliveries.add(self._dispatch, self._message(payload, source, at_s))
         else:
@@ -283,9 +281,9 @@ class Topic:
         return refusal
 
     def _keep(self, payload: bytes, source: Hashable) -> None:
-        """For later subscribers, if its source latches, and there is room; else the one before is not kept either."""
+        """Latch a message if its source latches. Without room, the previous one is dropped, too."""
         if source in self.latched:
-            before = self.latched.pop(source)  # the newest is the last of all
+            before = self.latched.pop(source)  # the newest is the last one
             after = payload if self._budget.can_latch(source, before, payload) else None
             self._budget["latched"].refused += after is None
             self._budget.latch(source, before, after)
@@ -294,12 +292,12 @@ class Topic:
     def _dispatch(self, message: Message) -> None:
         self.messages += 1
         if self.latched:
-            self._keep(message.payload, message.source)  # in its turn: who subscribes before receives it then
+            self._keep(message.payload, message.source)  # in its turn: earlier subscribers receive it below
         snapshot = self._snapshot
         for subscriber in self.subscribers if snapshot is None else snapshot:
             try:
                 subscriber.receive(message)
-            except Exception as error:  # noqa: BLE001 - a subscriber's crash is neither the device's nor another's
+            except Exception as error:  # noqa: BLE001 - a subscriber's crash affects no device and no other subscriber
                 self._remove(subscriber)
                 subscriber.fail(error)
 
@@ -309,14 +307,14 @@ class Topic:
                 self.remove_subscriber(number)
 
     def deliver_latched(self, subscriber: Subscriber) -> None:
-        """Pass the last message of every publisher that latches; raises what the subscriber's callback raises."""
+        """Pass all latched messages to a subscriber. An exception of its callback is raised."""
         at_s = asyncio.get_running_loop().time() if self.latched else 0.0
         for source, payload in list(self.latched.items()):  # the callback may let one of them leave
             if payload is not None:
                 subscriber.receive(self._message(payload, source, at_s))
 
     def send_latched(self, key: Hashable) -> None:
-        """Send the device `key` the last message of every publisher that latches, as far as it can take them."""
+        """Send all latched messages to the device `key`, except those that it refuses."""
         device = self.devices.get(key)
         if device is None or not device.takes_latched or not self.latched:
             return

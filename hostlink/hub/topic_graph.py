@@ -1,11 +1,11 @@
-"""TopicGraph: every topic by name; a topic lives as long as somebody uses it."""
+"""TopicGraph: all topics by name. A topic exists as long as it has a publisher or subscriber."""
 
 import asyncio
 from collections.abc import Callable, Hashable, Iterable
 
 from hostlink.errors import UnknownTopic, WrongType
 from hostlink.hub.byte_budget import ByteBudget
-from hostlink.hub.graph_changes import GraphChanges, Kind
+from hostlink.hub.graph_changes import GraphChanges, GraphKind
 from hostlink.hub.topic import DEVICE_RANK, PROGRAM_RANK, Deliveries, DeviceSubscription, Subscriber, Topic, rank_of
 from hostlink.messages.catalog import Catalog
 from hostlink.robot.admission import EarlierCommands
@@ -14,36 +14,37 @@ Unsubscribe = Callable[[], None]
 
 
 def resolve(name: str) -> str:
-    """The full name of a topic or service: `odom`, `/odom` and `~odom` are one."""
-    return "/" + name.lstrip("/~")
+    """Return the full name of a topic or service: `odom`, `/odom` and `~odom` are one."""
+    full = "/" + name.lstrip("/~")
+    return name if full == name else full  # a thousand robots keep their names once
 
 
 class TopicGraph:
-    """All topics of all devices and participants."""
+    """All topics of devices and participants."""
 
     def __init__(self, catalog: Catalog, changes: GraphChanges | None = None, budget: ByteBudget | None = None) -> None:
-        """`changes` are told of every topic, publisher and subscriber that comes or goes."""
-        self.earlier = EarlierCommands()  # who publishes to topics that do not exist, or without being a publisher
+        """`changes` is notified of every added and removed topic, publisher and subscriber."""
+        self.earlier = EarlierCommands()  # publishers of topics that do not exist, or without `advertise`
         self.deliveries = Deliveries()
         self.budget = ByteBudget() if budget is None else budget
         self._changes = GraphChanges() if changes is None else changes
         self._catalog = catalog
         self._topics: dict[str, Topic] = {}
-        self._of_key: dict[Hashable, dict[str, Topic]] = {}  # what each publishes, or subscribes as a device
+        self._of_key: dict[Hashable, dict[str, Topic]] = {}  # topics of each publisher and device
 
     def all(self) -> list[Topic]:
-        """Every topic, by name."""
+        """Return all topics, by name."""
         return [self._topics[name] for name in sorted(self._topics)]
 
     def names(self) -> Iterable[str]:
-        """Of every topic, in no order."""
+        """Return the names of all topics, in no order."""
         return self._topics.keys()
 
     def find(self, name: str) -> Topic:
-        """The topic of that name.
+        """Return the topic of this name.
 
         Raises:
-            UnknownTopic: nobody uses one.
+            UnknownTopic: it does not exist.
         """
         topic = self.find_or_none(name)
         if topic is None:
@@ -51,20 +52,20 @@ class TopicGraph:
         return topic
 
     def find_or_none(self, name: str) -> Topic | None:
-        """The topic of that name, if anybody uses one."""
+        """Return the topic of this name; None if it does not exist."""
         return self._topics.get(resolve(name))
 
     def subscribe(self, name: str, subscriber: Subscriber) -> Unsubscribe:
-        """Deliver what was latched, and every message from now on; call what is returned to end it.
+        """Add a subscriber, and deliver latched messages to it. Return the function that ends the subscription.
 
         Raises:
-            WrongType: it is in use with another type.
+            WrongType: the topic is in use with another type.
         """
         topic = self._open(name, subscriber.type_name, PROGRAM_RANK)
         number = topic.add_subscriber(subscriber)
         try:
             topic.deliver_latched(subscriber)
-        except Exception as error:  # noqa: BLE001 - as with every later message
+        except Exception as error:  # noqa: BLE001 - as for every later message
             subscriber.fail(error)
 
         def unsubscribe() -> None:
@@ -74,10 +75,10 @@ class TopicGraph:
         return unsubscribe
 
     def advertise(self, name: str, key: Hashable, *, type_name: str, is_latched: bool = False) -> Topic:
-        """Note that `key` publishes the topic.
+        """Add `key` as a publisher of the topic.
 
         Raises:
-            WrongType: it is in use with another type.
+            WrongType: the topic is in use with another type.
         """
         topic = self._open(name, type_name, rank_of(key))
         topic.publishers.add(key)
@@ -87,10 +88,10 @@ class TopicGraph:
         return topic
 
     def subscribe_device(self, name: str, key: Hashable, subscription: DeviceSubscription, *, type_name: str) -> Topic:
-        """Note that the device `key` subscribes, and send it what was latched, but for commands.
+        """Add the device `key` as a subscriber, and send it latched messages unless they are commands.
 
         Raises:
-            WrongType: it is in use with another type.
+            WrongType: the topic is in use with another type.
         """
         topic = self._open(name, type_name, rank_of(key))
         if not self.earlier.is_empty:
@@ -101,12 +102,12 @@ class TopicGraph:
         return topic
 
     def send_latched(self, key: Hashable) -> None:
-        """Send the device `key` again what was latched of the topics to which it subscribes: it may have restarted."""
+        """Send latched messages of its topics to the device `key` again: it may have restarted."""
         for topic in list(self._of_key.get(key, {}).values()):
             topic.send_latched(key)
 
     def unadvertise(self, name: str, key: Hashable) -> None:
-        """`key` publishes the topic no more."""
+        """Remove `key` as a publisher of the topic."""
         topic = self.find_or_none(name)
         if topic is not None:
             topic.forget_publisher(key)
@@ -114,7 +115,7 @@ class TopicGraph:
             self._settle(topic)
 
     def unsubscribe_device(self, name: str, key: Hashable) -> None:
-        """The device `key` subscribes no more."""
+        """Remove the device `key` as a subscriber."""
         topic = self.find_or_none(name)
         if topic is not None:
             topic.remove_device(key)
@@ -122,14 +123,14 @@ class TopicGraph:
             self._settle(topic)
 
     def leave(self, key: Hashable) -> None:
-        """`key` publishes no more, and is no device any more."""
+        """Remove `key` from all topics, as publisher and device."""
         for topic in self._of_key.pop(key, {}).values():
             topic.forget_publisher(key)
             topic.remove_device(key)
             self._settle(topic)
 
     def devices_against(self, name: str, type_name: str) -> set[Hashable]:
-        """The links that use a topic with another type than this."""
+        """Return the links that use a topic with another type than this."""
         topic = self.find_or_none(name)
         if topic is None or topic.type_name == type_name:
             return set()
@@ -153,21 +154,21 @@ class TopicGraph:
         if plain_name and plain_name != topic.type_name:
             if topic.type_name and rank <= topic.rank:
                 raise WrongType(resolved, topic.type_name, plain_name)
-            for key in [key for key in topic.publishers if rank_of(key) < rank]:  # they meant another topic
+            for key in [key for key in topic.publishers if rank_of(key) < rank]:  # they publish another type
                 topic.forget_publisher(key)
                 self._unnote(key, topic)
             topic.type_name, topic.type, topic.rank = plain_name, type_, rank
         elif plain_name:
             topic.rank = max(topic.rank, rank)
         self._topics[resolved] = topic
-        self._changes.note(Kind.TOPIC, resolved)
+        self._changes.note(GraphKind.TOPIC, resolved)
         return topic
 
     def _settle(self, topic: Topic) -> None:
-        """Somebody left: a topic without users goes; one that has subscribers alone has the type that they expect."""
+        """Remove a topic without users. With subscribers only, give it the type that they expect."""
         if self._topics.get(topic.name) is not topic:
             return
-        self._changes.note(Kind.TOPIC, topic.name)
+        self._changes.note(GraphKind.TOPIC, topic.name)
         topic.rank = topic.highest_rank
         if not topic.is_used:
             del self._topics[topic.name]

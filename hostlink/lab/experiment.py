@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from hostlink.lab.robots import FirmwareRobot, LabRobot, Mistakes, PaperRobot, RandomNumbers
 from hostlink.robot import calibration
-from hostlink.robot.calibration import Kind, MeasuredRun, Measurement, WheelGeometry
+from hostlink.robot.calibration import MeasuredRun, Measurement, RunKind, WheelGeometry
 from hostlink.robot.kinematics import Pose, wrap_angle
 from hostlink.sim.firmware_module import WorldParameters
 
@@ -394,7 +394,11 @@ def in_world(setup: Setup, world: WorldParameters) -> Setup:
 
 TRAINING_RUNS = 5  # in each direction, as in UMBmark
 _TRAINING_SEED = 1000  # differs from the seeds of the runs that are measured afterwards
-_KINDS: dict[Pattern, Kind] = {LINE: Kind.STRAIGHT, SQUARE_LEFT: Kind.SQUARE_CCW, SQUARE_RIGHT: Kind.SQUARE_CW}
+_KINDS: dict[Pattern, RunKind] = {
+    LINE: RunKind.STRAIGHT,
+    SQUARE_LEFT: RunKind.SQUARE_CCW,
+    SQUARE_RIGHT: RunKind.SQUARE_CW,
+}
 
 
 def calibrated(setup: Setup) -> Setup:

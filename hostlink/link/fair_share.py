@@ -137,7 +137,7 @@ class Turns:
 
 
 class ReadSource(Protocol):
-    """Received bytes of a connection: a Transport or a Connection."""
+    """Received bytes of a connection: a Transport, or a BufferedConnection of ROS 1."""
 
     @property
     def unread_bytes(self) -> int: ...
@@ -150,15 +150,16 @@ class TurnReader:
     """Reads a connection piece by piece: at once while it is its turn, otherwise later.
 
     `read` reads one piece, ends its turn and must not raise. `on_end` is called when everything was read and the source
-    has ended.
+    has ended. `rest` is the part of a piece that `read` has left for its next call.
     """
 
-    __slots__ = ("_is_due", "_is_flooding", "_is_stopped", "_on_end", "_read", "_source", "_turns")
+    __slots__ = ("_is_due", "_is_flooding", "_is_stopped", "_on_end", "_read", "_source", "_turns", "rest")
 
     def __init__(self, turns: Turns, source: ReadSource, read: Callable[[], None], on_end: Callable[[], None]) -> None:
         self._turns, self._source = turns, source
         self._read, self._on_end = read, on_end
         self._is_due = self._is_flooding = self._is_stopped = False
+        self.rest = b""
 
     def stop(self) -> None:
         """Stop reading for good."""
@@ -170,11 +171,11 @@ class TurnReader:
         """Handle new bytes or the end of the source."""
         if self._is_due or self._is_stopped:
             return
-        source = self._source
-        while (unread_bytes := source.unread_bytes) and not self._is_stopped:
+        source, share = self._source, self._turns.share
+        while (unread_bytes := len(self.rest) + source.unread_bytes) and not self._is_stopped:
             if unread_bytes >= READ_BYTES:
                 self._is_flooding = True
-            if not self._turns.share.is_free(is_flooding=self._is_flooding):
+            if not share.is_free(is_flooding=self._is_flooding):
                 self._is_due = True
                 self._turns.call(self._read_due, is_flooding=self._is_flooding)
                 return
@@ -186,7 +187,7 @@ class TurnReader:
     def _read_due(self) -> None:
         """Read one piece in its turn, then continue."""
         self._is_due = False
-        if self._source.unread_bytes and not self._is_stopped:
+        if (self.rest or self._source.unread_bytes) and not self._is_stopped:
             self._read()
         self.receive()
 

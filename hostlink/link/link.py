@@ -9,7 +9,6 @@ import time
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 from enum import Enum
-from functools import partial
 
 import structlog
 
@@ -170,9 +169,9 @@ class Link:
     """Owner of one connection's transport and session."""
 
     __slots__ = (
-        "_config", "_context", "_end", "_failure", "_finished", "_from_device", "_idle_limit_s",
-        "_is_behind", "_is_drained", "_is_write_due", "_now_s", "_on_event", "_pauses", "_piece", "_reader",
-        "_regular_limit_s", "_rest", "_timer", "_timer_s", "_to_device", "_transport", "_trouble", "_turns", "_wall_ns",
+        "_config", "_context", "_drained", "_end", "_failure", "_finished", "_from_device", "_idle_limit_s",
+        "_is_behind", "_is_write_due", "_now_s", "_on_event", "_pauses", "_piece", "_reader",
+        "_regular_limit_s", "_timer", "_timer_s", "_to_device", "_transport", "_trouble", "_turns", "_wall_ns",
         "address", "command_latency", "kind", "last_frame", "number", "opened_at_s", "peer", "received_at_s",
         "session",
     )  # fmt: skip
@@ -207,10 +206,9 @@ class Link:
         self._on_event, self._wall_ns = on_event, wall_ns
         self._pauses = pauses
         self._turns = Turns(FairShare() if share is None else share)
-        self._rest = b""  # of a piece that is read in parts
-        self._reader = self._turns.reader(self, self._read_guarded, partial(self._guarded, self._read_end))
+        self._reader = self._turns.reader(transport, self._read_guarded, self._read_end)
         self._piece = PieceSize()
-        self._is_drained = asyncio.Event()
+        self._drained: asyncio.Event | None = None  # while a caller waits until every queued frame was sent
         # Nothing may be written: not open yet, the device is behind, or the link has ended.
         self._is_behind = asyncio.Event()
         self._is_behind.set()
@@ -267,7 +265,7 @@ class Link:
     def _close(self) -> None:
         """Stop reading and writing."""
         self._is_behind.set()
-        self._is_drained.set()
+        self._note_drained()
         self._reader.stop()
         if not self._finished.done():
             self._finished.cancel()
@@ -291,16 +289,25 @@ class Link:
         """Write newly queued frames in the next turn of the loop."""
         if self._finished.done():
             return
-        self._is_drained.clear()
         loop = asyncio.get_running_loop()
         self.session.outbox.begin_waiting(loop.time())  # also while the device is behind
         if not self._is_write_due:
             self._is_write_due = True
-            loop.call_soon(self._guarded, self._write_due, context=self._context)
+            loop.call_soon(self._write_due, context=self._context)
 
     async def drained(self) -> None:
-        """Wait until every queued frame was sent."""
-        await self._is_drained.wait()
+        """Wait until every queued frame was sent, or the link ends."""
+        if self._finished.done():
+            return
+        if self._drained is None:
+            self._drained = asyncio.Event()
+            self.wake()  # the next write notes it
+        await self._drained.wait()
+
+    def _note_drained(self) -> None:
+        if self._drained is not None:
+            self._drained.set()
+            self._drained = None
 
     def descriptor(self) -> int | None:
         """File descriptor of the connection; None when it has none or is closed."""
@@ -338,62 +345,69 @@ class Link:
     def _begin(self) -> None:
         """Open the session and start reading."""
         now_s = self._now_s()
-        self._dispatch(self.session.open(now_s=now_s), now_s)
+        self._dispatch(self.session.open(now_s=now_s), now_s, is_timer_right=False)
         self._transport.start(self._reader.receive)
 
     def _read_guarded(self) -> None:
-        self._context.run(self._guarded, self._read)
+        try:
+            self._context.run(self._read)
+        except Exception as error:  # noqa: BLE001 - raised by `run`
+            self._crash(error)
 
     def _read(self) -> None:
         """Read one piece, so that others have their turn between two pieces."""
         now_s = self.received_at_s = self._now_s()
-        data = self._rest or self._transport.read(self._piece.size_bytes)
-        self._rest = b""
+        session, reader = self.session, self._reader
+        data = reader.rest or self._transport.read(self._piece.size_bytes)
+        reader.rest = b""
         if len(data) > FIRST_BYTES and is_crowded(data):
-            data, self._rest = data[:FIRST_BYTES], data[FIRST_BYTES:]
+            data, reader.rest = data[:FIRST_BYTES], data[FIRST_BYTES:]
         self._from_device.add(data, now_s)
-        self._dispatch(self.session.receive(data, now_s=now_s), now_s)
+        was_steady = session.is_steady
+        found = session.receive(data, now_s=now_s)
+        self._dispatch(found, now_s, is_timer_right=was_steady and session.is_steady)
         ended_s = self._turns.end(now_s)
         self._piece.update(ended_s - now_s)
         if ended_s >= self._trouble.due_s:
-            self._trouble.report(self.session, ended_s)
+            self._trouble.report(session, ended_s)
 
     @property
     def unread_bytes(self) -> int:
         """Number of received and unread bytes."""
-        return len(self._rest) + self._transport.unread_bytes
-
-    @property
-    def is_ended(self) -> bool:
-        """Whether the connection ended, so that no more bytes arrive."""
-        return self._transport.is_ended
+        return len(self._reader.rest) + self._transport.unread_bytes
 
     def _read_end(self) -> None:
-        self._transport.read(1)  # raises the error that broke the connection
-        self._finish(LinkEnd.PEER_CLOSED)
+        try:
+            self._transport.read(1)  # raises the error that broke the connection
+        except Exception as error:  # noqa: BLE001 - raised by `run`
+            self._crash(error)
+        else:
+            self._finish(LinkEnd.PEER_CLOSED)
 
     def _silent_at_s(self) -> float:
         """Time at which silence ends the link; earlier for a device that requests the time regularly."""
         limit_s = self._regular_limit_s if self.session.negotiation.is_regular else self._idle_limit_s
         return self.received_at_s + limit_s
 
-    def _dispatch(self, found: list[Event], now_s: float) -> None:
+    def _dispatch(self, found: list[Event], now_s: float, *, is_timer_right: bool) -> None:
+        """React to events. `is_timer_right`: nothing is due earlier than before."""
         self._is_write_due = True  # answers to the events are written together
         for event in found:
             self._on_event(self, event)
-        if self.session.outbox.has_waiting or min(self.session.deadline_s(), self._silent_at_s()) < self._timer_s:
+        if self.session.outbox.has_waiting or not (is_timer_right or self._timer_s <= self._due_s()):
             self._write(now_s)
         else:
             self._is_write_due = False
 
-    def _guarded(self, work: Callable[[], None]) -> None:
-        """Run a callback of the event loop. An exception ends the link, and `run` raises it."""
-        try:
-            work()
-        except Exception as error:  # noqa: BLE001 - raised by `run`
-            if self._failure is None:
-                self._failure = error
-            self._finish(LinkEnd.CRASHED)
+    def _due_s(self) -> float:
+        """Time of the next `_write` without a frame to the device."""
+        return min(self.session.deadline_s(), self._silent_at_s())
+
+    def _crash(self, error: Exception) -> None:
+        """End the link because a callback of the event loop failed. `run` raises the error."""
+        if self._failure is None:
+            self._failure = error
+        self._finish(LinkEnd.CRASHED)
 
     def _finish(self, end: LinkEnd) -> None:
         self._reader.stop()
@@ -430,16 +444,21 @@ class Link:
                 began_s = self._now_s()
 
     def _write_due(self) -> None:
-        if self._is_write_due:
-            self._write(self._now_s())
+        try:
+            if self._is_write_due:
+                self._write(self._now_s())
+        except Exception as error:  # noqa: BLE001 - raised by `run`
+            self._crash(error)
 
     def _write(self, now_s: float) -> None:
         """Write the frames that may be sent now, do what is due, and set the timer."""
         self._is_write_due = False
         session = self.session
-        session.outbox.begin_waiting(now_s)
+        outbox = session.outbox
+        outbox.begin_waiting(now_s)
         while not self._is_behind.is_set():
-            outgoing = session.pop_frame(now_s=now_s, wall_ns=self._wall_ns())
+            wall_ns = self._wall_ns() if outbox.is_time_due else 0
+            outgoing = session.pop_frame(now_s=now_s, wall_ns=wall_ns)
             if outgoing is not None:
                 if not self._transport.write(outgoing.frame):
                     self._is_behind.set()
@@ -476,8 +495,8 @@ class Link:
         if not self._is_behind.is_set():
             wait_s = self.session.outbox.wait_s(now_s)
             next_s = min(next_s, self.session.deadline_s())
-            if wait_s is None:
-                self._is_drained.set()
+            if wait_s is None and self._drained is not None:
+                self._note_drained()
         if next_s <= now_s + SOON_S:  # due work was postponed: waiting bytes are read first
             next_s = now_s + AGAIN_S
         if wait_s is not None:
@@ -487,9 +506,10 @@ class Link:
                 self._timer.cancel()
             self._timer_s = next_s
             loop = asyncio.get_running_loop()
-            self._timer = loop.call_at(next_s, self._guarded, self._timer_due, context=self._context)
+            self._timer = loop.call_at(next_s, self._timer_due, context=self._context)
 
     def _timer_due(self) -> None:
         self._timer, self._timer_s = None, math.inf
         if not self._finished.done():
-            self._write(self._now_s())
+            self._is_write_due = True
+            self._write_due()

@@ -5,7 +5,6 @@ trip. It never echoes the host's time. Stamps therefore show only the sum of clo
 The minimum over many messages is the offset over the shortest travel time; the rest is jitter.
 """
 
-from collections import deque
 from dataclasses import dataclass
 
 WRAP_NS = 2**32 * 1_000_000  # a device counts milliseconds in 32 bits: 49.7 days
@@ -42,7 +41,7 @@ class DeviceClock:
     def __init__(self) -> None:
         self.answer_s: float | None = None  # from a topic request to the first TopicInfo: network, UART and device loop
         self._requested_at_s: float | None = None
-        self._buckets: deque[_OffsetBucket] = deque(maxlen=BUCKETS)
+        self._buckets: list[_OffsetBucket] = []
         self._away_since_s: float | None = None
 
     def topics_requested(self, now_s: float) -> None:
@@ -70,6 +69,7 @@ class DeviceClock:
         number = int(now_s // BUCKET_S)
         if not self._buckets or self._buckets[-1].number != number:
             self._buckets.append(_OffsetBucket(number, now_s, behind_ns))
+            del self._buckets[:-BUCKETS]
         elif behind_ns < self._buckets[-1].least_ns:
             self._buckets[-1] = _OffsetBucket(number, now_s, behind_ns)
 

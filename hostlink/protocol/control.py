@@ -3,6 +3,7 @@
 `decode_*` returns None for a malformed payload and raises nothing.
 """
 
+import sys
 from collections.abc import Callable
 from struct import Struct
 from typing import Any, NamedTuple, TypeVar
@@ -68,7 +69,8 @@ def decode_topic_info(kind: Id, payload: bytes) -> TopicInfo | None:
         (topic_id,) = reader.unpack(_TOPIC_ID)
         name, type_name, md5 = (_word(reader.string()) for _ in range(3))
         (buffer_bytes,) = reader.unpack(_I32)
-        return TopicInfo(kind, topic_id, name, type_name, md5, buffer_bytes)
+        # A thousand robots keep the same few types once.
+        return TopicInfo(kind, topic_id, name, sys.intern(type_name), sys.intern(md5), buffer_bytes)
 
     return _decode(payload, read)
 

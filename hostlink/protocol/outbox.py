@@ -1,15 +1,15 @@
 """Outbox: queues of frames for one device, their order, and pacing to the device's UART."""
 
 from collections import deque
-from collections.abc import Hashable, Iterator
+from collections.abc import Hashable
 from typing import NamedTuple
 
 from hostlink.errors import DeviceBusy
 from hostlink.protocol.control import encode_time
 from hostlink.protocol.frame import FIRST_TOPIC_ID, HEADER, STOP_REQUEST, TOPICS_REQUEST, Id, encode
 
-LOOP_S = 1 / 30  # docs/robot.md#numbers: one turn of the robot's loop, the longest that a stop may wait
-RING_BYTES = 128  # docs/robot.md#numbers: the receive ring of the Due's UART, so the largest burst that it accepts
+LOOP_S = 1 / 30  # docs/paper-robot.md#numbers: one turn of the robot's loop, the longest that a stop may wait
+RING_BYTES = 128  # docs/paper-robot.md#numbers: the receive ring of the Due's UART, its largest burst
 TIME_BYTES = 16
 CONTROL_BYTES = TIME_BYTES + len(TOPICS_REQUEST)  # the most that may be sent ahead of a velocity
 VELOCITY_BYTES = 56
@@ -24,16 +24,13 @@ class OutgoingFrame(NamedTuple):
 
 
 class _QueuedFrame:
-    """Queued frame and the time since when it waits."""
+    """Queued frame and the time since when it waits: None until `begin_waiting`."""
 
     __slots__ = ("frame", "is_awaited", "is_kept", "since_s")
 
     def __init__(self, frame: bytes, *, is_awaited: bool = False, is_kept: bool = False) -> None:
         self.frame, self.is_awaited, self.is_kept = frame, is_awaited, is_kept
         self.since_s: float | None = None
-
-    def age_s(self, now_s: float) -> float:
-        return 0.0 if self.since_s is None else now_s - self.since_s
 
 
 _Queues = dict[Hashable, deque[_QueuedFrame]]  # round robin: the first key is next
@@ -53,18 +50,24 @@ class Outbox:
     """
 
     __slots__ = (
-        "_commands", "_is_request_due", "_is_stop_due", "_is_time_due", "_new", "_replies", "_uart", "_urgent",
-        "is_stopped", "prompt_bytes", "replaced", "robot_moves", "slowest_wait_s",
+        "_busy_until_s", "_commands", "_is_request_due", "_is_stop_due", "_loop_bytes", "_new", "_replies",
+        "_uart_bytes_s", "_urgent", "is_stopped", "is_time_due", "prompt_bytes", "replaced", "robot_moves",
+        "slowest_wait_s",
     )  # fmt: skip
 
     def __init__(self, *, uart_bytes_s: int | None = None) -> None:
         self.replaced = 0
         self.slowest_wait_s = 0.0  # of all frames sent
         self.robot_moves = False
-        self._uart = _Uart(uart_bytes_s)
-        self.prompt_bytes = self._uart.prompt_bytes  # of the longest frame that may be sent while the robot moves
+        # Model of the device's UART: bytes that were sent and are not passed on yet. Without a speed it is never busy.
+        self._uart_bytes_s = uart_bytes_s
+        self._busy_until_s = float("-inf")
+        self._loop_bytes = float("inf") if uart_bytes_s is None else min(RING_BYTES, uart_bytes_s * LOOP_S)
+        # Length of the longest frame that may be sent while the robot moves. On a line so slow that a velocity alone
+        # takes longer than LOOP_S, other frames may be as long as a velocity.
+        self.prompt_bytes = max(self._loop_bytes - CONTROL_BYTES, VELOCITY_BYTES)
         self.is_stopped = False  # only queued urgent commands and the stop are still sent
-        self._is_time_due = self._is_request_due = self._is_stop_due = False
+        self.is_time_due = self._is_request_due = self._is_stop_due = False
         self._urgent: _Queues = {}
         self._replies: _Queues = {}
         self._commands: _Queues = {}
@@ -74,13 +77,13 @@ class Outbox:
     def has_waiting(self) -> bool:
         """Whether any frame is queued."""
         return bool(
-            self._is_time_due or self._is_request_due or self._is_stop_due
+            self.is_time_due or self._is_request_due or self._is_stop_due
             or self._urgent or self._replies or self._commands
         )  # fmt: skip
 
     def put_time(self) -> None:
         """Queue a time answer. The clock is read when the answer is sent."""
-        self._is_time_due = True
+        self.is_time_due = True
 
     def put_topics_request(self) -> None:
         """Queue a topic request."""
@@ -142,37 +145,68 @@ class Outbox:
         self._new.clear()
 
     def pop_frame(self, *, now_s: float, wall_ns: int) -> OutgoingFrame | None:
-        """Remove and return the next frame. None: the queues are empty, or the UART is still busy."""
+        """Remove and return the next frame. None: the queues are empty, or the UART is still busy.
+
+        `wall_ns` is the time in a time answer. It is not read unless `is_time_due`.
+        """
         if self._new:
             self.begin_waiting(now_s)
         if self.wait_s(now_s) != 0:
             return None
-        outgoing = self._next(now_s, wall_ns)
-        self._uart.add(len(outgoing.frame), now_s)
-        return outgoing
+        since_s = None
+        if self.is_time_due and not self.is_stopped:
+            self.is_time_due = False
+            frame = encode(Id.TIME, encode_time(wall_ns))
+        elif self._is_request_due and not self.is_stopped:
+            self._is_request_due = False
+            frame = TOPICS_REQUEST
+        elif (head := self._head()) is None:
+            self._is_stop_due = False
+            frame = STOP_REQUEST
+        else:
+            queues, key = head
+            waiting = queues.pop(key)
+            first = waiting.popleft()
+            if waiting:
+                queues[key] = waiting  # to the end of the turn order
+            frame = first.frame
+            if first.since_s is not None:
+                self.slowest_wait_s = max(self.slowest_wait_s, now_s - first.since_s)
+            if queues is self._urgent:
+                since_s = first.since_s
+        if self._uart_bytes_s is not None:
+            self._busy_until_s = max(self._busy_until_s, now_s) + len(frame) / self._uart_bytes_s
+        return OutgoingFrame(frame, since_s)
 
     def wait_s(self, now_s: float) -> float | None:
         """Seconds until `pop_frame` returns a frame.
 
         None: no frame is queued that may be sent while the robot moves.
         """
-        if not self.is_stopped and (self._is_time_due or self._is_request_due):
-            return self._uart.wait_s(TIME_BYTES, now_s)
-        found = self._head()
-        if found is not None:
-            queues, key = found
-            is_urgent = queues is self._urgent
-            return self._uart.wait_s(len(queues[key][0].frame), now_s, spare_bytes=0 if is_urgent else CONTROL_BYTES)
-        return self._uart.wait_s(len(STOP_REQUEST), now_s) if self._is_stop_due else None
+        size_bytes, spare_bytes = TIME_BYTES, 0
+        if self.is_stopped or not (self.is_time_due or self._is_request_due):
+            head = self._head()
+            if head is not None:
+                queues, key = head
+                size_bytes = len(queues[key][0].frame)
+                spare_bytes = 0 if queues is self._urgent else CONTROL_BYTES
+            elif self._is_stop_due:
+                size_bytes = len(STOP_REQUEST)
+            else:
+                return None
+        if self._uart_bytes_s is None:
+            return 0.0
+        left_bytes = (self._busy_until_s - now_s) * self._uart_bytes_s  # with the frame they must fit into one LOOP_S
+        allowed_bytes = max(self._loop_bytes - spare_bytes - size_bytes, 0.0)
+        if left_bytes < allowed_bytes + 1:  # a difference below one byte may be rounding, which no clock can wait for
+            return 0.0
+        return (left_bytes - allowed_bytes) / self._uart_bytes_s
 
     def oldest_s(self, now_s: float) -> float:
         """Age of the oldest queued frame in seconds; 0 when the queues are empty."""
-        return max((waiting.age_s(now_s) for waiting in self._all()), default=0.0)
-
-    def _all(self) -> Iterator[_QueuedFrame]:
-        for queues in (self._urgent, self._replies, self._commands):
-            for waiting in queues.values():
-                yield from waiting
+        every = (*self._urgent.values(), *self._replies.values(), *self._commands.values())
+        ages_s = (now_s - one.since_s for waiting in every for one in waiting if one.since_s is not None)
+        return max(ages_s, default=0.0)
 
     def _put(self, queues: _Queues, key: Hashable, new: _QueuedFrame, *, depth: int) -> None:
         waiting = queues.pop(key, None) or deque()
@@ -200,50 +234,3 @@ class Outbox:
 
     def _is_delayed(self, waiting: _QueuedFrame) -> bool:
         return self.robot_moves and not waiting.is_awaited and len(waiting.frame) > self.prompt_bytes
-
-    def _next(self, now_s: float, wall_ns: int) -> OutgoingFrame:
-        if self._is_time_due and not self.is_stopped:
-            self._is_time_due = False
-            return OutgoingFrame(encode(Id.TIME, encode_time(wall_ns)))
-        if self._is_request_due and not self.is_stopped:
-            self._is_request_due = False
-            return OutgoingFrame(TOPICS_REQUEST)
-        found = self._head()
-        if found is None:
-            self._is_stop_due = False
-            return OutgoingFrame(STOP_REQUEST)
-        queues, key = found
-        waiting = queues.pop(key)
-        one = waiting.popleft()
-        if waiting:
-            queues[key] = waiting  # to the end of the turn order
-        self.slowest_wait_s = max(self.slowest_wait_s, one.age_s(now_s))
-        return OutgoingFrame(one.frame, one.since_s if queues is self._urgent else None)
-
-
-class _Uart:
-    """Model of the device's UART: bytes sent to it and not passed on yet. With unknown speed it is never busy."""
-
-    __slots__ = ("_busy_until_s", "_bytes_s", "_turn_bytes", "prompt_bytes")
-
-    def __init__(self, bytes_s: int | None) -> None:
-        self._bytes_s = bytes_s
-        self._busy_until_s = float("-inf")
-        self._turn_bytes = float("inf") if bytes_s is None else min(RING_BYTES, bytes_s * LOOP_S)
-        # On a line so slow that a velocity alone takes longer than LOOP_S, other frames may be as long as a velocity.
-        self.prompt_bytes = max(self._turn_bytes - CONTROL_BYTES, VELOCITY_BYTES)
-
-    def add(self, size_bytes: int, now_s: float) -> None:
-        """Add a sent frame to the backlog."""
-        if self._bytes_s is not None:
-            self._busy_until_s = max(self._busy_until_s, now_s) + size_bytes / self._bytes_s
-
-    def wait_s(self, size_bytes: int, now_s: float, *, spare_bytes: int = 0) -> float:
-        """Seconds until a frame may be sent: backlog, frame and spare bytes must fit into one LOOP_S."""
-        if self._bytes_s is None:
-            return 0.0
-        left_bytes = (self._busy_until_s - now_s) * self._bytes_s
-        allowed_bytes = max(self._turn_bytes - spare_bytes - size_bytes, 0.0)
-        if left_bytes < allowed_bytes + 1:  # a difference below one byte may be rounding, which no clock can wait for
-            return 0.0
-        return (left_bytes - allowed_bytes) / self._bytes_s

@@ -144,6 +144,15 @@ class Session:
         self._request_if_due(now_s, found)
         return found
 
+    @property
+    def is_steady(self) -> bool:
+        """Whether no topic request is scheduled or answered, and no part of a frame waits.
+
+        `deadline_s` moves only later while the session stays steady and no time is requested.
+        """
+        negotiation = self.negotiation
+        return negotiation.state is SessionState.READY and negotiation.pending is None and not self._stream.pending
+
     def deadline_s(self) -> float:
         """Time at which `tick` must be called if no byte arrives before."""
         deadline_s = self.negotiation.deadline_s()
@@ -202,10 +211,6 @@ class Session:
         self.negotiation.request(reason)
 
     # -- what the hub sends -------------------------------------------------------------------------------------------
-
-    def keep_clear(self, *, robot_moves: bool) -> None:
-        """While the robot moves, hold back or refuse frames that would delay a stop on a slow line."""
-        self.outbox.robot_moves = robot_moves
 
     def publish(
         self, topic: str, payload: bytes, *, depth: int = 1, is_urgent: bool = False, is_kept: bool = False
@@ -316,7 +321,7 @@ class Session:
         self.outbox.put_stop()
 
     def _endpoint(self, what: str, name: str, kind: Id) -> TopicInfo:
-        info = self._topics.find(name, kind)
+        info = self._topics.by_name.get((name, kind))
         if info is None:
             raise UnknownTopic(what, name, tuple(known.name for known in self._known if known.kind is kind))
         if info.topic_id in self._refused:

@@ -22,7 +22,7 @@ class TopicTable:
     """
 
     __slots__ = (
-        "_announced", "_by_name", "_complete", "_missed", "_missed_before", "_redefined", "by_id", "excess",
+        "_announced", "_complete", "_missed", "_missed_before", "_redefined", "by_id", "by_name", "excess",
         "fixed_bytes", "max_topics",
     )  # fmt: skip
 
@@ -31,7 +31,7 @@ class TopicTable:
         self.fixed_bytes: dict[int, int] = {}
         self.max_topics = max_topics
         self.excess = 0
-        self._by_name: dict[tuple[str, int], TopicInfo] = {}
+        self.by_name: dict[tuple[str, int], TopicInfo] = {}  # the same endpoints, by name and kind
         self._announced: dict[int, TopicInfo] = {}  # by the current negotiation
         self._complete: dict[int, TopicInfo] = {}  # result of the negotiation before it
         self._redefined: set[int] = set()  # ids to which the current negotiation gave another meaning
@@ -56,14 +56,14 @@ class TopicTable:
     def add(self, info: TopicInfo, fixed_bytes: int | None) -> None:
         """Add one TopicInfo of the current negotiation. Call it only if there `is_room`."""
         before = self.by_id.get(info.topic_id)
-        if before is not None and self._by_name.get((before.name, before.kind)) == before:
-            del self._by_name[before.name, before.kind]
+        if before is not None and self.by_name.get((before.name, before.kind)) == before:
+            del self.by_name[before.name, before.kind]
         self._announced[info.topic_id] = self.by_id[info.topic_id] = info
-        known = self._by_name.get((info.name, info.kind))
+        known = self.by_name.get((info.name, info.kind))
         complete = self._complete.get(info.topic_id, info if known is None or known == info else known)
         (self._redefined.discard if complete == info else self._redefined.add)(info.topic_id)
         if known is None or self._announced.get(known.topic_id) != known:  # first endpoint gets the name
-            self._by_name[info.name, info.kind] = info
+            self.by_name[info.name, info.kind] = info
         if fixed_bytes is None:
             self.fixed_bytes.pop(info.topic_id, None)
         else:
@@ -85,16 +85,12 @@ class TopicTable:
         for gone in self.by_id.keys() - self._announced.keys() - kept.keys():
             self.fixed_bytes.pop(gone, None)
         self.by_id = kept | self._announced
-        self._by_name = {(info.name, info.kind): info for info in reversed(self.by_id.values())}
+        self.by_name = {(info.name, info.kind): info for info in reversed(self.by_id.values())}
 
     @property
     def missing(self) -> tuple[int, ...]:
         """Ids that the last negotiation lacked and that are kept for now."""
         return tuple(each for each, count in self._missed.items() if count < MAX_MISSED)
-
-    def find(self, name: str, kind: int) -> TopicInfo | None:
-        """Return the endpoint with that name and kind."""
-        return self._by_name.get((name, kind))
 
     def response_to(self, request: TopicInfo) -> TopicInfo | None:
         """Return the endpoint that receives the responses to requests of this endpoint.

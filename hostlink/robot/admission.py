@@ -169,7 +169,7 @@ class Decision(NamedTuple):
         return self.kind is None
 
 
-class Driver(NamedTuple):
+class Lease(NamedTuple):
     """The source that drives one velocity topic of a robot, its priority, and the end of its lease."""
 
     source: Hashable
@@ -216,7 +216,7 @@ class Admission:
     is_connected: bool = False
     refused: dict[RefusalKind, int] = field(default_factory=dict)
     _sources: dict[Hashable, _Source] = field(default_factory=dict)  # the one that commanded last is the last one
-    _drivers: dict[Hashable, Driver] = field(default_factory=dict)  # by velocity topic
+    _drivers: dict[Hashable, Lease] = field(default_factory=dict)  # by velocity topic
     _joined: dict[Hashable, EarlierMotion] = field(default_factory=dict)
     _disconnected_s: float = float("-inf")
 
@@ -267,7 +267,7 @@ class Admission:
             reason = f"{holder} drives it with a higher priority; wait until it lets go, or use stop"
             return self._refuse(RefusalKind.HELD, reason, holder)
         source.priority, source.held_until_s = command.priority, now_s - max(waited_s, 0.0) + self.lease_s
-        self._drivers[topic] = Driver(owner, command.priority, source.held_until_s)
+        self._drivers[topic] = Lease(owner, command.priority, source.held_until_s)
         return ADMITTED
 
     def _decide_zero(self, command: Command[Any], now_s: float, topic: Hashable) -> Decision:
@@ -343,7 +343,7 @@ class Admission:
 
     # -- who drives ---------------------------------------------------------------------------------------------------
 
-    def driver(self, topic: Hashable, now_s: float) -> Driver | None:
+    def driver(self, topic: Hashable, now_s: float) -> Lease | None:
         """Return the source that drives a velocity topic; None: no lease is valid."""
         found = self._drivers.get(topic)
         return found if found is not None and now_s < found.deadline_s else None

@@ -32,8 +32,8 @@ _NORMAL_95 = 1.959963985
 _Array = NDArray[np.float64]
 
 
-class Kind(StrEnum):
-    """Kind of a drive."""
+class RunKind(StrEnum):
+    """Kind of a drive: its course."""
 
     STRAIGHT = "straight"
     TURNS_CCW = "turns_ccw"
@@ -67,7 +67,7 @@ class Measurement(NamedTuple):
 class MeasuredRun:
     """One drive."""
 
-    kind: Kind
+    kind: RunKind
     size: float  # metres of the line or the side; whole turns
     path: tuple[Pose, ...]  # by the robot's own odometry, from the start to the end
     measured: Measurement
@@ -173,11 +173,11 @@ class _Drive:
 
     @property
     def is_square(self) -> bool:
-        return self.kind in (Kind.SQUARE_CCW, Kind.SQUARE_CW)
+        return self.kind in (RunKind.SQUARE_CCW, RunKind.SQUARE_CW)
 
     @property
     def is_straight(self) -> bool:
-        return self.kind is Kind.STRAIGHT
+        return self.kind is RunKind.STRAIGHT
 
     def end(self, correction: OdometryCorrection) -> tuple[float, float, float]:
         """End of a drive by the corrected odometry; whole turns stay in the angle."""
@@ -208,7 +208,7 @@ class _Fit(NamedTuple):
 
 def _require(drives: Sequence[_Drive]) -> None:
     kinds = {drive.kind for drive in drives}
-    missing = [str(kind) for kind in (Kind.STRAIGHT, Kind.SQUARE_CCW, Kind.SQUARE_CW) if kind not in kinds]
+    missing = [str(kind) for kind in (RunKind.STRAIGHT, RunKind.SQUARE_CCW, RunKind.SQUARE_CW) if kind not in kinds]
     if missing:
         raise HostlinkError(f"a calibration needs also: {', '.join(missing)}")
 
@@ -324,7 +324,7 @@ def _umbmark_step(
 
 def _return_errors(squares: Sequence[_Drive], correction: OdometryCorrection) -> ReturnErrors:
     centres = []
-    for kind in (Kind.SQUARE_CW, Kind.SQUARE_CCW):
+    for kind in (RunKind.SQUARE_CW, RunKind.SQUARE_CCW):
         errors = [drive.error(correction) for drive in squares if drive.kind is kind]
         centres.append((sum(error[0] for error in errors) / len(errors), sum(e[1] for e in errors) / len(errors)))
     return ReturnErrors(*centres)
@@ -335,6 +335,6 @@ def _separation_by_turns(drives: Sequence[_Drive], correction: OdometryCorrectio
     found = [
         correction.separation_m * drive.end(correction)[2] / drive.measured.theta_rad
         for drive in drives
-        if drive.kind in (Kind.TURNS_CCW, Kind.TURNS_CW) and drive.measured.theta_rad
+        if drive.kind in (RunKind.TURNS_CCW, RunKind.TURNS_CW) and drive.measured.theta_rad
     ]
     return sum(found) / len(found) if found else None

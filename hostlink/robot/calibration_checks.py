@@ -10,9 +10,9 @@ from typing import NamedTuple
 
 from hostlink.robot.calibration import (
     Calibration,
-    Kind,
     MeasuredRun,
     Measurement,
+    RunKind,
     WheelGeometry,
     calibrated,
     end_of,
@@ -41,13 +41,13 @@ WORTH_LINE = 0.003  # of its length
 MANY = 1000  # drives, of which the scatter is known
 MOST_NOISE = 0.1  # of the side: more is an error in any case
 
-_SQUARES = (Kind.SQUARE_CCW, Kind.SQUARE_CW)
+_SQUARES = (RunKind.SQUARE_CCW, RunKind.SQUARE_CW)
 
 
 def complaint_of_run(run: MeasuredRun, correction: OdometryCorrection) -> str:
     """Check one drive against the odometry that led it."""
     odometry = end_of(run, correction)
-    if run.kind is Kind.STRAIGHT:
+    if run.kind is RunKind.STRAIGHT:
         return _complaint_of_line(run.measured, odometry, run.size)
     if run.kind in _SQUARES:
         off_m = math.dist(run.measured[:2], odometry[:2])
@@ -145,7 +145,7 @@ def confirm(calibration: Calibration, checks: Iterable[MeasuredRun]) -> Confirma
     """Whether drives that the calibration does not know end at its odometry, and not at the robot's own."""
     runs = list(checks)
     squares = _check_squares(calibration, [run for run in runs if run.kind in _SQUARES])
-    found = [squares, *(_check_line(calibration, run) for run in runs if run.kind is Kind.STRAIGHT)]
+    found = [squares, *(_check_line(calibration, run) for run in runs if run.kind is RunKind.STRAIGHT)]
     complaint = next((check.complaint for check in found if check.complaint), "")
     if not complaint and not any(check.is_gain for check in found):
         complaint = (
@@ -207,7 +207,7 @@ def _complaint_of_units(runs: Sequence[MeasuredRun], found: Calibration) -> str:
     """
     if found.separation_by_turns_m is None:
         return ""
-    lines = [run for run in runs if run.kind is Kind.STRAIGHT]
+    lines = [run for run in runs if run.kind is RunKind.STRAIGHT]
     expected = OdometryCorrection(
         found.correction.left_factor,
         found.correction.right_factor,
@@ -253,12 +253,12 @@ def _complaint_of_repeats(runs: Sequence[MeasuredRun], nominal: WheelGeometry) -
     """Difference between two drives of one kind, apart from their odometry."""
     none = uncorrected(nominal)
     for one, other in itertools.combinations(runs, 2):
-        if one.kind is not other.kind or one.kind in (Kind.TURNS_CCW, Kind.TURNS_CW):
+        if one.kind is not other.kind or one.kind in (RunKind.TURNS_CCW, RunKind.TURNS_CW):
             continue
         errors = [[m - o for m, o in zip(r.measured[:2], end_of(r, none)[:2], strict=True)] for r in (one, other)]
         apart_m = math.dist(*errors)
-        limit = MOST_APART_LINE if one.kind is Kind.STRAIGHT else MOST_APART
-        along_m = abs(errors[0][0] - errors[1][0]) if one.kind is Kind.STRAIGHT else apart_m
+        limit = MOST_APART_LINE if one.kind is RunKind.STRAIGHT else MOST_APART
+        along_m = abs(errors[0][0] - errors[1][0]) if one.kind is RunKind.STRAIGHT else apart_m
         if along_m > limit * one.size:
             return (
                 f"two drives alike ({one.kind}) are {along_m * 100:.0f} cm apart: {_xy(one.measured)} and "

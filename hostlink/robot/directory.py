@@ -3,7 +3,7 @@
 import itertools
 import math
 import re
-from collections import defaultdict, deque
+from collections import defaultdict
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from statistics import median
@@ -22,14 +22,16 @@ class Presence:
 
     __slots__ = ("_gaps_s", "received_at_s")
 
-    def __init__(self, now_s: float) -> None:
-        self.received_at_s = now_s
-        self._gaps_s: deque[float] = deque(maxlen=_KEPT)
+    def __init__(self) -> None:
+        self.received_at_s = -math.inf
+        self._gaps_s: list[float] = []
 
     def note_read(self, now_s: float) -> None:
-        """The device sent something."""
+        """Note that the device sent something."""
         if now_s > self.received_at_s:
-            self._gaps_s.append(now_s - self.received_at_s)
+            if self.received_at_s > -math.inf:
+                self._gaps_s.append(now_s - self.received_at_s)
+                del self._gaps_s[:-_KEPT]
             self.received_at_s = now_s
 
     def is_surely_gone(self, now_s: float) -> bool:
@@ -309,13 +311,12 @@ class Directory:
         self._settled: defaultdict[tuple[str, Hashable], dict[int, None]] = defaultdict(dict)
         self._by_name: dict[str, int] = {}
 
-    def note_read(self, link: int, now_s: float) -> None:
-        """A device sent something."""
+    def presence(self, link: int) -> Presence:
+        """Return the presence of a link, which notes each read from its device."""
         presence = self._presences.get(link)
         if presence is None:
-            self._presences[link] = Presence(now_s)
-        else:
-            presence.note_read(now_s)
+            presence = self._presences[link] = Presence()
+        return presence
 
     def claim(
         self,
@@ -328,7 +329,7 @@ class Directory:
         announced: Hashable = None,
     ) -> Accepted | Undecided:
         """A device has announced its topics (again); `announced`: all of it, if that is more than the topics."""
-        self.note_read(link, now_s)
+        self.presence(link).note_read(now_s)
         robot = find_robot(topics)
         if is_played(topics):
             address = peer = PLAYED

@@ -1,4 +1,4 @@
-"""The kinematics of a differential drive (docs/robot.md#equations). Metres, radians, seconds."""
+"""The kinematics of a differential drive (docs/paper-robot.md#equations). Metres, radians, seconds."""
 
 import math
 from dataclasses import dataclass
@@ -67,8 +67,8 @@ class DifferentialDrive:
     def integrate(self, pose: Pose, left_m: float, right_m: float) -> Pose:
         """The pose after the wheels rolled this far: along the arc of a circle.
 
-        The d/D sin D and d/D (1-cos D) of docs/robot.md#equations, as the chord and its direction: no digits get lost
-        near D = 0.
+        The d/D sin D and d/D (1-cos D) of docs/paper-robot.md#equations, as the chord and its direction: no digits get
+        lost near D = 0.
         """
         turned_rad = (right_m - left_m) / self.wheel_separation_m
         chord_m = (left_m + right_m) / 2 * chord_per_arc(turned_rad)

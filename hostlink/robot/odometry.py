@@ -3,7 +3,6 @@
 import itertools
 import math
 import struct
-from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum, auto
@@ -216,7 +215,7 @@ class OdometryEstimator:
         self._reset_until_s = float("-inf")
         self._twist: PlanarVelocity | None = None  # as the device publishes it; None: it publishes only poses
         self._stamp_ns = 0
-        self._window: deque[_Sample] = deque()
+        self._window: list[_Sample] = []
 
     def change_fastest(self, fastest: PlanarVelocity) -> None:
         """Set what the robot may be commanded from now on."""
@@ -255,7 +254,7 @@ class OdometryEstimator:
         is_framed = self._frame is not _NO_FRAME
         window.append(_Sample(now_s, self.count, placed(self._frame, pose)) if is_framed else new)
         while len(window) > 1 and window[1].at_s <= now_s - WINDOW_S:
-            window.popleft()
+            del window[0]
         self._newest = new
         self._twist = self._true_twist(twist) if twist is not None and twist.is_finite else None
         if wall_ns > self._stamp_ns or wall_ns < self._stamp_ns - CLOCK_SET_NS:

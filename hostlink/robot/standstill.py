@@ -9,6 +9,7 @@ A stop is confirmed by what was measured after it, and a driven robot that does 
 | no odometry since then, or of one standing pose alone               | `unknown` |
 """
 
+from collections.abc import Callable
 from enum import StrEnum
 from typing import NamedTuple
 
@@ -87,12 +88,12 @@ class StopWatch:
         """Whether it has stood for long enough."""
         return self._still_since_s is not None and self._newest_s >= self._still_since_s + STEADY_S
 
-    def result(self, why_moving: str, why_unknown: str) -> Standstill:
+    def result(self, why_moving: Callable[[], str], why_unknown: Callable[[], str]) -> Standstill:
         """Result of the measurement. The reasons are from the robot's other state."""
         if self._newest is None:
-            return Standstill(StandstillState.UNKNOWN, reason=why_unknown)
+            return Standstill(StandstillState.UNKNOWN, reason=why_unknown())
         if self._still_since_s is None:
-            return Standstill(StandstillState.MOVES, *self._newest, reason=why_moving)
+            return Standstill(StandstillState.MOVES, *self._newest, reason=why_moving())
         if not self.is_standing:
             reason = "too little odometry has come since the stop"
             return Standstill(StandstillState.UNKNOWN, *self._newest, reason=reason)

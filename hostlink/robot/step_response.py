@@ -15,7 +15,7 @@ RISE_FROM, RISE_TO = 0.1, 0.9
 SETTLED_SHARE = 0.05  # of the step, to each side
 STARTED_SHARE = 0.02  # of the step: it has begun to move
 STEADY_S = 1.0  # the last part of the record
-FULL_PWM = 4095.0  # docs/robot.md#numbers
+FULL_PWM = 4095.0  # docs/paper-robot.md#numbers
 LEAST_SAMPLES = 15
 CHANGING_SAMPLES = 4
 

@@ -8,7 +8,7 @@ from typing import Generic, Protocol, TypeVar
 
 from hostlink.compiled import mypyc_attr
 from hostlink.errors import CommandRefused, ConfigError
-from hostlink.robot.admission import Admission, Command, Driver
+from hostlink.robot.admission import Admission, Command, Lease
 from hostlink.robot.velocity import AnyVelocity, PlanarVelocity
 
 ZEROS = 3  # a single stop can be lost on a radio
@@ -158,7 +158,7 @@ class VelocityGate(Generic[V]):
         self.zero = self.current = zero
         self.is_new_device = False  # it has not been given its first zero
         self.counts = GateCounts()
-        self.driver: Driver | None = None  # the source that drives, and the end of its lease
+        self.driver: Lease | None = None  # the source that drives, and the end of its lease
         self.target = self.zero  # the newest command within the limits
         self._zeros = 0
         self._zero_at_s = self._stepped_at_s = float("-inf")
@@ -233,7 +233,8 @@ class VelocityGate(Generic[V]):
 
     def stop_at_once(self) -> None:
         """End the lease, and give zero at once, without the limit of deceleration."""
-        self._end_lease()
+        self.admission.end(self)
+        self.driver = None
         self.current = self.target = self.zero
         self._zeros = ZEROS
 
@@ -265,7 +266,7 @@ class VelocityGate(Generic[V]):
         if self._zeros > 0:
             self._zeros -= 1
             self.is_new_device = False
-        elif self.lock_reason is None or now_s < self._zero_at_s + LOCKED_ZERO_INTERVAL_S:
+        elif self.admission.lock_reason is None or now_s < self._zero_at_s + LOCKED_ZERO_INTERVAL_S:
             return None
         self._zero_at_s = now_s
         return self.zero
@@ -278,14 +279,11 @@ class VelocityGate(Generic[V]):
     def _stop(self, at_s: float) -> None:
         if self.driver is not None:
             self._stepped_at_s = max(self._stepped_at_s, at_s)
-        self._end_lease()
+        self.admission.end(self)
+        self.driver = None
         self.current = self.limits.step(self.current, self.zero, 0.0)  # zero, unless a deceleration is to be kept
         self.target = self.zero
         self._zeros = ZEROS
-
-    def _end_lease(self) -> None:
-        self.admission.end(self)
-        self.driver = None
 
 
 def _times(rate: float | None, seconds: float) -> float:

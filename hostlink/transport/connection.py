@@ -1,6 +1,6 @@
-"""Connection: asyncio protocol of one connection, with small reads and awaitable writes.
+"""BufferedConnection: asyncio protocol of one connection, with small reads and awaitable writes.
 
-StreamTransport is the Connection of a device, for TCP and serial ports. `set_options` sets the options of a socket.
+StreamTransport is that of a device, for TCP and serial ports. `set_options` sets the options of a socket.
 """
 
 import asyncio
@@ -14,7 +14,7 @@ _INTO = bytearray(READ_BYTES)  # shared by all connections: data is copied out b
 _VIEW = memoryview(_INTO)
 
 
-class Connection(asyncio.BufferedProtocol):
+class BufferedConnection(asyncio.BufferedProtocol):
     """Protocol of one connection.
 
     One turn of the loop reads at most READ_BYTES. Reading pauses until the data was consumed, so that the system slows
@@ -127,7 +127,7 @@ def ignore() -> None:
     """Do nothing: no reader is registered yet."""
 
 
-class StreamTransport(Connection):
+class StreamTransport(BufferedConnection):
     """Transport over a stream, for TCP and serial ports. The write buffer's high-water mark is 0."""
 
     __slots__ = ("_is_closed", "address", "peer")

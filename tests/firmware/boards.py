@@ -11,7 +11,7 @@ from pathlib import Path
 import aiohttp
 
 from tests.firmware import esp8266
-from tests.support.once import once_a_run
+from tests.support.once import once
 from tests.support.precedence import GOES_FIRST
 from tests.support.process import Process, serve
 
@@ -20,7 +20,7 @@ BUILD = FIRMWARE.parent / "build" / "firmware"
 
 
 def _build(preset: str, *targets: str) -> Path:
-    once_a_run(f"firmware_{preset}", partial(_compile, preset, *targets))
+    once(f"firmware_{preset}", partial(_compile, preset, *targets), BUILD / preset)
     return BUILD / preset
 
 

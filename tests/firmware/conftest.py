@@ -1,11 +1,22 @@
-"""Fixtures that compile once for all tests."""
+"""Fixtures that compile once for all tests, and a time limit that includes compiling."""
+
+from pathlib import Path
 
 import pytest
 
 from tests.firmware import esp8266
 
+TIMEOUT_S = 400  # a worker may wait for another one that compiles
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Give each test here its time limit, unless it has its own."""
+    for item in items:
+        if Path(__file__).parent in item.path.parents and not item.get_closest_marker("timeout"):
+            item.add_marker(pytest.mark.timeout(TIMEOUT_S))
+
 
 @pytest.fixture(scope="session")
 def esp8266_built() -> None:
-    """Compiled before the time limit of the first test starts."""
+    """Compile before a test starts a daemon."""
     esp8266.build()

@@ -10,7 +10,7 @@ from pathlib import Path
 from hostlink.protocol.frame import Frame
 from hostlink.protocol.stream import FrameStream
 from tests.support.compilers import CORE, UNDEFINED, run
-from tests.support.once import once_a_run
+from tests.support.once import once
 
 ROOT = Path(__file__).resolve().parents[2]
 SOURCES = ROOT / "firmware" / "due" / "src"
@@ -85,7 +85,7 @@ class Retry(IntEnum):
 @cache
 def library() -> ctypes.CDLL:
     """Compile with every warning and undefined behaviour as an error, and load."""
-    once_a_run("due_abi", _compile)
+    once("due_abi", _compile, LIBRARY)
     loaded = ctypes.CDLL(str(LIBRARY))
     for name, (result, *arguments) in _SIGNATURES.items():
         function = getattr(loaded, name)

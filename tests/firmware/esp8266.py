@@ -10,7 +10,7 @@ from functools import cache
 from pathlib import Path
 from typing import Self
 
-from tests.support.once import once_a_run
+from tests.support.once import once
 from tests.support.precedence import GOES_FIRST
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -21,7 +21,7 @@ TARGETS = ("esp8266_native", "esp8266_original", "esp8266_abi")
 @cache
 def build() -> Path:
     """Compile the changed files; returns the folder of the results."""
-    once_a_run("esp8266", _compile)
+    once("esp8266", _compile, BUILD / TARGETS[0])
     return BUILD
 
 

@@ -7,7 +7,7 @@ from hostlink.board.library import headers, select
 from hostlink.messages.catalog import Catalog
 from tests.firmware.due import ROOT, ROSSERIAL
 from tests.support.compilers import SKETCH, run
-from tests.support.once import once_a_run
+from tests.support.once import once
 
 EXAMPLES = ROSSERIAL.parent / "examples"
 BUILD = ROOT / "build" / "examples"
@@ -23,7 +23,7 @@ def sources() -> list[Path]:
 @cache
 def messages() -> Path:
     """Folder with the header of each type."""
-    once_a_run("example_messages", _write_messages)
+    once("example_messages", _write_messages, MESSAGES)
     return MESSAGES
 
 

@@ -12,7 +12,7 @@ from typing import NamedTuple
 from tests.firmware.due import ROOT, ROSSERIAL
 from tests.firmware.examples import BUILD, compile_sketch, sources
 from tests.support.compilers import SKETCH, run
-from tests.support.once import once_a_run
+from tests.support.once import once
 
 AVR_CORE = Path("/usr/share/arduino/hardware/arduino/avr")
 HOST = ROOT / "firmware" / "host"
@@ -104,7 +104,7 @@ def compiled(family: Family, sketch: Path) -> Path:
     family.folder.mkdir(parents=True, exist_ok=True)
     output = family.folder / f"{sketch.parent.name}_{sketch.stem}.o"
     compiler = [*family.compiler, *_includes(family)]
-    once_a_run(f"object_{family.folder.name}_{output.stem}", lambda: compile_sketch(sketch, output, compiler))
+    once(f"object_{family.folder.name}_{output.stem}", lambda: compile_sketch(sketch, output, compiler), output)
     return output
 
 
@@ -117,7 +117,7 @@ def image(family: Family, sketch: Path) -> Path:
     object_ = compiled(family, sketch)
     linked = object_.with_suffix(".elf")
     command = [*family.link, object_, *built(family), *family.libraries, "-o", linked]
-    once_a_run(f"image_{family.folder.name}_{linked.stem}", lambda: run(command))
+    once(f"image_{family.folder.name}_{linked.stem}", lambda: run(command), linked)
     return linked
 
 
@@ -137,7 +137,7 @@ def built(family: Family) -> list[Path]:
     Raises:
         AssertionError: the compiler fails or warns.
     """
-    once_a_run(f"board_{family.folder.name}", lambda: _compile(family))
+    once(f"board_{family.folder.name}", lambda: _compile(family), family.folder / "library")
     return [*sorted(family.folder.glob("library/*.o")), *family.folder.glob("core.a")]
 
 

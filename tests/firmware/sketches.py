@@ -13,7 +13,7 @@ from pathlib import Path
 from tests.firmware.due import ROOT, ROSSERIAL
 from tests.firmware.examples import BUILD, EXAMPLES, compile_sketch, sources
 from tests.support.compilers import SANITIZERS, SKETCH, run
-from tests.support.once import once_a_run
+from tests.support.once import once
 from tests.support.precedence import GOES_FIRST
 from tests.support.waiting import expect
 
@@ -40,7 +40,7 @@ def _is_of_tcp(path: Path) -> bool:
 @cache
 def build(name: str) -> Path:
     """The program with this sketch, compiled with sanitizers."""
-    once_a_run("sketches", _compile)
+    once("sketches", _compile, BUILD / "sketches")
     path = _sketches().get(name)
     return BUILD / ("sketches_tcp" if path is not None and _is_of_tcp(path) else "sketches")
 

@@ -142,7 +142,9 @@ def test_a_zip_of_few_types_has_what_its_examples_include(unpacked: Path) -> Non
     run(["g++", *flags, f"-I{FIRMWARE}/host/any_board", f"-I{unpacked}/src", "-x", "c++", *examples])
 
 
-@pytest.mark.parametrize("example", ["pubsub", "service_server", "motors_l298"])
+@pytest.mark.parametrize(
+    "example", ["pubsub", *(pytest.param(each, marks=pytest.mark.long) for each in ("service_server", "motors_l298"))]
+)
 def test_an_example_out_of_the_zip_compiles_with_the_core_of_an_uno(
     unpacked: Path, tmp_path: Path, example: str
 ) -> None:

@@ -1,6 +1,6 @@
 """Calibration of the real firmware in its world: the wheels are measured, their numbers are set, and its squares close.
 
-Three seeds here; `make soak` sets HOSTLINK_SEEDS to 30, and tools/measure_calibration.py prints what it asserts.
+Three seeds in make test-long, 30 in `make soak` (HOSTLINK_SEEDS). tools/measure_calibration.py prints what it asserts.
 """
 
 import os
@@ -19,6 +19,7 @@ def test_without_noise_the_square_s_error_falls_a_hundredfold() -> None:
     assert errors.least_squares_m < errors.before_m / 100
 
 
+@pytest.mark.long
 @pytest.mark.timeout(60 + 30 * SEEDS)
 def test_with_slip_and_a_random_caster_the_square_s_error_falls_fivefold() -> None:
     """The mean of all seeds counts; with thirty seeds the lower end of its confidence interval counts too."""

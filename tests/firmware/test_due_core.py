@@ -1,4 +1,4 @@
-"""The Due's arithmetic, with the numbers of docs/robot.md, and against hostlink's own robot."""
+"""The Due's arithmetic, with the numbers of docs/paper-robot.md, and against hostlink's own robot."""
 
 import ctypes
 import math

@@ -1,6 +1,6 @@
 """Reaction of the Due's firmware to a command of the other sign and to a slower one, by the true motion of its wheels.
 
-docs/robot.md#slower-and-the-other-way has these figures.
+docs/wheel-control.md#slower-and-the-other-way has these figures.
 """
 
 from functools import cache

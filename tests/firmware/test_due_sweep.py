@@ -26,8 +26,8 @@ from tests.firmware.scripts import (
     trace,
 )
 
-DRIVES = int(os.environ.get("HOSTLINK_DRIVES", "400"))
-DRIVES_M3 = int(os.environ.get("HOSTLINK_DRIVES_M3", "2"))
+DRIVES = int(os.environ.get("HOSTLINK_DRIVES", "60"))
+DRIVES_M3 = int(os.environ.get("HOSTLINK_DRIVES_M3", "1"))
 ROW_MS = 10
 MINUTE = Script(
     WorldParameters(

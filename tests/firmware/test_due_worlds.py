@@ -11,7 +11,7 @@ from hostlink.sim.firmware_module import WorldParameters
 from tests.firmware.drive_checks import ROW_S, check_odometry, check_speed, check_standstill, wheels
 from tests.firmware.worlds import FULL_PWM, LEFT, METRES_PER_TICK, RIGHT, Trace, World, world, worlds
 
-WORLDS = settings(max_examples=settings.default.max_examples * 2)  # 20 ms each
+WORLDS = settings(max_examples=settings.default.max_examples * 2)  # 20 ms each; make fuzz draws 10,000
 
 speeds = st.floats(0.02, 0.34).flatmap(lambda size: st.sampled_from([size, -size]))
 turns = st.one_of(st.just(0.0), st.floats(-1.5, 1.5))

@@ -11,7 +11,7 @@ from tests.firmware.sketches import started
 from tests.support.client_topics import publish_until, received
 from tests.support.compilers import SKETCH, run
 from tests.support.daemon import daemon
-from tests.support.once import once_a_run
+from tests.support.once import once
 from tests.support.waiting import expect
 
 HOST = ROOT / "firmware" / "host"
@@ -22,7 +22,7 @@ pytestmark = pytest.mark.quiet  # on a busy machine a second of the board lasts 
 @pytest.fixture(scope="module", autouse=True)
 def _built() -> None:
     """Before the time limit of the first test starts."""
-    once_a_run("uno_emulator", _compile)
+    once("uno_emulator", _compile, EMULATOR)
     for name in ("pubsub", "service_server", "parameters"):
         image(UNO, EXAMPLES / name / f"{name}.ino")
 

@@ -17,7 +17,7 @@ from hostlink.protocol.stream import FrameStream
 from hostlink.sim.firmware_module import WorldParameters, wheel
 from tests.firmware.due import FLAGS, LIBRARY, OUT_BYTES, ROOT, ROSSERIAL
 from tests.support.compilers import UNDEFINED, run
-from tests.support.once import once_a_run
+from tests.support.once import once
 
 FIRMWARE = ROOT / "firmware"
 WORLD = ("world", "world_parameters", "drive_train", "caster", "random_numbers")
@@ -56,7 +56,7 @@ def _compile() -> None:
 @cache
 def library() -> ctypes.CDLL:
     """Compile the program with its board, as for the Due, and load."""
-    once_a_run("due_world", _compile)
+    once("due_world", _compile, WORLD_LIBRARY)
     loaded = ctypes.CDLL(str(WORLD_LIBRARY))
     signatures = {
         "world_new": (_P, ctypes.POINTER(ctypes.c_double), ctypes.c_uint32, ctypes.c_uint32),

@@ -1,4 +1,4 @@
-"""The guarded API: tokens on every way in, pages of elsewhere, TLS, and limits that hold."""
+"""Access to the API: tokens on every entry point, pages of other origins, TLS, and rate limits."""
 
 import asyncio
 import json
@@ -64,7 +64,7 @@ async def test_roles_on_the_rest_api() -> None:
         assert await status(host, "POST", "/api/robots/robot_0/odometry/reset", **bearer(READ)) == 403
         assert await status(host, "GET", "/api/robots", **bearer(READ)) == 200
         assert await status(host, "GET", f"/api/robots?token={READ}") == 200
-        assert await status(host, "POST", "/api/robots/robot_0/stop", **bearer(READ)) == 200  # whoever looks may stop
+        assert await status(host, "POST", "/api/robots/robot_0/stop", **bearer(READ)) == 200  # every role may stop
 
 
 async def test_roles_on_the_websocket() -> None:
@@ -94,7 +94,7 @@ async def views(host: Daemon) -> list[dict[str, object]]:
         return found
 
 
-async def test_a_page_of_elsewhere_cannot_drive() -> None:
+async def test_page_of_another_origin_cannot_drive() -> None:
     async with daemon() as host, fake_device(host.tcp, robot_topics()):
         evil = {"Origin": "http://evil.example"}
         assert await status(host, *VELOCITY, **evil) == 403
@@ -131,7 +131,7 @@ async def test_a_refused_origin_is_logged_once_with_what_to_write() -> None:
     assert "not from a file" in refused[1]["allow"]
 
 
-async def test_it_does_not_start_open_to_the_network() -> None:
+async def test_daemon_without_tokens_on_a_public_address_does_not_start() -> None:
     with pytest.raises(ConfigError, match=r"set \[\[api.tokens\]\], or listen on 127.0.0.1"):
         async with daemon(Config(api=ApiConfig(host="0.0.0.0"))):
             pytest.fail("it started")

@@ -72,7 +72,7 @@ async def connections(host: Daemon, count: int, sent_bytes: bytes) -> AsyncItera
 
 
 async def closed(reader: asyncio.StreamReader) -> bytes:
-    """What came until the host closed it."""
+    """Read until the host closes the connection."""
     async with asyncio.timeout(TIMEOUT_S):
         with contextlib.suppress(ConnectionError):
             return await reader.read()
@@ -109,7 +109,7 @@ async def test_event_streams_leave_room_for_a_stop() -> None:
         assert await stop(host) == 200
 
 
-async def test_who_reads_no_answer_gives_way() -> None:
+async def test_clients_that_read_no_answer_leave_room_for_a_stop() -> None:
     requests = b"GET /api/openapi.json HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n" * 30
     async with daemon(SMALL) as host, connections(host, 40, requests):
         assert await stop(host) == 200
@@ -160,7 +160,7 @@ async def test_velocity_that_waited_to_be_accepted_longer_than_its_lease_is_refu
     async with daemon() as host, fake_device(host.tcp, robot_topics()):
         await expect(lambda: host.hub.robots.find("robot_0").link)
         address = ("127.0.0.1", port_of(host))
-        with contextlib.ExitStack() as stack, slow_turns():  # the system connects, whatever the loop does
+        with contextlib.ExitStack() as stack, slow_turns():  # the kernel connects, also while the loop is busy
             for _ in range(queued):
                 stack.enter_context(socket.create_connection(address))
             driver = stack.enter_context(socket.create_connection(address))

@@ -19,7 +19,7 @@ from tests.support.rosbridge import Client
 
 REQUESTS = 800
 AT_ONCE = 20
-QUIET_S = 0.1  # without a byte: no answer comes, or an endless one
+QUIET_S = 0.1  # without a byte: there is no answer, or an endless one
 ANSWER_TIMEOUT_S = 20.0  # where an answer must come
 FEW_LINES = 12  # of warnings in LOG_INTERVAL_S, for thousands of wrong requests
 OF_THE_ROBOT = {"robot.locked", "robot.unlocked", "link.diagnosed"}  # it sends nothing, which is diagnosed in time
@@ -49,7 +49,7 @@ async def open_connections(host: Daemon) -> float:
 
 
 @pytest.mark.parametrize("name", ["Host", "Origin", "Expect", "Sec-WebSocket-Key"])
-async def test_a_header_that_is_no_text_is_refused(name: str) -> None:
+async def test_header_that_is_not_utf_8_is_refused(name: str) -> None:
     host_line = b"" if name == "Host" else b"Host: 127.0.0.1\r\n"
     async with daemon() as host:
         sent_bytes = (
@@ -57,7 +57,7 @@ async def test_a_header_that_is_no_text_is_refused(name: str) -> None:
         )
         heard = await exchange(host, sent_bytes, quiet_s=ANSWER_TIMEOUT_S)
     assert heard.startswith(b"HTTP/1.1 400 ")
-    assert heard.endswith(f"the header {name} is no UTF-8".encode() + b'"}}')
+    assert heard.endswith(f"the header {name} is not UTF-8".encode() + b'"}}')
 
 
 @pytest.mark.parametrize("path", ["/api/links/{}/capture", "/api/links/1/capture/{}-0", "/api/links/1/capture/0-{}"])
@@ -66,7 +66,7 @@ async def test_a_number_of_4400_digits_is_not_found(path: str) -> None:
         assert (await host.rest("GET", path.format("9" * 4400)))[0] == 404
 
 
-async def test_a_program_whose_name_is_no_text_does_not_hide_the_others() -> None:
+async def test_program_whose_name_is_not_utf_8_is_listed() -> None:
     head = b"GET / HTTP/1.1\r\nHost: a\r\nUser-Agent: \xffa\r\n" + b"\r\n".join(UPGRADE) + b"\r\n\r\n"
     async with daemon() as host:
         reader, writer = await asyncio.open_connection("127.0.0.1", int(host.url.rpartition(":")[2]))
@@ -87,7 +87,7 @@ async def test_a_web_socket_for_another_protocol_is_refused() -> None:
             assert "topics" in await Client(socket).call("/rosapi/topics")
     assert refusal.value.status == 400
     assert (
-        reason == "odd.v1 is not spoken here, but foxglove.sdk.v1 and foxglove.websocket.v1; rosbridge v2 has no name"
+        reason == "unknown subprotocol odd.v1; use foxglove.sdk.v1 or foxglove.websocket.v1, or none for rosbridge v2"
     )
 
 

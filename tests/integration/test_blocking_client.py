@@ -42,7 +42,7 @@ def driver_of(host: Daemon) -> str | None:
 
 
 def threads() -> list[threading.Thread]:
-    """Of connections that are open."""
+    """Return the threads of open connections."""
     return [each for each in threading.enumerate() if each.name == "hostlink"]
 
 
@@ -71,11 +71,12 @@ async def test_a_robot_is_driven_while_the_program_computes_and_stops_at_the_end
         assert await device.velocity_other_than(ZERO) == (0.2, 0.5)
         assert await device.velocity_other_than((0.2, 0.5)) == ZERO
         gate = host.hub.robots.find("robot_0").gate
-        assert (gate.owner_name, gate.counts.expired, gate.counts.stops) == (None, 0, 0)  # it let go: nobody else must
+        # the client let go, so the daemon has nothing to end
+        assert (gate.owner_name, gate.counts.expired, gate.counts.stops) == (None, 0, 0)
 
 
-async def test_it_works_without_with_in_a_thread_with_a_loop_and_after_an_error() -> None:
-    """As a notebook has it: its cells run in a loop, which nothing of this may need."""
+async def test_blocking_client_works_without_with_in_a_thread_with_a_loop_and_after_an_error() -> None:
+    """A notebook runs its cells in an event loop, which the blocking client must not need."""
     async with world() as (host, device):
         me = await asyncio.to_thread(connect_blocking, host.url)
         robot = me.robot("robot_0")
@@ -93,13 +94,13 @@ async def test_it_works_without_with_in_a_thread_with_a_loop_and_after_an_error(
             me.robots()
 
 
-async def test_what_nobody_has_any_more_drives_nothing() -> None:
+async def test_robot_of_a_collected_connection_is_not_driven() -> None:
     async with world() as (host, _):
         me = await asyncio.to_thread(connect_blocking, host.url)
         robot = me.robot("robot_0")
         await asyncio.to_thread(robot.drive, 0.2, 0.0)
         del me
-        await asyncio.to_thread(robot.drive, 0.1, 0.0)  # somebody has the robot
+        await asyncio.to_thread(robot.drive, 0.1, 0.0)  # the robot is still referenced
         del robot
         await expect(lambda: driver_of(host) is None and not threads())
         assert host.hub.robots.find("robot_0").gate.counts.expired == 0
@@ -201,7 +202,7 @@ async def test_without_a_daemon_the_error_is_the_same_and_no_thread_stays() -> N
     await expect(lambda: not threads())
 
 
-async def test_who_waits_in_another_thread_is_released_by_close() -> None:
+async def test_close_releases_a_call_that_waits_in_another_thread() -> None:
     async with world() as (host, _):
         me = await asyncio.to_thread(connect_blocking, host.url)
         stream = await asyncio.to_thread(me.subscribe, "/chat", type_name="std_msgs/String")

@@ -37,7 +37,7 @@ async def connection(host: Daemon) -> AsyncIterator[tuple[asyncio.StreamReader, 
 
 
 async def sent_bytes(writer: asyncio.StreamWriter) -> int:
-    """How much of an endless body the daemon takes until it closes the connection."""
+    """Send an endless body. Return how many bytes the daemon reads until it closes the connection."""
     count = 0
     with contextlib.suppress(ConnectionError):
         while count < KERNEL_BYTES:
@@ -85,7 +85,7 @@ async def test_a_body_in_chunks_is_bounded_too() -> None:
 
 
 async def test_a_large_body_does_not_stop_the_next_request_of_its_connection() -> None:
-    """It is over the bound and small: it is read to its end, as a program expects that keeps its connection."""
+    """A small body over the limit is read to its end, because a program expects to keep its connection."""
     async with daemon() as host, fake_device(host.tcp, robot_topics()), connection(host) as (reader, writer):
         for status in (b"413", b"200"):
             body = b" " * (2048 if status == b"413" else 0) + b'{"linear": 0, "angular": 0}'
@@ -124,7 +124,7 @@ async def test_a_lock_and_a_velocity_need_no_room_that_the_bodies_of_others_have
         assert host.hub.robots.find("robot_0").gate.lock_reason == "fire"
 
 
-async def test_a_velocity_whose_body_came_a_lease_after_its_head_drives_nobody_and_a_zero_stops() -> None:
+async def test_velocity_whose_body_arrived_a_lease_after_its_head_is_refused_and_a_zero_stops() -> None:
     async with daemon() as host, fake_device(host.tcp, robot_topics()):
         for linear, status in (("0.2", b"409"), ("0", b"200")):
             body = f'{{"linear": {linear}, "angular": 0}}'.encode()

@@ -1,4 +1,4 @@
-"""What a bridge to another graph needs of the API: the graph as it changes, bytes both ways, no echo, services."""
+"""API that a bridge to another graph uses: the graph as it changes, bytes in both directions, no echo, services."""
 
 import asyncio
 import struct
@@ -55,7 +55,7 @@ async def test_a_robot_is_in_the_graph_with_the_topics_that_drive_it_also_while_
         assert {name for name in by_name(left) if "robot_0" in name} == velocities.keys()
 
 
-async def test_what_the_group_itself_has_is_not_in_its_graph() -> None:
+async def test_graph_of_a_group_lacks_the_endpoints_of_the_group() -> None:
     async with daemon() as server, connect(server.url, group="a") as one, connect(server.url, group="a") as two:
         graphs = await one.watch_graph()
         async with (
@@ -110,7 +110,7 @@ async def test_bytes_of_another_type_reach_no_device() -> None:
 
 
 @pytest.mark.parametrize("raw", ["?", 5, ["QQ=="], "QQ"])
-async def test_what_is_no_base64_is_refused(raw: object) -> None:
+async def test_invalid_base64_is_refused(raw: object) -> None:
     async with daemon() as server, client(server) as program:
         await program.send(op="publish", topic="/a", type="std_msgs/Empty", raw=raw, id=1)
         answer = await program.receive()

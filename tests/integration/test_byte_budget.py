@@ -1,4 +1,4 @@
-"""What programs make the daemon keep: within a budget, and given back."""
+"""Byte budget of everything that clients make the daemon keep, and its release."""
 
 import asyncio
 
@@ -64,7 +64,7 @@ async def test_a_large_message_waits_for_room_and_small_ones_of_others_do_not() 
         assert await large.call("/rosapi/topic_type", topic="/large") == {"type": "std_msgs/String"}
 
 
-async def test_where_messages_may_be_larger_than_all_the_room_one_of_them_has_it() -> None:
+async def test_message_larger_than_the_budget_occupies_all_of_it_alone() -> None:
     config = Config(api=ApiConfig(max_message_bytes=2 * SHARES["receiving"]))
     async with daemon(config) as host, client(host) as large:
         await large.send(op="publish", topic="/large", type="std_msgs/String", msg={"data": BODY})
@@ -86,7 +86,7 @@ async def test_a_large_message_that_does_not_become_whole_closes_its_client_alon
         writer.close()
 
 
-async def test_pings_of_a_client_that_sends_nothing_else_are_no_large_message() -> None:
+async def test_pings_of_a_silent_client_do_not_count_as_a_large_message() -> None:
     async with daemon() as host:
         reader, writer = await asyncio.open_connection("127.0.0.1", int(host.url.rpartition(":")[2]))
         writer.write(websocket_head(""))

@@ -40,7 +40,7 @@ async def test_a_course_ends_where_it_should_and_the_robot_stands() -> None:
         assert abs(robot.speed_m_s) < 0.01
 
 
-async def test_who_is_more_important_ends_the_course() -> None:
+async def test_driver_of_higher_priority_ends_the_course() -> None:
     async with daemon() as host, simulated_robot(host.tcp):
         await expect(lambda: host.hub.robots.find("robot_0").odometry.count > 0)
         async with asyncio.TaskGroup() as tasks:
@@ -48,7 +48,7 @@ async def test_who_is_more_important_ends_the_course() -> None:
             await expect(lambda: is_driven(host))
             status, _ = await host.rest("POST", "/api/robots/robot_0/lock", b'{"reason": "a cat"}')
             assert status == 200
-        assert "is not driven any more" in driving.result()
+        assert "a command for robot_0 was refused" in driving.result()
         assert "a cat" in driving.result()
 
 
@@ -58,7 +58,7 @@ async def _refused(host: Daemon) -> str:
     return str(caught.value)
 
 
-@pytest.mark.parametrize(("last_m", "reason"), [(0.0, "no odometry for 0.4 s"), (5.0, "its odometry jumped")])
+@pytest.mark.parametrize(("last_m", "reason"), [(0.0, "no odometry arrived for 0.4 s"), (5.0, "the odometry jumped")])
 async def test_a_robot_that_falls_silent_or_jumps_is_stopped(last_m: float, reason: str) -> None:
     async with daemon() as host, fake_device(host.tcp, robot_topics()) as device:
         await expect(lambda: bool(host.hub.robots.all()))
@@ -86,7 +86,7 @@ async def test_a_robot_whose_odometry_stands_is_stopped() -> None:
         await expect(lambda: not is_driven(host))
 
 
-async def test_who_takes_the_robot_over_keeps_it() -> None:
+async def test_driver_that_takes_the_robot_over_keeps_it() -> None:
     async with daemon() as host, simulated_robot(host.tcp), connect(host.url) as other:
         await expect(lambda: host.hub.robots.find("robot_0").odometry.count > 0)
         person = other.robot("robot_0", priority=60)
@@ -98,18 +98,18 @@ async def test_who_takes_the_robot_over_keeps_it() -> None:
             for _ in range(50):
                 speeds_m_s.append(host.hub.robots.find("robot_0").gate.current.x_m_s)
                 await asyncio.sleep(0.01)
-        assert "is not driven any more" in driving.result()
+        assert "a command for robot_0 was refused" in driving.result()
         assert speeds_m_s == pytest.approx([0.05] * len(speeds_m_s))
         assert person.is_driven
 
 
 async def test_a_robot_that_another_drives_is_left_to_him() -> None:
-    """Even somebody less important: his program would drive on while a person measures."""
+    """A driver of lower priority would drive on while a person measures."""
     async with daemon() as host, simulated_robot(host.tcp), connect(host.url) as other:
         await expect(lambda: host.hub.robots.find("robot_0").odometry.count > 0)
         program = other.robot("robot_0", priority=10)
         await program.drive(0.05, 0.0)
-        assert "drives it; end that first" in await _refused(host)
+        assert "; end that program first" in await _refused(host)
         assert program.is_driven
         assert (await program.state())["velocity"]["linear_m_s"] == pytest.approx(0.05)
 

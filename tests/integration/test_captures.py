@@ -1,4 +1,4 @@
-"""What the API says of links that live and that ended: their bytes as a recording, and what was wrong with them."""
+"""Captures and diagnoses of live and ended links in the API."""
 
 from pathlib import Path
 from typing import Any
@@ -58,7 +58,7 @@ async def test_a_link_that_ended_can_still_be_saved(tmp_path: Path) -> None:
 
 
 async def capture_without_beginning(host: Daemon, device: FakeDevice) -> bytes:
-    """Of a link that was open for 702 s, and whose buffer has lost the topics long ago."""
+    """Return the capture of a link that was open for 702 s, so that its buffer no longer has the topics."""
     count = 2 * CAPTURE_BYTES // len(pose(0.0))
     await device.send(pose(1.0, 2.0, 0.5) * count)
     await expect(lambda: host.hub.topics.find("/robot_0/odometry").messages == count)
@@ -105,7 +105,7 @@ async def test_a_device_that_is_silent_after_a_late_beginning_is_still_found(tmp
     assert [each["code"] for each in link["diagnosis"]] == ["went_silent"]
 
 
-async def test_what_passed_before_new_topics_is_read_by_the_old_ones(tmp_path: Path) -> None:
+async def test_frames_before_new_topics_are_read_by_the_old_topics(tmp_path: Path) -> None:
     """A device that begins anew gives the id of its odometry to another topic."""
     again = [topic(Id.PUBLISHER, 125, "/bumper", "std_msgs/Bool"), topic(Id.SUBSCRIBER, 100, "/led", "std_msgs/Bool")]
     async with daemon() as host, fake_device(host.tcp, robot_topics()) as device:

@@ -12,7 +12,6 @@ from aiohttp import web
 
 from hostlink.client import Host, Refusal, connect
 from hostlink.client.connection import waits
-from hostlink.client.http_client import CLOSE_TIMEOUT_S
 from hostlink.config import ApiConfig, Config, TokenConfig
 from hostlink.errors import HostlinkError
 from hostlink.hub.gates import RemoteHosts
@@ -20,11 +19,12 @@ from hostlink.protocol.control import Log
 from hostlink.protocol.frame import Id, encode
 from hostlink.robot.admission import LEASE_S
 from hostlink.robot.velocity import PlanarVelocity
-from tests.support.background import meanwhile
 from tests.support.daemon import Daemon, daemon
 from tests.support.device_codec import encode_log
 from tests.support.fake_device import fake_device, pose, robot_topics, topic
 from tests.support.gates import drive_gate
+from tests.support.memory_client import memory_host
+from tests.support.memory_hub import MemoryHub, in_hub
 from tests.support.waiting import TIMEOUT_S, expect
 
 ZERO = (0.0, 0.0)
@@ -45,21 +45,21 @@ class Unanswered(RemoteHosts):
 
 
 async def refused(host: Host, *, name: str = "robot_0", linear_m_s: float = 0.2) -> str:
-    """Why a drive is refused."""
+    """Return the reason why a drive is refused."""
     with pytest.raises(HostlinkError) as caught:
         await host.robot(name).drive(linear_m_s, 0.0)
     return str(caught.value)
 
 
 def drive_as_a_person(host: Daemon) -> None:
-    """As a person at the keys."""
+    """Drive with the priority of a person at the keys."""
     robot = host.hub.robots.find("robot_0")
     drive_gate(robot, PlanarVelocity(x_m_s=0.1), owner="a person", priority=60)
 
 
 @contextlib.asynccontextmanager
 async def serving(answer: Callable[[web.Request], Awaitable[web.StreamResponse]]) -> AsyncIterator[str]:
-    """Something on HTTP that is no hostlink."""
+    """Run an HTTP server that is not hostlink."""
     app = web.Application()
     app.router.add_get("/{path:.*}", answer)
     runner = web.AppRunner(app, shutdown_timeout=0.1)
@@ -116,24 +116,26 @@ async def test_two_robots_are_driven_at_once() -> None:
             assert await second.velocity_other_than(ZERO) == (0.1, 0.0)
 
 
-@pytest.mark.quiet
-async def test_a_stop_that_is_not_answered_delays_none_of_another_robot() -> None:
-    """The daemon answers when other daemons have: one of them may have gone."""
-    async with (
-        daemon() as host,
-        fake_device(host.tcp, robot_topics("robot_0")),
-        fake_device(host.tcp, robot_topics("robot_1")),
-        connect(host.url) as me,
-    ):
-        for name in ("robot_0", "robot_1"):
-            await me.robot(name).drive(0.2, 0.0)
-        gates = [host.hub.robots.find(name).gate for name in ("robot_0", "robot_1")]
-        host.hub.gates.hosts = Unanswered()
-        async with meanwhile(me.stop_driven()):
-            await expect(lambda: all(gate.owner_name is None for gate in gates), timeout_s=CLOSE_TIMEOUT_S / 2)
-            assert not me.robot("robot_0").is_driven
-            assert not me.robot("robot_1").is_driven
-        host.hub.gates.hosts = None
+def test_stop_that_is_not_answered_delays_no_stop_of_another_robot() -> None:
+    """The daemon answers after other daemons have answered, and one of them may be gone."""
+
+    async def check(made: MemoryHub) -> None:
+        names = ("robot_0", "robot_1")
+        for name in names:
+            await made.connect(robot_topics(name), address=f"10.0.0.{name}")
+        async with asyncio.TaskGroup() as tasks, memory_host(made.hub, tasks) as me:
+            for name in names:
+                await me.robot(name).drive(0.2, 0.0)
+            made.hub.gates.hosts = Unanswered()
+            began_s = made.now_s
+            await me.stop_driven()
+            await asyncio.sleep(0.01)  # the daemon handles the request in a later turn
+            assert made.now_s - began_s == pytest.approx(0.01)
+            assert all(made.robot(name).gate.current.is_zero for name in names)
+            assert not any(me.robot(name).is_driven for name in names)
+            made.hub.gates.hosts = None
+
+    in_hub(check)
 
 
 async def test_a_drive_that_cannot_be_is_refused_at_once_and_not_repeated() -> None:
@@ -152,7 +154,7 @@ async def test_a_drive_that_cannot_be_is_refused_at_once_and_not_repeated() -> N
 
 
 @pytest.mark.parametrize("wrong", [math.nan, math.inf, "fast"])
-async def test_a_velocity_that_is_no_number_ends_what_was_driven_before(wrong: float) -> None:
+async def test_velocity_that_is_not_finite_ends_the_earlier_drive(wrong: float) -> None:
     async with daemon() as host, fake_device(host.tcp, robot_topics()), connect(host.url) as me:
         robot = me.robot("robot_0")
         await robot.drive(0.2, 0.0)
@@ -302,7 +304,7 @@ async def test_script_drives_at_once_after_its_own_unlock() -> None:
 
 
 async def test_epoch_of_an_unlock_is_of_no_use_after_a_lease() -> None:
-    """By then the script has let go, and later interruptions are nothing to it."""
+    """The script has stopped driving by then, and later interruptions do not concern it."""
     async with (
         daemon() as host,
         fake_device(host.tcp, robot_topics()),
@@ -353,7 +355,7 @@ async def test_a_drive_that_is_cancelled_is_not_repeated() -> None:
 
 
 async def test_a_drive_that_is_cancelled_is_followed_by_a_zero() -> None:
-    """Its command may be on its way: a person who ends a script does not wait for the end of a lease."""
+    """A cancelled command may be on its way, and a person who ends a script does not wait for the end of a lease."""
     async with daemon() as host, fake_device(host.tcp, robot_topics()) as device, connect(host.url) as me:
         with pytest.raises(TimeoutError):
             async with asyncio.timeout(0):
@@ -405,7 +407,7 @@ async def test_odometry_gives_each_new_pose_once() -> None:
     assert observed == [1.0, 2.0, 3.0, 4.0, 5.0]
 
 
-async def test_odometry_of_a_robot_that_nobody_knows_is_an_error() -> None:
+async def test_odometry_of_an_unknown_robot_is_an_error() -> None:
     async with daemon() as host, connect(host.url) as me:
         with pytest.raises(HostlinkError, match="no robot named nobody"):
             await anext(aiter(me.robot("nobody").odometry()))
@@ -459,7 +461,7 @@ async def test_publish_subscribe_and_advertise() -> None:
         assert next(each for each in await me.topics() if each["name"] == "/chat")["publishers"] == 0
 
 
-async def test_messages_come_as_bytes_with_their_time() -> None:
+async def test_subscribed_bytes_have_their_time() -> None:
     async with (
         daemon() as host,
         fake_device(host.tcp, robot_topics()) as device,
@@ -527,7 +529,7 @@ async def test_call() -> None:
             await me.call("/trigger", {}, timeout_s=0.05)
 
 
-async def test_what_goes_wrong_in_the_block_is_raised_as_it_is() -> None:
+async def test_exception_in_the_block_is_raised_unchanged() -> None:
     async with daemon() as host:
         with pytest.raises(ZeroDivisionError):
             async with connect(host.url):
@@ -549,7 +551,7 @@ async def test_addresses_may_be_written_in_many_ways(change: str) -> None:
             assert (me.url, await me.robots()) == (host.url, [])
 
 
-async def test_a_token_goes_with_every_request() -> None:
+async def test_every_request_carries_the_token() -> None:
     observed: list[tuple[str, str]] = []
 
     async def answer(request: web.Request) -> web.StreamResponse:
@@ -571,7 +573,7 @@ async def test_a_token_goes_with_every_request() -> None:
 
 
 async def test_a_daemon_of_another_version_drives_nothing_that_the_program_does_not_know_of() -> None:
-    """Its answer lacks what this client needs: `drive` raises, so nothing may be repeated."""
+    """The daemon's answer lacks a field that this client needs: `drive` raises, and the client repeats nothing."""
 
     async def answer(request: web.Request) -> web.StreamResponse:
         socket = web.WebSocketResponse()
@@ -640,7 +642,7 @@ async def test_an_address_without_hostlink_raises_with_advice(url: str, advice: 
     assert str(caught.value).startswith(advice)
 
 
-async def test_the_port_of_the_devices_is_no_api() -> None:
+async def test_connect_to_the_device_port_raises_with_advice() -> None:
     async with daemon() as host:
         with pytest.raises(HostlinkError, match="what answers there speaks no HTTP: devices have port 11411"):
             async with connect("http://{}:{}".format(*host.tcp)):
@@ -655,7 +657,7 @@ async def test_tls_where_there_is_none_raises_with_advice() -> None:
                 pass
 
 
-def test_attempts_come_at_most_a_second_apart_and_not_in_step() -> None:
+def test_reconnection_attempts_are_at_most_a_second_apart_and_spread() -> None:
     first = [wait_s for wait_s, _ in zip(waits(), range(50), strict=False)]
     second = [wait_s for wait_s, _ in zip(waits(), range(50), strict=False)]
     assert max(first) <= 1.0

@@ -1,4 +1,4 @@
-"""What a script learns of its own calls: limits, refusals, names; numbers of numpy go in."""
+"""Results of a script's own calls: limits, refusals, names, and numpy numbers as arguments."""
 
 import contextlib
 from collections.abc import AsyncIterator, Mapping
@@ -59,7 +59,7 @@ async def publish_and_fail(url: str) -> None:
         raise ZeroDivisionError
 
 
-async def test_an_error_of_the_block_goes_before_a_refusal() -> None:
+async def test_exception_of_the_block_takes_precedence_over_a_refusal() -> None:
     async with daemon() as host, fake_device(host.tcp, [LED]):
         with pytest.raises(ZeroDivisionError):
             await publish_and_fail(host.url)
@@ -114,7 +114,7 @@ async def test_a_service_that_is_offered_again_is_not_ended_by_the_first_offer()
             await other.call("/name")
 
 
-async def test_what_a_script_prints_has_names() -> None:
+async def test_printed_view_has_field_names() -> None:
     async with world() as (host, _, me):
         assert repr(me) == f"<Host {host.url}: connected>"
         assert repr(me.robot("robot_0")) == f"<Robot robot_0 at {host.url}, priority 50>"

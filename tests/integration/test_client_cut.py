@@ -19,8 +19,6 @@ from tests.support.simulated import simulated_robot
 from tests.support.stopwatch import Stopwatch
 from tests.support.waiting import expect, expect_never
 
-pytestmark = pytest.mark.quiet
-
 NOTICED_S = 1.0
 STOPPED_M_S = 0.005
 BACK_S = 3.0
@@ -28,7 +26,7 @@ BACK_S = 3.0
 
 @dataclass
 class World:
-    """A robot that is driven by a script, whose connection goes over a line that can be cut."""
+    """Robot that a script drives over a connection that can be cut."""
 
     host: Daemon
     line: Proxy
@@ -55,12 +53,12 @@ class World:
         return change
 
     async def stands(self) -> None:
-        """The robot stands, in the daemon's view and in truth."""
+        """Check that the robot is stopped, in the daemon's view and in its world."""
         await expect(lambda: self.known.gate.owner_name is None and self.known.gate.current.is_zero)
         await expect(lambda: abs(self.body.speed_m_s) < STOPPED_M_S)
 
     async def stays(self, seconds: float = 0.4) -> None:
-        """Nothing drives it by itself."""
+        """Check that the robot is not driven and does not move."""
         await expect_never(
             lambda: self.known.gate.owner_name is not None or abs(self.body.speed_m_s) > STOPPED_M_S, for_s=seconds
         )
@@ -106,7 +104,7 @@ async def test_a_line_that_is_dead_is_noticed_within_a_second_and_the_robot_stan
         await drive_is_dropped(world)
 
 
-async def test_what_a_full_tunnel_delivers_late_moves_nothing() -> None:
+async def test_commands_that_a_full_tunnel_delivers_late_are_refused() -> None:
     async with driven() as world:
         world.line.set_line(Line.STALLS)
         await world.lost()
@@ -168,7 +166,7 @@ async def test_a_drive_that_is_under_way_when_the_line_dies_fails_and_is_not_rep
         await world.robot.drive(0.1, 0.0)  # the loss was raised already
 
 
-async def test_a_connection_that_is_reset_comes_back_with_its_subscriptions_and_advertisements() -> None:
+async def test_reconnection_after_a_reset_restores_subscriptions_and_advertisements() -> None:
     async with (
         driven() as world,
         world.me.subscribe("/robot_0/odometry") as poses,

@@ -1,4 +1,4 @@
-"""Which epoch the single commands of a script carry."""
+"""Epochs of the single commands of a script."""
 
 import pytest
 
@@ -10,7 +10,7 @@ from tests.support.fake_device import fake_device, robot_topics
 
 @pytest.mark.parametrize("is_current", [False, True])
 async def test_command_with_an_epoch_of_its_own_begins_another_stream(*, is_current: bool) -> None:
-    """What follows continues it, and not the stream before, whose epoch may be the current one."""
+    """Later commands continue the new stream, not the stream before, whose epoch may be the current one."""
     async with daemon() as host, fake_device(host.tcp, robot_topics()), connect(host.url) as me:
         robot = me.robot("robot_0")
         await robot.command(0.2, 0.0)

@@ -65,7 +65,7 @@ async def test_a_frame_over_the_device_buffer_is_refused_before_it_is_sent() -> 
         assert await device.frame(100) == b"\x05\x00\x00\x00short"
 
 
-async def test_a_topic_that_nobody_has_is_named_with_those_that_are() -> None:
+async def test_unknown_topic_is_refused_with_the_known_names() -> None:
     topics = [topic(Id.SUBSCRIBER, 100, "/led", "std_msgs/Bool")]
     async with daemon() as host, fake_device(host.tcp, topics):
         with pytest.raises(UnknownTopic, match="no topic named /lid; known: /diagnostics, /led"):
@@ -114,7 +114,7 @@ async def test_a_wrong_md5_is_refused_and_named_and_the_other_topics_go_on() -> 
     assert "8b94c1b53db61fb6aed406028ad6332a" in reason
 
 
-async def test_a_type_that_nobody_defines_passes_as_bytes() -> None:
+async def test_message_of_an_undefined_type_passes_as_bytes() -> None:
     uncommon = topic(Id.PUBLISHER, 125, "/odd", "std_msgs/Bool")._replace(type="my_msgs/Odd", md5="1" * 32)
     heard: asyncio.Queue[Message] = asyncio.Queue()
     async with daemon() as host, fake_device(host.tcp, [uncommon]) as device:
@@ -189,7 +189,7 @@ async def test_protocol_1_is_named() -> None:
             await expect(lambda: any(line["event"] == "protocol.version_1" for line in lines))
 
 
-async def test_connections_that_are_reset_at_once_disturb_nobody() -> None:
+async def test_connections_that_are_reset_at_once_disturb_no_robot() -> None:
     async with daemon() as host, fake_device(host.tcp, robot_topics()) as device:
         for _ in range(50):
             with socket.create_connection(host.tcp) as visitor:

@@ -23,7 +23,7 @@ async def test_roslibpy_reads_it() -> None:
         await device.send(pose(1.0))
         await expect(lambda: host.hub.robots.find("robot_0").link is not None)
         await asyncio.sleep(1.5 * INTERVAL_S)
-        assert host.hub.topics.find(TOPIC).messages == 0  # nobody subscribes yet, no part of the daemon either
+        assert host.hub.topics.find(TOPIC).messages == 0  # no client and no part of the daemon subscribes yet
         arrays = await asyncio.to_thread(_read_with_roslibpy, host.url)
     statuses = {status["name"]: status for array in arrays for status in array["status"]}
     assert statuses["hostlink: robot_0 link"]["hardware_id"] == "127.0.0.1"

@@ -1,4 +1,4 @@
-"""Why a drive ended, as the log and the drive history have it: an ordinary end is not reported as a lost command."""
+"""Reasons why a drive ended, in the log and in the drive history. An ordinary end is not reported as a lost command."""
 
 import asyncio
 import contextlib
@@ -82,7 +82,7 @@ async def keys(me: Host, *, is_quit: bool) -> None:
                     driving.stop()
                     await driver.finish()
                     return
-            await driver.send_what_is_due()
+            await driver.send_due()
             await asyncio.sleep(0.03)
 
 
@@ -97,7 +97,7 @@ async def teleop_ends(host: Daemon) -> None:
 
 
 async def messages_end_with_a_zero(host: Daemon) -> None:
-    """As rqt_robot_steering and teleop_twist_keyboard publish."""
+    """Publish a last zero, as rqt_robot_steering and teleop_twist_keyboard do."""
     async with connect(host.url) as me:
         for linear in (SPEED_M_S, SPEED_M_S, 0.0):
             await me.publish("/robot_0/velocity_commands", {"linear": {"x": linear}}, type_name="geometry_msgs/Twist")

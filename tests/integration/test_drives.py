@@ -51,7 +51,7 @@ async def test_a_drive_is_shown_while_it_lasts_and_kept_when_it_is_over(tmp_path
         assert drive["began"] <= drive["ended"]
 
 
-async def test_a_disk_that_refuses_is_counted_and_disturbs_nobody(tmp_path: Path) -> None:
+async def test_failing_disk_is_counted_and_does_not_end_the_daemon(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("no folder")
     with capture_logs() as lines:
         async with (
@@ -67,7 +67,7 @@ async def test_a_disk_that_refuses_is_counted_and_disturbs_nobody(tmp_path: Path
     assert [line["reason"] for line in lines if line["event"] == "drives.lost"] == ["Not a directory"]
 
 
-async def test_nothing_is_written_where_it_is_turned_off(tmp_path: Path) -> None:
+async def test_drive_history_that_is_turned_off_writes_no_file(tmp_path: Path) -> None:
     config = replace(config_in(tmp_path), recording=RecordingConfig(folder=tmp_path, drives=False))
     async with daemon(config, has_black_box=True) as host, fake_device(host.tcp, robot_topics()):
         await expect(lambda: host.hub.robots.has("robot_0"))
@@ -108,7 +108,7 @@ async def test_the_command_lists_them_or_says_that_there_are_none(tmp_path: Path
         daemon(config_in(tmp_path), has_black_box=True) as host,
         fake_device(host.tcp, robot_topics()) as device,
     ):
-        assert await run("drives", "--url", host.url) == (0, "nobody drove yet\n", "")
+        assert await run("drives", "--url", host.url) == (0, "there are no drives of any robot yet\n", "")
         await host.rest("PUT", "/api/robots/robot_0/velocity", b'{"linear": 0.2, "angular": 0}')
         assert await device.velocity_other_than((0.0, 0.0)) == (0.2, 0.0)
         _, out, _ = await run("drives", "robot_0", "--url", host.url)
@@ -116,5 +116,5 @@ async def test_the_command_lists_them_or_says_that_there_are_none(tmp_path: Path
         assert head.split("  ")[0] == "from UTC"
         assert "rest 127.0.0.1" in row
         assert " 0.20 " in row
-        assert (await run("drives", "other", "--url", host.url))[1] == "nobody drove other yet\n"
+        assert (await run("drives", "other", "--url", host.url))[1] == "there are no drives of other yet\n"
         assert json.loads((await run("drives", "other", "--json", "--url", host.url))[1])["drives"] == []

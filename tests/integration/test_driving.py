@@ -77,7 +77,7 @@ async def test_limits_scale_both_speeds_so_that_the_curve_stays() -> None:
 
 
 async def test_a_device_cannot_drive_another_past_its_gate() -> None:
-    """A message on a velocity topic is a command, whoever sends it: here one device drives the other."""
+    """A message on a velocity topic is a command, also from a device: here one device drives the other."""
     remote = [robot_topics("robot_0")[1]._replace(kind=Id.PUBLISHER, topic_id=125)]
     async with daemon() as host, fake_device(host.tcp, robot_topics()) as device:
         await greeted(device)
@@ -85,12 +85,12 @@ async def test_a_device_cannot_drive_another_past_its_gate() -> None:
             twist = host.hub.catalog.message("geometry_msgs/Twist")
             assert twist is not None
             await sender.send(encode(125, twist.encode({"linear": {"x": 5.0}})))
-            assert await device.velocity() == (1.0, 0.0)  # the limit of a robot that nobody configured
+            assert await device.velocity() == (1.0, 0.0)  # the limit of a robot without configuration
         assert await device.velocity_other_than((1.0, 0.0)) == ZERO
 
 
 @pytest.mark.parametrize("resume_s", [0.0, 20.0])
-async def test_a_source_that_keeps_commanding_goes_on_after_an_absence_that_is_configured(resume_s: float) -> None:
+async def test_stream_resumes_after_an_absence_within_the_configured_time(resume_s: float) -> None:
     async def command() -> None:
         while True:
             with contextlib.suppress(CommandRefused):
@@ -112,7 +112,7 @@ async def test_a_source_that_keeps_commanding_goes_on_after_an_absence_that_is_c
         commanding.cancel()
 
 
-async def test_a_robot_that_comes_back_while_its_old_link_seems_alive_replaces_it_at_once() -> None:
+async def test_robot_that_reconnects_while_its_old_link_seems_alive_replaces_it_at_once() -> None:
     with capture_logs() as lines:
         async with daemon() as host, fake_device(host.tcp, robot_topics()) as old:
             await greeted(old)
@@ -233,7 +233,7 @@ async def test_a_lock_waits_for_no_body_and_holds_without_it(announced_bytes: in
             drive(host)
 
 
-async def test_a_lock_whose_reason_comes_late_has_it() -> None:
+async def test_lock_request_with_a_late_body_has_its_reason() -> None:
     async with daemon() as host, fake_device(host.tcp, robot_topics()) as device:
         await greeted(device)
         reader, writer = await asyncio.open_connection("127.0.0.1", int(host.url.rpartition(":")[2]))

@@ -69,7 +69,7 @@ async def test_a_device_receives_the_end_at_once() -> None:
             assert await read_to_end(peer) == b"last words"
 
 
-async def test_also_when_it_read_nothing_and_the_connection_is_aborted() -> None:
+async def test_device_that_read_nothing_before_the_abort_receives_the_end() -> None:
     async with tcp() as (transport, peer):
         with duplicated(transport):
             with contextlib.suppress(TimeoutError):
@@ -80,7 +80,7 @@ async def test_also_when_it_read_nothing_and_the_connection_is_aborted() -> None
             assert 0 < len(await read_to_end(peer)) < TOO_MUCH_BYTES
 
 
-async def test_what_a_device_sends_after_the_end_is_refused() -> None:
+async def test_bytes_that_a_device_sends_after_the_end_are_refused() -> None:
     async with tcp() as (transport, peer):
         with duplicated(transport):
             await transport.aclose()
@@ -115,7 +115,7 @@ async def test_a_transport_has_a_descriptor_until_it_is_closed() -> None:
         assert transport.descriptor() is None
 
 
-async def test_so_has_a_serial_port_and_one_in_memory_has_none() -> None:
+async def test_serial_port_has_a_descriptor_and_a_memory_transport_none() -> None:
     with pty_pair() as (_, path):
         transport = await open_serial(SerialConfig(path=path))
         descriptor = transport.descriptor()

@@ -60,7 +60,7 @@ async def stream(host: Daemon, path: str) -> AsyncIterator[Reader]:
         yield Reader(response)
 
 
-async def test_robots_and_links_as_they_come_and_go() -> None:
+async def test_robots_and_links_are_events_when_they_connect_and_disconnect() -> None:
     async with daemon() as host, stream(host, "/api/events") as reader:
         assert (await reader.next("robots"))["robots"] == []
         async with fake_device(host.tcp, robot_topics()):
@@ -89,7 +89,7 @@ async def test_a_stream_without_news_has_a_heartbeat_three_times_a_second() -> N
 
 
 async def test_a_slow_reader_is_sent_the_newest_and_not_what_was_true_in_between() -> None:
-    """Nothing queues up in the kernel: what lies there would arrive long after it was true."""
+    """No event waits in the kernel: it would arrive long after it was true."""
     names = [f"robot_{number}" for number in range(ROBOTS)]
     async with daemon() as host, contextlib.AsyncExitStack() as stack:
         devices = [await stack.enter_async_context(fake_device(host.tcp, robot_topics(name))) for name in names]
@@ -111,7 +111,7 @@ async def test_a_slow_reader_is_sent_the_newest_and_not_what_was_true_in_between
             writer.close()
 
 
-async def test_a_slow_reader_that_vanishes_is_no_error_of_the_daemon() -> None:
+async def test_slow_reader_that_disconnects_causes_no_error() -> None:
     names = [f"robot_{number}" for number in range(ROBOTS)]
     with capture_logs() as lines:
         async with daemon() as host, contextlib.AsyncExitStack() as stack:
@@ -149,7 +149,7 @@ async def x_of_the_next(reader: Reader, x_m: float) -> None:
             pass
 
 
-async def test_a_stream_follows_a_robot_that_comes_back_with_another_topic_and_type() -> None:
+async def test_event_stream_follows_a_robot_that_reconnects_with_another_topic_and_type() -> None:
     other_type = CATALOG.message("nav_msgs/Odometry")
     assert other_type is not None
     other = [
@@ -172,7 +172,7 @@ async def test_a_stream_follows_a_robot_that_comes_back_with_another_topic_and_t
                     pass
 
 
-async def test_what_others_publish_by_a_robots_odometry_topic_is_no_event() -> None:
+async def test_pose_of_another_publisher_is_not_an_event() -> None:
     path = "/api/robots/robot_0/odometry/events"
     async with daemon() as host, fake_device(host.tcp, robot_topics()) as device, stream(host, path) as reader:
         await device.send(pose(1.0))
@@ -194,7 +194,7 @@ async def test_the_stream_of_a_robot_that_is_forgotten_ends() -> None:
                 await reader.next("odometry")
 
 
-async def test_no_stream_of_a_robot_that_nobody_knows() -> None:
+async def test_event_stream_of_an_unknown_robot_is_not_found() -> None:
     async with daemon() as host:
         status, error = await host.rest("GET", "/api/robots/nobody/odometry/events")
         assert (status, error["error"]["kind"]) == (404, "UnknownTopic")

@@ -11,7 +11,7 @@ from hostlink.errors import HostlinkError
 from tests.support.daemon import daemon
 
 
-async def test_what_somebody_else_put_there_meanwhile_stays(tmp_path: Path) -> None:
+async def test_file_that_another_program_wrote_meanwhile_is_kept(tmp_path: Path) -> None:
     """Two who record into one file both found its name free when they began."""
     (tmp_path / "recordings").mkdir()
     (tmp_path / "recordings" / "run.mcap").write_bytes(b"of the daemon")
@@ -21,6 +21,6 @@ async def test_what_somebody_else_put_there_meanwhile_stays(tmp_path: Path) -> N
         await fetch(program, "/api/recordings/run.mcap", target)
         assert target.read_bytes() == b"of the daemon"
         target.write_bytes(b"of somebody else")
-        with pytest.raises(HostlinkError, match="File exists; the daemon still has it"):
+        with pytest.raises(HostlinkError, match="File exists; the daemon still has the recording"):
             await fetch(program, "/api/recordings/run.mcap", target)
     assert target.read_bytes() == b"of somebody else"

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from hostlink.api.foxglove_directory import FoxgloveDirectory
+from hostlink.api.foxglove import FoxgloveDirectory
 from hostlink.config import RobotConfig
 from hostlink.hub.robot_topic_publisher import frames_of
 from hostlink.messages.message_type import MessageType
@@ -47,7 +47,7 @@ def has_field(type_: MessageType, path: list[str]) -> bool:
     return has_field(nested, path[1:]) if nested is not None else len(path) == 1
 
 
-async def test_it_shows_what_a_robot_has() -> None:
+async def test_layout_shows_the_topics_of_a_robot() -> None:
     async with daemon() as host, simulated_robot(host.tcp):
         directory = FoxgloveDirectory(host.hub)
 

@@ -87,7 +87,7 @@ def velocity_topic(host: Daemon) -> str:
     return host.hub.robots.find("robot_0").shown.velocity
 
 
-async def test_a_robots_messages_come_as_the_device_sent_them() -> None:
+async def test_messages_of_a_robot_arrive_as_the_device_sent_them() -> None:
     async with daemon() as host, fake_device(host.tcp, robot_topics()) as device, player(host) as one:
         await one.subscribe("/robot_0/odometry")
         await expect(lambda: "client 1" in map(str, keys(host, "/robot_0/odometry")))
@@ -184,7 +184,7 @@ def dropped(view: Any) -> int:
 
 
 @pytest.mark.parametrize("data", ["no JSON", '{"op": "dance"}', b"", b"\x09" + bytes(100), '{"op": "subscribe"}'])
-async def test_what_is_no_request_has_one_status_and_the_client_goes_on(data: str | bytes) -> None:
+async def test_invalid_request_has_one_status_and_the_client_stays(data: str | bytes) -> None:
     async with daemon() as host, player(host) as one:
         await (one.socket.send_str(data) if isinstance(data, str) else one.socket.send_bytes(data))
         assert (await one.until("status"))["level"] == 2

@@ -1,4 +1,4 @@
-"""What a link leaves behind is freed with it: a collection that stops the loop for 50 ms finds little."""
+"""Memory of an ended link is freed with it: a garbage collection that stops the loop for 50 ms finds little."""
 
 import asyncio
 import gc

@@ -1,4 +1,4 @@
-"""Which connections the hub gives its guard, and when it takes them back."""
+"""Connections that the hub hands to its guard, and their release."""
 
 import asyncio
 import contextlib
@@ -63,7 +63,7 @@ async def test_a_robot_is_watched_from_its_appearance_to_its_end() -> None:
             descriptor = guard.connections[1]()
             assert descriptor is not None
             with socket.socket(fileno=os.dup(descriptor)) as same:
-                assert same.getpeername() == device._writer.get_extra_info("sockname")
+                assert same.getpeername() == device.address
         await expect(lambda: guard.calls[-1] == ("release", 1))
 
 
@@ -87,7 +87,7 @@ async def test_a_second_velocity_topic_is_watched_too() -> None:
         await expect(lambda: guard.calls[-1] == ("release", 1))
 
 
-async def test_a_device_that_is_no_robot_is_not() -> None:
+async def test_device_that_is_not_a_robot_is_not_watched() -> None:
     async with guarded() as (guard, hub, address):
         async with fake_device(address, [topic(Id.PUBLISHER, 125, "/scan", "sensor_msgs/LaserScan")]):
             await expect(lambda: hub.topics.find_or_none("/scan"))
@@ -109,7 +109,7 @@ async def test_a_device_that_is_a_robot_no_more_is_released() -> None:
         await expect(lambda: guard.calls[-1] == ("release", 1))
 
 
-async def test_a_robot_that_comes_back_is_watched_on_its_new_connection_alone() -> None:
+async def test_robot_that_reconnects_is_watched_on_its_new_connection_alone() -> None:
     async with guarded() as (guard, _, address), fake_device(address, robot_topics()):
         await expect(lambda: guard.calls)
         async with fake_device(address, robot_topics()) as again:

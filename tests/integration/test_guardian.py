@@ -36,7 +36,7 @@ class Peer:
         self.ours, self.theirs = ours, theirs
 
     def read_all(self) -> tuple[bytes, float]:
-        """All that comes until the end, and how long the first byte took."""
+        """Read until the end. Return the bytes, and how long the first byte took."""
         self.theirs.settimeout(5)
         data, began_s, first_s = b"", time.monotonic(), float("inf")
         while part := self.theirs.recv(65536):
@@ -89,7 +89,7 @@ def memory_kib(number: int) -> dict[str, int]:
 
 
 def interpreter_kib() -> int:
-    """What a Python takes that does nothing."""
+    """Return the memory of a Python interpreter that does nothing."""
     code = "print(open('/proc/self/smaps_rollup').read())"
     bare = subprocess.run([sys.executable, "-I", "-S", "-c", code], capture_output=True, text=True, check=True)
     return parsed_kib(bare.stdout)["Rss"]
@@ -101,7 +101,7 @@ def parsed_kib(rollup: str) -> dict[str, int]:
 
 
 def guarded(ours: Guardian) -> int:
-    """How many connections it holds; -1 while it starts."""
+    """Return the number of connections that the guardian holds; -1 while it starts."""
     return guarded_by(pid(ours))
 
 
@@ -159,7 +159,7 @@ async def test_a_released_connection_is_closed_and_nothing_is_written_to_it() ->
             await expect(lambda: guarded(ours) == 2)
             ours.release(0)
             peers[0].ours.close()
-            assert peers[0].read_all()[0] == b""  # its end came, so nobody holds it
+            assert peers[0].read_all()[0] == b""  # the connection ended, so the guardian does not hold it
             ours.abandon()
         assert peers[1].read_all()[0] == SEQUENCE
 
@@ -195,7 +195,7 @@ async def test_two_hundred_robots_stop_at_once_and_one_that_reads_nothing_delays
                 assert peer.read_all()[0] == SEQUENCE[56:]
 
 
-async def test_what_a_device_goes_on_sending_does_not_reset_its_connection_before_it_has_read_all() -> None:
+async def test_device_that_keeps_sending_reads_all_before_its_connection_ends() -> None:
     with connections() as (peer,):
         peer.theirs.sendall(bytes(100_000))
         async with guardian() as ours:
@@ -209,7 +209,7 @@ HANG = b"".join(part for _, part in stop_sequence((100,), 0, is_end=False))
 
 
 def waiting_bytes(peer: Peer) -> bytes:
-    """What has come, without waiting."""
+    """Return the received bytes without waiting."""
     peer.theirs.setblocking(False)
     try:
         return peer.theirs.recv(65536)
@@ -227,7 +227,7 @@ async def received(peer: Peer, wanted: bytes) -> None:
     assert data == wanted
 
 
-async def test_a_daemon_that_hangs_leaves_zeros_to_what_is_driven_and_goes_on_with_its_connections() -> None:
+async def test_guardian_of_a_hanging_daemon_sends_zeros_to_driven_robots_and_keeps_their_connections() -> None:
     with connections(2) as peers, capture_logs() as lines:
         async with guardian(ping_s=0.05) as ours:
             watch(ours, peers)
@@ -235,13 +235,13 @@ async def test_a_daemon_that_hangs_leaves_zeros_to_what_is_driven_and_goes_on_wi
             began_s = time.monotonic()
             await received(peers[0], HANG)
             assert time.monotonic() - began_s > 0.9  # and not sooner
-            assert waiting_bytes(peers[1]) == b""  # nobody drives it
+            assert waiting_bytes(peers[1]) == b""  # it is not driven
             peers[0].theirs.send(b"for the daemon")
             assert peers[0].ours.recv(100) == b"for the daemon"
             peers[0].ours.send(b"by the daemon")
             await received(peers[0], b"by the daemon")
             await expect(lambda: any(line["event"] == "guardian.stopped_robots" for line in lines))
-            ours.beat({0})  # it goes on, and hangs again
+            ours.beat({0})  # the daemon continues, and hangs again
             await received(peers[0], HANG)
             for peer in peers:
                 peer.ours.close()
@@ -252,7 +252,7 @@ async def test_a_daemon_that_hangs_leaves_zeros_to_what_is_driven_and_goes_on_wi
     assert [line["robots"] for line in lines if line["event"] == "guardian.stopped_robots"][:1] == [1]
 
 
-async def test_a_daemon_that_beats_or_drives_nobody_is_left_alone() -> None:
+async def test_guardian_of_a_daemon_that_beats_or_drives_no_robot_sends_nothing() -> None:
     with connections() as (peer,):
         async with guardian() as ours:
             watch(ours, [peer])
@@ -395,7 +395,7 @@ async def test_signals_to_the_whole_group_or_service_do_not_end_it() -> None:
         assert peer.read_all()[0] == SEQUENCE
 
 
-async def test_it_has_no_descriptor_but_its_own_and_little_memory() -> None:
+async def test_guardian_has_only_its_own_descriptors_and_little_memory() -> None:
     async with guardian() as ours:
         await expect(lambda: guarded(ours) == 0)
         assert descriptors(pid(ours)) == ["/dev/null", "/dev/null", "/dev/null", "socket"]
@@ -412,7 +412,7 @@ async def test_it_has_no_descriptor_but_its_own_and_little_memory() -> None:
         assert sizes["Rss"] < most_kib
 
 
-def test_its_program_needs_the_standard_library_alone() -> None:
+def test_guardian_program_imports_the_standard_library_alone() -> None:
     """-I and -S: no site-packages; the modules that are there afterwards are few."""
     listing = "; import sys; sys.stdout.write(' '.join(sys.modules))"
     code = CODE.replace("main(int(sys.argv[2]))", "pass") + listing

@@ -13,6 +13,7 @@ from hostlink.hub.message import Message
 from hostlink.protocol import events
 from hostlink.protocol.frame import Id, encode
 from hostlink.robot.velocity import PlanarVelocity
+from tests.support.compiled_modules import replaces_a_method
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import FakeDevice, fake_device, pose, robot_topics, topic
 from tests.support.gates import drive_gate
@@ -83,10 +84,11 @@ async def test_a_crash_of_a_subscriber_ends_its_participant_alone(logged: list[d
             await device.send(pose(number))
         await expect(lambda: len(observed) == 5)
         await is_driven(host, "robot_0", device)
-        assert host.hub.isolation.crashes == {"participant": 1}  # then it is no subscriber any more
+        assert host.hub.isolation.crashes == {"participant": 1}  # afterwards the participant no longer subscribes
     assert [line["participant"] for line in logged if line["event"] == "participant.crashed"] == ["client 1"]
 
 
+@replaces_a_method
 async def test_a_crash_in_a_robots_gate_ends_its_link_alone(logged: list[dict[str, object]]) -> None:
     def crash(_: float) -> None:
         raise ArithmeticError("a defect")
@@ -105,6 +107,7 @@ async def test_a_crash_in_a_robots_gate_ends_its_link_alone(logged: list[dict[st
     assert "robot.crashed" in crashes(logged)
 
 
+@replaces_a_method
 async def test_a_crash_in_the_gate_of_a_device_without_poses_leaves_the_clock_of_all_gates(
     logged: list[dict[str, object]],
 ) -> None:
@@ -171,7 +174,7 @@ async def test_without_a_free_descriptor_a_sick_device_is_diagnosed_and_a_robot_
 
 @pytest.mark.parametrize("cause", ["replaced", "idle"])
 async def test_a_link_that_ends_from_here_leaves_a_standing_robot(cause: str) -> None:
-    """Also one without a watchdog of its own."""
+    """The robot is stopped also if the device has no watchdog."""
     async with daemon() as host, fake_device(host.tcp, robot_topics()) as device:
         await expect(lambda: host.hub.robots.find("robot_0").link)
         await is_driven(host, "robot_0", device)

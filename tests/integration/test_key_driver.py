@@ -1,4 +1,4 @@
-"""What teleop sends for a key that is held: only for the device that was there when it was pressed, and never late."""
+"""Commands of teleop for a held key: only to the device that was connected at the key press, and never late."""
 
 import asyncio
 import contextlib
@@ -31,7 +31,7 @@ class Keys:
         until_s = now_s() + seconds
         while now_s() < until_s:
             self.driving.receive(Key(name), now_s())
-            await self.driver.send_what_is_due()
+            await self.driver.send_due()
             await asyncio.sleep(0.02)
 
 
@@ -44,7 +44,7 @@ async def at_the_keys(host: Daemon, url: str = "") -> AsyncIterator[Keys]:
             yield Keys(driving, KeyDriver(robot, driving, watched))
 
 
-async def test_a_pressed_key_drives_and_at_the_end_comes_zero() -> None:
+async def test_pressed_key_drives_and_its_release_sends_zero() -> None:
     async with daemon() as host, fake_device(host.tcp, robot_topics()) as device, at_the_keys(host) as keys:
         await keys.press("w", 0.3)
         assert await device.velocity_other_than(ZERO) == (0.2, 0.0)
@@ -75,7 +75,7 @@ async def test_a_device_that_connects_again_is_not_driven_by_a_key_that_is_still
             assert keys.driver.refusal == ""
 
 
-async def test_a_lock_that_somebody_else_ends_is_not_followed_by_a_key_that_is_still_pressed() -> None:
+async def test_key_that_stays_pressed_through_a_lock_does_not_drive_after_the_unlock() -> None:
     async with daemon() as host, fake_device(host.tcp, robot_topics()) as device, at_the_keys(host) as keys:
         await keys.press("w", 0.2)
         robot = host.hub.robots.find("robot_0")

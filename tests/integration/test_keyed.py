@@ -1,4 +1,4 @@
-"""A device port with a key: who has it comes in, who has not is refused before the first byte of rosserial."""
+"""Device port with a key: a device without it is refused before the first byte of rosserial."""
 
 import asyncio
 import contextlib
@@ -38,7 +38,7 @@ async def connection(address: tuple[str, int]) -> AsyncIterator[tuple[asyncio.St
         writer.close()
 
 
-async def test_a_device_with_the_key_comes_in_and_knows_that_the_host_has_it(config: Config) -> None:
+async def test_device_with_the_key_connects_and_verifies_the_host(config: Config) -> None:
     async with daemon(config) as host, connection(host.tcp) as (reader, writer):
         assert await prove_key(reader, writer, KEY)
         device = FakeDevice(reader, writer)
@@ -65,7 +65,7 @@ async def test_a_device_with_another_key_is_closed_and_counted(config: Config) -
     [bytes(ANSWER_BYTES), TOPICS_REQUEST * 10, b"HLK1" + bytes(ANSWER_BYTES)],
     ids=["zeros", "rosserial", "more"],
 )
-async def test_whoever_sends_something_else_is_closed(config: Config, sent_bytes: bytes) -> None:
+async def test_connection_without_the_key_is_closed(config: Config, sent_bytes: bytes) -> None:
     async with daemon(config) as host, connection(host.tcp) as (reader, writer):
         writer.write(sent_bytes)
         assert len(await reader.read()) == 20  # the challenge, and no request for topics
@@ -93,7 +93,7 @@ def test_a_silent_device_is_given_up() -> None:
 
 
 async def test_no_answer_is_good_twice(config: Config) -> None:
-    """What was heard on one connection does not open another: the host's random bytes differ."""
+    """An answer recorded on one connection does not open another, because the host's random bytes differ."""
     async with daemon(config) as host, connection(host.tcp) as (reader, _), connection(host.tcp) as (other, _):
         assert await reader.readexactly(20) != await other.readexactly(20)
 
@@ -101,7 +101,7 @@ async def test_no_answer_is_good_twice(config: Config) -> None:
 @pytest.mark.parametrize(
     ("content", "problem"), [(b"too short \n", "a key has at least 16 bytes"), (None, "No such file or directory")]
 )
-async def test_a_key_that_is_none_stops_the_start(tmp_path: Path, content: bytes | None, problem: str) -> None:
+async def test_invalid_key_file_prevents_the_start(tmp_path: Path, content: bytes | None, problem: str) -> None:
     path = tmp_path / "key"
     if content is not None:
         path.write_bytes(content)

@@ -1,4 +1,4 @@
-"""How fast a link reads, as a share of what its parser alone reads in the same moments: of any length of frame."""
+"""Reading speed of a link as a share of the speed of its parser alone, for any length of frame."""
 
 import asyncio
 import time
@@ -16,8 +16,6 @@ from hostlink.protocol.stream import FrameStream
 from hostlink.transport.base import READ_BYTES
 from tests.support.memory_transport import memory_pair
 
-pytestmark = pytest.mark.quiet
-
 INFO = TopicInfo(Id.PUBLISHER, 125, "/long", "std_msgs/String", "m", 2048)
 HELLO = encode(Id.TIME, bytes(8)) + encode(Id.PUBLISHER, encode_topic_info(INFO)) + encode(Id.TIME, bytes(8))
 FRAMES = 4000
@@ -26,7 +24,7 @@ LEAST_SHARE = 0.25  # 0.33 to 0.4 here; frames of 1 KiB that are read in three p
 
 
 def _ignore(_link: Link, _event: Event) -> None:
-    """Nobody subscribes."""
+    """Ignore the event."""
 
 
 def parser_s(read: bytes, reads: int) -> float:
@@ -43,13 +41,13 @@ async def link_s(read: bytes, reads: int) -> float:
     link = Link(host, Session(check=lambda _: None), LinkConfig(), number=1, on_event=_ignore, share=FairShare())
     running = asyncio.get_running_loop().create_task(link.run())
     await device.send(HELLO)
-    while link.session.counts.negotiations == 0 or link.unread_bytes:  # noqa: ASYNC110 - nobody tells
+    while link.session.counts.negotiations == 0 or link.unread_bytes:  # noqa: ASYNC110 - there is no event
         await asyncio.sleep(0)
     began_s = time.process_time()
     for _ in range(reads):
         device.write(read)
         await asyncio.sleep(0)
-        while link.unread_bytes:  # noqa: ASYNC110 - nobody tells
+        while link.unread_bytes:  # noqa: ASYNC110 - there is no event
             await asyncio.sleep(0)
     lasted_s = time.process_time() - began_s
     await device.aclose()

@@ -69,7 +69,7 @@ async def test_a_stop_still_reaches_it_and_its_topics_are_requested_again(
 
 
 @pytest.mark.parametrize(("infos", "topic_id"), [(VELOCITY_FIRST, 100), (VELOCITY_LAST, 101)])
-async def test_one_that_never_announces_it_again_receives_zero_before_it_is_no_robot_any_more(
+async def test_robot_that_never_announces_its_velocity_again_receives_zero_before_it_is_removed(
     infos: list[TopicInfo], topic_id: int
 ) -> None:
     async with daemon() as host, fake_device(host.tcp, infos) as device:
@@ -103,10 +103,10 @@ async def test_a_robot_whose_odometry_is_lost_drives_on_and_its_topics_are_reque
 
 
 @pytest.mark.parametrize("type_name", ["geometry_msgs/Pose2D", "geometry_msgs/Twist"])
-async def test_one_that_has_no_odometry_or_velocity_any_more_stands_after_the_third_answer_without(
+async def test_robot_without_odometry_or_velocity_is_stopped_after_the_third_announcement_without_it(
     type_name: str,
 ) -> None:
-    """It is driven all the while."""
+    """A client drives the robot all the time."""
     async with daemon() as host, fake_device(host.tcp, VELOCITY_FIRST) as device:
         await moving(host, device, 100)
         robot = host.hub.robots.find("robot_0")

@@ -47,7 +47,7 @@ async def test_without_the_library_it_prints_what_to_install(monkeypatch: pytest
             raise AssertionError("it tells the network")
 
 
-async def test_nothing_is_announced_unless_configured(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_daemon_without_mdns_setting_announces_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "zeroconf", None)
     async with advertised(replace(MDNS, mdns=False), ("127.0.0.1", 1)):
         assert asyncio.get_running_loop().is_running()

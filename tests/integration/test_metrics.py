@@ -1,4 +1,4 @@
-"""What Prometheus reads."""
+"""Metrics that Prometheus reads."""
 
 import asyncio
 import json
@@ -31,7 +31,7 @@ from tests.support.waiting import TIMEOUT_S, expect
 
 
 async def metrics(host: Daemon) -> dict[str, float]:
-    """By name and labels, as Prometheus writes them."""
+    """Return the metrics by name and labels, as Prometheus writes them."""
     async with host.session.get(host.url + "/metrics") as response:
         assert response.status == 200
         text = await response.text()
@@ -46,7 +46,7 @@ async def test_links_robots_and_clients() -> None:
     device_labels = "[('peer', '127.0.0.1'), ('robot', 'robot_0')]"
     async with daemon() as host, fake_device(host.tcp, robot_topics()) as device, client(host) as program:
         await program.send(op="subscribe", topic="/robot_0/odometry")
-        await program.call("/rosapi/get_time")  # by now the subscription stands
+        await program.call("/rosapi/get_time")  # the answer follows the subscription
         await device.send(b"noise" + pose(1.0, 2.0, 0.5))
         await program.receive()
         await expect(lambda: host.hub.robots.find("robot_0").odometry.count == 1)
@@ -164,7 +164,7 @@ def test_the_panels_do_not_overlap() -> None:
                 places.add((x, y))
 
 
-async def test_how_a_robot_is_driven() -> None:
+async def test_metrics_show_how_a_robot_is_driven() -> None:
     async with daemon() as host, fake_device(host.tcp, [*robot_topics(), BATTERY]) as device:
         await expect(lambda: host.hub.robots.has("robot_0"))
         for number in range(3):
@@ -187,7 +187,7 @@ async def test_how_a_robot_is_driven() -> None:
         assert found["hostlink_robot_locked[('robot', 'robot_0')]"] == 1
 
 
-async def test_the_battery_of_a_robot_that_is_gone_or_measures_none_is_no_figure() -> None:
+async def test_battery_of_a_robot_that_is_disconnected_or_has_none_is_not_a_metric() -> None:
     async with daemon() as host:
         async with fake_device(host.tcp, [*robot_topics(), BATTERY]) as device:
             await device.send(battery(6.0))

@@ -1,4 +1,4 @@
-"""What devices call their topics is their own affair: it costs no other device anything."""
+"""Topic names that two devices share: neither device loses anything by them."""
 
 import struct
 
@@ -67,7 +67,7 @@ async def test_another_device_publishes_another_type_on_a_robots_topic(name: str
             await goes_on(host, robot)
 
 
-async def test_nobody_but_a_robot_publishes_its_odometry() -> None:
+async def test_odometry_of_a_robot_from_another_publisher_is_refused() -> None:
     async with (
         daemon() as host,
         fake_device(host.tcp, robot_topics()) as device,
@@ -108,7 +108,7 @@ async def test_two_robots_that_share_a_velocity_topic_are_both_driven_by_it() ->
 
 
 @pytest.mark.parametrize("is_first", [True, False])
-async def test_nobody_replaces_the_emergency_stop(is_first: bool) -> None:
+async def test_emergency_stop_service_cannot_be_replaced(is_first: bool) -> None:
     own = [
         topic(Id.SERVICE_SERVER_PUBLISHER, 130, "/robot_0/lock", "std_srvs/Trigger"),
         topic(Id.SERVICE_SERVER_SUBSCRIBER, 105, "/robot_0/lock", "std_srvs/Trigger"),
@@ -125,7 +125,7 @@ async def test_nobody_replaces_the_emergency_stop(is_first: bool) -> None:
         assert host.hub.robots.find("robot_0").gate.lock_reason == "emergency stop"
 
 
-async def test_a_device_that_publishes_the_transforms_in_the_old_type_silences_nobody() -> None:
+async def test_device_that_publishes_transforms_in_the_old_type_blocks_no_other_transforms() -> None:
     frames = [topic(Id.PUBLISHER, 125, "/tf", "tf/tfMessage"), topic(Id.PUBLISHER, 126, "/rosout", "std_msgs/Bool")]
     async with daemon() as host, fake_device(host.tcp, robot_topics()) as device:
         subscribe(host.hub, "/tf", lambda _: None)

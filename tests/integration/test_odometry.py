@@ -30,7 +30,7 @@ async def gone(host: Daemon) -> None:
 
 
 @pytest.mark.parametrize(("mode", "x_m"), [("continue", 1.75), ("restart", 0.25)])
-async def test_a_device_that_comes_back_at_the_origin(mode: Any, x_m: float) -> None:
+async def test_odometry_of_a_device_that_restarted_continues(mode: Any, x_m: float) -> None:
     config = Config(robots={"robot_0": RobotConfig(odometry_after_restart=mode)})
     async with daemon(config) as host:
         async with fake_device(host.tcp, robot_topics()) as device:
@@ -53,7 +53,7 @@ async def test_a_device_that_lost_only_its_connection_counts_on() -> None:
 
 
 @pytest.mark.parametrize("way", ["rest", "rosbridge"])
-async def test_a_reset_by_somebody_is_at_the_origin_and_no_restart(way: str) -> None:
+async def test_requested_reset_is_at_the_origin_and_not_a_restart(way: str) -> None:
     async with daemon() as host, fake_device(host.tcp, robot_topics()) as device, client(host) as program:
         await publish_pose(host, device, 1.5)
         if way == "rest":

@@ -68,7 +68,7 @@ class Silent(RemoteHosts):
     """Another daemon of the fleet, which has not answered in time."""
 
     def stop(self, name: str | None) -> None:
-        """It is sent to it."""
+        """Accept the stop."""
 
     async def settled(self) -> None:
         raise DeviceGone("lab-2", "it has not answered")

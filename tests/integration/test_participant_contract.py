@@ -1,4 +1,4 @@
-"""What holds for every kind of participant: what it does, how it leaves, and that nobody else is touched by it."""
+"""Contract of every kind of participant: its functions, its departure, and the isolation of all others."""
 
 import asyncio
 from collections import Counter
@@ -40,7 +40,7 @@ from tests.support.participants import (
 
 
 @pytest.mark.parametrize("make", ALL)
-def test_it_publishes_and_receives_what_is_published(make: Make) -> None:
+def test_participant_publishes_and_receives(make: Make) -> None:
     async def test(made: Scene) -> None:
         one, other = make(made, Role.DRIVE), plain(made, Role.DRIVE)
         one.subscribe(TEXT)
@@ -61,7 +61,7 @@ async def receives_a_pose(one: Any, made: Scene) -> None:
 
 
 @pytest.mark.parametrize("make", ALL)
-def test_it_receives_what_a_device_sends_byte_for_byte(make: Make) -> None:
+def test_participant_receives_a_devices_message_byte_for_byte(make: Make) -> None:
     async def test(made: Scene) -> None:
         one = make(made, Role.DRIVE)
         await receives_a_pose(one, made)
@@ -70,7 +70,7 @@ def test_it_receives_what_a_device_sends_byte_for_byte(make: Make) -> None:
 
 
 @pytest.mark.parametrize("make", ALL)
-def test_it_serves_and_calls(make: Make) -> None:
+def test_participant_serves_and_calls(make: Make) -> None:
     async def test(made: Scene) -> None:
         one, other = make(made, Role.DRIVE), plain(made, Role.DRIVE)
 
@@ -89,7 +89,7 @@ def test_it_serves_and_calls(make: Make) -> None:
 
 
 @pytest.mark.parametrize("make", PROGRAMS)
-def test_one_that_may_only_read_subscribes_and_changes_nothing(make: Make) -> None:
+def test_participant_that_may_only_read_subscribes_and_changes_nothing(make: Make) -> None:
     async def test(made: Scene) -> None:
         one = make(made, Role.READ)
         await receives_a_pose(one, made)
@@ -228,7 +228,7 @@ def test_a_part_of_the_daemon_stays_when_a_callback_of_it_fails() -> None:
 
 
 @pytest.mark.parametrize("make", ALL)
-def test_one_that_leaves_during_its_call_has_it_fail_at_once(make: Make) -> None:
+def test_participant_that_leaves_during_its_call_fails_the_call_at_once(make: Make) -> None:
     async def test(made: Scene) -> None:
         async def never(_: Mapping[str, object]) -> Mapping[str, object]:
             await asyncio.sleep(1000)
@@ -248,7 +248,7 @@ def test_one_that_leaves_during_its_call_has_it_fail_at_once(make: Make) -> None
 
 
 @pytest.mark.parametrize("make", ALL)
-def test_one_that_leaves_while_it_is_called_fails_its_callers_at_once(make: Make) -> None:
+def test_participant_that_leaves_while_it_is_called_fails_its_callers_at_once(make: Make) -> None:
     async def test(made: Scene) -> None:
         async def never(_: Mapping[str, object]) -> Mapping[str, object]:
             await asyncio.sleep(1000)
@@ -269,7 +269,7 @@ def test_one_that_leaves_while_it_is_called_fails_its_callers_at_once(make: Make
 
 
 @pytest.mark.parametrize("make", PROGRAMS)
-def test_one_that_leaves_as_a_call_of_its_service_times_out_releases_all_that_it_has(make: Make) -> None:
+def test_participant_that_leaves_as_a_call_of_its_service_times_out_releases_everything(make: Make) -> None:
     async def test(made: Scene) -> None:
         async def never(_: Mapping[str, object]) -> Mapping[str, object]:
             await asyncio.sleep(1000)
@@ -302,7 +302,7 @@ async def _refused(call: Awaitable[object]) -> str:
 
 
 @pytest.mark.parametrize("make", [plain, rest, daemon])
-def test_one_that_leaves_in_its_own_callback_ends_nothing_of_others(make: Make) -> None:
+def test_participant_that_leaves_in_its_own_callback_disturbs_no_other(make: Make) -> None:
     async def test(made: Scene) -> None:
         one, other = make(made, Role.DRIVE), plain(made, Role.DRIVE)
         one.participant.subscribe(f"/{ROBOT}/odometry", lambda _: one.participant.leave())
@@ -319,7 +319,7 @@ def test_one_that_leaves_in_its_own_callback_ends_nothing_of_others(make: Make) 
 
 
 @pytest.mark.parametrize("kind", ["publish", "drive"])
-def test_one_that_sends_in_its_callback_what_calls_it_back_ends_alone(kind: str) -> None:
+def test_participant_whose_callback_calls_itself_ends_alone(kind: str) -> None:
     async def test(made: Scene) -> None:
         looping, watching = plain(made, Role.DRIVE), plain(made, Role.DRIVE)
         robot, sent = made.hub.robots.find(ROBOT), plain(made, Role.DRIVE)
@@ -344,7 +344,7 @@ def test_one_that_sends_in_its_callback_what_calls_it_back_ends_alone(kind: str)
     play(test)
 
 
-def test_two_that_answer_each_other_without_end_disturb_no_third() -> None:
+def test_participants_that_answer_each_other_without_end_disturb_no_third() -> None:
     async def test(made: Scene) -> None:
         one, other, third = (made.hub.join(name) for name in ("one", "other", "third"))
         heard: list[bytes] = []
@@ -379,7 +379,7 @@ def test_a_subscription_that_is_closed_receives_nothing_more_not_even_the_messag
     play(test)
 
 
-def test_one_that_leaves_does_not_receive_its_own_zero() -> None:
+def test_participant_that_leaves_does_not_receive_its_own_zero() -> None:
     async def test(made: Scene) -> None:
         one = plain(made, Role.DRIVE)
         robot, heard = made.hub.robots.find(ROBOT), []
@@ -395,7 +395,7 @@ def test_one_that_leaves_does_not_receive_its_own_zero() -> None:
     play(test)
 
 
-def test_one_that_latched_may_leave_while_its_message_is_delivered() -> None:
+def test_participant_that_latched_may_leave_while_its_message_is_delivered() -> None:
     async def test(made: Scene) -> None:
         one, other, late = (plain(made, Role.DRIVE) for _ in range(3))
         for each, content in ((one, "one"), (other, "other")):
@@ -419,7 +419,7 @@ def test_one_that_latched_may_leave_while_its_message_is_delivered() -> None:
 
 
 @pytest.mark.parametrize("make", ALL)
-def test_a_slow_one_loses_the_oldest_of_its_messages_which_is_counted(make: Make) -> None:
+def test_slow_participant_loses_its_oldest_messages_and_they_are_counted(make: Make) -> None:
     async def test(made: Scene) -> None:
         one, other = make(made, Role.DRIVE), plain(made, Role.DRIVE)
         one.subscribe(TEXT)
@@ -433,7 +433,7 @@ def test_a_slow_one_loses_the_oldest_of_its_messages_which_is_counted(make: Make
     play(test)
 
 
-def test_one_that_does_not_read_its_answers_is_too_slow() -> None:
+def test_participant_that_does_not_read_its_answers_is_too_slow() -> None:
     async def test(made: Scene) -> None:
         one = rosbridge(made, Role.DRIVE)
         for _ in range(MAX_RESULTS + 1):
@@ -444,7 +444,7 @@ def test_one_that_does_not_read_its_answers_is_too_slow() -> None:
 
 
 @pytest.mark.parametrize("make", ALL)
-def test_throttled_messages_are_queued_for_it_up_to_its_bound(make: Make) -> None:
+def test_throttled_messages_are_queued_up_to_the_bound(make: Make) -> None:
     async def test(made: Scene) -> None:
         one, other = make(made, Role.DRIVE), plain(made, Role.DRIVE)
         one.subscribe(TEXT, interval_s=0.1, queue_length=2)
@@ -460,7 +460,7 @@ def test_throttled_messages_are_queued_for_it_up_to_its_bound(make: Make) -> Non
 
 
 @pytest.mark.parametrize("make", [plain, rest])
-def test_its_calls_under_way_are_bounded(make: Make) -> None:
+def test_pending_calls_of_a_participant_are_bounded(make: Make) -> None:
     async def test(made: Scene) -> None:
         async def never(_: Mapping[str, object]) -> Mapping[str, object]:
             await asyncio.sleep(1000)
@@ -523,7 +523,7 @@ def test_the_demo_drives_no_robot_again_after_a_stop_until_it_is_told() -> None:
 
 
 @pytest.mark.parametrize("make", PROGRAMS)
-def test_it_follows_a_robots_poses_until_it_leaves_and_a_failure_then_ends_it_alone(make: Make) -> None:
+def test_participant_follows_poses_until_it_leaves_and_a_failure_ends_it_alone(make: Make) -> None:
     async def test(made: Scene) -> None:
         one, failing = make(made, Role.READ), make(made, Role.READ)
         robot, heard = made.hub.robots.find(ROBOT), []

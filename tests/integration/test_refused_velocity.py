@@ -1,4 +1,4 @@
-"""A velocity that the device cannot take: whoever asked is told, by every way, and the log is not filled with it."""
+"""Velocity that the device cannot receive: each entry point reports it to the sender, and the log stays small."""
 
 import asyncio
 import base64
@@ -12,8 +12,7 @@ import pytest
 from structlog.testing import capture_logs
 
 from hostlink.api.clients import ClientQueue
-from hostlink.api.foxglove import FoxgloveClient
-from hostlink.api.foxglove_directory import FoxgloveDirectory
+from hostlink.api.foxglove import FoxgloveClient, FoxgloveDirectory
 from hostlink.api.rosbridge import RosbridgeClient
 from hostlink.client import CommandRefused, Refused, connect
 from hostlink.config import Config

@@ -49,7 +49,7 @@ async def is_gone(device: FakeDevice) -> bool:
 
 
 async def negotiate_and_be_cut(address: tuple[str, int]) -> None:
-    """As a robot: it connects again until it could announce its topics before its connection was cut."""
+    """Connect as a robot, again and again, until the topics were announced before the connection was cut."""
     async with asyncio.timeout(TIMEOUT_S):
         while True:
             with contextlib.suppress(EOFError, OSError):

@@ -66,7 +66,7 @@ async def test_a_lower_limit_slows_a_robot_that_is_driven() -> None:
         assert host.hub.robots.find_here("robot_0").gate.owner_name is not None  # it drives on
 
 
-async def test_a_higher_limit_is_no_command_by_itself() -> None:
+async def test_higher_limit_alone_moves_no_robot() -> None:
     async with (
         served(robots(robot_0=RobotConfig(max_linear_m_s=0.1))) as (host, file),
         fake_device(host.tcp, robot_topics()) as device,
@@ -125,7 +125,7 @@ async def test_two_robots_swap_their_names() -> None:
         assert await device.velocity_other_than((0.0, 0.0)) == (0.2, 0.0)
 
 
-async def test_a_robot_gets_a_name_and_keeps_it_when_it_comes_back() -> None:
+async def test_configured_name_is_kept_after_a_reconnection() -> None:
     named = robots(rover=RobotConfig(address="127.0.0.1"))
     async with served(Config()) as (host, file):
         async with fake_device(host.tcp, robot_topics()):
@@ -141,7 +141,7 @@ async def test_a_robot_gets_a_name_and_keeps_it_when_it_comes_back() -> None:
 
 @pytest.mark.parametrize("is_locked", [False, True], ids=["driven", "locked"])
 async def test_a_robot_that_is_driven_or_locked_keeps_its_name(is_locked: bool) -> None:
-    """Who drives it, and who has locked it, knows it by that."""
+    """Clients that drive or locked the robot know it by this name."""
     async with served(Config()) as (host, file), fake_device(host.tcp, robot_topics()):
         await expect(lambda: host.hub.robots.has("robot_0"))
         if is_locked:
@@ -215,7 +215,7 @@ async def drive_on(drive: Drive, host: Daemon) -> None:
 
 
 @pytest.mark.parametrize("drive", [by_websocket, by_rest, by_client])
-async def test_whoever_drives_by_a_token_that_is_withdrawn_is_cut_off_and_the_robot_stands(drive: Drive) -> None:
+async def test_driver_with_a_withdrawn_token_is_disconnected_and_the_robot_is_stopped(drive: Drive) -> None:
     async with (
         served(GUARDED) as (host, file),
         fake_device(host.tcp, robot_topics()) as device,
@@ -249,7 +249,7 @@ async def test_a_driver_may_only_read_from_now_on() -> None:
         assert host.hub.robots.find_here("robot_0").gate.owner is None
 
 
-async def test_the_first_token_ends_whoever_came_without_one() -> None:
+async def test_first_token_disconnects_clients_without_one() -> None:
     async with served(Config()) as (host, file), host.session.get(host.url + "/api/events") as events:
         file.config = GUARDED
         assert (await reload(host))[0] == 200
@@ -309,7 +309,7 @@ async def test_other_settings_need_a_restart_and_are_named() -> None:
     ],
     ids=["limit", "tokens", "origins"],
 )
-async def test_what_is_wrong_changes_nothing(wrong: Config) -> None:
+async def test_invalid_file_changes_nothing(wrong: Config) -> None:
     async with served(Config()) as (host, file), fake_device(host.tcp, robot_topics()):
         await expect(lambda: host.hub.robots.has("robot_0"))
         file.config = wrong

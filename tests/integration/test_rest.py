@@ -32,7 +32,7 @@ async def test_a_robot_and_its_odometry() -> None:
     assert odometry["stamp_ns"] > 1_700_000_000_000_000_000
 
 
-async def test_what_a_device_tells_of_itself_is_shown_while_it_is_connected() -> None:
+async def test_board_description_is_shown_while_the_device_is_connected() -> None:
     keys = ("battery_v", "battery_percent", "signal_dbm", "firmware", "device_errors")
     async with daemon() as host:
         async with fake_device(host.tcp, [*robot_topics(), BATTERY]) as device:
@@ -133,7 +133,7 @@ async def test_the_page_and_its_files() -> None:
                 assert "unsafe" not in policy
                 assert response.headers["Cache-Control"] == "no-store"
         async with host.session.get(host.url + "/") as response:
-            assert "http" not in await response.text()  # nothing from elsewhere
+            assert "http" not in await response.text()  # the page loads nothing from other hosts
 
 
 @pytest.mark.parametrize("name", ["..%2Findex.html", "..%2Fserver.py", "..%2F..%2F..%2Fserver.py", "x"])

@@ -76,7 +76,7 @@ async def lists(peer: Ros2Peer, topics: dict[str, set[str]]) -> None:
 
 
 def heard(world: Bridged, topic: str, type_name: str = "") -> list[bytes]:
-    """What a program receives on a topic from now on."""
+    """Return the list of messages that a program receives on a topic from now on."""
     received = list[bytes]()
 
     def receive(message: Message) -> None:
@@ -106,7 +106,7 @@ async def test_ros_2_lists_a_robots_topics() -> None:
             assert parsed.encode() == token
 
 
-async def test_a_robot_that_leaves_is_not_listed_any_more() -> None:
+async def test_robot_that_disconnects_is_no_longer_listed() -> None:
     async with bridged() as world, ros2_peer(world.address) as peer:
         async with fake_device(world.daemon.tcp, robot_topics()):
             await lists(peer, {"/robot_0/odom": ODOMETRY})
@@ -131,7 +131,7 @@ async def test_odometry_reaches_ros_2() -> None:
         assert abs(message["header"]["stamp"]["sec"] - time.time()) < 5
 
 
-async def test_nothing_is_converted_while_nobody_in_ros_2_subscribes() -> None:
+async def test_messages_without_ros_2_subscribers_are_not_converted() -> None:
     async with bridged() as world, fake_device(world.daemon.tcp, robot_topics()) as device:
         odom = world.daemon.hub.topics.find("/robot_0/odom")
         await device.send(pose(0.25))
@@ -252,7 +252,7 @@ async def test_the_hub_calls_a_service_of_ros_2() -> None:
         await expect(lambda: not world.daemon.hub.services.is_offered("/lamp"))
 
 
-async def test_what_is_latched_reaches_those_who_come_later() -> None:
+async def test_latched_message_reaches_a_ros_2_node_that_joins_later() -> None:
     async with bridged() as world:
         program = world.daemon.hub.join("program")
         program.advertise("/map_name", "std_msgs/String", is_latched=True)
@@ -264,7 +264,7 @@ async def test_what_is_latched_reaches_those_who_come_later() -> None:
 
 
 @pytest.mark.parametrize("is_first", [True, False])
-async def test_what_ros_2_has_latched_reaches_programs_that_come_later(is_first: bool) -> None:
+async def test_message_that_ros_2_latched_reaches_a_program_that_joins_later(is_first: bool) -> None:
     """Whether the program or the node is there first."""
     async with bridged() as world, zenoh_session(world.address) as session:
         received = heard(world, "/map_name", "std_msgs/String") if is_first else []
@@ -320,7 +320,7 @@ async def test_a_publisher_that_is_killed_stops_its_robot_at_once() -> None:
         assert world.daemon.hub.robots.find("robot_0").gate.owner is None
 
 
-async def test_a_publisher_whose_token_goes_stops_its_robot_at_once() -> None:
+async def test_publisher_that_withdraws_its_token_stops_its_robot_at_once() -> None:
     async with (
         bridged() as world,
         fake_device(world.daemon.tcp, robot_topics()) as device,
@@ -401,7 +401,7 @@ async def test_commands_that_a_network_held_back_move_nothing_when_it_works_agai
 
 
 def publishers(world: Bridged) -> list[str]:
-    """Of the robot's velocity, in the hub."""
+    """Return the publishers of the robot's velocity in the hub."""
     found = world.daemon.hub.topics.find_or_none("/robot_0/cmd_vel")
     return [] if found is None else [str(each) for each in found.publishers if str(each).startswith("ros2")]
 
@@ -467,7 +467,7 @@ def as_served() -> Iterator[None]:
 
 @pytest.mark.quiet
 @pytest.mark.parametrize("flooded", ["/chatter", "/robot_0/cmd_vel"])
-async def test_a_stop_comes_in_time_beside_a_publisher_that_floods(flooded: str, as_served: None) -> None:
+async def test_stop_during_a_flood_of_ros_2_arrives_in_time(flooded: str, as_served: None) -> None:
     type_name, fields = (STRING, {"data": "x" * 100}) if flooded == "/chatter" else (TWIST, {})
     async with (
         bridged() as world,
@@ -542,7 +542,7 @@ async def test_a_robot_of_a_fleet_is_shown_in_ros_2_by_its_own_daemon_alone() ->
 
 
 def tokens_of(session: Any) -> list[str]:
-    """Of all nodes of the domain 0."""
+    """Return the tokens of all nodes of domain 0."""
     replies = session.liveliness().get("@ros2_lv/0/**", timeout=2.0)
     return [str(reply.ok.key_expr) for reply in replies if reply.ok is not None]
 

@@ -46,7 +46,7 @@ async def test_odometry_and_transform_come_as_ros_programs_expect_them() -> None
     assert transform["transform"]["translation"] == {"x": 1.0, "y": 2.0, "z": 0.0}
 
 
-async def test_nothing_is_made_while_nobody_listens_and_no_clock_ever() -> None:
+async def test_derived_topics_without_subscribers_are_not_published() -> None:
     async with daemon() as host, fake_device(host.tcp, robot_topics()) as device:
         await device.send(pose(1.0))
         await expect(lambda: host.hub.topics.find("/robot_0/odometry").messages == 1)
@@ -92,7 +92,7 @@ async def test_a_stamp_that_is_too_old_is_refused_where_that_is_configured() -> 
         assert await device.velocity_other_than((0.0, 0.0)) == (0.2, 0.0)
 
 
-async def test_what_the_gate_sends_is_published_on_cmd_vel_too() -> None:
+async def test_velocity_that_the_gate_sends_is_published_on_cmd_vel_too() -> None:
     async with daemon() as host, fake_device(host.tcp, robot_topics()), client(host) as program:
         await expect(lambda: not host.hub.robots.find("robot_0").gate.is_active)
         await program.send(op="subscribe", topic="/robot_0/cmd_vel")
@@ -115,7 +115,7 @@ async def test_names_that_the_device_uses_itself_are_the_devices() -> None:
         assert await device.frame(102) == b"\x01"
 
 
-async def test_a_device_that_comes_later_reclaims_its_names_and_releases_them_again() -> None:
+async def test_device_that_connects_later_reclaims_its_names_and_releases_them_again() -> None:
     async with daemon() as host, fake_device(host.tcp, robot_topics()), client(host) as program:
         await program.send(op="subscribe", topic="/robot_0/odom", type="nav_msgs/Odometry")
         await heard(host, "/robot_0/odom")

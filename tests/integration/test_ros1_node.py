@@ -1,4 +1,4 @@
-"""What passes between the daemon and nodes of ROS 1: payloads, velocities, calls."""
+"""Payloads, velocities and calls between the daemon and nodes of ROS 1."""
 
 import asyncio
 import contextlib
@@ -84,9 +84,8 @@ async def test_velocity_latched_before_the_robot_connected_does_not_move_it(made
             assert set(await there.velocities()) == {0.2}
 
 
-@pytest.mark.quiet
-async def test_velocity_latched_by_a_publisher_that_comes_later_drives_once(made: Scene) -> None:
-    """As `rostopic pub -1` sends it; when the connection breaks, the same one comes again."""
+async def test_velocity_latched_by_a_publisher_that_joins_later_drives_once(made: Scene) -> None:
+    """`rostopic pub -1` latches its message. When the connection breaks, the same message arrives again."""
     await made.master.knows("Subscriber", VELOCITY)
     async with fake_publisher(TWIST_TYPE, is_latched=True, first=twist(0.3)) as publisher:
         await made.update(VELOCITY, publisher.uri)
@@ -99,7 +98,7 @@ async def test_velocity_latched_by_a_publisher_that_comes_later_drives_once(made
 
 
 async def streaming(publisher: FakePublisher, speeds_m_s: list[float]) -> None:
-    """To whoever is connected, at the newest of these speeds; for the task group of a test."""
+    """Publish the newest of these speeds to all subscribers, in the task group of a test."""
     while True:
         for peer in publisher.peers[-1:]:
             with contextlib.suppress(OSError):
@@ -116,7 +115,7 @@ async def drives_after_a_zero(made: Scene, speeds_m_s: list[float]) -> None:
 
 
 async def test_stream_from_before_the_device_connected_again_drives_after_a_zero(made: Scene) -> None:
-    """Its device was away for longer than a lease; hostlink stays subscribed meanwhile."""
+    """The device was disconnected for longer than a lease, and hostlink stayed subscribed."""
     speeds_m_s = [0.2]
     async with fake_publisher(TWIST_TYPE) as publisher, asyncio.TaskGroup() as tasks:
         made.master.publishers["/red/velocity_commands"] = [publisher.uri]
@@ -146,7 +145,7 @@ async def test_stream_through_a_lost_connection_drives_after_a_zero(made: Scene)
 async def test_publisher_that_waited_for_room_is_connected_and_drives_after_a_zero(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """It was new when the master named it, and has streamed since then."""
+    """The publisher was new when the master named it, and has streamed since then."""
     monkeypatch.setattr(graph_sync, "MAX_PUBLISHERS", 1)
     speeds_m_s = [0.2]
     async with (
@@ -167,7 +166,7 @@ async def test_publisher_that_waited_for_room_is_connected_and_drives_after_a_ze
 
 
 async def test_publisher_of_before_that_was_silent_drives_at_once(made: Scene) -> None:
-    """As a teleop does that was started before the robot."""
+    """A teleop that was started before the robot is such a publisher."""
     async with fake_publisher(TWIST_TYPE) as publisher:
         made.master.publishers["/red/velocity_commands"] = [publisher.uri]
         async with fake_device(made.daemon.tcp, robot_topics("red"), local_host="127.0.0.2") as red:
@@ -232,7 +231,7 @@ async def test_each_publisher_is_a_driver_of_its_own(made: Scene) -> None:
         await expect(lambda: robot.gate.owner_name is None)
 
 
-async def test_a_velocity_that_is_no_number_is_refused_and_ends_nothing(made: Scene) -> None:
+async def test_velocity_that_is_not_finite_is_refused_and_ends_nothing(made: Scene) -> None:
     async with fake_publisher(TWIST_TYPE) as publisher:
         await made.update(VELOCITY, publisher.uri)
         peer = await publisher.connected()
@@ -285,7 +284,7 @@ async def test_latched_topic_second_device_and_rebooted_device_receive_last_mess
 
 
 async def test_latched_topic_device_that_restarts_on_its_connection_receives_it_again(made: Scene) -> None:
-    """As a board does that is reset behind a USB or a radio that stays: it announces what it had."""
+    """A board that restarts behind a USB or radio bridge announces its topics again on the same connection."""
     async with latched(made, OLD), reader(made) as device:
         assert await device.frame(102) == OLD
         made.daemon.hub.links.all()[-1].session.request_topics("test")
@@ -321,8 +320,8 @@ async def test_latched_topic_each_program_of_the_api_receives_last_message(made:
             assert heard == [OLD]
 
 
-async def test_latched_velocity_of_program_moves_no_robot_that_comes_later(made: Scene) -> None:
-    """Also where it was latched while no robot had the topic, and nothing marked it as a velocity."""
+async def test_latched_velocity_of_program_moves_no_robot_that_connects_later(made: Scene) -> None:
+    """The message was latched while no robot had the topic, and nothing marked it as a velocity."""
     program = made.daemon.hub.join("program")
     program.advertise("/red/velocity_commands", TWIST_TYPE, is_latched=True)
     program.publish("/red/velocity_commands", twist(0.3))
@@ -352,7 +351,7 @@ async def test_latched_odometry_reset_is_not_repeated_to_device_that_announces_a
 
 
 @pytest.mark.parametrize("payload", [b"", b"\x00", struct.pack("<I", 100) + b"a", struct.pack("<I", 1) + b"ab"])
-async def test_what_is_not_of_the_type_that_was_agreed_upon_reaches_no_device(made: Scene, payload: bytes) -> None:
+async def test_message_of_another_type_than_negotiated_reaches_no_device(made: Scene, payload: bytes) -> None:
     async with fake_publisher(STRING) as publisher:
         await made.update("/text", publisher.uri)
         peer = await publisher.connected()

@@ -41,7 +41,7 @@ async def made() -> AsyncIterator[Scene]:
     [b"GET / HTTP/1.1\r\n\r\n", b"\xff\xff\xff\xff" * 100, b"\x04\x00\x00\x00\xff\xff\xff\xff", bytes(4), b"\x01"],
     ids=["http", "four gigabytes", "no fields", "empty", "cut off"],
 )
-async def test_bytes_that_are_no_header_reach_nothing(
+async def test_bytes_that_are_not_a_header_are_refused(
     made: Scene, data: bytes, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(member, "HEADER_TIMEOUT_S", 0.2)
@@ -82,8 +82,8 @@ async def test_connections_over_the_bound_are_closed_and_counted() -> None:
         await expect(lambda: made.counts["refused_connections"] == 1)
 
 
-async def test_whoever_sends_no_header_keeps_no_subscriber_out() -> None:
-    """The oldest of them goes at once for a node that comes, not after the deadline for its header."""
+async def test_connections_without_a_header_keep_no_subscriber_out() -> None:
+    """The oldest of these connections is closed as soon as a node connects, not after the deadline for its header."""
     async with fake_master() as master, scene(master, max_connections=4) as made, contextlib.AsyncExitStack() as stack:
         address = await made.tcpros()
         silent = [await stack.enter_async_context(connection(address)) for _ in range(4)]
@@ -108,7 +108,7 @@ async def test_connections_without_a_call_keep_no_master_out() -> None:
             assert decode_answer(await master.call("getPid", "/x")) > 0
 
 
-async def test_who_comes_from_elsewhere_than_it_is_allowed_is_closed() -> None:
+async def test_slave_api_peer_outside_allow_list_is_disconnected() -> None:
     async with fake_master() as master, scene(master, allow=("127.0.0.9/32",)) as made:
         await master.knows("Publisher", ODOMETRY)
         with pytest.raises((aiohttp.ServerDisconnectedError, aiohttp.ClientOSError)):
@@ -120,7 +120,7 @@ async def test_who_comes_from_elsewhere_than_it_is_allowed_is_closed() -> None:
 
 
 async def test_a_subscriber_that_never_reads_costs_the_others_nothing(made: Scene) -> None:
-    """What waits for it is bounded, the oldest is dropped and counted, and it gets the newest when it reads again."""
+    """The subscriber has a bounded queue. The oldest message is dropped and counted, and the newest is sent later."""
     wide = topic(Id.PUBLISHER, 126, "/blob", STRING, buffer_bytes=20_000)
     async with fake_device(made.daemon.tcp, [wide], local_host="127.0.0.3") as device:
         await made.master.knows("Publisher", "/blob")
@@ -170,7 +170,7 @@ async def test_the_slave_api_answers_as_every_node_does(made: Scene) -> None:
     [b"", b"<methodCall>", b"\xff\xfe", b"<!DOCTYPE a>", b"<" * 100_000],
     ids=["empty", "cut off", "no text", "doctype", "long"],
 )
-async def test_a_body_that_is_no_call_is_answered_with_a_fault(made: Scene, body: bytes) -> None:
+async def test_body_that_is_not_a_call_is_answered_with_a_fault(made: Scene, body: bytes) -> None:
     await made.master.knows("Publisher", ODOMETRY)
     with pytest.raises(CallRefused):
         decode_answer(await made.master.call("", body=body))
@@ -182,7 +182,7 @@ async def test_a_body_over_the_bound_is_refused(made: Scene) -> None:
     assert b"methodResponse" not in await made.master.call("", body=bytes(262_100) + b"more than fits" * 10)
 
 
-async def test_a_body_that_would_become_larger_is_no_call(made: Scene) -> None:
+async def test_body_that_expands_is_refused(made: Scene) -> None:
     await made.master.knows("Publisher", ODOMETRY)
     body = gzip.compress(encode_call("getPid", ("/x",)))
     with pytest.raises(CallRefused):
@@ -190,7 +190,7 @@ async def test_a_body_that_would_become_larger_is_no_call(made: Scene) -> None:
     assert made.counts["refused_calls"] == 1
 
 
-async def test_an_answer_that_would_become_larger_is_none() -> None:
+async def test_answer_that_expands_is_refused() -> None:
     rpc = Rpc()
     try:
         async with xml_rpc_server(lambda *_: gzip.compress(encode_answer(1, "", 5)), encoding="gzip") as uri:
@@ -237,7 +237,7 @@ async def test_a_master_that_answers_garbage_is_lost_and_found_again(made: Scene
     assert made.counts["re_registrations"] == 1
 
 
-async def test_a_master_whose_address_of_a_node_is_none_ends_nothing(made: Scene) -> None:
+async def test_invalid_node_address_from_the_master_ends_nothing(made: Scene) -> None:
     await made.master.knows("Publisher", ODOMETRY)
     uri, count = made.master.node_uri, len(made.master.calls)
     made.master.node_uri = [1, 2]  # type: ignore[assignment]
@@ -271,7 +271,7 @@ async def test_a_publisher_that_cannot_be_reached_is_tried_again(made: Scene) ->
         assert await made.robot.frame(102) == struct.pack("<I", 2) + b"ok"
 
 
-async def test_a_publisher_that_is_named_no_more_is_not_connected_again(made: Scene) -> None:
+async def test_publisher_that_the_master_no_longer_names_is_not_connected_again(made: Scene) -> None:
     async with fake_publisher(STRING) as publisher:
         await made.update("/text", publisher.uri)
         await publisher.connected()

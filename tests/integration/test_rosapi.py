@@ -1,4 +1,4 @@
-"""What rosbridge's clients ask of the graph, binary messages, and services that programs offer."""
+"""Graph queries of rosbridge clients, binary messages, and services that programs offer."""
 
 import asyncio
 import struct
@@ -136,7 +136,9 @@ async def test_parameters_are_those_that_devices_get() -> None:
         ("/rosapi/nothing", {}, "no service named /rosapi/nothing"),
     ],
 )
-async def test_what_cannot_be_answered_has_a_reason(service: str, arguments: dict[str, str], reason: str) -> None:
+async def test_call_that_cannot_be_answered_fails_with_a_reason(
+    service: str, arguments: dict[str, str], reason: str
+) -> None:
     async with daemon() as host, client(host) as program:
         await program.send(op="call_service", service=service, args=arguments)
         answer = await program.receive()
@@ -219,6 +221,6 @@ async def test_an_action_is_refused_instead_of_waited_for() -> None:
     async with daemon() as host, client(host) as program:
         await program.send(op="send_action_goal", id="g", action="/dock", action_type="x")
         assert await program.receive() == {
-            "op": "action_result", "id": "g", "action": "/dock", "values": "no actions here", "status": 6,
+            "op": "action_result", "id": "g", "action": "/dock", "values": "actions are unsupported", "status": 6,
             "result": False,
         }  # fmt: skip

@@ -19,7 +19,7 @@ async def subscribed(host: Daemon, name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["/robot_0/odometry", "robot_0/odometry"])
-async def test_a_message_comes_under_the_name_that_the_client_used(name: str) -> None:
+async def test_message_has_the_topic_name_that_the_client_used(name: str) -> None:
     async with daemon() as host, fake_device(host.tcp, robot_topics()) as device, client(host) as program:
         await program.send(op="subscribe", topic=name)
         await expect(lambda: len(host.hub.topics.find(name).subscribers) == 2)  # the robot's own odometry too
@@ -106,7 +106,7 @@ async def test_a_service_of_a_device_is_called_and_a_failure_has_a_reason() -> N
 @pytest.mark.parametrize(
     ("request_text", "reason"),
     [
-        ("{", "no JSON"),
+        ("{", "invalid JSON"),
         ("[1]", 'a message is a JSON object with an "op"'),
         ('{"op": 7}', "7: op must be a text"),
         ('{"op": "dance"}', "unknown op 'dance'"),
@@ -131,7 +131,7 @@ async def test_a_service_of_a_device_is_called_and_a_failure_has_a_reason() -> N
         ),
     ],
 )
-async def test_what_is_wrong_is_reported_and_the_client_stays(request_text: str, reason: str) -> None:
+async def test_invalid_request_is_reported_and_the_client_stays(request_text: str, reason: str) -> None:
     async with daemon() as host, fake_device(host.tcp, robot_topics()) as device, client(host) as program:
         await program.socket.send_str(request_text)
         status = await program.receive()

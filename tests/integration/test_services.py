@@ -57,7 +57,7 @@ async def test_calls_wait_for_their_turn_and_get_their_own_answers() -> None:
         assert [(await call)["message"] for call in calls] == ["0", "1", "2"]
 
 
-async def test_a_service_that_does_not_answer_has_a_deadline_and_its_late_answer_is_nobodys() -> None:
+async def test_call_without_answer_times_out_and_its_late_answer_is_dropped() -> None:
     async with daemon() as host, fake_device(host.tcp, SET_LED) as device:
         with pytest.raises(ServiceFailed, match=r"/set_led: no answer within 0\.05 s"):
             await host.hub.services.call("/set_led", {"data": True}, timeout_s=0.05)
@@ -70,7 +70,7 @@ async def test_a_service_that_does_not_answer_has_a_deadline_and_its_late_answer
             assert (await call)["message"] == "mine"
 
 
-async def test_an_answer_that_never_comes_does_not_block_the_next_call() -> None:
+async def test_missing_answer_does_not_block_the_next_call() -> None:
     async with daemon() as host, fake_device(host.tcp, SET_LED) as device:
         with pytest.raises(ServiceFailed, match="no answer within"):
             await host.hub.services.call("/set_led", {"data": True}, timeout_s=0.05)
@@ -169,7 +169,7 @@ async def test_a_device_cannot_replace_hostlinks_own_services() -> None:
 
 
 def test_a_call_occupies_a_device_for_a_minute_at_most() -> None:
-    """Its request may be lost on the way, and others wait."""
+    """The request may be lost on the way, and other calls wait."""
     sent: list[float] = []
 
     async def run() -> list[str]:

@@ -37,8 +37,6 @@ from tests.support.gates import drive_gate
 from tests.support.simulated import DisturbedRobot, simulated_robot
 from tests.support.waiting import expect
 
-pytestmark = pytest.mark.quiet  # a step is a measurement: where commands come late there is none
-
 SLOW = make_stage(0.04, 1.5, None, 0.21)  # 33 ticks/s: a set-point that is there after 0.6 s
 PLOT = topic(Id.PUBLISHER, 126, "/robot_0/plot_data", "geometry_msgs/Twist")
 
@@ -103,7 +101,7 @@ async def test_one_wheel_alone_is_driven_and_recorded() -> None:
     assert rolled_m[1] < -0.015
 
 
-async def test_whoever_is_less_important_gives_way_and_is_stopped_first() -> None:
+async def test_driver_of_lower_priority_is_stopped_before_the_step() -> None:
     async with bench() as (host, _, me), connect(host.url) as demo:
         await demo.robot("robot_0", priority=0).drive(0.1, 0.0)
         await expect(lambda: host.hub.robots.find("robot_0").gate.owner_name is not None)
@@ -112,8 +110,8 @@ async def test_whoever_is_less_important_gives_way_and_is_stopped_first() -> Non
     assert np.abs(left.measured[left.t_s < 0]).max() < 1.5
 
 
-async def test_whoever_begins_meanwhile_and_is_less_important_gives_way_too() -> None:
-    """As the demo does: it drives whenever nobody else has for a while."""
+async def test_driver_of_lower_priority_that_begins_meanwhile_does_not_disturb_the_step() -> None:
+    """The demo is such a driver: it drives whenever the robot was idle for a while."""
     async with bench() as (host, _, me), asyncio.TaskGroup() as tasks:
         idle = host.hub.join("demo", priority=0)
         step = tasks.create_task(record(me))
@@ -141,7 +139,7 @@ async def test_a_cancelled_step_stops_the_robot_at_once() -> None:
         await stands(robot)
 
 
-# -- what comes between -----------------------------------------------------------------------------------------------
+# -- interruptions ----------------------------------------------------------------------------------------------------
 
 
 async def test_a_person_who_takes_over_ends_the_step_and_keeps_the_robot() -> None:
@@ -162,7 +160,7 @@ async def test_a_program_that_begins_while_the_step_waits_keeps_the_robot() -> N
         gate = host.hub.robots.find("robot_0").gate
         await expect(lambda: gate.counts.stops > 0)
         await other.robot("robot_0").drive(0.1, 0.0)
-        assert "drives it; end that first" in await step
+        assert "; end that program first" in await step
         assert gate.counts.stops == 1
         assert gate.owner_name is not None
 
@@ -188,14 +186,14 @@ async def test_a_robot_that_leaves_ends_the_step() -> None:
             await connected_state(me.robot("robot_0"))
 
 
-async def test_a_robot_that_somebody_drives_is_refused() -> None:
+async def test_driven_robot_is_refused() -> None:
     async with bench() as (host, _, me), connect(host.url) as other:
         await other.robot("robot_0").drive(0.1, 0.0)
-        with pytest.raises(HostlinkError, match="drives it; end that first"):
+        with pytest.raises(HostlinkError, match="; end that program first"):
             await connected_state(me.robot("robot_0"))
 
 
-async def test_a_robot_that_nobody_knows_is_refused_with_those_that_are() -> None:
+async def test_unknown_robot_is_refused_with_the_known_names() -> None:
     async with bench() as (_, _, me):
         with pytest.raises(UnknownTopic, match="no robot named robot_7; known: robot_0"):
             await require_robot(me, "robot_7")
@@ -252,7 +250,7 @@ async def roll(device: FakeDevice) -> None:
 
 async def test_a_robot_that_sends_nothing_is_not_driven() -> None:
     async with daemon() as host, fake_device(host.tcp, [*robot_topics(), PLOT]) as device, connect(host.url) as me:
-        assert "nothing comes on /robot_0/plot_data" in await refused(record(me))
+        assert "/robot_0/plot_data had no message in 2 s" in await refused(record(me))
         with pytest.raises(TimeoutError):
             async with asyncio.timeout(0.5):
                 await device.velocity_other_than((0.0, 0.0))
@@ -281,7 +279,7 @@ async def run_away(device: FakeDevice) -> None:
 
 
 def motor_record() -> Record:
-    """Of a motor with K 0.07, T 0.4 s and no dead time, along a ramp."""
+    """Return the record of a motor with K 0.07, T 0.4 s and no dead time, along a ramp."""
     t_s = np.arange(80) / 10
     pwm = 900 + 1500 * np.clip((t_s - 1) / 3, 0, 1)
     measured = np.zeros(80)
@@ -321,7 +319,7 @@ async def test_present_gains_and_the_track_are_those_of_the_configuration() -> N
     assert any("of the configuration" in line for line in tuning.lines())
 
 
-async def test_a_track_that_is_a_setting_of_the_robot_counts_where_there_is_no_parameter() -> None:
+async def test_track_width_without_a_parameter_is_the_robots_setting() -> None:
     robots = {"robot_0": RobotConfig(wheel_separation_m=0.33)}
     async with bench(Config(robots=robots)) as (_, _, me):
         assert await separation_of(me, "robot_0") == 0.33
@@ -335,17 +333,19 @@ async def test_plot_data_that_falls_silent_ends_the_step_within_a_second() -> No
         await stepping(host)
         robot.is_plot_silent = True
         await expect(lambda: host.hub.robots.find("robot_0").gate.current.is_zero, timeout_s=1.1)
-        assert await drive == "/robot_0/plot_data has fallen silent; the robot was sent a stop"
+        assert await drive == "/robot_0/plot_data had no message for 0.9 s; the robot was sent a stop"
         await stands(robot)
 
 
 @pytest.mark.parametrize("parameters", [{}, {"/robot_0/wheel_separation": 0.0}, {"/robot_0/wheel_separation": 210}])
-async def test_without_a_track_that_can_be_it_is_the_paper_s(parameters: dict[str, ParameterValue]) -> None:
+async def test_invalid_track_width_is_replaced_by_the_papers(parameters: dict[str, ParameterValue]) -> None:
     async with bench(Config(parameters=parameters)) as (_, _, me):
         assert await separation_of(me, "robot_0") == 0.210
 
 
 async def test_a_robot_that_accepts_no_gains_is_named() -> None:
     async with daemon() as host, fake_device(host.tcp, [*robot_topics(), PLOT]), connect(host.url) as me:
-        with pytest.raises(HostlinkError, match="robot_0 accepts no gains: it subscribes to no pid_tune_l"):
+        with pytest.raises(
+            HostlinkError, match="robot_0 accepts no gains, because it does not subscribe to pid_tune_l"
+        ):
             await tune(me, "robot_0", {"left": motor_record()}, sends=True)

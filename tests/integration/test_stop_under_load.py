@@ -27,6 +27,7 @@ from hostlink.robot.admission import LEASE_S
 from hostlink.robot.velocity import TWIST_TYPE, ZERO, PlanarVelocity
 from tests.support.fake_device import robot_topics
 from tests.support.gates import drive_gate
+from tests.support.memory_hub import MemoryHub, in_hub
 from tests.support.memory_transport import MemoryTransport, memory_pair
 from tests.support.participants import publish
 from tests.support.remote_robots import remote_robot
@@ -36,8 +37,6 @@ from tests.support.virtual_loop import VirtualLoop, run_virtual
 from tests.support.virtual_world import CATALOG, World, world
 from tests.support.waiting import expect
 from tools.faults import Script
-
-pytestmark = pytest.mark.quiet
 
 STOP = bytes(48)
 LINE_S = 0.020  # one velocity on the line, and what the passthrough adds
@@ -66,7 +65,7 @@ async def driven(made: World, seconds: float = 1.0) -> None:
 
 
 def received_at_s(robot: NumberedRobot, since_s: float) -> float:
-    """When the first stop after `since_s` reached the robot; nothing else may come after it."""
+    """Return when the first stop after `since_s` reached the robot. Check that only stops follow."""
     later = [(at_s, payload) for at_s, payload in robot.commands if at_s >= since_s]
     first = next(number for number, (_, payload) in enumerate(later) if payload == STOP)
     assert {payload for _, payload in later[first:]} == {STOP}
@@ -115,7 +114,7 @@ def test_a_loop_that_is_busy_for_95_of_100_delays_a_stop_by_its_own_turns_only()
     numbered(check)
 
 
-def test_a_thousand_commands_at_once_are_one_and_the_stop_comes_after_it() -> None:
+def test_thousand_commands_at_once_are_sent_as_one_before_the_stop() -> None:
     async def check(made: World, robot: NumberedRobot) -> None:
         since_s = loop().time()
         for number in range(1000):
@@ -151,8 +150,8 @@ def test_a_thousand_messages_of_other_topics_do_not_delay_a_stop() -> None:
     run_virtual(run())
 
 
-def test_a_daemon_that_stands_still_leaves_a_standing_robot_and_goes_on_with_zero() -> None:
-    """Nobody but the robot's own watchdog can stop it then; what was commanded before must not move it afterwards."""
+def test_stalled_daemon_sends_only_zero_afterwards() -> None:
+    """Only the robot's own watchdog can stop it during the stall. Earlier commands must not move it afterwards."""
 
     async def run() -> None:
         program = FirmwareProgram()
@@ -173,7 +172,7 @@ def test_a_daemon_that_stands_still_leaves_a_standing_robot_and_goes_on_with_zer
     run_virtual(run())
 
 
-def test_commands_that_waited_while_the_daemon_stood_still_are_not_obeyed_and_zeros_are() -> None:
+def test_commands_that_waited_during_a_stall_are_refused_and_zeros_are_sent() -> None:
     async def check(made: World, robot: NumberedRobot) -> None:
         since_s = loop().time()
         loop().burn(3.0)
@@ -194,27 +193,24 @@ def test_commands_that_waited_while_the_daemon_stood_still_are_not_obeyed_and_ze
     numbered(check)
 
 
-def test_a_robot_that_nobody_has_driven_for_minutes_is_driven_at_once_unless_the_daemon_stood_still() -> None:
-    async def run() -> None:
-        program = FirmwareProgram()
-        with capture_logs() as logs:
-            async with world(Script(), program, loop_s=program.loop_s) as made:
-                await ready(made)
-                await asyncio.sleep(300.0)
-                drive(made)
-                await asyncio.sleep(300.0)
-                loop().burn(0.7)
-                with pytest.raises(CommandRefused, match=r"velocity is 0\.\d s old"):
-                    drive(made)
-                await asyncio.sleep(0.3)
-                drive(made)
-        assert [log["seconds"] for log in logs if log["event"] == "daemon.stalled"] == [pytest.approx(0.7, abs=0.11)]
+def test_robot_that_was_idle_for_minutes_is_driven_at_once_unless_the_daemon_stalled() -> None:
+    async def check(made: MemoryHub) -> None:
+        await made.connect()
+        await asyncio.sleep(300.0)
+        drive_gate(made.robot(), FAST, owner="test")
+        await asyncio.sleep(300.0)
+        loop().burn(0.7)
+        with pytest.raises(CommandRefused, match=r"velocity is 0\.\d s old"):
+            drive_gate(made.robot(), FAST, owner="test")
+        await asyncio.sleep(0.3)
+        drive_gate(made.robot(), FAST, owner="test")
+        assert [log["seconds"] for log in made.logged("daemon.stalled")] == [pytest.approx(0.7, abs=0.11)]
 
-    run_virtual(run())
+    in_hub(check, Config(link=LinkConfig(silence_timeout_s=None, idle_timeout_s=None)))
 
 
 class OtherDaemon:
-    """Another daemon, with one robot. It takes whatever it receives for new."""
+    """Another daemon with one robot, which takes any received velocity as new."""
 
     def __init__(self) -> None:
         self.driven: list[PlanarVelocity] = []
@@ -245,7 +241,7 @@ async def with_other_daemon() -> AsyncIterator[tuple[Hub, OtherDaemon]]:
 
 
 @pytest.mark.parametrize("way", ["by name", "by topic"])
-def test_commands_that_waited_while_the_daemon_stood_still_drive_no_robot_of_another_daemon(way: str) -> None:
+def test_commands_that_waited_during_a_stall_drive_no_robot_of_another_daemon(way: str) -> None:
     """That one cannot know how long they have waited here."""
 
     async def run() -> list[PlanarVelocity]:
@@ -271,7 +267,7 @@ def test_commands_that_waited_while_the_daemon_stood_still_drive_no_robot_of_ano
     assert run_virtual(run()) == [FAST, ZERO, FAST]
 
 
-def test_what_arrived_a_lease_ago_drives_no_robot_of_another_daemon() -> None:
+def test_command_that_arrived_a_lease_ago_drives_no_robot_of_another_daemon() -> None:
     """A joystick whose old connection seems alive is known seconds after it has sent something."""
 
     async def run() -> list[PlanarVelocity]:
@@ -349,7 +345,7 @@ async def deaf(room_bytes: int, write_timeout_s: float = 5.0) -> AsyncIterator[D
 
 
 def test_a_socket_that_was_full_delivers_the_stop_and_nothing_that_was_commanded_before_it() -> None:
-    """What the kernel has taken cannot be taken back: here two frames. Of all later ones only the newest is left."""
+    """Frames in the kernel's buffer cannot be taken back: here two. Of all later frames only the newest is left."""
 
     async def run() -> None:
         async with deaf(room_bytes=2 * 56) as device:
@@ -385,7 +381,7 @@ def test_a_socket_that_stays_full_ends_its_link() -> None:
 
 
 def test_a_velocity_that_waited_for_the_loop_has_the_rest_of_its_lease_alone() -> None:
-    """It may have come when the turn of the loop began that took 0.4 s."""
+    """The velocity may have arrived when the turn of the loop began that lasted 0.4 s."""
 
     async def check(made: World, robot: NumberedRobot) -> None:
         loop().burn(0.4)

@@ -1,4 +1,4 @@
-"""The port for devices among connections that are no robots: robots are admitted, and counted."""
+"""Device port among connections that are not robots: robots are admitted, and the others are counted."""
 
 import asyncio
 import contextlib
@@ -16,7 +16,7 @@ ROBOT, CROWD = "127.0.0.2", "127.0.0.3"
 
 @contextlib.asynccontextmanager
 async def silent_connections(address: tuple[str, int], count: int, *, local_host: str) -> AsyncIterator[None]:
-    """This many connections that never send a byte."""
+    """Open this many connections that never send a byte."""
     writers = []
     for _ in range(count):
         _, writer = await asyncio.open_connection(*address, local_addr=(local_host, 0))
@@ -40,7 +40,7 @@ async def test_an_address_that_is_not_allowed_receives_nothing_and_is_counted() 
 
 
 async def test_a_silent_crowd_does_not_keep_a_robot_out() -> None:
-    """Neither one that comes from a single address, nor one from many."""
+    """The crowd connects from a single address, or from many."""
     config = Config(tcp=TcpConfig(max_connections=20, max_connections_per_address=15))
     with capture_logs() as lines:
         async with daemon(config) as host, silent_connections(host.tcp, 300, local_host=CROWD):

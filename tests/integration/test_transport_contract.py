@@ -1,4 +1,4 @@
-"""What every transport promises, checked on TCP, on UDP, on a serial line (a pseudo terminal) and in memory."""
+"""Contract of every transport, checked on TCP, UDP, a serial line (a pseudo terminal) and in memory."""
 
 import asyncio
 import contextlib
@@ -200,7 +200,7 @@ async def ends(request: pytest.FixtureRequest) -> AsyncIterator[tuple[Transport,
 
 @pytest.fixture(params=[tcp, serial, memory], ids=lambda opened: opened.__name__)
 async def connected_ends(request: pytest.FixtureRequest) -> AsyncIterator[tuple[Transport, Peer]]:
-    """Of those that know when the peer is gone or behind: a sender of datagrams learns neither."""
+    """Return both ends of transports that notice a slow or closed peer. A sender of datagrams notices neither."""
     async with request.param() as pair:
         yield pair
 
@@ -228,7 +228,7 @@ async def has_ended(transport: Transport) -> bool:
 
 
 class TestContract:
-    """The same for all."""
+    """Rules that hold for every transport."""
 
     @pytest.mark.parametrize("piece_bytes", [1, 7, 100, 1024, len(DATA)])
     async def test_bytes_arrive_in_order_however_split(self, ends: tuple[Transport, Peer], piece_bytes: int) -> None:
@@ -252,7 +252,7 @@ class TestContract:
                 reading = tasks.create_task(transport.receive())
                 await asyncio.sleep(0)
                 await peer.send(piece)
-                for _ in range(number % 6):  # the cancel comes before, with and after the bytes
+                for _ in range(number % 6):  # the cancellation is before, with and after the bytes
                     await asyncio.sleep(0)
                 reading.cancel()
                 with contextlib.suppress(asyncio.CancelledError):
@@ -282,9 +282,7 @@ class TestContract:
         with pytest.raises(OSError, match=r"."):
             await send_without_end(transport)
 
-    async def test_send_waits_for_a_peer_that_does_not_read_and_goes_on_when_it_does(
-        self, connected_ends: tuple[Transport, Peer]
-    ) -> None:
+    async def test_send_waits_until_the_peer_reads(self, connected_ends: tuple[Transport, Peer]) -> None:
         transport, peer = connected_ends
         data = DATA * 256
         async with asyncio.TaskGroup() as tasks:
@@ -334,7 +332,7 @@ class TestContract:
             await transport.aclose()
         assert reading.result()
 
-    async def test_what_was_sent_before_closing_still_arrives(self, ends: tuple[Transport, Peer]) -> None:
+    async def test_bytes_sent_before_closing_still_arrive(self, ends: tuple[Transport, Peer]) -> None:
         transport, peer = ends
         async with asyncio.TaskGroup() as tasks:
             reading = tasks.create_task(peer.receive(len(DATA)))

@@ -43,7 +43,7 @@ async def host_of(udp: UdpConfig = UDP, **parts: object) -> AsyncIterator[Daemon
 
 @contextlib.contextmanager
 def blind_sockets(count: int, to: tuple[str, int], *, local_host: str = VICTIM) -> Iterator[list[socket.socket]]:
-    """Each from a port of its own, as forged sources would be: what comes back is never read in between."""
+    """Open sockets on ports of their own, as forged sources have. Their answers are never read in between."""
     with contextlib.ExitStack() as opened:
         made = []
         for _ in range(count):
@@ -56,7 +56,7 @@ def blind_sockets(count: int, to: tuple[str, int], *, local_host: str = VICTIM) 
 
 
 def came_back(sender: socket.socket) -> int:
-    """How many bytes."""
+    """Return the number of received bytes."""
     total = 0
     with contextlib.suppress(BlockingIOError):
         while True:
@@ -115,7 +115,7 @@ class TestSession:
             await device.announce(robot_topics())
             await expect(lambda: robot.link is not None)
 
-    async def test_a_robot_that_comes_from_another_port_after_a_reboot_keeps_its_name(self) -> None:
+    async def test_robot_that_reboots_to_another_port_keeps_its_name(self) -> None:
         async with host_of() as host:
             async with udp_device(host.udp, robot_topics(), local=(ROBOT, 0)) as before:
                 await before.send(pose(1.0))
@@ -139,13 +139,13 @@ class TestSession:
                     came.append(await asyncio.get_running_loop().sock_recv(device.socket, 65536))
                 assert [len(each) for each in came if len(each) not in OTHER_BYTES] == sizes
 
-    async def test_a_port_that_nobody_has_ends_the_session_of_its_device_alone(self) -> None:
+    async def test_closed_device_port_ends_the_session_of_its_device_alone(self) -> None:
         async with host_of() as host, udp_device(host.udp, robot_topics("stays"), local=(ROBOT, 0)) as stays:
             async with udp_device(host.udp, robot_topics("goes"), local=(OTHER, 0)) as goes:
                 await goes.send(pose(0.0))
                 await expect(lambda: len(host.hub.robots.all()) == 2)
             gone = host.hub.robots.find("goes")
-            for _ in range(5):  # the system of the device answers that nobody has its port
+            for _ in range(5):  # the device's kernel answers that its port is closed
                 await host.rest("PUT", "/api/robots/goes/velocity", b'{"linear": 0.2, "angular": 0}')
                 await asyncio.sleep(0.02)
             await expect(lambda: gone.link is None)
@@ -153,7 +153,7 @@ class TestSession:
             await expect(lambda: host.hub.topics.find("/stays/odometry").messages == 1)
             assert host.hub.robots.find("stays").link is not None
 
-    async def test_what_is_larger_than_any_frame_of_a_device_is_dropped(self) -> None:
+    async def test_datagram_larger_than_any_device_frame_is_dropped(self) -> None:
         async with host_of() as host, udp_device(host.udp, robot_topics()) as device:
             await device.send(bytes(20_000))
             await device.send(b"")
@@ -270,7 +270,7 @@ class TestStrangers:
             assert await device.velocity_other_than((0.2, 0.0)) == (0.0, 0.0)
             assert device.received_bytes <= device.sent_bytes
 
-    async def test_what_could_not_be_sent_to_it_does_not_come_after_a_stop(self) -> None:
+    async def test_velocity_that_could_not_be_sent_is_not_sent_after_a_stop(self) -> None:
         async with host_of(UdpConfig()) as host, udp_device(host.udp, robot_topics()) as device:
             await expect(host.hub.robots.all)
             robot, program = host.hub.robots.find("robot_0"), host.hub.join("a program")
@@ -311,7 +311,7 @@ class TestStrangers:
             assert works_link is not None
             assert works_link.peer == "{}:{}".format(*works.address)
 
-    async def test_one_that_repeats_a_robots_names_from_its_address_does_not_replace_it(self) -> None:
+    async def test_session_that_repeats_a_robots_names_from_its_address_does_not_replace_it(self) -> None:
         async with host_of(UdpConfig()) as host, udp_device(host.udp, robot_topics(), local=(ROBOT, 0)) as robot:
             infos = b"".join(encode(info.kind, encode_topic_info(info)) for info in robot_topics())
             with blind_sockets(1, host.udp, local_host=ROBOT) as (forged,):
@@ -353,7 +353,7 @@ class TestInvitation:
             assert host.hub.links.all()[0].peer == "{}:{}".format(*local)
 
     @pytest.mark.parametrize("text", ["192.168.4.2", "robot:11411", "192.168.4.2:0", "192.168.4.2:65536", ":11411"])
-    def test_what_is_no_address_is_refused(self, text: str) -> None:
+    def test_invalid_address_is_refused(self, text: str) -> None:
         with pytest.raises(ValueError, match=r"HOST:PORT|does not appear to be"):
             UdpConfig(devices=(text,))
 

@@ -43,7 +43,7 @@ for sender in itertools.cycle(senders):
 
 @contextlib.asynccontextmanager
 async def flood(to: tuple[str, int], data: bytes, *, sockets: int, local_host: str = CROWD) -> AsyncIterator[None]:
-    """As many datagrams as one process can send."""
+    """Send as many datagrams as one process can."""
     words = [*GOES_LAST, sys.executable, "-c", FLOOD, to[0], str(to[1]), local_host, data.hex(), str(sockets)]
     process = await asyncio.create_subprocess_exec(*words, stdout=asyncio.subprocess.PIPE)
     assert process.stdout is not None
@@ -56,7 +56,7 @@ async def flood(to: tuple[str, int], data: bytes, *, sockets: int, local_host: s
 
 
 async def stop_again_and_again(hub: Hub, device: UdpDevice) -> list[float]:
-    """How long each stop was on its way to the device; its poses come all the while."""
+    """Return how long each stop was on its way to the device, which sends poses meanwhile."""
     robot, participant = hub.robots.find("robot_0"), hub.join("a program")
     lasted_s = []
     for number in range(STOPS):
@@ -88,12 +88,12 @@ async def test_a_stop_is_on_time_and_the_robots_own_datagrams_arrive(data: bytes
         await expect(lambda: host.hub.topics.find("/robot_0/odometry").messages == STOPS)
 
 
-async def test_a_robot_comes_in_beside_a_flood_of_greetings() -> None:
+async def test_robot_connects_during_a_flood_of_greetings() -> None:
     udp = UdpConfig(host="127.0.0.1", port=0, trusted=(f"{ROBOT}/32",))
     async with daemon(Config(udp=udp)) as host, flood(host.udp, GREETING, sockets=200):
         await asyncio.sleep(0.2)
         async with contextlib.AsyncExitStack() as opened:
-            for _ in itertools.count():  # what the kernel's full buffer drops comes again
+            for _ in itertools.count():  # datagrams that the kernel's full buffer drops are sent again
                 device = await opened.enter_async_context(udp_device(host.udp, local=(ROBOT, 0)))
                 for _ in range(20):
                     await device.greet()

@@ -14,7 +14,7 @@ from tests.support.background import meanwhile
 from tests.support.daemon import daemon
 from tests.support.waiting import expect
 
-pytestmark = [pytest.mark.timeout(60), pytest.mark.quiet]
+pytestmark = pytest.mark.timeout(60)
 HOST = "127.0.0.1"
 FORWARD = PlanarVelocity(x_m_s=0.2)
 
@@ -37,7 +37,7 @@ async def drive_until(hub: Hub, wanted_m: float) -> None:
 
 
 @pytest.mark.parametrize("trusted", [(), ("127.0.0.0/8",)], ids=["not verified", "trusted"])
-async def test_it_is_driven_and_stops_when_its_driver_leaves(trusted: tuple[str, ...]) -> None:
+async def test_robot_over_udp_is_driven_and_stops_when_its_driver_leaves(trusted: tuple[str, ...]) -> None:
     config = Config(udp=UdpConfig(host=HOST, port=0, trusted=trusted))
     async with daemon(config) as host, fleet(host.udp[1]):
         await expect(lambda: host.hub.robots.all() and x_m(host.hub) == 0.0)

@@ -1,4 +1,4 @@
-"""How much of what was written to a connection has not arrived."""
+"""Number of written bytes of a connection that have not arrived."""
 
 import asyncio
 import contextlib
@@ -31,7 +31,7 @@ async def connection() -> AsyncIterator[tuple[asyncio.Transport, asyncio.StreamR
             await asyncio.sleep(0)  # the ends are closed in the next turn
 
 
-async def test_what_nobody_reads_is_counted_until_it_is_read() -> None:
+async def test_unread_bytes_are_counted_until_they_are_read() -> None:
     async with connection() as (transport, reader):
         assert unread_bytes(transport) == 0
         transport.write(bytes(SENT_BYTES))
@@ -44,7 +44,7 @@ async def test_what_nobody_reads_is_counted_until_it_is_read() -> None:
         assert unread_bytes(transport) <= MOST_BYTES
 
 
-async def test_a_connection_that_is_closed_is_waited_for_by_nobody() -> None:
+async def test_wait_for_a_closed_connection_returns_at_once() -> None:
     async with connection() as (transport, _):
         transport.write(bytes(SENT_BYTES))
         transport.abort()
@@ -54,7 +54,7 @@ async def test_a_connection_that_is_closed_is_waited_for_by_nobody() -> None:
             await until_read(None, 1.0)
 
 
-async def test_a_connection_that_is_closed_while_somebody_waits_is_closed_for_him() -> None:
+async def test_wait_returns_when_the_connection_closes() -> None:
     async with connection() as (transport, _):
         transport.write(bytes(SENT_BYTES))
         asyncio.get_running_loop().call_soon(transport.abort)

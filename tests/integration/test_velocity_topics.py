@@ -195,7 +195,7 @@ def test_locked_robot_is_locked_on_its_second_topic() -> None:
     play_twisted(SECOND, test)
 
 
-def test_lock_applies_to_a_second_topic_that_comes_later_and_ends_with_the_unlock() -> None:
+def test_lock_applies_to_a_second_topic_that_appears_later_and_ends_with_the_unlock() -> None:
     async def test(made: Scene) -> None:
         robot = made.hub.robots.find(ROBOT)
         robot.lock("smoke")
@@ -246,7 +246,7 @@ def test_second_velocity_of_a_robot_has_the_robots_limits_and_another_device_non
         assert run_virtual(run()) == (twist(0.25), twist(30.0))
 
 
-def test_what_a_device_commanded_before_it_was_known_who_it_is_is_not_obeyed_late() -> None:
+def test_commands_of_a_device_before_its_identification_are_not_obeyed_later() -> None:
     async def test(made: Scene) -> None:
         drives = topic(Id.PUBLISHER, 126, f"/{NEIGHBOUR}/velocity_commands", "geometry_msgs/Twist")
         made.robot.task.cancel()  # it answers nothing: whether the new one is the same takes time to find out
@@ -322,7 +322,7 @@ def test_twist_with_a_component_that_no_robot_has_is_refused(name: str, speed_m_
 class TestOneRobot:
     """Several velocity topics of one robot, as a base and an arm: one robot, for who is more important."""
 
-    def test_who_is_less_important_drives_none_of_them(self) -> None:
+    def test_driver_of_lower_priority_drives_neither_topic(self) -> None:
         async def test(made: Arm) -> None:
             person, script = made.hub.join("person", priority=60), made.hub.join("script")
             for driven, other in ((VELOCITY, ARM), (ARM, VELOCITY)):
@@ -337,7 +337,7 @@ class TestOneRobot:
 
         play_arm(test)
 
-    def test_who_is_more_important_stops_what_others_drive_at_once(self) -> None:
+    def test_driver_of_higher_priority_stops_other_drivers_at_once(self) -> None:
         async def test(made: Arm) -> None:
             person, script = made.hub.join("person", priority=60), made.hub.join("script")
             for driven, other, other_id in ((VELOCITY, ARM, ARM_ID), (ARM, VELOCITY, VELOCITY_ID)):
@@ -385,7 +385,7 @@ class TestOneRobot:
 
         play_arm(test)
 
-    def test_a_zero_of_who_is_more_important_claims_nothing(self) -> None:
+    def test_zero_of_higher_priority_claims_nothing(self) -> None:
         async def test(made: Arm) -> None:
             person, script = made.hub.join("person", priority=60), made.hub.join("script")
             script.publish(ARM, twist(0.3))
@@ -396,7 +396,7 @@ class TestOneRobot:
 
         play_arm(test)
 
-    def test_who_leaves_claims_nothing_any_more_of_both(self) -> None:
+    def test_driver_that_leaves_releases_both_topics(self) -> None:
         async def test(made: Arm) -> None:
             person, script = made.hub.join("person", priority=60), made.hub.join("script")
             person.publish(VELOCITY, twist(0.2))
@@ -416,7 +416,7 @@ class TestOneRobot:
 
         play_arm(test)
 
-    def test_the_topics_of_a_device_that_is_no_robot_are_driven_apart(self) -> None:
+    def test_velocity_topics_of_a_device_that_is_not_a_robot_are_driven_apart(self) -> None:
         async def test(made: Scene) -> None:
             infos = [*NO_POSE, topic(Id.SUBSCRIBER, 102, "/crane/cmd_vel", "geometry_msgs/Twist")]
             device = ScriptedDevice(made.hub, infos, address="10.0.0.3")

@@ -1,4 +1,4 @@
-"""What today's hosts do, situation by situation, and what hostlink does instead (docs/reliability.md#todays-hosts).
+"""Behaviour of today's hosts and of hostlink, situation by situation (docs/reliability.md#todays-hosts).
 
 A test's docstring says it: what rosserial_python does | what rosserial_server does. Both were seen by running them.
 """
@@ -52,7 +52,7 @@ async def messages(host: Daemon, count: int) -> None:
 
 
 async def test_a_device_that_resets_in_the_middle_of_a_frame() -> None:
-    """The process dies | closes, keeps listening. Here: the link ends, everybody else goes on."""
+    """The process dies | closes, keeps listening. Here: the link ends, all others go on."""
     async with daemon() as host, fake_device(host.tcp, robot_topics("other")) as other:
         with socket.create_connection(host.tcp) as device:
             device.sendall(pose(1.0)[:13])
@@ -89,7 +89,7 @@ async def test_a_parameter_that_is_an_empty_list() -> None:
 
 
 async def test_a_payload_too_short_for_its_type() -> None:
-    """The process dies | passed on. Here: no frame of that type has that size, so it is none; it is counted."""
+    """The process dies | passed on. Here: no frame of that type has that size, so the frame is rejected and counted."""
     async with daemon() as host, fake_device(host.tcp, robot_topics()) as device:
         await device.send(encode(125, bytes(8)) + pose(1.0))
         await messages(host, 1)
@@ -97,7 +97,7 @@ async def test_a_payload_too_short_for_its_type() -> None:
 
 
 async def test_a_half_open_link_and_the_robot_on_a_new_connection() -> None:
-    """It gets nothing | the old one is closed after 5 s of silence. Here: the new one wins at once."""
+    """The device gets nothing | the old link is closed after 5 s of silence. Here: the new link wins at once."""
     async with daemon() as host, fake_device(host.tcp, robot_topics()):
         await expect(lambda: host.hub.robots.find("robot_0").link)
         watch = Stopwatch()
@@ -166,7 +166,7 @@ async def test_a_service_of_a_device_that_never_answers() -> None:
 
 
 async def test_a_message_larger_than_the_device_buffer() -> None:
-    """The session ends | sent all the same. Here: refused to its sender, and the session goes on."""
+    """The session ends | sent all the same. Here: refused to its sender, and the session continues."""
     text = [topic(Id.SUBSCRIBER, 100, "/text", "std_msgs/String", buffer_bytes=64)]
     async with daemon() as host, fake_device(host.tcp, text) as device:
         with pytest.raises(FrameTooLarge):
@@ -231,7 +231,7 @@ async def test_an_illegal_topic_name() -> None:
 
 
 async def test_a_wrong_md5() -> None:
-    """The topic is refused | publishes what nobody can connect to. Here: refused, with both sums; the others go on."""
+    """The topic is refused | published, useless to subscribers. Here: refused, with both sums; others go on."""
     wrong = topic(Id.PUBLISHER, 126, "/odd", "std_msgs/Bool")._replace(md5="0" * 32)
     with capture_logs() as lines:
         async with daemon() as host, fake_device(host.tcp, [*robot_topics(), wrong]) as device:

@@ -22,7 +22,7 @@ TICK_S = 0.125  # every time is a multiple, so that no sum is rounded
 
 @dataclass
 class Heard:
-    """What one source has given since it came."""
+    """Commands of one source since it joined."""
 
     commanded_s: list[float] = field(default_factory=list)  # of every non-zero command since the last zero
     interrupted_s: float | None = None  # the last interruption that met it while it was commanding

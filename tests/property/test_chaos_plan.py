@@ -1,4 +1,4 @@
-"""What the generator of chaos draws, over hundreds of draws."""
+"""Generator of chaos, checked over hundreds of draws."""
 
 import random
 

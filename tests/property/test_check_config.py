@@ -1,4 +1,4 @@
-"""Whatever `serve` would refuse, the check refuses, and nothing else: drawn from settings that are right and wrong."""
+"""The configuration check refuses exactly what `serve` would refuse, for drawn right and wrong settings."""
 
 import asyncio
 import contextlib
@@ -10,7 +10,7 @@ from typing import Any
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from hostlink.api.connections import KEPT_FOR_REQUESTS
+from hostlink.api.listener import KEPT_FOR_REQUESTS
 from hostlink.cli.check import FEWEST, NODE_SHARES, check, fitted
 from hostlink.cli.serve import running
 from hostlink.config import (
@@ -101,7 +101,7 @@ configs = st.builds(
 
 
 def with_free_ports(config: Config) -> Config:
-    """What is not drawn must not be another daemon's."""
+    """Replace ports that were not drawn by free ones, because another daemon may have them."""
     tcp = config.tcp if config.tcp.port != TcpConfig().port else dataclasses.replace(config.tcp, port=0)
     api = config.api if config.api.port != ApiConfig().port else dataclasses.replace(config.api, port=0)
     return dataclasses.replace(config, tcp=tcp, api=api)
@@ -114,7 +114,7 @@ async def begin(config: Config) -> None:
 
 @given(configs.map(with_free_ports))
 @settings(max_examples=150, deadline=None)
-def test_what_the_check_accepts_is_served_and_what_serve_refuses_the_check_refuses(config: Config) -> None:
+def test_check_accepts_exactly_the_configurations_that_serve_accepts(config: Config) -> None:
     try:
         asyncio.run(check(config, descriptors=1024))
     except ConfigError:
@@ -128,7 +128,7 @@ WANTED = st.integers(2, 40) | st.integers(2, 2**40)
 @given(WANTED, st.none() | WANTED, st.integers(17, 2**40), st.none() | WANTED, st.integers(FEWEST, 8192))
 @example(256, None, 2**40, None, 1024)
 @example(2, 2**40, 17, 2**40, FEWEST)
-def test_everybody_has_a_share_of_the_descriptors_whatever_another_wanted(
+def test_every_part_has_a_share_of_the_descriptors(
     devices: int, sessions: int | None, programs: int, nodes: int | None, descriptors: int
 ) -> None:
     config = Config(

@@ -3,7 +3,7 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hostlink.api.rosbridge_request import Fragments
+from hostlink.api.rosbridge import Fragments
 from hostlink.hub.byte_budget import Share
 
 
@@ -13,4 +13,4 @@ def test_any_order_gives_the_message(pieces: list[str], random: object) -> None:
     random.shuffle(order)  # type: ignore[attr-defined]
     got = [fragments.add("m", number=at, total=len(pieces), data=pieces[at], now_s=0.0) for at in order]
     assert got == [None] * (len(pieces) - 1) + ["".join(pieces)]
-    assert fragments.add("m", number=0, total=1, data="x" * 1000, now_s=0.0) == "x" * 1000  # nothing is held any more
+    assert fragments.add("m", number=0, total=1, data="x" * 1000, now_s=0.0) == "x" * 1000  # all pieces were released

@@ -19,6 +19,7 @@ from hostlink.protocol.frame import Frame, Id, encode
 from hostlink.protocol.stream import FrameStream
 from tests.support.fake_device import pose, robot_topics
 from tests.support.memory_transport import MemoryTransport, memory_pair
+from tests.support.strategies import fewer_examples
 from tests.support.virtual_loop import VirtualLoop, run_virtual
 
 CATALOG = Catalog()
@@ -179,6 +180,7 @@ async def live(device: Device, disturbed: list[Pause | Restart], findings: Findi
     raise AssertionError("the group ends by `return` alone")
 
 
+@fewer_examples(2)
 @given(disturbances, st.sampled_from([64, 777, 5840, 1 << 20]))
 @example([Pause(6.0, 9.0)], 5840)
 @example([Pause(2.0, 12.0)] * 4, 5840)
@@ -204,6 +206,7 @@ BESIDE = {"damaged": {"boot_noise"}}  # damage at the beginning of a link looks 
 
 
 @pytest.mark.parametrize("code", SICK)
+@fewer_examples(5)
 @given(disturbed=disturbances)
 def test_sick_device_is_found_after_the_host_has_recovered(code: str, disturbed: list[Pause | Restart]) -> None:
     findings = Findings()
@@ -213,6 +216,7 @@ def test_sick_device_is_found_after_the_host_has_recovered(code: str, disturbed:
     assert found <= {code, *BESIDE.get(code, ())}
 
 
+@fewer_examples(5)
 @given(disturbed=disturbances, wait_s=st.floats(0.0, 4.0))
 def test_device_that_falls_silent_is_found_once_after_the_host_has_recovered(
     disturbed: list[Pause | Restart], wait_s: float

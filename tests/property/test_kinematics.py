@@ -34,7 +34,7 @@ def assert_near(ours: Pose, theirs: Pose, tolerance: float = 1e-9) -> None:
 
 
 def by_the_book(drive: DifferentialDrive, pose: Pose, left_m: float, right_m: float) -> Pose:
-    """The step of docs/robot.md#equations, letter by letter."""
+    """The step of docs/paper-robot.md#equations, letter by letter."""
     d, turned = (left_m + right_m) / 2, (right_m - left_m) / drive.wheel_separation_m
     if abs(turned) < 1e-5:
         dx, dy = d * math.cos(turned / 2), d * math.sin(turned / 2)
@@ -96,7 +96,7 @@ def test_one_long_step_is_many_short_ones(
 
 
 @given(poses, st.floats(-3, 3), st.floats(0.5, 2))
-def test_nothing_jumps_at_the_small_angle(pose: Pose, distance_m: float, factor: float) -> None:
+def test_step_is_continuous_at_the_small_angle(pose: Pose, distance_m: float, factor: float) -> None:
     drive = DifferentialDrive()
     apart_m = SMALL_ANGLE_RAD * factor * drive.wheel_separation_m
     straight = drive.integrate(pose, distance_m, distance_m)
@@ -124,7 +124,7 @@ def test_half_a_turn_is_plus_pi_either_way() -> None:
 
 
 @pytest.mark.parametrize("angle_rad", [math.inf, -math.inf, math.nan])
-def test_no_angle_is_no_angle(angle_rad: float) -> None:
+def test_wrapped_angle_that_is_not_finite_is_nan(angle_rad: float) -> None:
     assert math.isnan(wrap_angle(angle_rad))
 
 

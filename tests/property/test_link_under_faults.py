@@ -11,13 +11,12 @@ import struct
 from collections import Counter
 from contextlib import AbstractAsyncContextManager
 
-import pytest
-from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 from structlog.testing import capture_logs
 
 from hostlink.protocol.frame import encode
+from tests.support.strategies import fewer_examples
 from tests.support.virtual_device import NumberedRobot, pose
 from tests.support.virtual_loop import VirtualLoop
 from tests.support.virtual_world import CATALOG, Tap, World, world
@@ -176,5 +175,5 @@ class Faults(RuleBasedStateMachine):
         assert len(self.robot.commands) >= commands + 4
 
 
-TestFaults = pytest.mark.long(Faults.TestCase)
-TestFaults.settings = settings(stateful_step_count=12, deadline=None)  # type: ignore[union-attr]
+TestFaults = Faults.TestCase
+TestFaults.settings = fewer_examples(3, stateful_step_count=12)

@@ -13,6 +13,7 @@ from hostlink.protocol.control import TopicInfo
 from hostlink.protocol.frame import FIRST_TOPIC_ID, Id, encode
 from hostlink.protocol.topic_table import MAX_MISSED
 from tests.support.session_host import LED, ODOMETRY, TEXT, TIME, Host, wire
+from tests.support.strategies import fewer_examples
 
 MESSAGE = encode(ODOMETRY.topic_id, bytes(24))
 TOPICS = [
@@ -77,6 +78,7 @@ def test_topic_requests_end_soon_after_the_last_lost_datagram(seed: int, loss: f
     assert host.session.counts.topic_requests == before
 
 
+@fewer_examples(3)
 @given(st.integers(0, 2**32), st.booleans())
 def test_changing_topics_are_requested_at_most_once_a_second(seed: int, is_lossy: bool) -> None:
     chance, host = random.Random(seed), Host(is_lossy=is_lossy)

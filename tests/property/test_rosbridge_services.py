@@ -1,4 +1,4 @@
-"""Services between programs: whatever they offer, take back, answer, or leave, each call is answered exactly once."""
+"""Services between programs: each call is answered exactly once, after any order of offers, answers and departures."""
 
 import asyncio
 import json

@@ -36,8 +36,11 @@ def test_any_bytes_in_any_state_raise_nothing_and_a_request_recovers(
     now_s = 0.0
     requested_at_s = [now_s for event in session.open(now_s=now_s) if isinstance(event, events.TopicsRequested)]
     for line, pause_s in story:
+        was_steady, before_s = session.is_steady, session.deadline_s()
         for event in session.receive(damaged(line, data), now_s=now_s):
             requested_at_s += [now_s] * isinstance(event, events.TopicsRequested)
+        if was_steady and session.is_steady and not session.outbox.has_waiting:
+            assert session.deadline_s() >= before_s  # a link keeps its timer then
         until_s = now_s + pause_s
         ticks = 0
         while (deadline_s := session.deadline_s()) <= until_s:

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from hostlink.protocol.frame import MAX_PAYLOAD_BYTES, Frame, encode
 from hostlink.protocol.stream import FrameStream, Skipped
-from tests.support.strategies import damaged, frames, noise, split, topic_ids, wire_of
+from tests.support.strategies import damaged, fewer_examples, frames, noise, split, topic_ids, wire_of
 
 LIMIT_BYTES = 1024
 
@@ -61,6 +61,7 @@ def test_intact_stream_with_syncs_in_its_payloads_counts_no_damage(sent: list[Fr
     assert stream.rejected == {}
 
 
+@fewer_examples(2)
 @given(lines, st.data())
 def test_every_split_counts_the_same_damage(wire: bytes, data: st.DataObject) -> None:
     whole, cut = FrameStream(limit_bytes=LIMIT_BYTES), FrameStream(limit_bytes=LIMIT_BYTES)
@@ -69,6 +70,7 @@ def test_every_split_counts_the_same_damage(wire: bytes, data: st.DataObject) ->
     assert whole.rejected == cut.rejected
 
 
+@fewer_examples(2)
 @given(lines, st.data())
 def test_rejected_syncs_are_at_most_the_skipped_syncs(wire: bytes, data: st.DataObject) -> None:
     line = damaged(wire, data)
@@ -87,6 +89,7 @@ def test_every_split_gives_the_same_events(wire: bytes, data: st.DataObject) -> 
     assert joined(split(wire, data)) == joined([wire])
 
 
+@fewer_examples(2)
 @given(lines, st.data())
 def test_every_damage_gives_the_same_events_byte_by_byte(wire: bytes, data: st.DataObject) -> None:
     line = damaged(wire, data)
@@ -101,6 +104,7 @@ large_claims = st.integers(20_000, MAX_PAYLOAD_BYTES).map(header)
 crowded = st.lists(large_claims | large_claims | nested, min_size=14, max_size=30).map(b"".join)
 
 
+@fewer_examples(2)
 @given(crowded, st.integers(0, 70_000), st.data())
 def test_every_split_gives_the_same_events_with_too_many_candidates(
     wire: bytes, padding_bytes: int, data: st.DataObject
@@ -137,6 +141,7 @@ def right_end(wire: bytes, start: int) -> int:
     return end if are_right else 0
 
 
+@fewer_examples(2)
 @given(lines, st.data())
 def test_stream_agrees_with_the_reference_implementation(wire: bytes, data: st.DataObject) -> None:
     line = damaged(wire, data)
@@ -146,6 +151,7 @@ def test_stream_agrees_with_the_reference_implementation(wire: bytes, data: st.D
     assert found == plainly_read(line)
 
 
+@fewer_examples(2)
 @given(lines, st.data())
 def test_no_byte_is_lost(wire: bytes, data: st.DataObject) -> None:
     line = damaged(wire, data)
@@ -170,6 +176,7 @@ def test_junk_without_a_sync_never_costs_the_frame_after_it(junk: bytes, frame: 
     assert pending == 0
 
 
+@fewer_examples(2)
 @given(lines, st.lists(unambiguous, min_size=1, max_size=5))
 def test_enough_intact_frames_after_any_junk_are_found(wire: bytes, sent: list[Frame]) -> None:
     """A false header can hide a frame once. The frames after its claimed length are all found."""

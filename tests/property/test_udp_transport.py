@@ -8,7 +8,7 @@ import contextlib
 import socket
 from collections import Counter
 
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from hostlink.transport.base import READ_BYTES
@@ -87,7 +87,6 @@ async def play(steps: list[tuple[str, int]], *, is_verified: bool) -> World:
         return world
 
 
-@settings(deadline=None, max_examples=100)
 @given(st.lists(STEPS, max_size=40), st.booleans())
 def test_received_bytes_are_read_in_order_and_sends_stay_within_the_allowance(
     steps: list[tuple[str, int]], is_verified: bool

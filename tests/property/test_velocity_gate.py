@@ -50,12 +50,12 @@ priorities = st.sampled_from([0, 50, 100])
 
 
 def share(value: float, limit: float | None) -> float:
-    """How much of a limit a value uses."""
+    """Return the share of a limit that a value uses."""
     return 0.0 if limit is None else value / limit
 
 
 def use(velocity: PlanarVelocity, limits: Limits) -> float:
-    """How much of the strictest limit of speed a velocity uses: 1 is all of it."""
+    """Return the share of the strictest speed limit that a velocity uses: 1 is all of it."""
     if limits.wheel_separation_m is None:
         wheel_m_s = velocity.speed_m_s
     else:
@@ -69,7 +69,7 @@ def use(velocity: PlanarVelocity, limits: Limits) -> float:
 
 
 @given(limits_of_speed, velocities)
-def test_a_limited_velocity_keeps_its_curve_and_is_as_fast_as_may_be(limits: Limits, requested: PlanarVelocity) -> None:
+def test_limited_velocity_keeps_its_curve_and_reaches_the_limit(limits: Limits, requested: PlanarVelocity) -> None:
     given_ = limits.apply(requested)
     factor = min(1.0, 1 / max(use(requested, limits), 1e-300))
     assert given_ == pytest.approx(requested.scaled(factor), rel=1e-9)
@@ -88,7 +88,7 @@ def test_any_finite_command_gives_finite_velocities(limits: Limits, requested: P
 
 
 def seconds_of(here: tuple[float, ...], there: tuple[float, ...], gain: float | None, loss: float | None) -> float:
-    """How long a straight way between two velocities takes at the least; None: no limit."""
+    """Return the least time of a straight way between two velocities. Without a limit (None) a part costs no time."""
     way = [end - begin for begin, end in zip(here, there, strict=True)]
     length = math.hypot(*way)
     if length < 1e-12:  # less than any rounding
@@ -99,7 +99,7 @@ def seconds_of(here: tuple[float, ...], there: tuple[float, ...], gain: float | 
 
 
 def braked(velocity: PlanarVelocity, limits: Limits, seconds: float) -> PlanarVelocity:
-    """What is left of a velocity after so much braking: the axis that needs longest leads."""
+    """Return the velocity after so much braking. The axis that needs longest leads."""
     needed_s = max(
         share(velocity.speed_m_s, limits.max_linear_deceleration_m_s2),
         share(velocity.turn_rad_s, limits.max_angular_deceleration_rad_s2),
@@ -248,7 +248,7 @@ class GateHistory(RuleBasedStateMachine):
         return given_
 
     def check_end(self, before: PlanarVelocity, given_: PlanarVelocity | None, dt_s: float) -> None:
-        """Nobody drives: down to zero as fast as may be, then the zeros that are owed, then silence."""
+        """Check an undriven gate: it brakes to zero as fast as allowed, sends the owed zeros, then nothing."""
         left = braked(before, self.limits, dt_s)
         assert self.gate.current == pytest.approx(left, abs=1e-6)
         if not self.gate.current.is_zero:

@@ -9,6 +9,10 @@ from urllib.parse import urlsplit
 
 from playwright.async_api import Browser, ConsoleMessage, Page, Request, async_playwright, expect
 
+from tests.support.waiting import TIMEOUT_S
+
+expect.set_options(timeout=1000 * TIMEOUT_S)
+
 CHROMIUM = "/usr/bin/chromium-headless-shell"  # without the windows of a whole browser: a visit costs half of the CPU
 FLAGS = [
     "--no-sandbox",  # the tests may run as root
@@ -40,10 +44,10 @@ class Visit:
         if urlsplit(request.url).netloc != self.host:
             self.other_hosts.append(request.url)
 
-    async def shows(self, selector: str, text: str, *, timeout_s: float = 5.0) -> None:
+    async def shows(self, selector: str, text: str, *, timeout_s: float = TIMEOUT_S) -> None:
         await expect(self.page.locator(selector)).to_contain_text(text, timeout=1000 * timeout_s)
 
-    async def is_connected(self, *, timeout_s: float = 5.0) -> None:
+    async def is_connected(self, *, timeout_s: float = TIMEOUT_S) -> None:
         await self.shows("#connection", "connected", timeout_s=timeout_s)
 
     async def layout(self, name: str) -> None:

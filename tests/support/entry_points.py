@@ -19,8 +19,7 @@ from aiohttp.test_utils import make_mocked_request
 
 from hostlink.api.access import GRANT, Grant
 from hostlink.api.clients import ClientQueue, Clients
-from hostlink.api.foxglove import FoxgloveClient
-from hostlink.api.foxglove_directory import FoxgloveDirectory
+from hostlink.api.foxglove import FoxgloveClient, FoxgloveDirectory
 from hostlink.api.rest import Owners, Rest
 from hostlink.api.rosbridge import RosbridgeClient
 from hostlink.api.routes import BODY, CAME
@@ -81,11 +80,11 @@ class EntryPoint:
     @property
     def epoch(self) -> int:
         """The robot's, as this source can know it."""
-        return self.made.hub.robots.find(ROBOT).gate.admission.epoch
+        return self.made.hub.robots.find_here(ROBOT).gate.admission.epoch
 
     def refused(self) -> Counter[RefusalKind]:
         """Number of refused commands, by kind."""
-        return Counter(self.made.hub.robots.find(ROBOT).gate.admission.refused)
+        return Counter(self.made.hub.robots.find_here(ROBOT).gate.admission.refused)
 
     async def vanish(self) -> None:
         """Leave, as its graph or its connection reports it, in the middle of all."""
@@ -311,7 +310,7 @@ class ClientDrive(_Program):
 
     def silence(self) -> None:
         """Stop repeating, as a program that hangs."""
-        self.host._driver.stop_repeating(ROBOT)
+        self.host.stop_repeating(ROBOT)
 
 
 class Teleop(_Program):
@@ -516,7 +515,7 @@ class FleetPublisher(Fleet):
     async def give(self, speed_m_s: float, *, left_m_s: float = 0.0, epoch: int | None = None) -> None:
         assert epoch is None
         self._driver.publish(
-            self.made.hub.robots.find(ROBOT).shown.velocity, PlanarVelocity(speed_m_s, left_m_s).encode()
+            self.made.hub.robots.find_here(ROBOT).shown.velocity, PlanarVelocity(speed_m_s, left_m_s).encode()
         )
 
 

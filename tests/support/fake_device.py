@@ -99,6 +99,12 @@ class FakeDevice:
             while await self.velocity() != wanted:
                 continue
 
+    @property
+    def address(self) -> tuple[str, int]:
+        """Address and port of the device's end."""
+        address: tuple[str, int] = self._writer.get_extra_info("sockname")
+        return address
+
     def end_sending(self) -> None:
         """Close this end's own direction; what the host sends is still read."""
         self._writer.write_eof()
@@ -106,6 +112,10 @@ class FakeDevice:
     def hang_up(self) -> None:
         """Close this end."""
         self._writer.close()
+
+    def limit_send_buffer(self, size_bytes: int) -> None:
+        """Limit what the kernel keeps of sent bytes."""
+        self._writer.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, size_bytes)
 
     def break_off(self) -> None:
         """Reset the connection: what was not read is gone."""

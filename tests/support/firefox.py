@@ -13,7 +13,7 @@ from typing import Any
 import aiohttp
 
 START_TIMEOUT_S = 60.0
-COMMAND_TIMEOUT_S = 20.0
+COMMAND_TIMEOUT_S = 60.0  # only a defect reaches it
 LISTENING = re.compile(rb"WebDriver BiDi listening on (ws://\S+)")
 LEFT, MIDDLE, RIGHT = range(3)  # the buttons of a mouse
 NO_PROXY = {"capabilities": {"alwaysMatch": {"acceptInsecureCerts": False}}}

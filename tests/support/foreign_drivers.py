@@ -81,7 +81,7 @@ class Ros1Driver:
         twist = CATALOG.message(TWIST_TYPE)
         assert twist is not None
         self._node = LocalNode(scene.hub, Ros1Config(master="http://master:1/"), "/hostlink", scene.tasks)
-        name = scene.hub.robots.find(ROBOT).shown.velocity
+        name = scene.hub.robots.find_here(ROBOT).shown.velocity
         topic = next(each for each in scene.neighbour.graph().topics if each.name == name)
         self._connection = _PublisherConnection(self._node, topic, RefusalLog(), is_new=True)
         with socket.socket() as connection:
@@ -95,7 +95,7 @@ class Ros1Driver:
         return self._connection.participant
 
     def drive(self, robot: str, speed_m_s: float, hub: Hub, *, left_m_s: float = 0.0) -> None:
-        assert hub.robots.find(robot).shown.velocity == self._connection._topic.name
+        assert hub.robots.find_here(robot).shown.velocity == self._connection._topic.name
         before = self._node.counts.refused_messages
         self._connection.wire.data_received(encode_message(PlanarVelocity(speed_m_s, left_m_s).encode()))
         if self._node.counts.refused_messages > before:

@@ -115,7 +115,7 @@ def mcap_file(path: Path, *channels: tuple[str, str, str, str, bytes, bytes]) ->
         for topic, encoding, name, language, schema, payload in channels:
             number = writer.register_channel(topic, encoding, writer.register_schema(name, language, schema))
             writer.add_message(number, BEGIN_NS, payload, BEGIN_NS)
-        writer.finish()
+        writer.finish()  # type: ignore[no-untyped-call]
     return path
 
 

@@ -9,8 +9,7 @@ from collections.abc import AsyncIterator
 from typing import Any
 
 from hostlink.api.clients import ClientQueue
-from hostlink.api.foxglove import FoxgloveClient
-from hostlink.api.foxglove_directory import FoxgloveDirectory
+from hostlink.api.foxglove import FoxgloveClient, FoxgloveDirectory
 from hostlink.config import Config
 from hostlink.hub.hub import Hub
 from hostlink.hub.node import Role

@@ -11,10 +11,17 @@ from dataclasses import dataclass, field
 
 import aiohttp
 
+from hostlink.robot.admission import LEASE_S
+from tests.support.background import meanwhile
 from tests.support.process import Process, serve
+from tests.support.stopwatch import Stopwatch
 from tests.support.unwatched_robot import BLOB_BUFFER_BYTES, Reading, UnwatchedRobot, robot_on_pty, robot_on_tcp
+from tests.support.waiting import TIMEOUT_S, is_true_within
 
 LIMIT_S = 0.2
+TRY_S = 2.0  # until the program lets go and commands again
+LET_GO_S = 1.2 * LEASE_S
+STANDS_S = 2.0  # a robot that moves for longer moves on
 COMMAND_INTERVAL_S = 0.005
 BLOB_INTERVAL_S = 0.02
 BAUD = 921600
@@ -30,8 +37,23 @@ class Drive:
     is_let_go: bool = False  # while it is, the program commands nothing
 
     def stood_after_s(self, since_s: float) -> float:
-        """From then until the last of them stood."""
+        """Return the time from then until the last of the robots stood."""
         return max(robot.stood_after_s(since_s) for robot in self.robots)
+
+    async def moves(self) -> None:
+        """Wait until both robots move.
+
+        A command that a busy machine delivers late is refused, and its source must let go before it drives again.
+        """
+        async with asyncio.timeout(TIMEOUT_S):
+            while not await is_true_within(lambda: all(robot.is_moving for robot in self.robots), TRY_S):
+                await self.let_go()
+
+    async def let_go(self) -> None:
+        """Command nothing for longer than a lease."""
+        self.is_let_go = True
+        await asyncio.sleep(LET_GO_S)
+        self.is_let_go = False
 
 
 @contextlib.asynccontextmanager
@@ -50,8 +72,7 @@ async def driving(reading: Reading, *arguments: str) -> AsyncIterator[Drive]:
             if reading.with_blobs:
                 sources.append(tasks.create_task(_send_blobs(client)))
             try:
-                for robot in drive.robots:
-                    await robot.driven()
+                await drive.moves()
                 yield drive
             finally:
                 for source in sources:
@@ -59,14 +80,23 @@ async def driving(reading: Reading, *arguments: str) -> AsyncIterator[Drive]:
 
 
 async def end_at(drive: Drive, after_s: float, end: Callable[[int], None]) -> float:
-    """End the daemon after a time; returns how long the robots moved on, infinite for one that still does."""
+    """End the daemon after a time; return how long the robots moved on, infinite for one that still does.
+
+    The time in which the test or the guardian waited for a core is left out.
+    """
     await asyncio.sleep(after_s)
-    began_s = time.monotonic()
-    end(drive.daemon.pid)
-    for robot in drive.robots:
-        with contextlib.suppress(AssertionError):  # its time is infinite
-            await robot.stood(1.0)
-    return drive.stood_after_s(began_s)
+    began_s, watch = time.monotonic(), Stopwatch(*guardians_of(drive.daemon))
+    async with meanwhile(watch.sampling()):
+        end(drive.daemon.pid)
+        for robot in drive.robots:
+            with contextlib.suppress(AssertionError):  # its time is infinite
+                await robot.stood(STANDS_S)
+    return drive.stood_after_s(began_s) - watch.kept_s
+
+
+def guardians_of(daemon: Process) -> list[int]:
+    """Return the pid of the guardian that was started last, if there is one."""
+    return [int(line["pid"]) for line in daemon.lines("guardian.started")[-1:]]
 
 
 def killer(number: int) -> Callable[[int], None]:

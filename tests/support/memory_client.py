@@ -10,9 +10,9 @@ from typing import Any, cast
 
 from hostlink.api.clients import ClientQueue
 from hostlink.api.rosbridge import RosbridgeClient
-from hostlink.client import Robot
-from hostlink.client.connection import Connection
-from hostlink.client.driver import Driver
+from hostlink.client import Host, Robot
+from hostlink.client.connection import HostConnection
+from hostlink.client.driver import VelocitySender
 from hostlink.client.http_client import HttpClient
 from hostlink.errors import HostlinkError
 from hostlink.hub.hub import Hub
@@ -22,7 +22,7 @@ _numbers = itertools.count(1)
 
 
 class MemoryConnection:
-    """Connection as the client's driver uses it. `delay_s`: delay of messages that are sent from now on."""
+    """HostConnection as the client's driver uses it. `delay_s`: delay of messages that are sent from now on."""
 
     def __init__(self, hub: Hub, tasks: asyncio.TaskGroup) -> None:
         self.delay_s = 0.0
@@ -46,7 +46,8 @@ class MemoryConnection:
 
     async def request(self, request: Mapping[str, Any], *, timeout_s: float = 5.0) -> dict[str, Any]:
         key = f"request:{next(self._numbers)}"
-        answer = self._answers[key] = asyncio.get_running_loop().create_future()
+        answer: asyncio.Future[dict[str, Any]] = asyncio.get_running_loop().create_future()
+        self._answers[key] = answer
         try:
             async with asyncio.timeout(timeout_s):
                 await self.send({**request, "id": key})
@@ -93,11 +94,11 @@ class MemoryHost:
     def __init__(self, hub: Hub, tasks: asyncio.TaskGroup) -> None:
         self.connection_ = MemoryConnection(hub, tasks)
         self._rest = cast(HttpClient, _Rest(hub))
-        self._driver = Driver(cast(Connection, self.connection_), asyncio.get_running_loop().time)
+        self._driver = VelocitySender(cast(HostConnection, self.connection_), asyncio.get_running_loop().time)
         self._repeating = tasks.create_task(self._driver.repeat())
 
     def robot(self, name: str, *, priority: int = 50) -> Robot:
-        connection = cast(Connection, self.connection_)
+        connection = cast(HostConnection, self.connection_)
         return Robot(name, priority, http=self._rest, driver=self._driver, connection=connection)
 
     def connection(self) -> "MemoryHost":
@@ -106,6 +107,14 @@ class MemoryHost:
 
     def pop_all(self) -> list[object]:
         return []
+
+    def stop_repeating(self, robot: str) -> None:
+        """Let the commands of this robot end with their lease, as in a program that hangs."""
+        self._driver.stop_repeating(robot)
+
+    async def stop_driven(self) -> None:
+        """Stop the robots that this program drives."""
+        await Host.stop_driven(cast(Host, self))
 
     def close(self) -> None:
         """The program ends."""

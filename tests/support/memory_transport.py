@@ -20,7 +20,7 @@ class _Line:
     """One direction: what was sent and not received yet."""
 
     def __init__(self, room_bytes: int, piece_bytes: int) -> None:
-        self.on_readable: Callable[[], None] = lambda: None
+        self.on_readable: Callable[[], object] = lambda: None
         self.is_ended = False
         self._room_bytes, self._piece_bytes = room_bytes, piece_bytes
         self._waiting = bytearray()

@@ -13,8 +13,7 @@ from weakref import WeakKeyDictionary
 from structlog.testing import capture_logs
 
 from hostlink.api.clients import ClientQueue, Outgoing
-from hostlink.api.foxglove import FoxgloveClient
-from hostlink.api.foxglove_directory import FoxgloveDirectory
+from hostlink.api.foxglove import FoxgloveClient, FoxgloveDirectory
 from hostlink.api.rest import Owners
 from hostlink.api.rosbridge import RosbridgeClient
 from hostlink.config import Config
@@ -24,6 +23,7 @@ from hostlink.hub.message import PROGRAM_PRIORITY, Message
 from hostlink.hub.node import Role
 from hostlink.hub.participant import Participant
 from hostlink.hub.queue import Queue
+from hostlink.hub.robots import Robots
 from hostlink.hub.subscription import Subscription
 from hostlink.messages.message_type import ServiceType
 from hostlink.robot.velocity import PlanarVelocity, Twist
@@ -40,12 +40,14 @@ TEXT, TEXT_TYPE = "/chat", "std_msgs/String"
 ROBOT, NEIGHBOUR = "robot_0", "robot_1"
 
 
-_sources: WeakKeyDictionary[Hub, dict[str, Participant]] = WeakKeyDictionary()
+_sources: WeakKeyDictionary[Robots, dict[str, Participant]] = (
+    WeakKeyDictionary()
+)  # a compiled Hub has no weak reference
 
 
 def source_of(hub: Hub, name: str) -> Participant:
     """The participant as which `publish` sends by this name."""
-    sources = _sources.setdefault(hub, {})
+    sources = _sources.setdefault(hub.robots, {})
     if name not in sources or sources[name].has_left:
         sources[name] = hub.join(name)
     return sources[name]
@@ -288,7 +290,7 @@ class FoxgloveProgram:
         return type_.response.decode(self._answers[number].result())
 
     def drive(self, robot: str, speed_m_s: float, hub: Hub) -> None:
-        topic = hub.robots.find(robot).shown.velocity
+        topic = hub.robots.find_here(robot).shown.velocity
         self.publish(topic, "geometry_msgs/Twist", PlanarVelocity(speed_m_s).encode())
 
     def settle(self) -> None:
@@ -430,7 +432,7 @@ class Scene:
             if participant in [subscriber.key for subscriber in topic.subscribers]
         ]
         uses += [name for name, _ in self.hub.services.all() if self.hub.services.find(name).key is participant]
-        return uses + [robot.name for robot in self.hub.robots.all() if robot.gate.owner is participant]
+        return uses + [robot.name for robot in self.hub.robots.here() if robot.gate.owner is participant]
 
 
 @contextlib.asynccontextmanager

@@ -12,7 +12,6 @@ import time
 from asyncio.subprocess import PIPE
 from collections.abc import AsyncIterator
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Any
 
 import xxhash
@@ -23,10 +22,11 @@ from hostlink.config import Config, LinkConfig, ZenohConfig
 from hostlink.graphs.zenoh.rmw_bridge import RmwBridge, ros2_bridged
 from hostlink.graphs.zenoh.session import ZenohSession, opened
 from tests.support.daemon import Daemon, daemon
+from tests.support.fork_server import Child, Program, start
 from tests.support.process import free_port
 from tests.support.waiting import TIMEOUT_S
 
-PROGRAM = Path(__file__).parent.parent / "clients" / "rmw_peer.py"
+PEER = Program("rmw_peer", "../clients/rmw_peer.py")
 TWIST = "geometry_msgs/msg/Twist"
 TWIST_KEY = "geometry_msgs::msg::dds_::Twist_/RIHS01_9c45bf16fe0983d80e3cfe750d6835843d265a9a6c46bd2e609fcddde6fb8d2a"
 STRING = "std_msgs/msg/String"
@@ -62,7 +62,7 @@ async def bridged(**settings: Any) -> AsyncIterator[Bridged]:
 class Ros2Peer:
     """`tests/clients/rmw_peer.py` while it runs."""
 
-    process: asyncio.subprocess.Process
+    process: Child
     lines: list[dict[str, Any]] = field(default_factory=list)
 
     async def send(self, op: str, **arguments: Any) -> None:
@@ -90,8 +90,8 @@ class Ros2Peer:
 @contextlib.asynccontextmanager
 async def ros2_peer(address: str, *, domain: int = 0, mode: str = "peer") -> AsyncIterator[Ros2Peer]:
     """A node of zenoh-ros2-sdk that is connected to this address."""
-    words = (sys.executable, str(PROGRAM), "--connect", address, "--domain", str(domain), "--mode", mode)
-    process = await asyncio.create_subprocess_exec(*words, stdin=PIPE, stdout=PIPE, limit=1024 * 1024)
+    words = ("--connect", address, "--domain", str(domain), "--mode", mode)
+    process = await start(*words, program=PEER, given=None, stdout=PIPE)
     peer = Ros2Peer(process)
     try:
         assert await peer.read("ready")

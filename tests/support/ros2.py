@@ -6,46 +6,21 @@ import fcntl
 import json
 import os
 import random
-import subprocess
 from asyncio.subprocess import PIPE
 from collections.abc import AsyncIterator, Callable, Iterator
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
-import pytest
-
 from tests.support.fork_server import Child, Program, start
 from tests.support.once import BUILD
 from tests.support.waiting import expect
 
-ROOT = BUILD.parent
 VENV = BUILD / "ros2-venv"
 PYTHON, HOSTLINK = str(VENV / "bin" / "python"), str(VENV / "bin" / "hostlink")
 BRIDGE = Program("hostlink", "forked_bridge.py", PYTHON)
 PEER = Program("ros2_peer", "ros2_peer.py", PYTHON)
-INSTALL_TIMEOUT_S = 900.0
 DISCOVERY_S = 20.0  # how long a busy machine may need until two nodes know each other
 MAX_DOMAIN = 100
-
-
-def install(*variables: str, environment: dict[str, str] | None = None) -> None:
-    """Have rclpy in its venv; a test that cannot have it fails, and says so. `variables`: of make."""
-    BUILD.mkdir(exist_ok=True)
-    with (BUILD / "ros2-venv.lock").open("w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        made = subprocess.run(
-            ["make", "--silent", "ros2-venv", *variables],
-            env=environment,
-            cwd=ROOT,
-            capture_output=True,
-            text=True,
-            timeout=INSTALL_TIMEOUT_S,
-            check=False,
-        )
-    if made.returncode:
-        pytest.fail(
-            f"rclpy is not there, so nothing of hostlink ros2 was tested:\n{made.stdout[-2000:]}{made.stderr[-2000:]}"
-        )
 
 
 @contextlib.contextmanager

@@ -14,6 +14,7 @@ from collections import deque
 from collections.abc import AsyncIterator
 
 PATIENCE_S = 40.0  # bound of a wait for an event; a busy machine takes long
+AGAIN_S = 3.0  # until Ctrl-C is pressed again
 POLL_S = 0.1
 KEY_INTERVAL_S = 0.03  # of a keyboard that repeats a key
 
@@ -103,11 +104,11 @@ class Screen:
     async def text(self) -> str:
         return await self.command("capture-pane", "-p", "-t", "main")
 
-    async def shows(self, text: str) -> str:
+    async def shows(self, text: str, *, within_s: float = PATIENCE_S) -> str:
         """Wait until the text is on the screen; the whole screen."""
         observed = ""
         try:
-            async with asyncio.timeout(PATIENCE_S):
+            async with asyncio.timeout(within_s):
                 while True:
                     self._changed.clear()
                     if text in (observed := await self.text()):
@@ -116,7 +117,18 @@ class Screen:
                         async with asyncio.timeout(1.0):
                             await self._changed.wait()
         except TimeoutError:
-            raise AssertionError(f"not on the screen within {PATIENCE_S:g} s: {text!r}; last:\n{observed}") from None
+            raise AssertionError(f"not on the screen within {within_s:g} s: {text!r}; last:\n{observed}") from None
+
+    async def interrupt(self, until: str) -> str:
+        """Press Ctrl-C until the text is on the screen; the whole screen.
+
+        Python's `input()` notices a signal that arrives just before it reads only with the next key or signal.
+        """
+        async with asyncio.timeout(PATIENCE_S):
+            while True:
+                await self.keys("C-c")
+                with contextlib.suppress(AssertionError):
+                    return await self.shows(until, within_s=AGAIN_S)
 
     async def process(self, name: str) -> int:
         """The process with this command line in the screen."""

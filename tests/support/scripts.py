@@ -7,7 +7,6 @@ from asyncio.subprocess import PIPE, Process
 from collections.abc import AsyncIterator
 from dataclasses import dataclass
 
-from hostlink.hub.robot import Robot
 from hostlink.sim.robot import SimulatedRobot
 from tests.support.daemon import Daemon, daemon
 from tests.support.simulated import simulated_robot
@@ -51,8 +50,7 @@ class DrivenRobot:
     @property
     def is_held(self) -> bool:
         """Whether a source drives it and has not let go, in the daemon's view."""
-        robot = self.host.hub.robots.find("robot_0")
-        assert isinstance(robot, Robot)
+        robot = self.host.hub.robots.find_here("robot_0")
         return (robot.gate.owner is not None and not robot.gate.target.is_zero) or not robot.gate.current.is_zero
 
     async def moves(self) -> None:
@@ -68,5 +66,5 @@ async def robot_to_drive(*, lease_s: float = ENDLESS_S) -> AsyncIterator[DrivenR
     """Run a robot with a lease so long that only a stop, or the connection's end, stops it in time."""
     async with daemon() as host, simulated_robot(host.tcp) as body:
         await expect(lambda: host.hub.robots.find("robot_0").link is not None)
-        host.hub.robots.find("robot_0").gate.admission.lease_s = lease_s
+        host.hub.robots.find_here("robot_0").gate.admission.lease_s = lease_s
         yield DrivenRobot(host, body)

@@ -1,6 +1,6 @@
 """Tests that run in one worker of pytest-xdist."""
 
-from xdist.scheduler import LoadScopeScheduling
+from xdist.scheduler import LoadScopeScheduling  # type: ignore[import-untyped]
 
 SHARING = (  # their tests share what is slow to make: a daemon, a browser, a compiled program, a library out of its ZIP
     "test_board_headers.py",
@@ -11,7 +11,7 @@ SHARING = (  # their tests share what is slow to make: a daemon, a browser, a co
 )
 
 
-class FilesThatShare(LoadScopeScheduling):
+class FilesThatShare(LoadScopeScheduling):  # type: ignore[misc]
     """Scheduler that gives each test to the next free worker; tests of a file that share a fixture stay together.
 
     The `loadgroup` of pytest-xdist 3.8 has no effect with pytest 9.2.

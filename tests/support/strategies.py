@@ -1,7 +1,9 @@
 """Bytes of a device's line: frames, junk, damage, and every way to cut them."""
 
 from itertools import pairwise
+from typing import Any
 
+from hypothesis import settings
 from hypothesis import strategies as st
 
 from hostlink.protocol.control import TopicInfo
@@ -28,6 +30,14 @@ topic_infos = st.builds(
     names,
     st.integers(-(2**31), 2**31 - 1),
 )
+
+
+def fewer_examples(divisor: int, **options: Any) -> settings:
+    """Return settings with a fraction of the profile's examples, for tests whose examples are slow.
+
+    `make fuzz` multiplies these examples too.
+    """
+    return settings(deadline=None, max_examples=max(1, settings().max_examples // divisor), **options)
 
 
 def wire_of(frame: Frame) -> bytes:

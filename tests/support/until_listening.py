@@ -23,7 +23,7 @@ def listened(self: socket.socket, *arguments: int) -> None:
         os._exit(0)
 
 
-socket.socket.listen = listened  # type: ignore[method-assign]
+socket.socket.listen = listened  # type: ignore[method-assign, assignment]
 if sys.argv[1] == "bare":
     import asyncio
 

@@ -47,7 +47,7 @@ class UnwatchedRobot:
     stops: list[float] = field(default_factory=list)  # when id 11 came
     ended_at_s: float | None = None  # when the connection did
     reader: RosLibReader = field(init=False)
-    _descriptor: int = -1
+    descriptor: int = -1  # of its connection
 
     def __post_init__(self) -> None:
         self.reader = RosLibReader(self._receive, gives_up=self.reading.gives_up)
@@ -59,9 +59,14 @@ class UnwatchedRobot:
         )
         return [*robot_topics(self.name), *([blob] if self.reading.with_blobs else [])]
 
+    @property
+    def is_moving(self) -> bool:
+        """Whether its last velocity is not zero."""
+        return bool(self.velocities) and self.velocities[-1][1] != ZERO
+
     async def driven(self) -> None:
         """Wait until it moves."""
-        await expect(lambda: self.velocities and self.velocities[-1][1] != ZERO, timeout_s=TIMEOUT_S)
+        await expect(lambda: self.is_moving, timeout_s=TIMEOUT_S)
 
     async def stood(self, timeout_s: float = TIMEOUT_S) -> None:
         """Wait until id 11 has come, or the connection has ended."""
@@ -79,7 +84,7 @@ class UnwatchedRobot:
 
     async def read(self, descriptor: int) -> None:
         """Serve a connection until it ends. Late turns are made up for: the test is what was late, not the robot."""
-        self._descriptor = descriptor
+        self.descriptor = descriptor
         due_s = time.monotonic()
         while self.ended_at_s is None:
             await asyncio.sleep(max(0.0, due_s - time.monotonic()))
@@ -89,7 +94,7 @@ class UnwatchedRobot:
     def _turn(self) -> None:
         data = b""
         try:
-            data = os.read(self._descriptor, self.reading.bytes_a_turn)
+            data = os.read(self.descriptor, self.reading.bytes_a_turn)
             has_ended = not data
         except OSError as error:
             has_ended = error.errno in (errno.EIO, errno.ECONNRESET, errno.EPIPE)
@@ -102,7 +107,7 @@ class UnwatchedRobot:
     def _receive(self, topic_id: int, payload: bytes) -> None:
         if topic_id == Id.PUBLISHER:
             infos = b"".join(encode(info.kind, encode_topic_info(info)) for info in self.topics())
-            os.write(self._descriptor, encode(Id.TIME, bytes(8)) + infos + encode(Id.TIME, bytes(8)))
+            os.write(self.descriptor, encode(Id.TIME, bytes(8)) + infos + encode(Id.TIME, bytes(8)))
         elif topic_id == Id.STOP:
             self.stops.append(time.monotonic())
         elif topic_id == 100:

@@ -42,7 +42,7 @@ class VirtualLoop(asyncio.BaseEventLoop):
         """A callback computes for a time: it passes, and nothing else runs."""
         self._now_s += seconds
 
-    def run_in_executor(self, executor: object, func: Callable[..., Any], *args: Any) -> asyncio.Future[Any]:  # noqa: ARG002 - of asyncio
+    def run_in_executor(self, executor: object, func: Callable[..., Any], *args: Any) -> asyncio.Future[Any]:  # type: ignore[override]  # noqa: ARG002 - of asyncio
         """Run a thread's work at once: it lasts no virtual time."""
         future = self.create_future()
         try:

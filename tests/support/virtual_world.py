@@ -74,7 +74,7 @@ class World:
         """Whether the host knows the robot, on a connection that is the device's newest."""
         links = {link.peer for link in self.hub.links.all()}
         with contextlib.suppress(HostlinkError):
-            robot = self.hub.robots.find("robot_0")
+            robot = self.hub.robots.find_here("robot_0")
             return robot.link is not None and robot.link.peer == self.taps[-1].peer in links
         return False
 
@@ -83,7 +83,7 @@ def command(hub: Hub, number: int) -> bool:
     """Drive robot_0 at the speed of this number. Return False when the host has no such robot."""
     velocity = PlanarVelocity(x_m_s=(number + 1) * LEAST_STEP_M_S)
     try:
-        robot = hub.robots.find("robot_0")
+        robot = hub.robots.find_here("robot_0")
         drive_gate(robot, velocity, owner="test", epoch=robot.gate.admission.epoch)
     except HostlinkError:
         return False

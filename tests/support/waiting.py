@@ -20,7 +20,7 @@ async def expect(is_so: Callable[[], object], *, timeout_s: float = TIMEOUT_S) -
     Raises:
         AssertionError: it was not true in time; with the condition, its last value and its last error.
     """
-    if not await _became_true(is_so, timeout_s):
+    if not await is_true_within(is_so, timeout_s):
         raise AssertionError(f"not within {timeout_s:g} s: {described(is_so)}")
 
 
@@ -30,7 +30,7 @@ async def expect_never(is_so: Callable[[], object], *, for_s: float) -> None:
     Raises:
         AssertionError: it was true; with the condition.
     """
-    if await _became_true(is_so, for_s):
+    if await is_true_within(is_so, for_s):
         raise AssertionError(f"within {for_s:g} s: {_text(is_so)}")
 
 
@@ -52,7 +52,8 @@ def described(is_so: Callable[[], object]) -> str:
     return f"{text}\n  last value: {_parts(is_so, text) or repr(value)}"
 
 
-async def _became_true(is_so: Callable[[], object], timeout_s: float) -> bool:
+async def is_true_within(is_so: Callable[[], object], timeout_s: float) -> bool:
+    """Return whether `is_so()` becomes true within `timeout_s` seconds."""
     loop = asyncio.get_running_loop()
     deadline_s = loop.time() + timeout_s
     while not _is_true(is_so):
@@ -83,9 +84,10 @@ def _is_lambda(is_so: Callable[[], object]) -> TypeGuard[FunctionType]:
 
 def _source(code: CodeType) -> str:
     """Return the source text after `lambda:`, from the positions of its instructions."""
-    known = [place for place in code.co_positions() if all(place)]  # the first instruction has no columns
-    first = min((line, column) for line, _, column, _ in known)
-    last = max((line, column) for _, line, _, column in known)
+    first, last = (1 << 31, 0), (0, 0)
+    for begin, end, column, end_column in code.co_positions():
+        if begin and end and column and end_column:  # the first instruction has no columns
+            first, last = min(first, (begin, column)), max(last, (end, end_column))
     lines = [linecache.getline(code.co_filename, number).encode() for number in range(first[0], last[0] + 1)]
     lines[-1] = lines[-1][: last[1]]
     lines[0] = lines[0][first[1] :]

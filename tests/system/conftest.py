@@ -1,4 +1,4 @@
-"""What the tests with a browser share."""
+"""Browser that the tests of a worker share."""
 
 from collections.abc import AsyncIterator
 

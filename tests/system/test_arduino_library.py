@@ -25,7 +25,7 @@ def message(folder: Path, text: str) -> Path:
     return folder / "mine"
 
 
-async def test_it_writes_the_same_zip_again_with_my_messages_and_what_they_contain(tmp_path: Path) -> None:
+async def test_arduino_library_writes_the_same_zip_again_with_my_messages_and_what_they_contain(tmp_path: Path) -> None:
     folder = message(tmp_path, "Header header\nfloat32[] forces\n")
     arguments = ("arduino-library", "--messages", str(folder), "--only", "my_msgs,std_srvs/Trigger", "--json")
     packed = []
@@ -48,7 +48,7 @@ async def test_a_file_that_is_there_stays_without_force(tmp_path: Path) -> None:
     output.write_text("mine")
     status, _, err = await run("arduino-library", "-o", str(output), "--only", "std_msgs")
     assert (status, output.read_text()) == (2, "mine")
-    assert err == f"hostlink: --output: {output} is there already: name another, or add --force\n"
+    assert err == f"hostlink: --output: {output} exists already; name another, or add --force\n"
     status, out, _ = await run("arduino-library", "-o", str(output), "--only", "std_msgs", "--force")
     assert status == 0
     assert zipfile.is_zipfile(output)
@@ -59,7 +59,7 @@ async def test_an_error_is_one_line_with_the_next_step(tmp_path: Path) -> None:
     output = str(tmp_path / "x.zip")
     status, _, err = await run("arduino-library", "-o", output, "--only", "geometry_msg")
     assert (status, len(err.splitlines())) == (2, 1)
-    assert "no package or type named geometry_msg; near it: geometry_msgs" in err
+    assert "no package or type named geometry_msg; similar names: geometry_msgs" in err
     folder = message(tmp_path, "uint8 good\nuint8 1bad\n")
     status, _, err = await run("arduino-library", "-o", output, "--messages", str(folder))
     assert (status, len(err.splitlines())) == (2, 1)

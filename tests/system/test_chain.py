@@ -1,4 +1,4 @@
-"""The parts of the chain run as long as one likes: whatever they print is read."""
+"""Parts of the chain run for any time: all that they print is read."""
 
 import sys
 

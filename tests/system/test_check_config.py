@@ -19,7 +19,7 @@ FREE = '[tcp]\nhost = "127.0.0.1"\nport = 0\n[api]\nport = 0\n'
     ],
     ids=["open", "limit", "timeout", "certificate"],
 )
-async def test_both_refuse_it_with_one_sentence(tmp_path: Path, text: str) -> None:
+async def test_serve_and_check_refuse_a_wrong_file_with_the_same_sentence(tmp_path: Path, text: str) -> None:
     file = tmp_path / "hostlink.toml"
     file.write_text(text)
     checked = await run("serve", "--check-config", str(file))
@@ -29,7 +29,7 @@ async def test_both_refuse_it_with_one_sentence(tmp_path: Path, text: str) -> No
     assert await run("serve", "--config", str(file)) == checked
 
 
-async def test_what_is_suspicious_is_a_warning(tmp_path: Path) -> None:
+async def test_check_config_with_a_suspicious_setting_warns(tmp_path: Path) -> None:
     file = tmp_path / "hostlink.toml"
     file.write_text(FREE + '[robots.a]\naddress = "192.168.4"\n')
     status, out, err = await run("serve", "--check-config", str(file))

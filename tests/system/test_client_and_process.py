@@ -35,7 +35,7 @@ async def test_a_daemon_that_is_killed_and_started_again_while_a_script_drives()
             first.child.kill()
             async with asyncio.timeout(1.0):
                 assert (await anext(changes)).dropped == ("robot_0",)
-            await expect(lambda: abs(body.speed_m_s) < 0.005)  # by its own watchdog: nobody could tell it
+            await expect(lambda: abs(body.speed_m_s) < 0.005)  # by its own watchdog: no program could stop it
             with pytest.raises(HostlinkError, match="the connection"):
                 await robot.drive(0.2, 0.0)
             async with serve(*ports) as second:
@@ -49,7 +49,7 @@ async def test_a_daemon_that_is_killed_and_started_again_while_a_script_drives()
                 await expect(lambda: body.speed_m_s > 0.02)
 
 
-async def test_a_script_that_does_not_run_for_a_while_is_no_cut_but_it_repeats_nothing_any_more() -> None:
+async def test_script_that_did_not_run_for_a_while_stays_connected_and_repeats_no_velocity() -> None:
     async with serve() as daemon, simulated(daemon.tcp):
         await daemon.read_log("robot.appeared")
         async with connect(daemon.url) as me:

@@ -1,4 +1,4 @@
-"""What remains of clients that are gone, in `hostlink serve` as it runs: nothing that grows."""
+"""Memory of `hostlink serve` after clients have disconnected: nothing grows."""
 
 import asyncio
 import gc
@@ -77,7 +77,7 @@ def resident_kib(host: Process) -> int:
 
 
 @pytest.mark.parametrize("visit", [web_socket, web_socket_that_breaks_off, request])
-async def test_nothing_is_kept_of_a_client_that_is_gone(visit: Visit) -> None:
+async def test_daemon_keeps_nothing_of_a_disconnected_client(visit: Visit) -> None:
     async with daemon() as host:
         port = int(host.url.rpartition(":")[2])
         await visits(visit, port, 100)
@@ -91,12 +91,13 @@ async def test_nothing_is_kept_of_a_client_that_is_gone(visit: Visit) -> None:
         assert in_use() == before
 
 
-async def test_a_daemon_that_has_served_2700_clients_is_no_larger_than_after_1800() -> None:
+@pytest.mark.long
+async def test_daemon_after_2700_clients_is_as_large_as_after_1800() -> None:
     sizes = []
     async with serve() as host:
         for _ in range(2):
             await visits(web_socket, int(host.url.rpartition(":")[2]), CLIENTS)
-            await asyncio.sleep(1.5)  # nobody drives: it collects
+            await asyncio.sleep(1.5)  # without a driver, the daemon collects garbage
             sizes.append(resident_kib(host))
         await visits(web_socket, int(host.url.rpartition(":")[2]), CLIENTS)
         await expect(lambda: resident_kib(host) - sizes[1] < MOST_KIB)  # a busy machine collects later
@@ -123,6 +124,7 @@ async def latching(port: int) -> None:
     writer.close()
 
 
+@pytest.mark.long
 async def test_daemon_whose_clients_latched_large_messages_gives_their_memory_back(tmp_path: Path) -> None:
     config = tmp_path / "hostlink.toml"
     config.write_text("[black_box]\nmax_memory_mb = 2\n")  # it keeps what was published last

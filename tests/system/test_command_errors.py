@@ -1,4 +1,4 @@
-"""Whatever is wrong around a command, it ends with one line that says what to do next, and with the right status."""
+"""A command that fails ends with one line that names the next step, and with the right status."""
 
 import asyncio
 import os
@@ -30,15 +30,15 @@ runpy.run_module("hostlink", run_name="__main__")
         ("topics nonsense", "topics: got unexpected extra argument(s) (nonsense); `hostlink topics --help` shows what"),
         ("hz /x --seconds -1", "hz: invalid value for '--seconds': Input should be greater than or equal to 0; `host"),
         ("sim --robot fast", "sim: invalid value for '--robot': 'fast' is not one of 'nimble', 'paper'; `hostlink sim"),
-        ("echo", "echo: missing argument 'topic'; `hostlink echo --help` shows what there is"),
+        ("echo", "echo: missing argument 'topic'; `hostlink echo --help` lists the options"),
         ("export x.mcap", "export: missing option '--to'. Choose from: csv, ros2, rosbag2, ros1; `hostlink export -"),
-        ("params get", "params get: missing argument 'name'; `hostlink params get --help` shows what there is"),
+        ("params get", "params get: missing argument 'name'; `hostlink params get --help` lists the options"),
         ("pub /x -r 10", "pub: no such option: -r; here it is --rate HZ --count 0"),
         ("pub /x data: 1", "MESSAGE: is one argument, in quotes: '{linear: {x: 0.1}}'"),
-        ("record --name ../x", "--name: ../x is none: letters and digits, and . _ + - between them, 100 at most"),
+        ("record --name ../x", "--name: ../x is not a name of a recording; use at most 100 letters and digits"),
         ("topc list", "arguments: no such command 'topc'. Did you mean 'top"),
-        ("topic echo /x", "topic: is no command; did you mean `hostlink echo /x`?"),
-        ("--url http://x robots", "arguments: no such option: --url; `hostlink --help` shows what there is"),
+        ("topic echo /x", "topic: is not a command; did you mean `hostlink echo /x`?"),
+        ("--url http://x robots", "arguments: no such option: --url; `hostlink --help` lists the options"),
     ],
 )
 async def test_wrong_arguments_are_one_line_and_status_2(line: str, complaint: str) -> None:

@@ -115,7 +115,7 @@ async def test_demo_drives_its_robot_and_ends_cleanly() -> None:
 
 
 async def test_a_fleet_is_listed_by_name() -> None:
-    """As a person counts: robot_9 before robot_10."""
+    """Names are in natural order: robot_9 before robot_10."""
     names = ["robot_8", "robot_9", "robot_10"]
     async with serve() as daemon, simulated(daemon.tcp, "--robots", "3", "--first", "8"):
         for _ in names:
@@ -147,7 +147,7 @@ async def test_a_guarded_daemon_requires_a_token_of_the_commands(tmp_path: Path)
         assert secret not in json.dumps(daemon.log)
 
 
-async def test_it_refuses_to_be_open_to_the_network() -> None:
+async def test_serve_without_a_token_refuses_to_be_open_to_the_network() -> None:
     status, _, complaint = await run("serve", "--api", "0.0.0.0:0", "--listen", "127.0.0.1:0")
     assert (status, complaint.count("\n")) == (2, 1)
     assert "[[api.tokens]]" in complaint

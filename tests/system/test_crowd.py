@@ -1,4 +1,4 @@
-"""A robot is driven while a crowd comes: tools/bench_crowd.py, small. Figures: docs/reliability.md."""
+"""A robot is driven while a crowd connects: tools/bench_crowd.py, small. Figures: docs/reliability.md."""
 
 import asyncio
 

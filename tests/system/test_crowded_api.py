@@ -1,4 +1,4 @@
-"""`hostlink serve` with the usual 1024 descriptors, and somebody who opens more connections than that."""
+"""`hostlink serve` with the usual 1024 descriptors, and a program that opens more connections than that."""
 
 import asyncio
 import contextlib
@@ -12,7 +12,7 @@ import pytest
 
 from tests.support.fake_device import fake_device, robot_topics
 from tests.support.process import Process, serve
-from tests.support.waiting import TIMEOUT_S
+from tests.support.waiting import TIMEOUT_S, expect, expect_never
 
 pytestmark = pytest.mark.quiet
 
@@ -24,7 +24,7 @@ LONGEST_S = 2.0  # on a machine with other work; without a bound it is a minute
 
 @pytest.fixture(autouse=True)
 def enough_descriptors() -> Iterator[None]:
-    """This process holds the other ends, and the daemon inherits what is usual."""
+    """Raise the limit of this process, which has the other ends; the daemon inherits the usual one."""
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     resource.setrlimit(resource.RLIMIT_NOFILE, (min(hard, 4 * ATTACKERS), hard))
     yield
@@ -87,7 +87,9 @@ async def test_no_descriptor_left_is_logged_once_and_ends_when_there_are_some() 
             for _ in range(20):
                 device = stack.enter_context(socket.socket())
                 device.connect(host.tcp)
-            await asyncio.sleep(2.5)
+            once = (b"descriptors.exhausted", b"client.crowded")
+            await expect(lambda: all(word in host.log_file.read_bytes() for word in once))
+            await expect_never(lambda: any(host.log_file.read_bytes().count(word) > 1 for word in once), for_s=2.5)
             lines = await log_of(host)
             resource.prlimit(host.child.pid, resource.RLIMIT_NOFILE, (DESCRIPTORS, DESCRIPTORS))
             async with asyncio.timeout(TIMEOUT_S), fake_device(host.tcp, robot_topics()):

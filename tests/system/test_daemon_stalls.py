@@ -1,4 +1,4 @@
-"""A daemon that is stopped and goes on, as in a debugger, a paused virtual machine, a computer that slept."""
+"""A daemon that is stopped and continues, as in a debugger, a paused virtual machine, a computer that slept."""
 
 import asyncio
 import signal
@@ -47,7 +47,7 @@ async def test_velocities_that_waited_meanwhile_move_no_robot() -> None:
 
 
 async def velocities(device: FakeDevice, *, for_s: float) -> set[tuple[float, float]]:
-    """What a device is commanded."""
+    """Return the velocities that a device receives."""
     found = set[tuple[float, float]]()
     try:
         async with asyncio.timeout(for_s):
@@ -57,8 +57,9 @@ async def velocities(device: FakeDevice, *, for_s: float) -> set[tuple[float, fl
         return found
 
 
-async def test_a_pause_of_the_daemon_is_no_finding_and_ends_no_link() -> None:
-    """Longer than a device may be silent; the device goes on meanwhile."""
+@pytest.mark.long  # tests/property/test_host_pauses.py has the rule in virtual time
+async def test_pause_of_the_daemon_causes_no_finding_and_ends_no_link() -> None:
+    """The pause is longer than a device may be silent; the device continues meanwhile."""
     async with serve() as daemon, fake_device(daemon.tcp, robot_topics()) as device, aiohttp.ClientSession() as session:
         await daemon.read_log("robot.appeared")
         async with asyncio.TaskGroup() as tasks:
@@ -77,7 +78,8 @@ async def test_a_pause_of_the_daemon_is_no_finding_and_ends_no_link() -> None:
     assert view["ended"] == []
 
 
-async def test_a_restart_of_the_daemon_is_no_finding_about_a_device_whose_requests_had_waited() -> None:
+@pytest.mark.long
+async def test_restart_of_the_daemon_causes_no_finding_about_a_device_whose_requests_had_waited() -> None:
     async with serve() as daemon, aiohttp.ClientSession() as session:
         reader, writer = await asyncio.open_connection(*daemon.tcp)
         writer.write(TIME * 6)  # in its WiFi module, while there was no host
@@ -94,7 +96,7 @@ async def test_a_restart_of_the_daemon_is_no_finding_about_a_device_whose_reques
 
 
 async def request_the_time(device: FakeDevice) -> None:
-    """As a device that is configured."""
+    """Request the time like a configured device."""
     while True:
         await asyncio.sleep(TIME_PERIOD_S)
         await device.send(TIME)

@@ -16,7 +16,7 @@ from tests.support.process import run
 
 pytestmark = pytest.mark.quiet
 
-PATIENCE_S = 25.0
+PATIENCE_S = 100.0  # only a defect reaches it; 25 s on a quiet machine
 POLL_S = 0.2
 CODES = {
     "silence": "no_bytes",
@@ -80,11 +80,13 @@ def note(found: Observed, links: list[dict[str, Any]], names: dict[str, str]) ->
 
 
 @pytest.mark.parametrize("fault", FAULTS)
-async def test_the_fault_is_named(fault: str, observed: tuple[Observed, Observed]) -> None:
+async def test_fault_of_a_device_is_named_by_the_api_and_by_doctor(
+    fault: str, observed: tuple[Observed, Observed]
+) -> None:
     for found in observed:
         assert CODES[fault] in found[fault]
         assert set(found[fault]) <= {CODES[fault], "went_silent"}
 
 
-async def test_a_healthy_robot_has_no_findings(observed: tuple[Observed, Observed]) -> None:
+async def test_healthy_robot_has_no_findings(observed: tuple[Observed, Observed]) -> None:
     assert [found["healthy"] for found in observed] == [{}, {}]

@@ -113,7 +113,7 @@ async def test_doctor_listens_by_itself() -> None:
     assert (listening.returncode, codes(out.decode())) == (1, ["wrong_md5"])
 
 
-async def test_nobody_comes() -> None:
+async def test_doctor_without_a_device_reports_no_device() -> None:
     status, out, _ = await run("doctor", "--json", "--listen", f"127.0.0.1:{free_port()}", "--seconds", "1")
     assert (status, codes(out)) == (1, ["no_device"])
 
@@ -134,7 +134,7 @@ async def test_a_busy_serial_port_names_the_program_that_has_it() -> None:
     assert any(f"(pid {number})" in out for number in (daemon.child.pid, os.getpid()))  # a pty's other end is ours
 
 
-async def test_a_port_that_is_none() -> None:
+async def test_doctor_with_a_file_that_is_not_a_port_says_so() -> None:
     status, out, _ = await run("doctor", "--json", "--serial", "/dev/null")
     assert (status, codes(out)) == (1, ["serial_unusable"])
 
@@ -157,9 +157,9 @@ async def test_a_capture_is_diagnosed_like_the_link_that_it_is_of(tmp_path: Path
 
 @pytest.mark.parametrize(
     ("arguments", "status", "complaint"),
-    [([], 2, "name a link by its number, or say --last"), (["7"], 1, "no link named 7"), (["--last"], 1, "no device")],
+    [([], 2, "name a link by its number, or use --last"), (["7"], 1, "no link named 7"), (["--last"], 1, "no device")],
 )
-async def test_a_capture_of_nothing(arguments: list[str], status: int, complaint: str) -> None:
+async def test_doctor_with_an_empty_capture_says_so(arguments: list[str], status: int, complaint: str) -> None:
     async with serve() as daemon:
         got, _, err = await run("capture", *arguments, "--url", daemon.url)
     assert got == status

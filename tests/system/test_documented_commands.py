@@ -15,7 +15,7 @@ SHORT = {"5": "1"}  # of --seconds
 
 
 def quick_commands() -> set[tuple[str, ...]]:
-    """Those that need nothing but a daemon, and end by themselves."""
+    """Return the documented commands that need nothing but a daemon, and end by themselves."""
     complete = {each.words for each in documented() if each.is_complete or len(each.words) == 1}
     plain = {words for words in complete if not any(word.isupper() for word in words)}
     readers = {words for words in plain if words[0] in READERS and "--save" not in words and "-o" not in words}
@@ -23,7 +23,7 @@ def quick_commands() -> set[tuple[str, ...]]:
     return readers | once | {("record", "--list"), ("serve", "--example", "config"), ("--version",)} & plain
 
 
-async def test_the_quick_ones_end_well() -> None:
+async def test_documented_commands_that_end_by_themselves_succeed() -> None:
     async with daemon(has_black_box=True) as host, simulated_robot(host.tcp):
         await expect(lambda: host.hub.robots.find("robot_0").link is not None)
         commands = sorted(quick_commands())

@@ -21,7 +21,7 @@ FAR_CORNERS = [(SIDE_M, 0.0, math.pi / 2), (SIDE_M, SIDE_M, math.pi)]
 
 
 async def run_example(name: str, *arguments: str) -> str:
-    """What it prints."""
+    """Run an example; return what it prints."""
     child = await asyncio.create_subprocess_exec(
         sys.executable, str(EXAMPLES / name), *arguments, stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.PIPE
     )

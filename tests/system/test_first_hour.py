@@ -27,7 +27,7 @@ class Shell:
 
     @property
     def prompt(self) -> str:
-        """Whatever stands before it: a venv writes its name there."""
+        """End of the prompt; a venv writes its name before it."""
         return f"newcomer {self._number}>"
 
     async def begin(self, folder: Path, url: str) -> None:

@@ -86,16 +86,20 @@ COMMANDS: dict[str, Callable[[Path, Path], list[str]]] = {
 }
 
 
-#: Each command reads a finished file. All of them read by recording/reader.py, so that two show how it reads a file
-#: without an index.
-RUNS = [
-    *(("finished", command) for command in COMMANDS),
-    *((state, command) for state in ("unfinished", "damaged") for command in ("info", "csv")),
+#: All commands read by recording/reader.py: one with an index and one without run in make test.
+RUNS = [("finished", "plot"), ("unfinished", "csv")]
+MORE_RUNS = [
+    *(("finished", command) for command in COMMANDS if command != "plot"),
+    ("unfinished", "info"),
+    *(("damaged", command) for command in ("info", "csv")),
 ]
 
 
-@pytest.mark.long
-@pytest.mark.parametrize(("large", "command"), RUNS, indirect=["large"])
+@pytest.mark.parametrize(
+    ("large", "command"),
+    [*RUNS, *(pytest.param(*each, marks=pytest.mark.long) for each in MORE_RUNS)],
+    indirect=["large"],
+)
 def test_command_reads_a_large_recording_in_bounded_memory(large: Path, tmp_path: Path, command: str) -> None:
     status, peak = peak_mb(COMMANDS[command](large, tmp_path))
     assert status == 0
@@ -109,11 +113,14 @@ PLAYS = {
 }
 
 
-@pytest.mark.long
+MORE_PLAYS = [("finished", "program"), ("finished", "drive"), ("unfinished", "devices"), ("damaged", "devices")]
+
+
 @pytest.mark.parametrize(
-    ("large", "play"), [*(("finished", play) for play in PLAYS), ("unfinished", "devices"), ("damaged", "devices")],
+    ("large", "play"),
+    [("finished", "devices"), *(pytest.param(*each, marks=pytest.mark.long) for each in MORE_PLAYS)],
     indirect=["large"],
-)  # fmt: skip
+)
 def test_play_reads_a_large_recording_in_bounded_memory(large: Path, play: str) -> None:
     """Play has read the whole file before it finds that the daemon cannot be reached."""
     words = PLAYS[play]

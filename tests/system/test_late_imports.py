@@ -1,4 +1,4 @@
-"""What the daemon needs later is there from the start: an import needs a descriptor, and may find none."""
+"""Modules are imported at the start of the daemon: a later import needs a descriptor, and may find none free."""
 
 import asyncio
 import signal
@@ -15,7 +15,7 @@ PATHS = ["/", "/metrics", "/readyz", "/nothing"]
 API = ["robots", "robots/robot_0", "robots/robot_0/odometry", "links", "topics", "clients", "openapi.json"]
 
 
-async def test_nothing_is_imported_once_the_daemon_runs(tmp_path: Path) -> None:
+async def test_daemon_that_runs_imports_nothing_more(tmp_path: Path) -> None:
     log = tmp_path / "log"
     async with serve(log=log, program=(sys.executable, "-X", "importtime", HOSTLINK)) as daemon:
         await use(daemon)

@@ -3,7 +3,6 @@
 import asyncio
 import json
 import signal
-import socket
 import struct
 from collections.abc import Awaitable, Callable
 from pathlib import Path
@@ -30,8 +29,7 @@ def logs(count: int) -> bytes:
 async def flood(address: tuple[str, int], block: bytes) -> None:
     """From one connection, as fast as it is taken."""
     async with fake_device(address, robot_topics("flood"), local_host="127.0.0.5") as device:
-        own = device._writer.get_extra_info("socket")
-        own.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 65536)  # else `send` fills megabytes, and waits for them
+        device.limit_send_buffer(65536)  # else `send` fills megabytes, and waits for them
         end_s = asyncio.get_running_loop().time() + FLOOD_S
         while asyncio.get_running_loop().time() < end_s:
             await device.send(block)

@@ -25,7 +25,7 @@ class Notebook:
         self._client.execute(cell)
 
     async def run(self, cell: str) -> str:
-        """What the cell shows: its value, what it prints, or the name of its error."""
+        """Return what the cell shows: its value, its output, or the name of its error."""
         self.begin(cell)
         return await self.shown()
 

@@ -1,4 +1,4 @@
-"""The page, as somebody uses it: a real browser drives a simulated robot by mouse, finger, key and gamepad."""
+"""The page in use: a real browser drives a simulated robot by mouse, finger, key and gamepad."""
 
 import asyncio
 import contextlib
@@ -28,7 +28,7 @@ pytestmark = [pytest.mark.asyncio(loop_scope="session"), pytest.mark.quiet]
 
 LOW_S = 7.0  # smoothed over a second, low for five
 SHOWN_S = 10.0  # for which the firmware shows an error
-NOTICED_S = 1.0  # within this time the page shows that nobody answers
+NOTICED_S = 1.0  # within this time the page shows that the daemon does not answer
 MOST_STREAMS = 6  # that a browser opens to one address
 GAMEPAD = """
   const pad = { connected: true, axes: [0, 0, 0, 0], buttons: Array.from({ length: 16 }, () => ({ pressed: false })) };
@@ -38,7 +38,7 @@ GAMEPAD = """
 INSECURE = """
   delete Crypto.prototype.randomUUID;
   delete Navigator.prototype.getGamepads;
-"""  # what browsers withhold from a page that comes over http from another computer
+"""  # what browsers withhold from a page that was loaded over http from another computer
 ACCENT = """canvas => {
   const copy = new OffscreenCanvas(canvas.width, canvas.height).getContext("2d", { willReadFrequently: true });
   copy.drawImage(canvas, 0, 0);
@@ -70,7 +70,7 @@ class Scene:
         await expect(lambda: self.wanted != (0, 0))
 
     async def stands(self, *, within_s: float = 5.0) -> None:
-        """The command is zero, and nobody drives any more."""
+        """Wait until the command is zero and the robot has no driver."""
         await expect(lambda: self.wanted == (0, 0) and self.owner is None, timeout_s=within_s)
 
     async def stays_still(self, seconds: float) -> None:
@@ -87,7 +87,7 @@ async def everything(browser: Browser) -> AsyncIterator[Scene]:
 
 @pytest_asyncio.fixture(loop_scope="session")
 async def scene(everything: Scene) -> Scene:
-    """As if nobody had been there."""
+    """Reset the robot for the next test."""
     everything.host.hub.robots.find("robot_0").unlock()
     await everything.stands()
     return everything
@@ -118,9 +118,9 @@ async def driven_by_a_program(scene: Scene, *, priority: int) -> AsyncIterator[N
 
 
 @pytest.mark.parametrize("script", ["", INSECURE], ids=["secure", "insecure"])
-async def test_it_shows_the_robot_and_sends_no_request_to_other_hosts(scene: Scene, script: str) -> None:
+async def test_page_shows_the_robot_and_sends_no_request_to_other_hosts(scene: Scene, script: str) -> None:
     async with connected(scene, script=script) as tab:
-        await tab.shows("#drive-state", "nobody drives")
+        await tab.shows("#drive-state", "no driver")
         await tab.shows("#link", "Hz")
         await tab.shows("#clients", "client")
         assert tab.complaints == []
@@ -186,7 +186,7 @@ async def test_a_key_in_a_field_is_a_letter_and_a_slider_moves_nothing(scene: Sc
         await scene.stays_still(0.3)
 
 
-async def test_what_is_pressed_when_the_window_is_left_must_be_pressed_again(scene: Scene) -> None:
+async def test_key_that_is_held_when_the_window_is_left_must_be_pressed_again(scene: Scene) -> None:
     async with connected(scene) as tab:
         for event in ("blur", "pagehide"):
             await tab.page.keyboard.down("KeyW")
@@ -212,7 +212,7 @@ async def test_a_gamepad_drives_with_its_shoulder_pressed_and_not_when_it_is_los
 
 
 @pytest.mark.parametrize("way", ["closed", "crashed"])
-async def test_a_page_that_goes_while_driving_stops_the_robot(scene: Scene, way: str) -> None:
+async def test_page_that_is_closed_while_driving_stops_the_robot(scene: Scene, way: str) -> None:
     async with connected(scene) as tab:
         await tab.page.keyboard.down("KeyW")
         await scene.drives()
@@ -265,7 +265,7 @@ async def test_stop_locks_until_unlocked(scene: Scene) -> None:
             await scene.stays_still(0.2)
             await keys.up("KeyW")
             await tab.page.get_by_role("button", name="Unlock").click()
-            await tab.shows("#drive-state", "nobody drives")
+            await tab.shows("#drive-state", "no driver")
         await keys.down("KeyW")
         await scene.drives()
 
@@ -306,7 +306,7 @@ async def test_stop_works_without_the_websocket(scene: Scene) -> None:
         await tab.shows("#robots", "drives")
         await tab.page.get_by_role("button", name="Stop").click()
         await scene.stands(within_s=1.0)
-        await scene.stays_still(LEASE_S)  # though the program goes on
+        await scene.stays_still(LEASE_S)  # though the program continues
         assert scene.host.hub.robots.find("robot_0").gate.lock_reason == "the stop on the page"
 
 
@@ -337,7 +337,7 @@ async def test_a_network_that_dies_is_noticed_within_a_second_without_the_websoc
     async with proxy((host, int(port))) as network, visit(scene.browser, "about:blank") as tab:
         await tab.page.route_web_socket("**/*", lambda socket: socket.close())
         await tab.page.goto(network.url)
-        await tab.shows("#robots", "nobody drives")
+        await tab.shows("#robots", "no driver")
         await tab.shows("#notice", "The stop works")
         network.set_line(Line.STALLS)
         await tab.shows("#notice", "hostlink does not answer", timeout_s=NOTICED_S)
@@ -348,7 +348,7 @@ async def test_a_network_that_dies_is_noticed_within_a_second_without_the_websoc
         await tab.shows("#lock-reason", "somebody stands there", timeout_s=2 * NOTICED_S)
 
 
-async def test_it_watches_by_one_stream_and_requests_nothing_again_and_again(scene: Scene) -> None:
+async def test_page_watches_by_one_stream_and_does_not_poll(scene: Scene) -> None:
     async with connected(scene) as tab:
         await tab.shows("#clients", "client")
         requests: list[str] = []
@@ -370,7 +370,7 @@ async def test_a_dead_network_is_noticed_within_a_second_and_nothing_old_is_driv
         await scene.stands(within_s=1.0)
         await scene.stays_still(LEASE_S)  # what is on its way is older than a command holds
         network.set_line(Line.WORKS)
-        await scene.stays_still(0.5)  # whatever was on its way
+        await scene.stays_still(0.5)  # commands that were on their way
         await tab.is_connected()
         await scene.stays_still(0.3)  # though the key is still held
         await tab.page.keyboard.up("KeyW")
@@ -387,26 +387,26 @@ async def test_a_daemon_that_is_gone_is_waited_for(scene: Scene) -> None:
         await tab.shows("#drive-state", "No connection")
         network.is_refusing = False
         await tab.is_connected(timeout_s=3.0)
-        await tab.shows("#drive-state", "nobody drives")
+        await tab.shows("#drive-state", "no driver")
         await tab.page.locator("#notice").wait_for(state="hidden")
 
 
-async def test_who_drives_is_shown_and_who_goes_first(scene: Scene) -> None:
+async def test_page_shows_which_client_drives_and_which_has_priority(scene: Scene) -> None:
     async with connected(scene) as tab:
         async with driven_by_a_program(scene, priority=50):
-            await tab.shows("#drive-state", "Your stick takes over")
+            await tab.shows("#drive-state", "your stick takes over")
         await scene.stands()
         async with driven_by_a_program(scene, priority=90):
-            await tab.shows("#drive-state", "Goes before you")
+            await tab.shows("#drive-state", "with a higher priority")
             before = scene.wanted
             await tab.page.keyboard.down("KeyW")
             await tab.shows("#drive-state", "drives it with a higher priority")
             assert scene.wanted == before
             await tab.page.keyboard.up("KeyW")
-        await tab.shows("#drive-state", "nobody drives")
+        await tab.shows("#drive-state", "no driver")
 
 
-async def test_it_shows_the_battery_the_signal_and_what_is_wrong_in_words(scene: Scene) -> None:
+async def test_page_shows_the_battery_the_signal_and_the_errors_in_words(scene: Scene) -> None:
     async with connected(scene) as tab:
         await tab.shows("#link", "Battery12.0 V")
         await tab.shows("#link", "Errorsnone")
@@ -424,6 +424,6 @@ async def test_it_shows_the_battery_the_signal_and_what_is_wrong_in_words(scene:
 
 
 def supply(robot: DisturbedRobot, volts: float) -> None:
-    """This battery, for longer than the robot waits before it calls one low."""
+    """Show this battery voltage for longer than the robot waits before it reports a low battery."""
     robot.world.change(WorldParameters({"battery_v": volts}))
     robot.skip(LOW_S)

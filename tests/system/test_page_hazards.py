@@ -1,4 +1,4 @@
-"""What must not move a robot or keep a stop from it: lost keys and pointers, robots that come and go, wild values."""
+"""Hazards that must not move a robot or block a stop: lost keys, robots that connect and leave, wild values."""
 
 import asyncio
 import math
@@ -14,7 +14,7 @@ from playwright.async_api import expect as expect_page
 
 from tests.support.browser import Visit, visit
 from tests.support.page_server import PageServer, State, link, odometry, page_server, robot
-from tests.support.waiting import TIMEOUT_S, expect
+from tests.support.waiting import TIMEOUT_S, expect, expect_never
 
 pytestmark = [pytest.mark.asyncio(loop_scope="session"), pytest.mark.quiet]
 
@@ -85,11 +85,10 @@ class Scene:
         await expect(lambda: any(each[0] == name and each[1:] != (0, 0) for each in self.commands()[-1:]))
 
     async def stands(self) -> None:
-        """Zeros came last, and nothing else follows while whatever is held stays held."""
+        """Check that zeros were sent last, and that nothing follows while keys stay held."""
         await expect(lambda: [each[1:] for each in self.commands()[-2:]] == [(0, 0), (0, 0)])
         sent = len(self.commands())
-        await asyncio.sleep(SENT_AGAIN_S)
-        assert all(each[1:] == (0, 0) for each in self.commands()[sent:])
+        await expect_never(lambda: any(each[1:] != (0, 0) for each in self.commands()[sent:]), for_s=SENT_AGAIN_S)
 
 
 @pytest_asyncio.fixture(scope="module", loop_scope="session")
@@ -100,7 +99,7 @@ async def opened(browser: Browser) -> AsyncIterator[Scene]:
 
 @pytest_asyncio.fixture(loop_scope="session")
 async def scene(opened: Scene) -> Scene:
-    """One robot that nobody drives, nothing held."""
+    """Show one robot without a driver, with nothing held."""
     page = opened.tab.page
     opened.server.show(fleet("robot_0"))
     await opened.tab.layout("Drive")
@@ -108,7 +107,7 @@ async def scene(opened: Scene) -> Scene:
     for key in ("KeyW", "ArrowDown", "Meta"):
         await page.keyboard.up(key)
     await page.evaluate("document.activeElement.blur()")
-    await opened.tab.shows("#drive-state", "nobody drives")
+    await opened.tab.shows("#drive-state", "no driver")
     opened.server.published.clear()
     opened.server.requests.clear()
     return opened
@@ -164,7 +163,7 @@ async def test_a_mouse_whose_release_was_lost_lets_go_as_soon_as_it_moves(scene:
 
 
 async def test_a_page_that_did_not_run_drives_on_only_when_it_is_pressed_again(scene: Scene) -> None:
-    """As a laptop that slept, a debugger, a dialog: what was let go meanwhile is not known."""
+    """A laptop that slept, a debugger or a dialog does the same: releases meanwhile are not known."""
     page = scene.tab.page
     await page.keyboard.down("KeyW")
     await scene.drives()
@@ -232,7 +231,7 @@ async def test_arrows_in_the_menu_of_a_panel_and_in_a_list_drive_nothing(scene: 
     await page.keyboard.press("Tab")
     await page.locator("#clients ul").focus()
     await page.keyboard.press("Shift+Tab")
-    await page.keyboard.press("Tab")  # as who goes through the page with keys
+    await page.keyboard.press("Tab")  # like a user without a mouse
     await expect_page(page.locator("#clients ul")).to_be_focused()
     await page.keyboard.press("ArrowDown")
     assert scene.commands() == []
@@ -256,11 +255,11 @@ async def test_a_robot_that_was_chosen_by_mouse_is_driven_by_keys_at_once(scene:
     await scene.drives("robot_0")
 
 
-async def test_a_robot_that_comes_takes_neither_the_stick_nor_the_stop(browser: Browser) -> None:
+async def test_robot_that_connects_takes_neither_the_stick_nor_the_stop(browser: Browser) -> None:
     async with page_server() as server, visit(browser, server.url) as tab:
         scene = Scene(server, tab)
         server.show(fleet("robot_5"))
-        await tab.shows("#drive-state", "nobody drives")
+        await tab.shows("#drive-state", "no driver")
         await tab.page.keyboard.down("KeyW")
         await scene.drives("robot_5")
         server.show(fleet("robot_0", "robot_5"))
@@ -269,7 +268,7 @@ async def test_a_robot_that_comes_takes_neither_the_stick_nor_the_stop(browser: 
         await expect(lambda: server.requests == [("POST", "/api/robots/robot_5/lock")])
         await tab.page.keyboard.up("KeyW")
         assert {name for name, *_ in scene.commands()} == {"robot_5"}
-        server.show(fleet("robot_0", "robot_1"))  # it is forgotten: nobody has chosen another one
+        server.show(fleet("robot_0", "robot_1"))  # it is forgotten: no other one was chosen
         await tab.shows("#drive-state", "Choose a robot")
         await tab.page.keyboard.press("KeyW")
         assert {name for name, *_ in scene.commands()} == {"robot_5"}
@@ -297,7 +296,7 @@ async def test_a_later_stop_takes_nothing_from_an_earlier_one(scene: Scene) -> N
 
 
 async def test_the_stop_works_when_it_is_pressed_and_waits_for_no_release(scene: Scene) -> None:
-    """Who presses in a hurry slides off it, or scrolls: then no click comes."""
+    """A hurried press slides off the button, or scrolls: the browser then sends no click."""
     page, lock = scene.tab.page, ("POST", "/api/robots/robot_0/lock")
     await page.locator("#stop").hover()
     await page.mouse.down()
@@ -307,9 +306,8 @@ async def test_the_stop_works_when_it_is_pressed_and_waits_for_no_release(scene:
     await page.locator("#stop").press("Enter")
     await expect(lambda: scene.server.requests == [lock] * 2)
     await page.locator("#stop").click()
-    await expect(lambda: len(scene.server.requests) >= 3)
-    await asyncio.sleep(SENT_AGAIN_S)
-    assert scene.server.requests == [lock] * 3
+    await expect(lambda: scene.server.requests == [lock] * 3)
+    await expect_never(lambda: len(scene.server.requests) > 3, for_s=SENT_AGAIN_S)
 
 
 async def test_the_stop_works_beside_a_finger_on_the_stick(browser: Browser) -> None:
@@ -317,7 +315,7 @@ async def test_the_stop_works_beside_a_finger_on_the_stick(browser: Browser) -> 
     async with page_server() as server, visit(browser, server.url, has_touch=True) as tab:
         scene = Scene(server, tab)
         server.show(fleet("robot_0"))
-        await tab.shows("#drive-state", "nobody drives")
+        await tab.shows("#drive-state", "no driver")
         x, y = await tab.stick()
         box = await tab.page.locator("#stop").bounding_box()
         assert box is not None
@@ -358,7 +356,7 @@ async def test_a_stop_of_all_names_each_robot_that_moves_or_is_not_known_to_stan
     unknown = {"state": "unknown", "speed_m_s": None, "turn_rad_s": None, "after_s": None}
     state.standstills = {"robot_2": {**unknown, "reason": "its device is not connected"}}
     await scene.tab.page.get_by_role("button", name="Stop all").click()
-    await scene.tab.shows("#notice", "Whether robot_2 stands is not known: its device is not connected.")
+    await scene.tab.shows("#notice", "Whether robot_2 is stopped is unknown: its device is not connected.")
     state.standstills = {}
     await scene.tab.page.get_by_role("button", name="Stop all").click()
     await scene.tab.shows("#notice", "All 3 robots are stopped.")
@@ -415,10 +413,10 @@ async def test_a_stick_waits_for_a_source_with_a_higher_priority(scene: Scene) -
 
 
 async def test_a_browser_that_keeps_nothing_shows_and_stops(browser: Browser) -> None:
-    """As one that blocks the data of all pages: the token holds until the page is left."""
+    """A browser may block the data of all pages: the token is kept until the page is left."""
     async with page_server() as server, visit(browser, f"{server.url}/?token=secret", script=KEEPS_NOTHING) as tab:
         server.show(fleet("robot_0"))
-        await tab.shows("#drive-state", "nobody drives")
+        await tab.shows("#drive-state", "no driver")
         await tab.layout("Watch")
         await tab.page.keyboard.press("Escape")
         await expect(lambda: server.requests == [("POST", "/api/robots/robot_0/lock")])
@@ -456,7 +454,7 @@ async def test_two_who_hold_the_stick_at_once_are_told_so(scene: Scene) -> None:
     scene.server.show(fleet("robot_0", holder="client 1", priority=60))
     await scene.tab.shows("#drive-state", "You drive")
     scene.server.show(fleet("robot_0", holder="client 2", priority=60))
-    await scene.tab.shows("#drive-state", "Somebody else drives it, too")
+    await scene.tab.shows("#drive-state", "Another client drives it too")
     await scene.tab.shows("#drive-state", "You drive")  # the other one has let go
     await scene.tab.page.keyboard.up("KeyW")
 
@@ -497,7 +495,7 @@ async def test_long_paths_of_many_robots_are_not_drawn_again_and_again(browser: 
                 lines.append(await tab.page.evaluate("window.lines"))
 
 
-async def test_what_a_slow_line_brings_late_is_dimmed_and_says_how_old_it_is(scene: Scene) -> None:
+async def test_late_values_of_a_slow_line_are_dimmed_with_their_age(scene: Scene) -> None:
     page = scene.tab.page
     state = fleet("robot_0")
     state.late_s = 3.0

@@ -82,7 +82,7 @@ async def test_values_of_a_robot_are_blank_or_grow_old_while_the_daemon_is_gone(
             await expect_page(tab.page.locator(f"#robots {empty}")).to_have_text("")
         await tab.shows("#pose .age", "old")
         await expect_page(tab.page.locator("#pose div:last-of-type dd")).to_have_text("–")
-        await tab.shows("#speeds .bar", "no news of it")
+        await tab.shows("#speeds .bar", "no data")
         await tab.shows("#drive-state", "No connection")
         await tab.page.screenshot(path=PICTURES / f"page-lost-{how}.png")
         mend(line)
@@ -92,9 +92,7 @@ async def test_values_of_a_robot_are_blank_or_grow_old_while_the_daemon_is_gone(
 
 
 @pytest.mark.parametrize("how", HOW_IT_GOES)
-async def test_lists_of_what_goes_on_claim_nothing_while_the_daemon_is_gone(
-    browser: Browser, how: str, tmp_path: Path
-) -> None:
+async def test_lists_of_activity_are_empty_while_the_daemon_is_gone(browser: Browser, how: str, tmp_path: Path) -> None:
     config = Config(recording=RecordingConfig(folder=tmp_path, min_free_disk_mb=0.0))
     async with shown(browser, config) as (host, line, tab):
         await tab.layout("Watch")
@@ -103,8 +101,8 @@ async def test_lists_of_what_goes_on_claim_nothing_while_the_daemon_is_gone(
         await tab.shows("#drives", "drives now")
         await tab.shows("#topics .topics", "Hz", timeout_s=15.0)
         cut(line, how)
-        await tab.shows("#recordings .figures", "no news of it")
-        await tab.shows("#drives .still", "drove when hostlink was heard last")
+        await tab.shows("#recordings .figures", "no data")
+        await tab.shows("#drives .still", "was driving at the last contact with hostlink")
         await expect_page(tab.page.locator("#topics .topics")).not_to_contain_text("Hz", timeout=2 * UNKNOWN_MS)
         mend(line)
         await tab.shows("#topics .topics", "Hz", timeout_s=15.0)
@@ -116,7 +114,7 @@ async def test_an_opened_topic_says_how_old_its_values_are_while_the_daemon_is_g
     async with shown(browser, Config()) as (_, line, tab):
         await tab.layout("Watch")
         await tab.page.locator("#topics .topics button", has_text="/robot_0/odometry").first.click(timeout=15_000)
-        await tab.shows("#topics .opened", "since it was opened")
+        await tab.shows("#topics .opened", "since opening")
         await expect_page(tab.page.locator("#topics .opened > .hint").first).not_to_contain_text("no connection")
         cut(line, "refused")
         await tab.shows("#topics .opened", "no connection, the newest is")

@@ -35,7 +35,7 @@ SIZES: dict[str, dict[str, Any]] = {
 }
 
 
-async def test_without_a_robot_it_shows_how_to_get_one_and_that_one_is_gone(browser: Browser) -> None:
+async def test_page_without_a_robot_shows_how_to_get_one_and_that_one_is_gone(browser: Browser) -> None:
     async with daemon() as host, visit(browser, host.url) as tab:
         await tab.shows("#robots", "No robot yet")
         await tab.shows("#drive-state", "No robot yet")
@@ -43,13 +43,13 @@ async def test_without_a_robot_it_shows_how_to_get_one_and_that_one_is_gone(brow
             await device.send(pose(1.0, -2.0))
             await tab.shows("#pose", "−2.00 m")
             await tab.shows("#plots-note", "no plot_data")
-            await tab.shows("#tuning-state", "takes no gains")
+            await tab.shows("#tuning-state", "has no tuning topics")
         await tab.shows("#robots", "not connected")
         await tab.shows("#notice", "robot_0 is not connected")
         assert tab.complaints == []
 
 
-async def test_a_robot_that_is_played_says_so_where_others_name_who_drives(browser: Browser) -> None:
+async def test_played_robot_is_named_a_recording_instead_of_its_driver(browser: Browser) -> None:
     mark = topic(Id.PUBLISHER, 130, "/robot_0/played", "std_msgs/String")
     async with (
         daemon() as host,
@@ -57,11 +57,12 @@ async def test_a_robot_that_is_played_says_so_where_others_name_who_drives(brows
         fake_device(host.tcp, [*robot_topics(), mark]) as device,
     ):
         await device.send(pose(1.0, -2.0))
-        await tab.shows("#drive-state", "A recording: it obeys nobody")
+        await tab.shows("#drive-state", "A recording: it cannot be driven")
         await tab.shows("#robots", "a recording")
 
 
 @pytest.mark.alone
+@pytest.mark.long  # test_page_layout.py measures the same of the page alone
 async def test_a_robot_that_falls_silent_is_amber_within_half_a_second(browser: Browser) -> None:
     async with daemon() as host, visit(browser, host.url) as tab, fake_device(host.tcp, robot_topics()) as device:
 
@@ -81,7 +82,7 @@ async def test_a_robot_that_falls_silent_is_amber_within_half_a_second(browser: 
         assert await is_soon(amber_s, AMBER_S)
 
 
-async def test_a_device_that_is_no_robot_is_explained(browser: Browser) -> None:
+async def test_device_that_is_not_a_robot_is_explained(browser: Browser) -> None:
     async with daemon() as host, visit(browser, host.url) as tab:
         _, writer = await asyncio.open_connection(*host.tcp)
         writer.write(b"hello, this is no rosserial\r\n" * 20)
@@ -95,43 +96,43 @@ async def test_a_token_is_requested_and_kept_out_of_the_address(browser: Browser
         async with visit(browser, host.url) as tab:
             await tab.shows("#access", "A token is needed")
             await tab.page.get_by_role("textbox", name="Token").fill(DRIVE)
-            await tab.page.get_by_role("button", name="Use it").click()
+            await tab.page.get_by_role("button", name="Log in").click()
             await tab.is_connected()
             await tab.page.locator("#access").wait_for(state="hidden")
         async with visit(browser, f"{host.url}/?token={READ}") as tab:
             await tab.is_connected()
             assert tab.page.url == f"{host.url}/"
             await tab.shows("#robots", "robot_0")
-            await tab.shows("#notice", "may only read")
+            await tab.shows("#notice", "has the role read")
             await tab.page.locator("#notice").wait_for(state="hidden", timeout=10_000)  # once
             await tab.page.keyboard.down("KeyW")
-            await tab.shows("#drive-state", "may only read")
+            await tab.shows("#drive-state", "has the role read")
             await tab.shows("#command-linear", "0.00")
             for useless in ("#max-linear", "#max-angular", "#unlock", "#odometry-reset"):
                 assert await tab.page.locator(useless).is_disabled()
             await tab.page.keyboard.up("KeyW")
             await tab.page.keyboard.press("Escape")
-            await tab.shows("#robots", "locked")  # whoever may read may stop
+            await tab.shows("#robots", "locked")  # a token that may read may stop
             await tab.page.reload()
             await tab.is_connected()  # kept for the session
             host.hub.robots.find("robot_0").unlock()
-            await tab.page.get_by_role("button", name="Another token").click()
+            await tab.page.get_by_role("button", name="Use another token").click()
             await tab.page.get_by_role("textbox", name="Token").fill(DRIVE)
-            await tab.page.get_by_role("button", name="Use it").click()
-            await tab.shows("#drive-state", "nobody drives")
+            await tab.page.get_by_role("button", name="Log in").click()
+            await tab.shows("#drive-state", "no driver")
             assert not await tab.page.locator("#max-linear").is_disabled()
             assert tab.other_hosts == []
         assert host.hub.robots.find("robot_0").gate.counts.commands == 0
 
 
 @pytest.mark.parametrize("size", SIZES)
-async def test_its_layout_and_its_text_are_right(browser: Browser, size: str) -> None:
+async def test_page_of_a_driving_robot_has_the_right_layout_and_text(browser: Browser, size: str) -> None:
     """Pictures are kept; nothing hangs over the side, and axe finds nothing that keeps anybody out."""
     async with daemon(PAPER) as host, visit(browser, host.url, **SIZES[size]) as tab:
         await tab.is_connected()
         async with simulated_robot(host.tcp) as robot:
             await tab.shows("#log", "robot is ready")
-            await tab.shows("#drive-state", "nobody drives")
+            await tab.shows("#drive-state", "no driver")
             await tab.page.keyboard.down("KeyW")
             await tab.page.keyboard.down("KeyA")
             await expect(lambda: robot.pose.theta_rad > TURN_RAD, timeout_s=60.0)

@@ -1,4 +1,4 @@
-"""Any topic on the page: its rate, its values, plots of its fields, a form that publishes; and the bounds of lists."""
+"""The panel of topics: rates, values, plots of fields, a form that publishes; and the bounds of lists."""
 
 import asyncio
 import csv
@@ -35,7 +35,7 @@ async def open_topic(tab: Visit, name: str) -> None:
 async def test_a_topic_is_listed_read_plotted_saved_and_published(browser: Browser, tmp_path: Path) -> None:
     async with daemon() as host, simulated_robot(host.tcp), visit(browser, host.url, script=WATCH) as tab:
         page = tab.page
-        await tab.shows("#robots", "nobody drives")
+        await tab.shows("#robots", "no driver")
         await tab.shows("#topics .topics", "/robot_0/plot_data")
         row = page.locator("#topics .topics li", has_text="/robot_0/plot_data")
         await expect_page(row).to_contain_text("geometry_msgs/Twist")
@@ -64,7 +64,7 @@ async def test_a_topic_is_listed_read_plotted_saved_and_published(browser: Brows
 
 
 async def publish_a_velocity(host: Daemon, tab: Visit) -> None:
-    """By the form, through the gate; what cannot be sent is named."""
+    """Publish by the form, through the gate; the page names the reason of a refusal."""
     page, robot = tab.page, host.hub.robots.find("robot_0")
     await open_topic(tab, "/robot_0/velocity_commands")
     await page.locator("#topics summary").click()
@@ -72,7 +72,7 @@ async def publish_a_velocity(host: Daemon, tab: Visit) -> None:
     send = page.locator("#topics form").get_by_role("button", name="Publish")
     await forward.fill("")
     await send.click()
-    await tab.shows("#topics form", "linear.x: a number is needed (float64).")
+    await tab.shows("#topics form", "linear.x: enter a number (float64).")
     await forward.fill("0.05")
     await send.click()
     await tab.shows("#topics form", "Sent at")

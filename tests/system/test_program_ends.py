@@ -1,4 +1,4 @@
-"""Whatever ends a program that drives with the blocking client, or a cell of a notebook, stops the robot."""
+"""Every end of a program that drives with the blocking client stops the robot."""
 
 import asyncio
 import signal
@@ -18,13 +18,13 @@ pytestmark = pytest.mark.quiet
     ("line", "status"),
     [
         ("pass", 0),
-        ("sys.exit(3)", 3),
+        pytest.param("sys.exit(3)", 3, marks=pytest.mark.long),
         ("1 / 0", 1),
         ("raise KeyboardInterrupt", 130),
         ("os._exit(4)", 4),
         ("os.kill(os.getpid(), signal.SIGTERM)", -signal.SIGTERM),
-        ("del robot, host; time.sleep(1)", 0),
-        ("threading.Thread(target=time.sleep, args=(0.3,)).start()", 0),
+        pytest.param("del robot, host; time.sleep(1)", 0, marks=pytest.mark.long),
+        pytest.param("threading.Thread(target=time.sleep, args=(0.3,)).start()", 0, marks=pytest.mark.long),
     ],
 )
 async def test_the_end_of_a_program_stops_what_it_drives(line: str, status: int) -> None:
@@ -44,7 +44,7 @@ async def test_the_end_of_a_program_stops_what_it_drives(line: str, status: int)
     ("number", "line"),
     [
         (signal.SIGINT, "time.sleep(60)"),
-        (signal.SIGINT, "for pose in robot.odometry(): pass"),
+        pytest.param(signal.SIGINT, "for pose in robot.odometry(): pass", marks=pytest.mark.long),
         (signal.SIGKILL, "time.sleep(60)"),
         (signal.SIGHUP, "threading.Thread(target=lambda: (robot.drive(0.2, 0.0), time.sleep(60))).start()"),
     ],
@@ -79,7 +79,7 @@ async def test_the_end_of_the_main_thread_stops_what_it_drives_though_another_th
                 assert child.returncode is None
 
 
-async def test_what_another_thread_drives_goes_on_behind_the_end_of_the_main_thread() -> None:
+async def test_robot_that_another_thread_drives_is_driven_after_the_end_of_the_main_thread() -> None:
     control = "def control():\n    robot.drive(0.1, 0.0)\n    print(threading.main_thread().join(), flush=True)"
     lives = "    time.sleep(60)\nthread = threading.Thread(target=control)\nthread.start()"
     async with robot_to_drive() as robot, script(robot.host.url, control, lives) as child:
@@ -88,7 +88,7 @@ async def test_what_another_thread_drives_goes_on_behind_the_end_of_the_main_thr
         await expect_never(lambda: not robot.is_held, for_s=0.5)
 
 
-async def test_a_program_that_stands_still_drives_for_a_lease_and_not_again_when_it_goes_on() -> None:
+async def test_program_that_is_stopped_by_a_signal_drives_for_a_lease_and_not_after_it_continues() -> None:
     async with robot_to_drive(lease_s=LEASE_S) as robot, script(robot.host.url, "time.sleep(60)") as child:
         await robot.moves()
         child.send_signal(signal.SIGSTOP)

@@ -53,11 +53,11 @@ def shown(messages: Iterable[StoredMessage]) -> list[tuple[str, bytes]]:
 
 
 def find(part: list[tuple[str, bytes]], whole: list[tuple[str, bytes]]) -> int:
-    """Where the part begins in the whole."""
+    """Return where the part begins in the whole."""
     return next(at for at in range(len(whole)) if whole[at : at + len(part)] == part)
 
 
-async def test_what_is_played_is_recorded_again_byte_for_byte_at_its_times(tmp_path: Path) -> None:
+async def test_played_messages_are_recorded_again_byte_for_byte_at_their_times(tmp_path: Path) -> None:
     first = tmp_path / "first.mcap"
     async with serve(*settings(tmp_path)) as daemon, simulated(daemon.tcp):
         await until_connected(daemon.url)
@@ -85,7 +85,7 @@ async def test_what_is_played_is_recorded_again_byte_for_byte_at_its_times(tmp_p
     assert moved["x"].max() > SPEED_M_S
 
 
-async def test_a_played_robot_is_seen_marked_and_obeys_nobody(tmp_path: Path) -> None:
+async def test_played_robot_is_marked_and_obeys_no_command(tmp_path: Path) -> None:
     first = tmp_path / "first.mcap"
     async with serve(*settings(tmp_path)) as daemon:
         async with simulated(daemon.tcp):
@@ -104,7 +104,7 @@ async def test_a_played_robot_is_seen_marked_and_obeys_nobody(tmp_path: Path) ->
 
 
 async def velocities(host: Host) -> int:
-    """How many velocities have passed to the robot's gate, which stays while its device is away."""
+    """Return how many velocities the robot's gate has received; the gate stays while its device is away."""
     names = ("/robot_0/velocity_commands", "/robot_0/cmd_vel")
     return sum(topic["messages"] for topic in await host.topics() if topic["name"] in names)
 
@@ -180,7 +180,7 @@ async def _now_ns(daemon: Process) -> int:
 
 async def test_incidents_are_listed_and_fetched(tmp_path: Path) -> None:
     async with serve(*settings(tmp_path)) as daemon, simulated(daemon.tcp):
-        assert (await run("incidents", "--url", daemon.url))[1] == "nothing has happened\n"
+        assert (await run("incidents", "--url", daemon.url))[1] == "there are no incidents\n"
         await until_connected(daemon.url)
         status, out, err = await run("incidents", "--save", "robot_0", "--reason", "it squeaks", "--url", daemon.url)
         assert (status, out) == (0, ""), err
@@ -205,7 +205,7 @@ async def test_incidents_are_listed_and_fetched(tmp_path: Path) -> None:
         (("incidents", "one"), "-o FILE"),
     ],
 )
-async def test_what_cannot_be_is_a_line(words: tuple[str, ...], complaint: str) -> None:
+async def test_play_with_impossible_words_fails_with_one_line(words: tuple[str, ...], complaint: str) -> None:
     status, _, err = await run(*words)
     assert status in (1, 2)
     assert complaint in err

@@ -41,7 +41,7 @@ async def test_a_file_is_read_again_by_a_command_and_by_a_signal(tmp_path: Path)
 
 @pytest.mark.parametrize("what", ["settings", "token file"])
 async def test_reload_with_a_file_that_blocks_keeps_driving_stopping_and_ending(tmp_path: Path, what: str) -> None:
-    """A FIFO without a writer blocks whoever opens it, as a file of a dead NFS mount does."""
+    """Opening a FIFO without a writer blocks, like a file of a dead NFS mount."""
     file, token_file, fifo = tmp_path / "hostlink.toml", tmp_path / "token", tmp_path / "fifo"
     file.write_text("")
     os.mkfifo(fifo)

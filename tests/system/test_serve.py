@@ -171,7 +171,11 @@ async def test_a_serial_port_that_is_not_there_is_waited_for() -> None:
         (["serve", "--listen", "nonsense"], 2, "hostlink: --listen: 'nonsense' is not HOST:PORT"),
         (["serve", "--serial", "/dev/x@fast"], 2, "hostlink: --serial: '/dev/x@fast' is not PORT or PORT@BAUD"),
         (["serve", "--config", "/none.toml"], 2, "hostlink: /none.toml: No such file or directory"),
-        (["serve", "--log-level", "loud"], 2, "hostlink: --log-level: loud is none of debug, info, warning, error"),
+        (
+            ["serve", "--log-level", "loud"],
+            2,
+            "hostlink: --log-level: unknown level 'loud'; choose debug, info, warning or error",
+        ),
         (["inspect", "/none.jsonl"], 1, "hostlink: /none.jsonl: No such file or directory"),
         (
             ["topics", "--url", "http://127.0.0.1:1"],
@@ -179,10 +183,10 @@ async def test_a_serial_port_that_is_not_there_is_waited_for() -> None:
             "hostlink: no hostlink at http://127.0.0.1:1: is `hostlink serve`",
         ),
         (["teleop", "--url", "http://127.0.0.1:1"], 1, "hostlink: no hostlink at http://127.0.0.1:1"),
-        (["drive", "robot_0"], 2, "hostlink: drive: is no command; did you mean `hostlink teleop robot_0`?"),
-        (["pub", "/x", "{"], 2, "hostlink: MESSAGE: is no JSON"),
+        (["drive", "robot_0"], 2, "hostlink: drive: is not a command; did you mean `hostlink teleop robot_0`?"),
+        (["pub", "/x", "{"], 2, "hostlink: MESSAGE: is not JSON"),
         (["call", "/x", "[]"], 2, "hostlink: REQUEST: must be a JSON object"),
-        (["teleop", "--layout", "dvorak"], 2, "hostlink: --layout: dvorak is none of original, twist"),
+        (["teleop", "--layout", "dvorak"], 2, "hostlink: --layout: unknown layout 'dvorak'; choose original or twist"),
     ],
 )
 async def test_wrong_words_on_the_command_line(arguments: list[str], status: int, complaint: str) -> None:

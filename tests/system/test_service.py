@@ -38,7 +38,7 @@ class Systemd:
                     return message
 
     async def is_quiet_for(self, seconds: float) -> bool:
-        """Whether nothing comes, after what has come already."""
+        """Return whether nothing more is received."""
         with contextlib.suppress(BlockingIOError):
             while self.socket.recv(4096):
                 pass
@@ -65,7 +65,7 @@ async def test_systemd_is_notified_of_the_start_of_each_heartbeat_and_of_the_sto
             began_s = asyncio.get_running_loop().time()
             for _ in range(4):
                 await listener.received("WATCHDOG=1")
-            assert asyncio.get_running_loop().time() - began_s < 4 * WATCHDOG_S  # it comes before it is due
+            assert asyncio.get_running_loop().time() - began_s < 4 * WATCHDOG_S  # it is sent before it is due
             await listener.received("STATUS=1 devices; robots: robot_0")
             daemon.child.send_signal(signal.SIGTERM)
             await listener.received("STOPPING=1")

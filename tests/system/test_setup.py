@@ -10,7 +10,7 @@ def names_in(folder: Path) -> list[str]:
     return [path.name for path in folder.iterdir()]
 
 
-async def test_what_it_writes_passes_the_check(tmp_path: Path) -> None:
+async def test_settings_that_setup_writes_pass_the_check(tmp_path: Path) -> None:
     file = tmp_path / "hostlink.toml"
     answers = "usb\nCOM3\n/dev/ttyUSB7\n115200\nmule\n0.21\n0.4\n\nnetwork\n"
     status, out, err = await run("setup", str(file), input_text=answers)
@@ -28,7 +28,7 @@ async def test_a_file_that_is_there_stays(tmp_path: Path) -> None:
     file.write_text("mine")
     status, _, err = await run("setup", str(file), "--yes")
     assert (status, file.read_text()) == (2, "mine")
-    assert err == f"hostlink: FILE: {file} is there already: name another, or add --force\n"
+    assert err == f"hostlink: FILE: {file} exists already; name another, or add --force\n"
     assert (await run("setup", str(file), "--yes", "--force"))[0] == 0
 
 
@@ -36,7 +36,7 @@ async def test_an_end_before_the_last_question_writes_nothing(tmp_path: Path) ->
     file = tmp_path / "hostlink.toml"
     status, _, err = await run("setup", str(file), input_text="wifi\n")
     assert (status, file.exists()) == (1, False)
-    assert "no answer to question 2/10; nothing is written" in err
+    assert "standard input ended at question 2/10, and nothing was written" in err
 
 
 async def test_a_file_that_cannot_be_written_is_a_line(tmp_path: Path) -> None:
@@ -45,7 +45,7 @@ async def test_a_file_that_cannot_be_written_is_a_line(tmp_path: Path) -> None:
     assert "cannot be written: No such file or directory" in err
 
 
-async def test_in_a_terminal_ctrl_c_writes_nothing(tmp_path: Path) -> None:
+async def test_setup_in_a_terminal_at_ctrl_c_writes_nothing(tmp_path: Path) -> None:
     file = tmp_path / "hostlink.toml"
     async with screen() as terminal:
         await terminal.keys(f"{HOSTLINK} setup {file}; echo status $?", "Enter")

@@ -62,7 +62,7 @@ async def test_a_step_is_driven_reported_and_drawn(tmp_path: Path) -> None:
 async def test_tuning_proposes_gains_and_sends_them() -> None:
     async with serve() as daemon, simulated(daemon.tcp):
         await connected(daemon.url)
-        status, out, err = await run("step", "robot_0", "--relay", "--send", "--yes", "--json", "--url", daemon.url)
+        status, out, err = await run("step", "robot_0", "--tune", "--send", "--yes", "--json", "--url", daemon.url)
     assert status == 0, err
     view = json.loads(out)
     assert view["is_sent"]
@@ -98,11 +98,11 @@ async def test_an_error_begins_a_line_of_its_own() -> None:
     ("arguments", "status", "complaint"),
     [
         (("nobody", "--yes"), 1, "hostlink: no robot named nobody"),
-        (("robot_0",), 2, "hostlink: --yes: is needed where nobody can be asked: the robot will move"),
+        (("robot_0",), 2, "hostlink: --yes: the robot will move, and this command cannot ask"),
         (("robot_0", "--json"), 2, "hostlink: --yes: is needed"),
         (("robot_0", "--yes", "--speed", "0"), 2, "hostlink: --speed: 0 m/s is not 0.02 to 2, either way"),
         (("robot_0", "--yes", "--speed", "nan"), 2, "hostlink: --speed: nan m/s is not"),
-        (("robot_0", "--yes", "--send"), 2, "hostlink: --send: sends the gains that --tune computes; name both"),
+        (("robot_0", "--yes", "--send"), 2, "hostlink: --send: sends the gains that --tune computes; add --tune"),
         (
             ("robot_0", "--yes", "--tune", "--seconds", "9"),
             2,
@@ -112,7 +112,9 @@ async def test_an_error_begins_a_line_of_its_own() -> None:
         (("robot_0", "--yes", "--url", "http://127.0.0.1:1"), 1, "hostlink: no hostlink at http://127.0.0.1:1"),
     ],
 )
-async def test_what_a_user_makes_wrong_is_one_line(arguments: tuple[str, ...], status: int, complaint: str) -> None:
+async def test_step_with_a_wrong_argument_fails_with_one_line(
+    arguments: tuple[str, ...], status: int, complaint: str
+) -> None:
     async with serve() as daemon:
         url = () if "--url" in arguments else ("--url", daemon.url)
         found, out, err = await run("step", *arguments, *url)

@@ -35,7 +35,7 @@ WORST_S = 0.5  # on a machine with other work; a daemon that waits for the stuck
 
 
 class Crowd:
-    """The good clients: each measures how old a pose is when it comes."""
+    """Clients that keep up: each measures how old a pose is at its arrival."""
 
     def __init__(self) -> None:
         self.ages_s: list[float] = []
@@ -114,7 +114,7 @@ async def set_later(event: asyncio.Event, after_s: float) -> None:
 
 
 async def until_closed(daemon: Process, clients: set[str], done: asyncio.Event) -> int:
-    """How many messages were dropped for these clients until the daemon closed them."""
+    """Return how many messages were dropped for these clients until the daemon closed them."""
     dropped = 0
     while clients:
         line = await daemon.read_log("client.closed")

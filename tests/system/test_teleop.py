@@ -1,4 +1,7 @@
-"""Teleop in a real terminal (tmux): it drives while a key is held, and on every way out the robot stops."""
+"""Teleop in a real terminal (tmux): it drives while a key is held, and on every way out the robot stops.
+
+tests/unit/cli/test_driving.py has the rules of keys, tests/unit/cli/test_teleop_screen.py those of the screen.
+"""
 
 import asyncio
 import contextlib
@@ -13,13 +16,13 @@ import pytest
 from hostlink.cli.driving import HOLD_S
 from hostlink.client import connect
 from hostlink.hub.robot_events import LET_GO
-from tests.support.fake_device import fake_device, pose, robot_topics
+from tests.support.fake_device import fake_device, pose, repeating, robot_topics
 from tests.support.process import HOSTLINK, Process, serve, simulated
 from tests.support.screen import PATIENCE_S, Screen, screen
 
 TRIES = 5
-POSE_S = 0.05  # of the device's odometry
-OBSERVATIONS, OBSERVED_S = 40, 0.05  # of a robot whose key is held, before the key is pressed again
+MOVES_WITHIN_S = 3.0  # a robot whose key is held; otherwise the key is pressed again
+RELEASED_S = 2 * HOLD_S  # time between two presses; a barred key is free HOLD_S after its last repeat
 
 
 @contextlib.asynccontextmanager
@@ -38,16 +41,23 @@ async def robot(daemon: Process) -> dict[str, Any]:
         return observed
 
 
-async def expect(daemon: Process, is_so: Callable[[dict[str, Any]], bool]) -> None:
-    """Wait for a state of the robot, as the daemon sends it when it changes."""
-    async with asyncio.timeout(PATIENCE_S), connect(daemon.url) as host:
+async def expect(
+    daemon: Process, is_so: Callable[[dict[str, Any]], bool], *, within_s: float = PATIENCE_S
+) -> dict[str, Any]:
+    """Return the first state of the robot of which this is true. The daemon sends the state when it changes.
+
+    Raises:
+        TimeoutError: no such state within `within_s` seconds.
+    """
+    async with asyncio.timeout(within_s), connect(daemon.url) as host:
         async for event in host.watch():
-            if event.name == "robots" and is_so(event.data["robots"][0]):
-                return
+            if event.name == "robots" and is_so(state := dict(event.data["robots"][0])):
+                return state
+    raise AssertionError("the daemon ended the events")
 
 
 async def last_drive_ended(daemon: Process) -> str:
-    """Why the newest drive ended."""
+    """Return why the newest drive ended."""
     async with aiohttp.ClientSession() as session, session.get(f"{daemon.url}/api/drives") as response:
         return str((await response.json())["drives"][0]["end"])
 
@@ -56,7 +66,7 @@ def is_driven(observed: dict[str, Any]) -> bool:
     return observed["odometry"] is not None and observed["odometry"]["twist"]["linear_m_s"] > 0.03
 
 
-def stands(observed: dict[str, Any]) -> bool:
+def is_stopped(observed: dict[str, Any]) -> bool:
     return observed["holder"] is None and abs(observed["odometry"]["twist"]["linear_m_s"]) < 0.01
 
 
@@ -69,56 +79,53 @@ async def moving(terminal: Screen, daemon: Process, key: str = "w") -> AsyncIter
     async with contextlib.AsyncExitStack() as held:
         async with asyncio.timeout(PATIENCE_S):
             await held.enter_async_context(terminal.holding(key))
-            while not await _moves_within(daemon, OBSERVATIONS):
+            while not await _moves(daemon):
                 await held.aclose()
-                await asyncio.sleep(2 * HOLD_S)  # a bar ends HOLD_S after the last repeat
+                await asyncio.sleep(RELEASED_S)
                 await held.enter_async_context(terminal.holding(key))
         yield
 
 
-async def _moves_within(daemon: Process, observations: int) -> bool:
-    for _ in range(observations):
-        if is_driven(await robot(daemon)):
-            return True
-        await asyncio.sleep(OBSERVED_S)
-    return False
+async def _moves(daemon: Process) -> bool:
+    try:
+        await expect(daemon, is_driven, within_s=MOVES_WITHIN_S)
+    except TimeoutError:
+        return False
+    return True
 
 
-@pytest.mark.parametrize(("layout", "key"), [("original", "w"), ("original", "Up"), ("twist", "i")])
-async def test_a_pressed_key_drives_and_a_released_one_stops(layout: str, key: str) -> None:
+@pytest.mark.parametrize(("layout", "key"), [("original", "w"), ("twist", "i")])
+async def test_teleop_with_a_held_key_drives_and_lets_go_at_its_release(layout: str, key: str) -> None:
     async with driving(layout) as (daemon, terminal):
         async with moving(terminal, daemon, key):
-            assert "driven by you" in await terminal.shows("asked     +0.20 m/s")
-        await expect(daemon, stands)
+            assert "driven by you" in await terminal.shows("command   +0.20 m/s")
+        await expect(daemon, is_stopped)
         for _ in range(TRIES):  # a busy machine may deliver the zero after the end of the lease
             if await last_drive_ended(daemon) == LET_GO:
                 break
             async with moving(terminal, daemon, key):
                 pass
-            await expect(daemon, stands)
+            await expect(daemon, is_stopped)
         else:
             raise AssertionError("every drive ended by its lease, and not by the released key")
         await terminal.shows("driven by nobody")
 
 
-@pytest.mark.parametrize("key", ["Space", "k"])
-async def test_stop_key_stops_the_robot_though_a_driving_key_is_still_held(key: str) -> None:
-    """The epoch shows the stop. tests/unit/cli/test_driving.py: the held key moves nothing until it is released."""
-    async with driving() as (daemon, terminal), moving(terminal, daemon):
-        epoch = (await robot(daemon))["epoch"]
-        await terminal.keys(key)
-        await expect(daemon, lambda observed: observed["epoch"] > epoch)
-        await expect(daemon, stands)
-
-
-async def test_key_without_a_meaning_lets_go_though_a_driving_key_is_still_held() -> None:
-    async with driving() as (daemon, terminal), moving(terminal, daemon):
-        await terminal.keys("p")
-        await expect(daemon, stands)
+async def test_teleop_with_another_key_stops_the_robot_though_a_driving_key_is_held() -> None:
+    """The epoch shows the stop. A key without a meaning only lets go."""
+    async with driving() as (daemon, terminal):
+        for key in ("Space", "k", "p"):
+            async with moving(terminal, daemon):
+                epoch = (await robot(daemon))["epoch"]
+                await terminal.keys(key)
+                if key != "p":
+                    await expect(daemon, lambda observed, epoch=epoch: observed["epoch"] > epoch)  # type: ignore[misc]
+                await expect(daemon, is_stopped)
 
 
 @pytest.mark.parametrize("way", ["C-c", "TERM", "HUP", "KILL", "close"])
-async def test_every_way_out_stops_the_robot(way: str) -> None:
+async def test_teleop_that_ends_in_any_way_stops_the_robot(way: str) -> None:
+    """After an end in order, the terminal is as it was before."""
     async with driving() as (daemon, terminal):
         process = await terminal.process("hostlink teleop")
         async with moving(terminal, daemon):
@@ -128,39 +135,29 @@ async def test_every_way_out_stops_the_robot(way: str) -> None:
                 await terminal.keys("C-c")
             else:
                 os.kill(process, getattr(signal, f"SIG{way}"))
-            await expect(daemon, stands)
+            await expect(daemon, is_stopped)
+        if way in ("C-c", "TERM"):
+            await terminal.shows("bash-")  # the prompt is back
+            await terminal.keys("C-u", "stty -a | tr ' ;' '\\n\\n' | grep -cx -e icanon -e echo", "Enter")
+            await terminal.shows("\n2\n")
 
 
-@pytest.mark.parametrize("way", ["C-c", "TERM"])
-async def test_the_terminal_is_as_it_was(way: str) -> None:
-    async with driving() as (daemon, terminal):
-        process = await terminal.process("hostlink teleop")
-        async with moving(terminal, daemon):
-            pass
-        if way == "C-c":
-            await terminal.keys("C-c")
-        else:
-            os.kill(process, signal.SIGTERM)
-        await terminal.shows("bash-")  # the prompt is back
-        await terminal.keys("stty -a | tr ' ;' '\\n\\n' | grep -cx -e icanon -e echo", "Enter")
-        assert "\n2\n" in await terminal.shows("\n2\n")
-
-
-async def test_suspending_stops_the_robot_and_coming_back_drives_again() -> None:
+async def test_teleop_that_is_suspended_stops_the_robot_and_drives_again_after_its_return() -> None:
     async with driving() as (daemon, terminal):
         async with moving(terminal, daemon):
             pass
         await terminal.keys("C-z")
         await terminal.shows("Stopped")
-        await expect(daemon, stands)
+        await expect(daemon, is_stopped)
         await terminal.keys("clear", "Enter", "fg", "Enter")
         await terminal.shows("speeds")
-        assert stands(await robot(daemon))
+        assert is_stopped(await robot(daemon))
         async with moving(terminal, daemon):
             pass
 
 
-async def test_a_daemon_that_goes_away_is_reported_and_an_earlier_key_does_not_move_the_robot_later() -> None:
+async def test_teleop_whose_daemon_is_killed_shows_that_the_robot_stops_by_itself() -> None:
+    """tests/unit/cli/test_driving.py: the held key moves nothing until it is released."""
     async with driving() as (daemon, terminal):
         async with moving(terminal, daemon):
             daemon.child.kill()
@@ -174,43 +171,35 @@ async def post(daemon: Process, path: str) -> None:
         assert response.status == 200
 
 
-async def test_a_locked_robot_is_unlocked_by_a_key_and_moves_only_by_the_next() -> None:
+async def test_teleop_of_a_locked_robot_unlocks_it_by_a_key_and_drives_by_the_next() -> None:
     async with driving() as (daemon, terminal):
         async with moving(terminal, daemon):
             await post(daemon, "/api/robots/robot_0/lock")
             assert "r unlocks it" in await terminal.shows("LOCKED: ")
         await terminal.keys("w", "r")
         await expect(daemon, lambda observed: not observed["locked"])
-        await expect(daemon, stands)
+        await expect(daemon, is_stopped)
         async with moving(terminal, daemon):
             pass
 
 
-async def test_forty_columns_show_all_of_it() -> None:
-    async with driving() as (daemon, terminal):
-        await terminal.tmux("resize-window", "-t", "main", "-x", "40", "-y", "24")
-        shown = await terminal.shows("forward speed up/down")
-        assert "heading" in shown
-        assert "Ctrl-C" in shown
-        async with moving(terminal, daemon):
-            pass
-
-
-async def test_a_robot_whose_odometry_stands_still_is_warned_of_in_colour() -> None:
-    async with serve() as daemon, fake_device(daemon.tcp, robot_topics()) as device, screen() as terminal:
-        await device.send(pose(0.0))
+async def test_teleop_of_a_robot_whose_odometry_stands_still_shows_a_warning_in_colour() -> None:
+    async with (
+        serve() as daemon,
+        fake_device(daemon.tcp, robot_topics()) as device,
+        repeating(device, pose(0.0), interval_s=0.05),
+        screen() as terminal,
+    ):
         await terminal.keys(f"{HOSTLINK} teleop --url {daemon.url}", "Enter")
         await terminal.shows("hostlink teleop   robot_0   connected")
-        async with asyncio.timeout(PATIENCE_S), terminal.holding("w"):
-            while "its odometry stands still" not in await terminal.text():
-                await device.send(pose(0.0))
-                await asyncio.sleep(POSE_S)
-        coloured = await terminal.tmux("capture-pane", "-p", "-e", "-t", "main")
+        async with terminal.holding("w"):
+            await terminal.shows("its odometry stands still")
+            coloured = await terminal.tmux("capture-pane", "-p", "-e", "-t", "main")
         line = next(line for line in coloured.splitlines() if "stands still" in line)
         assert "\x1b[1m\x1b[33m" in line or "\x1b[33;1m" in line or "\x1b[1;33m" in line
 
 
-async def test_without_a_terminal_it_is_refused() -> None:
+async def test_teleop_without_a_terminal_is_refused() -> None:
     async with serve() as daemon, simulated(daemon.tcp):
         await daemon.read_log("robot.appeared")
         child = await asyncio.create_subprocess_exec(
@@ -219,4 +208,4 @@ async def test_without_a_terminal_it_is_refused() -> None:
         )  # fmt: skip
         _, err = await child.communicate()
     assert child.returncode == 2
-    assert err.decode().startswith("hostlink: teleop: needs a terminal for its keys")
+    assert err.decode().startswith("hostlink: teleop: standard input or output is not a terminal")

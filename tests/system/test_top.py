@@ -28,14 +28,14 @@ async def test_the_screen_shows_links_robots_and_what_is_wrong() -> None:
     assert screen.failure is None
 
 
-async def test_a_daemon_that_goes_away_ends_the_screen_with_the_reason() -> None:
+async def test_top_whose_daemon_ends_leaves_the_screen_with_the_reason() -> None:
     screen = TopScreen("http://127.0.0.1:9", None, 0.1)
     async with screen.run_test():
         await expect(lambda: screen.failure is not None)
     assert "no hostlink at" in str(screen.failure)
 
 
-async def test_once_as_text_and_as_json() -> None:
+async def test_top_once_prints_text_or_json() -> None:
     async with daemon() as host, fake_device(host.tcp, robot_topics()):
         status, out, err = await run("top", "--once", "--interval", "0.1", "--url", host.url)
         assert (status, err) == (0, "")
@@ -46,17 +46,17 @@ async def test_once_as_text_and_as_json() -> None:
     assert shown["links"][0]["robots"] == ["robot_0"]
 
 
-async def test_without_a_terminal_it_prints_what_to_do() -> None:
+async def test_top_without_a_terminal_prints_what_to_do() -> None:
     status, out, err = await run("top")
     assert (status, out) == (2, "")
-    assert err == "hostlink: top: needs a terminal; elsewhere use --once or --json\n"
+    assert err == "hostlink: top: standard output is not a terminal; use --once or --json\n"
 
 
 @pytest.mark.parametrize("key", ["q", "C-c"])
-async def test_in_a_real_terminal(key: str) -> None:
+async def test_top_in_a_terminal_ends_at_q_and_ctrl_c(key: str) -> None:
     async with daemon() as host, fake_device(host.tcp, robot_topics()), screen() as terminal:
         await terminal.keys(f"{HOSTLINK} top --url {host.url}", "Enter")
-        shown = await terminal.shows("nothing is wrong")
+        shown = await terminal.shows("no findings")
         assert "robot_0" in shown
         await terminal.keys(key)
         await terminal.shows("bash-")  # the prompt is back

@@ -51,15 +51,17 @@ async def test_echo_prints_fields_rows_and_single_messages() -> None:
     assert [row[1:] for row in rows] == [[repr(1 / 3), "2.0", "0.5"]] * 2
 
 
-async def test_a_topic_that_nobody_publishes_gets_a_hint() -> None:
+async def test_echo_of_a_topic_without_a_publisher_gets_a_hint() -> None:
     async with publishing() as (host, _):
         status, out, err = await run("echo", "/robot_0/odometrie", "--timeout", "0.2", "--url", host.url)
         assert (status, out) == (1, "")
         hint, error = err.splitlines()
-        assert hint.startswith("nobody publishes /robot_0/odometrie; near it: /robot_0/odometry")
-        assert error == "hostlink: /robot_0/odometrie: no message came within 0.2 s"
+        assert hint.startswith("/robot_0/odometrie has no publisher; similar names: /robot_0/odometry")
+        assert error.startswith(
+            "hostlink: /robot_0/odometrie: no message arrived within 0.2 s; `hostlink info /robot_0/"
+        )
         _, _, err = await run("hz", "/nonsense", "--seconds", "0.1", "--url", host.url)
-        assert err.startswith("nobody publishes /nonsense; `hostlink topics` lists what there is; waiting")
+        assert err.startswith("/nonsense has no publisher; `hostlink topics` lists all topics; waiting")
 
 
 async def test_rate_bandwidth_and_delay_are_measured() -> None:
@@ -89,15 +91,15 @@ async def test_info_type_and_find() -> None:
         assert json.loads((await run("info", "/trigger", *at))[1]) == {
             "service": "/trigger", "type": "std_srvs/Trigger", "node": "/robot_0",
         }  # fmt: skip
-        assert "near it: /trigger" in (await run("info", "/triger", *at))[2]
+        assert "similar names: /trigger" in (await run("info", "/triger", *at))[2]
         assert (await run("type", "/trigger", "--url", host.url))[1] == "std_srvs/Trigger\n"
         _, out, _ = await run("type", "/robot_0/velocity_commands", "--fields", "--url", host.url)
         assert out.splitlines()[:3] == ["geometry_msgs/Twist", "  geometry_msgs/Vector3 linear", "  float64 linear.x"]
-        _, out, _ = await run("type", "std_msgs/msg/ColorRGBA", "--url", host.url)  # nobody uses it
+        _, out, _ = await run("type", "std_msgs/msg/ColorRGBA", "--url", host.url)  # it has no publisher
         assert out.splitlines() == ["std_msgs/ColorRGBA", *(f"  float32 {name}" for name in "rgba")]
         assert (await run("find", "geometry_msgs/msg/Pose2D", "--url", host.url))[1] == "/robot_0/odometry\n"
         assert (await run("find", "geometry_msgs/Pose3D", *at))[2].startswith(
-            "hostlink: no topic or service of type named geometry_msgs/Pose3D; near it: geometry_msgs/Pose2D"
+            "hostlink: no topic or service of type named geometry_msgs/Pose3D; similar names: geometry_msgs/Pose2D"
         )
 
 
@@ -151,7 +153,7 @@ async def test_stop_lock_and_unlock() -> None:
         assert (status, "locked are: mule, robot_0" in err) == (1, True)
         assert (await run("unlock", "--all", *at))[1] == "mule may be driven\nrobot_0 may be driven\n"
         assert (await run("lock", "mull", *at))[2] == (
-            "hostlink: no robot named mull; near it: mule; `hostlink robots` lists them\n"
+            "hostlink: no robot named mull; similar names: mule; `hostlink robots` lists them\n"
         )
         assert all(robot.gate.lock_reason is None for robot in host.hub.robots.all())
 
@@ -166,7 +168,7 @@ async def test_parameters_are_set_saved_and_loaded(tmp_path: Path) -> None:
         assert (await run("params", "get", "/pid", *at))[1] == '{"kp": [1, 2]}\n'
         assert (await run("params", "dump", str(file), *at))[2] == f"3 parameters in {file}\n"
         assert (await run("params", "delete", "/pid", *at))[0] == 0
-        assert "near it: /pid/kp" not in (await run("params", "get", "/pid/kp", *at))[2]
+        assert "similar names: /pid/kp" not in (await run("params", "get", "/pid/kp", *at))[2]
         assert (await run("params", "load", str(file), *at))[2] == "3 parameters set\n"
         status, out, err = await run("params", "list", "--json", *at)
         assert (status, err) == (0, "")
@@ -185,7 +187,9 @@ async def test_parameters_are_set_saved_and_loaded(tmp_path: Path) -> None:
         (["load", "broken.json"], "broken.json: Expecting"),
     ],
 )
-async def test_a_file_of_parameters_that_is_none(tmp_path: Path, words: list[str], complaint: str) -> None:
+async def test_param_load_with_a_file_that_is_not_one_of_parameters_says_so(
+    tmp_path: Path, words: list[str], complaint: str
+) -> None:
     (tmp_path / "list.json").write_text("[1]")
     (tmp_path / "broken.json").write_text("{")
     async with daemon() as host:
@@ -211,7 +215,7 @@ async def test_ctrl_c_ends_a_measurement_with_its_summary() -> None:
 
 
 @pytest.mark.parametrize("words", [["--version"], ["-m"]])
-async def test_the_version(words: list[str]) -> None:
+async def test_version_option_prints_the_version(words: list[str]) -> None:
     if words == ["-m"]:
         child = await asyncio.create_subprocess_exec(
             str(Path(HOSTLINK).parent / "python"), "-m", "hostlink", "--version", stdout=asyncio.subprocess.PIPE
@@ -238,7 +242,7 @@ async def test_bash_completes_commands_options_and_topics(tmp_path: Path) -> Non
 
 @pytest.mark.parametrize("shell", ["zsh", "fish"])
 async def test_other_shells_get_the_same_names(shell: str) -> None:
-    """By the protocol of their scripts."""
+    """Complete by the protocol of the other shells' scripts."""
     async with publishing() as (host, _):
         action = {"_TYPER_COMPLETE_FISH_ACTION": "get-args"} if shell == "fish" else {}
         words = {"_HOSTLINK_COMPLETE": f"complete_{shell}", "_TYPER_COMPLETE_ARGS": "hostlink echo /robot_0/od"}

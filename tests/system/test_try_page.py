@@ -35,7 +35,7 @@ async def place(tab: Visit, name: str = "truth") -> tuple[float, float, float]:
 
 async def comes_to(tab: Visit, is_there: Callable[[float, float, float], bool]) -> None:
     async with asyncio.timeout(LONGEST_S):
-        while not is_there(*await place(tab)):  # noqa: ASYNC110 - the page tells nobody
+        while not is_there(*await place(tab)):  # noqa: ASYNC110 - the page sends no event
             await asyncio.sleep(0.05)
 
 

@@ -73,8 +73,23 @@ async def test_a_killed_daemon_leaves_no_robot_moving() -> None:
         assert await end_at(drive, 0.1, killer(signal.SIGKILL)) < LIMIT_S
 
 
+async def test_uvloop_is_the_default_where_it_is_installed() -> None:
+    async with serve() as daemon:
+        assert daemon.lines("daemon.started")[0]["loop"] == "uvloop"
+        assert is_loaded("uvloop", daemon.pid)
+    async with serve("--loop", "asyncio") as daemon:
+        assert daemon.lines("daemon.started")[0]["loop"] == "asyncio"
+
+
+async def test_without_uvloop_the_daemon_runs_on_asyncio(tmp_path: Path) -> None:
+    (tmp_path / "uvloop.py").write_text("raise ImportError")
+    async with serve(environment={"PYTHONPATH": str(tmp_path)}, program=(HOSTLINK,)) as daemon:
+        assert daemon.lines("daemon.started")[0]["loop"] == "asyncio"
+
+
 async def test_an_unknown_loop_is_one_line() -> None:
-    assert await run("serve", "--loop", "trio") == (2, "", "hostlink: --loop: trio is none of asyncio, uvloop\n")
+    message = "hostlink: --loop: unknown loop 'trio'; choose auto, asyncio, uvloop\n"
+    assert await run("serve", "--loop", "trio") == (2, "", message)
 
 
 def test_a_loop_that_is_not_installed_is_one_line(tmp_path: Path) -> None:

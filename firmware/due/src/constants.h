@@ -1,4 +1,4 @@
-// The robot's numbers (docs/robot.md#numbers): used where the host has no parameter of that name.
+// The robot's numbers (docs/paper-robot.md#numbers): used where the host has no parameter of that name.
 #pragma once
 
 #include <stdint.h>
@@ -16,7 +16,7 @@ const int16_t kPwmNothing = 10;  // at or below this PWM the motor is off
 const int16_t kPwmLeast = 700;   // the lowest PWM that turns a wheel
 
 // Mounting of the motors. The paper's right motor is mirrored: it rolls forwards with DIR LOW. The first drive on
-// blocks shows a wrong setting (../../README.md).
+// blocks shows a wrong setting (docs/build-robot.md).
 const bool kIsReversedLeft = false;
 const bool kIsReversedRight = true;
 
@@ -45,7 +45,7 @@ const uint8_t kPublishEvery = 3;  // turns: 10 Hz
 const uint32_t kCommandTimeoutMs = 500;
 const uint32_t kParameterTimeoutMs = 1000;
 
-// Factor of the voltage divider before the battery input: (R1 + R2) / R2, R2 to ground; 4.9 for 39 and 10 kOhm. 0: none.
+// Factor of the voltage divider at the battery input: (R1 + R2) / R2, R2 to ground; 4.9 for 39 and 10 kOhm. 0: none.
 const float kBatteryDivider = 0.0f;
 const float kBatteryLowV = 10.5f;  // three cells of a LiPo at 3.5 V, six of lead at 1.75 V
 const float kNotMeasured = __builtin_nanf("");
@@ -65,7 +65,7 @@ inline Gains make_gains(float kp, float ki, float kd, float feedback) {
 const float kFeedback = 0.05f;
 const float kFeedbackWashoutS = 1.0f;  // how fast Feedback::kWashedOut fades
 
-// Which part of the last output the PID subtracts from its error (docs/robot.md#equations).
+// Which part of the last output the PID subtracts from its error (docs/paper-robot.md#equations).
 enum class Feedback : uint8_t {
   kWashedOut,  // only its changes: a steady output costs no speed
   kPaper,      // the whole output: the integral then keeps every speed 5 % below the request

@@ -1,5 +1,5 @@
-// The kinematics of a differential drive, and odometry by tick counts (docs/robot.md#equations). Metres, radians,
-// seconds.
+// The kinematics of a differential drive, and odometry by tick counts (docs/paper-robot.md#equations). Metres,
+// radians, seconds.
 #pragma once
 
 #include "constants.h"

@@ -14,7 +14,7 @@ from hostlink.graphs.ros1.tcpros import MAX_HEADER_BYTES, Header, MessageStream,
 from hostlink.hub.hub import Hub
 from hostlink.hub.isolation import Spawn
 from hostlink.listening import close_all
-from hostlink.transport.connection import Connection, set_options
+from hostlink.transport.connection import BufferedConnection, set_options
 
 
 class Admitted(Protocol):
@@ -142,7 +142,7 @@ class SendQueue:
         return batch[0] if len(batch) == 1 else b"".join(batch)
 
 
-class Wire(Connection):
+class Wire(BufferedConnection):
     """TCPROS connection. Calls `receive` with the messages of each read, and `on_end` once."""
 
     def __init__(self, hub: Hub, receive: Receive, on_end: Callable[[], None] = lambda: None) -> None:

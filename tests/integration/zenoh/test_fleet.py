@@ -35,7 +35,7 @@ async def test_a_robot_of_another_daemon_is_shown() -> None:
         assert (await robot(b, "robot_7"))["host"] is None
 
 
-async def test_what_a_device_elsewhere_tells_of_itself_is_shown_while_it_is_connected() -> None:
+async def test_board_description_of_a_remote_device_is_shown_while_it_is_connected() -> None:
     keys = ("battery_v", "battery_percent", "signal_dbm", "firmware", "wheel_separation_m", "kinematics")
     settings = {"robot_7": RobotConfig(wheel_separation_m=0.2, kinematics="differential")}
     async with fleet("a", "b", config=Config(robots=settings)) as (a, b):
@@ -70,7 +70,7 @@ async def test_the_other_daemons_limits_apply() -> None:
         assert (answer["velocity"]["linear_m_s"], answer["is_limited"]) == (1.0, True)
 
 
-async def test_a_driver_that_leaves_stops_its_robot_elsewhere_at_once() -> None:
+async def test_driver_that_leaves_stops_its_remote_robot_at_once() -> None:
     async with fleet("a", "b") as (a, b), fake_device(b.tcp, robot_topics("robot_7")) as device:
         await shown(a, "robot_7")
         participant = a.hub.join("driver")
@@ -84,7 +84,7 @@ async def test_a_driver_that_leaves_stops_its_robot_elsewhere_at_once() -> None:
 
 
 @pytest.mark.parametrize("how", ["stop", "lock"])
-async def test_interruption_where_the_robot_is_disarms_its_drivers_elsewhere(how: str) -> None:
+async def test_interruption_at_the_robots_daemon_disarms_remote_drivers(how: str) -> None:
     async with fleet("a", "b") as (a, b), fake_device(b.tcp, robot_topics("robot_7")) as device:
         await shown(a, "robot_7")
         async with connect(a.url) as program:
@@ -106,7 +106,7 @@ async def test_interruption_where_the_robot_is_disarms_its_drivers_elsewhere(how
             assert gate.current.x_m_s == 0.2
 
 
-async def test_interruption_here_is_known_elsewhere_by_the_epoch() -> None:
+async def test_local_interruption_reaches_remote_daemons_by_the_epoch() -> None:
     async with fleet("a", "b") as (a, b), fake_device(b.tcp, robot_topics("robot_7")):
         found = await shown(a, "robot_7")
         driver = a.hub.join("driver")
@@ -123,7 +123,7 @@ async def test_interruption_here_is_known_elsewhere_by_the_epoch() -> None:
         assert await driver.driven(found, PlanarVelocity(0.2)) == PlanarVelocity(0.2)
 
 
-async def test_robot_whose_daemon_restarts_is_not_driven_on_by_who_went_on() -> None:
+async def test_stream_that_continued_through_a_restart_of_the_robots_daemon_does_not_drive() -> None:
     async with fleet("a") as (a,), contextlib.AsyncExitStack() as stack:
         b = await stack.enter_async_context(joined(port_of(a), "b"))
         driver = a.hub.join("driver")
@@ -158,7 +158,7 @@ async def test_robot_whose_daemon_restarts_is_not_driven_on_by_who_went_on() -> 
                 assert again.hub.robots.find_here("robot_7").gate.counts.commands == 0
 
 
-async def test_the_more_important_driver_drives_wherever_he_is() -> None:
+async def test_driver_of_higher_priority_drives_at_any_daemon() -> None:
     async with fleet("a", "b") as (a, b), fake_device(b.tcp, robot_topics("robot_7")):
         await shown(a, "robot_7")
         person = b.hub.join("person", priority=60)
@@ -168,7 +168,7 @@ async def test_the_more_important_driver_drives_wherever_he_is() -> None:
         assert "person drives it" in answer["error"]["reason"]
 
 
-async def test_a_robot_that_is_played_elsewhere_is_shown_as_that() -> None:
+async def test_remote_played_robot_is_marked_as_played() -> None:
     mark = topic(Id.PUBLISHER, 130, "/robot_7/played", "std_msgs/String")
     async with fleet("a", "b") as (a, b), fake_device(b.tcp, [*robot_topics("robot_7"), mark]):
         await shown(a, "robot_7")
@@ -220,7 +220,7 @@ async def test_a_lock_holds_everywhere_until_it_is_released_from_anywhere() -> N
         assert (await drive(b, "robot_7", 0.3))[0] == 200
 
 
-async def test_a_stream_from_elsewhere_that_went_on_through_a_lock_does_not_drive_behind_it() -> None:
+async def test_remote_stream_that_continued_through_a_lock_does_not_drive_afterwards() -> None:
     async with fleet("a", "b") as (a, b), fake_device(b.tcp, robot_topics("robot_7")):
         robot = await shown(a, "robot_7")
         await expect(lambda: a.hub.topics.find_or_none("/robot_7/cmd_vel"))
@@ -237,8 +237,7 @@ async def test_a_stream_from_elsewhere_that_went_on_through_a_lock_does_not_driv
         await expect(lambda: b.hub.robots.find_here("robot_7").gate.owner_name == "navigation at a")
 
 
-@pytest.mark.quiet
-async def test_a_lock_goes_with_a_robot_that_connects_to_another_daemon() -> None:
+async def test_lock_follows_a_robot_that_connects_to_another_daemon() -> None:
     async with fleet("a", "b") as (a, b):
         async with fake_device(a.tcp, robot_topics("robot_7")):
             await shown(b, "robot_7")
@@ -254,7 +253,7 @@ async def test_a_lock_goes_with_a_robot_that_connects_to_another_daemon() -> Non
             await expect_never(lambda: b.hub.robots.find_here("robot_7").gate.lock_reason, for_s=0.5)
 
 
-async def test_a_program_that_subscribes_where_the_robot_is_interrupts_nobody_elsewhere() -> None:
+async def test_local_subscription_interrupts_no_remote_subscriber() -> None:
     async with fleet("a", "b") as (a, b), fake_device(b.tcp, robot_topics("robot_7")) as device:
         await shown(a, "robot_7")
         await expect(lambda: a.hub.topics.find_or_none("/robot_7/odometry"))
@@ -277,7 +276,7 @@ async def test_a_lock_by_the_service_of_ros_reaches_the_other_daemon() -> None:
         assert b.hub.robots.find_here("robot_7").gate.lock_reason is not None
 
 
-async def test_topics_of_a_robot_elsewhere_travel_while_somebody_subscribes() -> None:
+async def test_topics_of_a_remote_robot_are_forwarded_while_subscribed() -> None:
     async with fleet("a", "b") as (a, b), fake_device(b.tcp, robot_topics("robot_7")) as device:
         await shown(a, "robot_7")
         topic = b.hub.topics.find("/robot_7/odometry")
@@ -293,7 +292,7 @@ async def test_topics_of_a_robot_elsewhere_travel_while_somebody_subscribes() ->
         await expect(lambda: len(topic.subscribers) == before)
 
 
-async def test_a_velocity_topic_of_a_robot_elsewhere_drives_it() -> None:
+async def test_velocity_topic_of_a_remote_robot_drives_it() -> None:
     async with fleet("a", "b") as (a, b), fake_device(b.tcp, robot_topics("robot_7")) as device, client(a) as program:
         await shown(a, "robot_7")
         await expect(lambda: a.hub.topics.find_or_none("/robot_7/cmd_vel"))
@@ -302,7 +301,7 @@ async def test_a_velocity_topic_of_a_robot_elsewhere_drives_it() -> None:
         assert await device.velocity_other_than(STILL) == (0.2, 0.0)
 
 
-async def test_a_reset_reaches_the_device_elsewhere() -> None:
+async def test_reset_reaches_a_remote_device() -> None:
     async with fleet("a", "b") as (a, b), fake_device(b.tcp, robot_topics("robot_7")) as device:
         await shown(a, "robot_7")
         reset = b.hub.robots.find_here("robot_7").topics.reset
@@ -355,7 +354,7 @@ async def test_a_daemon_that_ends_takes_its_robots_with_it_and_its_drivers() -> 
 
 
 def threads() -> int:
-    """Of this process, Zenoh's own included."""
+    """Return the number of threads of this process, including Zenoh's."""
     return len(list(Path("/proc/self/task").iterdir()))
 
 

@@ -1,4 +1,4 @@
-"""A fleet with certificates: links that are not TLS, certificates of others, and names that are somebody else's."""
+"""Fleet with certificates: links without TLS, certificates of others, and names of another daemon."""
 
 import asyncio
 import contextlib
@@ -171,7 +171,7 @@ async def test_only_drivers_send_what_moves_a_robot_in_the_fleet_and_in_ros_2(tm
         here.subscribe("**", receive, source_of=lambda _: "")
         here.serve("**", lambda query: (asked.append(query.key), query.close()))
         for name, each in ((b"desk", desk), (b"wall", wall)):
-            # what is sent before the links know of the subscription goes nowhere, so the last is repeated
+            # a message from before the links know of the subscription is lost, so the last is repeated
             while not received[name]:
                 each.put(last, name)
                 await asyncio.sleep(0.05)

@@ -1,4 +1,4 @@
-"""What networks, peers and certificates do to a fleet: robots stop, names stay, who may only read does not drive."""
+"""Faults of networks, peers and certificates in a fleet: robots stop, names stay, read-only peers do not drive."""
 
 import asyncio
 import contextlib
@@ -43,11 +43,11 @@ async def apart() -> AsyncIterator[tuple[Daemon, Daemon, Proxy]]:
         yield a, b, line
 
 
-async def test_a_network_that_is_cut_ends_the_lease_where_the_robot_is_and_shows_it_elsewhere() -> None:
+async def test_cut_network_ends_the_lease_and_remote_daemons_show_it() -> None:
     loop = asyncio.get_running_loop()
     async with apart() as (a, b, line), fake_device(a.tcp, robot_topics("robot_7")) as device:
         before = (await shown(b, "robot_7")).link
-        with contextlib.suppress(ExceptionGroup):  # a driver learns that he cannot drive any more
+        with contextlib.suppress(ExceptionGroup):  # the driver is told that it can no longer drive
             async with driven(b, "robot_7", 0.2):
                 assert await device.velocity_other_than(STILL) == MOVING
                 line.set_line(Line.SWALLOWS)
@@ -59,12 +59,12 @@ async def test_a_network_that_is_cut_ends_the_lease_where_the_robot_is_and_shows
         line.set_line(Line.WORKS)
         line.break_off()
         await expect(lambda: b.hub.robots.remote["robot_7"].link)
-        assert b.hub.robots.remote["robot_7"].link != before  # whoever drove must drive again
+        assert b.hub.robots.remote["robot_7"].link != before  # every driver must drive again
         await expect(lambda: a.hub.counts.graphs["fleet"]()["met"] == 2)
         assert (await drive(b, "robot_7", 0.1))[0] == 200
 
 
-async def test_commands_that_were_held_up_move_nobody() -> None:
+async def test_delayed_commands_move_no_robot() -> None:
     async with apart() as (a, b, line), fake_device(a.tcp, robot_topics("robot_7")) as device:
         found = await shown(b, "robot_7")
         participant = b.hub.join("driver")
@@ -82,7 +82,7 @@ async def test_commands_that_were_held_up_move_nobody() -> None:
         assert a.hub.robots.find_here("robot_7").gate.owner is None
 
 
-async def test_a_first_command_that_was_held_up_moves_nobody() -> None:
+async def test_delayed_first_command_moves_no_robot() -> None:
     async with apart() as (a, b, line), fake_device(a.tcp, robot_topics("robot_7")):
         found = await shown(b, "robot_7")
         await asyncio.sleep(1.2)  # a state has come, by which the other clock is known
@@ -94,7 +94,7 @@ async def test_a_first_command_that_was_held_up_moves_nobody() -> None:
         assert a.hub.robots.find_here("robot_7").gate.counts.commands == 0
 
 
-async def test_a_stop_that_nobody_answers_is_reported() -> None:
+async def test_stop_without_an_answer_is_reported() -> None:
     async with apart() as (a, b, line), fake_device(a.tcp, robot_topics("robot_7")):
         await shown(b, "robot_7")
         line.set_line(Line.SWALLOWS)
@@ -145,7 +145,7 @@ async def lied_to() -> AsyncIterator[tuple[Daemon, Daemon, Liar]]:
             await asyncio.to_thread(session.close)
 
 
-async def test_a_name_that_is_claimed_falsely_takes_nobody_s_robot() -> None:
+async def test_falsely_claimed_name_takes_no_robot() -> None:
     async with lied_to() as (a, b, liar), fake_device(b.tcp, robot_topics("robot_7")) as device:
         await shown(a, "robot_7")
         await _until_heard(a, liar, "robot_7", "robot_66")
@@ -187,7 +187,7 @@ async def test_a_robot_s_topics_stay_below_its_name() -> None:
 
 
 @pytest.mark.parametrize("payload", [b"", b"{", b'{"robots":1}', b"[" * 1000, b"x" * 1000, b'{"type":"drive"}'])
-async def test_what_is_malformed_is_counted_and_costs_nothing(payload: bytes) -> None:
+async def test_malformed_payload_is_counted_and_ignored(payload: bytes) -> None:
     async with lied_to() as (a, b, liar), fake_device(b.tcp, robot_topics("robot_7")):
         await shown(a, "robot_7")
         counts, me = b.hub.counts.graphs["fleet"](), _zid_of(a, "robot_7")
@@ -206,7 +206,7 @@ def _zid_of(host: Daemon, name: str) -> str:
     return str(host.hub.robots.remote[name].place)
 
 
-async def test_what_is_too_large_is_dropped() -> None:
+async def test_payload_over_the_limit_is_dropped() -> None:
     async with lied_to() as (a, b, liar), fake_device(b.tcp, robot_topics("robot_7")):
         await shown(a, "robot_7")
         await _until_heard(b, liar, "robot_66")
@@ -221,7 +221,7 @@ async def test_what_is_too_large_is_dropped() -> None:
             await expect(is_dropped)
 
 
-async def test_a_flood_of_commands_delays_nobody_s_stop() -> None:
+async def test_flood_of_commands_delays_no_stop() -> None:
     async with lied_to() as (a, b, liar), fake_device(b.tcp, robot_topics("robot_7")) as device:
         found = await shown(a, "robot_7")
         await _until_heard(b, liar, "robot_66")
@@ -261,7 +261,7 @@ async def test_a_flood_of_commands_delays_nobody_s_stop() -> None:
 
 
 async def test_a_peer_with_many_robots_keeps_the_loop_for_no_stop() -> None:
-    """What 256 robots change is shown a slice in each turn: others have their turns meanwhile."""
+    """Changes of 256 robots are processed in slices, so that other tasks run in between."""
     async with lied_to() as (a, _, liar):
         await _until_heard(a, liar, "robot_66")
         names = [f"claimed_{number}" for number in range(MAX_ROBOTS)]
@@ -323,7 +323,7 @@ async def test_a_certificate_that_may_only_read_reads_and_stops_and_does_not_dri
         assert (await c.rest("POST", "/api/robots/robot_7/unlock"))[0] == 503
 
 
-async def test_a_daemon_without_a_certificate_is_no_part_of_the_fleet(tmp_path: Path) -> None:
+async def test_daemon_without_a_certificate_is_not_in_the_fleet(tmp_path: Path) -> None:
     make_authority(tmp_path)
     port = free_port()
     async with (

@@ -116,7 +116,7 @@ def main() -> None:
     os.nice(NICE)
     _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
     resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
-    addresses = {name: tuple(value) for name, value in json.loads(stage).items()}
+    addresses: dict[str, Any] = {name: tuple(value) for name, value in json.loads(stage).items()}
     asyncio.run(Player(int(seed), Stage(report=report, **addresses), tuple(only)).serve())
 
 

@@ -112,7 +112,7 @@ def _type(dice: random.Random) -> str:
 
 
 def _subscribe(dice: random.Random) -> dict[str, Any]:
-    made = {"op": "subscribe", "topic": dice.choice((*CLASHING_NAMES, _topic(dice)))}
+    made: dict[str, Any] = {"op": "subscribe", "topic": dice.choice((*CLASHING_NAMES, _topic(dice)))}
     if dice.random() < 0.5:
         made |= {"compression": dice.choice(("none", "png", "cbor", "cbor-raw", "lzw"))}
     if dice.random() < 0.5:
@@ -121,7 +121,7 @@ def _subscribe(dice: random.Random) -> dict[str, Any]:
 
 
 def _publish(dice: random.Random) -> dict[str, Any]:
-    message = dice.choice((
+    message: dict[str, Any] = dice.choice((
         {}, {"data": "x" * dice.choice((1, 1000, 300_000))}, {"linear": {"x": 0.3}, "angular": {"z": HOSTILE_RAD_S}},
         {"data": [1] * 1000}, {"header": {"stamp": {"secs": -1}}}, {"x": 1.0}, {"nobody": {"knows": []}},
     ))  # fmt: skip

@@ -58,8 +58,8 @@ async def topics(ros: Graph, wanted: str) -> list[str]:
     raise AssertionError(f"no {wanted} in {found}")
 
 
-async def test_a_line_of_a_launch_file(ros: Graph) -> None:
-    """As roslaunch starts it: in a namespace, with a name, a remapping, and parameters at the master."""
+async def test_node_of_a_launch_file_has_its_namespace_name_remapping_and_parameters(ros: Graph) -> None:
+    """Start the node like roslaunch: in a namespace, with a name, a remapping, and parameters at the master."""
     port = free_port()
     await ros.lines("rosparam", "set", "/lab/base/port", "tcp")
     await ros.lines("rosparam", "set", "/lab/base/tcp_port", str(port))
@@ -83,7 +83,7 @@ OWN = ("robot/odom", "robot/cmd_vel", "robot/cmd_vel_stamped")  # hostlink's, of
 
 
 async def nodes_of(ros: Graph) -> list[dict[str, set[str]]]:
-    """Who publishes each topic, subscribes to it, and provides each service."""
+    """Return the publishers and subscribers of each topic, and the provider of each service."""
     _, _, state = await call(ros.url, "getSystemState", "/test")
     return [{name: set(nodes) for name, nodes in part} for part in state]
 
@@ -93,8 +93,9 @@ async def parameter(device: FakeDevice, name: str) -> bytes:
     return await device.frame(Id.PARAMETER)
 
 
+@pytest.mark.long
 async def test_two_nodes_in_two_namespaces_share_nothing_but_global_topics(ros: Graph) -> None:
-    """The same firmware twice: two robots of one name."""
+    """Two devices with the same firmware are two robots of one name."""
     spaces = ("r1", "r2")
     async with contextlib.AsyncExitStack() as stack:
         devices: list[FakeDevice] = []
@@ -139,7 +140,7 @@ async def test_two_nodes_in_two_namespaces_share_nothing_but_global_topics(ros: 
 
 
 async def status_names(ros: Graph, space: str) -> set[str]:
-    """Of one message of a node's /diagnostics; Debian has its type for rospy in no package that is needed otherwise."""
+    """Return the names in a message of a node's /diagnostics, read without rospy, which lacks the type here."""
     uri = await ros.slave_uri(f"/{space}/serial_node")
     _, _, (_, host, port) = await call(uri, "requestTopic", "/test", "/diagnostics", [["TCPROS"]])
     type_ = CATALOG.message("diagnostic_msgs/DiagnosticArray")
@@ -220,7 +221,7 @@ async def test_package_that_the_command_writes_is_one_that_catkin_builds(tmp_pat
     assert f"wrote {package}" in out
 
 
-async def test_the_arguments_of_serial_node(ros: Graph) -> None:
+async def test_ros1_takes_the_arguments_of_serial_node(ros: Graph) -> None:
     port = free_port()
     async with ros1(ros, "tcp", str(port), "_baud:=115200") as daemon:
         assert (await daemon.read_log("daemon.started"))["tcp"].endswith(f":{port}")
@@ -228,13 +229,13 @@ async def test_the_arguments_of_serial_node(ros: Graph) -> None:
         assert await ros.lines("rosparam", "get", "/serial_node/baud") == ["115200"]
 
 
-async def test_a_serial_port_that_a_parameter_names(ros: Graph, tmp_path: Path) -> None:
+async def test_ros1_opens_the_serial_port_that_a_parameter_names(ros: Graph, tmp_path: Path) -> None:
     async with ros1(ros, f"_port:={tmp_path}/ttyACM0", "_baud:=115200") as daemon:
         waiting = await daemon.read_log("serial.waiting")
         assert f"{tmp_path}/ttyACM0" in str(waiting)
 
 
-async def test_rosnode_kill_ends_it(ros: Graph) -> None:
+async def test_rosnode_kill_ends_the_ros1_command(ros: Graph) -> None:
     async with ros1(ros, "--tcp", str(free_port())) as daemon:
         await daemon.read_log("ros1.master_found")
         await ros.lines("rosnode", "kill", "/serial_node")
@@ -244,7 +245,7 @@ async def test_rosnode_kill_ends_it(ros: Graph) -> None:
             assert await daemon.child.wait() == 0
 
 
-async def test_it_waits_for_the_master_that_may_know_its_port(ros: Graph) -> None:
+async def test_ros1_without_a_master_waits_for_the_one_that_may_know_its_port(ros: Graph) -> None:
     await ros.kill()
     port = free_port()
     async with ros1(ros) as daemon:
@@ -266,11 +267,11 @@ async def test_it_waits_for_the_master_that_may_know_its_port(ros: Graph) -> Non
         (("__master:=localhost",), "http://localhost:11311"),
         (("__master:=http://localhost:99999",), "Port out of range"),
         (("--master", ""), "no address of a master"),
-        (("tcp", "_number:=99999999999"), "the master cannot have it"),
+        (("tcp", "_number:=99999999999"), "the master refuses this parameter"),
         (("tcp", "--messages", "/nonexistent", "--master", "http://127.0.0.1:1"), "/nonexistent"),
     ],
 )
-async def test_what_is_wrong_is_one_line(ros: Graph, words: tuple[str, ...], text: str) -> None:
+async def test_ros1_with_a_wrong_argument_fails_with_one_line(ros: Graph, words: tuple[str, ...], text: str) -> None:
     err = await failed("--master", ros.url, *words)
     assert len(err.splitlines()) == 1
     assert text in err

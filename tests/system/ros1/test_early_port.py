@@ -24,11 +24,11 @@ MEASURED = Path(__file__).parents[2] / "support" / "until_listening.py"
 MOST = (
     5.0  # times the CPU of a bare server of asyncio; it is 3, and 16 with all imports before it; rosserial_python's 2
 )
-ROUNDS = 5  # the least of each counts: other tests use the processor, too
+ROUNDS = 3  # the least of each counts: other tests use the processor, too
 
 
 async def until_listening(*words: str, port: int) -> dict[str, Any]:
-    """What `until_listening.py` reports."""
+    """Return the report of `until_listening.py`."""
     command = (sys.executable, str(MEASURED), str(port), *words)
     child = await asyncio.create_subprocess_exec(*command, stdout=asyncio.subprocess.PIPE)
     async with asyncio.timeout(60):
@@ -38,7 +38,7 @@ async def until_listening(*words: str, port: int) -> dict[str, Any]:
 
 
 def commands(port: int, master: str) -> dict[str, tuple[str, ...]]:
-    """By name, each such that it listens on this port."""
+    """Return commands by name, each of which listens on this port."""
     api = ("--api", "127.0.0.1:0")
     return {
         "serve": ("serve", "--listen", f"127.0.0.1:{port}", *api),
@@ -143,7 +143,7 @@ async def test_device_port_that_is_in_use_is_one_line_that_names_it(words: tuple
 
 
 async def test_device_port_is_closed_while_the_master_is_waited_for(tmp_path: Path) -> None:
-    """Else devices would wait at a port that nobody serves; then it is opened again, and serves."""
+    """Devices would wait at a port that is not served. Once the master is there, the port is opened again."""
     port = free_port()
     async with graph(tmp_path) as ros:
         await ros.kill()

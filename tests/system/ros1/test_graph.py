@@ -1,4 +1,4 @@
-"""Topics, services and parameters between rospy programs and devices, and a master that dies and comes back."""
+"""Topics, services and parameters between rospy programs and devices, and a master that dies and is started again."""
 
 import asyncio
 import signal
@@ -34,7 +34,7 @@ def encoded(type_name: str, **fields: object) -> bytes:
 
 
 async def received(node: Node, **wanted: object) -> None:
-    """Read until a message with these fields comes."""
+    """Read until a message with these fields arrives."""
     while (await node.read("message"))["fields"] != wanted:
         pass
 
@@ -85,7 +85,8 @@ async def test_latched_topic_of_rospy_second_and_rebooted_device_receive_last_me
                 assert await second.frame(102) == encoded(STRING, data="kept")
 
 
-async def test_what_is_latched_here_reaches_those_that_come_later(ros: Graph) -> None:
+@pytest.mark.long
+async def test_latched_message_of_the_daemon_reaches_later_subscribers(ros: Graph) -> None:
     async with ros.daemon() as daemon, aiohttp.ClientSession() as session, session.ws_connect(daemon.url) as client:
         await client.send_json({"op": "advertise", "topic": "/map_name", "type": STRING, "latch": True})
         await client.send_json({"op": "publish", "topic": "/map_name", "msg": {"data": "hall"}})
@@ -98,7 +99,8 @@ async def test_what_is_latched_here_reaches_those_that_come_later(ros: Graph) ->
                 await received(second, data="yard")
 
 
-async def test_a_program_here_receives_a_topic_of_ros_whose_type_nobody_here_named(ros: Graph) -> None:
+@pytest.mark.long
+async def test_program_without_a_type_receives_a_topic_of_ros(ros: Graph) -> None:
     async with (
         ros.daemon() as daemon,
         ros.node("talk", "/scan_name", STRING, "{data: front}", "10"),
@@ -110,6 +112,7 @@ async def test_a_program_here_receives_a_topic_of_ros_whose_type_nobody_here_nam
             assert (await client.receive_json())["msg"] == {"data": "front"}
 
 
+@pytest.mark.long
 async def test_a_publisher_of_another_type_is_logged_and_the_others_are_heard(ros: Graph) -> None:
     topics = [*robot_topics(), topic(Id.SUBSCRIBER, 102, "/text", STRING)]
     async with (
@@ -150,6 +153,7 @@ async def test_a_program_calls_the_service_of_a_device(ros: Graph) -> None:
         assert (await caller.read("answered"))["fields"] == {"success": True, "message": "up"}
 
 
+@pytest.mark.long
 async def test_a_device_that_does_not_answer_fails_the_call_with_its_reason(ros: Graph) -> None:
     async with (
         ros.daemon() as daemon,
@@ -256,6 +260,7 @@ async def test_a_device_reads_parameters_of_the_master_as_rosserial_python_resol
         assert await requested(robot, "~kp") == ([], [3.5], [])
 
 
+@pytest.mark.long
 async def test_devices_are_given_the_time_of_the_clock_topic(ros: Graph) -> None:
     await ros.lines("rosparam", "set", "/use_sim_time", "true")
     async with (
@@ -290,6 +295,7 @@ async def listed(ros: Graph, name: str, *, is_there: bool = True) -> list[str]:
     raise AssertionError(f"{name} is {'not ' if is_there else ''}there: {found}")
 
 
+@pytest.mark.long
 async def test_a_robot_that_leaves_takes_its_topics_out_of_the_graph(ros: Graph) -> None:
     async with ros.daemon() as daemon:
         async with living_device(daemon.tcp, robot_topics()):
@@ -333,6 +339,7 @@ async def test_the_daemon_starts_before_its_master(ros: Graph) -> None:
         await listed(ros, ODOMETRY)
 
 
+@pytest.mark.long
 async def test_another_node_of_the_same_name_takes_its_place(ros: Graph) -> None:
     async with ros.daemon() as daemon, living_device(daemon.tcp, robot_topics()):
         await listed(ros, ODOMETRY)
@@ -354,7 +361,7 @@ async def test_the_end_of_the_daemon_leaves_nothing_in_the_graph(ros: Graph) -> 
 
 
 @pytest.mark.long
-async def test_thirty_robots(ros: Graph) -> None:
+async def test_thirty_robots_are_driven_and_registered_again_at_a_new_master(ros: Graph) -> None:
     async with ros.daemon() as daemon, simulated(daemon.tcp, "--robots", "30"):
         await listed(ros, "/robot_29/odom")
         for number in range(0, 30, 7):

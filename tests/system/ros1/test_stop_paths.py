@@ -1,4 +1,4 @@
-"""Whatever ends a driver in the ROS graph leaves a standing robot, within the lease, also beside a flood."""
+"""Every end of a driver in the ROS graph stops the robot within the lease, also during a flood."""
 
 import asyncio
 import contextlib
@@ -19,7 +19,7 @@ from tests.support.fake_device import FakeDevice, robot_topics, topic
 from tests.support.precedence import GOES_LAST
 from tests.support.process import Process
 from tests.support.ros1.debian import Graph, Node, call, graph, living_device
-from tests.support.waiting import TIMEOUT_S, expect
+from tests.support.waiting import TIMEOUT_S, expect, expect_never
 
 pytestmark = pytest.mark.quiet
 
@@ -50,18 +50,16 @@ class Driven:
         return self.heard[-1][1]
 
     async def stands_after(self, end: Callable[[], Awaitable[None]], limit_s: float) -> None:
-        """It moves until `end`, gets its zero within the limit, and nothing else afterwards."""
+        """Check that the robot moves until `end`, gets its zero within the limit, and no other velocity afterwards."""
         await expect(lambda: self.speed == 0.25)
-        await asyncio.sleep(0.5)
-        assert self.speed == 0.25
+        await expect_never(lambda: self.speed != 0.25, for_s=0.5)
         began_s = time.monotonic()
         await end()
         await expect(lambda: self.speed == 0.0)
         moving_s = max(at_s for at_s, speed in self.heard if speed)
         zero_s = min(at_s for at_s, speed in self.heard if not speed and at_s > moving_s)
         assert zero_s - began_s < limit_s, f"the zero came after {zero_s - began_s:.3f} s"
-        await asyncio.sleep(0.8)
-        assert self.speed == 0.0
+        await expect_never(lambda: self.speed != 0.0, for_s=0.8)
 
 
 @contextlib.asynccontextmanager
@@ -104,7 +102,7 @@ async def flooding(daemon: Process) -> None:
 
 @contextlib.asynccontextmanager
 async def drained(daemon: Process, topics: list[object]) -> AsyncIterator[None]:
-    """A device that reads whatever it is sent."""
+    """A device that reads all that it is sent."""
     async with living_device(daemon.tcp, topics, local_host="127.0.0.9") as device:  # type: ignore[arg-type]
 
         async def read() -> None:
@@ -115,10 +113,11 @@ async def drained(daemon: Process, topics: list[object]) -> AsyncIterator[None]:
             yield
 
 
-flooded = pytest.mark.parametrize("is_flooded", [False, True], ids=["alone", "beside a flood"])
+BESIDE_A_FLOOD = pytest.param(True, marks=pytest.mark.long, id="beside a flood")
+flooded = pytest.mark.parametrize("is_flooded", [pytest.param(False, id="alone"), BESIDE_A_FLOOD])
 
 
-@flooded
+@pytest.mark.parametrize("is_flooded", [False, True], ids=["alone", "beside a flood"])
 async def test_a_driver_that_is_killed(tmp_path: Path, is_flooded: bool) -> None:
     async with driven(tmp_path, is_flooded=is_flooded) as made:
 
@@ -130,7 +129,7 @@ async def test_a_driver_that_is_killed(tmp_path: Path, is_flooded: bool) -> None
 
 @flooded
 async def test_a_driver_that_falls_silent_and_stays_connected(tmp_path: Path, is_flooded: bool) -> None:
-    """A network that is cut, or a process that hangs: nobody reports it."""
+    """Like a network that is cut or a process that hangs, without any report of it."""
     async with driven(tmp_path, is_flooded=is_flooded) as made:
 
         async def end() -> None:

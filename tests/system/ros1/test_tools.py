@@ -1,4 +1,4 @@
-"""What Debian's tools of ROS show of the daemon, and do with it."""
+"""Debian's tools of ROS with the daemon: rostopic, rosnode and rosservice."""
 
 import asyncio
 import re
@@ -59,7 +59,7 @@ async def test_rostopic_lists_types_and_describes(scene: Scene) -> None:
 
 
 async def test_rostopic_measures_and_prints_what_a_device_publishes(scene: Scene) -> None:
-    _, out = await scene.ros.run("timeout", "-s", "INT", "5", "rostopic", "hz", "-w", "40", ODOMETRY)
+    _, out = await scene.ros.run("timeout", "-s", "INT", "3", "rostopic", "hz", "-w", "20", ODOMETRY)
     rates = [float(rate) for rate in re.findall(r"average rate: ([\d.]+)", out)]
     assert rates, out
     assert 15 < rates[-1] < 25

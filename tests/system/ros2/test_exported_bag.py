@@ -5,13 +5,11 @@ import json
 from asyncio.subprocess import PIPE
 from pathlib import Path
 
-import pytest
-
 from hostlink.messages.catalog import Catalog
 from hostlink.recording.channel import ros_channel
 from hostlink.recording.file_thread import McapWriter
 from tests.support.process import run
-from tests.support.ros2 import PYTHON, install
+from tests.support.ros2 import PYTHON
 
 BEGIN_NS, COUNT = 1_700_000_000_000_000_000, 5
 READ = """
@@ -31,11 +29,6 @@ poses = [[message.x, message.theta, at] for topic, at, message in rows if topic 
 facts = [odom.header.frame_id, odom.header.stamp.sec, odom.pose.pose.position.x, list(odom.pose.covariance)]
 print(json.dumps({"poses": poses, "odom": facts}))
 """
-
-
-@pytest.fixture(scope="module", autouse=True)
-def _rclpy() -> None:
-    install()
 
 
 async def test_rclpy_reads_every_message_of_an_export(tmp_path: Path) -> None:

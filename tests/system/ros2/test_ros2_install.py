@@ -1,6 +1,5 @@
-"""`hostlink ros2` where rclpy is not, the tests where it cannot be had, and the daemon, which has no use for it."""
+"""`hostlink ros2` without rclpy and with wrong arguments, and the daemon, which does not use rclpy."""
 
-import os
 import subprocess
 from pathlib import Path
 
@@ -8,15 +7,7 @@ import pytest
 
 from tests.support.process import run, serve
 from tests.support.ros2 import HOSTLINK as ROS2_HOSTLINK
-from tests.support.ros2 import VENV, install
-
-
-def test_a_test_that_cannot_have_rclpy_fails_and_says_so(tmp_path: Path) -> None:
-    empty = f"PIP_CONFIG_FILE={os.devnull} PIP_NO_INDEX=1 PIP_FIND_LINKS={tmp_path}"
-    environment = dict(word.split("=") for word in empty.split())
-    with pytest.raises(pytest.fail.Exception, match=r"(?s)nothing of hostlink ros2 was tested.*cannot be installed"):
-        install(f"ROS2_VENV={tmp_path / 'venv'}", environment={**os.environ, **environment})
-    assert not (tmp_path / "venv" / ".installed").exists()
+from tests.support.ros2 import VENV
 
 
 async def test_without_rclpy_one_line_says_what_to_do() -> None:
@@ -28,14 +19,13 @@ async def test_without_rclpy_one_line_says_what_to_do() -> None:
 
 
 @pytest.mark.parametrize("word", ["--nothing", "robot_0"])
-async def test_an_option_that_nobody_knows_is_named(word: str) -> None:
+async def test_ros2_with_an_unknown_option_names_it(word: str) -> None:
     status, _, err = await run("ros2", word)
     assert (status, len(err.splitlines())) == (2, 1)
     assert word in err
 
 
 def test_arguments_that_ros_2_refuses_are_named() -> None:
-    install()
     command = [ROS2_HOSTLINK, "ros2", "--ros-args", "-r", "nonsense"]
     ended = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
     assert ended.returncode == 2
@@ -44,7 +34,6 @@ def test_arguments_that_ros_2_refuses_are_named() -> None:
 
 
 async def test_a_daemon_beside_rclpy_imports_none_of_it(tmp_path: Path) -> None:
-    install()
     log = tmp_path / "log"
     program = (str(VENV / "bin" / "python"), "-X", "importtime", ROS2_HOSTLINK)
     async with serve(log=log, program=program) as daemon:

@@ -63,7 +63,7 @@ async def command(session: aiohttp.ClientSession, host: Process, name: str) -> N
 
 @pytest.mark.quiet
 @pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGSTOP, signal.SIGTERM])
-async def test_what_a_daemon_drove_stops_when_it_is_gone(tmp_path: Path, how: signal.Signals) -> None:
+async def test_robot_that_a_daemon_drove_stops_when_the_daemon_is_gone(tmp_path: Path, how: signal.Signals) -> None:
     loop = asyncio.get_running_loop()
     async with (
         two(tmp_path) as (a, b, session),
@@ -108,7 +108,7 @@ async def test_a_daemon_without_zenoh_imports_none_of_it(tmp_path: Path) -> None
     assert [line for line in imported if "zenoh" in line or "graphs" in line] == []
 
 
-async def test_nothing_is_imported_once_a_daemon_with_zenoh_runs(tmp_path: Path) -> None:
+async def test_daemon_with_zenoh_that_runs_imports_nothing_more(tmp_path: Path) -> None:
     async with _imports(tmp_path, [free_port(), free_port()]) as log:
         late = log.read_text().split("daemon.started", 1)[1].splitlines()
     assert [line for line in late if line.startswith("import time")] == []

@@ -1,4 +1,4 @@
-"""Who may talk to the API: tokens, roles, and pages of elsewhere."""
+"""Access to the API: tokens, roles, and pages of other origins."""
 
 from pathlib import Path
 
@@ -34,7 +34,7 @@ def refused(access: Access, origin: str | None, host: str) -> str:
         ("http://[::1]:9090", "[::1]:9090"),
     ],
 )
-def test_the_own_page_and_programs_may(origin: str | None, host: str) -> None:
+def test_check_place_own_page_and_programs_are_allowed(origin: str | None, host: str) -> None:
     assert refused(Access(ApiConfig()), origin, host) == ""
 
 
@@ -42,61 +42,61 @@ def test_the_own_page_and_programs_may(origin: str | None, host: str) -> None:
     ("origin", "host"),
     [
         ("http://evil.example", "localhost:9090"),
-        ("http://localhost", "localhost:9090"),  # another port is another's page
+        ("http://localhost", "localhost:9090"),  # another port is another origin
         ("http://localhost:9090.evil.example", "localhost:9090"),
         ("null", "localhost:9090"),
         ("", "localhost:9090"),
         ("http://[", "localhost:9090"),
-        ("http://evil.example:9090", "evil.example:9090"),  # its name points here now
+        ("http://evil.example:9090", "evil.example:9090"),  # DNS rebinding
         (None, "evil.example"),
         (None, ""),
         (None, "[::1"),
     ],
 )
-def test_a_page_of_elsewhere_may_not(origin: str | None, host: str) -> None:
+def test_check_place_page_of_another_origin_is_refused(origin: str | None, host: str) -> None:
     assert refused(Access(ApiConfig()), origin, host)
 
 
-def test_a_page_of_elsewhere_may_when_it_is_listed() -> None:
+def test_check_place_listed_origin_is_allowed() -> None:
     access = Access(ApiConfig(origins=("https://app.example/", "null")))
     assert refused(access, "https://app.example", "localhost") == ""
     assert refused(access, "null", "localhost") == ""
     assert 'add "https://other.example" to api.origins' in refused(access, "https://other.example", "localhost")
 
 
-def test_with_tokens_the_server_may_have_a_name_and_every_origin() -> None:
+def test_check_place_with_tokens_allows_names_and_every_origin() -> None:
     access = Access(ApiConfig(host="0.0.0.0", tokens=(DRIVER,), origins=("*",)))
     assert refused(access, "https://anywhere.example", "robot.local:9090") == ""
     assert refused(Access(GUARDED), "http://robot.local:9090", "robot.local:9090") == ""
     assert refused(Access(GUARDED), "https://anywhere.example", "robot.local:9090")
 
 
-def test_without_tokens_everybody_drives() -> None:
+def test_grant_without_tokens_may_drive() -> None:
     assert Access(ApiConfig()).grant(None) == Grant("", Role.DRIVE)
 
 
-def test_a_token_is_somebody_with_a_role() -> None:
+def test_grant_of_a_token_has_name_and_role() -> None:
     access = Access(GUARDED)
     assert access.grant("a-token-of-a-driver") == Grant("phone", Role.DRIVE)
     assert access.grant("a-token-of-a-watcher") == Grant("wall", Role.READ)
 
 
 @pytest.mark.parametrize("token", [None, "", "a-token-of-a-drive", "a-token-of-a-driver ", "ü", "\udcff"])
-def test_no_token_or_a_wrong_one_is_refused(token: str | None) -> None:
+def test_grant_of_missing_or_unknown_token_is_refused(token: str | None) -> None:
     with pytest.raises(web.HTTPUnauthorized) as refusal:
         Access(GUARDED).grant(token)
     assert refusal.value.headers["WWW-Authenticate"].startswith("Bearer")
     assert "a-token-of" not in refusal.value.reason
 
 
-def test_who_may_only_read_may_not_drive() -> None:
+def test_check_role_read_may_not_drive() -> None:
     check_role(Grant("wall", Role.READ), Role.READ)
     check_role(Grant("phone", Role.DRIVE), Role.READ)
     with pytest.raises(web.HTTPForbidden, match="wall may only read"):
         check_role(Grant("wall", Role.READ), Role.DRIVE)
 
 
-def test_a_token_from_a_file(tmp_path: Path) -> None:
+def test_token_is_read_from_a_file(tmp_path: Path) -> None:
     file = tmp_path / "token"
     file.write_text("a-token-in-a-file\n")
     access = Access(ApiConfig(tokens=(TokenConfig(name="page", token_file=file),)))
@@ -104,8 +104,8 @@ def test_a_token_from_a_file(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("host", ["0.0.0.0", "192.168.4.1", "::", "robot.local", ""])
-def test_other_addresses_need_tokens(host: str) -> None:
-    with pytest.raises(ConfigError, match="whoever reaches this address could drive"):
+def test_address_outside_loopback_needs_tokens(host: str) -> None:
+    with pytest.raises(ConfigError, match="every program on the network could drive"):
         Access(ApiConfig(host=host))
     Access(ApiConfig(host=host, tokens=(DRIVER,)))
 
@@ -114,7 +114,7 @@ def test_other_addresses_need_tokens(host: str) -> None:
     ("config", "problem"),
     [
         (ApiConfig(origins=("*",)), "every web page"),
-        (ApiConfig(tokens=(TokenConfig(name="a"),)), "needs token or token_file"),
+        (ApiConfig(tokens=(TokenConfig(name="a"),)), "needs either token or token_file"),
         (ApiConfig(tokens=(TokenConfig(name="a", token="short"),)), "at least 16 characters"),
         (ApiConfig(tokens=(TokenConfig(name="a", token_file=Path("/no/such")),)), "No such file"),
         (ApiConfig(tokens=(DRIVER, TokenConfig(name="b", token=DRIVER.token))), "same token"),
@@ -122,16 +122,16 @@ def test_other_addresses_need_tokens(host: str) -> None:
         (ApiConfig(max_requests_s=float("nan")), "1 or more"),
     ],
 )
-def test_settings_that_make_no_sense_are_refused(config: ApiConfig, problem: str) -> None:
+def test_invalid_settings_are_refused(config: ApiConfig, problem: str) -> None:
     with pytest.raises(ConfigError, match=problem):
         Access(config)
 
 
-def test_a_token_is_not_shown() -> None:
+def test_token_is_not_shown() -> None:
     assert "a-token-of-a-driver" not in repr(GUARDED)
 
 
-def test_tls_needs_both_files_and_good_ones(tmp_path: Path) -> None:
+def test_tls_needs_valid_certificate_and_key(tmp_path: Path) -> None:
     assert tls_context(ApiConfig()) is None
     with pytest.raises(ConfigError, match="both certificate and key"):
         tls_context(ApiConfig(key=tmp_path / "key.pem"))
@@ -140,3 +140,7 @@ def test_tls_needs_both_files_and_good_ones(tmp_path: Path) -> None:
     (tmp_path / "cert.pem").write_text("no certificate")
     with pytest.raises(ConfigError, match=r"cert\.pem"):
         tls_context(ApiConfig(certificate=tmp_path / "cert.pem", key=tmp_path / "cert.pem"))
+
+
+def test_limits_of_one_are_accepted() -> None:
+    Access(ApiConfig(max_clients=1, max_message_bytes=1, max_requests_s=1.0))

@@ -1,24 +1,24 @@
-"""Who may be connected to the API's port at once, and who gives way."""
+"""Bounds and timeouts of connections to the API's port, and evictions."""
 
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hostlink.api.connections import IDLE_TIMEOUT_S, Connection, Connections
+from hostlink.api.listener import IDLE_TIMEOUT_S, ApiConnection, ApiConnections
 
 HERE, THERE = "127.0.0.1", "10.0.0.5"
 
 
-def crowd(*, most: int = 4, of_address: int = 3) -> Connections:
-    return Connections(most, of_address, request_timeout_s=10.0)
+def crowd(*, most: int = 4, of_address: int = 3) -> ApiConnections:
+    return ApiConnections(most, of_address, request_timeout_s=10.0)
 
 
-def enter(connections: Connections, address: str, now_s: float = 0.0) -> Connection:
+def enter(connections: ApiConnections, address: str, now_s: float = 0.0) -> ApiConnection:
     new, _ = connections.enter(address, now_s)
     assert new is not None
     return new
 
 
-def test_over_the_bound_of_an_address_its_longest_waiting_gives_way() -> None:
+def test_bound_of_an_address_evicts_its_longest_waiting() -> None:
     connections = crowd()
     first = enter(connections, HERE)
     enter(connections, HERE)
@@ -29,7 +29,7 @@ def test_over_the_bound_of_an_address_its_longest_waiting_gives_way() -> None:
     assert connections.closed == {"evicted": 1}
 
 
-def test_over_the_bound_of_all_the_address_with_most_that_wait_gives_way() -> None:
+def test_bound_of_all_evicts_from_the_address_with_most_waiting() -> None:
     connections = crowd()
     enter(connections, HERE)
     attacker = enter(connections, THERE)
@@ -39,7 +39,7 @@ def test_over_the_bound_of_all_the_address_with_most_that_wait_gives_way() -> No
     assert leaving is attacker
 
 
-def test_a_connection_whose_request_is_answered_never_gives_way() -> None:
+def test_connection_being_answered_is_never_evicted() -> None:
     connections = crowd()
     for _ in range(3):
         connections.serve(enter(connections, HERE))
@@ -50,7 +50,7 @@ def test_a_connection_whose_request_is_answered_never_gives_way() -> None:
     assert connections.closed == {"too_many_of_address": 1, "too_many": 1}
 
 
-def test_half_a_request_and_an_idle_connection_have_their_time() -> None:
+def test_incomplete_request_and_idle_connection_time_out() -> None:
     connections = crowd()
     half, idle = enter(connections, HERE), enter(connections, HERE)
     connections.serve(idle)
@@ -63,7 +63,7 @@ def test_half_a_request_and_an_idle_connection_have_their_time() -> None:
     assert connections.closed == {"timeout": 2}
 
 
-def test_who_has_left_does_not_wait_again() -> None:
+def test_closed_connection_does_not_wait_again() -> None:
     connections = crowd()
     gone = enter(connections, HERE)
     connections.serve(gone)
@@ -77,11 +77,11 @@ steps = st.lists(st.tuples(st.sampled_from(["enter", "serve", "wait", "leave"]),
 
 
 @given(steps, st.integers(1, 6), st.integers(1, 6))
-def test_the_bounds_are_kept_and_a_whole_request_never_waits_for_half_a_one(
+def test_bounds_are_kept_and_complete_requests_are_never_evicted(
     script: list[tuple[str, int]], most: int, of_address: int
 ) -> None:
     connections = crowd(most=most, of_address=of_address)
-    here: dict[int, Connection] = {}
+    here: dict[int, ApiConnection] = {}
     served: set[int] = set()
     for step, choice in script:
         chosen = sorted(here)[choice % len(here)] if here else None

@@ -1,4 +1,4 @@
-"""One client of Foxglove's protocol: what it receives, what it is refused, and what its queue is bounded by."""
+"""FoxgloveClient: messages, refusals, and the bounds of its queue."""
 
 import asyncio
 import struct
@@ -14,9 +14,9 @@ from hostlink.api.foxglove import (
     INTERVAL_S,
     NO_GRAPH,
     STEP_S,
+    ConnectionGraph,
     graph_update,
 )
-from hostlink.api.foxglove_directory import ConnectionGraph
 from hostlink.api.foxglove_protocol import ServiceCall, decode_frame, encode_message, encode_response
 from hostlink.errors import BadRequest
 from hostlink.hub.node import Role
@@ -37,7 +37,7 @@ def channel(number: int, topic: str, type_name: str = "std_msgs/String", encodin
 
 
 async def number_of(peer: Peer, topic: str) -> int:
-    """Of the channel that is advertised next."""
+    """Return the id of the channel that is advertised next."""
     await asyncio.sleep(SETTLE_S)
     (found,) = [each["id"] for each in peer.channels() if each["topic"] == topic]
     return int(found)
@@ -54,7 +54,7 @@ def play(test: Any) -> None:
 # -- what a client receives -------------------------------------------------------------------------------------------
 
 
-def test_it_is_sent_what_the_server_can_do_and_at_least_one_advertisement_first() -> None:
+def test_client_first_receives_server_info_and_an_advertisement() -> None:
     async def test(here: World) -> None:
         first, second, *_ = here.client().json()
         assert first["op"] == "serverInfo"
@@ -66,7 +66,7 @@ def test_it_is_sent_what_the_server_can_do_and_at_least_one_advertisement_first(
     play(test)
 
 
-def test_a_channel_has_the_whole_definition_and_a_new_id_whenever_it_comes_again() -> None:
+def test_channel_has_its_definition_and_a_new_id_after_each_return() -> None:
     async def test(here: World) -> None:
         peer, robot = here.client(), here.hub.join("robot")
         robot.advertise("/path", "nav_msgs/Path")
@@ -83,7 +83,7 @@ def test_a_channel_has_the_whole_definition_and_a_new_id_whenever_it_comes_again
     play(test)
 
 
-def test_a_latched_message_comes_with_the_subscription_and_payloads_pass_as_they_are() -> None:
+def test_subscription_sends_latched_message_and_unchanged_payloads() -> None:
     async def test(here: World) -> None:
         peer, robot = here.client(), here.hub.join("robot")
         robot.advertise("/name", "std_msgs/String", is_latched=True)
@@ -103,7 +103,7 @@ def test_a_latched_message_comes_with_the_subscription_and_payloads_pass_as_they
     play(test)
 
 
-def test_a_topic_without_a_definition_is_no_channel_and_is_named_once() -> None:
+def test_topic_without_definition_is_reported_once_without_channel() -> None:
     async def test(here: World) -> None:
         peer = here.client()
         for number in range(2):
@@ -121,7 +121,7 @@ def test_a_topic_without_a_definition_is_no_channel_and_is_named_once() -> None:
     play(test)
 
 
-def test_many_channels_come_in_batches() -> None:
+def test_many_channels_are_advertised_in_batches() -> None:
     async def test(here: World) -> None:
         robot = here.hub.join_daemon()
         for number in range(3 * BATCH):
@@ -133,7 +133,7 @@ def test_many_channels_come_in_batches() -> None:
     play(test)
 
 
-def test_a_slow_client_loses_the_oldest_of_the_topic_that_fills_its_queue() -> None:
+def test_slow_client_loses_oldest_of_the_topic_that_fills_its_queue() -> None:
     async def test(here: World) -> None:
         peer, robot = here.client(), here.hub.join("robot")
         for topic in ("/much", "/rare"):
@@ -153,7 +153,7 @@ def test_a_slow_client_loses_the_oldest_of_the_topic_that_fills_its_queue() -> N
     play(test)
 
 
-def test_changes_of_the_graph_wait_for_a_client_that_does_not_read_and_never_close_it() -> None:
+def test_graph_changes_wait_for_a_client_that_does_not_read() -> None:
     async def test(here: World) -> None:
         peer, robot = here.client(), here.hub.join("robot")
         for number in range(3 * MAX_RESULTS):
@@ -180,7 +180,7 @@ def test_changes_of_the_graph_wait_for_a_client_that_does_not_read_and_never_clo
 
 
 async def subscribed(here: World, peer: Peer, topic: str = "/chat") -> Any:
-    """Who publishes a topic to which the peer has subscribed."""
+    """Participant that publishes a topic to which the peer has subscribed."""
     robot = here.hub.join("robot")
     robot.advertise(topic, "std_msgs/String")
     peer.send(op="subscribe", subscriptions=[{"id": 5, "channelId": await number_of(peer, topic)}])
@@ -192,7 +192,7 @@ def clock(secs: int, nsecs: int = 0) -> bytes:
     return struct.pack("<II", secs, nsecs)
 
 
-def test_the_time_of_the_host_is_offered_and_sent_without_any_message() -> None:
+def test_host_time_is_sent_without_messages() -> None:
     async def test(here: World) -> None:
         peer = here.client()
         began_ns = time.time_ns()
@@ -208,7 +208,7 @@ def test_the_time_of_the_host_is_offered_and_sent_without_any_message() -> None:
     play(test)
 
 
-def test_a_time_before_a_message_is_its_time_and_comes_once_for_many() -> None:
+def test_time_before_a_message_is_sent_once_for_many() -> None:
     async def test(here: World) -> None:
         peer = here.client()
         robot = await subscribed(here, peer)
@@ -222,7 +222,7 @@ def test_a_time_before_a_message_is_its_time_and_comes_once_for_many() -> None:
     play(test)
 
 
-def test_a_client_that_reads_nothing_loses_no_message_to_the_time() -> None:
+def test_time_displaces_no_message_of_a_client_that_does_not_read() -> None:
     async def test(here: World) -> None:
         peer = here.client()
         robot = await subscribed(here, peer)
@@ -236,7 +236,7 @@ def test_a_client_that_reads_nothing_loses_no_message_to_the_time() -> None:
     play(test)
 
 
-def test_the_time_of_clock_holds_for_messages_and_alone_while_it_is_published() -> None:
+def test_published_clock_replaces_the_host_time() -> None:
     async def test(here: World) -> None:
         peer = here.client()
         robot, simulator = await subscribed(here, peer), here.hub.join("simulator")
@@ -266,7 +266,7 @@ def test_the_time_of_clock_holds_for_messages_and_alone_while_it_is_published() 
     play(test)
 
 
-def test_a_clock_of_another_type_is_no_time() -> None:
+def test_clock_of_another_type_is_ignored() -> None:
     async def test(here: World) -> None:
         peer = here.client()
         robot, sketch = await subscribed(here, peer), here.hub.join("sketch")
@@ -281,7 +281,7 @@ def test_a_clock_of_another_type_is_no_time() -> None:
     play(test)
 
 
-def test_a_client_with_all_subscriptions_that_it_may_have_keeps_the_time_of_the_host() -> None:
+def test_client_at_subscription_limit_keeps_the_host_time() -> None:
     async def test(here: World) -> None:
         peer, simulator = here.client(), here.hub.join("simulator")
         for number in range(MAX_SUBSCRIPTIONS):
@@ -301,7 +301,7 @@ def test_a_client_with_all_subscriptions_that_it_may_have_keeps_the_time_of_the_
 
 
 @pytest.mark.parametrize("payload", [b"", b"\x05\x00\x00\x00abc", text("x") + b"more"])
-def test_a_payload_that_is_not_one_message_is_refused_and_reaches_nobody(payload: bytes) -> None:
+def test_payload_that_is_not_one_message_is_refused(payload: bytes) -> None:
     async def test(here: World) -> None:
         peer, heard = here.client(), list[bytes]()
         here.hub.join("other").subscribe("/chat", lambda message: heard.append(message.payload))
@@ -314,7 +314,7 @@ def test_a_payload_that_is_not_one_message_is_refused_and_reaches_nobody(payload
     play(test)
 
 
-def test_a_fixed_size_is_checked_without_decoding() -> None:
+def test_payload_of_fixed_size_is_checked_without_decoding() -> None:
     async def test(here: World) -> None:
         peer = here.client()
         peer.send(op="advertise", channels=[channel(1, "/cmd", "geometry_msgs/Twist")])
@@ -326,7 +326,7 @@ def test_a_fixed_size_is_checked_without_decoding() -> None:
     play(test)
 
 
-def test_the_same_refusal_is_sent_once_until_it_is_accepted_again() -> None:
+def test_repeated_refusal_is_sent_once_until_a_message_is_accepted() -> None:
     async def test(here: World) -> None:
         peer = here.client()
         peer.send(op="advertise", channels=[channel(1, "/chat")])
@@ -338,7 +338,7 @@ def test_the_same_refusal_is_sent_once_until_it_is_accepted_again() -> None:
     play(test)
 
 
-def test_what_a_topic_was_refused_for_is_forgotten_with_its_channel() -> None:
+def test_refusal_is_forgotten_with_its_channel() -> None:
     async def test(here: World) -> None:
         peer = here.client()
         for number in range(100):
@@ -356,12 +356,12 @@ def test_what_a_topic_was_refused_for_is_forgotten_with_its_channel() -> None:
     ("wanted", "reason"),
     [
         (channel(1, "/other"), "the id 1 is in use"),
-        (channel(2, "/other", encoding="json"), "must be of the encoding ros1, not 'json'"),
+        (channel(2, "/other", encoding="json"), "must have the encoding ros1, not 'json'"),
         (channel(2, "/other", "maker_msgs/Scan"), "unknown type maker_msgs/Scan"),
         (channel(2, "/chat", "std_msgs/Int32"), "std_msgs/String"),
     ],
 )
-def test_a_channel_that_cannot_be_is_refused_with_the_reason(wanted: dict[str, Any], reason: str) -> None:
+def test_invalid_channel_is_refused_with_the_reason(wanted: dict[str, Any], reason: str) -> None:
     async def test(here: World) -> None:
         peer = here.client()
         peer.send(op="advertise", channels=[channel(1, "/chat")])
@@ -372,7 +372,7 @@ def test_a_channel_that_cannot_be_is_refused_with_the_reason(wanted: dict[str, A
     play(test)
 
 
-def test_a_topic_is_taken_back_with_its_last_channel() -> None:
+def test_topic_is_withdrawn_with_its_last_channel() -> None:
     async def test(here: World) -> None:
         peer = here.client()
         peer.send(op="advertise", channels=[channel(1, "/chat"), channel(2, "chat")])
@@ -385,7 +385,7 @@ def test_a_topic_is_taken_back_with_its_last_channel() -> None:
     play(test)
 
 
-def test_one_that_may_only_read_changes_nothing() -> None:
+def test_client_with_role_read_changes_nothing() -> None:
     async def test(here: World) -> None:
         peer = here.client(Role.READ)
         peer.send(op="advertise", channels=[channel(1, "/chat")])
@@ -397,7 +397,7 @@ def test_one_that_may_only_read_changes_nothing() -> None:
     play(test)
 
 
-def test_all_mistakes_of_one_request_have_one_status() -> None:
+def test_all_refusals_of_one_request_have_one_status() -> None:
     async def test(here: World) -> None:
         peer = here.client()
         peer.send(op="subscribe", subscriptions=[{"id": number, "channelId": 900 + number} for number in range(500)])
@@ -408,7 +408,7 @@ def test_all_mistakes_of_one_request_have_one_status() -> None:
     play(test)
 
 
-def test_an_id_or_channel_is_subscribed_once() -> None:
+def test_subscription_id_and_channel_are_used_once() -> None:
     async def test(here: World) -> None:
         peer, robot = here.client(), here.hub.join("robot")
         for topic in ("/a", "/b"):
@@ -429,7 +429,7 @@ def values(peer: Peer) -> list[dict[str, Any]]:
     return [each for each in peer.json() if each["op"] == "parameterValues"]
 
 
-def test_parameters_are_read_set_and_removed_with_their_types() -> None:
+def test_parameters_are_read_set_and_removed_with_types() -> None:
     async def test(here: World) -> None:
         peer = here.client()
         here.hub.parameters.update({"robot_0/gain": 2.0, "/name": "x", "/list": [1, 2], "/floats": [1.0, 2.0]})
@@ -467,7 +467,7 @@ def test_parameters_are_read_set_and_removed_with_their_types() -> None:
         {"value": 10**400, "type": "float64"},
     ],
 )
-def test_a_value_that_no_device_could_be_answered_with_is_refused(setting: dict[str, Any]) -> None:
+def test_parameter_that_fits_no_device_is_refused(setting: dict[str, Any]) -> None:
     async def test(here: World) -> None:
         peer = here.client()
         peer.send(op="setParameters", parameters=[{"name": "/gain", **setting}])
@@ -477,7 +477,7 @@ def test_a_value_that_no_device_could_be_answered_with_is_refused(setting: dict[
     play(test)
 
 
-def test_watched_parameters_are_sent_when_anybody_changes_them() -> None:
+def test_watched_parameters_are_sent_after_every_change() -> None:
     async def test(here: World) -> None:
         peer = here.client()
         here.hub.parameters["/gain"] = 1
@@ -499,7 +499,7 @@ def test_watched_parameters_are_sent_when_anybody_changes_them() -> None:
     play(test)
 
 
-def test_a_graph_that_is_requested_again_and_again_is_sent_at_a_pace() -> None:
+def test_graph_requested_repeatedly_is_sent_at_a_limited_rate() -> None:
     async def test(here: World) -> None:
         peer, updates = here.client(), 0
         for _ in range(1000):
@@ -531,12 +531,12 @@ def test_frames_have_the_layout_of_the_specification() -> None:
         (struct.pack("<BIII", 2, 1, 1, 5) + b"ros1", "whose encoding has 5 bytes"),
     ],
 )
-def test_what_is_no_frame_is_refused(data: bytes, reason: str) -> None:
+def test_invalid_frame_is_refused(data: bytes, reason: str) -> None:
     with pytest.raises(BadRequest, match=reason):
         decode_frame(data)
 
 
-def test_a_connection_graph_is_sent_as_its_changes() -> None:
+def test_connection_graph_is_sent_as_changes() -> None:
     before = ConnectionGraph({"/a": ("/n",), "/b": ("/n",)}, {"/a": ("/m",)}, {"/s": ("/n",)})
     assert graph_update(before, before) is None
     full = graph_update(NO_GRAPH, before)

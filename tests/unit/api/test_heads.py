@@ -1,4 +1,4 @@
-"""What is decided before a request is routed."""
+"""Checks of a request's head before it is routed."""
 
 from aiohttp import ClientConnectionResetError, web
 from aiohttp.test_utils import make_mocked_request
@@ -6,7 +6,7 @@ from aiohttp.test_utils import make_mocked_request
 from hostlink.api.routes import refuse_unreadable
 
 
-async def test_a_client_that_left_before_it_was_told_to_continue_is_no_fault() -> None:
+async def test_client_that_left_before_100_continue_raises_no_error() -> None:
     async def cannot_write(_: web.BaseRequest) -> web.StreamResponse:
         raise ClientConnectionResetError("Cannot write to closing transport")
 

@@ -1,4 +1,4 @@
-"""Where devices connect, and what to run without one."""
+"""Addresses that devices connect to, and the command of a simulated robot."""
 
 from pathlib import Path
 from typing import Any

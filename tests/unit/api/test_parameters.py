@@ -2,12 +2,12 @@
 
 import pytest
 
-from hostlink.api.parameters import MAX_PARAMETERS, MAX_VALUE_CHARACTERS, Parameters
+from hostlink.api.rosapi import MAX_PARAMETERS, MAX_VALUE_CHARACTERS, Parameters
 from hostlink.config import ParameterValue
 from hostlink.errors import BadRequest, UnknownTopic, WrongType
 
 
-def test_names_are_full_and_any_spelling_is_understood() -> None:
+def test_parameter_names_are_full_and_accepted_in_any_spelling() -> None:
     settings: dict[str, ParameterValue] = {"gain": 7, "~name": "x"}
     parameters = Parameters(settings)
     assert parameters.names() == ["/gain", "/name"]
@@ -19,11 +19,11 @@ def test_names_are_full_and_any_spelling_is_understood() -> None:
 
 
 @pytest.mark.parametrize(("default", "value"), [("", "null"), ("3", "3"), ('{"a":1}', '{"a":1}'), ("text", '"text"')])
-def test_a_missing_one_is_its_default(default: str, value: str) -> None:
+def test_missing_parameter_is_the_default(default: str, value: str) -> None:
     assert Parameters({}).get("/none", default) == value
 
 
-def test_a_name_may_stand_for_a_tree() -> None:
+def test_parameter_name_may_be_a_tree() -> None:
     settings: dict[str, ParameterValue] = {}
     parameters = Parameters(settings)
     parameters.put("/robot", '{"pid": {"kp": 1.0, "ki": 2.0}, "name": "r"}')
@@ -39,20 +39,20 @@ def test_a_name_may_stand_for_a_tree() -> None:
 @pytest.mark.parametrize(
     "text", ["{", "null", '{"a": null}', "[[1]]", "{}", "[" * 4000, "1" * (MAX_VALUE_CHARACTERS + 1)]
 )
-def test_what_no_device_can_be_answered_with_is_refused(text: str) -> None:
+def test_parameter_value_that_fits_no_device_is_refused(text: str) -> None:
     with pytest.raises(BadRequest, match="set_param: value"):
         Parameters({}).put("/x", text)
 
 
 @pytest.mark.parametrize("text", ["4294967296", "[1, 2147483648]", '["a", 1]', '{"a": 1, "b": {"c": [true, "x"]}}'])
-def test_a_value_that_rosserial_cannot_carry_is_refused_and_changes_nothing(text: str) -> None:
+def test_value_that_rosserial_cannot_carry_changes_nothing(text: str) -> None:
     settings: dict[str, ParameterValue] = {"/x": 1}
     with pytest.raises(WrongType):
         Parameters(settings).put("/x", text)
     assert settings == {"/x": 1}
 
 
-def test_there_is_room_for_so_many_and_none_to_delete_is_an_error() -> None:
+def test_parameters_are_bounded_and_deleting_an_unknown_one_fails() -> None:
     parameters = Parameters({})
     for number in range(MAX_PARAMETERS):
         parameters.put(f"/p{number}", "1")

@@ -1,13 +1,12 @@
-"""The token bucket of each who asks."""
+"""Token buckets of the API's clients."""
 
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hostlink.api.rate_limit import MAX_KEYS, Bucket, RateLimit
+from hostlink.api.rate_limit import MAX_KEYS, RateLimit
 
 
-def test_a_second_s_worth_at_once_then_one_by_one() -> None:
+def test_rate_limit_allows_a_burst_of_one_second() -> None:
     limit = RateLimit(10)
     assert [limit.allows("a", 5.0) for _ in range(11)] == [True] * 10 + [False]
     assert not limit.allows("a", 5.05)
@@ -15,20 +14,12 @@ def test_a_second_s_worth_at_once_then_one_by_one() -> None:
     assert limit.refused == 2
 
 
-def test_a_client_that_sends_too_much_is_in_debt() -> None:
-    bucket = Bucket(10, 5.0)
-    assert [bucket.debt_s(5.0) for _ in range(10)] == [0.0] * 10
-    assert bucket.debt_s(5.0) == pytest.approx(0.1)
-    assert bucket.debt_s(5.0) == pytest.approx(0.2)
-    assert bucket.debt_s(5.2) == pytest.approx(0.1)
-
-
-def test_nobody_pays_for_another() -> None:
+def test_rate_limit_is_separate_for_each_key() -> None:
     limit = RateLimit(1)
     assert [limit.allows("a", 0.0), limit.allows("a", 0.0), limit.allows("b", 0.0)] == [True, False, True]
 
 
-def test_it_remembers_a_bounded_number() -> None:
+def test_rate_limit_keeps_a_bounded_number_of_keys() -> None:
     limit = RateLimit(1)
     for number in range(3 * MAX_KEYS):
         limit.allows(number, 0.0)
@@ -36,13 +27,9 @@ def test_it_remembers_a_bounded_number() -> None:
 
 
 @given(st.floats(1, 1000), st.lists(st.floats(0, 0.5), max_size=200))
-def test_never_more_than_the_rate_and_a_burst(per_s: float, pauses_s: list[float]) -> None:
-    limit, bucket = RateLimit(per_s), Bucket(per_s, 0.0)
-    now_s, passed, sent, silent_until_s = 0.0, 0, 0, 0.0
+def test_rate_limit_never_allows_more_than_rate_and_burst(per_s: float, pauses_s: list[float]) -> None:
+    limit, now_s, passed = RateLimit(per_s), 0.0, 0
     for pause_s in pauses_s:
         now_s += pause_s
         passed += limit.allows("a", now_s)
-        silent_until_s += bucket.debt_s(silent_until_s)
-        sent += 1
     assert passed <= per_s * now_s + per_s + 1e-6
-    assert sent <= per_s * silent_until_s + per_s + 1e-6

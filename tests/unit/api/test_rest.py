@@ -182,7 +182,7 @@ def test_error_has_status_kind_and_reason(method: str, path: str, body: bytes, s
     check(test)
 
 
-def test_a_token_that_may_only_read_does_not_drive() -> None:
+def test_token_with_role_read_does_not_drive() -> None:
     async def test(api: RestMemory) -> None:
         status, body = await api.call("PUT", VELOCITY, {"linear": 0.2, "angular": 0.0}, role=Role.READ)
         assert (status, body["error"]["kind"]) == (400, "BadRequest")
@@ -219,7 +219,7 @@ def test_links_topics_clients_and_health_are_shown() -> None:
     check(test)
 
 
-def test_owners_are_bounded_and_the_one_that_left_stops_what_it_drove() -> None:
+def test_owners_are_bounded_and_a_removed_one_stops_its_robot() -> None:
     async def test(api: RestMemory) -> None:
         await api.call("PUT", VELOCITY, {"linear": 0.2, "angular": 0.0}, who="first")
         first = api.owners.of("first", Role.DRIVE)
@@ -233,7 +233,7 @@ def test_owners_are_bounded_and_the_one_that_left_stops_what_it_drove() -> None:
     check(test)
 
 
-async def test_owner_is_the_same_until_its_token_is_withdrawn() -> None:
+async def test_owner_is_the_same_until_its_token_is_revoked() -> None:
     owners = Owners(Hub(Config(), CATALOG, reraises=True))
     one = owners.of("phone", Role.DRIVE)
     assert owners.of("phone", Role.DRIVE) is one

@@ -21,7 +21,7 @@ def statuses(heard: list[Any]) -> list[str]:
     return [frame["msg"] for frame in heard if frame["op"] == "status"]
 
 
-async def test_arguments_may_be_a_list_in_the_order_of_the_fields() -> None:
+async def test_call_arguments_may_be_a_list_in_field_order() -> None:
     async with world() as here:
         peer = here.client()
         assert (await call(peer, "/rosapi/set_param", ["/gain", "7"])) == {}
@@ -31,7 +31,7 @@ async def test_arguments_may_be_a_list_in_the_order_of_the_fields() -> None:
         assert "args must be an object" in await call(peer, "/rosapi/get_param", "x")
 
 
-async def test_a_call_goes_to_the_program_complete_and_its_answer_comes_back_complete_and_once() -> None:
+async def test_call_and_answer_are_completed_and_delivered_once() -> None:
     async with world() as here:
         server, caller = await offered(here), here.client()
         caller.send(op="call_service", id=7, service="/switch", args=[True])
@@ -54,11 +54,11 @@ async def test_a_call_goes_to_the_program_complete_and_its_answer_comes_back_com
     [
         ({"values": "no", "result": False}, "switch: no"),
         ({"result": False}, "switch: None"),
-        ({"values": [1], "result": True}, "switch: its answer is no object"),
+        ({"values": [1], "result": True}, "switch: the answer is not an object"),
         ({"values": {"sucess": True}, "result": True}, "no field 'sucess'"),
     ],
 )
-async def test_a_failure_has_its_reason_in_values(answer: dict[str, Any], reason: str) -> None:
+async def test_failed_call_has_its_reason_in_values(answer: dict[str, Any], reason: str) -> None:
     async with world() as here:
         server, caller = await offered(here), here.client()
         caller.send(op="call_service", id=7, service="/switch")
@@ -70,8 +70,8 @@ async def test_a_failure_has_its_reason_in_values(answer: dict[str, Any], reason
 
 
 @pytest.mark.parametrize("result", [False, None, True])
-async def test_what_a_service_answers_is_delivered_whatever_it_calls_its_result(result: bool | None) -> None:
-    """As rosbridge does: whether the service succeeded stands in its answer."""
+async def test_service_answer_is_delivered_for_any_result(result: bool | None) -> None:
+    """Success of a service is a field of its answer, as in rosbridge."""
     async with world() as here:
         server, caller = await offered(here), here.client()
         caller.send(op="call_service", id=7, service="/switch")
@@ -86,17 +86,15 @@ async def test_what_a_service_answers_is_delivered_whatever_it_calls_its_result(
 @pytest.mark.parametrize(
     ("answer", "reason"),
     [
-        ({"values": [1], "result": True}, "switch: its answer is no object"),
-        ({"values": "ok"}, "switch: its answer is no object"),
+        ({"values": [1], "result": True}, "switch: the answer is not an object"),
+        ({"values": "ok"}, "switch: the answer is not an object"),
         ({"values": {"sucess": True}, "result": True}, "no field 'sucess'"),
         ({"values": {"sucess": True}, "result": False}, "no field 'sucess'"),
         ({"values": {"success": True}, "result": "yes"}, "switch: result must be true or false"),
         ({"values": {}, "result": [True]}, "switch: result must be true or false"),
     ],
 )
-async def test_an_answer_that_is_none_fails_the_call_at_once_and_is_reported_to_who_sent_it(
-    answer: dict[str, Any], reason: str
-) -> None:
+async def test_invalid_answer_fails_the_call_and_is_reported_to_its_sender(answer: dict[str, Any], reason: str) -> None:
     async with world() as here:
         server, caller = await offered(here), here.client()
         caller.send(op="call_service", id=7, service="/switch")
@@ -109,7 +107,7 @@ async def test_an_answer_that_is_none_fails_the_call_at_once_and_is_reported_to_
         assert reason in status["msg"]
 
 
-async def test_an_answer_that_nobody_waits_for_is_reported_and_harmless() -> None:
+async def test_answer_without_a_call_is_reported() -> None:
     async with world() as here:
         server = await offered(here)
         for more in ({"id": "client 1 7"}, {}, {"id": 3}):
@@ -120,14 +118,14 @@ async def test_an_answer_that_nobody_waits_for_is_reported_and_harmless() -> Non
                 {
                     "op": "status",
                     "level": "warning",
-                    "msg": "service_response: no call waits for an answer with this id (any more)",
+                    "msg": "service_response: no call waits for an answer with this id",
                 }
             ]
             * 3
         )
 
 
-async def test_what_is_offered_no_more_fails_the_calls_that_wait_for_it_and_no_others() -> None:
+async def test_withdrawn_service_fails_only_its_pending_calls() -> None:
     async with world() as here:
         server, caller = await offered(here), here.client()
         server.send(op="advertise_service", service="/other", type="std_srvs/Trigger")
@@ -141,7 +139,7 @@ async def test_what_is_offered_no_more_fails_the_calls_that_wait_for_it_and_no_o
         assert [answer["id"] for answer in await caller.answers()] == [2]
 
 
-async def test_the_newest_offer_gets_the_calls_and_its_predecessor_is_notified_and_has_them_again() -> None:
+async def test_newest_provider_gets_the_calls_until_it_withdraws() -> None:
     async with world() as here:
         first, caller = await offered(here), here.client()
         caller.send(op="call_service", id=1, service="/switch")
@@ -158,14 +156,14 @@ async def test_the_newest_offer_gets_the_calls_and_its_predecessor_is_notified_a
         assert [request["op"] for request in await first.answers()] == ["call_service"]
 
 
-async def test_who_offers_a_service_again_is_not_notified() -> None:
+async def test_provider_that_advertises_again_is_not_notified() -> None:
     async with world() as here:
         server = await offered(here)
         server.send(op="advertise_service", service="/switch", type="std_srvs/SetBool")
         assert server.received() == []
 
 
-async def test_a_service_with_a_bug_fails_its_call_and_nothing_else() -> None:
+async def test_service_with_a_bug_fails_only_its_call() -> None:
     async def answer(_: Mapping[str, object]) -> Mapping[str, object]:
         raise ZeroDivisionError("a bug")
 
@@ -178,7 +176,7 @@ async def test_a_service_with_a_bug_fails_its_call_and_nothing_else() -> None:
         assert (await call(caller, "/rosapi/get_param", ["/none", "8"])) == {"value": "8"}
 
 
-async def test_a_type_that_nobody_defines_passes_as_it_is() -> None:
+async def test_call_of_an_unknown_type_is_passed_unchanged() -> None:
     async with world() as here:
         server, caller = await offered(here, "my_srvs/Odd"), here.client()
         caller.send(op="call_service", id=7, service="/switch", args={"any": [1, None]})
@@ -188,7 +186,7 @@ async def test_a_type_that_nobody_defines_passes_as_it_is() -> None:
         assert (await caller.answers())[0]["values"] == {"x": 1}
 
 
-async def test_a_program_that_leaves_fails_its_calls_at_once() -> None:
+async def test_provider_that_disconnects_fails_its_calls_at_once() -> None:
     async with world() as here:
         server, caller = await offered(here), here.client()
         caller.send(op="call_service", id=7, service="/switch")
@@ -198,7 +196,7 @@ async def test_a_program_that_leaves_fails_its_calls_at_once() -> None:
         assert (heard["result"], heard["values"]) == (False, "no service named /switch")
 
 
-def test_a_call_has_a_deadline_of_the_callers_choice() -> None:
+def test_call_has_the_deadline_of_its_caller() -> None:
     async def run() -> list[Any]:
         async with world() as here:
             _, caller = await offered(here), here.client()
@@ -215,7 +213,7 @@ def test_a_call_has_a_deadline_of_the_callers_choice() -> None:
     assert [answer["values"] for answer in heard] == ["/switch: no answer within 2 s", "/switch: no answer within 60 s"]
 
 
-async def test_hostlinks_own_services_are_nobody_elses() -> None:
+async def test_services_of_hostlink_cannot_be_advertised() -> None:
     async with world() as here:
         thief = here.client()
         thief.send(op="advertise_service", service="/rosapi/topics", type="rosapi/Topics")

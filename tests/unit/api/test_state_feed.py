@@ -1,4 +1,4 @@
-"""The feed of GET /api/events: what readers are sent, how often, and that it is made once for all. In virtual time."""
+"""The feed of GET /api/events: its events, their rate, and one encoding for all readers. In virtual time."""
 
 import asyncio
 import contextlib
@@ -24,7 +24,7 @@ from tests.support.virtual_loop import run_virtual
 
 
 def with_feed(test: Callable[[Hub, StateFeed], Awaitable[None]]) -> None:
-    """Run the test beside a hub that ends with the first crash."""
+    """Run the test with a hub that ends at the first crash."""
 
     async def run() -> None:
         hub = Hub(Config(), CATALOG, reraises=True)
@@ -47,7 +47,7 @@ def parsed(events: list[bytes]) -> list[tuple[str, Any]]:
 
 
 async def counted(reader: Reader, seconds: float) -> Counter[str]:
-    """How many events of each kind come in this time."""
+    """Count the events of each kind in this time."""
     counts: Counter[str] = Counter()
     until_s = asyncio.get_running_loop().time() + seconds
     while asyncio.get_running_loop().time() < until_s:
@@ -78,7 +78,7 @@ def test_states_are_encoded_once_for_all_readers() -> None:
     with_feed(check)
 
 
-def test_nothing_is_encoded_while_nobody_reads_and_nobody_gets_what_was_encoded_before() -> None:
+def test_feed_without_readers_encodes_nothing_and_keeps_nothing() -> None:
     async def check(hub: Hub, feed: StateFeed) -> None:
         reader = Reader(feed)
         with feed.reading(reader):
@@ -101,7 +101,7 @@ def test_nothing_is_encoded_while_nobody_reads_and_nobody_gets_what_was_encoded_
     with_feed(check)
 
 
-def test_robots_come_ten_times_a_second_while_one_moves_and_once_a_second_else() -> None:
+def test_robots_are_sent_ten_times_a_second_only_while_one_moves() -> None:
     async def check(hub: Hub, feed: StateFeed) -> None:
         device, reader = await connected(hub), Reader(feed)
         await device.send(125, bytes(24))  # a robot with poses
@@ -109,7 +109,7 @@ def test_robots_come_ten_times_a_second_while_one_moves_and_once_a_second_else()
             await asyncio.sleep(0.05)
             reader.pop()
             await asyncio.sleep(15.0)
-            reader.pop()  # what `hostlink doctor` finds wrong with this device came at once
+            reader.pop()  # the findings about this device were sent at once
             assert await counted(reader, 10.0) == {"robots": 10, "links": 10, "clients": 10}
             async with asyncio.TaskGroup() as tasks:
                 moving = tasks.create_task(_move(device))
@@ -128,7 +128,7 @@ async def _move(device: ScriptedDevice) -> None:
         await asyncio.sleep(0.02)
 
 
-def test_a_robot_without_poses_shows_by_its_frames_that_it_lives() -> None:
+def test_robot_without_poses_is_sent_when_its_frames_change() -> None:
     async def check(hub: Hub, feed: StateFeed) -> None:
         device, reader = await connected(hub), Reader(feed)
         with feed.reading(reader):
@@ -142,7 +142,7 @@ def test_a_robot_without_poses_shows_by_its_frames_that_it_lives() -> None:
     with_feed(check)
 
 
-def test_a_change_of_a_robot_that_stands_still_comes_at_once() -> None:
+def test_change_of_a_stopped_robot_is_sent_at_once() -> None:
     async def check(hub: Hub, feed: StateFeed) -> None:
         device, reader = await connected(hub), Reader(feed)
         with feed.reading(reader):
@@ -157,7 +157,7 @@ def test_a_change_of_a_robot_that_stands_still_comes_at_once() -> None:
     with_feed(check)
 
 
-def test_a_slow_reader_gets_the_newest_state_and_the_newest_lines_and_the_others_are_counted() -> None:
+def test_slow_reader_gets_newest_state_and_lines_and_others_are_counted() -> None:
     async def check(hub: Hub, feed: StateFeed) -> None:
         device, reader = await connected(hub), Reader(feed)
         with feed.reading(reader):
@@ -176,7 +176,7 @@ def test_a_slow_reader_gets_the_newest_state_and_the_newest_lines_and_the_others
     with_feed(check)
 
 
-def test_a_line_comes_at_once_though_nothing_else_changes() -> None:
+def test_log_line_is_sent_at_once_without_other_changes() -> None:
     async def check(hub: Hub, feed: StateFeed) -> None:
         device, reader = await connected(hub), Reader(feed)
         await device.send(125, bytes(24))  # a robot with poses
@@ -193,7 +193,7 @@ def test_a_line_comes_at_once_though_nothing_else_changes() -> None:
     with_feed(check)
 
 
-def test_what_is_no_line_is_counted_and_harms_nobody() -> None:
+def test_invalid_log_message_is_counted() -> None:
     async def check(hub: Hub, feed: StateFeed) -> None:
         reader = Reader(feed)
         with feed.reading(reader):
@@ -206,7 +206,7 @@ def test_what_is_no_line_is_counted_and_harms_nobody() -> None:
     with_feed(check)
 
 
-def test_many_readers_are_sent_less_often_so_that_all_of_them_cost_a_bounded_share() -> None:
+def test_many_readers_are_sent_less_often_within_the_cpu_share() -> None:
     async def check(hub: Hub, feed: StateFeed) -> None:
         device, first = await connected(hub), Reader(feed)
         with contextlib.ExitStack() as stack:
@@ -222,7 +222,7 @@ def test_many_readers_are_sent_less_often_so_that_all_of_them_cost_a_bounded_sha
     with_feed(check)
 
 
-def test_recordings_come_when_they_change_and_to_each_new_reader() -> None:
+def test_recordings_are_sent_on_change_and_to_new_readers() -> None:
     async def run() -> None:
         hub = Hub(Config(), CATALOG, reraises=True)
         recordings = Recordings(hub)
@@ -243,7 +243,7 @@ def test_recordings_come_when_they_change_and_to_each_new_reader() -> None:
         run_virtual(run())
 
 
-def test_the_streams_end_with_the_hub() -> None:
+def test_streams_end_with_the_hub() -> None:
     async def run() -> None:
         hub = Hub(Config(), CATALOG, reraises=True)
         feed = StateFeed(hub, Clients(8, max_per_address=8), Recordings(hub))

@@ -1,4 +1,4 @@
-"""TypeDefs as rosbridge's own, which takes them from the classes that ROS generates."""
+"""TypeDefs like those of rosbridge, which reads them from the classes that ROS generates."""
 
 from hostlink.api.rosapi import describe
 from tests.support.fake_device import CATALOG
@@ -10,7 +10,7 @@ def described(name: str) -> list[dict[str, object]]:
     return describe(type_)
 
 
-def test_the_root_is_first_then_each_type_once_depth_first_and_a_time_is_one() -> None:
+def test_typedefs_list_root_first_then_each_type_once() -> None:
     assert [typedef["type"] for typedef in described("nav_msgs/Odometry")] == [
         "nav_msgs/Odometry", "std_msgs/Header", "time", "geometry_msgs/PoseWithCovariance", "geometry_msgs/Pose",
         "geometry_msgs/Point", "geometry_msgs/Quaternion", "geometry_msgs/TwistWithCovariance", "geometry_msgs/Twist",
@@ -18,7 +18,7 @@ def test_the_root_is_first_then_each_type_once_depth_first_and_a_time_is_one() -
     ]  # fmt: skip
 
 
-def test_fields_lengths_and_examples() -> None:
+def test_typedefs_have_fields_lengths_and_examples() -> None:
     assert described("sensor_msgs/PointCloud2")[0] == {
         "type": "sensor_msgs/PointCloud2",
         "fieldnames": ["header", "height", "width", "fields", "is_bigendian", "point_step", "row_step", "data",
@@ -36,7 +36,7 @@ def test_fields_lengths_and_examples() -> None:
     assert odometry[1]["examples"] == ["0", "{}", ""]
 
 
-def test_a_time_has_fields_of_its_own_and_constants_are_sorted_values() -> None:
+def test_typedef_of_time_has_fields_and_constants_are_sorted() -> None:
     assert described("std_msgs/Header")[1] == {
         "type": "time", "fieldnames": ["secs", "nsecs"], "fieldtypes": ["int32", "int32"], "fieldarraylen": [-1, -1],
         "examples": ["0", "0"], "constnames": [], "constvalues": [],

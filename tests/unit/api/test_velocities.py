@@ -1,12 +1,12 @@
-"""Which messages may be skipped for a newer one: velocities for gated topics and robots, and no zero."""
+"""Messages that a newer one may replace: velocities for gated topics and robots, but no zero."""
 
 import base64
 from typing import Any
 
 import pytest
 
-from hostlink.api.inbox import velocity_of_payload, velocity_of_request
-from hostlink.api.rosbridge_request import Request
+from hostlink.api.clients import velocity_of_payload
+from hostlink.api.rosbridge import Request, velocity_of_request
 from hostlink.hub.topic import DeviceSubscription
 from hostlink.hub.topic_graph import TopicGraph
 from hostlink.robot.velocity import TWIST_TYPE, ZERO, PlanarVelocity
@@ -35,7 +35,7 @@ def topics() -> TopicGraph:
         ({"raw": base64.b64encode(bytes(20) + ZERO.encode()).decode()}, True),
     ],
 )
-def test_a_message_on_a_velocity_topic_is_a_velocity(fields: dict[str, Any], is_zero: bool) -> None:
+def test_message_on_a_velocity_topic_is_a_velocity(fields: dict[str, Any], is_zero: bool) -> None:
     request = Request({"op": "publish", "topic": TOPIC[1:], "priority": 60} | fields)
     assert velocity_of_request(request, topics()) == (("publish", TOPIC, 60), is_zero)
 
@@ -58,17 +58,17 @@ def test_a_message_on_a_velocity_topic_is_a_velocity(fields: dict[str, Any], is_
         {"op": "subscribe", "topic": TOPIC},
     ],
 )
-def test_what_is_none_or_wrong_is_never_skipped(fields: dict[str, Any]) -> None:
+def test_invalid_velocity_is_never_replaced(fields: dict[str, Any]) -> None:
     assert velocity_of_request(Request(fields), topics()) == (None, False)
 
 
-def test_a_drive_is_a_velocity_of_its_robot_and_priority() -> None:
+def test_drive_is_a_velocity_of_its_robot_and_priority() -> None:
     drive = {"op": "drive", "robot": "robot_0", "linear": 0, "angular": 0.0}
     assert velocity_of_request(Request(drive), topics()) == (("drive", "robot_0", None), True)
     assert velocity_of_request(Request(drive | {"angular": 0.1}), topics()) == (("drive", "robot_0", None), False)
 
 
-def test_a_serialised_velocity_is_one_on_a_velocity_topic_alone() -> None:
+def test_serialised_velocity_counts_only_on_a_velocity_topic() -> None:
     assert velocity_of_payload(TOPIC, MOVING, topics()) == (("publish", TOPIC), False)
     assert velocity_of_payload(TOPIC, ZERO.encode(), topics()) == (("publish", TOPIC), True)
     assert velocity_of_payload(TOPIC, b"short", topics()) == (None, False)

@@ -1,4 +1,4 @@
-"""What the API shows of the hub: complete, and without keeping the loop from others."""
+"""Views of the hub: complete, and made without blocking the event loop."""
 
 import asyncio
 
@@ -29,7 +29,7 @@ def crowd(hub: Hub) -> None:
         session.tick(now_s=1.0)
 
 
-async def test_a_view_of_many_topics_leaves_the_loop_to_others_after_each_link() -> None:
+async def test_view_of_many_topics_yields_the_loop_after_each_link() -> None:
     hub = Hub(Config(), Catalog(), reraises=True)
     crowd(hub)
     turns = 0

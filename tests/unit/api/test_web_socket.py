@@ -1,4 +1,4 @@
-"""ClientSocket without a socket: what is done and sent in one turn of the loop, and when a client is cut off."""
+"""ClientSocket without a socket: execution and writes of one turn of the loop, and when a client is disconnected."""
 
 import asyncio
 import contextlib
@@ -10,8 +10,7 @@ import pytest
 from aiohttp import WSMessage, WSMsgType, web
 from structlog.testing import capture_logs
 
-from hostlink.api.clients import Client, ClientQueue, Outgoing
-from hostlink.api.inbox import Operation
+from hostlink.api.clients import Client, ClientQueue, Operation, Outgoing
 from hostlink.api.listener import PacedReading
 from hostlink.api.web_socket import READY_TIMEOUT_S, SEND_BATCH, SEND_TIMEOUT_S, WRITE_BYTES, ClientSocket, frame_head
 from hostlink.hub.queue import MAX_RESULTS
@@ -23,7 +22,7 @@ TEXT, BINARY = 0x81, 0x82
 
 
 class Socket:
-    """What ClientSocket uses of aiohttp's WebSocket, of its connection and of the API's client."""
+    """Fake of what ClientSocket uses of aiohttp's WebSocket, its connection and the API's client."""
 
     def __init__(self) -> None:
         self.messages = asyncio.Queue[WSMessage]()
@@ -32,6 +31,8 @@ class Socket:
         self.close_code: int | None = None
         self.closed = self.is_writing_paused = False
         self.came_s = 0.0
+        self.reads = self.unread_bytes = 0
+        self.has_room = False
         self.kind = "rosbridge"
         self.messages_from_client = self.messages_to_client = self.bytes_to_client = 0
         self.on_read: Callable[[], None]
@@ -64,7 +65,6 @@ class Socket:
         self.on_read, self.on_writable = on_read, on_writable
 
     def leave_web_socket(self) -> None: ...
-    def receive_message(self) -> None: ...
     def receive_control(self, _: int) -> None: ...
 
 
@@ -72,7 +72,7 @@ class Echo:
     """A program that answers each word with the word; `fail` fails, and `robot=2` is a velocity."""
 
     def __init__(self, queue: ClientQueue) -> None:
-        self.queue, self.done, self.is_crowded, self.is_closed = queue, list[str](), False, False
+        self.queue, self.done, self.calls, self.is_closed = queue, list[str](), 0, False
         self.held_back: list[tuple[float, str]] = []  # what is due, and when
 
     def read(self, data: str | bytes, came_s: float) -> Operation[str]:
@@ -151,7 +151,7 @@ async def connected(kind: str = "rosbridge", max_messages_s: float = 1000.0) -> 
         (0x10000, bytes((TEXT, 127, 0, 0, 0, 0, 0, 1, 0, 0))),
     ],
 )
-def test_frame_head_has_the_length_in_as_few_bytes_as_the_rfc_demands(size_bytes: int, head: bytes) -> None:
+def test_frame_head_has_the_shortest_length_field(size_bytes: int, head: bytes) -> None:
     assert frame_head(size_bytes, is_binary=False) == head
     assert frame_head(size_bytes, is_binary=True) == bytes((BINARY,)) + head[1:]
 
@@ -169,7 +169,7 @@ def test_messages_of_one_read_are_answered_in_one_write() -> None:
     run_virtual(run())
 
 
-def test_of_velocities_of_one_read_only_the_newest_is_done() -> None:
+def test_velocities_of_one_read_only_the_newest_is_executed() -> None:
     async def run() -> None:
         async with connected() as client:
             client.socket.put("a=1", "a=2", "a=3")
@@ -201,7 +201,7 @@ def test_many_messages_are_written_in_batches() -> None:
     run_virtual(run())
 
 
-def test_a_write_ends_with_the_message_that_fills_it() -> None:
+def test_write_ends_with_the_message_that_fills_it() -> None:
     async def run() -> None:
         async with connected() as client:
             for size in (WRITE_BYTES - 1, 1, 1):
@@ -212,7 +212,7 @@ def test_a_write_ends_with_the_message_that_fills_it() -> None:
     run_virtual(run())
 
 
-def test_nothing_is_written_while_the_transport_is_full() -> None:
+def test_messages_wait_while_the_transport_is_full() -> None:
     async def run() -> None:
         async with connected() as client:
             client.socket.is_writing_paused = True
@@ -228,7 +228,7 @@ def test_nothing_is_written_while_the_transport_is_full() -> None:
     run_virtual(run())
 
 
-def test_a_client_that_reads_nothing_is_cut_off_in_time() -> None:
+def test_client_that_does_not_read_is_disconnected() -> None:
     async def run() -> None:
         async with connected() as client:
 
@@ -247,10 +247,10 @@ def test_a_client_that_reads_nothing_is_cut_off_in_time() -> None:
 
     with pytest.raises(ExceptionGroup) as caught:
         run_virtual(run())
-    assert caught.group_contains(TimeoutError, match="it reads nothing")
+    assert caught.group_contains(TimeoutError, match="it does not read")
 
 
-def test_a_client_whose_answers_pile_up_is_closed_and_logged() -> None:
+def test_client_with_too_many_answers_is_closed_and_logged() -> None:
     async def run() -> Connected | None:
         client = None
         with contextlib.suppress(*[ExceptionGroup]):
@@ -267,7 +267,7 @@ def test_a_client_whose_answers_pile_up_is_closed_and_logged() -> None:
     assert [line["event"] for line in lines] == ["client.too_slow"]
 
 
-def test_a_client_whose_participant_has_ended_is_closed() -> None:
+def test_client_whose_participant_ended_is_closed() -> None:
     async def run() -> Connected | None:
         client = None
         with contextlib.suppress(*[ExceptionGroup]):
@@ -281,7 +281,7 @@ def test_a_client_whose_participant_has_ended_is_closed() -> None:
     assert client.socket.close_code == 1011
 
 
-def test_a_defect_ends_the_client_s_tasks() -> None:
+def test_exception_ends_the_tasks_of_the_client() -> None:
     async def run() -> None:
         async with connected() as client:
             client.socket.put("fail")
@@ -292,7 +292,7 @@ def test_a_defect_ends_the_client_s_tasks() -> None:
     assert caught.group_contains(ValueError, match="a defect")
 
 
-def test_a_flood_of_messages_is_refused() -> None:
+def test_flood_of_messages_is_refused() -> None:
     async def run() -> Connected:
         async with connected(max_messages_s=10.0) as client:
             client.socket.put(*["x"] * 21)
@@ -317,7 +317,7 @@ def test_two_seconds_of_messages_at_once_are_accepted() -> None:
 
 
 @pytest.mark.parametrize("answers", [True, False])
-def test_foxglove_is_sent_nothing_before_it_answers_a_ping_or_a_second_is_over(answers: bool) -> None:
+def test_foxglove_client_is_sent_nothing_before_a_pong_or_a_second(answers: bool) -> None:
     async def run() -> None:
         async with connected("foxglove") as client:
             client.queue.put_result(Outgoing(b"hello"))
@@ -333,7 +333,7 @@ def test_foxglove_is_sent_nothing_before_it_answers_a_ping_or_a_second_is_over(a
     run_virtual(run())
 
 
-def test_a_ping_is_answered() -> None:
+def test_ping_is_answered() -> None:
     async def run() -> None:
         async with connected() as client:
             client.socket.messages.put_nowait(WSMessage(WSMsgType.PING, b"", None))
@@ -343,7 +343,7 @@ def test_a_ping_is_answered() -> None:
     run_virtual(run())
 
 
-def test_what_is_held_back_is_sent_when_it_is_due() -> None:
+def test_throttled_message_is_sent_when_due() -> None:
     async def run() -> None:
         async with connected() as client:
             now_s = asyncio.get_running_loop().time()
@@ -359,7 +359,7 @@ def test_what_is_held_back_is_sent_when_it_is_due() -> None:
     run_virtual(run())
 
 
-def test_a_client_that_leaves_has_done_all_that_it_sent() -> None:
+def test_operations_of_a_client_that_leaves_are_executed() -> None:
     async def run() -> None:
         async with connected() as client:
             client.socket.put("one", "two")
@@ -369,7 +369,7 @@ def test_a_client_that_leaves_has_done_all_that_it_sent() -> None:
     run_virtual(run())
 
 
-def test_nothing_more_is_done_while_answers_have_no_room() -> None:
+def test_operations_wait_while_answers_have_no_room() -> None:
     async def run() -> None:
         async with connected(max_messages_s=1e6) as client:
             client.socket.is_writing_paused = True

@@ -1,4 +1,4 @@
-"""Where `hostlink arduino-library` writes, and which folders and names it refuses."""
+"""Files that `hostlink arduino-library` writes, and folders and names that it refuses."""
 
 import json
 import os
@@ -26,7 +26,7 @@ def names_in(folder: Path) -> list[str]:
 
 
 @pytest.mark.parametrize("is_forced", [False, True])
-def test_a_folder_a_pipe_and_standard_output_are_no_zip(
+def test_output_to_a_folder_a_pipe_or_standard_output_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, *, is_forced: bool
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -36,9 +36,9 @@ def test_a_folder_a_pipe_and_standard_output_are_no_zip(
     for name, problem in (
         (".", "is a folder"),
         ("folder/", "is a folder"),
-        ("pipe", "is no plain file"),
-        ("link", "is no plain file"),
-        ("-", "- is no file"),
+        ("pipe", "is not a plain file"),
+        ("link", "is not a plain file"),
+        ("-", "'-' is not a file"),
         ("x" * 300, "File name too long; name another"),
     ):
         with pytest.raises(ConfigError, match=problem):
@@ -57,7 +57,7 @@ def test_a_link_stays_and_leads_to_the_zip(tmp_path: Path) -> None:
 
 
 def test_any_name_of_a_file_is_reported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Also one that is not UTF-8."""
+    """Report a name that is not UTF-8, too."""
     output = Path(os.fsdecode(bytes(tmp_path) + b"/my \xc3\xa4\xff.zip"))
     command(output=output, only=SMALL, json=True)
     assert json.loads(capsys.readouterr().out)["output"].endswith("/my ä\ufffd.zip")
@@ -72,10 +72,10 @@ def test_platformio_gets_the_path_as_it_is(tmp_path: Path, capsys: pytest.Captur
 @pytest.mark.parametrize(
     ("only", "problem"),
     [
-        ([""], "--only: names nothing"),
-        ([" , ", ""], "--only: names nothing"),
-        (["std_msg"], "no package or type named std_msg; near it: std_msgs"),
-        (["std_msgs/String", "qqq"], "no package or type named qqq; there is: actionlib, actionlib_msgs"),
+        ([""], "--only: no name is given"),
+        ([" , ", ""], "--only: no name is given"),
+        (["std_msg"], "no package or type named std_msg; similar names: std_msgs"),
+        (["std_msgs/String", "qqq"], "no package or type named qqq; packages are: actionlib, actionlib_msgs"),
     ],
 )
 def test_an_only_that_selects_nothing_is_refused(tmp_path: Path, only: list[str], problem: str) -> None:
@@ -109,7 +109,7 @@ def test_a_folder_that_adds_nothing_is_refused_with_where_its_packages_are(tmp_p
         assert "hostlink_rosserial/src/my_msgs/Mine.h" in archive.namelist()
 
 
-def test_hidden_files_of_another_system_are_no_definitions(tmp_path: Path) -> None:
+def test_hidden_files_of_another_system_are_not_read_as_definitions(tmp_path: Path) -> None:
     folder = package(tmp_path / "mine")
     (folder / "my_msgs" / "msg" / "._Mine.msg").write_bytes(b"\x00\x05\x16\x07")
     command(output=tmp_path / "x.zip", messages=[folder], only=["my_msgs"])

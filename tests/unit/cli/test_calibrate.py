@@ -11,7 +11,7 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from hostlink.cli.calibrate import GuidedCalibration, settings_of
-from hostlink.cli.calibration_plan import Saved, Sizes, open_state
+from hostlink.cli.calibration_plan import SavedCalibration, Sizes, open_state
 from hostlink.cli.calibration_session import AtTheTerminal, Drives, Show, numbers_of, pose_of
 from hostlink.cli.main import build_app
 from hostlink.cli.output import write, write_error
@@ -43,7 +43,7 @@ def test_a_simulated_robot_s_wheels_are_found(tmp_path: Path) -> None:
     assert len(drawn.findall("{*}polyline")) > 4
 
 
-def test_what_was_found_is_written_where_it_is_requested(tmp_path: Path) -> None:
+def test_write_option_writes_the_result_into_the_configuration(tmp_path: Path) -> None:
     file = tmp_path / "hostlink.toml"
     file.write_text('[parameters]\n"robot_0/wheel_radius" = 0.045\n')
     result = calibrate(tmp_path, *SMALL, "--write", str(file), "--write-simulated")
@@ -61,7 +61,7 @@ def test_a_file_in_which_the_numbers_cannot_stand_is_refused_before_any_drive(tm
     result = calibrate(tmp_path, "--write", str(file), "--write-simulated")
     assert "remove it" in str(result.exception)
     file.write_text("parameters = { }\n")
-    assert "cannot be changed by hostlink" in str(
+    assert "hostlink cannot change this file" in str(
         calibrate(tmp_path, "--write", str(file), "--write-simulated").exception
     )
     file.write_text("[robots.robot_0.calibration]\nleft_factor = 1.01\n")
@@ -103,17 +103,17 @@ def test_a_wrong_tape_measure_keeps_nothing(tmp_path: Path, mistake: str, text: 
         ("--nominal", "0.45,0.45,0.21"),
     ],
 )
-def test_an_argument_that_is_none_is_refused(tmp_path: Path, arguments: Sequence[str]) -> None:
+def test_wrong_argument_is_refused(tmp_path: Path, arguments: Sequence[str]) -> None:
     assert isinstance(calibrate(tmp_path, *arguments).exception, ConfigError)
 
 
 @pytest.mark.parametrize("option", ["--length", "--side", "--linear", "--angular"])
-def test_no_number_is_no_length_and_no_speed(tmp_path: Path, option: str) -> None:
+def test_nan_is_refused_as_a_length_and_as_a_speed(tmp_path: Path, option: str) -> None:
     assert calibrate(tmp_path, option, "nan").exit_code == 2
 
 
 @pytest.mark.parametrize("arguments", [("--world", "track_m=0.2"), ("--mistake", "slip")])
-def test_who_forgets_to_simulate_drives_no_robot(arguments: Sequence[str]) -> None:
+def test_world_option_without_simulate_drives_no_robot(arguments: Sequence[str]) -> None:
     words = ["calibrate", "robot_0", *arguments, "--url", "http://127.0.0.1:1"]
     result = CliRunner().invoke(build_app("calibrate"), words)
     assert isinstance(result.exception, ConfigError)
@@ -133,7 +133,7 @@ def test_a_picture_that_cannot_be_drawn_costs_no_drive(tmp_path: Path) -> None:
     assert (tmp_path / "state.json").exists()
 
 
-def test_nothing_is_applied_to_a_simulated_robot(tmp_path: Path) -> None:
+def test_apply_to_a_simulated_robot_is_refused(tmp_path: Path) -> None:
     assert isinstance(calibrate(tmp_path, *SMALL, "--apply").exception, HostlinkError)
 
 
@@ -197,7 +197,7 @@ class Answers(io.StringIO):
 
 
 def guided(folder: Path, drives: ExactDrives, *, is_quiet: bool = False) -> GuidedCalibration:
-    wanted = Saved("robot_0", Sizes(length_m=2.0, side_m=1.0, turns=0, repeats=1), WheelGeometry())
+    wanted = SavedCalibration("robot_0", Sizes(length_m=2.0, side_m=1.0, turns=0, repeats=1), WheelGeometry())
     state = open_state(folder / "state.json", wanted, anew=False)
     person = AtTheTerminal(drives, write_error if is_quiet else write)
     return GuidedCalibration(person, state, folder / "picture.svg", is_quiet=is_quiet)
@@ -224,9 +224,9 @@ def test_a_person_is_led_through_all_drives(
     assert found.geometry == pytest.approx(TRUE, rel=1e-3)
     assert confirmation.complaint == ""
     shown = capsys.readouterr().out
-    assert "Calibrating robot_0: 3 drives, then 3 to check." in shown
+    assert "Calibrating robot_0: 3 drives, then 3 check drives." in shown
     assert "a square of 1 m, counter-clockwise" in shown
-    assert "Check drive:" in shown
+    assert "Check drives:" in shown
 
 
 def test_standard_output_is_for_the_json_alone(
@@ -237,11 +237,11 @@ def test_standard_output_is_for_the_json_alone(
     guided(tmp_path, drives, is_quiet=True).run()
     shown = capsys.readouterr()
     assert shown.out == ""
-    assert "Enter starts the drive" in shown.err
+    assert "Enter to start the drive" in shown.err
     assert "a square of 1 m, counter-clockwise" in shown.err
 
 
-def test_what_cannot_be_kept_is_not_driven(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_unwritable_state_file_prevents_the_first_drive(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     drives = ExactDrives()
     monkeypatch.setattr("sys.stdin", Answers(drives, DRIVE * 6))
     calibration = guided(tmp_path / "folder", drives)
@@ -251,7 +251,7 @@ def test_what_cannot_be_kept_is_not_driven(tmp_path: Path, monkeypatch: pytest.M
     assert drives.robot_driven.odometry == Pose(0.3, -0.2, 1.0)
 
 
-def test_what_cannot_be_is_asked_again_and_a_drive_that_was_broken_off_is_repeated(
+def test_impossible_measurement_is_asked_again_and_a_broken_off_drive_is_repeated(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     drives = ExactDrives()
@@ -263,20 +263,20 @@ def test_what_cannot_be_is_asked_again_and_a_drive_that_was_broken_off_is_repeat
     assert found.geometry == pytest.approx(TRUE, rel=1e-3)
     complaints = capsys.readouterr().err
     assert "its odometry jumped" in complaints
-    assert "'long' is no length" in complaints
+    assert "'long' is not a length" in complaints
     assert "30.10 m, the odometry" in complaints
 
 
 def test_enter_alone_starts_a_drive(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Who types a word meant something else."""
+    """Refuse a word instead of Enter, because the person meant something else."""
     drives = ExactDrives()
     monkeypatch.setattr("sys.stdin", Answers(drives, ["no\n", "quit\n"]))
-    with pytest.raises(HostlinkError, match="nobody to answer"):
+    with pytest.raises(HostlinkError, match="standard input is closed"):
         guided(tmp_path, drives).run()
     assert drives.robot_driven.odometry == Pose(0.3, -0.2, 1.0)
-    assert capsys.readouterr().err.count("Enter alone starts it") == 2
+    assert capsys.readouterr().err.count("press Enter alone to start it") == 2
 
 
 def test_numbers_that_contradict_each_other_are_entered_again(
@@ -293,12 +293,12 @@ def test_numbers_that_contradict_each_other_are_entered_again(
     assert "a square of 1 m, clockwise: -25.0 cm forward, -50.0 cm to the left" in capsys.readouterr().out
 
 
-def test_who_leaves_goes_on_later_where_he_was(
+def test_interrupted_calibration_continues_with_the_next_drive(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     drives = ExactDrives()
     monkeypatch.setattr("sys.stdin", Answers(drives, [*DRIVE, "start"]))
-    with pytest.raises(HostlinkError, match="nobody to answer"):
+    with pytest.raises(HostlinkError, match="standard input is closed"):
         guided(tmp_path, drives).run()
     monkeypatch.setattr("sys.stdin", Answers(drives, DRIVE * 5))
     found, _ = guided(tmp_path, drives).run()

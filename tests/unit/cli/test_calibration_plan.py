@@ -1,4 +1,4 @@
-"""What a person enters, and the state file between two drives."""
+"""Lengths and angles that a person enters, and the state file between two drives."""
 
 import contextlib
 import math
@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hostlink.cli.calibration_plan import (
-    Saved,
+    SavedCalibration,
     Sizes,
     UnitMissing,
     checks_of,
@@ -20,10 +20,10 @@ from hostlink.cli.calibration_plan import (
     steps_of,
 )
 from hostlink.errors import HostlinkError
-from hostlink.robot.calibration import Kind, MeasuredRun, Measurement, WheelGeometry
+from hostlink.robot.calibration import MeasuredRun, Measurement, RunKind, WheelGeometry
 from hostlink.robot.kinematics import Pose
 
-RUN = MeasuredRun(Kind.STRAIGHT, 3.0, (Pose(), Pose(3.0, 0.1, 0.01)), Measurement(2.98, 0.12))
+RUN = MeasuredRun(RunKind.STRAIGHT, 3.0, (Pose(), Pose(3.0, 0.1, 0.01)), Measurement(2.98, 0.12))
 
 
 @pytest.mark.parametrize(
@@ -37,7 +37,7 @@ def test_parse_length_with_a_unit_is_in_metres(text: str, metres: float) -> None
 
 @pytest.mark.parametrize("text", ["12.5", "-0.42", "+3", "1e2", "12,5"])
 def test_parse_length_without_a_unit_needs_a_default(text: str) -> None:
-    with pytest.raises(UnitMissing, match=r"of what\? Enter it with its unit, as 12\.5 cm") as missing:
+    with pytest.raises(UnitMissing, match=r"has no unit; enter for example 12\.5 cm") as missing:
         parse_length(text)
     assert missing.value.number == text
     assert parse_length(text, "cm") == pytest.approx(float(text.replace(",", ".")) / 100)
@@ -45,8 +45,8 @@ def test_parse_length_without_a_unit_needs_a_default(text: str) -> None:
 
 
 @pytest.mark.parametrize("text", ["", "cm", "12 miles", "nan", "inf m", "1.2.3", "12 m m", "--1"])
-def test_what_is_no_length_is_refused_with_an_example(text: str) -> None:
-    with pytest.raises(ValueError, match="is no length"):
+def test_text_that_is_not_a_length_is_refused_with_an_example(text: str) -> None:
+    with pytest.raises(ValueError, match="is not a length"):
         parse_length(text)
 
 
@@ -60,19 +60,19 @@ def test_no_text_breaks_the_reading(text: str) -> None:
 def test_angles_are_degrees() -> None:
     assert parse_angle("-90°") == pytest.approx(-math.pi / 2)
     assert parse_angle("12,5 degrees") == pytest.approx(math.radians(12.5))
-    with pytest.raises(ValueError, match="is no angle"):
+    with pytest.raises(ValueError, match="is not a number of degrees"):
         parse_angle("left")
 
 
 def test_lines_turns_and_squares_both_ways_are_driven() -> None:
     kinds = [step.kind for step in steps_of(Sizes())]
     assert kinds == [
-        *[Kind.STRAIGHT] * 2,
-        Kind.TURNS_CCW,
-        Kind.TURNS_CW,
-        *[Kind.SQUARE_CW, Kind.SQUARE_CCW] * 2,
+        *[RunKind.STRAIGHT] * 2,
+        RunKind.TURNS_CCW,
+        RunKind.TURNS_CW,
+        *[RunKind.SQUARE_CW, RunKind.SQUARE_CCW] * 2,
     ]
-    assert [step.kind for step in checks_of(Sizes())] == [Kind.STRAIGHT, Kind.SQUARE_CW, Kind.SQUARE_CCW]
+    assert [step.kind for step in checks_of(Sizes())] == [RunKind.STRAIGHT, RunKind.SQUARE_CW, RunKind.SQUARE_CCW]
     assert all("turns" not in step.kind for step in steps_of(Sizes(turns=0)))
     assert steps_of(Sizes(turns=1))[2].title == "1 turn on the spot, counter-clockwise"
     titles = {step.title: step.room for step in steps_of(Sizes())}
@@ -80,11 +80,11 @@ def test_lines_turns_and_squares_both_ways_are_driven() -> None:
 
 
 def test_a_calibration_is_resumed_where_it_was(tmp_path: Path) -> None:
-    wanted = Saved("robot_0", Sizes(), WheelGeometry())
+    wanted = SavedCalibration("robot_0", Sizes(), WheelGeometry())
     state = open_state(tmp_path / "folder" / "state.json", wanted, anew=False)
     state.saved.runs.append(RUN)
     state.save()
-    again = open_state(state.path, Saved("robot_0", Sizes(), WheelGeometry()), anew=False)
+    again = open_state(state.path, SavedCalibration("robot_0", Sizes(), WheelGeometry()), anew=False)
     assert again.saved.runs == [RUN]
     assert open_state(state.path, wanted, anew=True).saved is wanted
     state.remove()
@@ -94,34 +94,36 @@ def test_a_calibration_is_resumed_where_it_was(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("other", "text"),
     [
-        (Saved("robot_0", Sizes(side_m=4.0), WheelGeometry()), "other sizes"),
-        (Saved("robot_0", Sizes(), WheelGeometry(0.05, 0.05, 0.2)), "other nominal"),
-        (Saved("robot_1", Sizes(), WheelGeometry(0.05, 0.05, 0.2)), "other robot and nominal"),
+        (SavedCalibration("robot_0", Sizes(side_m=4.0), WheelGeometry()), "another sizes"),
+        (SavedCalibration("robot_0", Sizes(), WheelGeometry(0.05, 0.05, 0.2)), "another nominal"),
+        (SavedCalibration("robot_1", Sizes(), WheelGeometry(0.05, 0.05, 0.2)), "another robot and nominal"),
     ],
 )
-def test_the_state_of_another_calibration_is_not_resumed(tmp_path: Path, other: Saved, text: str) -> None:
-    open_state(tmp_path / "state.json", Saved("robot_0", Sizes(), WheelGeometry(), [RUN]), anew=False).save()
+def test_the_state_of_another_calibration_is_not_resumed(tmp_path: Path, other: SavedCalibration, text: str) -> None:
+    open_state(tmp_path / "state.json", SavedCalibration("robot_0", Sizes(), WheelGeometry(), [RUN]), anew=False).save()
     with pytest.raises(HostlinkError, match=f"{text}; --anew begins again"):
         open_state(tmp_path / "state.json", other, anew=False)
 
 
 def test_a_calibration_without_drives_is_not_kept(tmp_path: Path) -> None:
-    open_state(tmp_path / "state.json", Saved("robot_0", Sizes(), WheelGeometry()), anew=False).save()
-    wanted = Saved("robot_0", Sizes(side_m=4.0), WheelGeometry())
+    open_state(tmp_path / "state.json", SavedCalibration("robot_0", Sizes(), WheelGeometry()), anew=False).save()
+    wanted = SavedCalibration("robot_0", Sizes(side_m=4.0), WheelGeometry())
     assert open_state(tmp_path / "state.json", wanted, anew=False).saved is wanted
 
 
 @pytest.mark.parametrize("content", [b"", b"{}", b'{"robot": 1}', b"\xff"])
-def test_a_file_that_is_no_state_is_refused(tmp_path: Path, content: bytes) -> None:
+def test_file_that_is_not_a_state_file_is_refused(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "state.json"
     path.write_bytes(content)
-    with pytest.raises(HostlinkError, match="no calibration that can be resumed"):
-        open_state(path, Saved("robot_0", Sizes(), WheelGeometry()), anew=False)
+    with pytest.raises(HostlinkError, match="is not the state file of a calibration"):
+        open_state(path, SavedCalibration("robot_0", Sizes(), WheelGeometry()), anew=False)
 
 
 def test_a_state_that_cannot_be_written_is_one_line(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    state = open_state(tmp_path / "file" / "state.json", Saved("robot_0", Sizes(), WheelGeometry()), anew=True)
+    state = open_state(
+        tmp_path / "file" / "state.json", SavedCalibration("robot_0", Sizes(), WheelGeometry()), anew=True
+    )
     with pytest.raises(HostlinkError, match=r"state\.json"):
         state.save()
 

@@ -1,4 +1,4 @@
-"""Who types a length in another unit than is meant is asked or refused, at every question; who does not never is."""
+"""A length in a wrong unit is doubted or refused at every question, and one in the right unit never is."""
 
 import math
 import os
@@ -11,7 +11,7 @@ import pytest
 
 from hostlink.cli import calibration_session
 from hostlink.cli.calibrate import GuidedCalibration
-from hostlink.cli.calibration_plan import UNITS_M, Saved, Sizes, open_state
+from hostlink.cli.calibration_plan import UNITS_M, SavedCalibration, Sizes, open_state
 from hostlink.cli.calibration_session import AtTheTerminal, Drives, Show
 from hostlink.errors import HostlinkError
 from hostlink.robot.calibration import Calibration, WheelGeometry
@@ -67,18 +67,18 @@ class Person:
     typed: list[str] = field(default_factory=list)
 
     def answer(self, question: str) -> str:
-        """As somebody at the terminal."""
-        if "Enter starts the drive" in question:
+        """Answer a question as a person at the terminal does."""
+        if "Enter to start the drive" in question:
             self.start, self.drive = self.robot.truth, self.drive + 1
             return "\n"
-        if "of what?" in question:
+        if "Unit of " in question:
             self.asked += 1
             return f"{self.unit}\n"
         if "measure again" in question:
             self.refused.append(question)
             self.is_wrong = lambda *_: False
             return "\n"
-        if "drive to do again" in question:
+        if "drive to repeat" in question:
             raise AssertionError("the drives contradict each other")
         axis = "x" if "Forward" in question else "y"
         end = relative(self.start, self.robot.truth)
@@ -103,7 +103,7 @@ def wrong_at(questions: str) -> Callable[[int, str], bool]:
 def calibrate(
     seed: int, folder: Path, monkeypatch: pytest.MonkeyPatch, unit: str = "cm", questions: str = ""
 ) -> tuple[Calibration | None, Person, WheelGeometry]:
-    """What is found; None: there is nothing to gain, or no more than this robot's scatter hides."""
+    """Return the result; None if there is nothing to gain, or less than this robot's scatter."""
     random = np.random.default_rng(seed)
     true = drawn_wheels(random)
     robot = ExactRobot(NOMINAL, true, noise_m=random.uniform(0.0, 0.002), seed=seed)
@@ -111,7 +111,7 @@ def calibrate(
     if questions:
         person.is_wrong = wrong_at(questions)
     monkeypatch.setattr(calibration_session, "_prompt", person.answer)
-    state = open_state(folder / f"{seed}.json", Saved("robot_0", SIZES, NOMINAL), anew=True)
+    state = open_state(folder / f"{seed}.json", SavedCalibration("robot_0", SIZES, NOMINAL), anew=True)
     session = AtTheTerminal(DrawnDrives(robot), lambda *_: None)
     calibration = GuidedCalibration(session, state, folder / "picture.svg", is_quiet=True)
     try:
@@ -123,12 +123,12 @@ def calibrate(
 
 
 def is_right(found: Calibration, true: WheelGeometry) -> bool:
-    """To what a tape measure and the robot's scatter allow."""
+    """Whether the result is as good as a tape measure and the robot's scatter allow."""
     return found.geometry == pytest.approx(true, rel=0.012)
 
 
 @pytest.mark.parametrize("unit", UNITS_M)
-def test_who_types_units_is_never_asked_nor_refused(unit: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_lengths_with_their_unit_are_never_doubted(unit: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     kept, first = 0, 1000 * list(UNITS_M).index(unit)
     for seed in range(first, first + ROBOTS):
         found, person, true = calibrate(seed, tmp_path, monkeypatch, unit)

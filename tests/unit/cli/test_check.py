@@ -1,4 +1,4 @@
-"""What `--check-config` and `serve` say of a configuration before anything is served."""
+"""Report of `--check-config` and `serve` on a configuration before it is served."""
 
 import asyncio
 import socket
@@ -55,7 +55,7 @@ def test_everything_that_would_be_served_has_a_line(tmp_path: Path) -> None:
     ]
 
 
-def test_who_reaches_a_zenoh_session_is_said() -> None:
+def test_report_says_from_where_a_zenoh_session_can_be_reached() -> None:
     plain = Config(zenoh=ZenohConfig(connect=("tcp/10.0.0.2:7447",)))
     reach = (
         "listens on tcp/[::]:0; connects to tcp/10.0.0.2:7447; no TLS, found by multicast and gossip: everybody who "
@@ -77,20 +77,26 @@ def test_who_reaches_a_zenoh_session_is_said() -> None:
 @pytest.mark.parametrize(
     ("config", "problem"),
     [
-        (Config(tcp=TcpConfig(port=65536)), r"tcp.port: 65536 is no port; they go from 0 \(any free one\) to 65535"),
-        (Config(api=ApiConfig(port=-1)), "api.port: -1 is no port"),
+        (Config(tcp=TcpConfig(port=65536)), r"tcp.port: 65536 is not a port; choose 0 \(any free one\) to 65535"),
+        (Config(api=ApiConfig(port=-1)), "api.port: -1 is not a port"),
         (Config(message_folders=(Path("/none"),)), "/none: "),
-        (Config(api=OPEN), r"whoever reaches this address could drive the robots: set \[\[api.tokens\]\]"),
+        (Config(api=OPEN), r"every program on the network could drive the robots: set \[\[api.tokens\]\]"),
         (
             Config(robots={"a": RobotConfig(max_linear_m_s=-1.0)}),
             "max_linear_m_s must be a finite number, zero or more",
         ),
         (
             Config(robots={"a": RobotConfig(uart_bytes_s=0)}),
-            "robots.a.uart_bytes_s: must be above 0, and finite, not 0",
+            "robots.a.uart_bytes_s: 0 is not allowed; choose a finite number above 0",
         ),
-        (Config(link=LinkConfig(write_timeout_s=float("nan"))), "link.write_timeout_s: must be above 0, and finite"),
-        (Config(serial=(SerialConfig(path="/dev/x", baud=(57600, -1)),)), "serial /dev/x.baud: must be above 0"),
+        (
+            Config(link=LinkConfig(write_timeout_s=float("nan"))),
+            "link.write_timeout_s: nan is not allowed; choose a finite number above 0",
+        ),
+        (
+            Config(serial=(SerialConfig(path="/dev/x", baud=(57600, -1)),)),
+            "serial /dev/x.baud: -1 is not allowed; choose a finite number above 0",
+        ),
         (Config(api=ApiConfig(max_requests_s=-1.0)), "api.max_requests_s: must be 1 or more"),
         (Config(api=ApiConfig(host="192.0.2.7")), "set .*api.tokens"),
         (Config(api=ApiConfig(host="192.0.2.7", tokens=(TOKEN,))), "cannot be listened on: Cannot assign requested"),
@@ -99,7 +105,7 @@ def test_who_reaches_a_zenoh_session_is_said() -> None:
         (Config(tcp=TcpConfig(key_file=Path("/none"))), "tcp.key_file: /none: No such file"),
     ],
 )
-def test_what_cannot_be_served_is_refused(config: Config, problem: str) -> None:
+def test_configuration_that_cannot_be_served_is_refused(config: Config, problem: str) -> None:
     with pytest.raises(ConfigError, match=problem):
         checked(config)
 
@@ -113,23 +119,29 @@ def test_what_cannot_be_served_is_refused(config: Config, problem: str) -> None:
         ),
         (
             Config(robots={"a": RobotConfig(address="10.0.0.1"), "b": RobotConfig(address="10.0.0.1")}),
-            "robots.b and robots.a have one address, 10.0.0.1: which device is which is known only if each has its "
-            "own name",
+            "robots.b and robots.a have the same address, 10.0.0.1; the devices can "
+            "be told apart only if the firmware of each has its own name",
         ),
         (
             Config(api=replace(OPEN, tokens=(TOKEN,))),
-            "api.host 0.0.0.0 without a certificate: everybody on the network can read the tokens",
+            "api.host 0.0.0.0 without a certificate: others on the network can read the tokens",
         ),
         (
             Config(serial=(SerialConfig(path="/dev/[nz][ue][lr][lo]"),)),
             "serial /dev/[nz][ue][lr][lo]: matches 2 ports: /dev/null, /dev/zero; name one of them",
         ),
-        (Config(tcp=TcpConfig(keyless=("10.0.0.1",))), "tcp.keyless means nothing without tcp.key_file: nobody needs"),
+        (
+            Config(tcp=TcpConfig(keyless=("10.0.0.1",))),
+            "tcp.keyless has no effect without tcp.key_file, because no device needs",
+        ),
         (Config(parameters={"a": 2**40}), "parameters.a cannot be sent: "),
         (Config(robots={"a": RobotConfig(max_wheel_m_s=0.3)}), "robots.a.max_wheel_m_s needs wheel_separation_m"),
-        (Config(api=ApiConfig(max_clients=1000)), "api.max_clients 1000: no more than 496 of the 512 connections"),
-        (Config(api=ApiConfig(origins=("panel.example",))), "api.origins panel.example is none"),
-        (Config(api=ApiConfig(max_message_bytes=1)), "api.max_message_bytes 1 is very small: the message of a program"),
+        (
+            Config(api=ApiConfig(max_clients=1000)),
+            "api.max_clients 1000 is too large: api.max_connections 512 leaves 496 connections for clients",
+        ),
+        (Config(api=ApiConfig(origins=("panel.example",))), "api.origins panel.example is not an origin"),
+        (Config(api=ApiConfig(max_message_bytes=1)), "api.max_message_bytes 1 is very small: a message of a program"),
         (Config(api=ApiConfig(max_requests_s=2.5)), "api.max_requests_s 2.5 is very small: a program that drives"),
         (Config(link=LinkConfig(max_topics=1)), "link.max_topics 1 is very small: a robot has a velocity and an"),
         (Config(link=LinkConfig(silence_timeout_s=1.0)), "link.silence_timeout_s 1 is very small: a device requests"),
@@ -139,23 +151,23 @@ def test_what_cannot_be_served_is_refused(config: Config, problem: str) -> None:
         (Config(robots={"größe": RobotConfig()}), "robots.größe: ROS programs cannot use this name"),
         (
             Config(robots={"a": RobotConfig(cmd_vel_topic="cmd_vel"), "b": RobotConfig(cmd_vel_topic="/cmd_vel")}),
-            "robots.b.cmd_vel_topic and robots.a.cmd_vel_topic are one topic, /cmd_vel: give each its own name",
+            "robots.b.cmd_vel_topic and robots.a.cmd_vel_topic are the same topic, /cmd_vel; give each its own name",
         ),
         (
             Config(robots={"a": RobotConfig(odom_topic="b/odom"), "b": RobotConfig()}),
-            "robots.b.odom_topic and robots.a.odom_topic are one topic, /b/odom",
+            "robots.b.odom_topic and robots.a.odom_topic are the same topic, /b/odom",
         ),
         (
             Config(robots={"a": RobotConfig(cmd_vel_topic="drive", cmd_vel_stamped_topic="drive")}),
-            "robots.a.cmd_vel_stamped_topic and robots.a.cmd_vel_topic are one topic, /drive",
+            "robots.a.cmd_vel_stamped_topic and robots.a.cmd_vel_topic are the same topic, /drive",
         ),
         (
             Config(robots={"a": RobotConfig(base_frame="base_link"), "b": RobotConfig(base_frame="base_link")}),
-            "robots.b.base_frame and robots.a.base_frame are one frame, base_link: give each its own name",
+            "robots.b.base_frame and robots.a.base_frame are the same frame, base_link; give each its own name",
         ),
     ],
 )
-def test_what_is_suspicious_is_a_warning(config: Config, warning: str) -> None:
+def test_suspicious_setting_is_a_warning(config: Config, warning: str) -> None:
     warnings = checked(config)
     assert len(warnings) == 1
     assert warnings[0].startswith(warning)
@@ -185,10 +197,12 @@ def test_devices_and_programs_have_their_share_of_few_descriptors() -> None:
     assert fitted(Config(), 1024) == Config()
     small = fitted(Config(), 256)
     assert (small.tcp.max_connections, small.api.max_connections) == (64, 128)
-    assert checked(Config(), 256)[0].startswith("256 descriptors (ulimit -n) are enough for 64 devices and 128 conn")
+    assert checked(Config(), 256)[0].startswith(
+        "256 descriptors (ulimit -n) are enough only for 64 devices and 128 conn"
+    )
     for descriptors in range(FEWEST, 1024):
         fits = fitted(Config(), descriptors)
         assert fits.tcp.max_connections + fits.api.max_connections <= descriptors - 64
         assert fits.tcp.max_connections >= 1
-    with pytest.raises(ConfigError, match="127 descriptors are too few: at least 128"):
+    with pytest.raises(ConfigError, match="127 descriptors are too few; allow at least 128"):
         fitted(Config(), 127)

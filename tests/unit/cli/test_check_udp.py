@@ -1,4 +1,4 @@
-"""What `--check-config`, the flags and the share of descriptors make of a port for datagrams."""
+"""Port for datagrams: the report of `--check-config`, the options and its share of the descriptors."""
 
 import asyncio
 import socket
@@ -19,7 +19,7 @@ def checked(udp: UdpConfig, descriptors: int = 2048) -> list[str]:
     return asyncio.run(check(replace(QUIET, udp=udp), descriptors=descriptors))
 
 
-def test_it_has_a_line_of_its_own() -> None:
+def test_udp_port_has_a_line_in_the_report() -> None:
     udp = UdpConfig(allow=("10.0.0.0/8",), trusted=("10.1.0.0/16",), devices=("192.168.4.2:11411",))
     assert describe(Config(udp=udp))[1] == (
         "devices on UDP 0.0.0.0:11411, from 10.0.0.0/8, at most 256; 10.1.0.0/16, 192.168.4.2:11411 trusted"
@@ -31,7 +31,7 @@ def test_a_port_in_use_is_a_warning_and_a_wrong_one_an_error() -> None:
         taken.bind(("127.0.0.1", 0))
         port = taken.getsockname()[1]
         assert checked(UdpConfig(host="127.0.0.1", port=port)) == [f"udp.port {port} is in use at this moment"]
-    with pytest.raises(ConfigError, match=r"^udp\.port: 65536 is no port"):
+    with pytest.raises(ConfigError, match=r"^udp\.port: 65536 is not a port"):
         checked(UdpConfig(port=65536))
     with pytest.raises(ConfigError, match=r"^UDP 192\.0\.2\.1:11411: cannot be listened on: "):
         checked(UdpConfig(host="192.0.2.1"))
@@ -39,7 +39,7 @@ def test_a_port_in_use_is_a_warning_and_a_wrong_one_an_error() -> None:
 
 def test_networks_that_need_no_key_where_there_is_none_are_suspicious() -> None:
     udp = UdpConfig(host="127.0.0.1", port=0, keyless=("10.0.0.7",))
-    assert checked(udp) == ["udp.keyless means nothing without udp.key_file: nobody needs a key"]
+    assert checked(udp) == ["udp.keyless has no effect without udp.key_file, because no device needs a key"]
 
 
 @pytest.mark.parametrize(
@@ -52,7 +52,7 @@ def test_networks_that_need_no_key_where_there_is_none_are_suspicious() -> None:
         ("max_connections = 1", "max_connections must be at least 2"),
     ],
 )
-def test_what_is_wrong_in_the_file_is_named(tmp_path: Path, settings: str, problem: str) -> None:
+def test_wrong_udp_setting_in_the_file_is_named(tmp_path: Path, settings: str, problem: str) -> None:
     file = tmp_path / "hostlink.toml"
     file.write_text(f"[udp]\n{settings}\n")
     with pytest.raises(ConfigError, match=problem.replace("[", r"\[")):
@@ -69,14 +69,14 @@ def test_the_flag_names_a_port_or_an_address(text: str, address: tuple[str, int]
     assert (udp.host, udp.port) == address
 
 
-def test_the_flag_comes_over_the_file_and_leaves_its_other_settings() -> None:
+def test_udp_option_takes_precedence_and_keeps_other_settings_of_the_file() -> None:
     file = Config(udp=UdpConfig(host="10.0.0.1", trusted=("10.0.0.0/8",)))
     assert merge(file, udp="5000").udp == UdpConfig(host="10.0.0.1", port=5000, trusted=("10.0.0.0/8",))
 
 
 @pytest.mark.parametrize("text", ["", "udp", "1:", "127.0.0.1:port", "70000"])
-def test_what_is_no_address_is_refused(text: str) -> None:
-    with pytest.raises(ConfigError, match=r"^--udp: .* is not HOST:PORT$"):
+def test_udp_option_that_is_not_an_address_is_refused(text: str) -> None:
+    with pytest.raises(ConfigError, match=r"^--udp: .* is not HOST:PORT; an example"):
         merge(Config(), udp=text)
 
 

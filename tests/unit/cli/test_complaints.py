@@ -1,4 +1,4 @@
-"""What libraries complain of: once in a while, and never a traceback for what a client sent."""
+"""Complaints of libraries: rate limited, and without a traceback for input of a client."""
 
 import asyncio
 import errno

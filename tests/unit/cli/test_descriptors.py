@@ -1,4 +1,4 @@
-"""How the descriptors of the process are shared."""
+"""Shares of the descriptors of the process."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""Who drives, in a person's words."""
+"""Name of the driver in the output."""
 
 import pytest
 
@@ -20,7 +20,7 @@ def test_the_address_stands_beside_the_name(name: str, address: str, shown: str)
     assert driver({"holder": name, "holder_address": address}) == shown
 
 
-def test_nobody_and_a_daemon_that_does_not_know_addresses() -> None:
+def test_driver_without_a_holder_or_an_address() -> None:
     assert driver({"holder": None}) is None
     assert driver({"holder": "client 1"}) == "client 1"
 

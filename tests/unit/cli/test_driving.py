@@ -1,4 +1,4 @@
-"""Keys and time to velocity (docs/robot.md#the-keys-of-teleop)."""
+"""Keys and time to velocity (docs/driving.md#the-keys-of-teleop)."""
 
 import pytest
 from hypothesis import given
@@ -102,7 +102,7 @@ def test_keys_add_up() -> None:
     assert made.velocity(0.1) == (0.0, W)
 
 
-def test_it_sends_at_ten_hertz_then_three_zeros_then_nothing() -> None:
+def test_driving_sends_at_ten_hertz_then_three_zeros_then_nothing() -> None:
     made = driving()
     made.receive(Key("w"), 0.0)
     sent = [(tick / 100, velocity) for tick in range(200) if (velocity := made.due(tick / 100)) is not None]
@@ -114,7 +114,7 @@ def test_it_sends_at_ten_hertz_then_three_zeros_then_nothing() -> None:
     assert not made.is_ending
 
 
-def test_it_is_silent_until_a_key_is_pressed() -> None:
+def test_driving_sends_nothing_until_a_key_is_pressed() -> None:
     made = driving()
     assert [made.due(tick / 10) for tick in range(20)] == [None] * 20
 
@@ -123,7 +123,7 @@ def test_a_barred_key_moves_nothing_while_it_repeats_and_drives_when_it_is_press
     made = driving()
     made.receive(Key("w"), 0.0)
     made.bar(0.1)
-    now_s = 0.5  # the first repeat comes late
+    now_s = 0.5  # the first repeat is late
     while now_s < 3.0:
         made.receive(Key("w"), now_s)
         assert made.velocity(now_s) == (0.0, 0.0)
@@ -148,7 +148,7 @@ keys = st.builds(Key, st.sampled_from([*"qweadzxctbynumijlok,.", "up", "space", 
 
 
 @given(st.lists(st.tuples(keys, st.floats(0.0, 1.0)), max_size=40), st.sampled_from(sorted(LAYOUTS)))
-def test_after_any_keys_the_robot_stands_when_none_comes(story: list[tuple[Key, float]], layout: str) -> None:
+def test_after_any_keys_the_robot_is_stopped_when_no_key_arrives(story: list[tuple[Key, float]], layout: str) -> None:
     made = driving(layout)
     now_s = 0.0
     for key, pause_s in story:

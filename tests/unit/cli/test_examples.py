@@ -72,5 +72,5 @@ def test_every_part_of_the_udev_rules_is_one() -> None:
 
 def test_an_example_that_there_is_not() -> None:
     assert list(EXAMPLES) == ["config", "systemd", "udev"]
-    with pytest.raises(ConfigError, match="--example: cron is none of config, systemd, udev"):
+    with pytest.raises(ConfigError, match="--example: unknown example 'cron'; choose one of config, systemd, udev"):
         read_example("cron")

@@ -33,11 +33,11 @@ def test_a_field_by_its_path(path: str, value: Any) -> None:
 @pytest.mark.parametrize(
     ("path", "text"),
     [
-        ("nam", "no field nam: there is header, ranges, legs, name"),
-        ("header.stmp", "no field header.stmp: there is stamp"),
-        ("ranges[2]", r"no field ranges\[2\]: there is a list of 2"),
-        ("ranges.x", r"no field ranges.x: there is a list of 2"),
-        ("name.x", "no field name.x: there is a single value"),
+        ("nam", "no field nam; at that place the message has header, ranges, legs, name"),
+        ("header.stmp", "no field header.stmp; at that place the message has stamp"),
+        ("ranges[2]", r"no field ranges\[2\]; at that place the message has a list of 2"),
+        ("ranges.x", r"no field ranges.x; at that place the message has a list of 2"),
+        ("name.x", "no field name.x; at that place the message has a single value"),
     ],
 )
 def test_a_field_that_is_not_there(path: str, text: str) -> None:

@@ -7,7 +7,7 @@ import pytest
 from hostlink.cli.figures import (
     LINK_COLUMNS,
     ROBOT_COLUMNS,
-    Sample,
+    Snapshot,
     advice,
     figures,
     link_rows,
@@ -34,8 +34,8 @@ def link(number: int = 1, **counts: Any) -> dict[str, Any]:
     }
 
 
-def sample(at_s: float, *links: dict[str, Any], robots: list[dict[str, Any]] | None = None) -> Sample:
-    return Sample(at_s, {"links": list(links), "ended": [], "ports": []}, robots or [])
+def sample(at_s: float, *links: dict[str, Any], robots: list[dict[str, Any]] | None = None) -> Snapshot:
+    return Snapshot(at_s, {"links": list(links), "ended": [], "ports": []}, robots or [])
 
 
 def robot(**state: Any) -> dict[str, Any]:
@@ -68,7 +68,7 @@ def test_a_robot_is_shown_with_and_without_odometry() -> None:
     assert len(columns) == len(rows[0])
 
 
-def test_what_a_device_tells_of_itself_is_shown_where_any_robot_has_it() -> None:
+def test_device_columns_are_shown_if_any_robot_has_a_value() -> None:
     told = {"battery_v": 11.42, "battery_percent": 62.4, "device_errors": ["battery_low", "weak_signal"]}
     robots = [robot(), robot(name="robot_1", **told), robot(name="robot_2", firmware="rover 1.4")]
     columns, rows = robot_table({"robots": robots})

@@ -1,4 +1,4 @@
-"""What terminals send for keys."""
+"""Bytes that terminals send for keys."""
 
 import pytest
 

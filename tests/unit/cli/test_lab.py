@@ -51,7 +51,7 @@ def test_a_world_belongs_to_tables_and_pictures(tmp_path: Path) -> None:
 def test_a_picture_that_cannot_be_written_is_refused_before_anything_is_driven(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"must end in \.png"):
         run("pictures", "-o", str(tmp_path / "paths.svg"))
-    with pytest.raises(ConfigError, match="there is no folder"):
+    with pytest.raises(ConfigError, match=r"the folder .* cannot be written; create it"):
         run("pictures", "-o", str(tmp_path / "none" / "paths.png"))
 
 

@@ -1,4 +1,4 @@
-"""When top shows figures, and of which looks they are made."""
+"""Times at which top shows figures, and the snapshots that they are of."""
 
 import itertools
 from typing import Any
@@ -22,7 +22,7 @@ def robots(name: str = "robot_0") -> Event:
 
 
 def shown(live: LiveFigures, seconds: int) -> list[tuple[int, dict[str, Any]]]:
-    """What is shown at which tick, while a device sends 20 frames a second."""
+    """Return the figures that are shown at each tick, while a device sends 20 frames a second."""
     found = []
     for tick in range(10 * seconds + 1):
         found.append((tick, live.update(robots(f"robot_{tick}"), tick / 10)))
@@ -42,7 +42,7 @@ def test_the_first_figures_come_with_the_second_sample() -> None:
 
 
 @pytest.mark.parametrize("interval_s", [1, 5])
-def test_they_come_once_an_interval_and_rates_are_of_an_interval(interval_s: int) -> None:
+def test_figures_are_due_once_an_interval_and_rates_are_of_an_interval(interval_s: int) -> None:
     found = shown(LiveFigures(interval_s), 21)
     gaps = {later - earlier for (earlier, _), (later, _) in itertools.pairwise(found)}
     assert gaps == {10 * interval_s}

@@ -1,4 +1,4 @@
-"""Which command a line means, typed or to be completed."""
+"""Command of a line that is typed or to be completed."""
 
 import re
 import subprocess

@@ -5,11 +5,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hostlink.cli.output import duration, size
-from hostlink.cli.topics import Measured, distribution
+from hostlink.cli.topics import MessageWindow, distribution
 
 
 def test_a_rate_is_of_the_window() -> None:
-    measured = Measured(3)
+    measured = MessageWindow(3)
     for time_s, size_bytes in ((0.0, 9), (10.0, 10), (10.5, 20), (11.0, 30)):
         measured.add(time_s, size_bytes)
     assert measured.messages == 4
@@ -18,8 +18,8 @@ def test_a_rate_is_of_the_window() -> None:
     assert (measured.figures.count, measured.figures.mean, measured.figures.most) == (3, 20.0, 30)
 
 
-def test_there_is_no_rate_of_one_message_nor_of_many_at_once() -> None:
-    measured = Measured(10)
+def test_one_message_or_many_at_once_have_no_rate() -> None:
+    measured = MessageWindow(10)
     assert (measured.rate_hz, measured.between_s, measured.figures) == (0.0, None, None)
     measured.add(1.0)
     assert (measured.rate_hz, measured.between_s) == (0.0, None)

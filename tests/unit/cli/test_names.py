@@ -1,4 +1,4 @@
-"""What a person may have meant."""
+"""Suggestions for unknown names."""
 
 import pytest
 
@@ -18,7 +18,7 @@ TOPICS = ["/robot_0/odometry", "/robot_0/odom", "/robot_0/velocity_commands", "/
         ("", []),
     ],
 )
-def test_what_comes_near(name: str, found: list[str]) -> None:
+def test_similar_names_are_suggested(name: str, found: list[str]) -> None:
     assert near(name, TOPICS)[: len(found) or None] == found
 
 
@@ -28,13 +28,13 @@ def test_names_are_in_the_order_of_their_numbers() -> None:
     assert sorted(names, key=natural) == names[::-1]
 
 
-def test_the_error_names_what_comes_near_else_what_there_is() -> None:
+def test_error_names_similar_names_else_known_ones() -> None:
     assert str(unknown("robot", "robt_0", ["robot_0", "mule"], command="robots")) == (
-        "no robot named robt_0; near it: robot_0; `hostlink robots` lists them"
+        "no robot named robt_0; similar names: robot_0; `hostlink robots` lists them"
     )
     assert str(unknown("robot", "xyz", ["robot_0", "mule"], command="robots")) == (
-        "no robot named xyz; there is: mule, robot_0; `hostlink robots` lists them"
+        "no robot named xyz; known are: mule, robot_0; `hostlink robots` lists them"
     )
     assert str(unknown("robot", "xyz", [], command="robots")) == (
-        "no robot named xyz; there is: none yet; `hostlink robots` lists them"
+        "no robot named xyz; known are: none yet; `hostlink robots` lists them"
     )

@@ -1,4 +1,4 @@
-"""What people type by habit, and what they are told."""
+"""Words of ROS and other programs, and the suggested commands."""
 
 import pytest
 
@@ -35,11 +35,11 @@ from hostlink.errors import ConfigError
         ("", None),
     ],
 )
-def test_what_is_typed_by_habit_has_a_command(line: str, wanted: str | None) -> None:
+def test_words_typed_by_habit_have_a_command(line: str, wanted: str | None) -> None:
     assert meant(line.split()) == wanted
 
 
-def test_what_is_meant_exists() -> None:
+def test_suggested_commands_exist() -> None:
     commands = {
         *main.HABITS.values(),
         *(text for group in main.ROS_GROUPS.values() for text in group.values()),
@@ -63,5 +63,5 @@ def test_a_message_may_have_its_type_before_it(words: list[str], wanted: tuple[s
 
 
 def test_a_message_without_quotes_is_told_so() -> None:
-    with pytest.raises(ConfigError, match="is one argument, in quotes"):
+    with pytest.raises(ConfigError, match="put the message in quotes"):
         type_and_message(["data:", "hi"])

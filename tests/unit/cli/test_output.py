@@ -1,4 +1,4 @@
-"""What the commands write: nothing of a device's or a program's steers a terminal, and JSON stays what it was."""
+"""Output of the commands: no text of a device or a program controls the terminal, and JSON keeps its meaning."""
 
 import ast
 import contextlib
@@ -26,7 +26,7 @@ HOSTILE = "\x1b[2J\x9b31m\u202e\u2066\x7f\n\r\t\x07\u2028\ufeff\U000e0041"
 
 
 @given(st.text(st.characters(codec=None)))
-def test_a_line_is_printable_whatever_it_was(text: str) -> None:
+def test_any_line_becomes_printable(text: str) -> None:
     assert plain(text).isprintable()
 
 
@@ -71,7 +71,7 @@ class _Terminal(io.StringIO):
 
 @pytest.mark.parametrize(("columns", "shown"), [(40, LINE[:39]), (0, LINE), (200, LINE)])
 def test_progress_fits_into_one_line(columns: int, shown: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of a line that the terminal wraps, only the end is written over; a terminal without a size has 0 columns."""
+    """A line must not wrap, because only its end would be written over; a terminal without a size has 0 columns."""
     terminal, other = pty.openpty()
     try:
         fcntl.ioctl(other, termios.TIOCSWINSZ, struct.pack("HHHH", 24, columns, 0, 0))

@@ -1,4 +1,4 @@
-"""What doctor reports of a daemon's links: which that ended explain more, and what is well."""
+"""Report of doctor on a daemon's links: ended links that explain more, and healthy ones."""
 
 from typing import Any
 
@@ -50,7 +50,7 @@ def test_only_the_latest_of_a_device_and_what_is_recent() -> None:
     assert numbers([], gone) == [3]
 
 
-def test_what_is_well_is_said() -> None:
+def test_healthy_link_is_reported() -> None:
     robots = [{"link": 2, "odometry": {"rate_hz": 30.0, "age_s": 0.02}, "holder": "client 7"}]
     view = {"links": [live(2, "10.0.0.2:1", "robot_0")], "ended": [], "ports": []}
     assert report_lines(report_of(view, "here", robots)) == [
@@ -61,7 +61,7 @@ def test_what_is_well_is_said() -> None:
     ]
 
 
-def test_what_is_wrong_comes_before_what_is_well() -> None:
+def test_findings_precede_healthy_links() -> None:
     wrong = live(2, "10.0.0.2:1", None, diagnosis=[FOUND], skipped_bytes=500)
     lines = report_lines(report_of({"links": [wrong], "ended": [], "ports": [{"diagnosis": [FOUND]}]}, "here"))
     assert lines[0] == "text_on_line: text"

@@ -1,10 +1,10 @@
-"""Which device port `hostlink ros1` serves: options, arguments, parameters, rosserial_python's defaults."""
+"""Device port that `hostlink ros1` serves: options, arguments, parameters, rosserial_python's defaults."""
 
 from typing import Any
 
 import pytest
 
-from hostlink.cli.ros1 import _catkin_version, _Options, with_devices
+from hostlink.cli.ros1 import _catkin_version, _PortOptions, with_devices
 from hostlink.cli.ros1_parameters import scalar
 from hostlink.config import Config
 from hostlink.errors import ConfigError
@@ -12,7 +12,7 @@ from hostlink.errors import ConfigError
 
 def devices(*others: str, parameters: dict[str, Any] | None = None, **options: Any) -> tuple[object, ...]:
     """(the serial port, its rate, the TCP port or None where devices cannot connect)."""
-    made = _Options(**{"tcp": None, "serial": None, "baud": None, **options})
+    made = _PortOptions(**{"tcp": None, "serial": None, "baud": None, **options})
     found = with_devices(Config(), parameters or {}, others, made)
     serial = [(port.path, port.bauds) for port in found.serial]
     return (*serial, found.tcp.port if found.tcp.host == "0.0.0.0" else None)
@@ -46,7 +46,7 @@ def test_arguments_that_mean_no_port(others: tuple[str, ...]) -> None:
         devices(*others)
 
 
-def test_a_rate_that_is_none() -> None:
+def test_wrong_baud_rate_is_refused() -> None:
     with pytest.raises(ConfigError, match="baud"):
         devices("/dev/ttyACM0", parameters={"baud": "fast"})
 

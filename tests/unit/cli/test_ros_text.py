@@ -40,7 +40,7 @@ def test_yaml_in_one_line_is_understood(text: str, message: dict[str, Any]) -> N
 
 
 @pytest.mark.parametrize("text", ["{", "linear {x: 0.1}", "{x: 0.1", "{x: , y: 1}", "{data: 'open}", "x: 1 2"])
-def test_what_is_neither_is_refused_with_what_is_wrong_as_json(text: str) -> None:
+def test_text_that_is_neither_json_nor_yaml_is_refused_with_the_error_of_json(text: str) -> None:
     with pytest.raises(ValueError, match=r"line 1 column"):
         read_message(text)
 

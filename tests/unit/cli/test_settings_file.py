@@ -124,14 +124,14 @@ def test_the_file_stays_its_owner_s(tmp_path: Path) -> None:
     assert (path.stat().st_uid, path.stat().st_gid, path.stat().st_mode & 0o777) == (os.getuid(), group, 0o640)
 
 
-def test_what_cannot_be_changed_is_known_before(tmp_path: Path) -> None:
+def test_file_that_cannot_be_changed_is_refused_before_the_drives(tmp_path: Path) -> None:
     path = tmp_path / "hostlink.toml"
     path.write_text(FILE)
     require_changeable(path, PARAMETERS)
     assert [entry.name for entry in tmp_path.iterdir()] == [path.name]
     assert path.read_text() == FILE
     path.write_text("[parameters]\n'/robot_0/wheel_radius' = 0.045\n")
-    with pytest.raises(ConfigError, match="cannot be changed by hostlink"):
+    with pytest.raises(ConfigError, match="hostlink cannot change this file"):
         require_changeable(path, PARAMETERS)
 
 
@@ -156,7 +156,7 @@ tables = st.dictionaries(
 
 
 @given(tables, tables)
-def test_whatever_was_set_before_is_set_anew(
+def test_settings_of_any_earlier_spelling_are_replaced(
     first: dict[str, dict[str, str]], second: dict[str, dict[str, str]]
 ) -> None:
     after = tomllib.loads(changed(changed(FILE, first), second))

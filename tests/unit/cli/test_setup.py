@@ -69,7 +69,7 @@ TEXTS = st.one_of(st.text(max_size=20), st.from_regex(r"[\w./-]{1,12}"), st.floa
 
 
 @given(st.data())
-def test_whatever_is_accepted_can_be_served(data: st.DataObject) -> None:
+def test_accepted_answers_can_be_served(data: st.DataObject) -> None:
     answers = dict(DEFAULTS)
     for key, question in QUESTIONS.items():
         answer = data.draw(TEXTS, label=key).strip()

@@ -57,7 +57,7 @@ def test_the_steps_of_tuning_rise_to_the_speed() -> None:
 @pytest.mark.parametrize(
     ("speed_m_s", "wheel", "way"),
     [
-        (0.2, None, "robot_0 drives 1.20 m straight forwards at up to 0.20 m/s for 6.0 s; keep half a metre more free"),
+        (0.2, None, "1.20 m straight forwards at up to 0.20 m/s for 6.0 s; keep that way and half a metre more free"),
         (-0.1, None, "robot_0 drives 0.60 m straight backwards at up to 0.10 m/s"),
         (0.2, Wheel.LEFT, "left wheel rolls 1.20 m forwards round the right one"),
         (0.2, Wheel.RIGHT, "at up to 0.20 m/s for 6.0 s; keep a circle of 0.9 m free"),
@@ -88,7 +88,7 @@ def test_a_speed_that_is_never_reached_is_named_so() -> None:
 def test_limits_and_a_drive_that_was_too_short_are_noted() -> None:
     stage = Stage(0.2, 0.2, 0.0, 6.0)
     assert notes_of(stage, (0.2, 0.0), {"left": record()}) == []
-    assert "limits made 0.100 m/s" in notes_of(stage, (0.1, 0.0), {"left": record()})[0]
+    assert "rad/s to 0.100 m/s" in notes_of(stage, (0.1, 0.0), {"left": record()})[0]
     assert "more --seconds" in notes_of(stage, (0.2, 0.0), {"left": record(rising=True)})[0]
 
 
@@ -112,7 +112,7 @@ def test_a_picture_that_cannot_be_is_refused_before_the_robot_moves(
 ) -> None:
     with pytest.raises(ConfigError, match=r"must end in one of \.pdf, \.png, \.svg"):
         require_picture(tmp_path / "step.gif")
-    with pytest.raises(ConfigError, match="there is no folder"):
+    with pytest.raises(ConfigError, match=r"the folder .* does not exist"):
         require_picture(tmp_path / "nowhere" / "step.png")
     monkeypatch.setattr(step_module, "LIBRARY", "no_such_library")
     with pytest.raises(ConfigError, match=r"needs matplotlib: run  pip install '.\[pictures\]'"):
@@ -123,7 +123,7 @@ def topics(*names: str, link: int = 1) -> dict[str, Any]:
     return {"number": link, "topics": [{"name": name, "type": GAINS} for name in names]}
 
 
-def test_a_robot_s_own_topic_comes_first() -> None:
+def test_own_topic_of_a_robot_takes_precedence() -> None:
     state = RobotState(
         name="robot_0",
         connected=True,

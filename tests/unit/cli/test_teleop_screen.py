@@ -1,4 +1,4 @@
-"""The screen of teleop: what it shows, in any width; and when it warns of a robot that stands."""
+"""Screen of teleop: its lines in any width, and its warning of a robot that does not move."""
 
 from typing import Any
 
@@ -57,14 +57,14 @@ def test_a_locked_robot_names_its_reason_and_the_key_that_unlocks() -> None:
     assert not any("hostlink unlock" in line.text for line in lines)
 
 
-def test_what_is_wrong_is_coloured() -> None:
+def test_warnings_are_coloured() -> None:
     assert Line("driven by client 3   too fast", YELLOW) in shown(refusal="too fast")
     assert Line("stands", YELLOW) in shown(warning="stands")
     assert Line("hostlink teleop   robot_0   NOT CONNECTED", RED) in shown(connected=False)
     assert Line("odometry  none yet") in shown(odometry=None)
 
 
-def test_it_says_you_where_this_program_drives() -> None:
+def test_driver_is_you_if_this_program_drives() -> None:
     assert Line("driven by you") in shown(holder="client 7", holder_address="10.0.0.5")
     assert Line("driven by client 3 (10.0.0.5)") in shown(holder_address="10.0.0.5")
     assert Line("driven by nobody") in shown(holder=None)

@@ -1,4 +1,4 @@
-"""What a command shows while it waits: nothing at first, then the seconds, and at the end nothing."""
+"""Output of a waiting command: nothing at first, then the seconds, and at the end nothing."""
 
 import asyncio
 import itertools
@@ -11,7 +11,7 @@ from tests.support.virtual_loop import run_virtual
 
 
 def shown_while(seconds: float, *, fails: bool = False) -> list[str]:
-    """What is shown by a block that lasts so long."""
+    """Return the lines that a block of this duration shows."""
     lines: list[str] = []
 
     async def work() -> None:
@@ -28,18 +28,18 @@ def shown_while(seconds: float, *, fails: bool = False) -> list[str]:
     return lines
 
 
-def test_what_is_quick_shows_nothing() -> None:
+def test_quick_block_shows_nothing() -> None:
     assert shown_while(1.9) == []
 
 
 @pytest.mark.parametrize("fails", [False, True])
-def test_what_lasts_shows_its_seconds_and_is_taken_away(fails: bool) -> None:
+def test_slow_block_shows_its_seconds_and_clears_the_line(fails: bool) -> None:
     seconds = [f"waiting for /x ... {number} s; Ctrl-C ends" for number in (2, 3, 4)]
     assert shown_while(4.5, fails=fails) == [*seconds, ""]
 
 
 def counts(items: int, *, second_s: float) -> list[str]:
-    """What is shown of so many items, when each reading of the clock is so much later."""
+    """Return the lines that are shown for items, when each reading of the clock is this much later."""
     lines: list[str] = []
     times_s = itertools.count(0.0, second_s)
     found = counted(range(items), "lines", show=lines.append, clock=lambda: next(times_s))

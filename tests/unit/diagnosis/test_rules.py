@@ -45,16 +45,16 @@ CASES = [
     ("text_on_line", non_rosserial(b"speed 0.25 m/s\r\n" * 10), '"speed 0.25 m/s"'),
     (
         "text_on_line",
-        replace(HEALTHY, recent=replace(GOOD, skipped_bytes=32), non_rosserial=b"x = 1\r\n" * 5),
+        replace(HEALTHY, recent=GOOD._replace(skipped_bytes=32), non_rosserial=b"x = 1\r\n" * 5),
         '"x = 1"',
     ),
     ("boot_noise", non_rosserial(b"rst:0x1 (POWERON_RESET),boot:0x13 (SPI_FAST)\r\n" * 2), '"rst:0x1 (POWERON_RESET)'),
     ("wrong_baud", replace(non_rosserial(SLOW), baud=115200), "likely sent at 57600; 512 of 512 bytes in no frame"),
     ("no_sync", non_rosserial(bytes(range(128, 256)) * 3), "384 of 384 bytes in no frame"),
     ("wrong_md5", replace(HEALTHY, refused=("/odom: wanted a, got b",)), "/odom: wanted a, got b"),
-    ("wrong_size", replace(HEALTHY, recent=replace(GOOD, wrong_sizes=3)), "3 frames"),
+    ("wrong_size", replace(HEALTHY, recent=GOOD._replace(wrong_sizes=3)), "3 frames"),
     ("buffer_too_small", replace(HEALTHY, too_small=("/cmd: too long",)), "/cmd: too long"),
-    ("unknown_ids", replace(HEALTHY, recent=replace(GOOD, unknown_ids=10)), "10 frames"),
+    ("unknown_ids", replace(HEALTHY, recent=GOOD._replace(unknown_ids=10)), "10 frames"),
     ("reboots", replace(HEALTHY, earlier=lives(3)), "3 links in the last minute; ends: peer_closed"),
     ("reboots", replace(HEALTHY, revivals=3), "3 restarts in the last minute"),
     ("went_silent", replace(HEALTHY, silent_s=6.0), "for 6 s"),
@@ -76,7 +76,7 @@ CASES = [
     ("clock_trouble", replace(HEALTHY, time_intervals_s=(2.0, 2.0, 2.6)), "every 2.00 s instead of 2.5 s"),
     ("clock_trouble", replace(HEALTHY, stamps_behind_s=-3600.0), "its stamps are 3600.0 s ahead"),
     ("clock_trouble", replace(HEALTHY, host_clock="its clock is not set"), "this computer: its clock is not set"),
-    ("damaged", replace(HEALTHY, recent=replace(GOOD, bad_checksums=3)), "3 bad checksums and 100 good frames"),
+    ("damaged", replace(HEALTHY, recent=GOOD._replace(bad_checksums=3)), "3 bad checksums and 100 good frames"),
     ("too_many_robots", replace(HEALTHY, end="refused"), ""),
     ("flashed_alike", replace(HEALTHY, numbered="robot_0 is another device's name"), "another device's name"),
     ("host_fault", replace(HEALTHY, end="crashed"), ""),
@@ -100,8 +100,8 @@ def test_sufficient_evidence_gives_the_finding(code: str, evidence: Evidence, de
         non_rosserial(b"x = 1\r\n" * 4),
         replace(non_rosserial(bytes(range(128, 256)) * 3), age_s=2.9),
         replace(non_rosserial(b"\x80\x90" * 40, frames=100, of=3000), negotiated_s=1.0),
-        replace(HEALTHY, recent=replace(GOOD, wrong_sizes=2, bad_checksums=2, unknown_ids=9)),
-        replace(HEALTHY, negotiated_s=4.9, recent=replace(GOOD, unknown_ids=10)),
+        replace(HEALTHY, recent=GOOD._replace(wrong_sizes=2, bad_checksums=2, unknown_ids=9)),
+        replace(HEALTHY, negotiated_s=4.9, recent=GOOD._replace(unknown_ids=10)),
         replace(HEALTHY, earlier=lives(2)),
         replace(HEALTHY, earlier=lives(3, seconds=31.0)),
         replace(HEALTHY, earlier=lives(9, was_negotiated=False)),
@@ -123,7 +123,7 @@ def test_insufficient_evidence_gives_no_finding(evidence: Evidence) -> None:
 
 
 def test_burst_before_the_topics_is_boot_noise_while_it_is_recent() -> None:
-    tally = replace(GOOD, skipped_bytes=len(BOOT))
+    tally = GOOD._replace(skipped_bytes=len(BOOT))
     evidence = replace(HEALTHY, total=tally, recent=tally, non_rosserial=BOOT, early_non_rosserial=BOOT)
     assert [each.code for each in diagnose(evidence)] == ["boot_noise"]
     assert diagnose(replace(evidence, recent=GOOD, non_rosserial=b"")) == []

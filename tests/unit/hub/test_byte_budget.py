@@ -28,7 +28,7 @@ def test_a_block_holds_its_bytes_until_its_end() -> None:
     assert share.held_bytes == 0
 
 
-def test_who_waits_for_room_tries_again_when_there_may_be_some() -> None:
+def test_waiting_retry_is_called_when_there_may_be_room() -> None:
     share = Share(10)
     share.take(10)
     tried = list[int]()

@@ -82,7 +82,7 @@ def outcome(
     *providers: Provider,
     request: bytes = b"",
 ) -> tuple[dict[str, Any] | str, float, LinkEnd | None]:
-    """What a device's call returns, after how long, and how the link ended meanwhile."""
+    """Return the result of a device's call, its duration, and the end of the link."""
 
     async def run() -> tuple[dict[str, Any] | str, float, LinkEnd | None]:
         async with running_hub(Hub(Config(), CATALOG, reraises=True)) as hub:
@@ -162,7 +162,7 @@ def test_a_type_that_has_another_md5_here_is_answered_all_the_same(which: Id) ->
     assert (found["success"], end) == (which is Id.SERVICE_CLIENT_SUBSCRIBER and False, None)
 
 
-def test_a_request_that_is_none_of_its_type_is_answered() -> None:
+def test_request_of_another_type_is_answered() -> None:
     type_ = known("rosserial_arduino/Test")
     topics = clients("/test_srv", type_.name, md5=(type_.request.md5, type_.response.md5))
     found, _, end = outcome(topics, response_type("string output"), request=struct.pack("<I", 1000) + b"short")
@@ -175,7 +175,7 @@ def test_a_program_that_never_answers_has_a_deadline() -> None:
     assert after_s == pytest.approx(DEVICE_TIMEOUT_S, abs=0.1)
 
 
-def test_a_bug_of_a_service_is_answered_and_ends_nobody() -> None:
+def test_bug_of_a_service_is_answered_and_ends_no_link() -> None:
     found, _, end = outcome(trigger(), TRIGGER_RESPONSE, Provider("/go", "std_srvs/Trigger", "it", with_a_bug))
     assert isinstance(found, dict)
     assert (found["success"], end) == (False, None)
@@ -296,7 +296,7 @@ async def in_a_call_without_an_answer() -> AsyncIterator[tuple[Hub, Connected]]:
         yield hub, connected
 
 
-def test_a_call_that_is_given_up_as_its_deadline_comes_ends_no_link() -> None:
+def test_call_that_is_given_up_at_its_deadline_ends_no_link() -> None:
     async def run() -> LinkEnd | None:
         async with in_a_call_without_an_answer() as (hub, connected):
             await connected.device.announce()
@@ -459,7 +459,7 @@ def test_a_device_that_leaves_ends_its_calls() -> None:
     assert run_virtual(run()) == 0
 
 
-# -- whatever comes together ------------------------------------------------------------------------------------------
+# -- any combination of calls ------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("seed", range(40))

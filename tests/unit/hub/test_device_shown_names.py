@@ -33,7 +33,7 @@ def test_one_that_stays_does_not_keep_the_lease_of_the_one_that_left() -> None:
         first.drive(robot, PlanarVelocity(0.2))
         with pytest.raises(CommandRefused, match="program drives it with a higher priority"):
             second.drive(robot, PlanarVelocity(0.1))
-        second.publish(VELOCITY, ZERO.encode())  # of a source that does not drive: it stops nobody
+        second.publish(VELOCITY, ZERO.encode())  # of a source that does not drive: it stops no robot
         await asyncio.sleep(0.1)
         assert made.speeds()[-1] == 0.2
         first.leave()

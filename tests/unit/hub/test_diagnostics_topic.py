@@ -42,7 +42,7 @@ def values_of(status: dict[str, Any]) -> dict[str, str]:
 
 
 class SteadyClock(HostClock):
-    """The wall clock goes on in virtual time."""
+    """Advance the wall clock in virtual time."""
 
     def check(self, now_s: float, wall_ns: int) -> str:  # noqa: ARG002 - as the real one
         return ""
@@ -188,5 +188,5 @@ def test_names_are_unique_also_of_devices_behind_one_address() -> None:
     run_virtual(in_a_hub(Config(), play))
 
 
-def test_every_finding_that_is_no_error_exists() -> None:
+def test_every_finding_of_the_warnings_exists() -> None:
     assert words().keys() > WARNINGS

@@ -14,6 +14,7 @@ from hostlink.hub.robot_events import EventKind, RobotEvent
 from hostlink.protocol.frame import Id
 from hostlink.robot.admission import LEASE_S
 from hostlink.robot.velocity import ZERO, PlanarVelocity, Twist
+from tests.support.compiled_modules import replaces_a_method
 from tests.support.fake_device import robot_topics, topic
 from tests.support.gates import drive_gate
 from tests.support.memory_hub import MemoryHub, in_hub, velocities
@@ -52,7 +53,7 @@ def test_command_is_sent_repeated_at_the_feed_interval_and_ended_by_three_zeros(
         assert len(moving) == 4
         assert all(b - a >= FEED_INTERVAL_S - 1e-6 for a, b in pairwise(moving))
         zero_s = device.heard[len(moving)][0] - began_s
-        assert LEASE_S <= zero_s < LEASE_S + 0.02
+        assert LEASE_S - 1e-6 <= zero_s < LEASE_S + 0.02  # 1e-6 is the resolution of the virtual loop's clock
 
     in_hub(test)
 
@@ -79,6 +80,7 @@ def test_stop_sends_zero_at_once_and_records_its_source() -> None:
     in_hub(test)
 
 
+@replaces_a_method
 def test_stop_of_all_reaches_each_robot_although_one_refuses_the_zero() -> None:
     async def test(made: MemoryHub) -> None:
         first = await made.connect(robot_topics("a"))
@@ -139,6 +141,7 @@ def test_source_that_leaves_stops_its_robot_and_no_other() -> None:
     in_hub(test)
 
 
+@replaces_a_method
 def test_command_that_does_not_fit_the_device_ends_the_drive_of_its_source() -> None:
     async def test(made: MemoryHub) -> None:
         device = await made.connect()
@@ -161,6 +164,7 @@ def test_command_that_does_not_fit_the_device_ends_the_drive_of_its_source() -> 
     in_hub(test)
 
 
+@replaces_a_method
 def test_crash_while_sending_ends_the_link_and_refuses_the_command() -> None:
     async def test(made: MemoryHub) -> None:
         device = await made.connect()
@@ -292,7 +296,7 @@ def test_published_twist_that_is_not_planar_is_refused_for_a_robot() -> None:
     in_hub(test)
 
 
-def test_published_zero_beside_a_driver_is_no_error() -> None:
+def test_published_zero_while_another_source_drives_is_ignored() -> None:
     async def test(made: MemoryHub) -> None:
         await made.connect()
         drive_gate(made.robot(), SLOW, owner="ann")
@@ -322,7 +326,7 @@ def test_stamped_twist_older_than_the_robot_allows_is_refused() -> None:
         with pytest.raises(CommandRefused) as refused:
             participant.publish("/robot_0/cmd_vel_stamped", stamped(1000))
         assert refused.value.kind is RefusalKind.LATE
-        participant.publish("/robot_0/cmd_vel_stamped", stamped(0))  # a stamp of zero is none
+        participant.publish("/robot_0/cmd_vel_stamped", stamped(0))  # a stamp of zero is ignored
         assert made.robot().gate.owner == participant
 
     in_hub(test, Config(robots={"robot_0": RobotConfig(cmd_vel_max_age_s=1.0)}))

@@ -1,8 +1,8 @@
-"""Who is called after a change, when, and what has changed."""
+"""GraphChanges: which watchers are called after a change, when, and with which changes."""
 
 import asyncio
 
-from hostlink.hub.graph_changes import LATEST_S, MAX_KEPT, NOTIFY_AFTER_S, SHARE, GraphChanges, Kind
+from hostlink.hub.graph_changes import LATEST_S, MAX_KEPT, NOTIFY_AFTER_S, SHARE, GraphChanges, GraphKind
 from tests.support.virtual_loop import VirtualLoop, run_virtual
 
 
@@ -23,7 +23,7 @@ def test_each_watcher_is_called_in_a_turn_of_its_own_once_for_all_changes() -> N
         for number in range(20):
             changes.watch(number, lambda number=number: watcher(number))  # type: ignore[misc]
         for number in range(100):
-            changes.note(Kind.TOPIC, f"/{number}")
+            changes.note(GraphKind.TOPIC, f"/{number}")
         await asyncio.sleep(NOTIFY_AFTER_S)
         while len(called) < 20:
             before_s = loop().time()
@@ -47,25 +47,25 @@ def test_watchers_that_cost_much_are_called_less_often_and_leave_most_of_the_loo
 
         changes.watch("watcher", watcher)
         while loop().time() < 10.0:
-            changes.note(Kind.ROBOT, "r")
+            changes.note(GraphKind.ROBOT, "r")
             await asyncio.sleep(0.01)
         return spent_s / 10.0
 
     assert run_virtual(run(0.04)) <= SHARE * 1.1
     assert run_virtual(run(0.001)) > 0.01  # each 50 ms
-    assert run_virtual(run(1.0)) > 1 / (1 + LATEST_S) - 0.1  # nobody waits without end for news
+    assert run_virtual(run(1.0)) > 1 / (1 + LATEST_S) - 0.1  # no watcher waits without end
 
 
-def test_what_changed_is_kept_by_name_newest_first_as_far_as_there_is_room() -> None:
+def test_changes_are_kept_by_name_newest_first_up_to_a_bound() -> None:
     changes = GraphChanges()
     before = changes.version
-    changes.note(Kind.TOPIC, "/a")
-    changes.note(Kind.SERVICE, "/a")
-    changes.note(Kind.TOPIC, "/b")
-    changes.note(Kind.TOPIC, "/a")
-    assert changes.since(before) == [(Kind.TOPIC, "/a"), (Kind.TOPIC, "/b"), (Kind.SERVICE, "/a")]
+    changes.note(GraphKind.TOPIC, "/a")
+    changes.note(GraphKind.SERVICE, "/a")
+    changes.note(GraphKind.TOPIC, "/b")
+    changes.note(GraphKind.TOPIC, "/a")
+    assert changes.since(before) == [(GraphKind.TOPIC, "/a"), (GraphKind.TOPIC, "/b"), (GraphKind.SERVICE, "/a")]
     assert changes.since(changes.version) == []
     for number in range(MAX_KEPT):
-        changes.note(Kind.TOPIC, f"/{number}")
+        changes.note(GraphKind.TOPIC, f"/{number}")
     assert changes.since(before) is None
     assert len(changes.since(changes.version - 5) or []) == 5

@@ -18,7 +18,7 @@ TYPES = ("std_msgs/Bool", "std_msgs/String", "nobody_msgs/Thing")
 
 
 class World:
-    """Topics and services that somebody uses."""
+    """Topics and services with a user."""
 
     def __init__(self) -> None:
         self.changes = GraphChanges()
@@ -28,10 +28,10 @@ class World:
         return GraphView(self.topics, self.services, self.changes, group)
 
     def provide(self, name: str, key: Node) -> None:
-        self.services.provide(Provider(name, "std_srvs/Trigger", key, None))  # type: ignore[arg-type]  # nobody calls
+        self.services.provide(Provider(name, "std_srvs/Trigger", key, None))  # type: ignore[arg-type]  # never called
 
 
-def test_a_robot_that_comes_costs_what_it_has() -> None:
+def test_new_robot_costs_in_proportion_to_its_topics() -> None:
     world = World()
     for number in range(1000):
         for name in ("odom", "cmd_vel", "data"):

@@ -1,4 +1,4 @@
-"""What a participant that stands for a foreign graph learns of this one, and what it does not get back."""
+"""GraphView of a group: a bridge to another graph sees the topics of this one, and not its own."""
 
 import asyncio
 from collections.abc import Mapping
@@ -25,7 +25,7 @@ from tests.support.participants import (
 from tests.support.scripted_device import ScriptedDevice
 
 ROS = "ros1"
-TEXT = "/talk"  # which nobody else has
+TEXT = "/talk"  # which no other participant has
 
 
 def topic_of(graph: Graph, name: str) -> GraphTopic | None:
@@ -169,7 +169,7 @@ def test_each_kind_of_change_is_noticed() -> None:
     play(test)
 
 
-def test_a_robot_that_comes_or_leaves_is_noticed() -> None:
+def test_robot_that_connects_or_leaves_is_noticed() -> None:
     async def test(made: Scene) -> None:
         _, graphs = counting(made, "outwards")
         third = ScriptedDevice(made.hub, robot_topics("robot_2"), address="10.0.0.3")
@@ -227,7 +227,7 @@ def test_a_watcher_that_fails_ends_its_participant_alone() -> None:
     play(test)
 
 
-def test_a_recorder_is_no_reason_to_bring_a_topic_from_another_graph() -> None:
+def test_recorder_alone_imports_no_topic_from_another_graph() -> None:
     async def test(made: Scene) -> None:
         ours, other = made.hub.join("outwards", group=ROS), made.hub.join("program")
         made.hub.join_daemon(group=OBSERVERS).subscribe(TEXT, lambda _: None)

@@ -11,7 +11,7 @@ from hostlink.hub.isolation import Isolation
 from tests.support.memory_hub import MemoryHub, in_hub
 
 
-def test_crash_is_counted_and_logged_and_goes_no_further() -> None:
+def test_crash_is_counted_and_logged_and_not_raised() -> None:
     made = Isolation()
     with capture_logs() as logs, made.around("robot", robot="robot_0"):
         raise ZeroDivisionError

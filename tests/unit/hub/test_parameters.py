@@ -32,7 +32,7 @@ def test_shapes(value: ParameterValue, parameter: Parameter) -> None:
         (2**31, "parameter p: wanted int32, got (2147483648,)"),
     ],
 )
-def test_what_cannot_be_sent_is_named(value: ParameterValue, text: str) -> None:
+def test_value_that_cannot_be_sent_is_named(value: ParameterValue, text: str) -> None:
     with pytest.raises(WrongType) as caught:
         to_parameter("p", value)
     assert str(caught.value) == text

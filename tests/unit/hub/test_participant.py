@@ -28,7 +28,7 @@ def test_participant_may_advertise_subscribe_and_provide_up_to_its_bounds() -> N
         ann = made.hub.join("ann")
         for number in range(MAX_ADVERTISED):
             ann.advertise(f"/t{number}", TEXT)
-        ann.advertise("/t0", TEXT)  # again is no other topic
+        ann.advertise("/t0", TEXT)  # the same topic again
         with pytest.raises(BadRequest, match=f"more than {MAX_ADVERTISED} topics"):
             ann.advertise("/more", TEXT)
         for number in range(MAX_SERVICES):
@@ -262,7 +262,7 @@ def test_type_of_messages_is_that_of_the_topic_or_the_named_one() -> None:
     in_hub(test)
 
 
-def test_unadvertised_topic_ends_and_an_unknown_one_is_no_error() -> None:
+def test_unadvertised_topic_is_removed_and_an_unknown_one_is_ignored() -> None:
     async def test(made: MemoryHub) -> None:
         ann = made.hub.join("ann")
         ann.advertise("/t", TEXT)

@@ -1,4 +1,4 @@
-"""What a slow client costs: bounded, counted, and nobody else's business."""
+"""Queue: the cost of a slow client is bounded, counted, and does not affect others."""
 
 import asyncio
 import time

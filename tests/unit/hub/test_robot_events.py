@@ -1,4 +1,4 @@
-"""What happens to robots and links, for a participant that observes it: a recorder, a black box."""
+"""RobotEvents: events of robots and links for an observing participant, such as a recorder."""
 
 import asyncio
 
@@ -77,7 +77,7 @@ def test_a_lock_and_its_release_are_told_once() -> None:
 
 
 @pytest.mark.parametrize("was_moving", [False, True])
-def test_a_robot_that_comes_and_goes_is_told_and_whether_it_moved(*, was_moving: bool) -> None:
+def test_robot_that_appears_and_leaves_is_reported_with_whether_it_moved(*, was_moving: bool) -> None:
     async def test(made: Scene) -> None:
         events = observed(made, "robot_2")
         device = ScriptedDevice(made.hub, robot_topics("robot_2"), address="10.0.0.3")

@@ -1,4 +1,4 @@
-"""A robot's own topics are its own: what another device has announced by these names ends when the robot comes."""
+"""RobotTopicPublisher: a robot's own topics replace those that another device has announced by these names."""
 
 import asyncio
 import struct
@@ -54,7 +54,7 @@ def play_crowd(test: Callable[[Crowd], Awaitable[None]]) -> None:
 
 
 async def robot_works(made: Crowd, device: ScriptedDevice, *, name: str = NAME) -> None:
-    """It is driven by each way that there is, and its poses reach its subscribers."""
+    """Check that each velocity topic drives the robot, and that its poses reach the subscribers."""
     robot = made.hub.robots.find(name)
     assert robot.link is device.link
     assert {each: made.hub.topics.find(each).type_name for each in TYPES} == TYPES
@@ -80,7 +80,7 @@ async def robot_works(made: Crowd, device: ScriptedDevice, *, name: str = NAME) 
 @pytest.mark.parametrize("kind", [Id.PUBLISHER, Id.SUBSCRIBER])
 @pytest.mark.parametrize("name", list(TYPES))
 @pytest.mark.parametrize("is_known", [True, False])
-def test_another_devices_type_of_a_robots_own_topic_ends_when_the_robot_comes(
+def test_another_devices_type_of_a_robots_own_topic_ends_when_the_robot_connects(
     name: str, kind: Id, is_known: bool
 ) -> None:
     async def test(made: Crowd) -> None:

@@ -3,7 +3,7 @@
 from hostlink.hub.robots import MAX_AWAY, RetentionPolicy
 
 
-def test_who_left_is_forgotten_after_a_while() -> None:
+def test_disconnected_robot_is_forgotten_after_a_while() -> None:
     away = RetentionPolicy(10.0)
     away.put("a", 0.0)
     away.put("b", 5.0)
@@ -14,7 +14,7 @@ def test_who_left_is_forgotten_after_a_while() -> None:
     assert away.pop_forgotten(100.0) == []
 
 
-def test_who_left_first_is_forgotten_for_those_who_left_later() -> None:
+def test_robot_that_left_first_is_forgotten_for_later_ones() -> None:
     away = RetentionPolicy()
     for number in range(MAX_AWAY):
         away.put(f"robot_{number}", 0.0)
@@ -25,7 +25,7 @@ def test_who_left_first_is_forgotten_for_those_who_left_later() -> None:
     assert away.pop_first() == "robot_2"
 
 
-def test_who_is_back_is_not_forgotten() -> None:
+def test_reconnected_robot_is_not_forgotten() -> None:
     away = RetentionPolicy(10.0)
     away.put("a", 0.0)
     away.remove("a")

@@ -68,7 +68,7 @@ def test_call_without_answer_fails_at_its_deadline_and_its_late_answer_is_not_th
     run_virtual(test())
 
 
-def test_late_answer_that_never_comes_delays_the_next_call_by_half_its_time() -> None:
+def test_late_answer_that_never_arrives_delays_the_next_call_by_half_its_time() -> None:
     async def test() -> None:
         service, sent = device_service()
         with pytest.raises(ServiceFailed):

@@ -39,7 +39,7 @@ def test_before_the_first_beat_nothing_is_late() -> None:
     assert StallWatch().late_s(5.0) == 0.0
 
 
-def test_what_is_read_after_a_sleep_of_the_computer_has_waited_as_long() -> None:
+def test_bytes_read_after_a_sleep_of_the_computer_have_waited_as_long() -> None:
     slept_s = 0.0
     stalls = StallWatch(lambda: slept_s)
     stalls.beat(1.0)
@@ -56,7 +56,7 @@ def test_pause_is_popped_once_with_the_time_at_which_it_began() -> None:
     assert stalls.pop_pause(1.1 + STALL_S) is None
 
 
-def test_what_is_read_within_grace_after_a_pause_has_waited_as_long() -> None:
+def test_bytes_read_within_grace_after_a_pause_have_waited_as_long() -> None:
     stalls = StallWatch(lambda: 0.0)
     stalls.beat(1.0)
     now_s = 1.1 + STALL_S

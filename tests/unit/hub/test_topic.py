@@ -13,7 +13,7 @@ def subscriber(type_name: str = "") -> Subscriber:
     return Subscriber(lambda _: None, "test", type_name, lambda _: None)
 
 
-def test_a_subscriber_that_is_removed_twice_takes_nobody_elses_type_away() -> None:
+def test_subscriber_that_is_removed_twice_keeps_the_type_of_others() -> None:
     topic = Topic("/chat")
     number = topic.add_subscriber(subscriber("std_msgs/String"))
     topic.add_subscriber(subscriber("std_msgs/String"))

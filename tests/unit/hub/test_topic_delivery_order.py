@@ -1,4 +1,4 @@
-"""What a callback publishes while a message is delivered is delivered after it, to everybody in one order."""
+"""Deliveries: a message from a callback is delivered after its cause, to all subscribers in one order."""
 
 import asyncio
 import struct
@@ -29,7 +29,7 @@ def recorder(participant: Participant, *topics: str) -> list[bytes]:
 
 
 def answering(participant: Participant, question: str, topic_name: str, answers: list[str]) -> None:
-    """Publish the answers as soon as this question comes on a topic."""
+    """Publish the answers as soon as this question arrives on a topic."""
 
     def receive(message: Message) -> None:
         if message.payload == text(question):
@@ -39,7 +39,7 @@ def answering(participant: Participant, question: str, topic_name: str, answers:
     participant.subscribe(topic_name, receive, type_name=TEXT_TYPE)
 
 
-def test_an_answer_comes_after_its_question_for_earlier_and_later_subscribers() -> None:
+def test_answer_follows_its_question_for_earlier_and_later_subscribers() -> None:
     async def test(made: Scene) -> None:
         before, answers, after = (made.hub.join(name) for name in ("before", "answers", "after"))
         first = recorder(before, A)
@@ -52,7 +52,7 @@ def test_an_answer_comes_after_its_question_for_earlier_and_later_subscribers() 
     play(test)
 
 
-def test_who_subscribes_in_a_callback_receives_what_was_latched_before_what_is_newer() -> None:
+def test_subscriber_from_a_callback_receives_latched_messages_before_newer_ones() -> None:
     async def test(made: Scene) -> None:
         sender, late = made.hub.join("sender"), made.hub.join("late")
         sender.advertise(A, TEXT_TYPE, is_latched=True)
@@ -119,7 +119,7 @@ def recorder_of_speeds(participant: Participant, name: str) -> list[float]:
     return heard
 
 
-def test_a_pose_comes_before_the_odometry_that_is_made_of_it() -> None:
+def test_pose_precedes_the_odometry_that_is_made_of_it() -> None:
     async def test(made: Scene) -> None:
         heard: list[str] = []
         program = made.hub.join("program")
@@ -147,7 +147,7 @@ def test_one_that_only_answers_those_who_answer_each_other_without_end_stays() -
     play(test)
 
 
-def test_what_waits_is_bounded_and_nothing_is_lost() -> None:
+def test_waiting_messages_are_bounded_and_none_is_lost() -> None:
     async def test(made: Scene) -> None:
         many, sender = made.hub.join("many"), made.hub.join("sender")
         answering(many, "question", A, [str(number) for number in range(MAX_WAITING + 10)])
@@ -164,7 +164,7 @@ def test_what_waits_is_bounded_and_nothing_is_lost() -> None:
 @given(st.lists(st.tuples(st.integers(0, 3), st.integers(0, 3)), max_size=6), st.integers(0, 3))
 @settings(max_examples=60, deadline=None)
 def test_everybody_receives_the_messages_of_all_topics_in_one_order(edges: list[tuple[int, int]], first: int) -> None:
-    """Whatever publishes on one topic for each message of another, once."""
+    """Publisher on one topic for each message of another, once."""
 
     async def test() -> None:
         graph = TopicGraph(CATALOG)

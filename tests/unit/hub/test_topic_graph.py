@@ -1,4 +1,4 @@
-"""Who uses a topic, which type it has, and when it goes."""
+"""TopicGraph: users of a topic, its type, and its removal."""
 
 import pytest
 
@@ -31,7 +31,7 @@ def device() -> DeviceSubscription:
 
 
 async def received_later(*, is_latched: bool) -> list[bytes]:
-    """What a program receives that subscribes after a message."""
+    """Return the messages that a program receives that subscribes after a message."""
     graph, program = TopicGraph(CATALOG), Program()
     topic = graph.advertise("/a", LINK, type_name=BOOL, is_latched=is_latched)
     topic.publish(b"\1", source=LINK)
@@ -46,7 +46,7 @@ def test_only_what_was_latched_is_delivered_to_a_later_subscriber() -> None:
 
 
 async def sent_to_later_device(*, is_gate: bool = False, is_command: bool = False) -> list[bytes]:
-    """What a device is sent that subscribes behind two publishers that latch, and announces its topics twice."""
+    """Return the messages to a device that subscribes after two latching publishers, and announces its topics twice."""
     graph, sent = TopicGraph(CATALOG), list[bytes]()
     for source in ("one", "other"):
         graph.advertise("/a", source, type_name=BOOL, is_latched=True)
@@ -116,7 +116,7 @@ def test_a_topic_is_one_however_its_name_is_written() -> None:
     assert topic.publishers == {LINK, OTHER_LINK}
 
 
-def test_a_topic_goes_with_its_last_user() -> None:
+def test_topic_is_removed_with_its_last_user() -> None:
     graph, program = TopicGraph(CATALOG), Program()
     unsubscribe = graph.subscribe("/a", program.subscriber)
     graph.advertise("/a", LINK, type_name=BOOL)

@@ -43,6 +43,22 @@ def test_message_of_a_known_topic_is_received() -> None:
     assert host.receive(encode(125, bytes(24))) == [events.MessageReceived(ODOMETRY, bytes(24))]
 
 
+def test_session_is_steady_except_during_a_negotiation_a_due_request_and_a_part_of_a_frame() -> None:
+    host = Host()
+    assert not host.session.is_steady
+    host.receive(wire(ODOMETRY))
+    assert not host.session.is_steady
+    host.receive(TIME)
+    assert host.session.is_steady
+    frame = encode(125, bytes(24))
+    host.receive(frame[:9])
+    assert not host.session.is_steady
+    host.receive(frame[9:])
+    assert host.session.is_steady
+    host.session.request_topics("a test")
+    assert not host.session.is_steady
+
+
 def test_message_of_the_wrong_size_is_damage() -> None:
     host = Host(ODOMETRY)
     assert host.receive(encode(125, bytes(23))) == []
@@ -386,13 +402,13 @@ def test_long_message_is_refused_while_the_robot_moves() -> None:
     session = Session(check=check, uart_bytes_s=3840)
     session.open(now_s=0.0)
     session.receive(TIME + wire(text, service) + TIME, now_s=0.1)
-    session.keep_clear(robot_moves=True)
+    session.outbox.robot_moves = True
     for send in (session.publish, session.call):
         name = "/text" if send == session.publish else "/service"
         with pytest.raises(FrameTooLarge, match="frame of 105 bytes, the device takes 104 while the robot moves"):
             send(name, bytes(97))
         send(name, bytes(96))
-    session.keep_clear(robot_moves=False)
+    session.outbox.robot_moves = False
     session.publish("/text", bytes(500))
     with pytest.raises(FrameTooLarge, match=r"frame of 513 bytes, the device takes 512$"):
         session.publish("/text", bytes(505))
@@ -403,7 +419,7 @@ def test_changed_topics_reset_robot_moves() -> None:
     session = Session(check=check, uart_bytes_s=3840)
     session.open(now_s=0.0)
     session.receive(TIME + wire(ODOMETRY, LED) + TIME, now_s=0.1)
-    session.keep_clear(robot_moves=True)
+    session.outbox.robot_moves = True
     text = TopicInfo(Id.SUBSCRIBER, 101, "/text", "std_msgs/String", "m", 512)
     session.receive(wire(ODOMETRY, LED, text) + TIME, now_s=1.0)
     session.publish("/text", bytes(500))

@@ -23,16 +23,16 @@ def table(*infos: TopicInfo) -> TopicTable:
 def test_name_is_found_during_and_after_a_negotiation() -> None:
     made = table(info(125, "/a"), info(100, "/a", Id.SUBSCRIBER))
     for _ in range(2):
-        assert made.find("/a", Id.PUBLISHER) == info(125, "/a")
-        assert made.find("/a", Id.SUBSCRIBER) == info(100, "/a", Id.SUBSCRIBER)
-        assert made.find("/b", Id.PUBLISHER) is None
+        assert made.by_name.get(("/a", Id.PUBLISHER)) == info(125, "/a")
+        assert made.by_name.get(("/a", Id.SUBSCRIBER)) == info(100, "/a", Id.SUBSCRIBER)
+        assert made.by_name.get(("/b", Id.PUBLISHER)) is None
         made.finish()
 
 
 def test_duplicate_name_belongs_to_the_first_endpoint() -> None:
     made = table(info(125, "/a"), info(126, "/a"))
     for _ in range(2):
-        assert made.find("/a", Id.PUBLISHER) == info(125, "/a")
+        assert made.by_name.get(("/a", Id.PUBLISHER)) == info(125, "/a")
         made.finish()
 
 
@@ -41,16 +41,16 @@ def test_name_with_a_changed_id_is_found_under_the_new_id() -> None:
     made.finish()
     made.begin()
     made.add(info(126, "/a"), None)
-    assert made.find("/a", Id.PUBLISHER) == info(126, "/a")
+    assert made.by_name.get(("/a", Id.PUBLISHER)) == info(126, "/a")
     made.finish()
-    assert made.find("/a", Id.PUBLISHER) == info(126, "/a")
+    assert made.by_name.get(("/a", Id.PUBLISHER)) == info(126, "/a")
 
 
 def test_id_with_a_changed_name_is_not_found_under_the_old_name() -> None:
     made = table(info(125, "/a"))
     made.add(info(125, "/b"), None)
-    assert made.find("/a", Id.PUBLISHER) is None
-    assert made.find("/b", Id.PUBLISHER) == info(125, "/b")
+    assert made.by_name.get(("/a", Id.PUBLISHER)) is None
+    assert made.by_name.get(("/b", Id.PUBLISHER)) == info(125, "/b")
 
 
 def many(count: int) -> bytes:
@@ -125,4 +125,4 @@ def test_refused_endpoint_is_not_kept() -> None:
     made.add(info(125, "/a"), 1)
     made.finish(refused=(126,))
     assert made.fixed_bytes == {125: 1}
-    assert made.find("/b", Id.PUBLISHER) is None
+    assert made.by_name.get(("/b", Id.PUBLISHER)) is None

@@ -303,6 +303,7 @@ def test_line_of_many_points_keeps_its_peaks_in_a_bounded_number() -> None:
     assert times_s.tolist() == sorted(times_s.tolist())
 
 
+@pytest.mark.long
 def test_ros_1_bag_of_many_messages_costs_as_much_memory_as_one_of_few(tmp_path: Path, catalog: Catalog) -> None:
     number = catalog.message("std_msgs/UInt8")
     assert number is not None

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hostlink.robot.calibration import Kind, MeasuredRun, Measurement, WheelGeometry
+from hostlink.robot.calibration import MeasuredRun, Measurement, RunKind, WheelGeometry
 from hostlink.robot.course import CourseFollower, Leg, square, straight, turns
 from hostlink.robot.kinematics import DifferentialDrive, Pose
 
@@ -39,7 +39,7 @@ class ExactRobot:
         self.truth = self._true.integrate(self.truth, *rolled)
         self.turned_rad += (rolled[1] - rolled[0]) / self._true.wheel_separation_m
 
-    def drive(self, kind: Kind, legs: Sequence[Leg], size: float) -> MeasuredRun:
+    def drive(self, kind: RunKind, legs: Sequence[Leg], size: float) -> MeasuredRun:
         """A course, and its end by a perfect tape measure."""
         follower, start, first, turned_rad = CourseFollower(legs), self.truth, self.odometry, self.turned_rad
         path, now_s = [self.odometry], 0.0
@@ -49,21 +49,21 @@ class ExactRobot:
             path.append(self.odometry)
             now_s += PERIOD_S
         end = relative(start, self.truth)
-        is_turn = kind in (Kind.TURNS_CCW, Kind.TURNS_CW)
+        is_turn = kind in (RunKind.TURNS_CCW, RunKind.TURNS_CW)
         measured = Measurement(end.x_m, end.y_m, self.turned_rad - turned_rad if is_turn else None)
         return MeasuredRun(kind, size, tuple(path), measured)
 
     def drives(self, repeats: int = 2) -> list[MeasuredRun]:
         """All that a calibration has."""
         return [
-            *(self.drive(Kind.STRAIGHT, straight(LENGTH_M), LENGTH_M) for _ in range(repeats)),
-            self.drive(Kind.TURNS_CCW, turns(TURNS, 1), TURNS),
-            self.drive(Kind.TURNS_CW, turns(TURNS, -1), TURNS),
+            *(self.drive(RunKind.STRAIGHT, straight(LENGTH_M), LENGTH_M) for _ in range(repeats)),
+            self.drive(RunKind.TURNS_CCW, turns(TURNS, 1), TURNS),
+            self.drive(RunKind.TURNS_CW, turns(TURNS, -1), TURNS),
             *(self.square(way) for _ in range(repeats) for way in (-1, 1)),
         ]
 
     def square(self, way: int) -> MeasuredRun:
-        return self.drive(Kind.SQUARE_CCW if way > 0 else Kind.SQUARE_CW, square(SIDE_M, way), SIDE_M)
+        return self.drive(RunKind.SQUARE_CCW if way > 0 else RunKind.SQUARE_CW, square(SIDE_M, way), SIDE_M)
 
 
 def relative(frame: Pose, pose: Pose) -> Pose:

@@ -9,10 +9,10 @@ from hypothesis import strategies as st
 
 from hostlink.errors import HostlinkError
 from hostlink.robot.calibration import (
-    Kind,
     MeasuredRun,
     Measurement,
     ReturnErrors,
+    RunKind,
     WheelGeometry,
     calibrated,
     end_of,
@@ -75,8 +75,8 @@ def test_calibration_without_turns_has_no_separation_by_turns() -> None:
     assert calibrated(runs, NOMINAL).separation_by_turns_m is None
 
 
-@pytest.mark.parametrize("missing", [Kind.STRAIGHT, Kind.SQUARE_CW, Kind.SQUARE_CCW])
-def test_drives_that_do_not_determine_the_wheels_are_refused(missing: Kind) -> None:
+@pytest.mark.parametrize("missing", [RunKind.STRAIGHT, RunKind.SQUARE_CW, RunKind.SQUARE_CCW])
+def test_drives_that_do_not_determine_the_wheels_are_refused(missing: RunKind) -> None:
     runs = [run for run in ExactRobot(NOMINAL, BAD).drives(1) if run.kind is not missing]
     with pytest.raises(HostlinkError, match=f"needs also: {missing}"):
         calibrated(runs, NOMINAL)
@@ -90,7 +90,7 @@ def test_the_ends_without_a_correction_are_those_of_the_robot_s_odometry() -> No
 
 
 def test_a_drive_without_a_motion_ends_where_it_began() -> None:
-    run = MeasuredRun(Kind.STRAIGHT, 1.0, (), Measurement(0.0, 0.0))
+    run = MeasuredRun(RunKind.STRAIGHT, 1.0, (), Measurement(0.0, 0.0))
     assert end_of(run, uncorrected(NOMINAL)) == (0.0, 0.0, 0.0)
 
 

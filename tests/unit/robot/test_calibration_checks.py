@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from hostlink.robot.calibration import Kind, MeasuredRun, Measurement, WheelGeometry, calibrated, uncorrected
+from hostlink.robot.calibration import MeasuredRun, Measurement, RunKind, WheelGeometry, calibrated, uncorrected
 from hostlink.robot.calibration_checks import (
     complaint_of_nominal,
     complaint_of_run,
@@ -22,7 +22,7 @@ ROBOT = ExactRobot(NOMINAL, BAD, noise_m=0.001, seed=3)
 OWN = uncorrected(NOMINAL)
 RUNS = ROBOT.drives()
 CHECKS = [ROBOT.drives(1)[0], ROBOT.square(1), ROBOT.square(-1)]
-SQUARES = (Kind.SQUARE_CCW, Kind.SQUARE_CW)
+SQUARES = (RunKind.SQUARE_CCW, RunKind.SQUARE_CW)
 
 
 def with_measured(run: MeasuredRun, x_m: float, y_m: float, theta_rad: float | None = None) -> MeasuredRun:
@@ -55,16 +55,16 @@ def test_an_honest_person_has_no_complaint() -> None:
 @pytest.mark.parametrize(
     ("kind", "measured", "text"),
     [
-        (Kind.STRAIGHT, (30.1, 0.0, None), "30.10 m, the odometry 2.99"),
-        (Kind.STRAIGHT, (0.301, 0.0, None), "decimal slip"),
-        (Kind.STRAIGHT, (3.0, 2.3, None), "230 cm to the side"),
-        (Kind.SQUARE_CW, (-4.2, -7.0, None), "cm apart after one square"),
-        (Kind.TURNS_CCW, (0.0, 0.0, 3.1), "degrees by the mark"),
-        (Kind.TURNS_CW, (0.0, 0.0, None), "whole turn miscounted"),
+        (RunKind.STRAIGHT, (30.1, 0.0, None), "30.10 m, the odometry 2.99"),
+        (RunKind.STRAIGHT, (0.301, 0.0, None), "decimal slip"),
+        (RunKind.STRAIGHT, (3.0, 2.3, None), "230 cm to the side"),
+        (RunKind.SQUARE_CW, (-4.2, -7.0, None), "cm apart after one square"),
+        (RunKind.TURNS_CCW, (0.0, 0.0, 3.1), "degrees by the mark"),
+        (RunKind.TURNS_CW, (0.0, 0.0, None), "whole turn miscounted"),
     ],
 )
 def test_one_number_that_no_wheel_explains_is_refused_at_once(
-    kind: Kind, measured: tuple[float, float, float | None], text: str
+    kind: RunKind, measured: tuple[float, float, float | None], text: str
 ) -> None:
     run = next(run for run in RUNS if run.kind is kind)
     assert text in complaint_of_run(with_measured(run, *measured), OWN)
@@ -103,7 +103,7 @@ def test_the_squares_of_one_way_entered_as_the_other_s_are_named() -> None:
 
 def test_squares_that_no_wheels_explain_are_refused() -> None:
     """Both ways off to the left and behind, then to the left and before: neither as entered, nor read otherwise."""
-    ends = {Kind.SQUARE_CW: (-0.6, 0.6), Kind.SQUARE_CCW: (0.0, 0.6)}
+    ends = {RunKind.SQUARE_CW: (-0.6, 0.6), RunKind.SQUARE_CCW: (0.0, 0.6)}
     runs = [with_measured(run, *ends[run.kind]) if run.kind in SQUARES else run for run in RUNS]
     assert "no wheels explain these drives" in complaint_of_runs(runs, NOMINAL)
 
@@ -184,7 +184,7 @@ def test_the_check_drive_refuses_wheels_that_were_exchanged() -> None:
 
 
 def test_the_check_drive_refuses_lines_that_were_all_read_wrong() -> None:
-    runs = [with_measured(r, r.measured.x_m * 1.1, r.measured.y_m) if r.kind is Kind.STRAIGHT else r for r in RUNS]
+    runs = [with_measured(r, r.measured.x_m * 1.1, r.measured.y_m) if r.kind is RunKind.STRAIGHT else r for r in RUNS]
     assert "the line is" in confirm(calibrated(runs, NOMINAL), CHECKS).complaint
 
 
@@ -202,5 +202,5 @@ def test_wheels_that_are_both_too_large_are_a_gain_for_lines_alone() -> None:
 
 
 def test_squares_without_turns_on_the_spot_say_nothing_of_units() -> None:
-    runs = [run for run in RUNS if run.kind not in (Kind.TURNS_CCW, Kind.TURNS_CW)]
+    runs = [run for run in RUNS if run.kind not in (RunKind.TURNS_CCW, RunKind.TURNS_CW)]
     assert complaint_of_runs(runs, NOMINAL) == ""

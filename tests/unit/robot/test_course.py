@@ -5,7 +5,7 @@ import math
 
 import pytest
 
-from hostlink.robot.calibration import Kind, WheelGeometry, end_of, uncorrected
+from hostlink.robot.calibration import RunKind, WheelGeometry, end_of, uncorrected
 from hostlink.robot.course import STUCK_S, CourseFollower, Leg, Speed, square, straight, turns
 from hostlink.robot.kinematics import DifferentialDrive, Pose
 from tests.unit.robot.drives import ExactRobot
@@ -16,15 +16,15 @@ NOMINAL = WheelGeometry()
 @pytest.mark.parametrize(
     ("kind", "legs", "end"),
     [
-        (Kind.STRAIGHT, straight(3.0), (3.0, 0.0, 0.0)),
-        (Kind.TURNS_CCW, turns(3, 1), (0.0, 0.0, 6 * math.pi)),
-        (Kind.TURNS_CW, turns(3, -1), (0.0, 0.0, -6 * math.pi)),
-        (Kind.SQUARE_CCW, square(2.0, 1), (0.0, 0.0, 2 * math.pi)),
-        (Kind.SQUARE_CW, square(2.0, -1), (0.0, 0.0, -2 * math.pi)),
+        (RunKind.STRAIGHT, straight(3.0), (3.0, 0.0, 0.0)),
+        (RunKind.TURNS_CCW, turns(3, 1), (0.0, 0.0, 6 * math.pi)),
+        (RunKind.TURNS_CW, turns(3, -1), (0.0, 0.0, -6 * math.pi)),
+        (RunKind.SQUARE_CCW, square(2.0, 1), (0.0, 0.0, 2 * math.pi)),
+        (RunKind.SQUARE_CW, square(2.0, -1), (0.0, 0.0, -2 * math.pi)),
     ],
 )
 def test_a_course_ends_where_it_should_by_the_odometry(
-    kind: Kind, legs: tuple[Leg, ...], end: tuple[float, float, float]
+    kind: RunKind, legs: tuple[Leg, ...], end: tuple[float, float, float]
 ) -> None:
     run = ExactRobot(NOMINAL, NOMINAL).drive(kind, legs, 1.0)
     at = end_of(run, uncorrected(NOMINAL))

@@ -71,7 +71,7 @@ class Clocked:
         for _ in range(round(seconds / 0.1)):
             self.now_s += 0.1
             for link in links:
-                self.directory.note_read(link, self.now_s)
+                self.directory.presence(link).note_read(self.now_s)
 
 
 def accepted(ours: Clocked, link: int, address: str, topics: list[TopicClaim]) -> tuple[str | None, int | None]:
@@ -269,7 +269,7 @@ def test_device_that_seldom_sends_gets_a_request_and_stays_if_it_answers() -> No
     ours.now_s += 2.4  # all but the time between two of its requests for the time
     assert ours.claim(2, HOME, paper_robot()) == Undecided(probe=(1,))
     ours.now_s += 0.3
-    ours.directory.note_read(1, ours.now_s)
+    ours.directory.presence(1).note_read(ours.now_s)
     assert beside(ours, 2, HOME, paper_robot(), 1) == "robot_0_2"
 
 
@@ -321,7 +321,7 @@ def test_two_slow_ones_that_count_each_other_as_dead_do_so_once() -> None:
     assert isinstance(ours.claim(3, HOME, paper_robot()), Undecided)
     ours.now_s += 0.9
     assert isinstance(ours.claim(3, HOME, paper_robot()), Undecided)
-    ours.directory.note_read(2, ours.now_s)
+    ours.directory.presence(2).note_read(ours.now_s)
     assert beside(ours, 3, HOME, paper_robot(), 2) == "robot_0_2"
 
 

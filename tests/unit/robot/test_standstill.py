@@ -24,7 +24,7 @@ def after(*poses: tuple[float, Speeds]) -> Standstill:
     watch = StopWatch(10.0)
     for received_s, speeds in poses:
         watch.observe(speeds, received_s)
-    return watch.result("driven by client 3", "its device is not connected")
+    return watch.result(lambda: "driven by client 3", lambda: "its device is not connected")
 
 
 def test_a_robot_stands_since_the_first_of_the_poses_that_stand_still() -> None:

@@ -1,5 +1,7 @@
 """tools/run_tests.py: each group runs once, and the table names what failed and what could not run."""
 
+import os
+import sys
 from pathlib import Path
 
 import pytest
@@ -47,25 +49,6 @@ def test_group_with_failed_tests_runs_once_and_names_them() -> None:
 
 
 @pytest.mark.usefixtures("in_a_folder")
-@pytest.mark.parametrize(("second", "failed", "repeated"), [(0, 0, 2), (1, 2, 0)])
-def test_failed_tests_are_repeated_once_if_asked_for(second: int, failed: int, repeated: int) -> None:
-    commands = []
-
-    def run(command: list[str]) -> int:
-        commands.append(command)
-        if len(commands) == 2:
-            return second
-        Path(command[-1].partition("=")[2]).write_text(REPORT)
-        run_tests.LAST_FAILED.parent.mkdir(parents=True, exist_ok=True)
-        run_tests.LAST_FAILED.write_text('{"tests/some.py::test_bad": true, "tests/some.py::test_broken": true}')
-        return 1
-
-    result = run_tests.run_group("some", ["-m", "pytest"], [], run, most_repeated=6)
-    assert commands[1] == ["-m", "pytest", "tests/some.py::test_bad", "tests/some.py::test_broken"]
-    assert (result.code, len(result.failed), len(result.repeated)) == (second, failed, repeated)
-
-
-@pytest.mark.usefixtures("in_a_folder")
 def test_group_that_was_killed_without_a_report_is_shown_as_failed() -> None:
     (run_tests.REPORTS / "some.xml").write_text(REPORT)  # of an earlier run
     result = run_tests.run_group("some", ["-m", "pytest"], [], lambda _: 137)
@@ -80,17 +63,38 @@ def test_missing_requirement_fails_the_run_in_ci_alone() -> None:
     assert [run_tests.exit_code([skipped, each], is_ci=True) for each in (skipped, missing, failed)] == [0, 1, 1]
 
 
-def test_the_groups_take_every_test_once() -> None:
-    selections = {name: arguments for name, _, arguments in run_tests.groups(6, 3)}
-    assert list(selections) == ["pure", "others", "quiet", "alone"]
+def test_groups_of_both_targets_take_every_test_once() -> None:
+    selections = {name: arguments for name, _, arguments in run_tests.groups(6, 3) + run_tests.long_groups(2)}
+    assert list(selections) == ["pure", "others", "quiet", "alone", "long", "long alone"]
     for package in run_tests.PURE:
         assert f"tests/unit/{package}" in selections["pure"]
         assert f"--ignore=tests/unit/{package}" in selections["others"]
-    assert [selections[name][selections[name].index("-m") + 1] for name in ("others", "quiet", "alone")] == [
-        "not quiet and not alone",
-        "quiet and not alone",
-        "alone",
+    assert [selections[name][selections[name].index("-m") + 1] for name in list(selections)[1:]] == [
+        "not quiet and not alone and not long",
+        "quiet and not alone and not long",
+        "alone and not long",
+        "long and not alone",
+        "long and alone",
     ]
+    assert "tests/system/test_chaos.py" in selections["long alone"]
+
+
+def test_only_changed_tests_are_compiled_before_the_workers_start(tmp_path: Path) -> None:
+    test = tmp_path / "test_one.py"
+    test.write_text("")
+    assert run_tests.not_compiled(tmp_path) == [str(test)]
+    compiled = tmp_path / "__pycache__" / f"test_one.{sys.implementation.cache_tag}-pytest-{pytest.__version__}.pyc"
+    compiled.parent.mkdir()
+    compiled.touch()
+    assert run_tests.not_compiled(tmp_path) == []
+    os.utime(test, (compiled.stat().st_mtime + 1,) * 2)
+    assert run_tests.not_compiled(tmp_path) == [str(test)]
+
+
+@pytest.mark.parametrize("mark", ["quiet", "alone", "long"])
+def test_pure_packages_have_no_test_with_a_mark_that_another_group_selects(mark: str) -> None:
+    files = run_tests.marked(mark)
+    assert [file for file in files if file.startswith(tuple(f"tests/unit/{each}/" for each in run_tests.PURE))] == []
 
 
 def test_requirement_that_is_missing_is_the_reason_for_its_tests_alone() -> None:

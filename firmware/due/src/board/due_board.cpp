@@ -16,8 +16,8 @@ struct MotorPins {
   bool is_reversed;
 };
 
-// Rewired from the shield's own pins (firmware/README.md#due-wiring). Constants have a k: the Due's headers define PWM,
-// UART, ADC and the like.
+// Rewired from the shield's own pins (docs/build-robot.md#wiring-of-the-due). Constants have a k: the Due's headers
+// define PWM, UART, ADC and the like.
 const MotorPins kLeft = {2, 9, 3, 22, kIsReversedLeft};
 const MotorPins kRight = {5, 8, 6, 23, kIsReversedRight};
 const uint32_t kBaud = 38400;

@@ -1,4 +1,4 @@
-/** Requests a token from the person when the daemon needs one, with the reason. */
+/** Asks the user for a token when the daemon requires one, with the reason. */
 
 import { find, setText } from "./dom";
 import { forPeople } from "./rest";
@@ -7,7 +7,7 @@ import { keepToken } from "./token";
 export class Access {
   private readonly panel = find("#access");
 
-  /** `onToken`: there is another one now. */
+  /** `onToken` is called when a new token was entered. */
   constructor(onToken: () => void) {
     const input = find<HTMLInputElement>("#access-token");
     find<HTMLFormElement>("#access form").addEventListener("submit", (event) => {
@@ -26,7 +26,7 @@ export class Access {
     return !this.panel.hidden;
   }
 
-  /** `isOptional`: the page is of use without one. */
+  /** `isOptional`: the page works without a token, so the form can be closed. */
   show(title: string, reason: string, isOptional = false): void {
     setText(find("#access-title"), title);
     setText(find("#access-reason"), forPeople(reason));

@@ -1,4 +1,4 @@
-/** A chart of lines over a timeline, with a legend that shows the values under the cursor, or the newest. */
+/** A chart of lines over a timeline. Its legend shows the values at the cursor, or the newest ones. */
 
 import "./style/time.css";
 import uPlot from "uplot";
@@ -9,28 +9,28 @@ import type { Series, Value } from "./series";
 import { colour } from "./theme";
 import type { Timeline } from "./timeline";
 
-const WIDTH_OF_NUMBERS = 44; // at the left
-const LEAST_DRAG_PX = 8; // a shorter one was a click
+const WIDTH_OF_NUMBERS = 44; // for the numbers at the left
+const LEAST_DRAG_PX = 8; // a shorter drag is a click
 
 export interface Line {
   label: string;
-  colour: string; // a variable of the style sheet
+  colour: string; // variable of the style sheet
   isDashed?: boolean;
 }
 
 export interface ChartOptions {
   name: string;
   unit?: string;
-  places?: number; // of the values
-  least?: number; // what the vertical axis shows at least
+  places?: number; // decimal places of the values
+  least?: number; // smallest range of the vertical axis
   isFromZero?: boolean;
-  isSparse?: boolean; // a column has values for some of the times only: its line connects them
+  isSparse?: boolean; // whether a column has values only at some times, which its line connects
 }
 
 export class Chart {
   readonly figure: HTMLElement;
 
-  /** What it shows is other. */
+  /** Called when the timeline has changed. */
   readonly redraw = onceAFrame(() => this.figure.checkVisibility() && this.draw());
 
   private readonly plot: uPlot;
@@ -43,7 +43,7 @@ export class Chart {
     private readonly lines: Line[],
     private readonly options: ChartOptions,
     series: Series,
-    private readonly from = 0, // its first column of the series
+    private readonly from = 0, // first column of the series
   ) {
     this.series = series;
     this.values = lines.map(() => make("b", {}, "–"));
@@ -63,14 +63,14 @@ export class Chart {
     this.forget = timeline.onChange(this.redraw);
   }
 
-  /** It is drawn no more. */
+  /** Stop drawing. */
   destroy(): void {
     this.forget();
     this.plot.destroy();
     this.figure.remove();
   }
 
-  /** Draw these from now on. */
+  /** Draw these lines from now on. */
   show(series: Series): void {
     this.series = series;
     this.redraw();
@@ -97,7 +97,7 @@ export class Chart {
     over.addEventListener(
       "wheel",
       (event) => {
-        if (!event.ctrlKey && !event.altKey) return; // the page scrolls
+        if (!event.ctrlKey && !event.altKey) return; // a plain wheel scrolls the page
         event.preventDefault();
         timeline.zoom(1.002 ** -event.deltaY);
       },
@@ -155,7 +155,7 @@ export class Chart {
   }
 }
 
-/** Of a sparse column the newest value that is not later. */
+/** Return the value at an index; of a sparse column the newest value before it. */
 function valueAt(column: Value[], at: number | null, isSparse = false): Value {
   for (let index = at ?? -1; index >= 0; index--) {
     const value = column[index] ?? null;

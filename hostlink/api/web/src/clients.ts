@@ -1,11 +1,11 @@
-/** Who else is connected. */
+/** Clients that are connected to hostlink. */
 
 import { find, make } from "./dom";
 import type { ClientView } from "./views";
 
-const BROWSERS = ["Firefox", "Edg", "Chrome", "Safari"]; // each has the names of the later ones in its own too
+const BROWSERS = ["Firefox", "Edg", "Chrome", "Safari"]; // each user agent also contains the later names
 
-/** A page is one client here, though it has a stream of events beside its WebSocket. */
+/** A page is listed once, although it has an event stream and a WebSocket. */
 export function showClients(clients: ClientView[]): void {
   const programs = new Set(clients.filter(({ kind }) => kind !== "events").map(programOf));
   const shown = clients.filter((client) => client.kind !== "events" || !programs.has(programOf(client)));

@@ -1,24 +1,24 @@
 /**
- * The WebSocket: rosbridge, probed by a service call three times a second, and opened again whenever it is lost.
+ * The WebSocket to rosbridge, probed by a service call three times a second, and reopened after a loss.
  *
- * Each attempt is a socket of its own. Nothing is kept to be sent later: what was meant before a break may not reach a
- * robot after it.
+ * Each attempt is a new socket. Nothing is queued for later: a command from before a loss must not reach a robot after
+ * it.
  */
 
 const CHECK_MS = 50;
 const PROBE_MS = 300;
-const LATE_MS = 400; // with PROBE_MS, and CHECK_MS twice: a dead network is noticed within 0.8 s
+const LATE_MS = 400; // with PROBE_MS and twice CHECK_MS, a dead network is noticed within 0.8 s
 const DEAD_MS = 2000;
 const OPEN_MS = 1500;
 const CALL_MS = 5000;
-const MAX_CALLS = 32; // that wait for their answer
+const MAX_CALLS = 32; // pending calls
 const BACKOFF_MS = [250, 500, 1000];
 
-const PUBLISH_ID = "publish:"; // with the topic: under these a refusal comes back
+const PUBLISH_ID = "publish:"; // followed by the topic: the id under which a refusal is reported
 const DRIVE_ID = "drive";
 const PROBE_ID = "probe";
 
-/** hostlink's own operation beside rosbridge's: a command that is answered, and refused when it comes too late. */
+/** hostlink's own operation in rosbridge: a velocity command that is answered, and refused when it is late. */
 export interface DriveRequest {
   robot: string;
   linear: number;
@@ -36,7 +36,7 @@ export interface DriveAnswer {
   is_limited?: boolean;
 }
 
-/** late: no answer comes; the network may only be slow. */
+/** late: no answer arrives; the network may only be slow. */
 export type State = "connecting" | "open" | "late" | "closed";
 
 interface Subscription {
@@ -52,7 +52,7 @@ interface Call {
   reject: (error: Error) => void;
 }
 
-/** What comes from the daemon, as far as it is read here. */
+/** A message from the daemon, as far as this page reads it. */
 type Incoming =
   | { op: "publish"; topic: string; msg: never }
   | { op: "service_response"; id?: string; result?: boolean; values?: unknown }
@@ -65,16 +65,16 @@ export class Connection {
 
   private socket: WebSocket | null = null;
   private readonly subscriptions = new Map<string, Subscription>(); // by id
-  private subscribed = 0; // so far: the next id
+  private subscribed = 0; // number of subscriptions so far: the next id
   private readonly calls = new Map<string, Call>(); // by id
   private called = 0;
-  private probedAt: number | null = null; // null: it was answered
-  private answeredMs: number | null = null; // how long that took
+  private probedAt: number | null = null; // null: the last probe was answered
+  private answeredMs: number | null = null; // round trip of the last probe; null: unknown
   private probeAt = 0;
   private attemptAt = 0;
   private failures = 0;
 
-  /** `address` is called at each attempt: the token may be new. */
+  /** `address` is called at each attempt, because the token may have changed. */
   constructor(
     private readonly address: () => string,
     private readonly onState: (state: State) => void,
@@ -82,7 +82,7 @@ export class Connection {
     private readonly onRefusal: (reason: string, topic: string) => void,
   ) {}
 
-  /** To hostlink and back; of an answer that is not there yet, at least so long. null: not known. */
+  /** Round trip to hostlink; for a pending probe its age. null: unknown. */
   get roundTripMs(): number | null {
     if (this.answeredMs === null || this.probedAt === null) return this.answeredMs;
     return Math.max(this.answeredMs, performance.now() - this.probedAt);
@@ -95,7 +95,7 @@ export class Connection {
     addEventListener("offline", () => this.drop());
   }
 
-  /** Try again at once: there is a new token, or the network is back. */
+  /** Reconnect at once: the token is new, or the network is back. */
   retryNow(): void {
     if (this.state === "open") return;
     this.drop();
@@ -103,7 +103,7 @@ export class Connection {
     this.attemptAt = 0;
   }
 
-  /** Holds over every break until the returned function is called. `throttle_ms`: between two messages at least. */
+  /** Subscribe until the returned function is called, also after reconnects. `throttle_ms`: shortest time between messages. */
   subscribe<T>(topic: string, type: string, onMessage: (message: T) => void, throttle_ms = 0): () => void {
     const id = `subscription:${++this.subscribed}`;
     const subscription = { id, topic, type, throttle_ms, onMessage: onMessage as (message: never) => void };
@@ -114,12 +114,12 @@ export class Connection {
     };
   }
 
-  /** Send it now or never: false when it was not sent. */
+  /** Publish now; return false when it was not sent. */
   publish(topic: string, msg: object): boolean {
     return this.send({ op: "publish", id: PUBLISH_ID + topic, topic, msg });
   }
 
-  /** The values that a service answers. An error has the reason why there are none. */
+  /** Call a service and return its values; an error has the reason of a failure. */
   call<T>(service: string, args: object): Promise<T> {
     const id = `call:${++this.called}`;
     return new Promise<T>((resolve, reject) => {
@@ -139,7 +139,7 @@ export class Connection {
     else call?.reject(new Error(String(values)));
   }
 
-  /** Send it now or never. */
+  /** Send now; return false when it was not sent. */
   drive(request: DriveRequest): boolean {
     return this.send({ op: "drive", id: DRIVE_ID, ...request });
   }

@@ -1,15 +1,15 @@
-/** How long events are on their way here, by when the daemon sent them: the quickest of the last minutes took no time. Pure. */
+/** Delay of events, from the times at which the daemon sent them. The quickest of the last minutes counts as no delay. Pure. */
 
-const BEAT_MS = 300; // the daemon writes at least so often
-const KEPT_MS = 120_000; // then a clock that runs a little faster has not made a difference
+const BEAT_MS = 300; // longest interval between the daemon's writes
+const KEPT_MS = 120_000; // drift between the two clocks is negligible in this time
 
 export class Delay {
   private quickest: { offset_ms: number; at_ms: number } | null = null; // from the daemon's clock to the page's
-  private before_ms = Number.POSITIVE_INFINITY; // the quickest offset of the time before
+  private before_ms = Number.POSITIVE_INFINITY; // smallest offset of the previous period
   private last_ms = 0;
   private noted_ms = 0;
 
-  /** Another stream begins. */
+  /** Reset: a new stream begins. */
   begin(now_ms: number): void {
     this.quickest = null;
     this.before_ms = Number.POSITIVE_INFINITY;
@@ -17,7 +17,7 @@ export class Delay {
     this.noted_ms = now_ms;
   }
 
-  /** All that the daemon had sent by then has come; undefined: nothing was on its way. */
+  /** Note that everything the daemon sent until then has arrived; undefined: no time was sent. */
   note(sent_s: string | undefined, now_ms: number): void {
     this.noted_ms = now_ms;
     this.last_ms = 0;
@@ -32,7 +32,7 @@ export class Delay {
     this.last_ms = offset_ms - Math.min(this.quickest.offset_ms, this.before_ms);
   }
 
-  /** How old what came last is: what comes now has not come whole. */
+  /** Age of the newest event, including one that has not arrived completely. */
   at_ms(now_ms: number): number {
     return Math.max(this.last_ms, now_ms - this.noted_ms - BEAT_MS);
   }

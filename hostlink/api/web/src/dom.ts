@@ -1,6 +1,6 @@
-/** The few things that are done with elements everywhere. */
+/** Functions for elements. */
 
-/** The element that index.html has; a missing one is a mistake in it. */
+/** Return the element that index.html has. Throw if it is missing. */
 export function find<T extends HTMLElement = HTMLElement>(selector: string): T {
   const found = document.querySelector<T>(selector);
   if (found === null) throw new Error(`index.html has no ${selector}`);
@@ -18,12 +18,12 @@ export function make<K extends keyof HTMLElementTagNameMap>(
   return element;
 }
 
-/** Set a text only when it changes: screen readers read changes only. */
+/** Set a text only when it changes: screen readers announce changes. */
 export function setText(element: HTMLElement, text: string): void {
   if (element.textContent !== text) element.textContent = text;
 }
 
-/** The children become these. One that stays is not moved: it keeps the focus, and what was pressed. */
+/** Replace the children. A child that remains is not moved, so that it keeps focus and pointer. */
 export function arrange(list: Element, children: Iterable<Element>): void {
   const wanted = new Set(children);
   for (const old of [...list.children]) if (!wanted.has(old)) old.remove();
@@ -34,20 +34,20 @@ export function arrange(list: Element, children: Iterable<Element>): void {
   }
 }
 
-/** A number with so many digits and a real minus; a dash for none. */
+/** A number with this many decimal places and a minus sign; a dash for null. */
 export function digits(value: number | null | undefined, count: number): string {
   if (value === null || value === undefined || !Number.isFinite(value)) return "–";
   const text = value.toFixed(count);
   return (Number(text) === 0 ? (0).toFixed(count) : text).replace("-", "−");
 }
 
-/** How old something is, as short as it can be said. */
+/** An age as a short text. */
 export function ageText(age_s: number): string {
   if (age_s < 60) return `${digits(age_s, age_s < 10 ? 1 : 0)} s`;
   return age_s < 3600 ? `${digits(age_s / 60, 0)} min` : `${digits(age_s / 3600, 0)} h`;
 }
 
-/** A value of this browser's that outlives the page; a browser may forbid to keep it. */
+/** A value that this browser keeps between visits, if the browser allows it. */
 export function remembered(key: string, otherwise: string): string {
   try {
     return localStorage.getItem(`hostlink.${key}`) ?? otherwise;
@@ -60,13 +60,13 @@ export function remember(key: string, value: string): void {
   try {
     localStorage.setItem(`hostlink.${key}`, value);
   } catch {
-    return; // private windows of some browsers: then it holds until the page is left
+    return; // some browsers forbid it in private windows: the value holds until the page is closed
   }
 }
 
 const CONFIRM_MS = 4000;
 
-/** A button that asks first: `prepare`, called at the first press, returns what a second one soon after does. */
+/** A button that needs confirmation: `prepare` runs at the first press and returns the action of a second press soon after. */
 export function confirmed(button: HTMLButtonElement, question: string, prepare: () => () => void): void {
   let timer: number | null = null;
   let act = () => {};

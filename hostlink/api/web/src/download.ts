@@ -1,11 +1,11 @@
-/** Files for the person: links to the daemon's, and tables that the page makes. */
+/** Files for download: the daemon's, and tables that the page makes. */
 
 import { make } from "./dom";
 import { notice } from "./notice";
 import { reasonOf, refusalOf, request } from "./rest";
 import { token } from "./token";
 
-/** A link that saves a file of the daemon's. With a token the page fetches it: a link cannot send one in a header. */
+/** A link that downloads a file of the daemon. With a token the page fetches the file: a link cannot send a header. */
 export function makeDownload(path: string, file: string): HTMLAnchorElement {
   const link = make("a", { href: path, download: file, class: "button" }, "Download");
   link.setAttribute("aria-label", `Download ${file}`);
@@ -17,7 +17,7 @@ export function makeDownload(path: string, file: string): HTMLAnchorElement {
   return link;
 }
 
-/** A table as CSV: RFC 4180, with a line of names. */
+/** Save a table as CSV: RFC 4180, with a header line. */
 export function saveCsv(file: string, names: string[], rows: Iterable<(number | string | null)[]>): void {
   const lines = [names, ...rows].map((row) => row.map(cell).join(","));
   save(new Blob([`${lines.join("\r\n")}\r\n`], { type: "text/csv" }), file);
@@ -26,7 +26,7 @@ export function saveCsv(file: string, names: string[], rows: Iterable<(number | 
 function cell(value: number | string | null): string {
   if (value === null) return "";
   if (typeof value === "number") return String(value);
-  const text = /^[=+\-@\t\r]/.test(value) ? `'${value}` : value; // a spreadsheet would compute it
+  const text = /^[=+\-@\t\r]/.test(value) ? `'${value}` : value; // a spreadsheet would execute it
   return /[",\r\n]/.test(text) ? `"${text.replaceAll('"', '""')}"` : text;
 }
 

@@ -1,4 +1,4 @@
-/** The drive panel: from what is held to commands on the robot's velocity topic, and why they do not work if so. */
+/** The drive panel: sends velocity commands for held controls, and shows why the robot cannot be driven. */
 
 import type { Connection, DriveAnswer } from "./connection";
 import { ageText, digits, find, remember, remembered, setText } from "./dom";
@@ -9,29 +9,29 @@ import { connectJoystick } from "./joystick";
 import { connectKeys, LOST } from "./keys";
 import { named, type RobotView, type Velocity } from "./views";
 
-const TELEOP_PRIORITY = 60; // a person goes before a program, which has 50
-const UNANSWERED_MS = 250; // then nothing more is sent until an answer comes: it would only be old when it arrives
-const REFUSED_MS = 1500; // a refusal that is older is over
+const TELEOP_PRIORITY = 60; // above the 50 of programs
+const UNANSWERED_MS = 250; // without an answer for this time nothing more is sent: commands would arrive late
+const REFUSED_MS = 1500; // an older refusal is not shown
 const AFTERGLOW_MS = 900; // the daemon may still name this page as the driver
 
 const LEASE_MS = 500;
-const HELD = "held"; // the kind of a refusal: another source drives with a higher priority
+const HELD = "held"; // kind of a refusal: another source drives with a higher priority
 
 const STANDING: Velocity = { linear_m_s: 0, angular_rad_s: 0 };
 
 export class Drive {
   readonly driving = new Driving((velocity) => this.send(velocity));
 
-  private target: RobotView | undefined; // of the commands; only changed when nothing is held
-  private motion = 0; // its number; a new one begins when something is held, and when nothing is any more
-  private epoch: number | null = null; // of the robot, as the first answer of this motion gave it
-  private unanswered: { at: number; motion: number }[] = []; // the commands that were sent
+  private target: RobotView | undefined; // of the commands; changes only while nothing is held
+  private motion = 0; // number of the motion; it increases when controls are first held and when all are released
+  private epoch: number | null = null; // of the robot, from the first answer of this motion
+  private unanswered: { at: number; motion: number }[] = []; // commands without an answer
   private refusal = "";
   private refusedAt = Number.NEGATIVE_INFINITY;
   private droveAt = Number.NEGATIVE_INFINITY;
-  private wasHeld = false; // when the command before was sent
+  private wasHeld = false; // at the previous command
   private readonly pause = new Pause();
-  private readonly holders = new Map<string, number>(); // who held the robot while the stick was held here, and when
+  private readonly holders = new Map<string, number>(); // other drivers during this motion, and when they drove
 
   constructor(
     private readonly fleet: Fleet,
@@ -45,21 +45,21 @@ export class Drive {
     document.addEventListener("visibilitychange", () => document.hidden && this.driving.releaseAll());
   }
 
-  /** `stop` is what Space and the gamepad's button do, `lock` what L and Escape do. */
+  /** `stop` is called for Space and the gamepad's button, `lock` for L and Escape. */
   connectInputs(stop: () => void, lock: () => void): void {
     connectJoystick(find("#joystick"), this.driving);
     connectKeys(this.driving, stop, lock);
     connectGamepad(find("#gamepad"), this.driving, stop);
   }
 
-  /** Who drives this robot, in words. */
+  /** The driver of this robot as a text; null without one. */
   driver(robot: RobotView): string | null {
     if (robot.holder === null) return null;
     const isMine = robot.name === this.target?.name && performance.now() - this.droveAt < AFTERGLOW_MS;
     return isMine && !this.isRefused ? "you" : named(robot.holder, robot.holder_address);
   }
 
-  /** The stick waits for a source with a higher priority; after any other refusal it must be released first. */
+  /** Keep the stick active while a source with a higher priority drives; after other refusals it must be released first. */
   answered(answer: DriveAnswer): void {
     const command = this.unanswered.shift();
     if (answer.result) {
@@ -72,7 +72,7 @@ export class Drive {
     this.show();
   }
 
-  /** The connection is another one, or none: what was sent will not be answered. */
+  /** Note that the connection changed: earlier commands will not be answered. */
   forget(): void {
     this.driving.releaseAll();
     this.unanswered = [];
@@ -81,7 +81,7 @@ export class Drive {
   show(): void {
     const { robot } = this.fleet;
     if (robot?.name !== this.target?.name || robot?.velocity_topic !== this.target?.velocity_topic) {
-      this.driving.releaseAll(); // the zeros go to the robot that was driven
+      this.driving.releaseAll(); // the zeros are sent to the robot that was driven
     }
     this.target = robot;
     if (!this.driving.isHeld) this.holders.clear();
@@ -96,7 +96,7 @@ export class Drive {
     find("#drive-state").title = text;
   }
 
-  /** Of one priority the newest command counts: two who hold the stick take it from each other. */
+  /** At equal priority the newest command wins, so two sources can alternate. */
   private get hasRival(): boolean {
     const since = performance.now() - AFTERGLOW_MS;
     return [...this.holders.values()].filter((at) => at > since).length > 1;
@@ -109,29 +109,29 @@ export class Drive {
   private describe(robot: RobotView | undefined): [state: string, text: string] {
     if (this.connection.state !== "open") return ["gone", "No connection"];
     const { missed } = this.fleet;
-    if (missed !== null) return ["gone", `Choose a robot: ${missed} is not there any more`];
+    if (missed !== null) return ["gone", `Choose a robot: ${missed} is not listed any longer`];
     if (robot === undefined) return ["idle", "No robot yet"];
     if (!robot.connected) return ["gone", `${robot.name} is not connected`];
-    if (!this.canDrive()) return ["read", "This token may only read"];
-    if (!this.fleet.isHeard) return ["silent", `No news of ${robot.name} for ${ageText(this.fleet.age_s(robot))}`];
+    if (!this.canDrive()) return ["read", "This token has the role read"];
+    if (!this.fleet.isHeard) return ["silent", `No data about ${robot.name} for ${ageText(this.fleet.age_s(robot))}`];
     if (this.fleet.isSilent(robot)) {
       return ["silent", `${robot.name}: silent for ${ageText(this.fleet.age_s(robot))}`];
     }
     if (robot.locked) return ["locked", `${robot.name} is locked`];
-    if (robot.played) return ["other", "A recording: it obeys nobody"];
+    if (robot.played) return ["other", "A recording: it cannot be driven"];
     if (this.isRefused) return ["refused", this.refusal];
     if (robot.unreachable) return ["refused", `${robot.name} cannot receive: ${robot.unreachable}`];
     const driver = this.driver(robot);
-    if (driver === "you" && this.hasRival) return ["other", "Somebody else drives it, too: let go"];
+    if (driver === "you" && this.hasRival) return ["other", "Another client drives it too: release"];
     if (driver === "you") return ["driving", "You drive"];
-    if ((robot.priority ?? 0) > TELEOP_PRIORITY) return ["other", `Goes before you: ${driver}`];
-    if (driver !== null) return ["other", `Your stick takes over: ${driver} drives`];
-    return ["idle", "Ready: nobody drives"];
+    if ((robot.priority ?? 0) > TELEOP_PRIORITY) return ["other", `${driver} drives with a higher priority`];
+    if (driver !== null) return ["other", `${driver} drives: your stick takes over`];
+    return ["idle", "Ready: no driver"];
   }
 
   private tick(): void {
     if (this.pause.isLong())
-      this.driving.releaseAll(); // the robot has stopped, and what was let go is not known
+      this.driving.releaseAll(); // the robot has stopped, and releases may have been missed
     else this.driving.tick();
     const command = this.canDrive() ? this.driving.velocity() : STANDING;
     setText(find("#command-linear"), digits(command.linear_m_s, 2));
@@ -161,7 +161,7 @@ export class Drive {
     this.unanswered.push({ at: now, motion: this.motion });
   }
 
-  /** A new speed is for what is held then; it moves nothing by itself. */
+  /** Apply a new top speed. It changes the velocity of held controls and moves nothing by itself. */
   private connectSlider(part: "linear" | "angular", unit: string, places: number, otherwise: number): void {
     const slider = find<HTMLInputElement>(`#max-${part}`);
     const apply = () => {
@@ -177,7 +177,7 @@ export class Drive {
   }
 }
 
-/** Whether the page has not run for longer than a command lasts: by its clock, or by the time of day while it slept. */
+/** Whether the page was paused for longer than a command lasts, by its clock or by the time of day. */
 class Pause {
   private ranAt = performance.now();
   private wallAt = Date.now();

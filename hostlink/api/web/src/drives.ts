@@ -1,4 +1,4 @@
-/** The panel of who drove which robot, from when to when, and why it ended; the newest first. */
+/** The panel of the drive history: driver, times and reason of the end, the newest first. */
 
 import "./style/recordings.css";
 import { ageText, digits, make, setText } from "./dom";
@@ -8,8 +8,8 @@ import { type DriveView, named } from "./views";
 
 const MAX_SHOWN = 50;
 const PATH = `api/drives?limit=${MAX_SHOWN}`;
-const [DRIVES, DROVE] = ["drives now", "drove when hostlink was heard last"];
-const INTERVAL_MS = 1000; // between two requests, however often drivers change
+const [DRIVES, DROVE] = ["drives now", "was driving at the last contact with hostlink"];
+const INTERVAL_MS = 1000; // shortest time between two requests
 
 export function startDrives(page: Page): HTMLElement {
   const panel = new Drives(page);
@@ -22,22 +22,22 @@ class Drives {
 
   private readonly list = make("ul", { class: "drives", tabindex: "0", "aria-labelledby": "drives-title" });
   private readonly state = make("p", { class: "hint", role: "status" });
-  private known: string | null = null; // who drove what when it was loaded
+  private known: string | null = null; // drivers when the list was loaded
   private loadedAt = Number.NEGATIVE_INFINITY;
 
   constructor(private readonly page: Page) {
-    this.root = make("section", {}, this.state, this.list, make("p", { class: "hint none" }, "Nobody has driven yet."));
+    this.root = make("section", {}, this.state, this.list, make("p", { class: "hint none" }, "No drives yet."));
   }
 
-  /** Load it when somebody began or ended, while it can be seen. */
+  /** Load the list when a drive began or ended, if the panel is visible. */
   show(): void {
     const { isHeard } = this.page.fleet;
     for (const still of this.list.querySelectorAll(".still")) setText(still as HTMLElement, isHeard ? DRIVES : DROVE);
-    if (!isHeard) this.known = null; // another list, when it is heard again
+    if (!isHeard) this.known = null; // reload after the next contact
     if (!isHeard) return;
     const now = performance.now();
     const key = JSON.stringify(this.page.fleet.robots.map(({ name, holder, locked }) => [name, holder, locked]));
-    const isShown = this.list.parentElement?.checkVisibility() === true; // a list without items is not
+    const isShown = this.list.parentElement?.checkVisibility() === true; // an empty list is not visible
     if (key === this.known || now - this.loadedAt < INTERVAL_MS || !isShown) return;
     this.known = key;
     this.loadedAt = now;
@@ -48,7 +48,7 @@ class Drives {
     try {
       const { drives, lost } = await rest<{ drives: DriveView[]; lost: number }>("GET", PATH);
       this.list.replaceChildren(...drives.map(makeItem));
-      setText(this.state, lost > 0 ? `${lost} are not on the disk: the log of hostlink has the reason.` : "");
+      setText(this.state, lost > 0 ? `${lost} drives could not be saved; see the log of hostlink for the reason.` : "");
     } catch (error) {
       this.known = null;
       setText(this.state, reasonOf(error));

@@ -1,30 +1,30 @@
 /**
- * Hold to drive: what is held adds up, is sent again and again while it is held, and ends in zeros. No element, no
- * clock: `tick` is called by the page.
+ * Hold to drive: held controls are summed, sent repeatedly while held, and followed by zeros. Without element or
+ * clock: the page calls `tick`.
  */
 
 import type { Velocity } from "./views";
 
-export const TICK_MS = 80; // more than ten a second, as every base expects
-const ZEROS = 3; // one may be lost on a radio
+export const TICK_MS = 80; // more than ten commands a second, as robot bases expect
+const ZEROS = 3; // zeros after a release, because a radio may lose one
 
 export type Source = "joystick" | "keys" | "gamepad" | "step";
 
-/** Parts of the full speeds, -1 to 1: forward, and counter-clockwise. */
+/** Fractions of the full speeds, -1 to 1: forward, and counter-clockwise. */
 export interface Deflection {
   forward: number;
   turn: number;
 }
 
 export class Driving {
-  /** Full speeds. A new one changes what is held, and moves nothing by itself. */
+  /** Full speeds. A change applies to held controls and moves nothing by itself. */
   limits: Velocity = { linear_m_s: 0.2, angular_rad_s: 1 };
 
   private held = new Map<Source, Deflection>();
-  private barred = new Set<Source>(); // held at `releaseAll`: it must be released before it drives again
+  private barred = new Set<Source>(); // held at `releaseAll`: must be released before it drives again
   private zeros = 0;
 
-  /** `send` sends a velocity now or never. */
+  /** `send` sends a velocity now, or drops it. */
   constructor(private readonly send: (velocity: Velocity) => void) {}
 
   get isHeld(): boolean {
@@ -49,15 +49,15 @@ export class Driving {
     this.tick();
   }
 
-  /** Everything counts as released, whatever the fingers do. */
+  /** Treat all controls as released. */
   releaseAll(): void {
     for (const source of this.held.keys()) this.barred.add(source);
     if (this.isHeld) this.zeros = ZEROS;
     this.held.clear();
-    while (this.zeros > 0) this.tick(); // there may be no later
+    while (this.zeros > 0) this.tick(); // there may be no later tick
   }
 
-  /** The command of now, within the full speeds. */
+  /** The present command, within the full speeds. */
   velocity(): Velocity {
     let forward = 0;
     let turn = 0;

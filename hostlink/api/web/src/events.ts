@@ -1,7 +1,7 @@
 /**
- * The daemon's events, by one response over HTTP that does not end; requested again whenever it is lost.
+ * The daemon's event stream, one HTTP response that does not end; requested again after a loss.
  *
- * It is read by fetch, because an EventSource neither sends a token in a header nor knows why it is refused.
+ * Read by fetch, because an EventSource can neither send a token in a header nor report the reason of a refusal.
  */
 
 import { Refused, refusalOf, request } from "./rest";
@@ -15,7 +15,7 @@ const SILENT_MS = 650; // the daemon writes every 300 ms: with CHECK_MS, a dead 
 const ABORT_MS = 2000;
 const RETRY_MS = 500;
 
-/** What comes, by the name of the event. */
+/** Data by event name. */
 export interface Handlers {
   robots: (data: { robots: RobotView[] }) => void;
   links: (data: { links: LinkView[] }) => void;
@@ -25,10 +25,10 @@ export interface Handlers {
 }
 
 export class Events {
-  /** Whether the daemon was heard just now; null: not yet. */
+  /** Whether the daemon is heard; null: not yet. */
   isHeard: boolean | null = null;
 
-  heardAt = 0; // when anything came, by the page's clock
+  heardAt = 0; // time of the last byte, by the page's clock
   private isLate = false;
   private readonly delay = new Delay();
   private attempt = new AbortController();
@@ -40,7 +40,7 @@ export class Events {
     private readonly onRole: (role: string | null) => void,
   ) {}
 
-  /** How old what came is, in seconds; null: it is of now. A slow line carries on what was true long ago. */
+  /** Age of the newest event in seconds; null: no noticeable delay. A slow connection delivers old states. */
   get late_s(): number | null {
     return this.isLate ? this.delay.at_ms(performance.now()) / 1000 : null;
   }
@@ -51,12 +51,12 @@ export class Events {
     addEventListener("online", () => this.retryNow());
   }
 
-  /** The network is back. */
+  /** Reconnect: the network is back. */
   retryNow(): void {
     if (!this.isHeard) this.attempt.abort();
   }
 
-  /** There is a new token. */
+  /** Reconnect with a new token. */
   beginAnew(): void {
     this.attempt.abort();
   }
@@ -70,7 +70,7 @@ export class Events {
       try {
         await this.read();
       } catch (error) {
-        // One that is aborted for a new token may have been refused already.
+        // A stream that is aborted for a new token may have been refused already.
         if (error instanceof Refused && tried === token()) this.onRefusal(error);
       }
       this.change(false);
@@ -78,7 +78,7 @@ export class Events {
     }
   }
 
-  /** A response without credentials has connections of its own in browsers: streams leave those for a stop free. */
+  /** Browsers use separate connections for responses without credentials: so streams leave the others free for a stop. */
   private async read(): Promise<void> {
     const response = await request("GET", PATH, { signal: this.attempt.signal, credentials: "omit" });
     if (!response.ok || response.body === null) throw await refusalOf(response);
@@ -98,7 +98,7 @@ export class Events {
   private dispatch(event: string): void {
     if (event.startsWith(":")) this.delay.note(/^: sent ([\d.]+)$/.exec(event)?.[1], performance.now());
     const [, name, data] = /^event: (\w+)\ndata: (.*)$/.exec(event) ?? [];
-    if (name === undefined || data === undefined || !(name in this.handlers)) return; // a comment, or a newer daemon's
+    if (name === undefined || data === undefined || !(name in this.handlers)) return; // a comment, or an event of a newer daemon
     this.handlers[name as keyof Handlers](JSON.parse(data));
   }
 

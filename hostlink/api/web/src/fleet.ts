@@ -1,29 +1,29 @@
-/** The newest that the daemon has sent of its robots and links; which robot is shown and driven; who is silent. */
+/** The newest data about robots and links: the chosen robot, and which robots are silent. */
 
 import { remember, remembered } from "./dom";
 import { Pulse } from "./pulse";
 import type { LinkView, RobotView } from "./views";
 
-/** gone: not connected. silent: connected, but nothing comes. unknown: the daemon is not heard. */
+/** gone: not connected. silent: connected, but sends nothing. unknown: the daemon is not heard. */
 export type RobotState = "unknown" | "gone" | "silent" | "locked" | "connected";
 
 const CHECK_MS = 50;
 const byName = new Intl.Collator("en", { numeric: true }); // robot_2 before robot_10
 
 export class Fleet {
-  /** In the order of their names, as a person counts. */
+  /** Sorted by name, numbers by value. */
   robots: RobotView[] = [];
   isKnown = false; // whether the daemon has sent its robots
-  isHeard = true; // the daemon is; else nobody knows which robot is silent
+  isHeard = true; // whether the daemon is heard; otherwise the state of robots is unknown
   daemonHeardAt_ms = () => performance.now();
   links: LinkView[] = [];
 
-  private shown = ""; // the name of the one that is shown
-  private readonly pulses = new Map<string, Pulse>(); // by robot and link: one that connects again begins anew
+  private shown = ""; // name of the chosen robot
+  private readonly pulses = new Map<string, Pulse>(); // by robot and link: a robot that reconnects starts anew
   private silent = "";
-  private known = new Set<string>(); // the names of the last list that was not empty
+  private known = new Set<string>(); // names in the last list that was not empty
 
-  /** `onChange`: another robot is chosen, or one fell silent. */
+  /** `onChange` is called when another robot is chosen, or a robot falls silent. */
   constructor(private readonly onChange: () => void) {
     setInterval(() => this.check(), CHECK_MS);
   }
@@ -46,12 +46,12 @@ export class Fleet {
     for (const key of this.pulses.keys()) if (!known.has(key)) this.pulses.delete(key);
   }
 
-  /** The one that is shown. No other takes its place by itself: somebody may be about to drive or to stop it. */
+  /** The chosen robot. No other one replaces it by itself: the user may be about to drive or stop it. */
   get robot(): RobotView | undefined {
     return this.robots.find((robot) => robot.name === this.shown);
   }
 
-  /** The name of the one that was shown and is not there any more; null: none is missed. */
+  /** Name of the chosen robot if it is not listed any longer; null otherwise. */
   get missed(): string | null {
     return this.robot === undefined && this.robots.length > 0 ? this.shown : null;
   }
@@ -64,7 +64,7 @@ export class Fleet {
     return this.links.find((link) => link.number === robot?.link);
   }
 
-  /** The worst of what is wrong with it. */
+  /** The most severe finding about it. */
   state(robot: RobotView): RobotState {
     if (!this.isHeard) return "unknown";
     if (!robot.connected) return "gone";
@@ -77,7 +77,7 @@ export class Fleet {
     return this.pulses.get(keyOf(robot))?.isSilent(performance.now(), this.daemonHeardAt_ms()) ?? false;
   }
 
-  /** How old what is known of it is, in seconds. */
+  /** Age of its newest data, in seconds. */
   age_s(robot: RobotView): number {
     return (this.pulses.get(keyOf(robot))?.age_ms(performance.now()) ?? 0) / 1000;
   }
@@ -88,7 +88,7 @@ export class Fleet {
     this.onChange();
   }
 
-  /** Robots of which none was here before: the one that was chosen on an earlier visit, else the first. */
+  /** Choose the first robot: the one chosen on an earlier visit, otherwise the first in the list. */
   private begin(robots: RobotView[]): void {
     const names = robots.map(({ name }) => name).sort(byName.compare);
     const chosen = remembered("robot", "");

@@ -1,15 +1,15 @@
-/** A topic of the robot that is shown, subscribed to while its device has it. */
+/** A topic of the chosen robot, subscribed to while its device has it. */
 
 import type { Connection } from "./connection";
 import { type LinkView, type RobotView, topicOf } from "./views";
 
 export class Followed<Message> {
-  /** What it is subscribed to; "" for none. */
+  /** Name of the subscribed topic; "" for none. */
   topic = "";
 
   private stop = () => {};
 
-  /** `onOther`: another topic from now on, or none. */
+  /** `onOther` is called when the topic changes, or there is none. */
   constructor(
     private readonly connection: Connection,
     private readonly leaf: string,

@@ -1,10 +1,10 @@
-/** A form for a message, made from its type as rosapi describes it. */
+/** A form for a message, built from its type as rosapi describes it. */
 
 import { make } from "./dom";
 import { makeField } from "./widgets";
 
 const MAX_FIELDS = 200;
-const SCALAR = -1; // as an array's length
+const SCALAR = -1; // array length of a scalar
 
 /** rosapi/TypeDef. */
 export interface TypeDef {
@@ -16,7 +16,7 @@ export interface TypeDef {
 
 interface Part {
   element: HTMLElement;
-  read: () => unknown; // throws an Error with what is wrong
+  read: () => unknown; // throws an Error with the reason
 }
 
 const INTEGERS: Record<string, [least: number, most: number]> = {
@@ -39,14 +39,14 @@ export class MessageForm {
   private readonly root: Part;
   private count = 0;
 
-  /** The first of the TypeDefs is the message's. */
+  /** The first TypeDef is that of the message. */
   constructor(typedefs: TypeDef[]) {
     this.types = new Map(typedefs.map((each) => [each.type, each]));
     this.root = this.makeMessage(typedefs[0]?.type ?? "", "");
     this.element = make("div", { class: "message" }, this.root.element);
   }
 
-  /** The message; an Error says which field is wrong. */
+  /** The message. Throws an Error that names the invalid field. */
   read(): object {
     return this.root.read() as object;
   }
@@ -101,10 +101,10 @@ function scalarPart(type: string, name: string, path: string): Part {
 
 function reasonOf(input: HTMLInputElement, type: string): string {
   if (input.validity.rangeUnderflow || input.validity.rangeOverflow) return `${input.min} to ${input.max} fit ${type}.`;
-  return `a number is needed (${type}).`;
+  return `enter a number (${type}).`;
 }
 
-/** What has no form of its own is written as JSON. */
+/** A field without a form of its own is written as JSON. */
 function jsonPart(type: string, length: number, name: string, path: string): Part {
   const isArray = length !== SCALAR;
   const size = length > 0 ? String(length) : "";
@@ -116,9 +116,9 @@ function jsonPart(type: string, length: number, name: string, path: string): Par
       try {
         value = JSON.parse(text.value);
       } catch {
-        throw new Error(`${path}: this is no JSON.`);
+        throw new Error(`${path}: this is not JSON.`);
       }
-      if (isArray && !Array.isArray(value)) throw new Error(`${path}: a list is needed, as [1, 2].`);
+      if (isArray && !Array.isArray(value)) throw new Error(`${path}: enter a list, for example [1, 2].`);
       return value;
     },
   };

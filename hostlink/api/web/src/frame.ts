@@ -1,4 +1,4 @@
-/** The frame: the tabs of the layouts, the columns with their panels, each with a bar to fold and to move it. */
+/** The frame: tabs of the layouts, and columns with panels. Each panel has a bar to fold and move it. */
 
 import { find, make, remember, remembered, setText } from "./dom";
 import { COLUMNS, LAYOUTS, type LayoutName, Layouts } from "./layouts";
@@ -8,7 +8,7 @@ import { PANELS, type Panel } from "./panels";
 const SHORT = "(max-height: 640px)";
 const PHONE =
   "(max-width: 479px), (max-width: 599px) and (min-height: 421px), (max-width: 899px) and (min-height: 521px)";
-const NARROW = "(max-width: 767px)"; // for two columns, where it is no phone that stands
+const NARROW = "(max-width: 767px)"; // too narrow for two columns, and not a phone in portrait
 
 interface Framed {
   panel: Panel;
@@ -29,7 +29,7 @@ export class Frame {
   private readonly isNarrow = matchMedia(NARROW);
   private readonly menu = new PanelMenu(this);
 
-  /** `onLayout`: another layout is shown. */
+  /** `onLayout` is called when another layout is shown. */
   constructor(
     page: Page,
     private readonly onLayout: (layout: LayoutName) => void,
@@ -53,7 +53,7 @@ export class Frame {
     this.arrange();
   }
 
-  /** Put every panel where it belongs now. One that stays where it is is not touched: a finger may be on it. */
+  /** Put every panel in its place. A panel that stays is not touched: a finger may be on it. */
   arrange(): void {
     const arrangement = this.layouts.arrangement(this.layout);
     const { matches: isPhone } = this.isPhone;
@@ -66,7 +66,7 @@ export class Frame {
     }
     const isPair = !isPhone && this.isNarrow.matches;
     if (isPair && columns.left.length > 0) {
-      columns.middle.splice(1, 0, ...columns.right); // behind the map
+      columns.middle.splice(1, 0, ...columns.right); // after the map
       columns.right = [];
     }
     for (const column of COLUMNS) this.fill(find(`main > .${column}`), columns[column]);
@@ -77,7 +77,7 @@ export class Frame {
     const isStrip = this.layout !== "Fleet" && (isPhone || this.isShort.matches);
     document.body.dataset.robots = isStrip ? "strip" : "list";
     for (const [name, tab] of this.tabs) tab.setAttribute("aria-pressed", String(name === this.layout));
-    dispatchEvent(new Event("resize")); // for what measures where it is: the joystick
+    dispatchEvent(new Event("resize")); // so that the joystick measures its position again
     this.onLayout(this.layout);
   }
 
@@ -92,7 +92,7 @@ export class Frame {
     if (framed) this.showFold(framed);
   }
 
-  /** What a person may do with a panel: its label, and what it does; `isOn` for what is chosen among others. */
+  /** An action of the panel menu: label and function; `isOn` for the chosen one of several. */
   choices(name: string): { label: string; isOn?: boolean; act: () => void }[] {
     const { layout, layouts } = this;
     const done = (act: () => void) => () => {
@@ -121,7 +121,7 @@ export class Frame {
     ];
   }
 
-  /** A bar with its title, what the panel has for it (`data-bar`), and its menu; below it the body. */
+  /** A bar with title, the panel's own controls (`data-bar`) and its menu; the body is below. */
   private add(panel: Panel, page: Page): void {
     const { name, title } = panel;
     const element = panel.start?.(page) ?? find(`#${name}`);
@@ -158,7 +158,7 @@ export class Frame {
   }
 }
 
-/** One menu for all panels, beside the button that opened it. */
+/** One menu for all panels, next to the button that opened it. */
 class PanelMenu {
   private readonly box = make("div", { id: "panel-menu", popover: "", role: "menu" });
 
@@ -166,11 +166,11 @@ class PanelMenu {
     const { box } = this;
     document.body.append(box);
     box.addEventListener("keydown", (event) => this.move(event));
-    // the stop has the key, too, and lets nobody else have it
+    // the stop also uses this key and stops its propagation
     addEventListener("keydown", ({ code }) => code === "Escape" && box.hidePopover(), { capture: true });
   }
 
-  /** As in every menu: the arrows go round, Home and End to its ends. */
+  /** Arrow keys wrap around; Home and End go to the ends. */
   private move(event: KeyboardEvent): void {
     const items = [...this.box.querySelectorAll("button")];
     const at = items.findIndex((item) => item === document.activeElement);

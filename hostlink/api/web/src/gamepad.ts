@@ -1,23 +1,23 @@
-/** A gamepad drives with its left stick while a shoulder button is held; one that is lost is released. */
+/** A gamepad drives with its left stick while a shoulder button is held. Losing the gamepad releases the stick. */
 
 import { setText } from "./dom";
 import type { Driving } from "./driving";
 
-const POLL_MS = 16; // a browser reads it as often; a short press of the stop must not fall between two looks
+const POLL_MS = 16; // the rate at which browsers read it; a short press of the stop must not be missed
 const SHOULDERS = [4, 5]; // of the standard mapping; one of them must be held
 const STOP_BUTTON = 1; // B, or the circle
 const DEAD_ZONE = 0.12;
 
 export function connectGamepad(note: HTMLElement, driving: Driving, stop: () => void): void {
   if (!("getGamepads" in navigator)) {
-    setText(note, "Gamepad: this browser allows one only over https, or on the computer of hostlink itself.");
+    setText(note, "Gamepad: this browser allows it only over https or on localhost.");
     return;
   }
   let isStopping = false;
   const poll = () => {
     const pads = navigator.getGamepads().filter((each) => each?.connected && each.axes.length >= 2);
-    const isHere = document.hasFocus(); // a browser shows it to every window, and each would drive
-    // some list what is none as the first, and one may lie about: the one whose shoulder is held drives
+    const isHere = document.hasFocus(); // browsers report it to every window, and each would drive
+    // other devices may be listed as gamepads: the one whose shoulder button is held drives
     const pad = pads.find(isEnabledBy) ?? pads[0] ?? null;
     const isEnabled = isHere && isEnabledBy(pad);
     if (pad !== null && isEnabled) {
@@ -39,8 +39,8 @@ function isEnabledBy(pad: Gamepad | null): boolean {
 
 function describe(pad: Gamepad | null, isHere: boolean, isEnabled: boolean): string {
   if (pad === null) return "Gamepad: none found. Press a button on it.";
-  if (!isHere) return "Gamepad: another window has the focus. Its stop works.";
-  return isEnabled ? "Gamepad: drives" : "Gamepad: hold a shoulder button (LB, RB) to drive";
+  if (!isHere) return "Gamepad: another window has the focus. The stop button works.";
+  return isEnabled ? "Gamepad: driving" : "Gamepad: hold a shoulder button (LB, RB) to drive";
 }
 
 function bend(axis: number): number {

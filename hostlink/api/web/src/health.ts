@@ -1,4 +1,4 @@
-/** The link panel: how well the chosen robot and this page are reached. */
+/** The link panel: quality of the connections to the chosen robot and to this page. */
 
 import { ageText, digits, find, make, setText } from "./dom";
 import type { Fleet } from "./fleet";
@@ -9,14 +9,14 @@ type Tile = "rate" | "age" | "lost" | "resyncs" | "page" | "device" | "signal" |
 
 const TILES: Record<Tile, [label: string, hint: string]> = {
   rate: ["Odometry", "poses a second"],
-  age: ["Last heard", "since the device's last byte"],
-  lost: ["Lost", "bytes that made no frame"],
-  resyncs: ["Resyncs", "times that the topics were negotiated again"],
+  age: ["Last byte", "time since the device's last byte"],
+  lost: ["Lost", "bytes that were not part of a frame"],
+  resyncs: ["Resyncs", "renegotiations of the topics"],
   page: ["Page", "round trip from this page to hostlink"],
   device: ["Device", "round trip from hostlink to the device"],
-  signal: ["WiFi", "how strong the device's WiFi is"],
-  battery: ["Battery", "the robot's: volts, and charge where it is measured"],
-  errors: ["Errors", "their numbers: docs/robot.md, what the robot knows of itself"],
+  signal: ["WiFi", "signal strength of the device's WiFi"],
+  battery: ["Battery", "voltage of the robot's battery, and its charge if measured"],
+  errors: ["Errors", "errors that the device reports; docs/robot.md explains the numbers"],
 };
 const OLD_S = 1;
 const SLOW_MS = 200;
@@ -30,15 +30,15 @@ const ERRORS: Record<number, string> = {
   22: "right wheel runs away",
   31: "no command for 0.5 s",
   32: "started by its watchdog",
-  33: "a velocity that is no number",
-  34: "gains or a parameter refused",
+  33: "invalid velocity received",
+  34: "gains or parameter refused",
   41: "bytes lost from the host",
-  42: "frames that were not expected",
-  43: "messages that were not sent",
+  42: "unexpected frames",
+  43: "messages not sent",
   51: "battery low",
 };
 const BATTERY_LOW = 51;
-const MAX_ERRORS = 6; // that are shown
+const MAX_ERRORS = 6; // errors shown
 
 export class Health {
   private readonly values = new Map<Tile, HTMLElement>();
@@ -53,8 +53,8 @@ export class Health {
   }
 
   /**
-   * Without a robot all links are looked at for why there is none. Of one that is silent, and while the daemon is not
-   * heard, counts are old, its age grows, and what changes from moment to moment is not known.
+   * Without a chosen robot all links are searched for the reason. While the robot is silent or the daemon is not heard,
+   * counters are shown as old, the age grows, and changing values are unknown.
    */
   show(fleet: Fleet, roundTripMs: number | null): void {
     const { robot, link, links } = fleet;
@@ -83,7 +83,7 @@ export class Health {
     this.diagnose(robot === undefined ? links : link ? [link] : []);
   }
 
-  /** null: the robot does not publish them. */
+  /** null: the robot does not publish errors. */
   setErrors(numbers: number[] | null): void {
     const texts = numbers?.slice(0, MAX_ERRORS).map((number) => `${number} ${ERRORS[number] ?? "unknown"}`) ?? [];
     if (numbers && numbers.length > MAX_ERRORS) texts.push(`and ${numbers.length - MAX_ERRORS} more`);
@@ -110,7 +110,7 @@ export class Health {
   }
 }
 
-/** Empty: its device measures neither voltage nor charge. */
+/** Battery as a text; empty if the device measures neither voltage nor charge. */
 export function batteryText(robot: RobotView): string {
   const { battery_v: volts, battery_percent: percent } = robot;
   const texts = [volts == null ? "" : `${digits(volts, 1)} V`, percent == null ? "" : `${digits(percent, 0)} %`];

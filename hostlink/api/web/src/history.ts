@@ -1,4 +1,4 @@
-/** What happened before the page was opened, from the daemon's black box: one request for all robots. */
+/** History from before the page was opened, from the daemon's black box: one request for all robots. */
 
 import type { DeviceLog } from "./log";
 import type { RobotMap } from "./map";
@@ -12,7 +12,7 @@ const TIMEOUT_MS = 15_000; // minutes of a fleet, over a slow line
 
 export class History {
   private readonly requested = new Set<string>();
-  private readonly waiting: string[] = []; // requested one after the other: a stop finds the line free
+  private readonly waiting: string[] = []; // requested one after the other, so that a stop is not delayed
   private isFetching = false;
   private hasFleet = false;
   private plotted = "";
@@ -23,10 +23,10 @@ export class History {
     private readonly log: DeviceLog,
   ) {}
 
-  /** Robots are shown. All of the first call are one request; each that connects later has its own. `chosen`: whose plots are shown. */
+  /** Load the history of these robots. All of the first call are one request; later ones have their own. `chosen`: robot with plots. */
   show(robots: RobotView[], chosen: string | undefined): void {
     const names = new Set(robots.map(({ name }) => name));
-    for (const name of this.requested) if (!names.has(name)) this.requested.delete(name); // it is forgotten
+    for (const name of this.requested) if (!names.has(name)) this.requested.delete(name); // forgotten by the daemon
     if (!this.hasFleet && names.size > 0) {
       this.hasFleet = true;
       for (const name of names) this.requested.add(name);
@@ -85,7 +85,7 @@ export class History {
   }
 }
 
-/** Null: an older daemon, or the connection is gone; the page shows what comes. */
+/** Null for an older daemon or without a connection; the page then shows only new data. */
 async function request(name: string): Promise<HistoryView | null> {
   return rest<HistoryView>("GET", ofRobot(name, "history"), undefined, TIMEOUT_MS).catch(() => null);
 }

@@ -1,4 +1,4 @@
-/** One incident, opened over the page: its path, plots and log around it, over one timeline. The stop stays in reach. */
+/** One incident, opened over the page: path, plots and log around it, on one timeline. The stop stays visible. */
 
 import "./style/incident.css";
 import { make } from "./dom";
@@ -15,18 +15,18 @@ import { Timeline } from "./timeline";
 import type { IncidentView } from "./views";
 
 const TIMEOUT_MS = 15_000; // a whole file is read
-const LEAST_S = 5; // that are shown
+const LEAST_S = 5; // shortest time shown
 
-/** As hostlink incidents has them: docs/recording.md#the-black-box */
+/** In the words of `hostlink incidents`: docs/recording.md#the-black-box */
 const CAUSES: Record<string, string> = {
   locked: "Emergency stop",
-  lease: "Its driver fell silent",
+  lease: "Driver fell silent",
   gone: "Link lost while driven",
   diagnosed: "Found by doctor",
   device_error: "Error of the device",
   watchdog: "Stopped by its watchdog",
-  daemon_died: "hostlink ended while it was driven",
-  requested: "Saved by somebody",
+  daemon_died: "hostlink ended while the robot was driven",
+  requested: "Saved on request",
 };
 
 interface OpenedIncident extends IncidentView {
@@ -78,7 +78,7 @@ export class IncidentWindow {
       { class: "zooms" },
       makeButton("+", () => path.zoom(1.5), { "aria-label": "Path: zoom in" }),
       makeButton("−", () => path.zoom(1 / 1.5), { "aria-label": "Path: zoom out" }),
-      makeButton("Fit", () => path.fit(), { "aria-label": "Path: show all of it" }),
+      makeButton("Fit", () => path.fit(), { "aria-label": "Path: fit" }),
     );
     const left = make("div", { class: "side" }, make("div", { class: "where" }, path.canvas, zooms), log.box);
     const right = make(
@@ -92,7 +92,7 @@ export class IncidentWindow {
     const command = make(
       "p",
       { class: "hint" },
-      "On a computer: ",
+      "In a terminal:",
       make("code", {}, `hostlink plot ${incident.file} --map`),
     );
     this.root = make(
@@ -114,7 +114,7 @@ function factsOf({ at, detail, damage }: OpenedIncident): string {
   return [when, detail, ...damage.map((each) => `The file is damaged: ${each}`)].filter(Boolean).join(" · ");
 }
 
-/** From when to when something is known, in seconds from the incident. */
+/** Range of the data, in seconds from the incident. */
 function extent({ poses, commands = [], plot_data, events }: HistoryView): [begin_s: number, end_s: number] {
   const ages = [...poses, ...commands, ...plot_data, ...events].map(({ age_s }) => -age_s);
   const [begin, end] = [Math.min(0, ...ages), Math.max(0, ...ages)];

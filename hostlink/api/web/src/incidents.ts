@@ -1,4 +1,4 @@
-/** The incidents panel: what happened to robots, the newest first; each opens with its path, plots and log. */
+/** The incidents panel: incidents of robots, the newest first. Each opens with its path, plots and log. */
 
 import "./style/recordings.css";
 import { make, setText } from "./dom";
@@ -27,10 +27,14 @@ class Incidents {
   private known = "";
 
   constructor(private readonly page: Page) {
-    const hint = make("p", { class: "hint none" }, "Nothing has happened. Stops, lost links and errors are kept here.");
+    const hint = make(
+      "p",
+      { class: "hint none" },
+      "No incidents. Emergency stops, lost links and errors are saved here.",
+    );
     const save = makeButton("Save now", () => void this.save(), {
       "data-bar": "",
-      title: "Save the last minutes of the chosen robot, and half a minute to come",
+      title: "Save the last minutes of the chosen robot, and the next half minute",
     });
     page.onShow(() => {
       save.disabled = !page.canDrive || page.fleet.robot === undefined;
@@ -38,7 +42,7 @@ class Incidents {
     this.root = make("section", {}, save, this.state, this.list, hint);
   }
 
-  /** How many there are: other numbers are another list. */
+  /** Numbers of incidents: when they change, the list is loaded again. */
   show(counts: IncidentCounts): void {
     const key = JSON.stringify(counts);
     if (key === this.known) return;
@@ -50,7 +54,10 @@ class Incidents {
     try {
       const { incidents, missed } = await rest<{ incidents: IncidentView[]; missed: number }>("GET", PATH);
       this.list.replaceChildren(...incidents.slice(0, MAX_SHOWN).map((each) => this.makeItem(each)));
-      setText(this.state, missed > 0 ? `${missed} could not be saved: the log of hostlink has the reason.` : "");
+      setText(
+        this.state,
+        missed > 0 ? `${missed} incidents could not be saved; see the log of hostlink for the reason.` : "",
+      );
     } catch (error) {
       this.known = "";
       setText(this.state, reasonOf(error));
@@ -64,7 +71,7 @@ class Incidents {
     const time = make("time", { datetime: at }, when.toLocaleString([], { hour12: false }));
     const title = make("span", { class: "what" }, make("b", {}, words), make("i", {}, robot), time);
     const item = make("li", { "data-cause": cause }, title, make("span", { class: "detail" }, detail));
-    if (file === "") item.append(make("em", {}, "being saved, with the half minute after it"));
+    if (file === "") item.append(make("em", {}, "being saved, with the half minute after the incident"));
     else {
       const open = makeButton("Open", () => void this.window.open(incident, open), {
         "aria-label": `Open ${words} of ${robot} at ${when.toLocaleTimeString([], { hour12: false })}`,
@@ -78,7 +85,7 @@ class Incidents {
   private async save(): Promise<void> {
     const robot = this.page.fleet.robot?.name;
     if (robot === undefined) {
-      setText(this.state, "There is no robot.");
+      setText(this.state, "No robot is connected.");
       return;
     }
     try {

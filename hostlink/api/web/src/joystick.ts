@@ -1,4 +1,4 @@
-/** The joystick for fingers and mice: nipplejs draws and follows it; every way of losing it is a release. */
+/** The joystick for fingers and mice, drawn by nipplejs. Every way of losing the pointer releases it. */
 
 import nipplejs from "nipplejs";
 import type { Driving } from "./driving";
@@ -14,7 +14,7 @@ export function connectJoystick(zone: HTMLElement, driving: Driving): void {
     capture: true,
   });
   zone.addEventListener("contextmenu", (event) => {
-    event.preventDefault(); // of a finger that stays, too: a menu would take it away
+    event.preventDefault(); // also for a finger that rests: a menu would end the touch
     event.stopPropagation();
   });
   const joystick = nipplejs.create({
@@ -22,7 +22,7 @@ export function connectJoystick(zone: HTMLElement, driving: Driving): void {
     mode: "static",
     position: { left: "50%", top: "50%" },
     size: SIZE_PX,
-    dynamicPage: true, // its column may have been scrolled, or the panel moved
+    dynamicPage: true, // its column may be scrolled, or the panel moved
     color: { front: "var(--accent)", back: "transparent" },
     restOpacity: 1,
     fadeTime: 0,
@@ -43,7 +43,7 @@ export function connectJoystick(zone: HTMLElement, driving: Driving): void {
     "pointermove",
     (event) => {
       if (!isOther(event) || !zone.classList.contains("held")) return;
-      // it was let go where nobody reported it
+      // it was released where no event was reported
       document.dispatchEvent(new PointerEvent("pointerup", { pointerId: event.pointerId }));
       release();
     },

@@ -1,12 +1,12 @@
-/** Gains kept in this browser under a name. */
+/** Gains that this browser keeps under names. */
 
 import { make, remember, remembered } from "./dom";
 import { makeButton, makeField } from "./widgets";
 
 const KEY = "gains.kept";
-const MAX_KEPT = 50; // of more the oldest goes
+const MAX_KEPT = 50; // above it the oldest is removed
 
-/** By the name of the input: side and gain. */
+/** By input name: side and gain. */
 export type Gains = Record<string, string>;
 
 export class KeptGains {
@@ -14,7 +14,7 @@ export class KeptGains {
   private readonly name = make("input", { type: "text", maxlength: "40", placeholder: "a name" });
   private kept: [name: string, gains: Gains][] = load();
 
-  /** `present`: of the form; `apply`: into it. */
+  /** `present` reads the form; `apply` writes to it. */
   constructor(
     place: HTMLElement,
     private readonly present: () => Gains,
@@ -67,7 +67,7 @@ export class KeptGains {
   }
 }
 
-/** What was kept by another version, or damaged, is none. */
+/** Gains of another version, and damaged ones, are ignored. */
 function load(): [string, Gains][] {
   try {
     const found: unknown = JSON.parse(remembered(KEY, "[]"));

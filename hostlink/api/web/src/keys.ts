@@ -1,4 +1,4 @@
-/** Keys drive while they are held, by their place on the keyboard, and not while somebody types. */
+/** Keys drive while they are held, by their position on the keyboard, and not while the user types. */
 
 import type { Driving } from "./driving";
 
@@ -13,7 +13,7 @@ const WAYS: Record<string, [forward: number, turn: number]> = {
   KeyD: [0, -1],
 };
 
-/** After these nobody reports what is let go: another window, a menu of the browser, what is dragged out of the page. */
+/** Events after which releases are not reported: another window, a browser menu, a drag out of the page. */
 export const LOST = ["blur", "contextmenu", "dragstart"] as const;
 
 const TEXTS = new Set(["text", "password", "number", "search", "email", "url", "tel"]);
@@ -34,17 +34,17 @@ export function connectKeys(driving: Driving, stop: () => void, lock: () => void
     "keydown",
     (event) => {
       const isModified = event.ctrlKey || event.altKey || event.metaKey;
-      if (isModified) lose(); // beside these a release may not be reported
+      if (isModified) lose(); // with modifiers a release may not be reported
       const isLock = event.code === "Escape" || (event.code === "KeyL" && !isModified && !isTyping(event.target));
       if (isLock || (event.code === "Space" && !isTyping(event.target))) {
         event.preventDefault();
-        event.stopPropagation(); // a space stops, also when a button has the focus
+        event.stopPropagation(); // Space stops also when a button has the focus
         if (event.repeat) return;
         if (isLock) lock();
         else stop();
       } else if (event.code in WAYS && !isModified && !isTaken(event)) {
         event.preventDefault();
-        if (event.repeat) return; // one that was released, for example by leaving the window, must be pressed again
+        if (event.repeat) return; // a key that was released, for example by leaving the window, must be pressed again
         held.add(event.code);
         hold();
       }
@@ -52,7 +52,7 @@ export function connectKeys(driving: Driving, stop: () => void, lock: () => void
     { capture: true },
   );
   addEventListener("keyup", (event) => {
-    if (event.code === "Space" && !isTyping(event.target)) event.preventDefault(); // it would press the button
+    if (event.code === "Space" && !isTyping(event.target)) event.preventDefault(); // Space would press the focused button
     if (held.delete(event.code)) hold();
   });
   const lose = () => {
@@ -65,7 +65,7 @@ export function connectKeys(driving: Driving, stop: () => void, lock: () => void
   document.addEventListener("visibilitychange", lose);
 }
 
-/** Whether what has the focus needs the key itself. Letters do nothing to radio buttons and to what scrolls. */
+/** Whether the focused element needs the key. Radio buttons and scrolling elements do not use letters. */
 function isTaken({ target, code }: KeyboardEvent): boolean {
   if (!(target instanceof HTMLElement)) return false;
   if (code.startsWith("Arrow")) return isControl(target) || target.matches("[role=menu] *, [tabindex]:focus-visible");

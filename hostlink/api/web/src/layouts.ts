@@ -1,4 +1,4 @@
-/** Which panels a layout has and where: the default of the table of panels, and what a person moved. No element. */
+/** The panels of each layout and their columns: the defaults, and what the user moved. Without elements. */
 
 export const LAYOUTS = ["Drive", "Tune", "Fleet", "Watch"] as const;
 export type LayoutName = (typeof LAYOUTS)[number];
@@ -6,19 +6,19 @@ export type LayoutName = (typeof LAYOUTS)[number];
 export const COLUMNS = ["left", "middle", "right"] as const;
 export type Column = (typeof COLUMNS)[number];
 
-/** The panels of each column, the topmost first; `away`: a person took them out of this layout. */
+/** Panels of each column, from the top; `away`: removed from this layout by the user. */
 export type Arrangement = Record<Column | "away", string[]>;
 
-/** What the layouts know of a panel. */
+/** A panel as the layouts know it. */
 export interface Place {
   name: string;
-  places: Partial<Record<LayoutName, Column>>; // where it is until somebody moves it
+  places: Partial<Record<LayoutName, Column>>; // default column in each layout
 }
 
 export class Layouts {
   private readonly moved: Partial<Record<LayoutName, Arrangement>>;
 
-  /** `kept` is what `save` was called with the last time. */
+  /** `kept` is the value that `save` last received. */
   constructor(
     private readonly panels: readonly Place[],
     kept: string,
@@ -27,7 +27,7 @@ export class Layouts {
     this.moved = parsed(kept);
   }
 
-  /** As a person left it; a panel that is new since then is where it belongs. */
+  /** The layout as the user left it; panels that are new since then are in their default place. */
   arrangement(layout: LayoutName): Arrangement {
     const known = this.panels.map(({ name }) => name);
     const arrangement: Arrangement = { left: [], middle: [], right: [], away: [] };
@@ -42,7 +42,7 @@ export class Layouts {
     return arrangement;
   }
 
-  /** Into a layout, at the end of a column; or out of it. */
+  /** Move a panel to the end of a column, or out of the layout. */
   put(layout: LayoutName, name: string, column: Column | "away"): void {
     const arrangement = this.arrangement(layout);
     for (const names of Object.values(arrangement)) remove(names, name);
@@ -50,7 +50,7 @@ export class Layouts {
     this.keep(layout, arrangement);
   }
 
-  /** Up (-1) or down (1) within its column. */
+  /** Move a panel up (-1) or down (1) in its column. */
   shift(layout: LayoutName, name: string, by: -1 | 1): void {
     const arrangement = this.arrangement(layout);
     for (const names of Object.values(arrangement)) {
@@ -66,7 +66,7 @@ export class Layouts {
     return COLUMNS.find((column) => arrangement[column].includes(name)) ?? "away";
   }
 
-  /** Everything where it was in the beginning. */
+  /** Restore the default places. */
   reset(layout: LayoutName): void {
     delete this.moved[layout];
     this.save(JSON.stringify(this.moved));
@@ -88,6 +88,6 @@ function parsed(kept: string): Partial<Record<LayoutName, Arrangement>> {
     const value: unknown = JSON.parse(kept);
     return typeof value === "object" && value !== null ? value : {};
   } catch {
-    return {}; // of another version, or by hand
+    return {}; // from another version, or edited by hand
   }
 }

@@ -1,4 +1,4 @@
-/** The log panel: lines of all devices and what happened to robots, by level and words. */
+/** The log panel: log lines of all devices and events of robots, filtered by level and words. */
 
 import { find, make } from "./dom";
 import { LogList } from "./loglist";
@@ -17,7 +17,7 @@ const CHOICES: [level: string, label: string][] = [
 
 export class DeviceLog {
   private readonly lines: LogList;
-  private readonly robots = new Map<string, { connected: boolean; locked: boolean }>(); // as they were
+  private readonly robots = new Map<string, { connected: boolean; locked: boolean }>(); // last known states
 
   constructor(timeline: Timeline) {
     this.lines = new LogList(timeline, "Log");
@@ -27,7 +27,7 @@ export class DeviceLog {
     level.addEventListener("change", filter);
     words.addEventListener("input", filter);
     const controls = make("div", { class: "filters" }, makeField("Level", level), makeField("Filter", words));
-    const hint = make("p", { class: "hint" }, "Nothing yet.");
+    const hint = make("p", { class: "hint" }, "No log lines yet.");
     find("#log").append(controls, this.lines.box, hint);
   }
 
@@ -35,7 +35,7 @@ export class DeviceLog {
     this.lines.add({ time_s: now_s(), level: line.level, robot: line.name, text: line.msg });
   }
 
-  /** What happens to robots is a line too: devices log nothing of it. */
+  /** Log events of robots, which devices do not log themselves. */
   observe(robots: RobotView[]): void {
     for (const { name, connected, locked = false, lock_reason } of robots) {
       const before = this.robots.get(name);
@@ -43,7 +43,8 @@ export class DeviceLog {
       if (before === undefined) continue;
       if (locked && !before.locked) this.note(name, WARNING, `locked: ${lock_reason ?? ""}`);
       if (!locked && before.locked) this.note(name, INFO, "unlocked");
-      if (connected !== before.connected) this.note(name, connected ? INFO : WARNING, connected ? "appeared" : "gone");
+      if (connected !== before.connected)
+        this.note(name, connected ? INFO : WARNING, connected ? "connected" : "link lost");
     }
   }
 

@@ -1,4 +1,4 @@
-/** A list of log lines, the newest last; it shows the levels and words that are wanted, and the instant of the cursor. */
+/** A list of log lines, the newest last, filtered by level and words. It marks the line at the cursor's instant. */
 
 import { make } from "./dom";
 import type { PastLine } from "./past";
@@ -46,7 +46,7 @@ export class LogList {
     if (isAtEnd && this.timeline.isLive) box.scrollTop = box.scrollHeight;
   }
 
-  /** What happened before, the oldest first. */
+  /** Add earlier lines, the oldest first. */
   prepend(lines: PastLine[]): void {
     const room = MAX_LINES - this.items.length;
     const unknown = lines.filter((line) => !this.items.some((item) => isSame(item, line)));
@@ -58,7 +58,7 @@ export class LogList {
     this.box.scrollTop = this.box.scrollHeight;
   }
 
-  /** `level`: the least; `words`: text that a line has, in either case. */
+  /** `level`: lowest level; `words`: text in a line, ignoring case. */
   filter(level: number, words: string): void {
     this.level = level;
     this.words = words.toLowerCase();
@@ -70,7 +70,7 @@ export class LogList {
     return level >= this.level && `${robot} ${text}`.toLowerCase().includes(this.words);
   }
 
-  /** The line that was the newest at the instant of the cursor is marked, and later ones are dimmed. */
+  /** Mark the newest line at the cursor's instant and dim later ones. */
   private showInstant(): void {
     const { cursor_s } = this.timeline;
     const shown = this.items.filter(({ element }) => !element.hidden);
@@ -100,7 +100,7 @@ export class LogList {
   }
 }
 
-/** Whether two are one event: a device's line comes live, and is in its past. */
+/** Whether two lines are one event: a device's line is received live and is part of its history. */
 function isSame(one: PastLine, other: PastLine): boolean {
   return one.text === other.text && Math.abs(one.time_s - other.time_s) < SAME_S;
 }

@@ -1,4 +1,4 @@
-/** Puts the parts of the page together. */
+/** Connects the parts of the page. */
 
 import "./style/controls.css";
 import "./style/frame.css";
@@ -40,11 +40,11 @@ const STATES: Record<State, string> = {
   closed: "no connection",
 };
 
-const SILENT = "hostlink does not answer. Trying again … What this page drove stops by itself.";
-const STARVED = "No events come from hostlink, though it is connected: close other tabs of this page. The stop works.";
+const SILENT = "hostlink does not answer. Trying again … The robot that this page drove stops by itself.";
+const STARVED = "hostlink is connected but sends no events: close other tabs of this page. The stop works.";
 const UNDRIVABLE = "This page cannot drive: it has no WebSocket to hostlink. Trying again … The stop works.";
-const SPAN_S = 20; // that plots show
-const REFRESH_MS = 300; // what changes with time alone: who drove just now, why it was refused
+const SPAN_S = 20; // shown by plots
+const REFRESH_MS = 300; // for texts that change with time alone: recent drivers and refusals
 
 moveTokenFromAddress();
 
@@ -140,7 +140,7 @@ const page: Page = {
 page.onLog((line) => log.add(line));
 page.onRefusal((topic, reason) => tuning.refused(topic, reason));
 
-let isCut = false; // the WebSocket was lost, and is not there again
+let isCut = false; // the WebSocket was lost and has not reconnected
 
 new Frame(page, () => drive.driving.releaseAll());
 connectTheme(() => {
@@ -151,11 +151,13 @@ drive.connectInputs(
   () => stop.stop(),
   () => stop.lock(),
 );
-find("#other-token").addEventListener("click", () => access.show("Another token", "One that may drive.", true));
+find("#other-token").addEventListener("click", () =>
+  access.show("Another token", "Enter a token that may drive.", true),
+);
 fleet.daemonHeardAt_ms = () => events.heardAt;
 connection.start();
 events.start();
-performance.mark("hostlink.ready"); // from here on it reacts
+performance.mark("hostlink.ready"); // the page is interactive from here on
 setInterval(() => {
   drive.show();
   robots.show(events.isHeard);
@@ -175,13 +177,13 @@ function address(): string {
 function changed(state: State): void {
   if (state === "late") drive.driving.releaseAll();
   else if (state !== "open") drive.forget();
-  if (state === "closed") health.setErrors(null); // what came by it is not known any more
+  if (state === "closed") health.setErrors(null); // data of this connection is unknown now
   isCut = state === "open" ? false : state !== "connecting" || isCut;
   showConnection();
   drive.show();
 }
 
-/** The worse of what WebSocket and events show. Between two attempts it is still no connection. */
+/** The worse state of WebSocket and events. Between two attempts there is still no connection. */
 function showConnection(): void {
   const { state, roundTripMs } = connection;
   const isSilent = events.isHeard === false;
@@ -200,12 +202,12 @@ function showConnection(): void {
 
 function refuse(refused: Refused): void {
   if (refused.status === 401) {
-    access.show("A token is needed", token() === null ? "Whoever runs this hostlink has one." : refused.message);
-  } else if (refused.status === 403) access.show("This is not allowed", refused.message);
+    access.show("A token is needed", token() === null ? "Ask the operator of this hostlink for one." : refused.message);
+  } else if (refused.status === 403) access.show("Access refused", refused.message);
   else notice("refused", refused.message, 3000);
 }
 
-/** Everything that comes from the daemon's events. */
+/** Handlers of the daemon's events. */
 function show(): void {
   const { robot, link } = fleet;
   for (const followed of [plotData, errors]) followed.show(robot, link);
@@ -222,7 +224,10 @@ function show(): void {
   plots.showWheels(plotData.topic !== "");
   for (const listener of showListeners) listener();
   showConnection();
-  notice("robot", robot && !robot.connected ? `${robot.name} is not connected: it stands, or will soon.` : null);
+  notice(
+    "robot",
+    robot && !robot.connected ? `${robot.name} is not connected. Without a link it stops by itself.` : null,
+  );
 }
 
 function showPoses(): void {

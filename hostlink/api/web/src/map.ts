@@ -1,4 +1,4 @@
-/** The map: a grid of round metres, the driven paths, the robots, and a scale. */
+/** The map: a grid in metres, the driven paths, the robots, and a scale. */
 
 import { ageText, digits, find } from "./dom";
 import type { Fleet, RobotState } from "./fleet";
@@ -13,14 +13,14 @@ import { now_s, type Timeline } from "./timeline";
 import { boxAround, lengthText, roundUp, Viewport } from "./viewport";
 import type { Pose, RobotView } from "./views";
 
-const GRID_PX = 56; // lines are not nearer than this
-const BODY_M = 0.105; // half the paper's robot
+const GRID_PX = 56; // smallest distance of grid lines
+const BODY_M = 0.105; // half of the paper's robot
 const LEAST_BODY_PX = 9;
 const SCALE_PX = 64;
 const SCALE_TEXT_PX = 18;
 const DESCRIBE_MS = 1000;
 const LABEL_PX = 13;
-const AGE_MS = 200; // how often what is old is drawn again
+const AGE_MS = 200; // interval of redrawing old data
 
 const LABEL_COLOURS: Record<RobotState, string> = {
   unknown: "muted",
@@ -43,7 +43,7 @@ export class RobotMap {
   private readonly paths = new Map<string, Path>();
   private readonly isCalm = matchMedia("(prefers-reduced-motion: reduce)");
   private selected: string | null = null;
-  private buttons: Box = { left: 0, top: 0, right: 0, bottom: 0 }; // that lie over it
+  private buttons: Box = { left: 0, top: 0, right: 0, bottom: 0 }; // buttons over the map
 
   constructor(
     private readonly fleet: Fleet,
@@ -73,7 +73,7 @@ export class RobotMap {
     this.redraw();
   }
 
-  /** Where it drove before this page knew it: in front of what the page has seen since. */
+  /** Path from before the page was opened; it is drawn in front of the later path. */
   prepend(name: string, poses: PastPose[]): void {
     const path = new Path();
     for (const { pose, time_s } of [...poses, ...(this.paths.get(name)?.poses() ?? [])]) path.add(pose, time_s);
@@ -84,11 +84,11 @@ export class RobotMap {
   show(selected: string | null): void {
     this.selected = selected;
     const names = new Set(this.fleet.robots.map(({ name }) => name));
-    for (const name of this.paths.keys()) if (!names.has(name)) this.paths.delete(name); // it is forgotten
+    for (const name of this.paths.keys()) if (!names.has(name)) this.paths.delete(name); // forgotten by the daemon
     this.redraw();
   }
 
-  /** Where the odometry starts anew, the old line means nothing. */
+  /** Clear the path: the odometry has a new origin. */
   forget(name: string): void {
     this.paths.get(name)?.clear();
     this.redraw();
@@ -121,7 +121,7 @@ export class RobotMap {
     canvas.addEventListener(
       "wheel",
       (event) => {
-        if (!event.ctrlKey && document.body.dataset["shape"] === "phone") return; // the page scrolls
+        if (!event.ctrlKey && document.body.dataset["shape"] === "phone") return; // one finger scrolls the page
         event.preventDefault();
         this.view.zoom(1.0015 ** -event.deltaY, event.offsetX, event.offsetY);
         this.redraw();
@@ -171,7 +171,7 @@ export class RobotMap {
     for (const label of labels) this.drawLabel(...label);
   }
 
-  /** Over the lines, with a border of the ground's colour. */
+  /** Text over the lines, outlined in the ground's colour. */
   private drawLabel(text: string, x: number, y: number, variable = "muted"): void {
     const { context: c } = this;
     c.textBaseline = "top";
@@ -191,7 +191,7 @@ export class RobotMap {
     c.stroke();
   }
 
-  /** The chosen one over the others, and its name first: where names would overprint, others give way. */
+  /** The chosen robot is drawn last and named first. Names that would overlap others are left out. */
   private drawRobots(): void {
     const { context: c, view, fleet } = this;
     const radius = Math.max(LEAST_BODY_PX, BODY_M * view.pxPerM);
@@ -221,7 +221,7 @@ export class RobotMap {
     }
   }
 
-  /** Where it is, or was at the instant of the cursor. */
+  /** Pose of a robot now, or at the cursor's instant. */
   private poseOf(robot: RobotView): Pose | null {
     const path = this.paths.get(robot.name);
     const { cursor_s } = this.timeline;
@@ -230,10 +230,10 @@ export class RobotMap {
 
   private describeState(robot: RobotView, state: RobotState): string {
     if (state === "silent" || state === "unknown") return ` · ${ageText(this.fleet.age_s(robot))} old`;
-    return state === "gone" ? " · gone" : "";
+    return state === "gone" ? " · no link" : "";
   }
 
-  /** Where the scale is: a round length, with its text over it. */
+  /** The scale: a round length with its text. */
   private scale(): Box & { length_m: number } {
     const { view } = this;
     const length_m = roundUp(SCALE_PX / view.pxPerM);
@@ -270,7 +270,7 @@ export class RobotMap {
     const where = path?.pose
       ? `${this.selected} at x ${path.pose.x_m.toFixed(2)} m, y ${path.pose.y_m.toFixed(2)} m, ` +
         `driven ${path.length_m.toFixed(1)} m on this page`
-      : "no pose has come yet";
+      : "no pose has arrived yet";
     this.canvas.setAttribute("aria-label", `Map: ${where}`);
   }
 }

@@ -1,10 +1,10 @@
-/** Where the names on the map stand, so that none is printed over another or over a robot. Pure. */
+/** Places of the names on the map, so that none overlaps another name or a robot. Pure. */
 
 export interface Label {
-  x: number; // of what it names
+  x: number; // of the named robot
   y: number;
   radius: number;
-  sizes: Size[]; // of the texts that it may have, the best first
+  sizes: Size[]; // of the possible texts, the best first
 }
 
 interface Size {
@@ -29,7 +29,7 @@ export interface Placed<L extends Label> {
 
 const GAP_PX = 2;
 
-/** The first are placed first, none over `others`. One without a free place near its robot is left out. */
+/** Place the first labels first, none over `others`. A label without a free place near its robot is left out. */
 export function placeLabels<L extends Label>(labels: L[], width: number, height: number, others: Box[]): Placed<L>[] {
   const robots = labels.map(({ x, y, radius }) => ({
     left: x - radius,

@@ -1,4 +1,4 @@
-/** The lines that robots drove, on a canvas of their own: while the view stays, only what is new is drawn. */
+/** The paths of robots, on a canvas of their own: while the view stays, only new parts are drawn. */
 
 import type { Path } from "./path";
 import { robotColour, robotPaint } from "./robot_colours";
@@ -8,9 +8,9 @@ import type { Viewport } from "./viewport";
 const LEAST_PX = 1.2; // a shorter piece is drawn with the next one
 
 interface Drawn {
-  count: number; // points so far
+  count: number; // number of drawn points
   version: number;
-  x: number; // where its line ends
+  x: number; // end of the line
   y: number;
 }
 
@@ -20,7 +20,7 @@ export class PathLayer {
   private readonly drawn = new Map<Path, Drawn>();
   private view = "";
 
-  /** Onto a canvas of the same size; `selected` is drawn thicker than the others. */
+  /** Draw onto a canvas of the same size; the line of `selected` is thicker. */
   draw(target: CanvasRenderingContext2D, view: Viewport, paths: Map<string, Path>, selected: string | null): void {
     const { canvas } = this;
     const { width, height } = target.canvas;
@@ -30,7 +30,7 @@ export class PathLayer {
     if (present !== this.view || isOther) {
       this.view = present;
       this.drawn.clear();
-      [canvas.width, canvas.height] = [width, height]; // which clears it
+      [canvas.width, canvas.height] = [width, height]; // this clears it
       this.context.setTransform(devicePixelRatio, 0, 0, devicePixelRatio, 0, 0);
       this.context.lineJoin = this.context.lineCap = "round";
     }
@@ -38,7 +38,7 @@ export class PathLayer {
     if (width > 0 && height > 0) target.drawImage(canvas, 0, 0, view.width, view.height);
   }
 
-  /** Opaque: where two pieces of a line meet, nothing shows through twice. */
+  /** Opaque, so that overlapping pieces of a line do not show. */
   private drawNew(name: string, path: Path, view: Viewport, isSelected: boolean): void {
     const { context: c } = this;
     const { points, version } = path;

@@ -1,11 +1,11 @@
-/** How one robot is drawn on the map: its body in its colour, its state around it, and what was asked of it. */
+/** Draws one robot on the map: its body in its colour, its state, and its commanded velocity. */
 
 import type { RobotState } from "./fleet";
 import { colour } from "./theme";
 import type { Pose, RobotView, Velocity } from "./views";
 import type { Viewport } from "./viewport";
 
-const GHOST_S = 1; // how far ahead
+const GHOST_S = 1; // time ahead
 const GHOST_STEPS = 16;
 const LEAST_GHOST_PX = 4;
 
@@ -59,7 +59,7 @@ function ring(c: CanvasRenderingContext2D, { radius, state, isSelected }: Drawn)
   c.setLineDash([]);
 }
 
-/** Where the commanded velocity leads within a second, dashed, with the robot's outline there; and the measured one. */
+/** Draw where the commanded velocity leads in one second (dashed, with an outline), and the measured velocity. */
 export function drawGhost(
   c: CanvasRenderingContext2D,
   view: Viewport,

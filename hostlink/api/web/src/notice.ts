@@ -1,15 +1,15 @@
-/** The one line over everything: of all that is wrong now, the worst. */
+/** The notice line: the most severe of all present problems. */
 
 import { find, setText } from "./dom";
 
-/** The worst first. */
+/** The most severe first. */
 const KINDS = ["stop", "connection", "refused", "robot", "done"] as const;
 export type Kind = (typeof KINDS)[number];
 
 const texts = new Map<Kind, string>();
 const timers = new Map<Kind, number>();
 
-/** Null: this is not wrong any more. `for_ms`: it is over by itself. */
+/** Show or (null) remove a notice. `for_ms`: it is removed after this time. */
 export function notice(kind: Kind, text: string | null, for_ms?: number): void {
   clearTimeout(timers.get(kind));
   if (text === null) texts.delete(kind);

@@ -1,4 +1,4 @@
-/** The chosen robot's pose in numbers, and the button that makes the present place the origin. */
+/** The chosen robot's pose in numbers, and the button that resets its odometry. */
 
 import { ageText, confirmed, digits, find, make, setText } from "./dom";
 import type { Fleet } from "./fleet";
@@ -31,7 +31,7 @@ export class Odometry {
     });
   }
 
-  /** `canDrive`: only then it may be reset. */
+  /** `canDrive`: whether the user may reset it. */
   show(canDrive: boolean): void {
     const { robot } = this.fleet;
     const state = robot ? this.fleet.state(robot) : "connected";

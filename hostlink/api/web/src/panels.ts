@@ -1,4 +1,4 @@
-/** The table of panels: each one's name, title, layouts, and how it begins. */
+/** The table of panels: name, title, layouts and start function. */
 
 import { startDrives } from "./drives";
 import { startIncidents } from "./incidents";
@@ -9,13 +9,13 @@ import { startTopics } from "./topics";
 
 export interface Panel extends Place {
   title: string;
-  /** On a phone it belongs to the first screen of the layouts that drive; the others follow below. */
+  /** Whether a phone shows it on the first screen of the driving layouts; the others are below. */
   isFirst?: boolean;
-  /** Makes the panel's element: a section whose id is `name`. Without it index.html has the section. */
+  /** Makes the panel's element, a section whose id is `name`. Without it index.html has the section. */
   start?: (page: Page) => HTMLElement;
 }
 
-/** In the order in which they stand in a column. */
+/** In their order within a column. */
 export const PANELS: readonly Panel[] = [
   {
     name: "robots",
@@ -26,14 +26,14 @@ export const PANELS: readonly Panel[] = [
   { name: "map", title: "Map", isFirst: true, places: { Drive: "middle", Fleet: "right", Watch: "middle" } },
   { name: "drive", title: "Drive", isFirst: true, places: { Drive: "left", Tune: "left" } },
   { name: "link", title: "Link", isFirst: true, places: { Drive: "right", Watch: "left" } },
-  { name: "speeds", title: "Asked and done", places: { Drive: "middle", Watch: "middle" } },
+  { name: "speeds", title: "Commanded and measured", places: { Drive: "middle", Watch: "middle" } },
   { name: "steps", title: "Step", places: { Tune: "middle" } },
   { name: "plots", title: "Wheels", places: { Tune: "middle" } },
   { name: "tuning", title: "PID tuning", places: { Tune: "right" } },
-  { name: "topics", title: "Any topic", places: { Watch: "middle" }, start: startTopics },
+  { name: "topics", title: "Topics", places: { Watch: "middle" }, start: startTopics },
   { name: "recordings", title: "Recordings", places: { Watch: "left" }, start: startRecordings },
   { name: "incidents", title: "Incidents", places: { Watch: "right" }, start: startIncidents },
-  { name: "drives", title: "Who drove", places: { Watch: "right" }, start: startDrives },
+  { name: "drives", title: "Drive history", places: { Watch: "right" }, start: startDrives },
   { name: "log", title: "Log", places: { Drive: "right", Watch: "right" } },
   { name: "clients", title: "Clients", places: { Drive: "right", Fleet: "right", Watch: "right" } },
 ];

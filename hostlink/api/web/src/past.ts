@@ -1,4 +1,4 @@
-/** A robot's past as the daemon has it: its last minutes, or those around an incident. */
+/** A robot's history from the daemon: its last minutes, or those around an incident. */
 
 import type { PlotData } from "./plots";
 import type { Row } from "./series";
@@ -27,7 +27,7 @@ export interface HistoriesView {
   robots: (HistoryView & { name: string })[];
 }
 
-/** A line of the log; level as in rosgraph_msgs/Log. */
+/** A log line; level as in rosgraph_msgs/Log. */
 export interface PastLine {
   time_s: number;
   robot: string;
@@ -35,7 +35,7 @@ export interface PastLine {
   text: string;
 }
 
-/** What was asked and what was measured at the time of each pose: forward in m/s, then turn in rad/s. */
+/** Commanded and measured velocity at the time of each pose: forward in m/s, then turn in rad/s. */
 export function speedRows(past: HistoryView, zero_s: number): Row[] {
   const commands = past.commands ?? [];
   let next = 0;
@@ -54,7 +54,7 @@ export function plotRows(past: HistoryView, zero_s: number): Row[] {
   return past.plot_data.map(({ age_s, msg }) => [zero_s - age_s, ...valuesOf(msg)]);
 }
 
-/** The robot's layout of a Twist: of each wheel set-point, measured speed and PWM. */
+/** The robot's use of a Twist: set-point, measured speed and PWM of each wheel. */
 export function valuesOf({ linear, angular }: PlotData): number[] {
   return [angular.x, linear.x, angular.y, linear.y, linear.z, angular.z];
 }
@@ -75,7 +75,7 @@ function described({ kind, facts }: PastEvent): { level: number; text: string } 
     case "stopped":
       return { level: 2, text: `stopped: ${reason} (${String(facts["owner"] ?? "")})` };
     case "gone":
-      return { level: 4, text: facts["was_moving"] ? "gone while it was driven" : "gone" };
+      return { level: 4, text: facts["was_moving"] ? "link lost while it was driven" : "link lost" };
     case "diagnosed":
       return { level: 4, text: `${String(facts["cause"] ?? "")} ${String(facts["detail"] ?? "")}`.trim() };
     default:

@@ -1,12 +1,12 @@
-/** Where a robot drove and when: a line that breaks where the odometry jumped, as long as the memory given to it. */
+/** The path of a robot over time: a line that breaks where the odometry jumped, with bounded memory. */
 
 import { boxAround } from "./viewport";
 import type { Pose } from "./views";
 
-const MAX_POINTS = 6000; // ten minutes at 10 Hz; then every second one of the older half goes
+const MAX_POINTS = 6000; // ten minutes at 10 Hz; above it every second point of the older half is removed
 const STEP_M = 0.005;
-const FARTHEST_M = 1e6; // as the daemon has it: beyond nothing is drawn
-const JUMP_M = 0.5; // between two poses no small robot goes so far
+const FARTHEST_M = 1e6; // as in the daemon: farther points are not drawn
+const JUMP_M = 0.5; // a small robot does not move this far between two poses
 
 export interface PastPose {
   pose: Pose;
@@ -25,10 +25,10 @@ export class Path {
   pose: Pose | null = null;
   points: Point[] = [];
   length_m = 0;
-  corners: { x: number; y: number }[] = []; // two, opposite, of what is around the points
-  version = 0; // another one: the points are not only more than before
+  corners: { x: number; y: number }[] = []; // opposite corners of the bounding box
+  version = 0; // changes when points were removed or replaced, not only added
 
-  private time_s = 0; // of the pose
+  private time_s = 0; // of the last pose
 
   add(pose: Pose, time_s: number): void {
     if (!isPossible(pose)) return;
@@ -49,7 +49,7 @@ export class Path {
     if (this.points.length > MAX_POINTS) this.thin();
   }
 
-  /** Where it was at that time, as far as it is drawn; null: nobody knows. */
+  /** Pose at that time, as far as it is kept; null: unknown. */
   at(time_s: number): Pose | null {
     if (this.pose && time_s >= this.time_s) return this.pose;
     for (let index = this.points.length - 1; index >= 0; index--) {
@@ -59,7 +59,7 @@ export class Path {
     return null;
   }
 
-  /** What it was made of, as far as it is drawn. */
+  /** The poses of the path, as far as they are kept. */
   poses(): PastPose[] {
     const poses = this.points.map(({ x, y, theta_rad, time_s }) => ({ pose: { x_m: x, y_m: y, theta_rad }, time_s }));
     return this.pose ? [...poses, { pose: this.pose, time_s: this.time_s }] : poses;

@@ -1,4 +1,4 @@
-/** The path of a recording on a canvas: before the incident and after, and where the robot was under the cursor. */
+/** The path of a recording on a canvas: before and after the incident, and the pose at the cursor. */
 
 import { digits, make } from "./dom";
 import { Path, type PastPose, type Point } from "./path";
@@ -19,7 +19,7 @@ export class PathView {
   private readonly view = new Viewport();
   private readonly path = new Path();
 
-  /** The zero of the timeline is the incident. */
+  /** The timeline's zero is the incident. */
   constructor(
     private readonly timeline: Timeline,
     poses: PastPose[],
@@ -27,7 +27,7 @@ export class PathView {
     for (const { pose, time_s } of poses) this.path.add(pose, time_s);
     this.canvas.setAttribute(
       "aria-label",
-      poses.length > 0 ? `Path, ${digits(this.path.length_m, 2)} m driven` : "Path: no pose was kept",
+      poses.length > 0 ? `Path, ${digits(this.path.length_m, 2)} m driven` : "Path: no pose was recorded",
     );
     this.canvas.dataset.points = String(this.path.points.length);
     this.connectPointer();

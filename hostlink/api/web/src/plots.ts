@@ -1,4 +1,4 @@
-/** Live plots of the robot that is shown: what was asked and done, and from plot_data both wheels and their PWM. */
+/** Live plots of the chosen robot: commanded and measured velocity, and wheels and PWM from plot_data. */
 
 import { find, make, setText } from "./dom";
 import type { Fleet, RobotState } from "./fleet";
@@ -10,14 +10,14 @@ import { now_s, type Timeline } from "./timeline";
 const KEEP_S = 300;
 const DRAW_MS = 100;
 const NOTES: Record<RobotState, string> = {
-  unknown: "no news of it",
+  unknown: "no data",
   gone: "not connected",
   silent: "silent",
   locked: "",
   connected: "",
 };
 
-/** The robot's layout of a Twist: measured speeds, set-points, PWM. */
+/** The robot's use of a Twist: measured speeds, set-points, PWM. */
 export interface PlotData {
   linear: { x: number; y: number; z: number };
   angular: { x: number; y: number; z: number };
@@ -40,7 +40,7 @@ export class Plots {
     setInterval(() => timeline.isLive && !document.hidden && this.charts.redraw(), DRAW_MS);
   }
 
-  /** Whether what is plotted goes on. */
+  /** Whether new data arrives. */
   showState(): boolean {
     const { robot } = this.fleet;
     const state = robot ? this.fleet.state(robot) : "gone";
@@ -50,7 +50,7 @@ export class Plots {
     return isFresh;
   }
 
-  /** Something new of the robot that is shown, which may be another one. */
+  /** Add new data of the chosen robot, which may have changed. */
   show(): void {
     const { robot } = this.fleet;
     if (robot && robot.name !== this.robot) {
@@ -83,7 +83,7 @@ export class Plots {
     if (robot === this.robot) this.charts.prepend(past, now_s());
   }
 
-  /** The colours are other ones. */
+  /** Redraw after a change of the colours. */
   recolour(): void {
     this.timeline.changed();
   }

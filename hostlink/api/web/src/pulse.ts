@@ -1,22 +1,22 @@
-/** How long a robot has been silent by this page's own clock, and whether that is longer than it ever is. Pure. */
+/** How long a robot has been silent by this page's clock, and whether that is unusual for it. Pure. */
 
 const LEAST_MS = 330; // three poses of the usual ten a second; with the daemon's tick it is shown within 0.5 s
 const SINCE_MS = 200; // the daemon writes at least every 300 ms
-const USUAL_GAPS = 3; // a radio makes one or two late, not three
-const [KEPT, ENOUGH] = [15, 5]; // gaps; their median stands a few that are long
-const UNKNOWN_MS = 3000; // whatever lives sends something every 2.5 s: docs/protocol.md
+const USUAL_GAPS = 3; // a radio delays one or two messages, not three
+const [KEPT, ENOUGH] = [15, 5]; // gaps; their median is robust against a few long ones
+const UNKNOWN_MS = 3000; // a live device sends something every 2.5 s: docs/protocol.md
 
 export class Pulse {
   private heardAt_ms: number;
   private count = -1;
   private gap_ms: number | null = null;
-  private readonly gaps_ms: number[] = []; // the last ones as they came here
+  private readonly gaps_ms: number[] = []; // the last gaps as observed here
 
   constructor(now_ms: number) {
     this.heardAt_ms = now_ms;
   }
 
-  /** A view of the robot came: how many messages it has sent, how old the last is, how many a second; null: unknown. */
+  /** Add a view of the robot: number of its messages, age of the last, messages a second; null: unknown. */
   note(count: number, age_s: number, rate_hz: number | null, now_ms: number): void {
     if (count === this.count) return;
     const heardAt_ms = now_ms - age_s * 1000;
@@ -37,8 +37,8 @@ export class Pulse {
   }
 
   /**
-   * One of which nothing is known is not. Nor is one since whose last message the daemon has not spoken: then it is the
-   * daemon or the network that is late.
+   * A robot without data is not silent. Nor is one whose last message is newer than the daemon's last event: then the
+   * daemon or the network is late.
    */
   isSilent(now_ms: number, daemonHeardAt_ms: number): boolean {
     if (this.count < 0 || daemonHeardAt_ms < this.heardAt_ms + SINCE_MS) return false;

@@ -1,4 +1,4 @@
-/** The recordings panel: start and stop one, how far it is, and the files to download or remove. */
+/** The recordings panel: start and stop recordings, watch their progress, download and remove files. */
 
 import "./style/recordings.css";
 import { arrange, confirmed, make, setText } from "./dom";
@@ -9,7 +9,7 @@ import type { RecordingNews, RecordingView } from "./views";
 import { bytes, duration, makeButton, makeField } from "./widgets";
 
 const MAX_SHOWN = 100; // files
-const STOP_TIMEOUT_MS = 15_000; // its last chunk is written, and brought to the disk
+const STOP_TIMEOUT_MS = 15_000; // the last chunk is written to the disk
 const PATH = "api/recordings";
 
 interface StoredView {
@@ -58,7 +58,7 @@ class Recordings {
     });
   }
 
-  /** What is being recorded now, and whether the files have changed. */
+  /** Show running recordings, and load the files if they changed. */
   show({ recordings, changes }: RecordingNews): void {
     for (const [name, row] of this.rows) {
       if (recordings.some((each) => each.name === name)) continue;
@@ -72,12 +72,12 @@ class Recordings {
     void this.load();
   }
 
-  /** The daemon is not heard: whether it still records is not known, until it sends what is under way. */
+  /** Note that the daemon is not heard: whether it still records is unknown until it is heard again. */
   private forget(): void {
-    for (const { figures } of this.rows.values()) setText(figures, "no news of it");
+    for (const { figures } of this.rows.values()) setText(figures, "no data");
   }
 
-  /** Everything here changes something, but the downloads. */
+  /** Disable all controls that change something; downloads remain. */
   private showRights(): void {
     for (const button of this.root.querySelectorAll("button")) button.disabled = !this.page.canDrive;
   }

@@ -1,6 +1,6 @@
-/** Drawing at the browser's pace: however often something changes, it is drawn once a frame. */
+/** Drawing at the browser's frame rate, however often data changes. */
 
-/** A function that draws soon; what it is called for until then is one drawing. */
+/** Return a function that schedules one drawing for all calls until the next frame. */
 export function onceAFrame(draw: () => unknown): () => void {
   let isScheduled = false;
   return () => {

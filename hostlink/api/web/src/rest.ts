@@ -1,10 +1,10 @@
-/** The REST API, as docs/api.md describes it. Works when the WebSocket does not. */
+/** The REST API of docs/api.md. It works without the WebSocket. */
 
 import { token } from "./token";
 
 const TIMEOUT_MS = 1500;
 
-/** The daemon answered, and the answer is no. */
+/** An error answer of the daemon. */
 export class Refused extends Error {
   constructor(
     readonly status: number,
@@ -14,11 +14,11 @@ export class Refused extends Error {
   }
 }
 
-/** The answer's JSON; Refused when the daemon says no, any other error when it cannot be reached. */
+/** Return the JSON of the answer. Throws Refused for an error answer, another error without an answer. */
 export async function rest<T>(method: string, path: string, body?: object, timeout_ms = TIMEOUT_MS): Promise<T> {
   const response = await request(method, path, {
     body: body && JSON.stringify(body),
-    keepalive: method !== "GET", // a stop arrives, too, when the page is closed behind it
+    keepalive: method !== "GET", // a stop is sent although the page is closed
     priority: method === "GET" ? "low" : "high",
     signal: AbortSignal.timeout(timeout_ms),
   });
@@ -26,32 +26,32 @@ export async function rest<T>(method: string, path: string, body?: object, timeo
   return (await response.json()) as T;
 }
 
-/** A request with the token of this session. */
+/** Send a request with the token of this session. */
 export function request(method: string, path: string, options: RequestInit): Promise<Response> {
   const secret = token();
   const headers: HeadersInit = secret ? { Authorization: `Bearer ${secret}` } : {};
   return fetch(path, { method, headers, cache: "no-store", ...options });
 }
 
-/** Why a response is a refusal, in the daemon's words if it has any. */
+/** The reason of an error answer, in the daemon's words if it has any. */
 export async function refusalOf(response: Response): Promise<Refused> {
   const answer = (await response.json().catch(() => null)) as { error?: { reason?: string } } | null;
   const reason = answer?.error?.reason ?? `hostlink answers: ${response.statusText.toLowerCase()}`;
   return new Refused(response.status, forPeople(reason));
 }
 
-/** Without the request that a program would have to know. */
+/** Remove the method and path, which only programs need. */
 export function forPeople(reason: string): string {
   return reason.replace(/^[A-Z]+ \/\S*: /, "");
 }
 
-/** What to write beside a request that failed. */
+/** The text to show for a failed request. */
 export function reasonOf(error: unknown): string {
   if (error instanceof Refused) return error.message;
   return "hostlink does not answer. Try again.";
 }
 
-/** The path of something that a robot has. */
+/** The path of a robot's resource. */
 export function ofRobot(name: string, what: string): string {
   return `api/robots/${encodeURIComponent(name)}/${what}`;
 }

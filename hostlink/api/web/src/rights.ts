@@ -1,11 +1,11 @@
-/** What the daemon allows this page: its token's role. */
+/** The rights of this page: the role of its token. */
 
 import { notice } from "./notice";
 
 const SHOWN_MS = 5000;
 
 export class Rights {
-  /** Whether it may drive, unlock and change; an older daemon does not say, and then refuses. */
+  /** Whether it may drive, unlock and change settings. An older daemon does not tell, and refuses later. */
   canDrive = true;
 
   constructor(private readonly onChange: () => void) {}
@@ -14,7 +14,7 @@ export class Rights {
     const canDrive = role !== "read";
     if (canDrive === this.canDrive) return;
     this.canDrive = canDrive;
-    if (!canDrive) notice("done", "This token may only read: you may watch, and stop robots.", SHOWN_MS);
+    if (!canDrive) notice("done", "This token has the role read: you can watch and stop robots.", SHOWN_MS);
     this.onChange();
   }
 }

@@ -1,13 +1,13 @@
-/** A colour for each robot, the same in the list and on the map, for as long as the page is open. */
+/** A colour for each robot, the same in the list and on the map while the page is open. */
 
 import { computedColour } from "./theme";
 
-const HUES = [255, 335, 185, 295, 145, 70, 225, 15, 110]; // far from each other; the first is the accent
-const TURN = 137.508; // of the golden angle: the next is far from all before
+const HUES = [255, 335, 185, 295, 145, 70, 225, 15, 110]; // far apart; the first is the accent colour
+const TURN = 137.508; // golden angle: the next hue is far from all earlier ones
 
 const indices = new Map<string, number>();
 
-/** In the order in which robots are first seen here. */
+/** In the order in which robots are first seen. */
 export function robotColour(name: string): string {
   const index = indices.get(name) ?? indices.size;
   indices.set(name, index);

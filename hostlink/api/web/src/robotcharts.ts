@@ -1,21 +1,21 @@
-/** The charts of one robot over a timeline: what was asked of it and done, and from plot_data its wheels. */
+/** The charts of one robot over a timeline: commanded and measured velocity, and its wheels from plot_data. */
 
 import { Chart, type ChartOptions, type Line } from "./chart";
 import { type HistoryView, plotRows, speedRows } from "./past";
 import { Series } from "./series";
 import type { Timeline } from "./timeline";
 
-const SPEED_GAP_S = 2.5; // of a robot that stands there is one a second
+const SPEED_GAP_S = 2.5; // a stopped robot sends one sample a second
 const PLOT_GAP_S = 1;
 
 interface Kind {
   id: string;
-  from: number; // its first column
+  from: number; // first column
   lines: Line[];
   options: ChartOptions;
 }
 
-const ASKED: Line = { label: "asked", colour: "muted", isDashed: true };
+const ASKED: Line = { label: "commanded", colour: "muted", isDashed: true };
 const SET_POINT: Line = { label: "set-point", colour: "muted", isDashed: true };
 const DONE: Line = { label: "measured", colour: "accent" };
 
@@ -48,14 +48,14 @@ const WHEELS: Kind[] = [
 ];
 
 export class RobotCharts {
-  readonly speeds: Series; // asked and measured: forward, then turn
-  readonly wheels: Series; // as valuesOf has them
+  readonly speeds: Series; // commanded and measured: forward, then turn
+  readonly wheels: Series; // in the columns of valuesOf
   readonly speedFigures: HTMLElement[];
   readonly wheelFigures: HTMLElement[];
 
   private readonly charts: Chart[] = [];
 
-  /** `prefix`: of the figures' ids. */
+  /** `prefix` of the figures' ids. */
   constructor(timeline: Timeline, keep_s: number, prefix = "") {
     this.speeds = new Series(4, keep_s, SPEED_GAP_S);
     this.wheels = new Series(6, keep_s, PLOT_GAP_S);
@@ -70,7 +70,7 @@ export class RobotCharts {
     this.wheelFigures = make(WHEELS, this.wheels);
   }
 
-  /** The past, in front of what is there. */
+  /** Add earlier samples in front. */
   prepend(past: HistoryView, zero_s: number): void {
     this.speeds.prepend(speedRows(past, zero_s));
     this.wheels.prepend(plotRows(past, zero_s));

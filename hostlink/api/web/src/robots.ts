@@ -1,4 +1,4 @@
-/** The robots and what each of them does; one of them is chosen. */
+/** The list of robots and their state; one of them is chosen. */
 
 import { ageText, arrange, digits, find, make, setText } from "./dom";
 import type { Fleet } from "./fleet";
@@ -6,7 +6,7 @@ import { batteryText } from "./health";
 import { robotColour } from "./robot_colours";
 import { type RobotView, speedText } from "./views";
 
-const FILTERED = 8; // with more, a filter is worth its place
+const FILTERED = 8; // with more robots a filter is shown
 
 interface Card {
   label: HTMLLabelElement;
@@ -22,7 +22,7 @@ export class RobotList {
   private readonly filter = find<HTMLInputElement>("#robots-filter");
   private readonly cards = new Map<string, Card>();
   private order = "";
-  private shown = ""; // the chosen one, and how the list lies
+  private shown = ""; // the chosen robot and the order of the list
 
   constructor(
     private readonly fleet: Fleet,
@@ -31,7 +31,7 @@ export class RobotList {
     this.filter.addEventListener("input", () => this.show(true));
   }
 
-  /** `isHeard`: the daemon was; else nobody knows that there is no robot. */
+  /** `isHeard`: whether the daemon is heard; otherwise a missing robot is not reported. */
   show(isHeard: boolean | null): void {
     const { robots, robot: chosen } = this.fleet;
     find("#robots .empty").hidden = robots.length > 0 || !isHeard;
@@ -54,7 +54,7 @@ export class RobotList {
     find("#robots .none").hidden = shown > 0 || robots.length === 0;
   }
 
-  /** Scroll to the chosen one, once: a person may scroll on. */
+  /** Scroll to the chosen robot once, so that the user can scroll on. */
   private reveal(name: string): void {
     const key = `${name} ${document.body.dataset["robots"]} ${this.order}`;
     if (key === this.shown) return;
@@ -68,7 +68,7 @@ export class RobotList {
     card.label.dataset.state = state === "connected" && this.driver(robot) !== null ? "driving" : state;
     card.label.title = robot.host ? `${robot.name}: ${what}` : what;
     setText(card.state, what);
-    const isKnown = state !== "unknown"; // what was true when the daemon was heard last is nothing to drive by
+    const isKnown = state !== "unknown"; // an old state is not enough to drive by
     setText(card.speed, isKnown && robot.connected ? speedText(robot.odometry?.twist) : "");
     setText(card.battery, (isKnown && batteryText(robot)) || "");
     const dbm = (isKnown && robot.signal_dbm) || null;
@@ -76,7 +76,7 @@ export class RobotList {
     setText(card.signal, [rate, dbm === null ? "" : `${digits(dbm, 0)} dBm`].filter(Boolean).join(" "));
   }
 
-  /** In the fleet's order. Robots that are gone for good go from the list too. */
+  /** Update the cards in the fleet's order. Forgotten robots are removed. */
   private arrange(robots: RobotView[]): void {
     const order = robots.map(({ name }) => name).join("\n");
     if (order === this.order) return;
@@ -92,7 +92,7 @@ export class RobotList {
 
   private describe(robot: RobotView): string {
     const host = robot.host ? ` · at ${robot.host}` : "";
-    const others = robot.also_at?.length ? ` · this name is also at ${robot.also_at.join(", ")}` : "";
+    const others = robot.also_at?.length ? ` · same name at ${robot.also_at.join(", ")}` : "";
     return `${this.describeDriver(robot)}${host}${others}`;
   }
 
@@ -104,7 +104,7 @@ export class RobotList {
     if (state === "locked") return "locked";
     if (robot.played) return "a recording";
     const driver = this.driver(robot);
-    return driver === null ? "nobody drives" : `${driver} drive${driver === "you" ? "" : "s"}`;
+    return driver === null ? "no driver" : `${driver} drive${driver === "you" ? "" : "s"}`;
   }
 
   private make(name: string): Card {
@@ -115,14 +115,14 @@ export class RobotList {
     const label = make("label", { class: "robot" }, input, dot, make("b", {}, name), state, speed, battery, signal);
     label.style.setProperty("--robot", robotColour(name));
     input.addEventListener("change", () => this.fleet.choose(name));
-    label.addEventListener("mousedown", dropFocus); // by a pointer: then the arrows drive it, and choose no other
+    label.addEventListener("mousedown", dropFocus); // after a click the arrow keys drive, and do not choose another robot
     const card = { label, input, state, speed, battery, signal };
     this.cards.set(name, card);
     return card;
   }
 }
 
-/** What is pressed works and gets no focus, not even for a moment; what had it loses it. */
+/** A click works without moving the focus; an element that had it loses it. */
 function dropFocus(event: MouseEvent): void {
   event.preventDefault();
   if (document.activeElement instanceof HTMLElement) document.activeElement.blur();

@@ -2,14 +2,14 @@
 
 const MAX_SAMPLES = 12000;
 
-export type Value = number | null; // null: a line breaks here
+export type Value = number | null; // null: the line breaks here
 export type Row = [time_s: number, ...values: Value[]];
 
 export class Series {
   times: number[] = [];
   columns: Value[][];
 
-  /** `gap_s`: a longer silence is not bridged by a line. */
+  /** `gap_s`: a line does not bridge a longer gap. */
   constructor(
     readonly width: number,
     private readonly keep_s = Number.POSITIVE_INFINITY,
@@ -29,7 +29,7 @@ export class Series {
     if (gone > 0) for (const column of [this.times, ...this.columns]) column.splice(0, gone);
   }
 
-  /** What was before, in front of what there is. */
+  /** Add earlier samples in front. */
   prepend(rows: Row[]): void {
     const present = this.rows();
     const begin = this.times[0] ?? Number.POSITIVE_INFINITY;
@@ -43,7 +43,7 @@ export class Series {
     this.columns = this.columns.map(() => []);
   }
 
-  /** The index of the newest sample that is not after this time; null: none is. */
+  /** Index of the newest sample at or before this time; null without one. */
   indexAt(time_s: number): number | null {
     let [low, high] = [0, this.times.length];
     while (low < high) {

@@ -1,4 +1,4 @@
-/** A step of speed: straight ahead at the full speed of the drive panel while a button is held, and its figures. */
+/** A step test: straight ahead at the top speed of the drive panel while a button is held, and its figures. */
 
 import { digits, find, setText } from "./dom";
 import type { Driving } from "./driving";
@@ -7,14 +7,14 @@ import { StepChart } from "./stepchart";
 
 const RISE = [0.1, 0.9] as const;
 const STEADY_S = 0.5; // at the end of a step
-const SETTLED = 0.05; // of the target, to each side
-const LEAST_S = 1.5; // a shorter one has no figures
-const MOST_S = 30; // a longer one ends by itself
-const STANDING = 1.5; // ticks/s
+const SETTLED = 0.05; // fraction of the target, in both directions
+const LEAST_S = 1.5; // a shorter step has no figures
+const MOST_S = 30; // a longer step is ended
+const STANDING = 1.5; // ticks/s of a stopped wheel
 const TICK_MS = 80;
-const LONGEST_PAUSE_MS = 400; // of this page; after a lease, 500 ms, the robot has stopped
-const SILENCE_MS = 1000; // of plot_data: nothing is measured
-const HELD_KEY = "Enter"; // a space stops
+const LONGEST_PAUSE_MS = 400; // of this page; the robot has stopped after a lease of 500 ms
+const SILENCE_MS = 1000; // without plot_data nothing is measured
+const HELD_KEY = "Enter"; // Space stops
 
 export interface Sample {
   seconds: number; // since the button was pressed
@@ -25,8 +25,8 @@ export interface Sample {
 interface Figures {
   rise: number | null; // s; null: not reached
   overshoot: number; // percent
-  settled: number | null; // s
-  steady: number; // mean of what was missing at the end, percent; below zero: too fast
+  settled: number | null; // s; null: not reached
+  steady: number; // mean deviation at the end, percent; negative: too fast
 }
 
 const WHEELS: { row: string; read: (data: PlotData) => [setPoint: number, measured: number] }[] = [
@@ -37,7 +37,7 @@ const WHEELS: { row: string; read: (data: PlotData) => [setPoint: number, measur
 export class Step {
   private readonly button = find<HTMLButtonElement>("#step");
   private readonly state = find("#step-state");
-  private pressedAt: number | null = null; // null: no step is driven
+  private pressedAt: number | null = null; // null: no step is running
   private ranAt = 0;
   private measuredAt = 0;
   private newest: PlotData | null = null;
@@ -53,7 +53,7 @@ export class Step {
     });
     this.button.addEventListener("keyup", (event) => event.key === HELD_KEY && this.release());
     for (const lost of ["pointerleave", "blur"]) this.button.addEventListener(lost, () => this.release());
-    // of the window: a button that is disabled meanwhile gets none
+    // on the window: a button that becomes disabled gets no events
     for (const lost of ["pointerup", "pointercancel", "blur", "pagehide"]) {
       addEventListener(lost, () => this.release());
     }
@@ -69,7 +69,7 @@ export class Step {
     this.release();
   }
 
-  /** Another robot's plot_data follow, or none. */
+  /** Reset: plot_data of another robot follows, or none. */
   forget(): void {
     this.discard("");
     this.newest = null;
@@ -79,7 +79,7 @@ export class Step {
 
   add(data: PlotData): void {
     this.newest = data;
-    this.check(); // a message may come before the timer
+    this.check(); // a message may arrive before the timer
     if (this.pressedAt === null) return;
     this.measuredAt = performance.now();
     const seconds = (performance.now() - this.pressedAt) / 1000;
@@ -88,14 +88,14 @@ export class Step {
       this.samples[index]?.push({ seconds, setPoint, measured });
     });
     this.chart.show(this.samples);
-    if (seconds > MOST_S || !this.driving.holds("step")) this.release(); // or a stop, or a refusal, came between
+    if (seconds > MOST_S || !this.driving.holds("step")) this.release(); // or a stop or a refusal ended it
   }
 
   private press(): void {
     if (this.button.disabled || this.pressedAt !== null) return;
     const { newest } = this;
     if (newest === null || WHEELS.some(({ read }) => read(newest).some((speed) => !isStanding(speed)))) {
-      setText(this.state, "A step begins with a robot that stands.");
+      setText(this.state, "Stop the robot before a step.");
       return;
     }
     this.pressedAt = this.ranAt = this.measuredAt = performance.now();
@@ -105,14 +105,14 @@ export class Step {
     this.driving.hold("step", { forward: 1, turn: 0 });
   }
 
-  /** A step is one motion: what begins again after a pause is another, and blind nothing drives. */
+  /** Discard the step after a pause, or without plot_data: a step is one continuous, observed motion. */
   private check(): void {
     const now = performance.now();
     const pause = now - this.ranAt;
     this.ranAt = now;
     if (this.pressedAt === null) return;
     if (pause > LONGEST_PAUSE_MS) this.discard(`This page did not run for ${digits(pause / 1000, 1)} s: press again.`);
-    else if (now - this.measuredAt > SILENCE_MS) this.discard("plot_data has fallen silent: let go.");
+    else if (now - this.measuredAt > SILENCE_MS) this.discard("plot_data is missing: release the button.");
   }
 
   private discard(reason: string): void {
@@ -130,7 +130,7 @@ export class Step {
   }
 }
 
-/** null: what the device sent is no number. */
+/** null: the device sent an invalid number. */
 function isStanding(speed: number | null): boolean {
   return speed !== null && Math.abs(speed) <= STANDING;
 }
@@ -154,7 +154,7 @@ function seconds(value: number | null): string {
   return value === null ? "never" : `${digits(value, 2)} s`;
 }
 
-/** As `hostlink step` has them: docs/tuning.md. */
+/** As in `hostlink step`: docs/tuning.md. */
 function figuresOf(samples: Sample[]): Figures | null {
   const last = samples.at(-1);
   const moving = samples.filter(({ setPoint }) => setPoint !== 0).at(-1);
@@ -171,14 +171,14 @@ function figuresOf(samples: Sample[]): Figures | null {
   };
 }
 
-/** Over the last samples with the whole target. */
+/** Mean over the last samples with the whole target. */
 function steadyError(samples: Sample[], end_s: number, target: number): number {
   const steady = samples.filter(({ seconds, setPoint }) => seconds > end_s - STEADY_S && setPoint === target);
   const missing = steady.reduce((sum, { measured }) => sum + (target - measured), 0);
   return (100 * missing) / (Math.max(1, steady.length) * target);
 }
 
-/** When a share of the target is reached first, on the line between two samples. */
+/** Time when a fraction of the target is first reached, interpolated between two samples. */
 function crossing(shares: { seconds: number; share: number }[], level: number): number | null {
   const at = shares.findIndex(({ share }) => share >= level);
   const [before, after] = [shares[at - 1], shares[at]];

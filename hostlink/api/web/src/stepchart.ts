@@ -1,4 +1,4 @@
-/** The chart of a step: set-point against both wheels' speeds, with the run before as a ghost. */
+/** The chart of a step: set-point and the speeds of both wheels, with the previous run as a ghost. */
 
 import "./style/steps.css";
 import { Chart, type Line } from "./chart";
@@ -8,7 +8,7 @@ import { type Row, Series } from "./series";
 import type { Sample } from "./step";
 import { Timeline } from "./timeline";
 
-const SPAN_S = 4; // that an empty chart shows
+const SPAN_S = 4; // of an empty chart
 const LINES: Line[] = [
   { label: "left before", colour: "ghost-1" },
   { label: "right before", colour: "ghost-2" },
@@ -31,13 +31,13 @@ export class StepChart {
     this.save.addEventListener("click", () => saveCsv("step.csv", NAMES, tableOf(this.run)));
   }
 
-  /** A new run: the last becomes the ghost, if it had any motion. */
+  /** Start a new run: the last one becomes the ghost, if it had any motion. */
   begin(): void {
     if (this.run.length > 0) this.before = this.run;
     this.run = [];
   }
 
-  /** The run so far: samples of the left wheel, and of the right. */
+  /** The run so far: samples of the left wheel, and of the right one. */
   show(run: Sample[][]): void {
     this.run = run.map((samples) => [...samples]);
     this.draw();

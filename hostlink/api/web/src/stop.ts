@@ -1,4 +1,4 @@
-/** The stop, and the lock, which holds until it is unlocked: over REST, tried until they have arrived. */
+/** The stop, and the lock, which holds until unlock: over REST, repeated until they have arrived. */
 
 import { confirmed, digits, find, setText } from "./dom";
 import type { Driving } from "./driving";
@@ -11,22 +11,22 @@ const AGAIN_MS = 200;
 const GIVE_UP_MS = 15_000;
 const LATE = "The stop has not arrived yet: trying again …";
 const BUSY = 429;
-const FAILED = 500; // and above: the daemon cannot now, for example because another one has not answered
-const MEASURED_MS = 4000; // the daemon measures for 1.5 s at most
+const FAILED = 500; // and above: the daemon failed for now, for example because another daemon has not answered
+const MEASURED_MS = 4000; // the daemon measures for at most 1.5 s
 const DONE_MS = 2500;
 const NOT_DONE_MS = 8000;
-const SHORTEST_M_S = 0.005; // a robot that is slower turns on the spot
-const NAMED = 3; // robots that move, in one line
+const SHORTEST_M_S = 0.005; // a slower robot is reported as turning
+const NAMED = 3; // moving robots named in one line
 
 export class Stop {
   private readonly button = find<HTMLButtonElement>("#stop");
   private readonly unlockAllButton = find<HTMLButtonElement>("#unlock-all");
   private presses = 0;
-  private readonly newest = new Map<string, number>(); // the last press that sent a request, by its path
-  private readonly waiting = new Set<number>(); // presses of which something has not arrived yet
-  private stopped: ReadonlySet<string> = new Set(); // the robots that the page says are stopped
-  private measurements = 0; // only the newest one is shown
-  private unmeasured: ReadonlySet<string> | null = new Set(); // robots that the newest one is about; null: all
+  private readonly newest = new Map<string, number>(); // the last press that sent a request, by path
+  private readonly waiting = new Set<number>(); // presses whose requests have not all arrived
+  private stopped: ReadonlySet<string> = new Set(); // robots that the page reports as stopped
+  private measurements = 0; // only the newest measurement is shown
+  private unmeasured: ReadonlySet<string> | null = new Set(); // robots of the newest measurement; null: all
 
   constructor(
     private readonly fleet: Fleet,
@@ -42,12 +42,12 @@ export class Stop {
     });
   }
 
-  /** The robot that is chosen: zero at once, and no command until it is unlocked. */
+  /** Lock the chosen robot: zero velocity at once, commands are refused until unlock. */
   lock(): void {
     this.interrupt(lockOf);
   }
 
-  /** The robot that is chosen: what drives it must let go first, and may drive again. */
+  /** Stop the chosen robot: its driver must release first, and may drive again. */
   stop(): void {
     this.interrupt(({ name }) => ({ path: ofRobot(name, "stop") }));
   }
@@ -57,10 +57,10 @@ export class Stop {
     this.flash();
     if (robot !== undefined) void this.deliver(robot.name, [requestOf(robot)], new Set([robot.name]));
     else if (!isKnown || missed !== null) this.stopAll();
-    else notice("done", "There is no robot to stop.", 3000);
+    else notice("done", "No robot to stop.", 3000);
   }
 
-  /** A stop for every robot, also of other daemons. */
+  /** Stop every robot, also of other daemons. */
   stopAll(): void {
     this.flash();
     void this.deliver("every robot", [{ path: "api/stop" }], null);
@@ -72,7 +72,7 @@ export class Stop {
     void this.deliver("every robot", this.fleet.robots.map(lockOf), new Set(names));
   }
 
-  /** `canDrive`: only then it may be unlocked. */
+  /** `canDrive`: whether the user may unlock. */
   show(canDrive: boolean): void {
     const { robot, robots, missed } = this.fleet;
     setText(
@@ -83,7 +83,7 @@ export class Stop {
     setText(find("#lock-reason"), robot?.lock_reason ?? "");
     find("#lock-reason").title = robot?.lock_reason ?? "";
     find<HTMLButtonElement>("#unlock").disabled = !canDrive;
-    find("#unlock").title = canDrive ? "" : "This token may only read.";
+    find("#unlock").title = canDrive ? "" : "This token has the role read.";
     const locked = robots.filter((each) => each.locked).length;
     find("#robots-locked").hidden = locked === 0 || robots.length < 2;
     setText(find("#robots-locked span"), locked === 1 ? "1 robot is locked" : `${locked} robots are locked`);
@@ -94,12 +94,12 @@ export class Stop {
   private flash(): void {
     this.driving.releaseAll();
     this.button.classList.remove("pressed");
-    void this.button.offsetWidth; // so that the flash begins anew
+    void this.button.offsetWidth; // restarts the animation
     this.button.classList.add("pressed");
   }
 
   /**
-   * Try each request until it has arrived, or a later press has sent the same one. Then show what was measured of
+   * Repeat each request until it has arrived, or a later press has sent the same one. Then show the measured result of
    * `names`; null: of every robot.
    */
   private async deliver(whom: string, requests: StopRequest[], names: ReadonlySet<string> | null): Promise<void> {
@@ -114,7 +114,7 @@ export class Stop {
       if (missing.length === 0) {
         this.waiting.delete(press);
         if (refusals.length > 0) {
-          this.measurements++; // of an earlier press: it would replace the refusal
+          this.measurements++; // an earlier press must not replace the refusal
           notice("stop", `Not stopped: ${refusals.join("; ")}`, 6000);
         } else {
           if (this.waiting.size === 0) notice("stop", null);
@@ -133,8 +133,8 @@ export class Stop {
   }
 
   /**
-   * Show what the robots do since the stop has arrived, with those of earlier presses that were not measured yet.
-   * Another press that arrives meanwhile measures them again.
+   * Show the measured result since the stop arrived, with robots of earlier presses that were not measured yet.
+   * A later press that arrives meanwhile measures them again.
    */
   private async measure(whom: string, arrived: ReadonlySet<string> | null): Promise<void> {
     const measurement = ++this.measurements;
@@ -154,11 +154,11 @@ export class Stop {
       if (stopped.length === robots.length) this.confirm(new Set(stopped), allStopped(stopped));
       else notice("stop", notAllStopped(robots, stopped.length), NOT_DONE_MS);
     } catch (error) {
-      if (isShown()) notice("stop", `Whether ${whom} stands is not known: ${reasonOf(error)}`, NOT_DONE_MS);
+      if (isShown()) notice("stop", `Whether ${whom} is stopped is unknown: ${reasonOf(error)}`, NOT_DONE_MS);
     }
   }
 
-  /** These robots are stopped, until one of them is driven. */
+  /** Report these robots as stopped until one of them is driven. */
   private confirm(stopped: ReadonlySet<string>, text: string | null = null): void {
     this.stopped = stopped;
     notice("done", text, text === null ? undefined : DONE_MS);
@@ -174,26 +174,26 @@ export class Stop {
     }
   }
 
-  /** Those that were locked when it asked. None of them moves by that; one that fails stays locked, and is named. */
+  /** Unlock the robots that were locked at the first press. They do not move by that. Failures are named. */
   private async unlockAll(locked: string[]): Promise<void> {
     const results = await Promise.allSettled(locked.map((name) => rest("POST", ofRobot(name, "unlock"))));
     const failures = results.flatMap((result, index) =>
       result.status === "rejected" ? [`${locked[index]}: ${reasonOf(result.reason)}`] : [],
     );
     if (failures.length > 0) notice("refused", `Not unlocked: ${failures.join("; ")}`, 6000);
-    else notice("done", `${locked.length} ${locked.length === 1 ? "robot" : "robots"} may be driven again.`, 2500);
+    else notice("done", `${locked.length} ${locked.length === 1 ? "robot" : "robots"} unlocked.`, 2500);
   }
 }
 
-/** As soon as it is pressed: who slides off, scrolls, or has another finger on the stick gives no click. */
+/** Act on pointer down: sliding off, scrolling, or a second finger prevents a click. */
 function onPress(button: HTMLElement, act: () => void): void {
-  let isDone = false; // by the pointer that came down
+  let isDone = false; // by the pointer down
   button.addEventListener("pointerdown", () => {
     isDone = true;
     act();
   });
   button.addEventListener("click", ({ detail }) => {
-    if (detail === 0 || !isDone) act(); // by a key, or by what helps people who have no pointer
+    if (detail === 0 || !isDone) act(); // by a key or an assistive tool
     isDone = false;
   });
 }
@@ -204,12 +204,12 @@ interface StopRequest {
 }
 
 interface Outcome {
-  missing: StopRequest[]; // have not arrived
+  missing: StopRequest[]; // not arrived yet
   refusals: string[];
-  reason: string; // why the last one has not arrived
+  reason: string; // of the last failed attempt
 }
 
-/** Send what is missing once. */
+/** Send the missing requests once. */
 async function attempt(outcome: Outcome): Promise<void> {
   const { missing, refusals } = outcome;
   outcome.missing = [];
@@ -232,7 +232,7 @@ function lockOf(robot: RobotView): StopRequest {
 }
 
 function allStopped(names: string[]): string {
-  if (names.length === 0) return "There is no robot to stop.";
+  if (names.length === 0) return "No robot to stop.";
   return names.length === 1 ? `${names[0]} is stopped.` : `All ${names.length} robots are stopped.`;
 }
 
@@ -240,14 +240,14 @@ function allStopped(names: string[]): string {
 function notAllStopped(robots: StoppedRobotView[], stopped: number): string {
   const others = robots.filter(({ standstill }) => standstill.state !== "stands");
   const sentences = others.slice(0, NAMED).map(describe);
-  if (others.length > NAMED) sentences.push(`${others.length - NAMED} more are not known to be stopped.`);
+  if (others.length > NAMED) sentences.push(`${others.length - NAMED} more are not confirmed as stopped.`);
   if (robots.length > 1) sentences.unshift(`${stopped} of ${robots.length} robots are stopped.`);
   return sentences.join(" ");
 }
 
 function describe({ name, standstill }: StoppedRobotView): string {
   const { state, reason } = standstill;
-  if (state === "unknown") return `Whether ${name} stands is not known: ${reason}.`;
+  if (state === "unknown") return `Whether ${name} is stopped is unknown: ${reason}.`;
   const [speed, turn] = [Math.abs(standstill.speed_m_s ?? 0), Math.abs(standstill.turn_rad_s ?? 0)];
   const motion = speed > SHORTEST_M_S ? `moves at ${digits(speed, 2)} m/s` : `turns at ${digits(turn, 2)} rad/s`;
   return `${name} ${motion}${reason.startsWith("driven by") ? "," : ":"} ${reason}.`;

@@ -1,4 +1,4 @@
-/** Light, dark, or as the system: the switch, and the colours for what is drawn on a canvas. */
+/** The theme: light, dark, or the system's, with the colours for canvases. */
 
 import { find, remember, remembered, setText } from "./dom";
 
@@ -6,16 +6,16 @@ const THEMES = { system: "Auto", light: "Light", dark: "Dark" };
 type Theme = keyof typeof THEMES;
 const ORDER = Object.keys(THEMES) as Theme[];
 
-const probe = document.createElement("span"); // a canvas knows no variables: an element's computed colour does
+const probe = document.createElement("span"); // a canvas cannot use variables, but an element's computed colour can
 
 const colours = new Map<string, string>();
 
-/** The colour of a variable of the style sheet, as it is now. */
+/** The present colour of a variable of the style sheet. */
 export function colour(variable: string): string {
   return computedColour(`var(--${variable})`);
 }
 
-/** What a colour of a style sheet is now, for a canvas. */
+/** The present value of a style sheet's colour, for a canvas. */
 export function computedColour(value: string): string {
   let found = colours.get(value);
   if (found === undefined) {
@@ -26,7 +26,7 @@ export function computedColour(value: string): string {
   return found;
 }
 
-/** `onChange` is called whenever colours are other than before. */
+/** `onChange` is called when the colours changed. */
 export function connectTheme(onChange: () => void): void {
   const change = () => {
     colours.clear();

@@ -6,7 +6,7 @@ import type { Timeline } from "./timeline";
 
 const STEPS = 400; // of the slider
 
-/** `name`: of what it moves, for screen readers. */
+/** `name` of the moved plots, for screen readers. */
 export function makeTimebar(timeline: Timeline, name: string): HTMLElement {
   const pause = makeButton(timeline.isStored ? "All" : "Pause", () => {
     if (timeline.isLive) timeline.pause();
@@ -34,7 +34,7 @@ export function makeTimebar(timeline: Timeline, name: string): HTMLElement {
     if (document.activeElement !== slider || cursor_s === null) slider.valueAsNumber = place;
     slider.setAttribute("aria-valuetext", text || timeline.label(end, 1));
   };
-  if (timeline.isStored) pause.setAttribute("aria-label", `${name}: show all of it`);
+  if (timeline.isStored) pause.setAttribute("aria-label", `${name}: show all`);
   timeline.onChange(show);
   show();
   return make("div", { class: "timebar" }, pause, farther, nearer, slider, instant);

@@ -1,16 +1,16 @@
 /**
- * Which part of time is shown, and the instant under the cursor: the same for all plots, the map and the log.
+ * The shown part of time and the cursor's instant, shared by all plots, the map and the log.
  *
- * It follows now, or stands still (paused); one of a recording always stands still.
+ * It follows the present, or is paused. The timeline of a recording is always paused.
  */
 
 const SPAN_S = { least: 0.5, most: 300 };
 
-const SLEPT_S = 2; // a smaller difference is the drift of clocks
+const SLEPT_S = 2; // a smaller difference is clock drift
 
-let slept_s = 0; // while the computer sleeps, the page's clock may stand
+let slept_s = 0; // the page's clock may stop while the computer sleeps
 
-/** Seconds since 1970 by a clock that never goes back. */
+/** Seconds since 1970 by a monotonic clock. */
 export function now_s(): number {
   const awake_s = (performance.timeOrigin + performance.now()) / 1000;
   const ahead_s = Date.now() / 1000 - awake_s;
@@ -19,12 +19,12 @@ export function now_s(): number {
 }
 
 export class Timeline {
-  cursor_s: number | null = null; // null: the newest counts
+  cursor_s: number | null = null; // null: the newest value
 
-  private end_s: number | null = null; // null: follows now
+  private end_s: number | null = null; // null: follows the present
   private readonly listeners = new Set<() => void>();
 
-  /** `whole`: of a recording, its begin and end. `zero_s`: from where times count; null: the time of day. */
+  /** `whole`: begin and end of a recording. `zero_s`: origin of the times; null: time of day. */
   constructor(
     private span_s: number,
     private readonly whole: [begin_s: number, end_s: number] | null = null,
@@ -46,7 +46,7 @@ export class Timeline {
     return [end - this.span_s, end];
   }
 
-  /** Until the returned function is called. */
+  /** Call the function on each change until the returned function is called. */
   onChange(listener: () => void): () => void {
     this.listeners.add(listener);
     return () => this.listeners.delete(listener);
@@ -56,7 +56,7 @@ export class Timeline {
     if (this.isLive) this.set(now_s(), this.span_s);
   }
 
-  /** Follow now again; of a recording, show all of it. */
+  /** Follow the present; of a recording, show all. */
   resume(): void {
     this.cursor_s = null;
     if (this.whole) this.set(this.whole[1], this.whole[1] - this.whole[0]);
@@ -67,7 +67,7 @@ export class Timeline {
     this.set(end_s, end_s - begin_s);
   }
 
-  /** A factor over one shows less. What is under the cursor stays where it is. */
+  /** Zoom by a factor (above one shows less time). The instant at the cursor stays in place. */
   zoom(factor: number): void {
     const [begin, end] = this.range;
     const most = this.whole ? this.whole[1] - this.whole[0] : SPAN_S.most;
@@ -77,14 +77,14 @@ export class Timeline {
     this.set(this.isLive ? null : centre + share * span, span);
   }
 
-  /** Point at an instant; null: at none. */
+  /** Set the cursor to an instant; null removes it. */
   point(time_s: number | null): void {
     if (time_s === this.cursor_s) return;
     this.cursor_s = time_s;
     this.changed();
   }
 
-  /** Where marks of an axis of so many pixels are: at round numbers, not nearer than what is written there. */
+  /** Positions of the marks of an axis: round numbers, at least as far apart as their texts are wide. */
   marks(begin_s: number, end_s: number, width: number): number[] {
     const least = ((end_s - begin_s) * (this.isClock ? 76 : 52)) / Math.max(1, width);
     const step = [0.1, 0.2, 0.5, 1, 2, 5, 10, 15, 30, 60, 120].find((each) => each >= least) ?? 300;
@@ -96,7 +96,7 @@ export class Timeline {
     return marks;
   }
 
-  /** A mark in words: seconds from now or from the beginning, or the time of day. */
+  /** Text of a mark: seconds relative to now or to the beginning, or the time of day. */
   label(time_s: number, places = 0): string {
     if (this.isClock) return clock(time_s, places);
     const seconds = time_s - (this.zero_s ?? this.range[1]);
@@ -107,7 +107,7 @@ export class Timeline {
     return `${seconds < 0 ? "−" : this.zero_s === null ? "" : "+"}${text} s`;
   }
 
-  /** Something else than time is other: what is drawn is drawn again. */
+  /** Redraw after a change that is not of time. */
   changed(): void {
     for (const listener of this.listeners) listener();
   }

@@ -1,10 +1,10 @@
-/** The token of this session: it comes in the page's address once, and leaves it at once. */
+/** The token of this session. The page's address has it once, and it is removed from there at once. */
 
 const KEY = "hostlink.token";
 
 let known = kept();
 
-/** Move a token from the address bar into the session's store; call it before any request. */
+/** Move a token from the address bar into the session's storage; call this before any request. */
 export function moveTokenFromAddress(): void {
   const address = new URL(location.href);
   const token = address.searchParams.get("token");
@@ -20,11 +20,11 @@ export function keepToken(token: string): void {
     if (token) sessionStorage.setItem(KEY, token);
     else sessionStorage.removeItem(KEY);
   } catch {
-    return; // a browser may forbid to keep anything: then it holds until the page is left
+    return; // a browser may forbid storage: then the token holds until the page is closed
   }
 }
 
-/** Null: none was given. */
+/** Null without a token. */
 export function token(): string | null {
   return known;
 }

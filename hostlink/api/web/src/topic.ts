@@ -1,4 +1,4 @@
-/** One topic, opened: its values as a tree, chosen numbers as a plot, and a form that publishes. */
+/** An opened topic: its values as a tree, a plot of chosen numbers, and a form that publishes. */
 
 import { Chart } from "./chart";
 import { ageText, make, setText } from "./dom";
@@ -35,7 +35,7 @@ export class OpenedTopic {
   private chart: Chart | null = null;
   private newest: unknown = null;
   private count = 0;
-  private receivedAt = 0; // the newest, by the page's clock
+  private receivedAt = 0; // of the newest message, by the page's clock
   private form: MessageForm | null = null;
   private readonly publishButton = make("button", { type: "submit", class: "main" }, "Publish");
   private readonly publishState = make("p", { class: "hint", role: "status" });
@@ -49,7 +49,7 @@ export class OpenedTopic {
     const save = makeButton("CSV", () => this.save(), { "aria-label": "Save the plotted values as CSV" });
     this.plotTools = make("div", { class: "plottools" }, timebar, save);
     this.plotTools.hidden = true;
-    const hint = make("p", { class: "hint" }, "Mark numbers to plot them over one another.");
+    const hint = make("p", { class: "hint" }, "Select numbers to plot them in one chart.");
     const form = make("details", {}, make("summary", {}, "Publish"));
     form.addEventListener("toggle", () => form.open && this.form === null && void this.makeForm(form));
     const element = make(
@@ -74,7 +74,7 @@ export class OpenedTopic {
     this.root.remove();
   }
 
-  /** What it published was refused. */
+  /** Show that its message was refused. */
   refused(reason: string): void {
     setText(this.publishState, reason);
   }
@@ -97,14 +97,14 @@ export class OpenedTopic {
       const isCut = this.page.connection.state !== "open";
       this.tree.element.classList.toggle("stale", isCut);
       const old = isCut ? `; no connection, the newest is ${ageText(age_s)} old` : "";
-      setText(this.state, `${this.count.toLocaleString("en")} messages since it was opened${old}`);
+      setText(this.state, `${this.count.toLocaleString("en")} messages since opening${old}`);
     }
   }
 
-  /** False: there is no room for another line. */
+  /** Return false if there is no room for another line. */
   private choose(path: string, keys: Keys, isOn: boolean): boolean {
     if (isOn && this.fields.length >= MAX_LINES) {
-      setText(this.state, `${MAX_LINES} fields are plotted at most.`);
+      setText(this.state, `At most ${MAX_LINES} fields are plotted.`);
       return false;
     }
     const before = this.fields;
@@ -139,7 +139,7 @@ export class OpenedTopic {
       });
       this.form = new MessageForm(typedefs);
     } catch (error) {
-      setText(state, `The fields of ${this.type} are not known: ${error instanceof Error ? error.message : ""}`);
+      setText(state, `The fields of ${this.type} are unknown: ${error instanceof Error ? error.message : ""}`);
       details.append(state);
       return;
     }

@@ -1,4 +1,4 @@
-/** Every topic with its type and rate; one of them is opened. Requested once a second, while it is in view. */
+/** Every topic with its type and rate; one of them can be opened. Requested once a second while visible. */
 
 import "./style/topics.css";
 import { arrange, digits, make, setText } from "./dom";
@@ -10,7 +10,7 @@ import { makeButton } from "./widgets";
 
 const POLL_MS = 1000;
 const MAX_SHOWN = 200;
-const RATE_S = 4; // over which a rate is counted
+const RATE_S = 4; // window of the rate
 
 interface TopicView {
   name: string;
@@ -67,7 +67,7 @@ class Topics {
       this.count();
       this.show();
     } catch (error) {
-      this.counts.clear(); // how often they come now is not known
+      this.counts.clear(); // the rate is unknown now
       this.show();
       setText(this.state, reasonOf(error));
     }
@@ -91,7 +91,7 @@ class Topics {
     for (const name of this.rows.keys()) if (!names.has(name)) this.rows.delete(name);
     const rows = shown.map((topic) => {
       const row = this.rows.get(topic.name) ?? this.makeRow(topic.name);
-      setText(row.type, topic.type || "no type yet");
+      setText(row.type, topic.type || "unknown type");
       setText(row.rate, this.rate(topic));
       return row.root;
     });

@@ -1,11 +1,11 @@
-/** A message as a tree of its fields, updated in place; its numbers can be chosen for a plot. */
+/** A message as a tree of its fields, updated in place. Its numbers can be selected for a plot. */
 
 import { digits, make, setText } from "./dom";
 
 const MAX_ROWS = 300;
 const MAX_ITEMS = 12; // of an array; of a longer one the first are shown
 const MAX_TEXT = 200;
-const MAX_DEPTH = 8; // that is indented
+const MAX_DEPTH = 8; // of the indentation
 
 export type Keys = (string | number)[];
 
@@ -28,7 +28,7 @@ export class ValueTree {
   private shape = "";
   private drawn: Drawn[] = [];
 
-  /** `onChoose`: a number is to be plotted, or not any more; false: there is no room for it. */
+  /** `onChoose`: a number was selected or deselected; it returns false without room. */
   constructor(private readonly onChoose: (path: string, keys: Keys, isOn: boolean) => boolean) {}
 
   show(message: unknown): void {
@@ -64,7 +64,7 @@ export class ValueTree {
   }
 }
 
-/** The number at that place; null: there is none. */
+/** The number at that path; null without one. */
 export function numberAt(message: unknown, keys: Keys): number | null {
   let found: unknown = message;
   for (const key of keys) {
@@ -94,7 +94,7 @@ function collect(value: unknown, keys: Keys, path: string, depth: number, rows: 
   }
 }
 
-/** A covariance of 1e-9 is not zero. */
+/** A covariance of 1e-9 is not shown as zero. */
 function numberText(value: number): string {
   if (Number.isInteger(value)) return digits(value, 0);
   const isUsual = Math.abs(value) >= 1e-3 && Math.abs(value) < 1e9;

@@ -1,4 +1,4 @@
-/** PID gains of both wheels, sent to the robot's tuning topics. The robot does not publish the ones that it has. */
+/** PID gains of both wheels, sent to the robot's tuning topics. The robot does not publish its present gains. */
 
 import type { Connection } from "./connection";
 import { find, make, remember, remembered, setText } from "./dom";
@@ -63,10 +63,10 @@ export class Tuning {
       }
       setText(this.state, "");
     }
-    if (robot?.connected && this.fleet.link && !isTunable) setText(this.state, "This robot takes no gains.");
+    if (robot?.connected && this.fleet.link && !isTunable) setText(this.state, "This robot has no tuning topics.");
   }
 
-  /** What was published on a topic was refused. */
+  /** Show that its message was refused. */
   refused(topic: string, reason: string): void {
     if (SIDES.some((side) => topic === this.topic(side))) setText(this.state, reason);
   }

@@ -1,12 +1,12 @@
-/** Which part of the floor a canvas shows: metres to pixels and back, fitting, zooming, panning. */
+/** The part of the floor that a canvas shows: conversion of metres and pixels, fitting, zooming, panning. */
 
 const MARGIN = 1.1;
 const BODY_PX = 30; // a robot at the edge, with its ring
-const INSETS_PX = { top: 44, bottom: 34 }; // for the buttons and the scale, where there is room
-const LOW_PX = 200; // a map that is lower has none
+const INSETS_PX = { top: 44, bottom: 34 }; // for the buttons and the scale, if there is room
+const LOW_PX = 200; // a lower map has no insets
 const LEAST_SPAN_M = 1.6;
 const PX_PER_M = { min: 1e-4, max: 2000 };
-const EASE = 0.2; // of the way, a picture
+const EASE = 0.2; // fraction of the way, in each frame
 
 interface Box {
   left: number;
@@ -16,7 +16,7 @@ interface Box {
 }
 
 export class Viewport {
-  x_m = 0; // in the middle
+  x_m = 0; // at the centre
   y_m = 0;
   pxPerM = 100;
   isFitting = true;
@@ -31,7 +31,7 @@ export class Viewport {
     return [this.x_m + (x - this.width / 2) / this.pxPerM, this.y_m - (y - this.height / 2) / this.pxPerM];
   }
 
-  /** Move towards showing all of the box; true while there is way to go. */
+  /** Move towards showing the whole box; return true while moving. */
   fit(box: Box, isAtOnce: boolean): boolean {
     const spanX = Math.max(LEAST_SPAN_M, (box.right - box.left) * MARGIN);
     const spanY = Math.max(LEAST_SPAN_M, (box.top - box.bottom) * MARGIN);
@@ -44,7 +44,7 @@ export class Viewport {
       pxPerM,
     };
     const offPx = Math.hypot(wanted.x_m - this.x_m, wanted.y_m - this.y_m) * this.pxPerM;
-    if (offPx <= 0.5 && Math.abs(wanted.pxPerM / this.pxPerM - 1) <= 0.002) return false; // what is drawn stays good
+    if (offPx <= 0.5 && Math.abs(wanted.pxPerM / this.pxPerM - 1) <= 0.002) return false; // small differences are not redrawn
     const ease = isAtOnce ? 1 : EASE;
     this.x_m += (wanted.x_m - this.x_m) * ease;
     this.y_m += (wanted.y_m - this.y_m) * ease;
@@ -52,7 +52,7 @@ export class Viewport {
     return !isAtOnce;
   }
 
-  /** Zoom around a point of the canvas, which stays where it is. */
+  /** Zoom around a point of the canvas, which stays in place. */
   zoom(factor: number, x = this.width / 2, y = this.height / 2): void {
     const [x_m, y_m] = this.toM(x, y);
     this.isFitting = false;
@@ -69,7 +69,7 @@ export class Viewport {
   }
 }
 
-/** The box around points. */
+/** The bounding box of points. */
 export function boxAround(points: Iterable<{ x: number; y: number }>): Box {
   const box = { left: Number.POSITIVE_INFINITY, right: -Infinity, bottom: Number.POSITIVE_INFINITY, top: -Infinity };
   for (const { x, y } of points) {
@@ -81,13 +81,13 @@ export function boxAround(points: Iterable<{ x: number; y: number }>): Box {
   return Number.isFinite(box.left) ? box : { left: 0, right: 0, bottom: 0, top: 0 };
 }
 
-/** The nearest of 1, 2, 5, 10, ... that is not below. */
+/** The smallest of 1, 2, 5, 10, ... that is not below. */
 export function roundUp(value: number): number {
   const power = 10 ** Math.floor(Math.log10(value));
   return ([1, 2, 5].find((step) => step * power >= value * 0.999) ?? 10) * power;
 }
 
-/** A round length in words. */
+/** A round length as a text. */
 export function lengthText(length_m: number): string {
   if (length_m < 1) return `${Math.round(length_m * 100)} cm`;
   return length_m < 1000 ? `${length_m} m` : `${length_m / 1000} km`;

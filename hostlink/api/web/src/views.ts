@@ -1,4 +1,4 @@
-/** What the daemon sends: the JSON of its REST API; what an older daemon does not have is optional. */
+/** The JSON of the daemon's REST API. Fields that an older daemon lacks are optional. */
 
 import { digits } from "./dom";
 
@@ -14,7 +14,7 @@ export interface Velocity {
   angular_rad_s: number;
 }
 
-/** Forward, and to the left where that is not 0. */
+/** Forward, and to the left if that is not 0. */
 export function speedText(velocity: Velocity | undefined): string {
   const left = digits(velocity?.linear_y_m_s ?? 0, 2);
   const isStraight = left === digits(0, 2);
@@ -23,14 +23,14 @@ export function speedText(velocity: Velocity | undefined): string {
 
 export interface RobotView {
   name: string;
-  host?: string | null; // the daemon that has its link; null: the one that sent this
-  also_at?: string[]; // other daemons that have a robot of this name
+  host?: string | null; // daemon that has its link; null: the daemon that sent this
+  also_at?: string[]; // other daemons with a robot of this name
   connected: boolean;
   link: number | null;
-  frames?: number | null; // that its device has sent on this link
+  frames?: number | null; // number of frames that its device has sent on this link
   velocity_topic: string;
   odometry_topic: string;
-  played?: boolean; // its device is a recording, which obeys nobody
+  played?: boolean; // its device is a recording, which cannot be driven
   holder: string | null;
   holder_address?: string | null;
   priority?: number | null;
@@ -41,11 +41,11 @@ export interface RobotView {
   unreachable?: string | null; // why its device could not receive the last velocity
   battery_v?: number | null;
   battery_percent?: number | null;
-  signal_dbm?: number | null; // of its device's WiFi
-  firmware?: string | null; // name and version, as its device logs them
+  signal_dbm?: number | null; // WiFi signal of its device
+  firmware?: string | null; // name and version in its device's log
 }
 
-/** A robot after a stop, and what its odometry has said since. */
+/** A robot after a stop, and its motion since, by odometry. */
 export interface StoppedRobotView extends RobotView {
   standstill: {
     state: "stands" | "moves" | "unknown";
@@ -90,7 +90,7 @@ export interface ClientView {
   dropped: number;
 }
 
-/** A recording that is under way. */
+/** A running recording. */
 export interface RecordingView {
   name: string;
   owner: string;
@@ -107,7 +107,7 @@ export interface IncidentView {
   cause: string;
   detail: string;
   at: string;
-  file: string; // empty: the half minute after it lasts
+  file: string; // empty until the half minute after it has passed
   bytes: number;
 }
 
@@ -141,10 +141,10 @@ export interface DriveView {
   seconds: number;
   fastest_m_s: number;
   fastest_rad_s: number;
-  end: string; // empty: it lasts
+  end: string; // empty while it lasts
 }
 
-/** As `client 3 (phone, 10.0.0.5)`: who it is, and from where; a name that has the address already stays as it is. */
+/** A driver with its address, as `client 3 (phone, 10.0.0.5)`. A name that has the address stays unchanged. */
 export function named(owner: string, address: string | null | undefined): string {
   if (!address || owner.includes(address)) return owner;
   return owner.endsWith(")") ? `${owner.slice(0, -1)}, ${address})` : `${owner} (${address})`;

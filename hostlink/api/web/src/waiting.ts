@@ -1,10 +1,10 @@
-/** What is shown while there is no robot: where one connects, and how to run a simulated one. */
+/** Shown without robots: the addresses that devices connect to, and the command for a simulated robot. */
 
 import { find, make } from "./dom";
 import type { Fleet } from "./fleet";
 import { rest } from "./rest";
 
-const LOOPBACK = /^(localhost|127\..*|\[::1\])$/; // a name of this computer that no other one knows it by
+const LOOPBACK = /^(localhost|127\..*|\[::1\])$/; // names of this computer that other computers cannot use
 
 interface Address {
   host: string;
@@ -21,11 +21,11 @@ interface Listening {
 
 export class Waiting {
   private readonly where = find("#robots .ways");
-  private isLoaded = false; // since the daemon was heard
+  private isLoaded = false; // since the daemon was last heard
 
   constructor(private readonly fleet: Fleet) {}
 
-  /** Ask the daemon once whenever it is there again: it may have been started with other ports. */
+  /** Request the addresses after each reconnect: the daemon may have been restarted with other ports. */
   show(): void {
     const { isHeard, isKnown, robots } = this.fleet;
     if (!isHeard) this.isLoaded = false;
@@ -34,7 +34,7 @@ export class Waiting {
     void this.load();
   }
 
-  /** Without an answer nothing is claimed: an older daemon does not say where it listens. */
+  /** Show nothing without an answer: an older daemon does not tell its addresses. */
   private async load(): Promise<void> {
     try {
       const listening = await rest<Listening>("GET", "api/listening");
@@ -51,17 +51,17 @@ function ways({ tcp, udp, serial }: Listening): HTMLElement[] {
   if (udp) items.push(["datagrams over UDP: ", code(udp)]);
   for (const { port, bauds } of serial)
     items.push(["on ", make("code", {}, port), ` at ${bauds.join(", ")} baud: plug it in`]);
-  if (items.length === 0) return [make("p", {}, "This hostlink listens for no device: see its settings.")];
+  if (items.length === 0) return [make("p", {}, "This hostlink has no port for devices: check its settings.")];
   return [make("p", {}, "A device connects here:"), make("ul", {}, ...items.map((item) => make("li", {}, ...item)))];
 }
 
 function simulation({ simulate }: Listening): HTMLElement[] {
   if (simulate === null) return [];
   const words = simulate.split(" ").flatMap((word) => [" ", make("span", { class: "word" }, word)]);
-  return [make("p", {}, "Without one at hand, run this on hostlink's computer: ", make("code", {}, ...words))];
+  return [make("p", {}, "For a simulated robot, run this on hostlink's computer:", make("code", {}, ...words))];
 }
 
-/** As a device has to be told: of all addresses of the computer, the one that this page is from, if others know it. */
+/** The address for a device. For all addresses of the computer it is the one that this page uses, unless that is local. */
 function code({ host, port }: Address): HTMLElement {
   const isAny = host === "0.0.0.0" || host === "::";
   if (isAny && LOOPBACK.test(location.hostname))

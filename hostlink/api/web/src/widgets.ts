@@ -1,4 +1,4 @@
-/** Small parts of panels: buttons, fields, and quantities in words. */
+/** Small parts of panels: buttons, fields, and quantities as texts. */
 
 import { make } from "./dom";
 
@@ -12,12 +12,12 @@ export function makeButton(
   return button;
 }
 
-/** A label with its control in it. */
+/** A label that contains its control. */
 export function makeField(label: string, control: HTMLElement): HTMLLabelElement {
   return make("label", { class: "field" }, make("span", {}, label), control);
 }
 
-/** A number of bytes for people. */
+/** A number of bytes as a text. */
 export function bytes(count: number): string {
   if (count < 1e3) return `${count} B`;
   if (count < 1e6) return `${(count / 1e3).toFixed(0)} kB`;

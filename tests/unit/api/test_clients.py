@@ -1,11 +1,11 @@
-"""Inbox: the order of what a client has sent, and which velocities are skipped for newer ones."""
+"""OperationQueue: the order of a client's operations, its bounds, and which velocities newer ones replace."""
 
 from dataclasses import dataclass, field
 
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hostlink.api.inbox import MANY, MAX_BYTES, MAX_MESSAGES, Inbox, Operation
+from hostlink.api.clients import MANY, MAX_BYTES, MAX_MESSAGES, Operation, OperationQueue
 from tests.support.virtual_loop import run_virtual
 
 
@@ -16,6 +16,10 @@ class Program:
     done: list[str] = field(default_factory=list)
     replaced: list[str] = field(default_factory=list)
     came_s: dict[str, float] = field(default_factory=dict)
+    calls: int = 0
+
+    def flush(self, now_s: float) -> float | None: ...
+    def close(self) -> None: ...
 
     def read(self, data: str | bytes, came_s: float) -> Operation[str]:
         word = str(data)
@@ -28,42 +32,42 @@ class Program:
         self.came_s[operation.content] = operation.came_s
 
 
-def inbox(program: Program) -> Inbox[str]:
-    return Inbox(program, lambda: None)
+def operations(program: Program, messages_s: float = 1000.0) -> OperationQueue[str]:
+    return OperationQueue(program, lambda: None, messages_s)
 
 
 def outcome(*words: str) -> Program:
-    """What becomes of words that come at once."""
+    """Return the executed words of words that arrive at once."""
 
     async def run() -> Program:
         program = Program()
-        box = inbox(program)
+        box = operations(program)
         for word in words:
-            box.put(word, 0.0)
-        while len(box):
+            box.put(word, 0.0, 0.0)
+        while box.waiting:
             box.work()
         return program
 
     return run_virtual(run())
 
 
-def test_of_velocities_for_one_robot_the_newest_alone_is_done() -> None:
+def test_velocities_of_one_robot_only_the_newest_is_executed() -> None:
     program = outcome("a=1", "a=2", "b=1", "a=3")
     assert program.done == ["b=1", "a=3"]
     assert program.replaced == ["a=1", "a=2"]
 
 
-def test_a_zero_is_never_skipped_and_skips_what_it_ends() -> None:
+def test_zero_is_never_replaced_and_replaces_velocities() -> None:
     assert outcome("a=1", "a=0", "a=2", "a=0", "a=0").done == ["a=0", "a=0", "a=0"]
     assert outcome("a=0", "a=1").done == ["a=0", "a=1"]
 
 
-def test_a_velocity_overtakes_nothing() -> None:
+def test_velocity_overtakes_no_operation() -> None:
     assert outcome("a=1", "stop", "a=2", "lock").done == ["stop", "a=2", "lock"]
 
 
 @given(st.lists(st.sampled_from(["a=0", "a=1", "a=2", "b=0", "b=7", "stop", "call"]), max_size=20))
-def test_whatever_comes_only_velocities_before_a_newer_one_of_their_robot_are_skipped(words: list[str]) -> None:
+def test_only_velocities_before_a_newer_one_of_their_robot_are_replaced(words: list[str]) -> None:
     program = outcome(*words)
     kept = [
         word
@@ -74,39 +78,36 @@ def test_whatever_comes_only_velocities_before_a_newer_one_of_their_robot_are_sk
     assert len(program.done) + len(program.replaced) == len(words)
 
 
-def test_a_velocity_that_waits_is_replaced_while_others_are_worked_on() -> None:
+def test_waiting_velocity_is_replaced_while_others_are_executed() -> None:
     async def run() -> Program:
         program = Program()
-        box = inbox(program)
+        box = operations(program)
         for word in ("call", "a=1"):
-            box.put(word, 0.0)
+            box.put(word, 0.0, 0.0)
         box.work()
-        box.put("a=2", 0.0)
-        while len(box):
+        box.put("a=2", 0.0, 0.0)
+        while box.waiting:
             box.work()
         return program
 
     assert run_virtual(run()).done == ["call", "a=2"]
 
 
-def test_message_that_was_there_before_it_was_waited_for_is_as_old_as_the_one_before() -> None:
+def test_message_available_without_waiting_is_as_old_as_the_one_before() -> None:
     program = Program()
-    box = inbox(program)
+    box = operations(program)
     for word, came_s, was_awaited in (("first", 1.0, True), ("second", 9.0, False), ("third", 9.0, True)):
-        box.is_behind = True
-        if was_awaited:
-            box.note_wait()
-        box.put(word, came_s)
-    while len(box):
+        box.put(word, came_s, 9.0, is_behind=not was_awaited)
+    while box.waiting:
         box.work()
     assert program.came_s == {"first": 1.0, "second": 1.0, "third": 9.0}
 
 
-def test_too_many_messages_are_a_flood_until_none_waits() -> None:
-    box = inbox(Program())
+def test_operations_over_its_bound_is_flooding_until_none_waits() -> None:
+    box = operations(Program())
     for _ in range(MANY + 1):
         assert not box.is_flooding
-        box.put("call", 0.0)
+        box.put("call", 0.0, 0.0)
     assert box.is_flooding
     for _ in range(MANY):
         box.work()
@@ -115,11 +116,11 @@ def test_too_many_messages_are_a_flood_until_none_waits() -> None:
     assert not box.is_flooding
 
 
-def test_too_many_bytes_have_no_room_until_they_are_done() -> None:
-    box = inbox(Program())
-    box.put("x" * MAX_BYTES, 0.0)
+def test_operations_over_its_bytes_has_no_room_until_they_are_executed() -> None:
+    box = operations(Program())
+    box.put("x" * MAX_BYTES, 0.0, 0.0)
     assert box.has_room
-    box.put("x", 0.0)
+    box.put("x", 0.0, 0.0)
     assert not box.has_room
     box.work()
     assert not box.has_room
@@ -127,12 +128,30 @@ def test_too_many_bytes_have_no_room_until_they_are_done() -> None:
     assert box.has_room
 
 
-def test_too_many_messages_have_no_room_until_half_of_them_are_done() -> None:
-    box = inbox(Program())
+def test_operations_over_its_messages_has_no_room_until_half_are_executed() -> None:
+    box = operations(Program())
     for _ in range(MAX_MESSAGES + 1):
         assert box.has_room
-        box.put("call", 0.0)
+        box.put("call", 0.0, 0.0)
     for _ in range(MAX_MESSAGES // 2 + 1):
         assert not box.has_room
         box.work()
     assert box.has_room
+
+
+def test_debt_of_a_client_that_sends_too_fast() -> None:
+    box = operations(Program(), 10)
+    debts_s = []
+    for now_s in [5.0] * 12 + [5.2]:
+        box.put("call", now_s, now_s)
+        debts_s.append(round(box.debt_s, 6))
+    assert debts_s == [0.0] * 10 + [0.1, 0.2, 0.1]
+
+
+@given(st.floats(1, 1000), st.integers(0, 200))
+def test_client_that_waits_for_its_debt_never_exceeds_rate_and_burst(messages_s: float, count: int) -> None:
+    box, now_s = operations(Program(), messages_s), 0.0
+    for _ in range(count):
+        box.put("call", now_s, now_s)
+        now_s += box.debt_s
+    assert count <= messages_s * now_s + messages_s + 1e-6

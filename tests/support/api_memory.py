@@ -1,0 +1,207 @@
+"""The whole API server without a socket: bytes of HTTP and WebSocket clients go in and out of transports in memory."""
+
+import asyncio
+import contextlib
+import json
+from collections.abc import AsyncIterator, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from aiohttp import web
+
+from hostlink.api.listener import MakeProtocol, PacedReading
+from hostlink.api.server import ApiServer, protocols_of
+from hostlink.config import BlackBoxConfig, Config, RecordingConfig
+from hostlink.hub.hub import Hub
+from hostlink.hub.reloader import Reloader
+from hostlink.recording.recordings import Recordings
+from tests.support.fake_device import CATALOG, robot_topics
+from tests.support.participants import ODOMETRY_ID, POSE, ROBOT
+from tests.support.scripted_device import ScriptedDevice
+
+MASK = b"\x0f\xf0\x55\xaa"
+
+
+class FakeSocket:
+    """The socket of a transport, for its options."""
+
+    family = proto = type = 0
+
+    def setsockopt(self, *_: int) -> None:
+        """Accept any option."""
+
+
+class ApiTransport(asyncio.Transport):
+    """Transport that keeps what the server writes."""
+
+    def __init__(self, peer: str) -> None:
+        super().__init__({"peername": (peer, 40000), "socket": FakeSocket()})
+        self.written = bytearray()
+        self.has_written = asyncio.Event()
+        self.is_closed = self.is_paused = False
+        self.protocol: asyncio.BaseProtocol
+
+    def get_protocol(self) -> asyncio.BaseProtocol:
+        return self.protocol
+
+    def write(self, data: Any) -> None:
+        self.written += data
+        self.has_written.set()
+
+    def writelines(self, list_of_data: Any) -> None:
+        self.write(b"".join(list_of_data))
+
+    def is_closing(self) -> bool:
+        return self.is_closed
+
+    def is_reading(self) -> bool:
+        return not self.is_paused
+
+    def pause_reading(self) -> None:
+        self.is_paused = True
+
+    def resume_reading(self) -> None:
+        self.is_paused = False
+
+    def set_write_buffer_limits(self, high: int | None = None, low: int | None = None) -> None:
+        """Accept any limits: nothing is buffered."""
+
+    def get_write_buffer_size(self) -> int:
+        return 0
+
+    def close(self) -> None:
+        if not self.is_closed:
+            self.is_closed = True
+            asyncio.get_running_loop().call_soon(self._lose)
+
+    def _lose(self) -> None:
+        self.protocol.connection_lost(None)
+
+    abort = close
+
+
+class ApiPeer:
+    """One connection to the API."""
+
+    def __init__(self, api: "ApiMemory", peer: str) -> None:
+        connection, _ = api.server.listener.connections.enter(peer, asyncio.get_running_loop().time())
+        assert connection is not None
+        self.transport = ApiTransport(peer)
+        self.reading = PacedReading(api.make_protocol(), api.hub, api.server.listener.connections, connection)
+        self.transport.protocol = self.reading
+        self.reading.connection_made(self.transport)
+
+    def send(self, data: bytes) -> None:
+        """Let bytes arrive at once."""
+        self.reading.get_buffer(-1)[: len(data)] = data
+        self.reading.buffer_updated(len(data))
+
+    def send_head(self, method: str, path: str, headers: Mapping[str, str]) -> None:
+        """Let the head of a request arrive."""
+        lines = [f"{method} {path} HTTP/1.1", *(f"{name}: {value}" for name, value in headers.items()), "", ""]
+        self.send("\r\n".join(lines).encode())
+
+    def send_text(self, **fields: Any) -> None:
+        """Let a WebSocket message arrive, masked as of a client."""
+        data = json.dumps(fields).encode()
+        masked = bytes(byte ^ MASK[index % 4] for index, byte in enumerate(data))
+        head = bytes((0x81, 0x80 | len(data))) if len(data) < 126 else b"\x81\xfe" + len(data).to_bytes(2, "big")
+        self.send(head + MASK + masked)
+
+    def texts(self) -> list[Any]:
+        """Return and remove the text messages of the server."""
+        found, data = [], bytes(self.transport.written)
+        self.transport.written.clear()
+        while data:
+            size, start = data[1], 2
+            if size == 126:
+                size, start = int.from_bytes(data[2:4], "big"), 4
+            if data[0] == 0x81:
+                found.append(json.loads(data[start : start + size]))
+            data = data[start + size :]
+        return found
+
+
+class Answer:
+    """An HTTP answer."""
+
+    def __init__(self, data: bytes) -> None:
+        head, _, self.body = data.partition(b"\r\n\r\n")
+        first, *lines = head.decode().split("\r\n")
+        self.status = int(first.split()[1]) if first else 0
+        self.headers = dict(line.split(": ", 1) for line in lines)
+
+
+class ApiMemory:
+    """A daemon's API server and the device of its robot."""
+
+    def __init__(self, config: Config, folder: Path) -> None:
+        config = replace(
+            config, recording=RecordingConfig(folder=folder, drives=False), black_box=BlackBoxConfig(enabled=False)
+        )
+        self.hub = Hub(config, CATALOG, reraises=True)
+        self.server = ApiServer(self.hub, config.api, Recordings(self.hub), Reloader(self.hub))
+        self.make_protocol: MakeProtocol
+        self.device: ScriptedDevice
+
+    async def begin(self) -> None:
+        runner = web.AppRunner(self.server.application(), access_log=None, handle_signals=False)
+        await runner.setup()
+        self.make_protocol = protocols_of(runner)
+        self.device = ScriptedDevice(self.hub, robot_topics(ROBOT), address="10.0.0.1")
+        await asyncio.sleep(0.5)
+
+    def connect(self, peer: str = "127.0.0.1") -> ApiPeer:
+        return ApiPeer(self, peer)
+
+    async def request(self, method: str, path: str, body: bytes = b"", **headers: str) -> Answer:
+        """Send a request on a connection of its own and return the answer."""
+        peer = self.connect()
+        given = {name.replace("_", "-"): value for name, value in headers.items()}
+        peer.send_head(method, path, {"Host": "localhost", "Content-Length": str(len(body))} | given)
+        if body:
+            peer.send(body)
+        return await self.answer(peer)
+
+    async def answer(self, peer: ApiPeer, timeout_s: float = 3.0) -> Answer:
+        """Wait for the answer on this connection, and close it."""
+        async with asyncio.timeout(timeout_s):
+            await peer.transport.has_written.wait()
+        await asyncio.sleep(0.01)  # the body follows its head
+        peer.transport.close()
+        return Answer(bytes(peer.transport.written))
+
+    async def web_socket(self, path: str = "/", **headers: str) -> ApiPeer:
+        """Open a WebSocket."""
+        peer = self.connect()
+        upgrade = {"Upgrade": "websocket", "Connection": "Upgrade", "Sec-WebSocket-Version": "13"}
+        given = {name.replace("_", "-"): value for name, value in headers.items()}
+        key = {"Sec-WebSocket-Key": "dGhlIHNhbXBsZSBub25jZQ=="}
+        peer.send_head("GET", path, {"Host": "localhost"} | upgrade | key | given)
+        await asyncio.sleep(0.05)
+        head, _, rest = bytes(peer.transport.written).partition(b"\r\n\r\n")
+        assert head.startswith(b"HTTP/1.1 101 ")
+        peer.transport.written[:] = rest
+        return peer
+
+    async def move_to(self, x_m: float, y_m: float, theta_rad: float) -> None:
+        """Publish a pose of the robot."""
+        await self.device.send(ODOMETRY_ID, POSE.pack(x_m, y_m, theta_rad))
+        await asyncio.sleep(0.05)
+
+
+@contextlib.asynccontextmanager
+async def api_memory(folder: Path, config: Config | None = None) -> AsyncIterator[ApiMemory]:
+    """A running API server with one robot, for virtual time."""
+    made = ApiMemory(Config() if config is None else config, folder)
+    async with asyncio.TaskGroup() as tasks:
+        running = tasks.create_task(made.hub.run())
+        await made.hub.is_running.wait()
+        try:
+            await made.begin()
+            yield made
+        finally:
+            for task in asyncio.all_tasks() - {asyncio.current_task()}:
+                task.cancel()
+            running.cancel()

@@ -1,0 +1,220 @@
+"""The API server without a socket: heads, bodies, tokens, origins, WebSockets, the page and metrics."""
+
+import asyncio
+import json
+import struct
+from collections.abc import Awaitable, Callable
+from pathlib import Path
+
+import pytest
+
+from hostlink.api.server import url_of
+from hostlink.config import ApiConfig, Config, TokenConfig
+from tests.support.api_memory import ApiMemory, api_memory
+from tests.support.participants import VELOCITY_ID
+from tests.support.virtual_loop import run_virtual
+
+VELOCITY = "/api/robots/robot_0/velocity"
+FAST = json.dumps({"linear": 0.2, "angular": 0.5}).encode()
+TOKENS = (
+    TokenConfig(name="phone", token="a-token-that-drives", role="drive"),
+    TokenConfig(name="wall", token="a-token-that-reads", role="read"),
+)
+
+Test = Callable[[ApiMemory], Awaitable[None]]
+
+
+@pytest.fixture
+def check(tmp_path: Path) -> Callable[..., None]:
+    """Run a test with an API server in virtual time."""
+
+    def run(test: Test, config: Config | None = None) -> None:
+        async def run_test() -> None:
+            async with api_memory(tmp_path, config) as api:
+                await test(api)
+
+        run_virtual(run_test())
+
+    return run
+
+
+def speeds(api: ApiMemory) -> list[tuple[float, float]]:
+    """Return the velocities that the device received: forward and turn."""
+    found = [struct.unpack("<6d", payload) for payload in api.device.payloads(VELOCITY_ID)]
+    return [(each[0], each[5]) for each in found]
+
+
+def test_request_without_origin_is_answered_without_cors_headers(check: Callable[..., None]) -> None:
+    async def test(api: ApiMemory) -> None:
+        answer = await api.request("GET", "/api/robots")
+        assert (answer.status, json.loads(answer.body)["robots"][0]["name"]) == (200, "robot_0")
+        assert not any(name.startswith("Access-Control") for name in answer.headers)
+
+    check(test)
+
+
+def test_listed_origin_is_answered_with_cors_headers(check: Callable[..., None]) -> None:
+    async def test(api: ApiMemory) -> None:
+        answer = await api.request("GET", "/api/robots", Origin="http://lab")
+        assert (answer.status, answer.headers["Access-Control-Allow-Origin"]) == (200, "http://lab")
+        assert answer.headers["Vary"] == "Origin"
+        preflight = await api.request("OPTIONS", VELOCITY, Origin="http://lab")
+        assert (preflight.status, preflight.body) == (204, b"")
+        assert "PUT" in preflight.headers["Access-Control-Allow-Methods"]
+        assert (await api.request("GET", "/api/robots", Origin="http://evil")).status == 403
+
+    check(test, Config(api=ApiConfig(origins=("http://lab",))))
+
+
+def test_body_in_two_pieces_drives_the_robot(check: Callable[..., None]) -> None:
+    async def test(api: ApiMemory) -> None:
+        peer = api.connect()
+        peer.send_head("PUT", VELOCITY, {"Host": "localhost", "Content-Length": str(len(FAST))})
+        peer.send(FAST[:10])
+        await asyncio.sleep(0.1)
+        assert set(speeds(api)) == {(0.0, 0.0)}
+        peer.send(FAST[10:])
+        assert (await api.answer(peer)).status == 200
+        assert speeds(api)[-1] == (0.2, 0.5)
+
+    check(test)
+
+
+def test_body_that_does_not_arrive_is_answered_408(check: Callable[..., None]) -> None:
+    async def test(api: ApiMemory) -> None:
+        peer = api.connect()
+        peer.send_head("PUT", VELOCITY, {"Host": "localhost", "Content-Length": str(len(FAST))})
+        assert (await api.answer(peer, timeout_s=3.0)).status == 408
+
+    check(test, Config(api=ApiConfig(request_timeout_s=2.0)))
+
+
+def test_body_over_the_bound_of_its_route_is_answered_413(check: Callable[..., None]) -> None:
+    async def test(api: ApiMemory) -> None:
+        assert (await api.request("PUT", VELOCITY, bytes(2000))).status == 413
+        chunked = api.connect()
+        chunked.send_head("PUT", VELOCITY, {"Host": "localhost", "Transfer-Encoding": "chunked"})
+        chunked.send(b"400\r\n" + bytes(0x400) + b"\r\n" + b"400\r\n" + bytes(0x400) + b"\r\n")
+        assert (await api.answer(chunked)).status == 413
+
+    check(test)
+
+
+def test_stop_does_not_wait_for_its_body(check: Callable[..., None]) -> None:
+    async def test(api: ApiMemory) -> None:
+        await api.request("PUT", VELOCITY, FAST)
+        peer = api.connect()
+        peer.send_head("POST", "/api/stop", {"Host": "localhost", "Content-Length": "10"})
+        await asyncio.sleep(0.05)
+        assert speeds(api)[-1] == (0.0, 0.0)
+
+    check(test)
+
+
+def test_head_that_is_not_text_is_answered_400(check: Callable[..., None]) -> None:
+    async def test(api: ApiMemory) -> None:
+        peer = api.connect()
+        peer.send(b"GET /api/robots HTTP/1.1\r\nHost: localhost\r\nOrigin: http://\xff\r\n\r\n")
+        assert (await api.answer(peer)).status == 400
+
+    check(test)
+
+
+def test_tokens_decide_what_a_request_may_do(check: Callable[..., None]) -> None:
+    async def test(api: ApiMemory) -> None:
+        assert (await api.request("GET", "/api/robots")).status == 401
+        assert (await api.request("GET", "/api/robots?token=a-token-that-reads")).status == 200
+        assert (await api.request("PUT", VELOCITY, FAST, Authorization="Bearer a-token-that-reads")).status == 403
+        assert (await api.request("PUT", VELOCITY, FAST, Authorization="Bearer a-token-that-drives")).status == 200
+        assert (await api.request("GET", "/healthz")).status == 200
+        assert (await api.request("GET", "/")).status == 200
+
+    check(test, Config(api=ApiConfig(tokens=TOKENS)))
+
+
+def test_requests_over_the_rate_are_answered_429_and_a_stop_is_not(check: Callable[..., None]) -> None:
+    async def test(api: ApiMemory) -> None:
+        statuses = [(await api.request("GET", "/healthz")).status for _ in range(4)]
+        assert statuses == [200, 200, 429, 429]
+        assert (await api.request("POST", "/api/stop")).status == 200
+
+    check(test, Config(api=ApiConfig(max_requests_s=2.0)))
+
+
+def test_page_is_served_with_its_policy_and_unknown_files_are_not(check: Callable[..., None]) -> None:
+    async def test(api: ApiMemory) -> None:
+        page = await api.request("GET", "/")
+        assert (page.status, page.headers["Content-Type"]) == (200, "text/html")
+        assert page.headers["Content-Security-Policy"].startswith("default-src 'none'")
+        assert (await api.request("GET", "/web/icon.svg")).headers["Content-Type"] == "image/svg+xml"
+        assert (await api.request("GET", "/web/..%2Findex.html")).status == 404
+
+    check(test)
+
+
+def test_web_socket_drives_the_robot_and_is_answered(check: Callable[..., None]) -> None:
+    async def test(api: ApiMemory) -> None:
+        peer = await api.web_socket()
+        peer.send_text(op="drive", id="1", robot="robot_0", linear=0.1, angular=0.0)
+        peer.send_text(op="drive", id="2", robot="robot_0", linear=0.2, angular=0.5)
+        await asyncio.sleep(0.05)
+        assert speeds(api)[-1] == (0.2, 0.5)
+        assert [(each["op"], each["id"], each["result"]) for each in peer.texts()] == [
+            ("drive_result", "1", True),
+            ("drive_result", "2", True),
+        ]
+        peer.transport.close()
+        await asyncio.sleep(0.05)
+        assert speeds(api)[-1] == (0.0, 0.0)
+
+    check(test)
+
+
+def test_web_socket_receives_the_messages_of_one_turn_in_one_write(check: Callable[..., None]) -> None:
+    async def test(api: ApiMemory) -> None:
+        peer = await api.web_socket()
+        peer.send_text(op="subscribe", topic="/robot_0/odometry")
+        await asyncio.sleep(0.05)
+        await api.move_to(1.0, 2.0, 0.5)
+        (message,) = peer.texts()
+        assert message["msg"] == {"x": 1.0, "y": 2.0, "theta": 0.5}
+
+    check(test)
+
+
+def test_web_socket_with_an_unknown_subprotocol_is_refused(check: Callable[..., None]) -> None:
+    async def test(api: ApiMemory) -> None:
+        peer = api.connect()
+        headers = {"Host": "localhost", "Upgrade": "websocket", "Connection": "Upgrade"}
+        peer.send_head("GET", "/", headers | {"Sec-WebSocket-Protocol": "odd.v1"})
+        assert (await api.answer(peer)).status == 400
+
+    check(test)
+
+
+def test_metrics_have_robots_links_and_graphs(check: Callable[..., None]) -> None:
+    async def test(api: ApiMemory) -> None:
+        api.hub.counts.graphs["ros1"] = lambda: {"opened": 3}
+        await api.move_to(1.0, 2.0, 0.5)
+        await api.request("PUT", VELOCITY, FAST)
+        lines = (await api.request("GET", "/metrics")).body.decode().splitlines()
+        assert 'hostlink_robot_connected{robot="robot_0"} 1.0' in lines
+        assert 'hostlink_robot_poses_total{robot="robot_0"} 1.0' in lines
+        assert 'hostlink_robot_driven{robot="robot_0"} 1.0' in lines
+        assert 'hostlink_graph_events_total{graph="ros1",what="opened"} 3.0' in lines
+        assert "hostlink_links 1.0" in lines
+        assert any(line.startswith("hostlink_link_frames_from_device_total{") for line in lines)
+
+    check(test)
+
+
+@pytest.mark.parametrize(
+    ("host", "has_tls", "url"),
+    [
+        ("127.0.0.1", False, "http://127.0.0.1:9090"),
+        ("127.0.0.1", True, "https://127.0.0.1:9090"),
+        ("::1", False, "http://[::1]:9090"),
+    ],
+)
+def test_url_has_scheme_and_bracketed_address(host: str, has_tls: bool, url: str) -> None:
+    assert url_of(host, 9090, has_tls=has_tls) == url
