@@ -1,9 +1,9 @@
-"""`make bench`: what a message, a start and a robot's memory cost the daemon, beside a server that does nothing.
+"""`make bench`: what a message, a start and a robot's memory cost the daemon, compared with a server that does nothing.
 
 Each of 30 robots sends a pose and a voltage and is driven by a program on the WebSocket; 1,000 others send poses. The
 yardstick, in the same minute: tools/bare_server.py, which reads the same crowd, and for 30 robots writes as often.
 A C++ host (rosserial_server) takes 2.0 to 2.8 times as much of a core for the 30 robots as a bare server that only
-reads them, measured side by side on another machine: the last column of that row is to be read beside it.
+reads them, measured side by side on another machine: compare the last column of that row with it.
 """
 
 import asyncio
