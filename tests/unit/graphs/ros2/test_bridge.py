@@ -56,7 +56,7 @@ def text(data: bytes) -> bytes:
 
 
 def text_cdr(data: bytes) -> bytes:
-    """The same in CDR, where a string ends with a zero."""
+    """Payload of a std_msgs/String in CDR, where a string ends with a zero."""
     return b"\0\1\0\0" + struct.pack("<I", len(data) + 1) + data + b"\0"
 
 
