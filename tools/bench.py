@@ -1,4 +1,4 @@
-"""What the programs of `make bench` share: rows with a yardstick and a bound, and processes that are measured.
+"""Shared parts of the programs of `make bench`: rows with a yardstick and a bound, and processes that are measured.
 
 A row compares a figure with a yardstick that was measured in the same run, so that a bound means the same on every
 machine. A program ends with status 1 when a row misses its bound.

@@ -98,7 +98,7 @@ def topics(ros: Any, other: Any) -> dict[str, Any]:
 
 
 def services(ros: Any, other: Any) -> dict[str, Any]:
-    """As server and as caller, and a call that fails."""
+    """Call a service as server and as client, and make a call that fails."""
 
     def answer(request: Any, response: Any) -> bool:
         response["success"], response["message"] = request["data"], f"got {request['data']}"

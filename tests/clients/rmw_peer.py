@@ -76,7 +76,7 @@ def plain(value: Any) -> Any:
 
 
 class Peer:
-    """What it has declared."""
+    """Publishers and subscriptions of one process."""
 
     def __init__(self, domain: int) -> None:
         self.domain = domain
@@ -86,13 +86,13 @@ class Peer:
         self.kept: list[Any] = []
 
     def write(self, **facts: Any) -> None:
-        """One line."""
+        """Write one line of JSON."""
         with self.lock:
             sys.stdout.write(json.dumps(facts) + "\n")
             sys.stdout.flush()
 
     def publisher(self, topic: str, type_name: str, *, is_latched: bool = False) -> Any:
-        """Of a topic and type, made at its first use."""
+        """Return the publisher of a topic and type; it is made at its first use."""
         key = f"{topic} {type_name}"
         if key not in self.publishers:
             qos = QosProfile(durability=QosDurability.TRANSIENT_LOCAL) if is_latched else None

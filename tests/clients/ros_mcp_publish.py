@@ -1,4 +1,4 @@
-"""What ros-mcp answers to an assistant that publishes a velocity: python ros_mcp_publish.py PORT TOPIC.
+"""Answer of ros-mcp to an assistant that publishes a velocity: python ros_mcp_publish.py PORT TOPIC.
 
 Runs in build/ros-mcp-venv, with ros-mcp as a process that speaks MCP, as its users start it. Prints the answers of its
 tools as one JSON object.

@@ -25,7 +25,7 @@ pytestmark = [pytest.mark.quiet, pytest.mark.timeout(600)]
 TOPIC = "/robot_0/velocity_commands"
 TWIST = {"linear": {"x": 0.2}}
 POSES = 20_000
-WRITTEN_S = 240.0  # the guardian writes with the lowest priority: beside other work that takes minutes
+WRITTEN_S = 240.0  # the guardian writes with the lowest priority: on a busy machine that takes minutes
 
 
 def settings(folder: Path, *, has_guardian: bool = True, after_s: float = 30.0) -> tuple[str, ...]:

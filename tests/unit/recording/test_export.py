@@ -288,7 +288,7 @@ def test_full_disk_is_reported_in_one_line(recording: Path, tmp_path: Path, form
     limited = ["sh", "-c", 'ulimit -f 1; exec "$@"', "sh", *words]
     done = subprocess.run(limited, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout, done.stderr.count("\n")) == (1, "", 1)
-    assert done.stderr.startswith(f"hostlink: {target}: ")
+    assert done.stderr.startswith(f"hostlink: {target} cannot be written: ")
     assert not Path(target).exists()
 
 
