@@ -74,7 +74,7 @@ def pytest_collection_finish() -> None:
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Skip what needs a missing program, and mix the order of the files.
 
-    Workers take the files in a mixed order: files that wait run together with files that compute, and no core is idle. Files
+    Workers take the files in a mixed order: files that wait run with files that compute, and no core is idle. Files
     that measure times keep their order.
     """
     absent = requirements.missing()

@@ -79,7 +79,7 @@ def main() -> int:
 
 
 def rows_of(found: dict[str, Any], alone: dict[str, Any]) -> list[Row]:
-    """Return the figures of a crowd, and those of the robot alone in the same run."""
+    """Return the figures of a crowd, compared with those of the robot without one in the same run."""
     count = f"{found['count']:,} " if found["count"] else ""
     what, of_alone = f"{count}{found['what']}: a command", "times that without a crowd"
     late_ms = max(found["p99_ms"], found["stop_p95_ms"])

@@ -1,9 +1,9 @@
-"""`make bench`: what a message, a start and a robot's memory cost the daemon, compared with a server that does nothing.
+"""`make bench`: cost of a message, a start and a robot's memory, compared with a server that does nothing.
 
 Each of 30 robots sends a pose and a voltage and is driven by a program on the WebSocket; 1,000 others send poses. The
 yardstick, in the same minute: tools/bare_server.py, which reads the same crowd, and for 30 robots writes as often.
 A C++ host (rosserial_server) takes 2.0 to 2.8 times as much of a core for the 30 robots as a bare server that only
-reads them, measured side by side on another machine: compare the last column of that row with it.
+reads them, measured in one run on another machine. The row "of a core" has the same ratio of the daemon.
 """
 
 import asyncio
@@ -137,8 +137,10 @@ async def drive(program: aiohttp.ClientWebSocketResponse, count: int) -> None:
 
 async def frames(daemon: Process, count: int) -> float:
     """Return how many messages the daemon received and sent. Every robot must be connected."""
-    async with aiohttp.ClientSession() as session, session.get(f"{daemon.url}/metrics") as response:
-        text = await response.text()
+    text = ""
+    with contextlib.suppress(aiohttp.ServerDisconnectedError):  # the daemon had too little of a core to answer in time
+        async with aiohttp.ClientSession() as session, session.get(f"{daemon.url}/metrics") as response:
+            text = await response.text()
     if f"hostlink_links {count}.0" not in text.splitlines():
         raise AssertionError(f"not all {count} robots are connected: the machine is too busy")
     names = ("hostlink_link_frames_from_device_total", "hostlink_link_frames_to_device_total")

@@ -5,7 +5,9 @@ the command that runs is imported.
 """
 
 import contextlib
+import functools
 import importlib
+import math
 import os
 import shlex
 import signal
@@ -181,6 +183,8 @@ def _add(app: typer.Typer, name: str, text: str, panel: str, *, is_wanted: bool)
     module: Any = import_fast(module_of(name)) if is_wanted else None
     function = _function_of(module, name) if is_wanted else _name_only
     if isinstance(function, typer.Typer):
+        for subcommand in function.registered_commands:
+            subcommand.callback = _without_nan(subcommand.callback)
         app.add_typer(function, name=name, short_help=text, rich_help_panel=panel)
     else:
         context = getattr(module, "CONTEXT", None)
@@ -190,7 +194,7 @@ def _add(app: typer.Typer, name: str, text: str, panel: str, *, is_wanted: bool)
             help=function.__doc__ or text,
             rich_help_panel=panel,
             context_settings=context,
-        )(function)
+        )(_without_nan(function))
 
 
 def _function_of(module: Any, command: str) -> Any:
@@ -198,6 +202,19 @@ def _function_of(module: Any, command: str) -> Any:
     if (commands := getattr(module, "COMMANDS", None)) is not None:
         return commands[command]
     return getattr(module, "app", None) or module.command
+
+
+def _without_nan(function: Any) -> Any:
+    """Return the function with a check of its numbers: in older versions of typer NaN passes every bound."""
+
+    @functools.wraps(function)
+    def checked(*arguments: Any, **options: Any) -> Any:
+        for name, value in options.items():
+            if isinstance(value, float) and math.isnan(value):
+                raise typer.BadParameter("nan is not a number.", param_hint=f"'--{name.replace('_', '-')}'")
+        return function(*arguments, **options)
+
+    return checked
 
 
 def module_of(command: str) -> str:

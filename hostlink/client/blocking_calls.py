@@ -1,4 +1,8 @@
-"""The methods of Host and Robot without `async`, as tools/blocking_client.py makes them: change those."""
+"""The methods of Host and Robot without `async`, as tools/blocking_client.py makes them: change those.
+
+Needed for types: Python cannot declare a proxy whose methods are those of a class without `async`, so mypy and editors
+would accept any call of a generic one.
+"""
 
 import contextlib
 from collections.abc import Mapping

@@ -1,5 +1,9 @@
 """LoopThread: a connection with an event loop in its own thread, for programs without asyncio.
 
+Needed because pings and repeated velocities are due every 0.1 to 0.2 s while the program computes: asyncio.Runner runs
+only during a call. anyio's portal has such a thread, but does not stop a robot at the end of a cell, a thread or the
+program (tests/unit/client/test_program_end.py).
+
 The thread ends with the connection. The connection ends with `close`, with the last reference to it, and with the
 program:
 

@@ -15,10 +15,29 @@ STALL_S = LEASE_S  # a command that waited longer is void
 GRACE_S = LEASE_S / 2  # bytes that waited through a pause are read by then
 
 
-def slept_s() -> float:
-    """Return for how long this computer has slept since its start. The event loop's clock does not count that time."""
-    boot_clock = getattr(time, "CLOCK_BOOTTIME", None)  # only on Linux
-    return 0.0 if boot_clock is None else time.clock_gettime(boot_clock) - time.monotonic()
+_BOOT_CLOCK = getattr(time, "CLOCK_BOOTTIME", None)  # only on Linux
+MAX_READINGS = 5  # of both clocks, on a busy machine
+APART_S = 0.001  # longest time between the two clocks' readings
+
+
+def _boot_s() -> float:
+    return 0.0 if _BOOT_CLOCK is None else time.clock_gettime(_BOOT_CLOCK)
+
+
+def slept_s(boot_s: Callable[[], float] = _boot_s, running_s: Callable[[], float] = time.monotonic) -> float:
+    """Return for how long this computer has slept since its start. The event loop's clock does not count that time.
+
+    Both clocks are read again if the process lost the processor between them: that time would appear as sleep.
+    """
+    if _BOOT_CLOCK is None:
+        return 0.0
+    found_s = 0.0
+    for _ in range(MAX_READINGS):
+        began_s = running_s()
+        found_s = boot_s() - began_s
+        if running_s() < began_s + APART_S:
+            break
+    return found_s
 
 
 class StallWatch:

@@ -1,5 +1,6 @@
 """Outbox: queues of frames for one device, their order, and pacing to the device's UART."""
 
+import math
 from collections import deque
 from collections.abc import Hashable
 from typing import NamedTuple
@@ -24,13 +25,13 @@ class OutgoingFrame(NamedTuple):
 
 
 class _QueuedFrame:
-    """Queued frame and the time since when it waits: None until `begin_waiting`."""
+    """Queued frame and the time since when it waits: infinite until `begin_waiting`."""
 
     __slots__ = ("frame", "is_awaited", "is_kept", "since_s")
 
     def __init__(self, frame: bytes, *, is_awaited: bool = False, is_kept: bool = False) -> None:
         self.frame, self.is_awaited, self.is_kept = frame, is_awaited, is_kept
-        self.since_s: float | None = None
+        self.since_s = math.inf
 
 
 _Queues = dict[Hashable, deque[_QueuedFrame]]  # round robin: the first key is next
@@ -170,8 +171,7 @@ class Outbox:
             if waiting:
                 queues[key] = waiting  # to the end of the turn order
             frame = first.frame
-            if first.since_s is not None:
-                self.slowest_wait_s = max(self.slowest_wait_s, now_s - first.since_s)
+            self.slowest_wait_s = max(self.slowest_wait_s, now_s - first.since_s)
             if queues is self._urgent:
                 since_s = first.since_s
         if self._uart_bytes_s is not None:
@@ -205,8 +205,7 @@ class Outbox:
     def oldest_s(self, now_s: float) -> float:
         """Age of the oldest queued frame in seconds; 0 when the queues are empty."""
         every = (*self._urgent.values(), *self._replies.values(), *self._commands.values())
-        ages_s = (now_s - one.since_s for waiting in every for one in waiting if one.since_s is not None)
-        return max(ages_s, default=0.0)
+        return max((0.0, *(now_s - one.since_s for waiting in every for one in waiting)))
 
     def _put(self, queues: _Queues, key: Hashable, new: _QueuedFrame, *, depth: int) -> None:
         waiting = queues.pop(key, None) or deque()

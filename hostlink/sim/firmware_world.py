@@ -310,6 +310,11 @@ class Firmware:
         """Set the rate of the board's clock: its seconds per second."""
         self._instance.call("set_clock", round(rate * 1000))
 
+    def run_script(self, text: str) -> int:
+        """Run a script of firmware/host/world_script.h on a new robot. Return 0, or the number of the invalid line."""
+        self._instance.write_text(text.encode())
+        return int(self._instance.call("run_script"))
+
 
 @dataclass(frozen=True, slots=True)
 class Trace:

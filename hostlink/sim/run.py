@@ -117,6 +117,14 @@ def _give_up_soon(writer: asyncio.StreamWriter) -> None:
         writer.get_extra_info("socket").setsockopt(socket.IPPROTO_TCP, option, USER_TIMEOUT_MS)
 
 
+async def run_over_streams(
+    robot: SimulatedRobot, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, *, fault: Fault = HEALTHY
+) -> None:
+    """Run the robot on an open connection until the connection ends."""
+    async with _switched_on(robot, fault) as board:
+        await _talk(board, reader, writer)
+
+
 class _Board:
     """Switched-on robot whose firmware runs in real time, connected or not."""
 

@@ -184,7 +184,7 @@ async def test_a_message_too_large_closes_its_client_only() -> None:
         assert "topics" in await Client(good).call("/rosapi/topics")
 
 
-async def test_tls(tmp_path: Path) -> None:
+async def test_tls(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     certificate, key = tmp_path / "cert.pem", tmp_path / "key.pem"
     names = ["-subj", "/CN=localhost", "-addext", "subjectAltName=IP:127.0.0.1"]
     make = [
@@ -212,6 +212,9 @@ async def test_tls(tmp_path: Path) -> None:
         with pytest.raises(HostlinkError, match="certificate"):
             async with connect(host.url):
                 pytest.fail("it trusted a certificate that nobody knows")
+        monkeypatch.setenv("SSL_CERT_FILE", str(certificate))  # in the place of the system's certificates
+        async with connect(host.url) as program:
+            assert await program.robots() == []
 
 
 async def test_a_refusal_is_in_the_words_of_a_person_not_of_the_api() -> None:

@@ -205,7 +205,7 @@ async def test_a_disk_that_is_full_loses_the_file_and_nothing_else(tmp_path: Pat
     async with boxed(config(tmp_path, free_mb=1e12)) as (host, _):
         await host.rest("POST", "/api/robots/robot_0/lock?wait_s=0")
         async with asyncio.timeout(TIMEOUT_S):
-            while not (listed := await host.get("/api/incidents"))["missed"]:  # noqa: ASYNC110 - another process asks so
+            while not (listed := await host.get("/api/incidents"))["missed"]:  # noqa: ASYNC110 - the API has no event
                 await asyncio.sleep(REQUEST_INTERVAL_S)
         assert (listed["incidents"], listed["missed"]) == ([], 1)
         assert (await host.get("/api/robots/robot_0"))["locked"]

@@ -1,7 +1,6 @@
 """PlanarVelocity on a running daemon: every way in which a source of commands can vanish ends in zero."""
 
 import asyncio
-import contextlib
 import os
 
 import aiohttp
@@ -18,6 +17,7 @@ from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import FakeDevice, fake_device, pose, robot_topics
 from tests.support.gates import drive_gate
 from tests.support.rosbridge import client
+from tests.support.stopwatch import Stopwatch
 from tests.support.waiting import expect
 
 ZERO = (0.0, 0.0)
@@ -42,40 +42,6 @@ async def test_the_first_velocity_of_a_session_is_zero() -> None:
         assert await device.velocity() == CURVE
 
 
-async def test_a_command_is_repeated_until_its_lease_ends_and_then_zero_three_times() -> None:
-    async with daemon() as host, fake_device(host.tcp, robot_topics()) as device:
-        await greeted(device)
-        drive(host)
-        sent = [await device.velocity()]
-        while sent[-1] != ZERO:
-            sent.append(await device.velocity())
-        assert 3 <= sent.count(CURVE) <= 7  # 0.5 s at 10 Hz
-        assert [await device.velocity() for _ in range(2)] == [ZERO, ZERO]
-        with pytest.raises(TimeoutError):
-            async with asyncio.timeout(0.3):
-                await device.velocity()
-
-
-async def test_anybody_may_stop() -> None:
-    async with daemon() as host, fake_device(host.tcp, robot_topics()) as device:
-        await greeted(device)
-        drive(host, priority=100)
-        assert await device.velocity() == CURVE
-        status, _ = await host.rest("POST", "/api/robots/robot_0/stop")
-        assert status == 200
-        assert await device.velocity() == ZERO
-
-
-async def test_limits_scale_both_speeds_so_that_the_curve_stays() -> None:
-    config = Config(robots={"robot_0": RobotConfig(wheel_separation_m=0.21, max_wheel_m_s=0.3436)})
-    async with daemon(config) as host, fake_device(host.tcp, robot_topics()) as device:
-        await greeted(device)
-        drive(host, velocity=(-1.0, 2.0))
-        linear, angular = await device.velocity()
-    assert linear / angular == pytest.approx(-0.5)
-    assert abs(linear) + angular * 0.105 == pytest.approx(0.3436)
-
-
 async def test_a_device_cannot_drive_another_past_its_gate() -> None:
     """A message on a velocity topic is a command, also from a device: here one device drives the other."""
     remote = [robot_topics("robot_0")[1]._replace(kind=Id.PUBLISHER, topic_id=125)]
@@ -87,29 +53,6 @@ async def test_a_device_cannot_drive_another_past_its_gate() -> None:
             await sender.send(encode(125, twist.encode({"linear": {"x": 5.0}})))
             assert await device.velocity() == (1.0, 0.0)  # the limit of a robot without configuration
         assert await device.velocity_other_than((1.0, 0.0)) == ZERO
-
-
-@pytest.mark.parametrize("resume_s", [0.0, 20.0])
-async def test_stream_resumes_after_an_absence_within_the_configured_time(resume_s: float) -> None:
-    async def command() -> None:
-        while True:
-            with contextlib.suppress(CommandRefused):
-                drive(host)
-            await asyncio.sleep(0.1)
-
-    config = Config(robots={"robot_0": RobotConfig(resume_after_reconnect_s=resume_s)})
-    async with daemon(config) as host, asyncio.TaskGroup() as tasks:
-        async with fake_device(host.tcp, robot_topics()) as device:
-            await greeted(device)
-            commanding = tasks.create_task(command())
-            assert await device.velocity() == CURVE
-        await expect(lambda: host.hub.robots.find("robot_0").link is None)
-        async with fake_device(host.tcp, robot_topics()) as device:
-            assert await device.velocity() == ZERO
-            with contextlib.nullcontext() if resume_s else pytest.raises(TimeoutError):
-                async with asyncio.timeout(5.0 if resume_s else 0.8):
-                    assert await device.velocity_other_than(ZERO) == CURVE
-        commanding.cancel()
 
 
 async def test_robot_that_reconnects_while_its_old_link_seems_alive_replaces_it_at_once() -> None:
@@ -334,6 +277,7 @@ async def test_a_program_on_the_websocket_that_vanishes_leaves_a_standing_robot(
         twist = {"linear": {"x": 0.2}, "angular": {"z": 0.5}}
         await program.send(op="publish", topic="/robot_0/velocity_commands", msg=twist)
         assert await device.velocity() == CURVE
+        watch = Stopwatch()
         if way == "close":
             await program.socket.close()
         elif way == "cut":
@@ -341,8 +285,8 @@ async def test_a_program_on_the_websocket_that_vanishes_leaves_a_standing_robot(
             assert connection is not None
             assert connection.transport is not None
             connection.transport.abort()
-        async with asyncio.timeout(within_s):
-            assert await device.velocity_other_than(CURVE) == ZERO
+        assert await device.velocity_other_than(CURVE) == ZERO
+        assert watch.seconds < within_s
         assert [await device.velocity() for _ in range(2)] == [ZERO, ZERO]
 
 

@@ -172,7 +172,7 @@ async def test_recorded_velocity_that_no_gate_sent_is_not_published(
     """The velocity was recorded while the robot was disconnected, or from a device that drives another."""
     file = recording(tmp_path, [(0.1 * number, channel(name, type_name, origin), payload) for number in range(5)])
     async with robot() as (host, _):
-        with pytest.raises(BadRequest, match="velocities need --drive"):
+        with pytest.raises(BadRequest, match="--drive plays velocities"):
             await play.publish_topics(host.url, None, file, PLAYBACK, ["*"])
         assert host.hub.robots.find("robot_0").gate.counts.commands == 0
 
@@ -182,7 +182,7 @@ async def test_recorded_velocity_of_another_programs_type_is_not_published(tmp_p
     theirs = dataclasses.replace(channel("/robot_0/cmd_vel", "geometry_msgs/Twist", ""), type_name=type_name)
     file = recording(tmp_path, [(0.1 * number, theirs, FORWARD.encode()) for number in range(5)])
     async with robot() as (host, _):
-        with pytest.raises(BadRequest, match="velocities need --drive"):
+        with pytest.raises(BadRequest, match="--drive plays velocities"):
             await play.publish_topics(host.url, None, file, PLAYBACK, ["*"])
         assert host.hub.robots.find("robot_0").gate.counts.commands == 0
 

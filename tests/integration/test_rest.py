@@ -77,23 +77,6 @@ async def test_velocity_stop_and_reset() -> None:
         assert (body["is_limited"], body["limited_by"]) == (True, "max_linear_m_s")
 
 
-@pytest.mark.parametrize(
-    ("method", "path", "body", "status", "kind"),
-    [
-        ("GET", "/api/robots/nobody", None, 404, "UnknownTopic"),
-        ("PUT", "/api/robots/robot_0/velocity", b"[" * 1025, 413, "HTTP"),
-        ("POST", "/api/robots/robot_0/lock", b'{"reason": 7}', 400, "BadRequest"),
-    ],
-)
-async def test_errors_are_json_with_a_reason(
-    method: str, path: str, body: bytes | None, status: int, kind: str
-) -> None:
-    async with daemon() as host, fake_device(host.tcp, robot_topics()):
-        got, error = await host.rest(method, path, body)
-    assert (got, error["error"]["kind"]) == (status, kind)
-    assert error["error"]["reason"]
-
-
 async def test_a_body_without_end_is_refused() -> None:
     async with daemon() as host, fake_device(host.tcp, robot_topics()):
         endless = io.BytesIO(b" " * 2_000_000)

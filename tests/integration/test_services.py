@@ -6,8 +6,8 @@ from collections.abc import Mapping
 
 import pytest
 
-from hostlink.errors import BadRequest, DeviceBusy, DeviceGone, ServiceFailed, UnknownTopic
-from hostlink.hub.services import MAX_WAITING, DeviceService, Provider, Services
+from hostlink.errors import BadRequest, DeviceGone, ServiceFailed
+from hostlink.hub.services import DeviceService, Provider, Services
 from hostlink.protocol.control import TopicInfo, encode_topic_info
 from hostlink.protocol.frame import Id, encode
 from tests.support.daemon import daemon
@@ -48,55 +48,6 @@ async def test_a_program_calls_a_service_of_a_device() -> None:
         assert await call == {"success": True, "message": "on"}
 
 
-async def test_calls_wait_for_their_turn_and_get_their_own_answers() -> None:
-    async with daemon() as host, fake_device(host.tcp, SET_LED) as device, asyncio.TaskGroup() as tasks:
-        calls = [tasks.create_task(host.hub.services.call("/set_led", {"data": False})) for _ in range(3)]
-        for number in range(3):
-            await device.frame(100)
-            await device.send(encode(125, answer(f"{number}")))
-        assert [(await call)["message"] for call in calls] == ["0", "1", "2"]
-
-
-async def test_call_without_answer_times_out_and_its_late_answer_is_dropped() -> None:
-    async with daemon() as host, fake_device(host.tcp, SET_LED) as device:
-        with pytest.raises(ServiceFailed, match=r"/set_led: no answer within 0\.05 s"):
-            await host.hub.services.call("/set_led", {"data": True}, timeout_s=0.05)
-        async with asyncio.TaskGroup() as tasks:
-            call = tasks.create_task(host.hub.services.call("/set_led", {"data": False}))
-            assert await device.frame(100) == b"\x01"
-            await device.send(encode(125, answer("late")))
-            assert await device.frame(100) == b"\x00"
-            await device.send(encode(125, answer("mine")))
-            assert (await call)["message"] == "mine"
-
-
-async def test_missing_answer_does_not_block_the_next_call() -> None:
-    async with daemon() as host, fake_device(host.tcp, SET_LED) as device:
-        with pytest.raises(ServiceFailed, match="no answer within"):
-            await host.hub.services.call("/set_led", {"data": True}, timeout_s=0.05)
-        assert await device.frame(100) == b"\x01"
-        async with asyncio.TaskGroup() as tasks:
-            call = tasks.create_task(host.hub.services.call("/set_led", {"data": False}, timeout_s=1.0))
-            assert await device.frame(100) == b"\x00"
-            await device.send(encode(125, answer("mine")))
-            assert (await call)["message"] == "mine"
-
-
-async def test_a_device_that_leaves_fails_its_calls_at_once() -> None:
-    async def call() -> None:
-        with pytest.raises(DeviceGone, match="/set_led: its device is not connected"):
-            await host.hub.services.call("/set_led", {"data": True}, timeout_s=60)
-
-    async with daemon() as host:
-        async with fake_device(host.tcp, SET_LED) as device, asyncio.TaskGroup() as tasks:
-            tasks.create_task(call())
-            await device.frame(100)
-            device.hang_up()
-        await expect(lambda: not host.hub.links.all())
-        with pytest.raises(UnknownTopic, match="no service named /set_led"):
-            await host.hub.services.call("/set_led", {"data": True})
-
-
 async def test_an_answer_to_a_call_of_before_other_topics_is_not_taken_for_the_next_one_s() -> None:
     """A program on the board advertises one more topic, and negotiates without a restart."""
     more = topic(Id.PUBLISHER, 126, "/battery", "std_msgs/Float32")
@@ -113,31 +64,6 @@ async def test_an_answer_to_a_call_of_before_other_topics_is_not_taken_for_the_n
             assert await device.frame(100) == b"\x00"
             await device.send(encode(125, answer("mine")))
             assert (await again)["message"] == "mine"
-
-
-async def test_too_many_calls_are_refused() -> None:
-    async def outcome() -> str:
-        try:
-            await host.hub.services.call("/set_led", {"data": True}, timeout_s=0.2)
-        except (DeviceBusy, ServiceFailed) as error:
-            return type(error).__name__
-        return "answered"
-
-    async with daemon() as host, fake_device(host.tcp, SET_LED), asyncio.TaskGroup() as tasks:
-        calls = [tasks.create_task(outcome()) for _ in range(MAX_WAITING + 2)]
-        outcomes = [await call for call in calls]
-    assert outcomes == ["ServiceFailed"] * (MAX_WAITING + 1) + ["DeviceBusy"]
-
-
-async def test_many_calls_wait_for_their_turn() -> None:
-    """Nine were once the most."""
-    count = 60
-    async with daemon() as host, fake_device(host.tcp, SET_LED) as device, asyncio.TaskGroup() as tasks:
-        calls = [tasks.create_task(host.hub.services.call("/set_led", {"data": True})) for _ in range(count)]
-        for number in range(count):
-            await device.frame(100)
-            await device.send(encode(125, answer(f"{number}")))
-        assert [(await call)["message"] for call in calls] == [f"{number}" for number in range(count)]
 
 
 async def test_of_two_devices_with_one_service_the_newest_is_called_as_long_as_it_is_there() -> None:

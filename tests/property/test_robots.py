@@ -26,7 +26,7 @@ from hostlink.protocol.frame import Frame, Id, encode
 from hostlink.protocol.session import Session
 from hostlink.protocol.stream import FrameStream
 from hostlink.robot.admission import LEASE_S
-from hostlink.robot.directory import find_robot
+from hostlink.robot.directory import Presence, find_robot
 from hostlink.robot.velocity import PlanarVelocity
 from hostlink.robot.velocity_gate import ZEROS
 from tests.support.fake_device import robot_topics
@@ -86,7 +86,7 @@ class Drivers(RuleBasedStateMachine):
         host_end, device_end = memory_pair()
         session = Session(check=lambda info: check_type(CATALOG, info), uart_bytes_s=self.uart_bytes_s)
         self.link = Link(host_end, session, LinkConfig(), number=self.sessions, on_event=self.react)
-        device = Device(self.link, self.diagnoses.begin(self.link), self.hub)
+        device = Device(self.link, self.diagnoses.begin(self.link), Presence(), self.hub)
         self.robots.devices[self.link.number] = device
         loop = asyncio.get_running_loop()
         self.tasks.append(loop.create_task(self.serve(self.link)))

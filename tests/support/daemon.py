@@ -14,6 +14,9 @@ from hostlink.config import BlackBoxConfig, Config
 from hostlink.hub.hub import Hub
 from hostlink.robot.velocity import PlanarVelocity
 from tests.support.background import meanwhile
+from tests.support.waiting import expect
+
+IN_TIME_S = 0.1  # of the event loop: later commands have most of their lease
 
 
 @dataclass
@@ -58,6 +61,8 @@ async def daemon(
         running(on_free_ports(Config() if config is None else config), read=read_again) as (hub, addresses),
         aiohttp.ClientSession() as session,
     ):
+        now_s = asyncio.get_running_loop().time
+        await expect(lambda: now_s() - hub.gates.came_s(now_s()) < IN_TIME_S)  # a slow start counts as a pause
         yield Daemon(hub, addresses.tcp, addresses.api, session, addresses.udp)
 
 

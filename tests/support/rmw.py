@@ -137,6 +137,11 @@ class Talker:
         )
         self._token = session.liveliness().declare_token(token)
 
+    @property
+    def has_subscribers(self) -> bool:
+        """Whether a subscriber of the key is known in this session."""
+        return bool(self._publisher.matching_status)
+
     def put(self, data: bytes, *, age_s: float = 0.0, attachment: bytes | None = None) -> None:
         """`age_s`: by how much the time of its source is earlier."""
         self.sequence_number += 1

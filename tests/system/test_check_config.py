@@ -33,5 +33,5 @@ async def test_check_config_with_a_suspicious_setting_warns(tmp_path: Path) -> N
     file = tmp_path / "hostlink.toml"
     file.write_text(FREE + '[robots.a]\naddress = "192.168.4"\n')
     status, out, err = await run("serve", "--check-config", str(file))
-    assert (status, out.splitlines()[0]) == (0, "devices on TCP 127.0.0.1:0, from everybody, at most 256")
+    assert (status, out.splitlines()[0]) == (0, "devices on TCP 127.0.0.1:0, from any address, at most 256")
     assert err == ("warning: robots.a.address 192.168.4 is neither an IP address nor the name of a [[serial]] port\n")

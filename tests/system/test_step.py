@@ -51,7 +51,7 @@ async def test_a_step_is_driven_reported_and_drawn(tmp_path: Path) -> None:
         folder.mkdir()
         status, out, err = await run(*step, "--wheel", "right", "--picture", str(folder), "--url", daemon.url)
         assert status == 0
-        assert f"note: no picture: {folder}: Is a directory" in out
+        assert f"note: the picture {folder} cannot be written: Is a directory" in out
         assert err == (
             "robot_0's right wheel rolls 0.10 m forwards round the left one at up to 0.05 m/s for 2.0 s; "
             "keep a circle of 0.9 m free.\n"
@@ -99,14 +99,14 @@ async def test_an_error_begins_a_line_of_its_own() -> None:
     [
         (("nobody", "--yes"), 1, "hostlink: no robot named nobody"),
         (("robot_0",), 2, "hostlink: --yes: the robot will move, and this command cannot ask"),
-        (("robot_0", "--json"), 2, "hostlink: --yes: is needed"),
-        (("robot_0", "--yes", "--speed", "0"), 2, "hostlink: --speed: 0 m/s is not 0.02 to 2, either way"),
-        (("robot_0", "--yes", "--speed", "nan"), 2, "hostlink: --speed: nan m/s is not"),
+        (("robot_0", "--json"), 2, "hostlink: --yes: the robot will move"),
+        (("robot_0", "--yes", "--speed", "0"), 2, "hostlink: --speed: 0 m/s is outside 0.02 to 2 m/s"),
+        (("robot_0", "--yes", "--speed", "nan"), 2, "hostlink: step: invalid value for '--speed': nan is not a number"),
         (("robot_0", "--yes", "--send"), 2, "hostlink: --send: sends the gains that --tune computes; add --tune"),
         (
             ("robot_0", "--yes", "--tune", "--seconds", "9"),
             2,
-            "hostlink: --seconds: is of a single step: --tune drives",
+            "hostlink: --seconds: cannot be combined with --tune",
         ),
         (("robot_0", "--yes", "--picture", "step.gif"), 2, "hostlink: --picture: step.gif must end in one of"),
         (("robot_0", "--yes", "--url", "http://127.0.0.1:1"), 1, "hostlink: no hostlink at http://127.0.0.1:1"),

@@ -43,7 +43,7 @@ async def test_echo_prints_fields_rows_and_single_messages() -> None:
         assert await run(*words, "--count", "2", "--field", "theta") == (0, "0.5\n0.5\n", "")
         _, table, _ = await run(*words, "--csv", "--count", "2")
         assert (await run(*words, "--once", "--field", "q")) == (
-            1, "", "hostlink: no field q: there is x, y, theta\n"
+            1, "", "hostlink: no field q; at that place the message has x, y, theta\n"
         )  # fmt: skip
         assert (await run(*words, "--csv", "--json"))[0] == 2
     head, *rows = (line.split(",") for line in table.splitlines())
@@ -76,7 +76,7 @@ async def test_rate_bandwidth_and_delay_are_measured() -> None:
         assert (bandwidth["min_bytes"], bandwidth["max_bytes"]) == (24, 24)
         delay = json.loads((await run("delay", "/robot_0/point", *end))[1])
         assert delay["delay_s"] > 1.7e9  # a device that does not know the time
-        assert "a geometry_msgs/Pose2D has no header" in (await run("delay", "/robot_0/odometry", *end))[2]
+        assert "geometry_msgs/Pose2D has no header" in (await run("delay", "/robot_0/odometry", *end))[2]
         assert "/x has no type yet" in (await run("delay", "/x", *end))[2]
         assert " Hz   every " in (await run("hz", "/robot_0/odometry", "--seconds", "1", "--url", host.url))[1]
 
@@ -147,10 +147,10 @@ async def test_stop_lock_and_unlock() -> None:
         assert await run("lock", "mule", "--reason", "my foot", *at) == (1, locked, "")
         assert [robot.gate.lock_reason for robot in host.hub.robots.all()] == ["my foot", None]
         assert await run("unlock", *at) == (0, "mule may be driven\n", "")
-        assert await run("unlock", *at) == (1, "", "hostlink: no robot is locked\n")
+        assert await run("unlock", *at) == (1, "", "hostlink: no robot is locked; `hostlink robots` lists them\n")
         await run("lock", *at)
         status, _, err = await run("unlock", *at)
-        assert (status, "locked are: mule, robot_0" in err) == (1, True)
+        assert (status, "several robots are locked: mule, robot_0;" in err) == (1, True)
         assert (await run("unlock", "--all", *at))[1] == "mule may be driven\nrobot_0 may be driven\n"
         assert (await run("lock", "mull", *at))[2] == (
             "hostlink: no robot named mull; similar names: mule; `hostlink robots` lists them\n"
@@ -182,9 +182,9 @@ async def test_parameters_are_set_saved_and_loaded(tmp_path: Path) -> None:
     ("words", "complaint"),
     [
         (["dump", "none/file"], "none/file cannot be written"),
-        (["load", "none"], "none: No such file"),
+        (["load", "none"], "none cannot be read: No such file"),
         (["load", "list.json"], "has no parameters"),
-        (["load", "broken.json"], "broken.json: Expecting"),
+        (["load", "broken.json"], "broken.json is neither JSON nor TOML: Expecting"),
     ],
 )
 async def test_param_load_with_a_file_that_is_not_one_of_parameters_says_so(

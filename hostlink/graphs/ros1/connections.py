@@ -54,7 +54,7 @@ class Port:
         """Serve connections from now on."""
 
         def accepted(connection: socket.socket, address: str, _since_s: float) -> None:
-            if not self._admits(address):
+            if not self.admits(address):
                 self._counts.refused_connections += 1
                 connection.close()
                 return
@@ -70,7 +70,8 @@ class Port:
         for transport in self._open:
             transport.close()
 
-    def _admits(self, address: str) -> bool:
+    def admits(self, address: str) -> bool:
+        """Whether a connection of this address may be served. A replaceable one gives its place to it."""
         if self._networks and not any(ipaddress.ip_address(address) in each for each in self._networks):
             return False
         self._open = {each: protocol for each, protocol in self._open.items() if not each.is_closing()}

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import pytest
 from aiohttp import web
+from structlog.testing import capture_logs
 
 from hostlink.api.access import Access, Grant, Role, check_role, tls_context
 from hostlink.config import ApiConfig, TokenConfig
@@ -144,3 +145,15 @@ def test_tls_needs_valid_certificate_and_key(tmp_path: Path) -> None:
 
 def test_limits_of_one_are_accepted() -> None:
     Access(ApiConfig(max_clients=1, max_message_bytes=1, max_requests_s=1.0))
+
+
+def test_refused_origin_of_a_browser_is_logged_once() -> None:
+    access = Access(ApiConfig())
+    with capture_logs() as logs:
+        for origin in ("http://evil.example", "http://evil.example", "null", "not-a-browser"):
+            with pytest.raises(web.HTTPForbidden):
+                access.check_place(origin=origin, host="localhost")
+    assert [(each["event"], each["origin"]) for each in logs] == [
+        ("client.origin_refused", "http://evil.example"),
+        ("client.origin_refused", "null"),
+    ]

@@ -2,10 +2,15 @@
 
 from dataclasses import dataclass, field
 
+import pytest
+from aiohttp import web
+from aiohttp.test_utils import make_mocked_request
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hostlink.api.clients import MANY, MAX_BYTES, MAX_MESSAGES, Operation, OperationQueue
+from hostlink.api.access import Grant
+from hostlink.api.clients import MANY, MAX_BYTES, MAX_MESSAGES, ClientQueue, Clients, Operation, OperationQueue
+from hostlink.hub.node import Role
 from tests.support.virtual_loop import run_virtual
 
 
@@ -155,3 +160,16 @@ def test_client_that_waits_for_its_debt_never_exceeds_rate_and_burst(messages_s:
         box.put("call", now_s, now_s)
         now_s += box.debt_s
     assert count <= messages_s * now_s + messages_s + 1e-6
+
+
+async def test_clients_count_dropped_messages_of_disconnected_clients() -> None:
+    clients, request, grant = Clients(2, max_per_address=2), make_mocked_request("GET", "/"), Grant("", Role.DRIVE)
+    queue = ClientQueue()
+    queue.dropped = 3
+    slow, stream = clients.enter("rosbridge", request, grant, queue), clients.enter("events", request, grant)
+    assert clients.all() == [slow, stream]
+    with pytest.raises(web.HTTPServiceUnavailable):
+        clients.enter("events", request, grant)
+    clients.leave(slow)
+    clients.leave(stream)
+    assert (clients.gone_dropped, clients.refused, clients.all()) == (3, 1, [])

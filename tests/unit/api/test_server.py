@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+import os
 import struct
 from collections.abc import Awaitable, Callable
 from pathlib import Path
@@ -204,6 +205,19 @@ def test_metrics_have_robots_links_and_graphs(check: Callable[..., None]) -> Non
         assert 'hostlink_graph_events_total{graph="ros1",what="opened"} 3.0' in lines
         assert "hostlink_links 1.0" in lines
         assert any(line.startswith("hostlink_link_frames_from_device_total{") for line in lines)
+        assert any(line.startswith("hostlink_link_answer_seconds{") for line in lines)
+
+    check(test)
+
+
+def test_recordings_are_listed_newest_first(check: Callable[..., None], tmp_path: Path) -> None:
+    async def test(api: ApiMemory) -> None:
+        for age_s, name in enumerate(("third", "second", "first")):
+            (tmp_path / f"{name}.mcap").touch()
+            os.utime(tmp_path / f"{name}.mcap", (1000 - age_s, 1000 - age_s))
+        body = json.loads((await api.request("GET", "/api/recordings")).body)
+        assert [each["file"] for each in body["files"]] == ["third.mcap", "second.mcap", "first.mcap"]
+        assert body["recordings"] == []
 
     check(test)
 

@@ -1,8 +1,10 @@
 """StallWatch: how late the loop is, by beats that come late."""
 
+import time
+
 import pytest
 
-from hostlink.hub.stall_watch import BEAT_S, GRACE_S, STALL_S, StallWatch
+from hostlink.hub.stall_watch import BEAT_S, GRACE_S, MAX_READINGS, STALL_S, StallWatch, slept_s
 
 
 def test_a_loop_in_time_is_not_late() -> None:
@@ -74,3 +76,28 @@ def test_commands_of_a_long_turn_leave_what_is_read_after_them_as_late() -> None
     for _ in range(2):
         assert stalls.pop_pause(10.45) is None
     assert stalls.late_s(10.45) == pytest.approx(0.4)
+
+
+@pytest.mark.skipif(not hasattr(time, "CLOCK_BOOTTIME"), reason="no clock of the time since the start")
+def test_time_without_the_processor_between_two_clocks_is_not_counted_as_sleep() -> None:
+    now_s, preemptions_s = 100.0, [0.8, 0.3]
+
+    def boot_s() -> float:
+        nonlocal now_s
+        now_s += preemptions_s.pop() if preemptions_s else 0.0
+        return now_s + 7.0
+
+    assert slept_s(boot_s, lambda: now_s) == pytest.approx(7.0)
+
+
+@pytest.mark.skipif(not hasattr(time, "CLOCK_BOOTTIME"), reason="no clock of the time since the start")
+def test_clocks_that_are_never_read_together_are_read_a_few_times() -> None:
+    now_s, readings = 100.0, 0
+
+    def boot_s() -> float:
+        nonlocal now_s, readings
+        now_s, readings = now_s + 1.0, readings + 1
+        return now_s
+
+    assert slept_s(boot_s, lambda: now_s) == pytest.approx(1.0)
+    assert readings == MAX_READINGS

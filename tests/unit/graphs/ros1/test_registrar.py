@@ -59,6 +59,7 @@ class FakeNode:
         if is_there:
             self.known[kind, arguments[0]] = arguments[1]
         else:
+            assert arguments[1] == (SERVICE_URI if kind is RegistrationKind.SERVICE else URI)
             self.known.pop((kind, arguments[0]), None)
         return []
 

@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import struct
 import sys
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterable, Mapping
 from types import SimpleNamespace
@@ -9,11 +10,14 @@ from typing import Any
 
 import pytest
 
+from hostlink.api.rosapi import describe
 from hostlink.errors import HostlinkError
 from hostlink.graphs.ros2.bridge import FIRST_RETRY_S, Bridge
-from hostlink.graphs.ros2.plan import Qos, Ros2Graph
+from hostlink.graphs.ros2.plan import COMMAND, Qos, Ros2Graph, Ros2Publisher, publisher_qos
+from tests.support.fake_device import CATALOG
 from tests.support.virtual_loop import run_virtual
 
+NOTE = "/robot_0/note"
 MISSING = "nobody_srvs/Missing"  # a type that is not installed
 ROBOT = {"name": "robot_0", "velocity_topics": {"/robot_0/cmd_vel": "geometry_msgs/Twist"}}
 TRIGGER = {"name": "/robot_0/reset", "type": "std_srvs/Trigger"}
@@ -36,6 +40,24 @@ class Trigger:
 
         def get_fields_and_field_types(self) -> dict[str, str]:
             return {"success": "boolean", "message": "string"}
+
+
+class Text:
+    """std_msgs/String as rclpy has it."""
+
+    @staticmethod
+    def get_fields_and_field_types() -> dict[str, str]:
+        return {"data": "string"}
+
+
+def text(data: bytes) -> bytes:
+    """Payload of a std_msgs/String in ROS 1."""
+    return struct.pack("<I", len(data)) + data
+
+
+def text_cdr(data: bytes) -> bytes:
+    """Payload of a std_msgs/String in CDR, where a string ends with a zero."""
+    return b"\0\1\0\0" + struct.pack("<I", len(data) + 1) + data + b"\0"
 
 
 class Stream:
@@ -69,6 +91,9 @@ class FakeHost:
         self.graphs, self.changes, self.lines = Stream(), Stream(), Stream()
         self.served: dict[str, Callable[[Mapping[str, Any]], Awaitable[Mapping[str, Any]]]] = {}
         self.calls: list[tuple[str, Mapping[str, Any]]] = []
+        self.raw: dict[str, Stream] = {}
+        self.advertised: dict[str, bool] = {}
+        self.published: list[tuple[str, bytes, str]] = []
 
     async def watch_graph(self) -> Stream:
         return self.graphs
@@ -79,6 +104,9 @@ class FakeHost:
     async def call(self, service: str, request: Mapping[str, Any], **_: Any) -> Mapping[str, Any]:
         if service == "/rosapi/get_param":
             return {"value": "{}"}
+        if service == "/rosapi/message_details":
+            found = CATALOG.message(request["type"])
+            return {"typedefs": [] if found is None else describe(found)}
         self.calls.append((service, request))
         if service == "/robot_0/fail":
             raise HostlinkError("the robot is locked")
@@ -87,6 +115,25 @@ class FakeHost:
     @contextlib.asynccontextmanager
     async def subscribe(self, _topic: str, **_: Any) -> AsyncIterator[Stream]:
         yield self.lines
+
+    @contextlib.asynccontextmanager
+    async def subscribe_raw(self, topic: str, **_: Any) -> AsyncIterator[Stream]:
+        self.raw[topic] = Stream()
+        try:
+            yield self.raw[topic]
+        finally:
+            del self.raw[topic]
+
+    @contextlib.asynccontextmanager
+    async def advertise(self, topic: str, _type: str, *, is_latched: bool) -> AsyncIterator[None]:
+        self.advertised[topic] = is_latched
+        try:
+            yield
+        finally:
+            del self.advertised[topic]
+
+    async def publish_raw(self, topic: str, payload: bytes, *, type_name: str) -> None:
+        self.published.append((topic, payload, type_name))
 
     @contextlib.asynccontextmanager
     async def serve(self, service: str, _type: str, answer: Any) -> AsyncIterator[None]:
@@ -103,7 +150,10 @@ class FakeNode:
     def __init__(self) -> None:
         self.ros2 = Ros2Graph()
         self.lines: list[tuple[str, str]] = []
+        self.publishers: dict[str, tuple[Qos, list[bytes]]] = {}
         self.subscriptions: dict[str, Callable[..., None]] = {}
+        self.qos: dict[str, tuple[Qos, bool]] = {}  # of subscriptions, and whether their messages are bytes
+        self.time = b""
         self.services: dict[str, Callable[[Any, Any], Awaitable[Any]]] = {}
         self.clients: set[str] = set()
         self.answer: Any = None  # of a service of ROS 2; None: it does not answer
@@ -125,12 +175,23 @@ class FakeNode:
     def pending(self) -> "asyncio.Future[Any]":
         return asyncio.get_running_loop().create_future()
 
+    def stamp(self) -> bytes:
+        return self.time
+
+    @contextlib.asynccontextmanager
+    async def publisher(self, topic: str, _cls: Any, qos: Qos) -> AsyncIterator[Any]:
+        sent: list[bytes] = []
+        self.publishers[topic] = qos, sent
+        try:
+            yield SimpleNamespace(publish=sent.append)
+        finally:
+            del self.publishers[topic]
+
     @contextlib.asynccontextmanager
     async def subscription(
         self, topic: str, _cls: Any, qos: Qos, receive: Callable[..., None], *, is_raw: bool
     ) -> AsyncIterator[None]:
-        assert (qos.is_reliable, is_raw) == (False, False)
-        self.subscriptions[topic] = receive
+        self.subscriptions[topic], self.qos[topic] = receive, (qos, is_raw)
         try:
             yield
         finally:
@@ -212,7 +273,12 @@ def bridged(test: Callable[[World], Awaitable[None]]) -> None:
 def _types(monkeypatch: pytest.MonkeyPatch) -> None:
     """The packages of ROS 2 that are installed."""
     twist = SimpleNamespace(Twist=object, TwistStamped=object)
-    for name, module in {"geometry_msgs.msg": twist, "std_srvs.srv": SimpleNamespace(Trigger=Trigger)}.items():
+    installed = {
+        "geometry_msgs.msg": twist,
+        "std_msgs.msg": SimpleNamespace(String=Text),
+        "std_srvs.srv": SimpleNamespace(Trigger=Trigger),
+    }
+    for name, module in installed.items():
         monkeypatch.setitem(sys.modules, name.partition(".")[0], SimpleNamespace())
         monkeypatch.setitem(sys.modules, name, module)
 
@@ -221,6 +287,7 @@ def test_velocity_of_ros_2_reaches_the_driver_while_the_daemon_has_the_robot() -
     async def test(world: World) -> None:
         await world.show(robots=[ROBOT])
         receive = world.node.subscriptions["/robot_0/cmd_vel"]
+        assert world.node.qos["/robot_0/cmd_vel"] == (COMMAND, False)
         receive(SimpleNamespace(linear=vector(0.2), angular=vector(z=-0.5)), {"publication_sequence_number": 1})
         receive(SimpleNamespace(linear=vector(y=0.1), angular=vector()), {"publisher_gid": {"data": [7, 8]}})
         await asyncio.sleep(0.1)
@@ -232,6 +299,52 @@ def test_velocity_of_ros_2_reaches_the_driver_while_the_daemon_has_the_robot() -
         await world.show()
         assert world.node.subscriptions == {}
         assert world.driver.robots == []
+
+    bridged(test)
+
+
+def topic(*, is_published: bool = False, is_subscribed: bool = False) -> dict[str, Any]:
+    return {
+        "name": NOTE, "type": "std_msgs/String", "velocity": False, "latched": False,
+        "published": is_published, "subscribed": is_subscribed,
+    }  # fmt: skip
+
+
+def test_topic_of_the_daemon_is_requested_while_ros_2_has_a_subscriber() -> None:
+    async def test(world: World) -> None:
+        await world.show(topics=[topic(is_published=True)])
+        qos, sent = world.node.publishers[NOTE]
+        assert qos == publisher_qos(NOTE, is_latched=False)
+        assert world.host.raw == {}
+        world.node.ros2 = Ros2Graph(readers=frozenset({NOTE}))
+        await asyncio.sleep(0.5)
+        world.node.time = bytes(8)  # a message without a header has no stamp
+        world.host.raw[NOTE].send(SimpleNamespace(payload=text(b"hello")))
+        world.host.raw[NOTE].send(SimpleNamespace(payload=b"\xff\xff"))
+        world.host.raw[NOTE].send(SimpleNamespace(payload=text(b"again")))
+        await asyncio.sleep(0.1)
+        assert sent == [text_cdr(b"hello"), text_cdr(b"again")]
+        await world.show()
+        assert (world.host.raw, world.node.publishers) == ({}, {})
+
+    bridged(test)
+
+
+def test_topic_of_ros_2_reaches_the_daemon_without_echoes_and_malformed_messages() -> None:
+    async def test(world: World) -> None:
+        offered = Ros2Publisher("std_msgs/msg/String", Qos(is_reliable=True, is_latched=True))
+        world.node.ros2 = Ros2Graph(publishers={NOTE: (offered,)}, readers=frozenset({NOTE}))
+        await world.show(topics=[topic(is_published=True, is_subscribed=True)])
+        assert world.host.advertised == {NOTE: True}
+        assert world.node.qos[NOTE][1]
+        world.host.raw[NOTE].send(SimpleNamespace(payload=text(b"mine")))
+        await asyncio.sleep(0.1)
+        for data in (text_cdr(b"mine"), b"\0\1", text_cdr(b"theirs")):
+            world.node.subscriptions[NOTE](data)
+        await asyncio.sleep(0.1)
+        assert world.host.published == [(NOTE, text(b"theirs"), "std_msgs/String")]
+        await world.show()
+        assert (world.host.advertised, world.node.subscriptions) == ({}, {})
 
     bridged(test)
 

@@ -33,7 +33,7 @@ from hostlink.hub.robot import Robot
 from hostlink.robot.velocity import ZERO, PlanarVelocity
 from tests.support.fake_device import CATALOG
 from tests.support.memory_zenoh import MemoryNetwork, MemorySession
-from tests.support.participants import NEIGHBOUR, ROBOT, Scene, ScriptedDevice, play, robot_topics
+from tests.support.participants import NEIGHBOUR, ODOMETRY_ID, POSE, ROBOT, Scene, ScriptedDevice, play, robot_topics
 
 DRIVE = PlanarVelocity(0.2)
 ODOMETRY = f"/{ROBOT}/odometry"
@@ -199,6 +199,33 @@ def test_stop_of_a_dead_daemon_is_reported() -> None:
         assert [(line["what"], line["hosts"]) for line in logs if line["event"] == "fleet.unanswered"] == [
             ("stop", ["lab"])
         ]
+
+    with_fleet(test)
+
+
+def test_stop_that_a_daemon_does_not_answer_is_an_error_for_the_caller() -> None:
+    async def test(world: World) -> None:
+        world.desk.robots.stop_all()
+        await world.desk.gates.settled()
+        world.network.deaf.add("1a")
+        world.desk.robots.stop_all()
+        with pytest.raises(DeviceGone, match="lab: has not answered the stop; what is here has"):
+            await world.desk.gates.settled()
+
+    with_fleet(test)
+
+
+def test_pose_of_a_robot_of_another_daemon_follows_while_it_is_read() -> None:
+    async def test(world: World) -> None:
+        robot = world.robot()
+        for x_m in (1.0, 2.0, 3.0):
+            robot.odometry.snapshot(now_s())
+            await asyncio.sleep(0.25)  # less than the time between two states
+            await world.scene.robot.send(ODOMETRY_ID, POSE.pack(x_m, 0.0, 0.0))
+        await asyncio.sleep(0.25)
+        found = robot.odometry.snapshot(now_s())
+        assert found is not None
+        assert found.pose.x_m == 3.0
 
     with_fleet(test)
 

@@ -1,0 +1,217 @@
+"""ZenohSession without a network: which samples arrive, and what Zenoh's errors do."""
+
+import asyncio
+from collections.abc import Awaitable, Callable
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from hostlink.errors import ConfigError
+from hostlink.graphs.zenoh.session import (
+    MAX_ANSWERS,
+    MAX_KEY_CHARS,
+    MAX_PAYLOAD_BYTES,
+    Token,
+    ZenohSample,
+    ZenohSession,
+)
+from hostlink.hub.isolation import Isolation
+from tests.support.virtual_loop import run_virtual
+
+PUT, DELETE = "put", "delete"
+
+
+class Payload(bytes):
+    """Bytes as Zenoh gives them."""
+
+    def to_bytes(self) -> bytes:
+        return bytes(self)
+
+
+def sample(key: str, payload: bytes = b"", *, kind: str = PUT, attachment: bytes | None = None) -> Any:
+    return SimpleNamespace(
+        key_expr=key,
+        payload=Payload(payload),
+        kind=kind,
+        attachment=None if attachment is None else Payload(attachment),
+    )
+
+
+class ZError(Exception):
+    """The only error of Zenoh."""
+
+
+class FakeZenoh:
+    """The library, and a session of it that notes what is declared, put and requested."""
+
+    ZError = ZError
+    SampleKind = SimpleNamespace(PUT=PUT)
+    Locality = SimpleNamespace(REMOTE="remote")
+    Priority = SimpleNamespace(REAL_TIME="real time", DATA="data")
+    CongestionControl = SimpleNamespace(DROP="drop")
+    QueryTarget = SimpleNamespace(ALL="all")
+
+    def __init__(self) -> None:
+        self.handlers = SimpleNamespace(Callback=lambda call, end, *, indirect: (call, end, indirect))
+        self.info = SimpleNamespace(
+            zid=lambda: "1a",
+            links=lambda: [
+                SimpleNamespace(zid="2b", auth_identifier=None),
+                SimpleNamespace(zid="2b", auth_identifier="desk"),
+                SimpleNamespace(zid="3c", auth_identifier=None),
+            ],
+        )
+        self.received: dict[str, Callable[[Any], None]] = {}
+        self.options: dict[str, dict[str, Any]] = {}
+        self.puts: list[tuple[str, bytes, dict[str, Any]]] = []
+        self.replies: list[Any] = []
+        self.has_failed = False
+        self.is_closed = False
+
+    def _declare(self, key: str, callback: Any = None, **options: Any) -> Any:
+        self._check()
+        self.options[key] = options
+        if callback is not None:
+            assert not callback[2]  # Zenoh makes no thread for it
+            self.received[key] = callback[0]
+        return SimpleNamespace(undeclare=lambda: self._undeclare(key))
+
+    declare_subscriber = declare_queryable = declare_token = _declare
+
+    def liveliness(self) -> "FakeZenoh":
+        return self
+
+    def put(self, key: str, payload: bytes, **options: Any) -> None:
+        self._check()
+        self.puts.append((key, payload, options))
+
+    def get(self, _selector: str, callback: Any, **_: Any) -> None:
+        self._check()
+        for reply in self.replies:
+            callback[0](reply)
+        callback[1]()
+
+    def close(self) -> None:
+        self.is_closed = True
+
+    def _check(self) -> None:
+        if self.has_failed:
+            raise ZError("session closed")
+
+    def _undeclare(self, key: str) -> None:
+        self._check()
+        del self.options[key]
+
+
+def with_session(test: Callable[[ZenohSession, FakeZenoh], Awaitable[None]]) -> None:
+    async def run() -> None:
+        zenoh = FakeZenoh()
+        await test(ZenohSession(zenoh, zenoh, Isolation(reraises=True)), zenoh)
+
+    run_virtual(run())
+
+
+def test_samples_within_the_bounds_arrive_and_others_are_counted() -> None:
+    async def test(session: ZenohSession, zenoh: FakeZenoh) -> None:
+        received: list[ZenohSample] = []
+        declared = session.subscribe("a/**", received.append, max_bytes=3)
+        put = zenoh.received["a/**"]
+        put(sample("a/b", b"123", attachment=b"x"))
+        put(sample("a/b", b"1234"))
+        put(sample("a/b", b"123", kind=DELETE))
+        put(sample("k" * MAX_KEY_CHARS))
+        put(sample("k" * (MAX_KEY_CHARS + 1)))
+        await asyncio.sleep(0.1)
+        assert received == [ZenohSample("a/b", b"123", b"x"), ZenohSample("k" * MAX_KEY_CHARS, b"")]
+        assert session.counts == {"oversized": 2}
+        assert zenoh.options["a/**"] == {"allowed_origin": "remote"}
+        declared.close()
+        declared.close()
+        put(sample("a/b"))
+        await asyncio.sleep(0.1)
+        assert (len(received), zenoh.options) == (2, {})
+
+    with_session(test)
+
+
+def test_source_that_floods_loses_its_own_samples_only() -> None:
+    async def test(session: ZenohSession, zenoh: FakeZenoh) -> None:
+        received: list[bytes] = []
+        session.subscribe(
+            "**",
+            lambda each: received.append(each.payload),
+            source_of=lambda key: key,
+            signer_of=lambda attachment: attachment.decode(),
+            max_waiting=1,
+        )
+        for number in b"12":
+            zenoh.received["**"](sample("a", bytes([number]), attachment=b"x"))
+            zenoh.received["**"](sample("a", bytes([number]), attachment=b"y"))
+        zenoh.received["**"](sample("b", b"3"))
+        await asyncio.sleep(0.1)
+        assert (received, session.counts) == ([b"2", b"2", b"3"], {"dropped": 2})
+
+    with_session(test)
+
+
+def test_tokens_say_whether_their_owner_lives() -> None:
+    async def test(session: ZenohSession, zenoh: FakeZenoh) -> None:
+        tokens: list[Token] = []
+        session.subscribe_tokens("alive/*", tokens.append)
+        for kind in (PUT, DELETE):
+            zenoh.received["alive/*"](sample("alive/a", kind=kind))
+        await asyncio.sleep(0.1)
+        assert tokens == [Token("alive/a", is_alive=True), Token("alive/a", is_alive=False)]
+        assert zenoh.options["alive/*"] == {"history": True}
+
+    with_session(test)
+
+
+@pytest.mark.parametrize("is_urgent", [False, True])
+def test_urgent_message_is_sent_before_others_and_in_no_batch(is_urgent: bool) -> None:
+    async def test(session: ZenohSession, zenoh: FakeZenoh) -> None:
+        session.put("a", b"1", is_urgent=is_urgent)
+        ((key, payload, options),) = zenoh.puts
+        assert (key, payload, options["express"]) == ("a", b"1", is_urgent)
+        assert options["priority"] == ("real time" if is_urgent else "data")
+        assert (options["congestion_control"], options["allowed_destination"]) == ("drop", "remote")
+
+    with_session(test)
+
+
+def test_error_of_zenoh_is_counted_and_a_failed_declaration_is_an_error() -> None:
+    async def test(session: ZenohSession, zenoh: FakeZenoh) -> None:
+        declared = session.declare_token("alive/a")
+        zenoh.has_failed = True
+        session.put("a", b"1")
+        declared.close()
+        assert await session.get("topics/a", timeout_s=1.0) == []
+        assert session.counts == {"failed": 3}
+        with pytest.raises(ConfigError, match="alive/b cannot be declared"):
+            session.declare_token("alive/b")
+
+    with_session(test)
+
+
+def test_answers_to_a_query_are_bounded_and_errors_among_them_left_out() -> None:
+    async def test(session: ZenohSession, zenoh: FakeZenoh) -> None:
+        zenoh.replies = [
+            SimpleNamespace(ok=None),
+            SimpleNamespace(ok=sample("a", bytes(MAX_PAYLOAD_BYTES + 1))),
+            SimpleNamespace(ok=sample("a", b"1", attachment=b"x")),
+        ]
+        assert await session.get("topics/a", timeout_s=1.0) == [ZenohSample("a", b"1", b"x")]
+        zenoh.replies = [SimpleNamespace(ok=sample("a"))] * (MAX_ANSWERS + 1)
+        assert len(await session.get("topics/a", timeout_s=1.0)) == MAX_ANSWERS
+
+    with_session(test)
+
+
+@pytest.mark.parametrize(("zid", "name"), [("2b", "desk"), ("3c", ""), ("4d", "")])
+def test_certificate_is_that_of_the_neighbour_of_the_id(zid: str, name: str) -> None:
+    async def test(session: ZenohSession, zenoh: FakeZenoh) -> None:
+        assert zenoh.options == {}
+        assert (session.zid, session.certificate_of(zid)) == ("1a", name)
+
+    with_session(test)

@@ -1,0 +1,40 @@
+"""Rules of the modules that `make compiled` compiles: the wheel works with the sources that are not compiled."""
+
+import ast
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[3]
+SETTINGS = tomllib.loads((ROOT / "pyproject.toml").read_text())
+HOOK = SETTINGS["tool"]["hatch"]["build"]["targets"]["wheel"]["hooks"]["mypyc"]
+COMPILED = {
+    path for each in HOOK["include"] for path in ROOT.glob(each.removeprefix("/")) if path.name != "__init__.py"
+}
+
+
+def classes() -> Iterator[tuple[Path, ast.ClassDef]]:
+    for path in (ROOT / "hostlink").rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.ClassDef):
+                yield path, node
+
+
+def base_names(node: ast.ClassDef) -> set[str]:
+    """Return the names of its bases; of `Queue[Outgoing]` it is Queue."""
+    found = (base.value if isinstance(base, ast.Subscript) else base for base in node.bases)
+    return {base.id for base in found if isinstance(base, ast.Name)}
+
+
+def test_each_pattern_names_modules_that_exist() -> None:
+    assert [each for each in HOOK["include"] if not list(ROOT.glob(each.removeprefix("/")))] == []
+
+
+def test_classes_that_interpreted_ones_inherit_permit_it() -> None:
+    """mypyc raises TypeError when the interpreted class is created: every WebSocket was refused with status 500."""
+    found = list(classes())
+    inherited = {name for path, node in found if path not in COMPILED for name in base_names(node)}
+    for path, node in found:
+        if path in COMPILED and node.name in inherited:
+            decorators = [ast.unparse(each) for each in node.decorator_list]
+            assert "mypyc_attr(allow_interpreted_subclasses=True)" in decorators, f"{path}: {node.name}"
