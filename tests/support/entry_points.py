@@ -33,7 +33,7 @@ from hostlink.graphs.ros2.velocity import VelocityDriver
 from hostlink.hub.node import Role
 from hostlink.protocol.frame import Id
 from hostlink.recording.channel import VELOCITY, ros_channel
-from hostlink.recording.file_thread import McapWriter
+from hostlink.recording.mcap_writer import McapWriter
 from hostlink.robot.velocity import TWIST_STAMPED_TYPE, TWIST_TYPE, PlanarVelocity, Twist
 from tests.support import foreign_drivers
 from tests.support.fake_device import CATALOG, topic
