@@ -12,9 +12,9 @@ from hostlink.messages.catalog import Catalog
 from hostlink.recording import mcap_writer
 from hostlink.recording.black_box import write_incident
 from hostlink.recording.channel import DEVICE, EVENTS, NS_PER_S, Channel, as_text, ros_channel
-from hostlink.recording.mcap_writer import FileThread, McapWriter, Splitting
 from hostlink.recording.folder import Folder
 from hostlink.recording.incident import Incident
+from hostlink.recording.mcap_writer import FileThread, McapWriter, Splitting
 from hostlink.recording.playing import schedule
 from hostlink.recording.reader import McapReader, contents_of
 from hostlink.recording.ring import Entry
