@@ -334,11 +334,11 @@ class Teleop(_Program):
         assert not left_m_s
         if speed_m_s:
             self._driving.receive(Key("w"), _now_s())
-            await self._keys.send_what_is_due()
+            await self._keys.send_due()
         else:
             self._driving.stop()
             for _ in range(round((GRACE_S + 0.1) / self.period_s)):
-                await self._keys.send_what_is_due()
+                await self._keys.send_due()
                 await asyncio.sleep(self.period_s)
 
 
