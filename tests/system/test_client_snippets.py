@@ -1,4 +1,4 @@
-"""Every Python snippet of docs/client.md, run as its reader runs it, with a simulated robot."""
+"""Every Python snippet of docs/client.md and docs/client-stops.md, run as its reader runs it, on a simulated robot."""
 
 import asyncio
 import re
@@ -14,7 +14,7 @@ from tests.support.proxy import proxy
 from tests.support.simulated import simulated_robot
 from tests.support.waiting import expect
 
-DOCUMENT = Path(__file__).parents[2] / "docs" / "client.md"
+DOCUMENTS = [Path(__file__).parents[2] / "docs" / name for name in ("client.md", "client-stops.md")]
 FENCED = re.compile(r"^```python\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 CONNECT = re.compile(r"\b(connect(?:_blocking)?)\(\)")
 TIMEOUT_S = 30.0
@@ -22,7 +22,7 @@ STANDING = {"print(error.kind, error)": "locked robot_0: locked: a visitor is ne
 
 
 def snippets() -> list[str]:
-    return FENCED.findall(DOCUMENT.read_text())
+    return [found for document in DOCUMENTS for found in FENCED.findall(document.read_text())]
 
 
 def first_cell() -> str:
@@ -52,7 +52,7 @@ def is_about_a_cut(snippet: str) -> bool:
     return "host.connection()" in snippet
 
 
-def test_document_has_a_snippet_for_each_of_its_sections() -> None:
+def test_documents_have_snippets_and_one_is_about_a_cut() -> None:
     assert len(snippets()) >= 10
     assert len([each for each in snippets() if is_about_a_cut(each)]) == 1
 
