@@ -129,6 +129,23 @@ def json_object(name: str, text: str) -> dict[str, object]:
     return value
 
 
+def field_value(name: str, text: str) -> object:
+    """Read the value of one field: JSON, a list or an object in YAML's flow style, or else a string.
+
+    Raises:
+        ConfigError: a list or an object is not closed, or has other mistakes.
+    """
+    if text.lstrip().startswith(("{", "[")):
+        try:
+            return read_message(text)
+        except (ValueError, RecursionError) as error:
+            raise ConfigError(name, f"is not JSON: {error}; write a list as '[0.1, 0, 0]'") from error
+    try:
+        return json.loads(_LITERALS.get(text.lower(), text))
+    except ValueError:
+        return text
+
+
 # -- ros text ---------------------------------------------------------------------------------------------------------
 
 _TEXT = r'"(?:[^"\\]|\\.)*"'

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, TypedDict
 import msgspec
 import typer
 
-from hostlink.cli.output import megabytes, show_progress, write, write_table, write_error
+from hostlink.cli.output import megabytes, show_progress, write, write_error, write_table
 from hostlink.errors import ConfigError, HostlinkError, LibraryMissing
 from hostlink.recording.channel import NS_PER_S
 from hostlink.recording.definitions import why_unknown

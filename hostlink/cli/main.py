@@ -258,7 +258,9 @@ PANELS = {
 }
 MODULES = {  # modules whose name is not that of the command
     "serve": "serve_command",
-    **dict.fromkeys(("nodes", "info", "type", "find", "echo", "hz", "bw", "delay", "pub", "services", "call"), "topics"),
+    **dict.fromkeys(
+        ("nodes", "info", "type", "find", "echo", "hz", "bw", "delay", "pub", "services", "call"), "topics"
+    ),
     **dict.fromkeys(("drives", "incidents"), "record"),
     "plot": "export",
     **dict.fromkeys(("stop", "lock", "unlock"), "robots"),
@@ -394,7 +396,7 @@ _NO_COMMAND = re.compile(r"No such command '(.*?)'\.(?: Did you mean (.*)\?)?")
 
 def complaint(command: str, text: str) -> tuple[str, str]:
     """Return the subject and the sentence for an error of the parser. Pure."""
-    is_group = not command or command == "params" or command == "board"
+    is_group = not command or command in ("params", "board")
     options = f"`hostlink {f'{command} --help'.strip()}` lists the {'commands' if is_group else 'options'}"
     if (found := _NO_COMMAND.fullmatch(text)) is not None:
         similar = found[2] and " or ".join(f"`{name.strip(chr(39))}`" for name in found[2].split(", "))

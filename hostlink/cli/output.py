@@ -159,9 +159,7 @@ def middle(text: str, width: int) -> str:
     return f"{text[: width - end - 1]}…{text[len(text) - end :]}"
 
 
-def _shrunk(
-    head: Sequence[str], widths: Sequence[int], columns: int, whole: Collection[str]
-) -> list[int] | None:
+def _shrunk(head: Sequence[str], widths: Sequence[int], columns: int, whole: Collection[str]) -> list[int] | None:
     """Return widths that fit into the columns, taken from the widest ones; None if that is not possible."""
     found = list(widths)
     least = [

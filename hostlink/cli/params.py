@@ -25,10 +25,13 @@ app = typer.Typer(
 @app.command("list")
 def list_(
     group: Annotated[
-        str, typer.Argument(help="Only the parameters of this group.", show_default=False, autocompletion=parameter_names)
+        str,
+        typer.Argument(help="Only the parameters of this group.", show_default=False, autocompletion=parameter_names),
     ] = "",
     *,
-    url: Url = DEFAULT_URL, token: Token = None, json: Json = False,
+    url: Url = DEFAULT_URL,
+    token: Token = None,
+    json: Json = False,
 ) -> None:
     """List the parameters with their values."""
     begin = f"/{group.strip('/')}/" if group.strip("/") else "/"

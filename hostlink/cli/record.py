@@ -35,12 +35,13 @@ def record(
     output: Annotated[
         Path | None,
         typer.Option(
-            "-o", "-O", "--output", help="Download the file to this path at the end; else it stays in the daemon's folder."
+            "-o",
+            "-O",
+            "--output",
+            help="Download the file to this path at the end; else it stays in the daemon's folder.",
         ),
     ] = None,
-    everything: Annotated[
-        bool, typer.Option("--all", "-a", help="Record every topic, as without a topic.")
-    ] = False,
+    everything: Annotated[bool, typer.Option("--all", "-a", help="Record every topic, as without a topic.")] = False,
     robot: Annotated[
         list[str] | None, typer.Option(help="Record this robot only, for a smaller file. May be repeated.")
     ] = None,
