@@ -399,11 +399,11 @@ def complaint(command: str, text: str) -> tuple[str, str]:
     is_group = not command or command in ("params", "board")
     options = f"`hostlink {f'{command} --help'.strip()}` lists the {'commands' if is_group else 'options'}"
     if (found := _NO_COMMAND.fullmatch(text)) is not None:
-        similar = found[2] and " or ".join(f"`{name.strip(chr(39))}`" for name in found[2].split(", "))
+        similar = found[2] and _listed(f"`{name.strip(chr(39))}`" for name in found[2].split(", "))
         inside = f" of `hostlink {command}`" if command else ""
         return found[1], f"there is no such command{inside}; {f'did you mean {similar}? ' if similar else ''}{options}"
     if (found := _NO_OPTION.fullmatch(text)) is not None:
-        similar = found[2] and f"did you mean {found[2]}? "
+        similar = found[2] and f"did you mean {_listed(found[2].split(', '))}? "
         step = LACKING.get((command, found[1])) or (_NO_QOS if found[1].startswith("--qos") else None)
         if command:
             return command, f"there is no option {found[1]}; {step or f'{similar or str()}{options}'}"
@@ -414,6 +414,12 @@ def complaint(command: str, text: str) -> tuple[str, str]:
         if (found := pattern.fullmatch(text)) is not None:
             return command or "arguments", f"{found.expand(sentence)}; {options}"
     return command or "arguments", f"{text[:1].lower()}{text[1:].rstrip('.')}; {options}"
+
+
+def _listed(names: Iterable[str]) -> str:
+    """Return the names as `a, b or c`."""
+    *before, last = names
+    return f"{', '.join(before)} or {last}" if before else last
 
 
 def _complain(text: str) -> None:

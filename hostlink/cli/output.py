@@ -160,7 +160,10 @@ def middle(text: str, width: int) -> str:
 
 
 def _shrunk(head: Sequence[str], widths: Sequence[int], columns: int, whole: Collection[str]) -> list[int] | None:
-    """Return widths that fit into the columns, taken from the widest ones; None if that is not possible."""
+    """Return widths that fit into the columns; None if that is not possible.
+
+    The widest column is shortened, and the first, which names the row, only after all others.
+    """
     found = list(widths)
     least = [
         width if name in whole else min(width, max(LEAST, len(name))) for name, width in zip(head, widths, strict=True)
@@ -169,7 +172,7 @@ def _shrunk(head: Sequence[str], widths: Sequence[int], columns: int, whole: Col
         spare = [column for column in range(len(found)) if found[column] > least[column]]
         if not spare:
             return None
-        found[max(spare, key=found.__getitem__)] -= 1
+        found[max(spare, key=lambda column: (column > 0, found[column]))] -= 1
     return found
 
 

@@ -203,7 +203,7 @@ def drives(robot: RobotName = None, *, url: Url = DEFAULT_URL, token: Token = No
         write(json_text.dumps(view))
     else:
         today = datetime.now(UTC).date().isoformat()
-        write_table(HEADS, [row(each, today) for each in view["drives"]])
+        write_table(HEADS, [row(each, today) for each in view["drives"]], whole=HEADS[-1:])
         if not view["drives"]:
             write(f"there are no drives of {'any robot' if robot is None else robot} yet")
 

@@ -339,7 +339,7 @@ class Echo:
     longest: float  # a list with more values, or a longer text, is shortened
 
 
-LONGEST = 64  # values of a list that a terminal shows in full
+LONGEST = 32  # values of a list that a terminal shows in full
 
 
 def echo(
@@ -915,9 +915,12 @@ def filled(known: dict[str, Any], typedef: dict[str, Any], values: list[object])
     """
     names = typedef["fieldnames"]
     if len(values) != len(names):
+        found = f"{len(values)} {'value was' if len(values) == 1 else 'values were'} given"
+        if not names:
+            raise HostlinkError(f"{found}, but {typedef['type']} has no fields; leave the values out")
         raise HostlinkError(
-            f"{typedef['type']} has {len(names)} fields ({', '.join(names) or 'none'}), but {len(values)} values were "
-            f"given; write the message as an object, as in {shlex.quote('{linear: {x: 0.1}}')}"
+            f"{found}, but {typedef['type']} needs one for each of: {', '.join(names)}; a field that may be zero can "
+            f"be left out of an object, as in {shlex.quote('{' + names[0] + ': VALUE}')}"
         )
     return {
         name: filled(known, known[type_name], value)
@@ -1023,7 +1026,7 @@ async def _call(url: str, token: str | None, service: str, type_name: str, words
         if type_name or isinstance(words, list):
             known: str = (await host.call("/rosapi/service_type", {"service": service}))["type"]
             if type_name and known and known != type_name:
-                raise WrongType(service, type_name, known)
+                raise WrongType(service, known, type_name)
             type_name = type_name or known
         request = await _object(host, "service_request_details", type_name, words)
         with waiting(f"waiting for {service}"):
