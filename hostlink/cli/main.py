@@ -37,6 +37,7 @@ HABITS = {  # words that newcomers type, and the command that has their meaning
     "roswtf": "doctor",
     "start": "serve",
     "run": "serve",
+    "roscore": "serve",
     "version": "--version",
 }
 _SAME = {name: name for name in ("echo", "hz", "bw", "delay", "pub", "info", "type", "find")}
@@ -138,6 +139,9 @@ def _own_command(words: Sequence[str]) -> list[str]:
         return [ROS2_WORDS[rest[0]], *rest[1:]]
     if first == "ros2" and rest and rest[0] in ROS_GROUPS:
         return _of_group(rest[0], f"ros2 {rest[0]}", rest[1:])
+    if first in ("rosrun", "roslaunch") or (first == "ros2" and rest and not rest[0].startswith("-")):
+        program = f"ros2 {rest[0]}" if first == "ros2" else first
+        raise ConfigError(program, "hostlink has no such command; `hostlink --help` lists all commands")
     group = first.removeprefix("ros").removesuffix("s")
     is_own = first in COMMANDS and (first == "params" or not rest or rest[0] not in ROS_GROUPS.get(group, ()))
     return list(words) if is_own or group not in ROS_GROUPS else _of_group(group, first, rest)
@@ -341,7 +345,7 @@ def main() -> None:
     except HostlinkError as error:
         if "--debug" in arguments:
             raise
-        _complain(str(error))
+        _complain(with_next_step(error.kind, str(error)))
         sys.exit(MISUSED if isinstance(error, ConfigError) else FAILED)
     except OSError as error:  # mostly: the program that read the output has ended, or the disk is full
         if "--debug" in arguments:
@@ -385,9 +389,15 @@ def _complaint(error: Any, words: Sequence[str]) -> tuple[str, str]:
 _TEXTS = (  # of click, and the sentence of hostlink
     (re.compile(r"Got unexpected extra arguments? ?(?:\(s\) )?\((.*)\)\.?"), r"there is an argument too many: \1"),
     (re.compile(r"Missing argument '(.*?)'\.?"), r"the argument \1 is missing"),
-    (re.compile(r"Missing option '(.*?)'\.? ?(?:Choose from: )?(.*?)\.?"), r"the option \1 is missing; choose \2"),
-    (re.compile(r"Invalid value for '(.*?)': (?:Value error, )?(.*?)\.?"), r"the value of \1 is wrong: \2"),
-    (re.compile(r"Option '(.*?)' requires an argument\.?"), r"the option \1 needs a value"),
+    (
+        re.compile(r"Missing option '(.*?)'(?: / '.*?')*\.? ?(?:Choose from: )?(.*?)\.?"),
+        r"the option \1 is missing; choose \2",
+    ),
+    (
+        re.compile(r"Invalid value for '(.*?)'(?: / '.*?')*: (?:Value error, )?(.*?)\.?"),
+        r"the value of \1 is wrong: \2",
+    ),
+    (re.compile(r"Option '(.*?)'(?: / '.*?')* requires an argument\.?"), r"the option \1 needs a value"),
 )
 _NO_OPTION = re.compile(r"No such option:? '?(-[^ ']*?)'?[. ]*(?:(?:Did you mean|\(?Possible options:) (.*?)[?)])?")
 _NO_QOS = "rosserial has no quality of service; leave the option out"
@@ -420,6 +430,41 @@ def _listed(names: Iterable[str]) -> str:
     """Return the names as `a, b or c`."""
     *before, last = names
     return f"{', '.join(before)} or {last}" if before else last
+
+
+_LISTS = {  # command that lists the things of a kind
+    "topic": "topics",
+    "service": "services",
+    "robot": "robots",
+    "parameter": "params list",
+    "link": "links --ended",
+    "client": "clients",
+    "recording": "record --list",
+    "incident": "incidents",
+}
+_UNKNOWN = re.compile(r"no (\w+) named ")
+
+
+def with_next_step(kind: str, text: str) -> str:
+    """Return an error of the daemon, or of its client, with the command that helps. Pure.
+
+    The daemon does not name commands, because most of its clients have none.
+    """
+    if "`hostlink " in text:
+        return text
+    name = text.partition(": ")[0]
+    step = None
+    if (found := _UNKNOWN.match(text)) is not None and found[1] in _LISTS:
+        step = f"`hostlink {_LISTS[found[1]]}` lists them"
+    elif kind == "WrongType" and name.startswith("/"):
+        step = f"`hostlink type {name}` shows its type"
+    elif kind == "BadRequest" and ": wanted " in text:
+        step = "`hostlink type TYPE` shows the fields of a type"
+    elif kind == "FrameTooLarge":
+        step = "send less in one message; `hostlink doctor` shows which buffer of the board is too small"
+    elif kind in ("DeviceGone", "not_connected"):
+        step = "`hostlink doctor` finds out why"
+    return f"{text}; {step}" if step else text
 
 
 def _complain(text: str) -> None:

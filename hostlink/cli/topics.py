@@ -318,7 +318,7 @@ async def _find_of_type(url: str, token: str | None, type_name: str) -> tuple[li
         services: list[str] = (await host.call("/rosapi/services_for_type", {"type": type_name}))["services"]
         if not topics and not services:
             known = {topic["type"] for topic in await host.topics()} - {""}
-            raise unknown("topic or service of type", type_name, known, command="topics")
+            raise unknown("topic or service of a type", type_name, known, command="topics")
     return topics, services
 
 

@@ -100,7 +100,7 @@ async def test_info_type_and_find() -> None:
         assert out.splitlines() == ["std_msgs/ColorRGBA", *(f"  float32 {name}" for name in "rgba")]
         assert (await run("find", "geometry_msgs/msg/Pose2D", "--url", host.url))[1] == "/robot_0/odometry\n"
         assert (await run("find", "geometry_msgs/Pose3D", *at))[2].startswith(
-            "hostlink: no topic or service of type named geometry_msgs/Pose3D; similar names: geometry_msgs/Pose2D"
+            "hostlink: there is no topic or service of a type named geometry_msgs/Pose3D; similar names: geometry_msgs/Pose2D"
         )
 
 
@@ -154,7 +154,7 @@ async def test_stop_lock_and_unlock() -> None:
         assert (status, "several robots are locked: mule, robot_0;" in err) == (1, True)
         assert (await run("unlock", "--all", *at))[1] == "mule may be driven\nrobot_0 may be driven\n"
         assert (await run("lock", "mull", *at))[2] == (
-            "hostlink: no robot named mull; similar names: mule; `hostlink robots` lists them\n"
+            "hostlink: there is no robot named mull; similar names: mule; `hostlink robots` lists them\n"
         )
         assert all(robot.gate.lock_reason is None for robot in host.hub.robots.all())
 

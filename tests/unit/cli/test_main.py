@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from hostlink.cli.main import COMMANDS, completed_words, module_of, wanted_command
+from hostlink.cli.main import COMMANDS, completed_words, module_of, wanted_command, with_next_step
 
 
 @pytest.mark.parametrize(
@@ -76,3 +76,30 @@ def test_a_command_that_queries_a_daemon_imports_no_daemon() -> None:
     text = f"import sys, importlib; [*map(importlib.import_module, {modules})]; print({{*{slow}}} & {{*sys.modules}})"
     found = subprocess.run([sys.executable, "-c", text], capture_output=True, text=True, check=True)
     assert found.stdout == "set()\n"
+
+
+@pytest.mark.parametrize(
+    ("kind", "text", "wanted"),
+    [
+        ("UnknownTopic", "no topic named /x; known: /y", "no topic named /x; known: /y; `hostlink topics` lists them"),
+        ("HostlinkError", "no service named /x", "no service named /x; `hostlink services` lists them"),
+        ("UnknownTopic", "no link named 9; known: 1", "no link named 9; known: 1; `hostlink links --ended` lists them"),
+        ("WrongType", "/x: wanted a/B, got c/D", "/x: wanted a/B, got c/D; `hostlink type /x` shows its type"),
+        (
+            "BadRequest",
+            "a/B.c: wanted text, got 5",
+            "a/B.c: wanted text, got 5; `hostlink type TYPE` shows the fields of a",
+        ),
+        ("FrameTooLarge", "/x: frame of 9 bytes", "/x: frame of 9 bytes; send less in one message; `hostlink doctor`"),
+        ("DeviceGone", "r: its device is gone", "r: its device is gone; `hostlink doctor` finds out why"),
+    ],
+)
+def test_errors_of_the_daemon_get_the_command_that_helps(kind: str, text: str, wanted: str) -> None:
+    assert with_next_step(kind, text).startswith(wanted)
+
+
+@pytest.mark.parametrize(
+    "text", ["there is no robot named x; `hostlink robots` lists them", "no time named x", "ended"]
+)
+def test_other_errors_stay_as_they_are(text: str) -> None:
+    assert with_next_step("HostlinkError", text) == text

@@ -90,7 +90,7 @@ def test_translations_exist() -> None:
         assert found == ""
 
 
-def test_what_hostlink_lacks_is_no_option_that_it_has() -> None:
+def test_options_that_hostlink_lacks_do_not_exist() -> None:
     assert {subject for subject, _ in LACKING} <= {*ROS_GROUPS, *COMMANDS}
     for subject, option in LACKING:
         if subject in COMMANDS:
