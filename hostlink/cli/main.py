@@ -352,7 +352,8 @@ def main() -> None:
             raise
         _end_output()
         if not isinstance(error, BrokenPipeError):
-            _complain(f"{error.filename or 'a call of the system failed'}: {error.strerror or error}")
+            step = "; check its name" if isinstance(error, FileNotFoundError) else ""
+            _complain(f"{error.filename or 'a call of the system failed'}: {error.strerror or error}{step}")
         sys.exit(FAILED)
     except (KeyboardInterrupt, typer.Abort):
         sys.exit(128 + 2)

@@ -121,7 +121,12 @@ _INDENT = 4  # of a row's second line
 
 def write_table(head: Sequence[str], rows: Sequence[Sequence[Any]], *, whole: Collection[str] = ()) -> None:
     """Write a table that fits the terminal; a file or a pipe gets every cell in full. Nothing without rows."""
-    write(*table(head, rows, columns=terminal_size()[0] if is_terminal() else 0, whole=whole)[1:])
+    write(*fitted_table(head, rows, whole=whole)[1:])
+
+
+def fitted_table(head: Sequence[str], rows: Sequence[Sequence[Any]], *, whole: Collection[str] = ()) -> list[str]:
+    """Lines of a table that fits the terminal; in full for a file or a pipe."""
+    return table(head, rows, columns=terminal_size()[0] if is_terminal() else 0, whole=whole)
 
 
 def is_terminal() -> bool:

@@ -45,8 +45,7 @@ def robots(*, url: Url = DEFAULT_URL, token: Token = None, json: Json = False) -
         write(json_text.dumps(robots))
     elif robots:
         shown: dict[str, Any] = {"robots": robots}
-        columns, rows = robot_table(shown)
-        write_table(columns, rows)
+        write_table(*robot_table(shown))
     else:
         write_error("no robot has connected yet; `hostlink doctor` finds out why, `hostlink sim` runs one")
 

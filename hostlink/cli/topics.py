@@ -820,7 +820,8 @@ def pub(
         list[str] | None,
         typer.Argument(
             metavar="[TYPE] [MESSAGE]",
-            help='The message as JSON, for example {"linear": {"x": 0.1}}. Missing fields are zero.',
+            help="The message in JSON or YAML, for example '{linear: {x: 0.1}}', where missing fields are zero; "
+            "or the values of all fields in their order.",
         ),
     ] = None,
     *,
@@ -1005,7 +1006,8 @@ def call(
         list[str] | None,
         typer.Argument(
             metavar="[TYPE] [REQUEST]",
-            help='The request as JSON, for example {"data": true}. Missing fields are zero.',
+            help="The request in JSON or YAML, for example '{data: true}', where missing fields are zero; "
+            "or the values of all fields in their order.",
         ),
     ] = None,
     *,
