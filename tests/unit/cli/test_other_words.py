@@ -14,6 +14,9 @@ from tests.support.documented import Documented
         ("ls", "robots"),
         ("drive robot_0", "teleop robot_0"),
         ("start --serial /dev/ttyUSB0", "serve --serial /dev/ttyUSB0"),
+        ("roscore", "serve"),
+        ("ros2 param dump", "params dump"),
+        ("rosparam dump file", "params dump file"),
         ("rosout --once", "echo /rosout --once"),
         ("help", "--help"),
         ("help echo", "echo --help"),
@@ -72,6 +75,9 @@ def test_command_lines_of_ros_become_those_of_hostlink(line: str, wanted: str) -
         ("topic lst", "topic lst: there is no such command; `topic` has: list, echo, hz"),
         ("rosnode kill /x", "rosnode kill: hostlink has no such command; `hostlink stop` stops the robots"),
         ("ros2 interface list", "ros2 interface list: hostlink has no such command; `hostlink type TYPE` shows"),
+        ("ros2 param dump /robot_0", "ros2 param dump: a parameter belongs to no node; leave the node out"),
+        ("ros2 run demo_nodes_cpp talker", "ros2 run: hostlink has no such command; `hostlink --help` lists all"),
+        ("roslaunch robot.launch", "roslaunch: hostlink has no such command; `hostlink --help` lists all commands"),
         ("ros2 action list", "ros2 action: rosserial has no actions; `hostlink services` lists the services"),
     ],
 )
@@ -103,6 +109,7 @@ def test_options_that_hostlink_lacks_do_not_exist() -> None:
 @pytest.mark.parametrize(
     ("command", "text", "wanted"),
     [
+        ("hz", "Got unexpected extra argument (/b)", "hz: one topic is measured at a time; run the command once for"),
         ("", "No such command 'topc'.", "topc: there is no such command; `hostlink --help` lists the commands"),
         (
             "",
