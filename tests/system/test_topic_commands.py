@@ -100,7 +100,7 @@ async def test_info_type_and_find() -> None:
         assert out.splitlines() == ["std_msgs/ColorRGBA", *(f"  float32 {name}" for name in "rgba")]
         assert (await run("find", "geometry_msgs/msg/Pose2D", "--url", host.url))[1] == "/robot_0/odometry\n"
         assert (await run("find", "geometry_msgs/Pose3D", *at))[2].startswith(
-            "hostlink: there is no topic or service of a type named geometry_msgs/Pose3D; similar names: geometry_msgs/Po"
+            "hostlink: there is no topic or service of a type named geometry_msgs/Pose3D; similar names: geometry_msgs"
         )
 
 
