@@ -384,7 +384,7 @@ class Play(_Program):
         await asyncio.sleep(0)
 
     async def _play(self) -> None:
-        pace = play.Pace(rate=1.0, start_s=0.0, is_looped=False, is_stepped=False)
+        pace = play.Playback(rate=1.0, start_s=0.0, is_looped=False, is_stepped=False)
         with contextlib.suppress(HostlinkError):
             await play.drive_as_recorded(self.robot, self._file, pace, ROBOT, CMD_VEL)
         self.host.close()

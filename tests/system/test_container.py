@@ -143,6 +143,7 @@ async def test_container_settings_are_read_again_after_a_signal(tmp_path: Path) 
         file.write_text("[robots.rover]\nmax_linear_m_s = 0.2\n")
         os.kill(parent_of(daemon), signal.SIGUSR1)
         await expect(lambda: (tmp_path / "log").read_bytes().count(b"config.reloaded") == 1)
+        file.write_text("[robots.rover]\nmax_linear_m_s = 0.3\n")
         os.kill(parent_of(daemon), signal.SIGUSR1)  # the daemon is still there
         await expect(lambda: (tmp_path / "log").read_bytes().count(b"config.reloaded") == 2)
 
