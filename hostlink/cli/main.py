@@ -5,6 +5,7 @@ the command that runs is imported.
 """
 
 import contextlib
+import errno
 import functools
 import importlib
 import itertools
@@ -355,8 +356,8 @@ def main() -> None:
             raise
         _end_output()
         if not isinstance(error, BrokenPipeError):
-            step = "; check its name" if isinstance(error, FileNotFoundError) else ""
-            _complain(f"{error.filename or 'a call of the system failed'}: {error.strerror or error}{step}")
+            text = f"{error.filename or 'a call of the system failed'}: {error.strerror or error}"
+            _complain(with_next_step(type(error).__name__, text))
         sys.exit(FAILED)
     except (KeyboardInterrupt, typer.Abort):
         sys.exit(128 + 2)
@@ -464,6 +465,8 @@ def with_next_step(kind: str, text: str) -> str:
         step = f"`hostlink type {name}` shows its type"
     elif kind == "BadRequest" and ": wanted " in text:
         step = "`hostlink type TYPE` shows the fields of a type"
+    elif text.endswith(os.strerror(errno.ENOENT)):
+        step = "check its name"
     elif kind == "FrameTooLarge":
         step = "send less in one message; `hostlink doctor` shows which buffer of the board is too small"
     elif kind in ("DeviceGone", "not_connected"):

@@ -91,6 +91,7 @@ def test_a_command_that_queries_a_daemon_imports_no_daemon() -> None:
             "a/B.c: wanted text, got 5; `hostlink type TYPE` shows the fields of a",
         ),
         ("FrameTooLarge", "/x: frame of 9 bytes", "/x: frame of 9 bytes; send less in one message; `hostlink doctor`"),
+        ("RecordingFailed", "/x: No such file or directory", "/x: No such file or directory; check its name"),
         ("DeviceGone", "r: its device is gone", "r: its device is gone; `hostlink doctor` finds out why"),
     ],
 )

@@ -4,7 +4,10 @@ import json
 from typing import Any
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
+from hostlink.cli.arguments import read_message
 from hostlink.cli.topics import Echo, block, filled, message_count, type_and_message, with_field
 from hostlink.errors import ConfigError, HostlinkError
 
@@ -146,3 +149,53 @@ def test_end_of_an_unknown_topic_is_a_field(topic: str, wanted: tuple[str, str])
     echo = Echo(topic=topic, field="", count=0, throttle_ms=0, timeout_s=0, as_json=False, as_csv=False, longest=0)
     found = with_field(echo, ["/r/odom"])
     assert (found.topic if found.field else "/" + found.topic.lstrip("/"), found.field) == wanted
+
+
+TWIST_LINES = """linear:
+  x: 0.1
+  y: 0.0
+angular:
+  z: -0.5"""
+
+
+@pytest.mark.parametrize(
+    ("text", "wanted"),
+    [
+        (TWIST_LINES, {"linear": {"x": 0.1, "y": 0.0}, "angular": {"z": -0.5}}),
+        ("data: 'it''s: here'\nok: True\nname: hello world", {"data": "it's: here", "ok": True, "name": "hello world"}),
+        ("points:\n- x: 1\n  y: 2\n-\n  x: 3\nlast: 4", {"points": [{"x": 1, "y": 2}, {"x": 3}], "last": 4}),
+        ("# a comment\nvalues:\n  - -1\n  - 2\nempty:\n---", {"values": [-1, 2], "empty": None}),
+        ("header: {frame_id: map}\nranges: [1, 2]", {"header": {"frame_id": "map"}, "ranges": [1, 2]}),
+        ("---\n# nothing", {}),
+    ],
+)
+def test_lines_of_yaml_are_a_message(text: str, wanted: Any) -> None:
+    assert read_message(text) == wanted
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ("x: 1\n  y: 2", "line 2 is not indented"),
+        ("x: 1\nhello", "line 2 is not `name: value`: hello"),
+        ("x: [1\ny: 2", "column"),
+        ('x: "a\ny: 2', "column"),
+    ],
+)
+def test_lines_that_are_not_yaml_are_refused(text: str, complaint: str) -> None:
+    with pytest.raises(ValueError, match=complaint):
+        read_message(text)
+
+
+NAMES = st.text("ab_", min_size=1, max_size=4)
+SCALARS = st.none() | st.booleans() | st.integers(-9, 9) | st.floats(-9, 9) | st.text(max_size=8)
+MESSAGES = st.recursive(
+    SCALARS | st.lists(SCALARS, max_size=3),
+    lambda inner: st.dictionaries(NAMES, inner, max_size=3) | st.lists(st.dictionaries(NAMES, inner), max_size=3),
+    max_leaves=8,
+)
+
+
+@given(st.dictionaries(NAMES, MESSAGES, max_size=4))
+def test_message_that_echo_prints_is_read_again(message: dict[str, Any]) -> None:
+    assert read_message("\n".join([*block(message), "---", ""])) == message
