@@ -284,7 +284,7 @@ UsageError: Any = typer.BadParameter.__base__  # click's class, which newer vers
 def build_app(wanted: str | None) -> typer.Typer:
     """Build the command line. Commands other than `wanted` have a name and a help text only."""
     app = typer.Typer(
-        help="The host for rosserial robots. ROS is not needed; commands and names are those that users of ROS know.",
+        help="The host for rosserial robots. ROS is not needed. Commands of ROS work too: `hostlink rostopic list`.",
         no_args_is_help=True,
         pretty_exceptions_enable=False,
         context_settings={"help_option_names": ["-h", "--help"]},
@@ -372,6 +372,7 @@ def _run(arguments: list[str]) -> int:
     if not arguments and "_HOSTLINK_COMPLETE" not in os.environ:
         write(*FIRST_DAY.splitlines())
         return 0
+    os.environ.update(own_completion(os.environ))
     words = translated(arguments)
     app = build_app(wanted_command([*words, *completed_words(os.environ)]))
     if signal.getsignal(signal.SIGINT) is signal.SIG_DFL:  # hostlink.cli.start
@@ -467,6 +468,8 @@ def with_next_step(kind: str, text: str) -> str:
         step = "`hostlink type TYPE` shows the fields of a type"
     elif text.endswith(os.strerror(errno.ENOENT)):
         step = "check its name"
+    elif text.endswith(" is not an MCAP file"):
+        step = "`hostlink record` writes MCAP files"
     elif kind == "FrameTooLarge":
         step = "send less in one message; `hostlink doctor` shows which buffer of the board is too small"
     elif kind in ("DeviceGone", "not_connected"):
@@ -498,6 +501,27 @@ def completed_words(environment: Mapping[str, str]) -> list[str]:
         return shlex.split(line)[1:]
     except ValueError:  # an unclosed quotation
         return line.split()[1:]
+
+
+def own_completion(environment: Mapping[str, str]) -> dict[str, str]:
+    """Return the variables of a shell's completion in which words of ROS are those of hostlink. Pure."""
+    if "_HOSTLINK_COMPLETE" not in environment:
+        return {}
+    words = completed_words(environment)
+    is_bash = "COMP_CWORD" in environment
+    line = environment.get("_TYPER_COMPLETE_ARGS", "")
+    before = int(environment["COMP_CWORD"]) - 1 if is_bash else len(words) - (not line.endswith(" "))
+    try:
+        found = translated(words[:before])
+    except ConfigError:  # it is no command yet
+        return {}
+    if found == words[:before]:
+        return {}
+    typed = shlex.join(["hostlink", *found])
+    rest = shlex.join(words[before:])
+    if is_bash:
+        return {"COMP_WORDS": f"{typed} {rest}", "COMP_CWORD": str(len(found) + 1)}
+    return {"_TYPER_COMPLETE_ARGS": f"{typed} {rest}"}
 
 
 def _open_standard_descriptors() -> None:

@@ -70,6 +70,7 @@ def record(
         _repair(repair, as_json=as_json)
         return
     if output is not None:
+        _check_format(output)
         check_output(output)
     if name and not is_name(name):
         raise ConfigError(
@@ -84,6 +85,20 @@ def record(
         request = {"topics": topics or [], "robots": robot or [], "name": name}
         work = _record(url, token, request, output, seconds, as_json=as_json)
     asyncio.run(work)
+
+
+def _check_format(output: Path) -> None:
+    """Refuse the name of a bag, because programs of ROS would read the file as one.
+
+    Raises:
+        ConfigError: the name is that of another format.
+    """
+    if output.suffix in (".bag", ".db3"):
+        raise ConfigError(
+            "--output",
+            f"{output} would be a bag of ROS, but the file is MCAP; name it {output.with_suffix('.mcap')}, and "
+            "`hostlink export FILE --to ros1` or `--to rosbag2` writes the bag",
+        )
 
 
 async def _record(

@@ -37,6 +37,7 @@ runpy.run_module("hostlink", run_name="__main__")
         ("params get", "params get: the argument name is missing; `hostlink params get --help` lists the options"),
         ("params lst", "lst: there is no such command of `hostlink params`; did you mean `list` or `set`? `hostl"),
         ("pub /x --once --count 2", "--once: cannot be combined with --count; use one of them"),
+        ("rosbag record -O run.bag", "--output: run.bag would be a bag of ROS, but the file is MCAP; name it run.mcap"),
         ("record -a /x", "--all: means every topic, but '/x' is named too; leave one of them out"),
         ("pub /x data: 1", "MESSAGE: 2 arguments were given; put the message in quotes: '{linear: {x: 0.1}}'"),
         ("record --name ../x", "--name: ../x is not a name of a recording; use at most 100 letters and digits"),

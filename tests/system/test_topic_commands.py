@@ -269,6 +269,8 @@ async def test_bash_completes_commands_options_and_topics(tmp_path: Path) -> Non
         await terminal.shows("hostlink teleop")
         await terminal.keys("C-u", "hostlink echo --thr", "Tab")
         await terminal.shows("--throttle-ms")
+        await terminal.keys("C-u", "hostlink ros2 topic echo /robot_0/vel", "Tab")
+        await terminal.shows("ros2 topic echo /robot_0/velocity_commands")
         await terminal.keys("C-u", "hostlink echo /robot_0/vel", "Tab")
         await terminal.shows("/robot_0/velocity_commands")
 

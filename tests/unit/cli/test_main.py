@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from hostlink.cli.main import COMMANDS, completed_words, module_of, wanted_command, with_next_step
+from hostlink.cli.main import COMMANDS, completed_words, module_of, own_completion, wanted_command, with_next_step
 
 
 @pytest.mark.parametrize(
@@ -30,6 +30,34 @@ def test_the_first_name_of_a_command_is_meant(words: list[str], wanted: str | No
 )
 def test_the_words_that_a_shell_completes(environment: dict[str, str], words: list[str]) -> None:
     assert completed_words(environment) == words
+
+
+BASH = {"_HOSTLINK_COMPLETE": "complete_bash"}
+ZSH = {"_HOSTLINK_COMPLETE": "complete_zsh"}
+
+
+@pytest.mark.parametrize(
+    ("environment", "own"),
+    [
+        ({}, {}),
+        (BASH | {"COMP_WORDS": "hostlink echo /rob", "COMP_CWORD": "2"}, {}),
+        (BASH | {"COMP_WORDS": "hostlink topic", "COMP_CWORD": "1"}, {}),
+        (BASH | {"COMP_WORDS": "hostlink topic ec", "COMP_CWORD": "2"}, {}),
+        (
+            BASH | {"COMP_WORDS": "hostlink ros2 topic echo /rob", "COMP_CWORD": "4"},
+            {"COMP_WORDS": "hostlink echo /rob", "COMP_CWORD": "2"},
+        ),
+        (
+            BASH | {"COMP_WORDS": "hostlink param get ", "COMP_CWORD": "3"},
+            {"COMP_WORDS": "hostlink params get ", "COMP_CWORD": "3"},
+        ),
+        (ZSH | {"_TYPER_COMPLETE_ARGS": "hostlink rostopic hz "}, {"_TYPER_COMPLETE_ARGS": "hostlink hz "}),
+        (ZSH | {"_TYPER_COMPLETE_ARGS": "hostlink rostopic hz /r"}, {"_TYPER_COMPLETE_ARGS": "hostlink hz /r"}),
+        (ZSH | {"_TYPER_COMPLETE_ARGS": "hostlink rostopic hz"}, {}),
+    ],
+)
+def test_completion_of_a_command_of_ros_is_that_of_hostlink(environment: dict[str, str], own: dict[str, str]) -> None:
+    assert own_completion(environment) == own
 
 
 def test_every_command_has_a_line_that_fits_a_terminal() -> None:
