@@ -231,10 +231,15 @@ async def _fetch(url: str, token: str | None, robot: str | None) -> dict[str, An
 
 def row(drive: dict[str, Any], today: str) -> list[str]:
     """Return the cells of a drive under HEADS. The date is left out if it is `today`, for example 2026-11-22."""
-    began = drive["began"].replace("T", " ").partition(".")[0].removeprefix(f"{today} ")
+    began = time_text(drive["began"], today)
     who = named(drive["owner"], drive.get("address", ""))
     speeds = [f"{drive['fastest_m_s']:.2f}", f"{drive['fastest_rad_s']:.2f}"]
     return [began, f"{drive['seconds']:.1f}", drive["robot"], who, *speeds, drive["end"] or "drives now"]
+
+
+def time_text(stamp: str, today: str) -> str:
+    """Return a time of the daemon, which is UTC, in seconds; the date is left out if it is `today`."""
+    return stamp.rstrip("Z").replace("T", " ").partition(".")[0].removeprefix(f"{today} ")
 
 
 # -- incidents --------------------------------------------------------------------------------------------------------
@@ -293,11 +298,12 @@ async def _work(
     if as_json:
         write(msgspec.json.encode(view).decode())
     elif save is None:
+        today = datetime.now(UTC).date().isoformat()
         rows = [
-            [each["at"], each["robot"], each["cause"], each["file"] or "being saved", each["detail"]]
+            [time_text(each["at"], today), each["robot"], each["cause"], each["file"] or "being saved", each["detail"]]
             for each in view["incidents"]
         ]
-        write_table(["when", "robot", "cause", "file", "detail"], rows, whole=["file", "detail"])
+        write_table(["when UTC", "robot", "cause", "file", "detail"], rows, whole=["file", "detail"])
         if not rows:
             write("there are no incidents")
 
