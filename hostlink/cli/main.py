@@ -513,7 +513,7 @@ def own_completion(environment: Mapping[str, str]) -> dict[str, str]:
     before = int(environment["COMP_CWORD"]) - 1 if is_bash else len(words) - (not line.endswith(" "))
     try:
         found = translated(words[:before])
-    except ConfigError:  # it is no command yet
+    except ConfigError:  # the command is incomplete
         return {}
     if found == words[:before]:
         return {}
