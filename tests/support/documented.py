@@ -9,7 +9,7 @@ from typing import Any, NamedTuple, cast
 
 import typer
 
-from hostlink.cli.main import COMMANDS, build_app
+from hostlink.cli.main import COMMANDS, build_app, translated
 
 ROOT = Path(__file__).parents[2]
 DOCUMENTS = sorted([*(ROOT / "docs").glob("*.md"), ROOT / "README.md", ROOT / "firmware" / "README.md"])
@@ -31,7 +31,7 @@ class Documented(NamedTuple):
 
     def complaint(self) -> str:
         """Complaint of the parser; empty if it accepts the command."""
-        name, *arguments = self.words
+        name, *arguments = translated(self.words)
         if name.startswith("-"):
             return ""
         if name not in COMMANDS:
