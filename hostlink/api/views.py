@@ -146,7 +146,7 @@ class RobotView(TypedDict):
 class StandstillView(TypedDict):
     """Motion of a robot after a stop or a lock, by its odometry.
 
-    state: `stands`, `moves` or `unknown`. speed_m_s, turn_rad_s: newest; null: no odometry arrived since the stop.
+    state: `stopped`, `moving` or `unknown`. speed_m_s, turn_rad_s: newest; null: no odometry arrived since the stop.
     after_s: time until it was stopped; null unless stopped. reason: why it moves, or why its motion is unknown.
     """
 

@@ -90,7 +90,7 @@ async def report(
     else:
         for robot in robots:
             write(*([f"{robot['name']} {done}"] if done else []), sentence(robot["name"], measured[robot["name"]]))
-    if any(each.state is not StandstillState.STANDS for each in measured.values()):
+    if any(each.state is not StandstillState.STOPPED for each in measured.values()):
         raise typer.Exit(1)
 
 

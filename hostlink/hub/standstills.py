@@ -77,7 +77,7 @@ class LockServices:
             await self._gates.settled()
             measured = (await self._standstills.measure([robot], now_s))[0]
             text = f"{name} is locked until {name}/{_UNLOCK} is called; {sentence(name, measured)}"
-            return {"success": measured.state is not StandstillState.MOVES, "message": text}
+            return {"success": measured.state is not StandstillState.MOVING, "message": text}
 
         async def unlock(_: Mapping[str, object]) -> Mapping[str, object]:
             self._robots.find(name).unlock()

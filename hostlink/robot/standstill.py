@@ -2,11 +2,11 @@
 
 A stop is confirmed by what was measured after it, and a driven robot that does not move is a warning.
 
-| after a stop                                                        | state   |
-|---------------------------------------------------------------------|---------|
-| odometry since then is still for STEADY_S, in two poses or more     | `stands` |
-| odometry since then moves                                           | `moves`  |
-| no odometry since then, or of one standing pose alone               | `unknown` |
+| after a stop                                                        | state     |
+|---------------------------------------------------------------------|-----------|
+| odometry since then is still for STEADY_S, in two poses or more     | `stopped` |
+| odometry since then moves                                           | `moving`  |
+| no odometry since then, or one still pose alone                     | `unknown` |
 """
 
 from collections.abc import Callable
@@ -23,8 +23,8 @@ OLD_S = 1.0  # odometry is published ten times a second and more
 class StandstillState(StrEnum):
     """Result of odometry after a stop."""
 
-    STANDS = "stands"
-    MOVES = "moves"
+    STOPPED = "stopped"
+    MOVING = "moving"
     UNKNOWN = "unknown"
 
 
@@ -55,10 +55,10 @@ class Speeds(NamedTuple):
 
 def sentence(robot: str, measured: Standstill) -> str:
     """Measurement as a sentence for people."""
-    if measured.state is StandstillState.STANDS:
-        return f"{robot} stands ({abs(measured.speed_m_s or 0.0):.2f} m/s after {measured.after_s or 0.0:.1f} s)"
+    if measured.state is StandstillState.STOPPED:
+        return f"{robot} is stopped ({abs(measured.speed_m_s or 0.0):.2f} m/s after {measured.after_s or 0.0:.1f} s)"
     if measured.state is StandstillState.UNKNOWN:
-        return f"{robot}: it is not known whether it stands: {measured.reason}"
+        return f"{robot}: it is not known whether it is stopped: {measured.reason}"
     speed_m_s, turn_rad_s = abs(measured.speed_m_s or 0.0), abs(measured.turn_rad_s or 0.0)
     motion = f"moves at {speed_m_s:.2f} m/s" if speed_m_s > STILL_M_S else f"turns at {turn_rad_s:.2f} rad/s"
     return f"{robot} still {motion}: {measured.reason}"
@@ -93,11 +93,11 @@ class StopWatch:
         if self._newest is None:
             return Standstill(StandstillState.UNKNOWN, reason=why_unknown())
         if self._still_since_s is None:
-            return Standstill(StandstillState.MOVES, *self._newest, reason=why_moving())
+            return Standstill(StandstillState.MOVING, *self._newest, reason=why_moving())
         if not self.is_standing:
             reason = "too little odometry has come since the stop"
             return Standstill(StandstillState.UNKNOWN, *self._newest, reason=reason)
-        return Standstill(StandstillState.STANDS, *self._newest, after_s=self._still_since_s - self._began_s)
+        return Standstill(StandstillState.STOPPED, *self._newest, after_s=self._still_since_s - self._began_s)
 
 
 class DriveWatch:
@@ -127,4 +127,4 @@ def _why_still(measured: Speeds | None, age_s: float) -> str:
         return "it is driven and sends no odometry: is its link alive? `hostlink doctor` knows more"
     if not measured.are_still:
         return ""
-    return "it is driven and its odometry stands still: motors without power, or a wheel blocked?"
+    return "it is driven and its odometry does not change: motors without power, or a wheel blocked?"

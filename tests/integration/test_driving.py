@@ -224,7 +224,7 @@ async def test_the_lock_is_a_service_for_programs() -> None:
         answer = await program.call("/robot_0/lock")
         assert answer["success"] is True
         assert "robot_0 is locked until robot_0/unlock is called" in answer["message"]
-        assert "it is not known whether it stands: it sends no odometry" in answer["message"]
+        assert "it is not known whether it is stopped: it sends no odometry" in answer["message"]
         assert await device.velocity_other_than(CURVE) == ZERO
         assert host.hub.robots.find("robot_0").gate.lock_reason == "emergency stop"
         assert (await program.call("/robot_0/unlock"))["success"] is True

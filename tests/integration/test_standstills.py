@@ -54,7 +54,7 @@ async def test_stop_answer_has_the_measured_time_and_speed(what: str) -> None:
             status, robot = await host.rest("POST", f"/api/robots/robot_0/{what}")
             assert (status, robot["name"], robot["locked"]) == (200, "robot_0", what == "lock")
             measured = robot["standstill"]
-            assert (measured["state"], measured["reason"]) == ("stands", "")
+            assert (measured["state"], measured["reason"]) == ("stopped", "")
             assert 0.0 < measured["after_s"] < WAIT_S
             assert abs(measured["speed_m_s"]) < 0.005
             assert abs(body.speed_m_s) < 0.005
@@ -72,7 +72,7 @@ async def test_a_robot_that_moves_on_is_reported_after_the_wait_and_its_zero_is_
             assert not stop.done()
         (robot,) = stop.result()[1]["robots"]
         assert now_s() - began_s >= WAIT_S
-        assert robot["standstill"]["state"] == "moves"
+        assert robot["standstill"]["state"] == "moving"
         assert robot["standstill"]["speed_m_s"] == pytest.approx(SPEED_M_S, abs=0.1)
         assert robot["standstill"]["reason"] == "the stop was sent, and its device has not obeyed it yet"
 
@@ -91,8 +91,8 @@ async def test_the_standstill_can_be_read_without_a_stop() -> None:
     async with daemon() as host, simulated_robot(host.tcp), connect(host.url) as me:
         await expect(lambda: host.hub.robots.find("robot_0").odometry.count > 5)
         stops = host.hub.robots.find("robot_0").gate.counts.stops
-        assert (await me.standstill())["robot_0"].state is StandstillState.STANDS
-        assert (await host.rest("GET", "/api/robots/robot_0/standstill"))[1]["standstill"]["state"] == "stands"
+        assert (await me.standstill())["robot_0"].state is StandstillState.STOPPED
+        assert (await host.rest("GET", "/api/robots/robot_0/standstill"))[1]["standstill"]["state"] == "stopped"
         assert host.hub.robots.find("robot_0").gate.counts.stops == stops
 
 
@@ -107,5 +107,5 @@ async def test_the_service_that_locks_says_whether_the_robot_stands(is_moving: b
         await expect(lambda: host.hub.robots.find("robot_0").odometry.count > 5)
         answer = await me.call("/robot_0/lock")
         assert answer["success"] is not is_moving
-        expected = "robot_0 still moves at 0.1" if is_moving else "robot_0 stands (0.00 m/s after "
+        expected = "robot_0 still moves at 0.1" if is_moving else "robot_0 is stopped (0.00 m/s after "
         assert answer["message"].startswith(f"robot_0 is locked until robot_0/unlock is called; {expected}")

@@ -160,7 +160,7 @@ class PageServer:
     async def _standstill(self, request: web.Request) -> web.Response:
         names = [view["name"] for view in self._state.robots if request.match_info.get("name") in (None, view["name"])]
         known = {view["name"]: view for view in self._fresh_robots()}
-        stands = {"state": "stands", "speed_m_s": 0.0, "turn_rad_s": 0.0, "after_s": 0.4, "reason": ""}
+        stands = {"state": "stopped", "speed_m_s": 0.0, "turn_rad_s": 0.0, "after_s": 0.4, "reason": ""}
         robots = [{**known[name], "standstill": {**stands, **self._state.standstills.get(name, {})}} for name in names]
         msgspec.convert(robots, list[StoppedRobotView])
         return web.json_response(robots[0] if "name" in request.match_info else {"robots": robots})

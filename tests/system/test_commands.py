@@ -119,7 +119,7 @@ async def test_a_fleet_is_listed_by_name() -> None:
         listed = {command: (await run(command, "--url", daemon.url))[1] for command in ("robots", "stop", "topics")}
     assert [line.split()[0] for line in listed["robots"].splitlines()[1:]] == names
     stopped = [line.partition(" (0.00 m/s after ")[0] for line in listed["stop"].splitlines()]
-    assert stopped == [f"{name} stands" for name in names]
+    assert stopped == [f"{name} is stopped" for name in names]
     topics = [line.split()[0] for line in listed["topics"].splitlines()[1:]]
     assert [topic for topic in topics if topic.endswith("/odometry")] == [f"/{name}/odometry" for name in names]
 

@@ -347,7 +347,7 @@ async def test_a_stop_that_the_daemon_cannot_pass_on_now_is_tried_again(scene: S
 async def test_a_stop_of_all_names_each_robot_that_moves_or_is_not_known_to_stand(scene: Scene) -> None:
     state = fleet("robot_0", "robot_1", "robot_2")
     state.standstills["robot_1"] = {
-        "state": "moves", "speed_m_s": -0.1, "after_s": None, "reason": "driven by client 3",
+        "state": "moving", "speed_m_s": -0.1, "after_s": None, "reason": "driven by client 3",
     }  # fmt: skip
     scene.server.show(state)
     await scene.tab.layout("Fleet")

@@ -193,9 +193,9 @@ async def test_teleop_of_a_robot_whose_odometry_stands_still_shows_a_warning_in_
         await terminal.keys(f"{HOSTLINK} teleop --url {daemon.url}", "Enter")
         await terminal.shows("hostlink teleop   robot_0   connected")
         async with terminal.holding("w"):
-            await terminal.shows("its odometry stands still")
+            await terminal.shows("its odometry does not change")
             coloured = await terminal.tmux("capture-pane", "-p", "-e", "-t", "main")
-        line = next(line for line in coloured.splitlines() if "stands still" in line)
+        line = next(line for line in coloured.splitlines() if "does not change" in line)
         assert "\x1b[1m\x1b[33m" in line or "\x1b[33;1m" in line or "\x1b[1;33m" in line
 
 

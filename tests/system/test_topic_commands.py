@@ -141,7 +141,7 @@ async def test_stop_lock_and_unlock() -> None:
     topics = [*robot_topics("mule")]
     async with daemon() as host, fake_device(host.tcp, robot_topics()), fake_device(host.tcp, topics):
         at = ("--url", host.url)
-        unknown = "it is not known whether it stands: it sends no odometry\n"
+        unknown = "it is not known whether it is stopped: it sends no odometry\n"
         assert await run("stop", *at) == (1, f"mule: {unknown}robot_0: {unknown}", "")
         assert await run("stop", "/mule", *at) == (1, f"mule: {unknown}", "")
         locked = f"mule is locked: my foot\nmule: {unknown}"

@@ -29,7 +29,7 @@ def test_standing_robot_is_measured_before_the_wait_is_over() -> None:
         await asyncio.sleep(1.0)
         began_s = made.now_s
         (found,) = await made.hub.standstills.measure([made.robot()], began_s)
-        assert found.state is StandstillState.STANDS
+        assert found.state is StandstillState.STOPPED
         assert made.now_s - began_s < 1.0
         sending.cancel()
 
@@ -44,7 +44,7 @@ def test_moving_robot_is_reported_after_the_wait_with_its_driver() -> None:
         began_s = made.now_s
         drive_gate(made.robot(), PlanarVelocity(0.3), owner="ann")
         (found,) = await made.hub.standstills.measure([made.robot()], began_s, wait_s=0.4)
-        assert found.state is StandstillState.MOVES
+        assert found.state is StandstillState.MOVING
         assert "driven by ann" in str(found.reason)
         assert made.now_s - began_s == pytest.approx(0.4, abs=0.06)
         sending.cancel()
@@ -73,9 +73,9 @@ def test_measurements_at_one_time_are_bounded() -> None:
         await asyncio.sleep(0.1)
         (found,) = await made.hub.standstills.measure([made.robot()], made.now_s)
         assert (found.state, found.reason) == (StandstillState.UNKNOWN, "too many stops are measured at once")
-        assert {each.state for each in await first} == {StandstillState.MOVES}
+        assert {each.state for each in await first} == {StandstillState.MOVING}
         (found,) = await made.hub.standstills.measure([made.robot()], made.now_s)
-        assert found.state is StandstillState.MOVES
+        assert found.state is StandstillState.MOVING
         sending.cancel()
 
     in_hub(test)

@@ -150,7 +150,7 @@ export class Stop {
       this.unmeasured = new Set();
       const all = "robots" in answer ? answer.robots : [answer];
       const robots = all.filter((robot) => names?.has(robot.name) ?? !robot.played);
-      const stopped = robots.filter(({ standstill }) => standstill.state === "stands").map(({ name }) => name);
+      const stopped = robots.filter(({ standstill }) => standstill.state === "stopped").map(({ name }) => name);
       if (stopped.length === robots.length) this.confirm(new Set(stopped), allStopped(stopped));
       else notice("stop", notAllStopped(robots, stopped.length), NOT_DONE_MS);
     } catch (error) {
@@ -238,7 +238,7 @@ function allStopped(names: string[]): string {
 
 /** `2 of 3 robots are stopped. robot_1 moves at 0.10 m/s, driven by client 3.` */
 function notAllStopped(robots: StoppedRobotView[], stopped: number): string {
-  const others = robots.filter(({ standstill }) => standstill.state !== "stands");
+  const others = robots.filter(({ standstill }) => standstill.state !== "stopped");
   const sentences = others.slice(0, NAMED).map(describe);
   if (others.length > NAMED) sentences.push(`${others.length - NAMED} more are not confirmed as stopped.`);
   if (robots.length > 1) sentences.unshift(`${stopped} of ${robots.length} robots are stopped.`);

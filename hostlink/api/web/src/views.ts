@@ -48,7 +48,7 @@ export interface RobotView {
 /** A robot after a stop, and its motion since, by odometry. */
 export interface StoppedRobotView extends RobotView {
   standstill: {
-    state: "stands" | "moves" | "unknown";
+    state: "stopped" | "moving" | "unknown";
     speed_m_s: number | null;
     turn_rad_s: number | null;
     reason: string;
