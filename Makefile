@@ -89,7 +89,7 @@ $(ROS2_VENV)/.installed: pyproject.toml
 	@echo "installing rclpy and hostlink into $(ROS2_VENV) ..."
 	@test ! -L $(ROS2_VENV) || { echo "$(ROS2_VENV) is a link: venv --clear would empty the directory that it names"; exit 1; }
 	@$(PYTHON) -m venv --clear $(ROS2_VENV)
-	@$(ROS2_VENV)/bin/python -m pip install --quiet --disable-pip-version-check -e . $(ROS2_PACKAGES) \
+	@$(ROS2_VENV)/bin/python -m pip install --quiet --disable-pip-version-check -e '.[ros2]' $(ROS2_PACKAGES) \
 	  || { echo "rclpy cannot be installed from PyPI: the tests of hostlink ros2 (tests/system/ros2) need it"; exit 1; }
 	@touch $@
 

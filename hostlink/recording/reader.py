@@ -25,6 +25,7 @@ from mcap.stream_reader import StreamReader
 
 from hostlink.errors import RecordingFailed
 from hostlink.recording.channel import CDR, LIBRARY, LIBRARY_STEADY, NS_PER_S, ROS1, SCHEMA_ENCODINGS, Channel
+from hostlink.recording.definitions import need_rosbags
 
 MAGIC = b"\x89MCAP0\r\n"
 RECORD_HEAD = struct.Struct("<BQ")  # opcode, length
@@ -592,8 +593,10 @@ class BagReader:
 
         Raises:
             RecordingFailed: the bag cannot be read, or is not a bag.
+            LibraryMissing: rosbags is not installed.
         """
-        from rosbags.rosbag1 import Reader as Ros1Reader  # noqa: PLC0415 - most recordings are MCAP files
+        need_rosbags(str(self.path))
+        from rosbags.rosbag1 import Reader as Ros1Reader  # noqa: PLC0415 - of the extra `export`
         from rosbags.rosbag2 import Reader as Ros2Reader  # noqa: PLC0415
 
         try:
