@@ -1,4 +1,4 @@
-"""What runs without any extra: `pip install hostlink-*.whl` has only the dependencies of the base."""
+"""Base installation: the daemon, the recorder and the client run without any extra; others name theirs."""
 
 import subprocess
 import sys

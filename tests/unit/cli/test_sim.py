@@ -44,7 +44,8 @@ STARTS: dict[str, Callable[[], None]] = {
     [
         (
             "aarch64",
-            f"needs wasmtime, of the extra 'sim': run  {shlex.quote(sys.executable)} -m pip install 'wasmtime<100,>=38'",
+            "needs wasmtime, of the extra 'sim': "
+            f"run  {shlex.quote(sys.executable)} -m pip install 'wasmtime<100,>=38'",
         ),
         ("armv7l", "needs wasmtime, which has no library for armv7l: run it on x86_64 or arm64"),
     ],
