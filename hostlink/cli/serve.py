@@ -20,7 +20,6 @@ import structlog
 from aiohttp.http_exceptions import HttpProcessingError
 
 from hostlink import logs
-from hostlink.acceptor import EXHAUSTED
 from hostlink.api.server import serve_api
 from hostlink.cli.check import check, describe, fitted, limit
 from hostlink.cli.ending import stop_signals
@@ -89,7 +88,7 @@ async def running(
     reloader = Reloader(hub, read)
     try:
         async with (
-            complaints_logged(hub.counts.refused),
+            complaints_logged(),
             _hub_running(hub),
             _recordings(hub) as recordings,
             _graphs(hub, config, on_graph_end),
@@ -151,7 +150,9 @@ async def _listening(
     ):
         acceptor = TcpAcceptor(hub, config.tcp)
         async with (
-            serve_tcp(config.tcp, acceptor.accept, listening=listening) as listener,
+            serve_tcp(
+                config.tcp, acceptor.accept, on_exhausted=acceptor.note_exhausted, listening=listening
+            ) as listener,
             _datagrams(hub, config.udp) as udp,
             _serial_ports(hub, config),
         ):
@@ -371,19 +372,15 @@ class Notifier:
 
 LOG_INTERVAL_S = 10.0
 MAX_KINDS = 64  # with a count each
-NO_DESCRIPTORS = "no_descriptors"
 
 
 @contextlib.asynccontextmanager
-async def complaints_logged(refused: Counter[str]) -> AsyncIterator[None]:
-    """Log complaints of libraries and of the event loop, for the length of the block.
-
-    `refused` counts the connections that could not be accepted.
-    """
+async def complaints_logged() -> AsyncIterator[None]:
+    """Log complaints of libraries and of the event loop, for the length of the block."""
     loop = asyncio.get_running_loop()
     budget = Budget(loop.time)
     before, handler = loop.get_exception_handler(), _LibraryLog(budget)
-    loop.set_exception_handler(_LoopErrors(budget, refused))
+    loop.set_exception_handler(_LoopErrors(budget))
     logging.getLogger().addHandler(handler)
     try:
         yield
@@ -415,16 +412,12 @@ class Budget:
 class _LoopErrors:
     """Exception handler of the event loop."""
 
-    def __init__(self, budget: Budget, refused: Counter[str]) -> None:
-        self._budget, self._refused = budget, refused
+    def __init__(self, budget: Budget) -> None:
+        self._budget = budget
 
     def __call__(self, _: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
         error = context.get("exception")
-        if isinstance(error, OSError) and error.errno in EXHAUSTED and "socket" in context:
-            self._refused[NO_DESCRIPTORS] += 1
-            if count := self._budget.due(NO_DESCRIPTORS):
-                log.error("descriptors.exhausted", reason=error.strerror, tries=count)
-        elif count := self._budget.due(f"loop {type(error).__name__}"):
+        if count := self._budget.due(f"loop {type(error).__name__}"):
             log.error("loop.error", reason=printable(str(context.get("message", ""))), count=count, exc_info=error)
 
 

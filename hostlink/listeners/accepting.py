@@ -2,7 +2,6 @@
 
 import asyncio
 import dataclasses
-import errno
 import ipaddress
 import itertools
 from collections import Counter
@@ -11,6 +10,7 @@ from dataclasses import dataclass
 
 import structlog
 
+from hostlink.acceptor import EXHAUSTED
 from hostlink.config import LinkConfig, SerialConfig, TcpConfig, UdpConfig
 from hostlink.hub.hub import Hub
 from hostlink.link.link import INVITATION, Authenticate, Link, LinkEnd, has_frame, trust
@@ -35,8 +35,9 @@ class RefusedPeers:
     def __init__(self, hub: Hub) -> None:
         self._hub = hub
         self._paused_until_s: dict[str, float] = {}
-        self._log_at_s = float("-inf")
+        self._log_at_s = self._log_exhausted_at_s = float("-inf")
         self._unlogged: Counter[str] = Counter()
+        self._tries = 0  # to accept without a free descriptor, since the last line of the log
 
     def pause(self, address: str) -> None:
         """Refuse this address for PAUSE_S."""
@@ -57,6 +58,16 @@ class RefusedPeers:
             self._log_at_s = now_s + LOG_INTERVAL_S
             log.warning("connection.refused", cause=cause, peer=printable(peer), **self._unlogged)
             self._unlogged.clear()
+
+    def note_exhausted(self) -> None:
+        """Count a connection that waits because no descriptor is free. Log at most one line per LOG_INTERVAL_S."""
+        self._hub.counts.refused["no_descriptors"] += 1
+        self._tries += 1
+        now_s = _now_s()
+        if now_s >= self._log_exhausted_at_s:
+            self._log_exhausted_at_s = now_s + LOG_INTERVAL_S
+            log.error("descriptors.exhausted", tries=self._tries)
+            self._tries = 0
 
 
 def _now_s() -> float:
@@ -152,6 +163,7 @@ class TcpAcceptor:
         self._key = None if config.key_file is None else read_key(config.key_file, "tcp.key_file")
         self._links: dict[int, Link] = {}  # oldest first
         self._refusals = RefusedPeers(hub)
+        self.note_exhausted = self._refusals.note_exhausted
 
     def accept(self, transport: Transport) -> None:
         """Accept or refuse a new connection."""
@@ -191,7 +203,6 @@ class TcpAcceptor:
 
 OPENED_A_SECOND = 20.0  # new sessions of each kind, and burst size: each costs about a millisecond
 INVITE_S = 2.0  # the interval at which a link repeats an unanswered topic request
-_NO_DESCRIPTOR = frozenset({errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM})
 
 
 @dataclass(frozen=True, slots=True)
@@ -260,7 +271,7 @@ class UdpAcceptor:
         try:
             connection = port.connect(datagram)
         except OSError as error:
-            self._refusals.count("no_descriptor" if error.errno in _NO_DESCRIPTOR else "unreachable", peer)
+            self._refusals.count("no_descriptor" if error.errno in EXHAUSTED else "unreachable", peer)
             return False
         transport = UdpTransport(
             connection,

@@ -13,10 +13,9 @@ import termios
 from collections.abc import AsyncIterator, Callable, Sequence
 from dataclasses import dataclass
 
-from hostlink.acceptor import bind
+from hostlink.acceptor import Acceptor, bind
 from hostlink.config import TcpConfig
 from hostlink.errors import ConfigError, LibraryMissing
-from hostlink.listening import BACKLOG
 from hostlink.transport.base import Transport
 from hostlink.transport.connection import StreamTransport, set_options
 
@@ -47,7 +46,6 @@ class Stall:
 _RTT_AT = 68  # offset of tcpi_rtt, in microseconds, in Linux's struct tcp_info
 SEND_BUFFER_BYTES = 8192  # bounds old commands in the kernel, where they cannot be replaced
 RECEIVE_BUFFER_BYTES = 65536  # bounds how late a device's data may be during a flood
-ACCEPTED_AT_ONCE = 1  # per turn of the loop, because each connection costs about a millisecond
 STALL_POLL_S = 0.01
 USER_TIMEOUT_MS = 5000  # the peer is gone when sent data stays unacknowledged for longer
 
@@ -160,33 +158,42 @@ class TcpTransport(StreamTransport):
 
 @contextlib.asynccontextmanager
 async def serve_tcp(
-    config: TcpConfig, on_connection: Callable[[Transport], None], *, listening: Sequence[socket.socket] = ()
+    config: TcpConfig,
+    on_connection: Callable[[Transport], None],
+    *,
+    on_exhausted: Callable[[], None],
+    listening: Sequence[socket.socket] = (),
 ) -> AsyncIterator[Listener]:
-    """Accept devices until the block is left. `listening`: sockets from `hostlink.listening` that listen already.
+    """Accept devices until the block is left. Links end after the listener.
+
+    `on_exhausted` is called at each try to accept without a free descriptor. `listening`: sockets from
+    `hostlink.listening` that listen already.
 
     Raises:
         ConfigError: the address cannot be listened on.
     """
 
+    async def open_transport(connection: socket.socket) -> None:
+        try:
+            await loop.connect_accepted_socket(lambda: TcpTransport(on_connection), connection)
+        except OSError:  # the peer has reset the connection
+            connection.close()
+
+    def accepted(connection: socket.socket, peer: str, _: float) -> None:
+        tasks.create_task(open_transport(connection), name=f"opening of {peer}")
+
     loop = asyncio.get_running_loop()
     try:
-        sockets = listening or await bind(config.host, config.port)
+        sockets = list(listening) or await bind(config.host, config.port)
     except (OSError, OverflowError) as error:
         raise ConfigError(f"TCP {spelled(config.host, config.port)}", explain(error, "--listen")) from error
     address = sockets[0].getsockname()[:2]
-    servers = [
-        await loop.create_server(lambda: TcpTransport(on_connection), sock=each, backlog=ACCEPTED_AT_ONCE)
-        for each in sockets
-    ]
-    for server in servers:
-        for each in server.sockets:
-            with socket.socket(fileno=os.dup(each.fileno())) as same:
-                same.listen(BACKLOG)  # kernel backlog; asyncio uses one number for both
-    try:
-        yield Listener(address)
-    finally:
-        for server in servers:
-            server.close()  # wait_closed would wait for the links, which end after the listener
+    async with asyncio.TaskGroup() as tasks:
+        acceptor = Acceptor(sockets, accepted, on_exhausted=on_exhausted)
+        try:
+            yield Listener(address)
+        finally:
+            acceptor.close()
 
 
 def spelled(host: str, port: int) -> str:

@@ -15,6 +15,7 @@ from hostlink.transport.tcp import serve_tcp
 from tests.support.memory_transport import memory_pair
 from tests.support.pty_pair import pty_pair
 from tests.support.stopwatch import Stopwatch
+from tests.support.tcp_server import never
 from tests.support.waiting import TIMEOUT_S
 
 TOO_MUCH_BYTES = 50_000_000
@@ -24,7 +25,7 @@ TOO_MUCH_BYTES = 50_000_000
 async def tcp() -> AsyncIterator[tuple[Transport, socket.socket]]:
     """A transport and the device's end of it."""
     came: asyncio.Queue[Transport] = asyncio.Queue()
-    async with serve_tcp(TcpConfig(host="127.0.0.1", port=0), came.put_nowait) as listener:
+    async with serve_tcp(TcpConfig(host="127.0.0.1", port=0), came.put_nowait, on_exhausted=never) as listener:
         with socket.socket() as peer:
             peer.connect(listener.address)
             peer.setblocking(False)

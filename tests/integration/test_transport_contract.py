@@ -22,6 +22,7 @@ from hostlink.transport.udp import Datagram, UdpPort, UdpTransport, serve_udp
 from tests.support.memory_transport import MemoryTransport, memory_pair
 from tests.support.pty_pair import pty_pair
 from tests.support.stopwatch import Stopwatch
+from tests.support.tcp_server import never
 
 pytestmark = pytest.mark.timeout(20)
 A_WHILE_S = 0.05
@@ -141,7 +142,7 @@ class MemoryPeer(Peer):
 @contextlib.asynccontextmanager
 async def tcp() -> AsyncIterator[tuple[Transport, Peer]]:
     came: asyncio.Queue[Transport] = asyncio.Queue()
-    async with serve_tcp(TcpConfig(host="127.0.0.1", port=0), came.put_nowait) as listener:
+    async with serve_tcp(TcpConfig(host="127.0.0.1", port=0), came.put_nowait, on_exhausted=never) as listener:
         peer = TcpPeer(*await asyncio.open_connection(*listener.address))
         transport = await came.get()
         try:
@@ -367,7 +368,7 @@ async def test_the_options_that_a_robot_needs() -> None:
 @pytest.mark.parametrize(("host", "prefix"), [("127.0.0.1", "127.0.0.1:"), ("::1", "[::1]:")])
 async def test_addresses_are_spelled_as_usual(host: str, prefix: str) -> None:
     came: asyncio.Queue[Transport] = asyncio.Queue()
-    async with serve_tcp(TcpConfig(host=host, port=0), came.put_nowait) as listener:
+    async with serve_tcp(TcpConfig(host=host, port=0), came.put_nowait, on_exhausted=never) as listener:
         peer = TcpPeer(*await asyncio.open_connection(*listener.address))
         transport = await came.get()
         assert transport.address == host
@@ -377,11 +378,13 @@ async def test_addresses_are_spelled_as_usual(host: str, prefix: str) -> None:
 
 
 async def test_a_port_in_use_is_named_in_the_error() -> None:
-    async with serve_tcp(TcpConfig(host="127.0.0.1", port=0), lambda _: None) as listener:
+    async with serve_tcp(TcpConfig(host="127.0.0.1", port=0), lambda _: None, on_exhausted=never) as listener:
         with pytest.raises(
             ConfigError, match="is in use, probably by another rosserial host; stop it, or choose another"
         ):
-            async with serve_tcp(TcpConfig(host="127.0.0.1", port=listener.address[1]), lambda _: None):
+            async with serve_tcp(
+                TcpConfig(host="127.0.0.1", port=listener.address[1]), lambda _: None, on_exhausted=never
+            ):
                 raise AssertionError("two listeners on one port")
 
 
@@ -398,17 +401,17 @@ async def test_a_port_in_use_is_named_in_the_error() -> None:
 )
 async def test_an_address_that_cannot_be_listened_on_gives_the_reason(config: TcpConfig, text: str) -> None:
     with pytest.raises(ConfigError, match=text):
-        async with serve_tcp(config, lambda _: None):
+        async with serve_tcp(config, lambda _: None, on_exhausted=never):
             raise AssertionError("it listens")
 
 
 async def test_the_listener_outlives_a_lack_of_descriptors() -> None:
     loop = asyncio.get_running_loop()
     is_short = asyncio.Event()
-    loop.set_exception_handler(lambda _loop, _context: is_short.set())
     came: asyncio.Queue[Transport] = asyncio.Queue()
     usual = resource.getrlimit(resource.RLIMIT_NOFILE)
-    async with serve_tcp(TcpConfig(host="127.0.0.1", port=0), came.put_nowait) as listener:
+    config = TcpConfig(host="127.0.0.1", port=0)
+    async with serve_tcp(config, came.put_nowait, on_exhausted=is_short.set) as listener:
         with socket.socket() as device:
             device.setblocking(False)
             resource.setrlimit(resource.RLIMIT_NOFILE, (device.fileno() + 1, usual[1]))
@@ -417,7 +420,7 @@ async def test_the_listener_outlives_a_lack_of_descriptors() -> None:
                 await is_short.wait()
             finally:
                 resource.setrlimit(resource.RLIMIT_NOFILE, usual)
-            transport = await came.get()  # asyncio tries again after a second
+            transport = await came.get()  # the acceptor tries again
             await transport.aclose()
 
 
@@ -429,7 +432,7 @@ async def test_of_a_crowd_that_connects_at_once_few_are_accepted_in_one_turn_of_
         accepted.append(transport)
         turns.append(turn)
 
-    async with serve_tcp(TcpConfig(host="127.0.0.1", port=0), accept) as listener:
+    async with serve_tcp(TcpConfig(host="127.0.0.1", port=0), accept, on_exhausted=never) as listener:
         with contextlib.ExitStack() as crowd:
             for _ in range(CROWD):  # all of them in one turn
                 crowd.enter_context(socket.create_connection(listener.address))

@@ -17,6 +17,7 @@ from hostlink.transport.tcp import RECEIVE_BUFFER_BYTES, serve_tcp
 from tests.support.daemon import daemon
 from tests.support.fake_device import fake_device, pose, robot_topics
 from tests.support.rosbridge import client
+from tests.support.tcp_server import never
 from tests.support.udp_device import udp_device
 from tests.support.waiting import expect
 
@@ -34,7 +35,7 @@ def run(work: Coroutine[None, None, T]) -> T:
 async def flooded() -> list[bytes]:
     """A peer sends a megabyte to a transport that is read later; returns what each call gave."""
     accepted: asyncio.Future[Transport] = asyncio.get_running_loop().create_future()
-    async with serve_tcp(TcpConfig(host="127.0.0.1", port=0), accepted.set_result) as listener:
+    async with serve_tcp(TcpConfig(host="127.0.0.1", port=0), accepted.set_result, on_exhausted=never) as listener:
         with socket.create_connection(listener.address) as peer:
             peer.setblocking(False)
             transport = await accepted
@@ -56,7 +57,7 @@ def test_a_flood_is_read_in_pieces_of_one_buffer() -> None:
 
 async def options() -> None:
     accepted: asyncio.Future[Transport] = asyncio.get_running_loop().create_future()
-    async with serve_tcp(TcpConfig(host="127.0.0.1", port=0), accepted.set_result) as listener:
+    async with serve_tcp(TcpConfig(host="127.0.0.1", port=0), accepted.set_result, on_exhausted=never) as listener:
         with socket.create_connection(listener.address) as peer:
             transport = await accepted
             number = transport.descriptor()

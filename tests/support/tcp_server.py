@@ -37,3 +37,8 @@ async def say_nothing(reader: asyncio.StreamReader, writer: asyncio.StreamWriter
     """Read until the other end closes, and answer nothing."""
     while await reader.read(4096):
         continue
+
+
+def never() -> None:
+    """Fail: the listener must find a free descriptor."""
+    raise AssertionError("no descriptor is free")

@@ -12,7 +12,7 @@ import pytest
 
 from tests.support.fake_device import fake_device, robot_topics
 from tests.support.process import Process, serve
-from tests.support.waiting import TIMEOUT_S, expect, expect_never
+from tests.support.waiting import TIMEOUT_S, expect_never
 
 pytestmark = pytest.mark.quiet
 

@@ -1,9 +1,7 @@
 """Complaints of libraries: rate limited, and without a traceback for input of a client."""
 
 import asyncio
-import errno
 import logging
-from collections import Counter
 
 from aiohttp.http_exceptions import BadHttpMessage
 from structlog.testing import capture_logs
@@ -26,23 +24,10 @@ def test_there_are_only_so_many_kinds() -> None:
     assert lines == MAX_KINDS + 1
 
 
-async def test_descriptors_that_run_out_are_counted_and_logged_once() -> None:
-    refused: Counter[str] = Counter()
-    error = OSError(errno.EMFILE, "Too many open files")
-    with capture_logs() as lines:
-        async with complaints_logged(refused):
-            for _ in range(1000):
-                asyncio.get_running_loop().call_exception_handler({"exception": error, "socket": None})
-    assert refused == {"no_descriptors": 1000}
-    assert lines == [
-        {"event": "descriptors.exhausted", "log_level": "error", "reason": "Too many open files", "tries": 1}
-    ]
-
-
 async def test_a_wrong_request_is_a_line_without_a_traceback_and_a_fault_has_one() -> None:
     server = logging.getLogger("aiohttp.server")
     with capture_logs() as lines:
-        async with complaints_logged(Counter()):
+        async with complaints_logged():
             for error in (BadHttpMessage("no\n\n  b'\x1b[2J'"), KeyError("x"), KeyError("y")):
                 server.error("Error handling request", exc_info=error)
             asyncio.get_running_loop().call_exception_handler({"message": "a callback failed", "exception": KeyError()})

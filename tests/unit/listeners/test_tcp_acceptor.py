@@ -6,7 +6,7 @@ from structlog.testing import capture_logs
 
 from hostlink.config import Config
 from hostlink.hub.hub import Hub
-from hostlink.listeners.accepting import PAUSE_S, TcpAcceptor
+from hostlink.listeners.accepting import LOG_INTERVAL_S, PAUSE_S, TcpAcceptor
 from hostlink.messages.catalog import Catalog
 from hostlink.protocol.control import encode_topic_info
 from hostlink.protocol.frame import Id, encode
@@ -67,3 +67,22 @@ def test_refused_robot_is_paused_before_it_may_reconnect() -> None:
     assert hub.counts.refused == {"too_many_robots": 9}
     reported = [line["event"] for line in lines]
     assert (reported.count("link.refused"), reported.count("connection.refused")) == (1, 1)
+
+
+def test_lack_of_descriptors_is_counted_and_logged_once_an_interval() -> None:
+    async def run() -> Hub:
+        hub = Hub(Config(), Catalog(), reraises=True)
+        acceptor = TcpAcceptor(hub, Config().tcp)
+        for _ in range(1000):
+            acceptor.note_exhausted()
+        await asyncio.sleep(LOG_INTERVAL_S)
+        acceptor.note_exhausted()
+        return hub
+
+    with capture_logs() as lines:
+        hub = run_virtual(run())
+    assert hub.counts.refused == {"no_descriptors": 1001}
+    assert lines == [
+        {"event": "descriptors.exhausted", "log_level": "error", "tries": 1},
+        {"event": "descriptors.exhausted", "log_level": "error", "tries": 1000},
+    ]
