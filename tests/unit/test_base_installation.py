@@ -1,5 +1,6 @@
 """Base installation: the daemon, the recorder and the client run without any extra; others name theirs."""
 
+import struct
 import subprocess
 import sys
 
@@ -52,6 +53,12 @@ def test_command_without_its_extra_names_the_installation(command: list[str], li
     advice = str(LibraryMissing(library.partition(":")[0], library.rpartition(" ")[2], extra))
     assert (done.returncode, done.stdout) == (2, "")
     assert advice in done.stderr.replace("\n", " ")
+
+
+def test_chunk_compressed_with_lz4_names_the_extra_that_reads_it() -> None:
+    chunk = struct.pack("<QQQI", 0, 0, 3, 0) + struct.pack("<I3sQ3s", 3, b"lz4", 3, b"abc")
+    done = run(f"from hostlink.recording.mcap_format import unpack_chunk\nunpack_chunk({chunk!r}, 100)")
+    assert "Damaged: needs lz4, of the extra 'export': run" in done.stderr
 
 
 def test_advice_is_a_command_with_the_requirements_of_the_extra() -> None:
