@@ -1,9 +1,9 @@
-"""Print what the parts of an installation weigh, beside other hosts of robots, as the tables of docs/weight.md.
+"""Print what the parts of an installation and other hosts of robots weigh: the tables of docs/weight.md.
 
 python -m tools.measure_weight [--work FOLDER] [--only PART]... [--deb FILE]...
 
 Installs each part into a virtual environment of its own, without pip, and counts its packages and bytes. Debian's
-ROS 1 is the closure of its packages by the sizes that apt states, without what a minimal Debian 12 already has.
+ROS 1 is what apt would add to a minimal Debian 12 with python3, by the sizes that it states.
 """
 
 import argparse
@@ -16,16 +16,19 @@ from pathlib import Path
 from typing import NamedTuple
 
 ROOT = Path(__file__).resolve().parents[1]
-EXTRAS = ("", "sim", "top", "export", "ros2", "uvloop", "mdns", "zenoh", "pictures", "lab", "all")
+EXTRAS = ("sim", "top", "export", "ros2", "uvloop", "mdns", "zenoh", "pictures", "lab", "all")
 OTHERS = {  # packages of PyPI that take a similar place, and what they are
     "OctoPrint": "octoprint",
     "Moonraker": "moonraker",
     "foxglove-sdk, a server for Foxglove alone": "foxglove-sdk",
     "roslibpy, a client alone": "roslibpy",
 }
-ROS1 = ("python3-rospy", "python3-roslaunch", "python3-geometry-msgs", "python3-nav-msgs", "python3-std-msgs")
+ROS1 = {  # what rosserial_python needs of Debian: its imports, and with roscore
+    "rospy and messages of Debian's ROS 1": ("python3-rospy", "python3-geometry-msgs", "python3-nav-msgs"),
+    "the same with roscore": ("python3-rospy", "python3-geometry-msgs", "python3-nav-msgs", "python3-roslaunch"),
+}
 NOT_MEASURED = {
-    "rosserial (rosserial_python, rosserial_server)": "neither on PyPI nor in Debian 12; it needs ROS 1, the row above",
+    "rosserial (rosserial_python, rosserial_server)": "neither on PyPI nor in Debian 12; it needs ROS 1",
     "rosbridge_suite": "neither on PyPI nor in Debian 12; it needs ROS 1 or ROS 2",
     "foxglove_bridge": "neither on PyPI nor in Debian 12; it needs ROS 1 or ROS 2",
 }
@@ -59,13 +62,12 @@ def main() -> int:
 def print_extras(work: Path) -> None:
     wheel = built_wheel(work)
     base = installed(work, [str(wheel)])
-    print("| installation | packages | MB | more than the base |\n|---|---|---|---|")
+    print("| installation | packages | MB | more packages | more MB |\n|---|---|---|---|---|")
+    print(f"| base | {base.packages} | {base.megabytes:.0f} | | |", flush=True)
     for extra in EXTRAS:
-        found = base if not extra else installed(work, [f"{wheel}[{extra}]"])
-        more = f"{found.packages - base.packages} packages, {found.megabytes - base.megabytes:.0f} MB" if extra else ""
-        print(
-            f"| {f'`[{extra}]`' if extra else 'base'} | {found.packages} | {found.megabytes:.0f} | {more} |", flush=True
-        )
+        found = installed(work, [f"{wheel}[{extra}]"])
+        more = f"{found.packages - base.packages} | {found.megabytes - base.megabytes:.0f}"
+        print(f"| `[{extra}]` | {found.packages} | {found.megabytes:.0f} | {more} |", flush=True)
 
 
 def print_others(work: Path, parts: Iterable[str]) -> None:
@@ -80,8 +82,9 @@ def print_others(work: Path, parts: Iterable[str]) -> None:
             else:
                 print(f"| {name} | {found.packages} | {found.megabytes:.0f} | `pip install {package}` |", flush=True)
     if "ros1" in parts:
-        found = debian_closure(ROS1)
-        print(f"| ROS 1 of Debian | {found.packages} | {found.megabytes:.0f} | apt, `{' '.join(ROS1)}` |")
+        for name, packages in ROS1.items():
+            found = debian_closure(packages)
+            print(f"| {name} | {found.packages} | {found.megabytes:.0f} | apt, `{' '.join(packages)}` |", flush=True)
     for name, reason in NOT_MEASURED.items():
         print(f"| {name} | | | not measured: {reason} |")
 
@@ -122,18 +125,23 @@ def installed(work: Path, requirements: list[str]) -> Weight:
 
 
 def debian_closure(names: Iterable[str]) -> Weight:
-    """Return the packages that apt would add to a minimal Debian for these, by the sizes that it states."""
-    words = ("--recurse", "--no-recommends", "--no-suggests", "--no-conflicts", "--no-breaks", "--no-replaces")
-    lines = output("apt-cache", "depends", *words, "--no-enhances", *names).splitlines()
-    found = {line.strip() for line in lines if line[:1].isalnum()} | set(names)
+    """Return the packages that apt would add to a Debian that has python3, by the sizes that it states."""
+    found = sorted(apt_installs(names) - apt_installs(["python3"]))
     total = count = 0
-    for text in output("apt-cache", "show", "--no-all-versions", *sorted(found)).split("\n\n"):
+    for text in output("apt-cache", "show", "--no-all-versions", *found).split("\n\n"):
         fields = dict(line.split(": ", 1) for line in text.splitlines() if ": " in line and not line.startswith(" "))
         is_minimal = fields.get("Essential") == "yes" or fields.get("Priority") in ("required", "important")
         if "Package" in fields and not is_minimal:
             count += 1
             total += int(fields.get("Installed-Size", "0")) * 1024
     return Weight(count, total / 1e6)
+
+
+def apt_installs(names: Iterable[str]) -> set[str]:
+    """Return the packages that apt would install where there is none."""
+    words = ("install", "--simulate", "--no-install-recommends", "-o", "Dir::State::status=/dev/null")
+    lines = output("apt-get", *words, *names).splitlines()
+    return {line.split()[1] for line in lines if line.startswith("Inst ")}
 
 
 def output(*words: str) -> str:
