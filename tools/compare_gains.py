@@ -2,7 +2,7 @@
 
     .venv/bin/python tools/compare_gains.py
 
-The same stages, identification and figures as the command's, in virtual time; docs/tuning.md has the tables. The
+The same stages, identification and figures as the command's, in virtual time; docs/gains.md has the tables. The
 overshoot is of the true speed, a hundred times a second: the robot's own messages are ten a second, and filtered.
 """
 

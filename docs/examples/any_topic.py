@@ -1,10 +1,10 @@
-"""List the topics, listen to one, publish on another, call a service.
+"""List the topics, subscribe to one, publish on another, call a service.
 
-python any_topic.py [URL]
+Needs a running daemon with robot_0: start `hostlink demo`, then run `python any_topic.py`.
 """
 
+import argparse
 import asyncio
-import sys
 
 import hostlink.client
 
@@ -30,4 +30,6 @@ async def main(url: str) -> None:
 
 
 if __name__ == "__main__":
-    asyncio.run(main(sys.argv[1] if len(sys.argv) > 1 else hostlink.client.DEFAULT_URL))
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("url", nargs="?", default=hostlink.client.DEFAULT_URL, help="of the daemon (%(default)s)")
+    asyncio.run(main(parser.parse_args().url))

@@ -1,11 +1,12 @@
-"""Drive a part of a circle and print the path, without asyncio; the same lines work in the cells of a notebook.
+"""Drive a part of a circle and print the path.
 
-python circle.py [POSES [URL]]
+Needs a running daemon with robot_0: start `hostlink demo`, then run `python circle.py`. The robot drives for five
+seconds and stops. The same lines work in the cells of a notebook.
 """
 
+import argparse
 import itertools
 import math
-import sys
 
 import hostlink.client
 
@@ -24,5 +25,8 @@ def main(count: int, url: str) -> None:
 
 
 if __name__ == "__main__":
-    count, url, *_ = [*sys.argv[1:], *("50", hostlink.client.DEFAULT_URL)[len(sys.argv) - 1 :]]
-    main(int(count), url)
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("poses", nargs="?", type=int, default=50, help="number of poses to drive for (%(default)s)")
+    parser.add_argument("url", nargs="?", default=hostlink.client.DEFAULT_URL, help="of the daemon (%(default)s)")
+    arguments = parser.parse_args()
+    main(arguments.poses, arguments.url)

@@ -1,8 +1,10 @@
-"""Record a robot's odometry to a CSV file, also over cuts of the network; Ctrl-C ends it.
+"""Record the odometry of robot_0 to a CSV file, also across cuts of the network.
 
-python record_odometry.py FILE [COUNT [URL]]
+Needs a running daemon with robot_0: start `hostlink demo`, then run `python record_odometry.py`. It writes
+odometry.csv until Ctrl-C.
 """
 
+import argparse
 import asyncio
 import contextlib
 import csv
@@ -37,7 +39,10 @@ async def main(path: Path, count: int | None, url: str) -> None:
 
 
 if __name__ == "__main__":
-    count = int(sys.argv[2]) if len(sys.argv) > 2 else None
-    url = sys.argv[3] if len(sys.argv) > 3 else hostlink.client.DEFAULT_URL
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("file", nargs="?", type=Path, default=Path("odometry.csv"), help="to write (%(default)s)")
+    parser.add_argument("count", nargs="?", type=int, help="number of poses (until Ctrl-C)")
+    parser.add_argument("url", nargs="?", default=hostlink.client.DEFAULT_URL, help="of the daemon (%(default)s)")
+    arguments = parser.parse_args()
     with contextlib.suppress(KeyboardInterrupt):
-        asyncio.run(main(Path(sys.argv[1]), count, url))
+        asyncio.run(main(arguments.file, arguments.count, arguments.url))

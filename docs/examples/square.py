@@ -1,11 +1,12 @@
-"""Drive a square by odometry.
+"""Drive a square by odometry, and print the pose at each corner.
 
-python square.py [SIDE_M [URL [SIDES]]]
+Needs a running daemon with robot_0: start `hostlink demo`, then run `python square.py`. A real robot needs a
+metre of free floor in front and to the left.
 """
 
+import argparse
 import asyncio
 import math
-import sys
 from collections.abc import AsyncIterator
 
 import hostlink.client
@@ -17,7 +18,7 @@ REACTION_S = 0.1  # from a pose to the stop that it causes
 
 
 async def stop(robot: Robot, poses: AsyncIterator[Odometry]) -> None:
-    """Stop, and wait until it stands: a wheel that still rolls should not be turned the other way."""
+    """Stop, and wait until the wheels are still: they should not be reversed while they roll."""
     await robot.stop()
     async for odometry in poses:
         twist = odometry["twist"]
@@ -59,5 +60,9 @@ async def main(side_m: float, url: str, sides: int) -> None:
 
 
 if __name__ == "__main__":
-    side_m, url, sides, *_ = [*sys.argv[1:], *("0.5", hostlink.client.DEFAULT_URL, "4")[len(sys.argv) - 1 :]]
-    asyncio.run(main(float(side_m), url, int(sides)))
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("side_m", nargs="?", type=float, default=0.5, help="length of a side in m (%(default)s)")
+    parser.add_argument("url", nargs="?", default=hostlink.client.DEFAULT_URL, help="of the daemon (%(default)s)")
+    parser.add_argument("sides", nargs="?", type=int, default=4, help="number of sides (%(default)s)")
+    arguments = parser.parse_args()
+    asyncio.run(main(arguments.side_m, arguments.url, arguments.sides))

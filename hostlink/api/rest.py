@@ -37,7 +37,7 @@ from hostlink.hub.node import Role
 from hostlink.hub.participant import Participant
 from hostlink.hub.reloader import Reloader
 from hostlink.hub.robot import LOCK_REASON, Robot
-from hostlink.hub.stops import MAX_WAIT_S, WAIT_S
+from hostlink.hub.standstills import MAX_WAIT_S, WAIT_S
 from hostlink.recording.drives import Drive, DriveLog
 from hostlink.robot.state import MAX_PRIORITY
 from hostlink.robot.velocity import PlanarVelocity

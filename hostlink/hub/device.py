@@ -24,7 +24,7 @@ from hostlink.protocol.control import Parameter, TopicInfo
 from hostlink.protocol.events import MessageReceived
 from hostlink.protocol.frame import Id
 from hostlink.robot.admission import Admission
-from hostlink.robot.directory import Presence, RobotTopicNames, is_played
+from hostlink.robot.names import Presence, RobotTopicNames, is_played
 from hostlink.robot.state import BATTERY_TYPE
 from hostlink.robot.velocity import TWIST_TYPE, ZERO, Kinematics, Twist
 from hostlink.robot.velocity_gate import Unlimited, VelocityGate

@@ -20,7 +20,16 @@ from hostlink.hub.diagnoses import Diagnosis
 from hostlink.hub.isolation import Isolation
 from hostlink.hub.message import Message
 from hostlink.hub.node import address_of
-from hostlink.hub.robot_events import HOST_AWAY, LEASE_ENDED, LET_GO, OWNER_LEFT, WAS_STOPPED, EventKind, RobotEvents
+from hostlink.hub.robot_events import (
+    HOST_AWAY,
+    LEASE_ENDED,
+    LET_GO,
+    OVERRULED,
+    OWNER_LEFT,
+    WAS_STOPPED,
+    EventKind,
+    RobotEvents,
+)
 from hostlink.hub.stall_watch import BEAT_S, StallWatch
 from hostlink.hub.topic import Topic
 from hostlink.link.link import Link, LinkEnd
@@ -352,7 +361,7 @@ class Gates:
             gate = other.gate
             is_other = gate is not drivable.gate and gate.admission is drivable.gate.admission
             if is_other and gate.owner != owner and gate.priority is not None and gate.priority < priority:
-                self._note_stop(other, "overruled", str(gate.owner_name))
+                self._note_stop(other, OVERRULED, str(gate.owner_name))
                 gate.stop(now_s=now_s)
                 self._step(other, now_s, is_news=True)
 

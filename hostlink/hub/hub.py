@@ -27,12 +27,12 @@ from hostlink.hub.robot_topic_publisher import RobotTopicPublisher
 from hostlink.hub.robots import Robots
 from hostlink.hub.rosout import Rosout
 from hostlink.hub.services import Services
-from hostlink.hub.stops import LockServices, Standstills
+from hostlink.hub.standstills import LockServices, Standstills
 from hostlink.hub.topic_graph import TopicGraph
 from hostlink.link.fair_share import FairShare, Turns
 from hostlink.logs import log_what_is_missing
 from hostlink.messages.catalog import Catalog
-from hostlink.robot.directory import Places
+from hostlink.robot.names import Places
 
 log = structlog.get_logger()
 

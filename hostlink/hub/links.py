@@ -24,7 +24,7 @@ from hostlink.logs import of_peer, printable
 from hostlink.protocol import events
 from hostlink.protocol.control import Parameter
 from hostlink.protocol.session import Session
-from hostlink.robot.directory import Accepted, Directory, Places, RobotTopicNames, Undecided
+from hostlink.robot.names import Accepted, Directory, Places, RobotTopicNames, Undecided
 from hostlink.transport.base import Transport
 
 if TYPE_CHECKING:

@@ -1,4 +1,4 @@
-"""Queue: bounded send queue of one participant, so that a slow one does not affect the others."""
+"""Queue: bounded send queue of one participant, with the policy and the counters of its backpressure."""
 
 import asyncio
 from collections import deque

@@ -14,7 +14,7 @@ from hostlink.config import Config, RobotConfig
 from hostlink.detached import DetachedThread
 from hostlink.errors import HostlinkError, ReloadRefused
 from hostlink.hub.hub import Hub, places_of
-from hostlink.robot.directory import Places
+from hostlink.robot.names import Places
 
 log = structlog.get_logger()
 

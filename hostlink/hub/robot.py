@@ -23,7 +23,7 @@ from hostlink.hub.topic_graph import TopicGraph
 from hostlink.link.link import Link
 from hostlink.logs import printable
 from hostlink.robot.admission import EPOCH_BITS, Admission, Command
-from hostlink.robot.directory import SURE_S, RobotTopicNames
+from hostlink.robot.names import SURE_S, RobotTopicNames
 from hostlink.robot.odometry import READERS, OdometryCorrection, OdometryEstimator, OdometrySnapshot
 from hostlink.robot.standstill import OLD_S
 from hostlink.robot.state import DEVICE_AWAY, BatteryReading, RobotState, read_battery

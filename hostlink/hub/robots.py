@@ -18,7 +18,7 @@ from hostlink.hub.robot import LocalRobot, RemoteRobot, Robot, correction_of, li
 from hostlink.hub.robot_events import EventKind
 from hostlink.link.link import Link
 from hostlink.robot.admission import EPOCH_BITS, Admission, EarlierCommands
-from hostlink.robot.directory import RobotTopicNames
+from hostlink.robot.names import RobotTopicNames
 from hostlink.robot.odometry import OdometryEstimator
 from hostlink.robot.velocity import ZERO, Kinematics, PlanarVelocity
 from hostlink.robot.velocity_gate import VelocityGate

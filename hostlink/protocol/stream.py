@@ -1,4 +1,4 @@
-"""FrameStream: split received bytes into frames and skipped bytes, independent of how the reads were cut."""
+"""FrameStream: parser of rosserial frames. It yields frames and skipped bytes, however the reads were cut."""
 
 from bisect import bisect_left, insort
 from collections import Counter, OrderedDict
@@ -33,7 +33,7 @@ class Rejection(Enum):
 
 
 class FrameStream:
-    """Reads frames from a stream in which bytes may be damaged, missing or not rosserial.
+    """Parser of frames in a stream in which bytes may be damaged, missing or not rosserial.
 
     Every sync with a correct length checksum and a length within the limit is a *candidate*. The candidate that is
     complete and correct first wins, even when another one began before it. A damaged header that claims a kilobyte

@@ -187,7 +187,7 @@ def write_incident(
     Raises:
         OSError: the disk failed.
     """
-    from hostlink.recording.file_thread import McapWriter  # noqa: PLC0415 - most daemons never save one
+    from hostlink.recording.mcap_writer import McapWriter  # noqa: PLC0415 - most daemons never save one
 
     folder.make_room(())
     stamp = time.strftime("%Y-%m-%dT%H-%M-%S", time.localtime(incident.stamp_ns // 1_000_000_000))

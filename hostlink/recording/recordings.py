@@ -15,8 +15,8 @@ from hostlink.errors import RecordingBusy, RecordingFailed, UnknownTopic
 from hostlink.hub.hub import Hub
 from hostlink.recording.black_box import BlackBox
 from hostlink.recording.drives import DriveLog
-from hostlink.recording.file_thread import MAX_CHANNELS, FileThread, Splitting
 from hostlink.recording.folder import MEGABYTE, Folder, check_name, default_folder
+from hostlink.recording.mcap_writer import MAX_CHANNELS, FileThread, Splitting
 from hostlink.recording.recorder import Recorder, TopicSelection
 
 log = structlog.get_logger()

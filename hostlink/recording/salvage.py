@@ -24,10 +24,10 @@ from hostlink import remains
 from hostlink.errors import BadPayload, RecordingFailed
 from hostlink.recording.channel import EVENTS, JSON, ROS1, Channel
 from hostlink.recording.drives import LastCommand, finish_drives
-from hostlink.recording.file_thread import MAX_CHANNELS, PROFILE, McapWriter
 from hostlink.recording.folder import Folder
 from hostlink.recording.history import decode_event
 from hostlink.recording.incident import Incident, OutOfTime, write_incident
+from hostlink.recording.mcap_writer import MAX_CHANNELS, PROFILE, McapWriter
 from hostlink.recording.reader import McapReader
 from hostlink.recording.ring import RING, Entry, read_blocks, read_entries, read_schemas, write_fact
 

@@ -1,7 +1,7 @@
 """Admission: the one rule that decides whether a velocity may move a robot. Pure.
 
 Every way in (rosbridge, REST, the page, Foxglove, the client, ROS, the fleet, recordings) fills in a `Command`. The
-robot's `Admission` answers with a `Decision`. No other module compares ages, epochs, locks or leases.
+robot's `Admission` answers with a `Decision`. No other module decides by ages, epochs, locks or leases.
 
 A *source* of commands is a program, a REST owner, a publisher of another graph. It is in one of three states:
 

@@ -1,7 +1,7 @@
 """MotorModel: a first-order motor with dead time, identified from a record, and the PI gains that follow. Pure.
 
 The motor with its filter, from PWM to measured speed: the robot's own loop is closed around it, but both its input and
-its output are in the record, so the loop need not be known. docs/tuning.md#what-is-identified
+its output are in the record, so the loop need not be known. docs/gains.md#what-is-identified
 """
 
 from dataclasses import dataclass

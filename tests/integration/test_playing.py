@@ -17,7 +17,7 @@ from hostlink.errors import BadRequest, ConfigError, HostlinkError
 from hostlink.messages.catalog import Catalog
 from hostlink.protocol.frame import Id, encode
 from hostlink.recording.channel import DEVICE, VELOCITY, Channel, ros_channel
-from hostlink.recording.file_thread import McapWriter
+from hostlink.recording.mcap_writer import McapWriter
 from hostlink.robot.velocity import ZERO, PlanarVelocity
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import FakeDevice, fake_device, pose, robot_topics, topic

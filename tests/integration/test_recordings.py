@@ -22,7 +22,7 @@ from hostlink import logs
 from hostlink.config import ApiConfig, Config, RecordingConfig, TokenConfig
 from hostlink.hub.node import is_of
 from hostlink.hub.topic import Topic
-from hostlink.recording import file_thread
+from hostlink.recording import mcap_writer
 from hostlink.recording import recordings as recordings_module
 from hostlink.recording.channel import EVENTS_TOPIC, LOG_TOPIC, NS_PER_S, PARAMETERS_TOPIC, json_of
 from hostlink.recording.folder import Folder
@@ -462,7 +462,7 @@ async def test_a_start_that_is_cancelled_leaves_neither_a_file_nor_a_thread(tmp_
 async def test_topics_for_which_a_file_has_no_room_are_told_once(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(file_thread, "MAX_CHANNELS", 2)
+    monkeypatch.setattr(mcap_writer, "MAX_CHANNELS", 2)
     monkeypatch.setattr(recordings_module, "LOOK_INTERVAL_S", 0.05)
     with capture_logs() as lines:
         async with recorded(config(tmp_path)) as (host, device):

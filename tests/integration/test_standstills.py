@@ -8,7 +8,7 @@ from collections.abc import AsyncIterator
 import pytest
 
 from hostlink.client import StandstillState, connect
-from hostlink.hub.stops import WAIT_S
+from hostlink.hub.standstills import WAIT_S
 from tests.support.background import meanwhile
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import FakeDevice, fake_device, pose, robot_topics

@@ -26,7 +26,7 @@ from hostlink.protocol.frame import Frame, Id, encode
 from hostlink.protocol.session import Session
 from hostlink.protocol.stream import FrameStream
 from hostlink.robot.admission import LEASE_S
-from hostlink.robot.directory import Presence, find_robot
+from hostlink.robot.names import Presence, find_robot
 from hostlink.robot.velocity import PlanarVelocity
 from hostlink.robot.velocity_gate import ZEROS
 from tests.support.fake_device import robot_topics

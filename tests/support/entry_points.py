@@ -33,7 +33,7 @@ from hostlink.graphs.ros2.velocity import VelocityDriver
 from hostlink.hub.node import Role
 from hostlink.protocol.frame import Id
 from hostlink.recording.channel import VELOCITY, ros_channel
-from hostlink.recording.file_thread import McapWriter
+from hostlink.recording.mcap_writer import McapWriter
 from hostlink.robot.velocity import TWIST_STAMPED_TYPE, TWIST_TYPE, PlanarVelocity, Twist
 from tests.support import foreign_drivers
 from tests.support.fake_device import CATALOG, topic
@@ -334,11 +334,11 @@ class Teleop(_Program):
         assert not left_m_s
         if speed_m_s:
             self._driving.receive(Key("w"), _now_s())
-            await self._keys.send_what_is_due()
+            await self._keys.send_due()
         else:
             self._driving.stop()
             for _ in range(round((GRACE_S + 0.1) / self.period_s)):
-                await self._keys.send_what_is_due()
+                await self._keys.send_due()
                 await asyncio.sleep(self.period_s)
 
 

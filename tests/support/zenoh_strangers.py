@@ -54,7 +54,7 @@ def listeners() -> list[str]:
 
 
 def certified(folder: Path, name: str, **settings: Any) -> Config:
-    """A daemon as docs/fleet.md has it."""
+    """A daemon as docs/fleet-security.md has it."""
     certificate, key = make_certificate(folder, name, ADDRESS)
     return Config(zenoh=ZenohConfig(name=name, ca=folder / "ca.pem", certificate=certificate, key=key, **settings))
 

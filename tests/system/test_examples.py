@@ -9,6 +9,8 @@ import sys
 from collections.abc import AsyncIterator
 from pathlib import Path
 
+import pytest
+
 from hostlink.sim.robot import SimulatedRobot
 from tests.support.process import serve
 from tests.support.simulated import simulated_robot
@@ -36,6 +38,12 @@ async def world() -> AsyncIterator[tuple[str, SimulatedRobot]]:
     async with serve() as daemon, simulated_robot(daemon.tcp) as robot:
         await daemon.read_log("robot.appeared")
         yield daemon.url, robot
+
+
+@pytest.mark.parametrize("name", sorted(path.name for path in EXAMPLES.glob("*.py")))
+async def test_help_says_how_to_start_the_example_without_arguments(name: str) -> None:
+    printed = " ".join((await run_example(name, "--help")).split())
+    assert f"start `hostlink demo`, then run `python {name}`" in printed
 
 
 async def test_half_a_square_ends_at_the_far_corner() -> None:

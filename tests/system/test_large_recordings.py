@@ -11,7 +11,7 @@ import pytest
 
 from hostlink.messages.catalog import Catalog
 from hostlink.recording.channel import DEVICE, NS_PER_S, VELOCITY, ros_channel
-from hostlink.recording.file_thread import McapWriter
+from hostlink.recording.mcap_writer import McapWriter
 from hostlink.robot.velocity import TWIST_TYPE, PlanarVelocity
 
 MEGABYTE = 1_000_000

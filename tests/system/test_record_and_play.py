@@ -120,7 +120,7 @@ async def test_a_recording_is_published_by_a_program_and_its_velocities_are_not(
             before = await velocities(host)
             words = ("play", str(first), "/robot_0/*", "--as-program", "--rate", "10", "--url", daemon.url)
             status, _, err = await run(*words)
-            assert (status, "messages played" in err) == (0, True), err
+            assert (status, "messages of /robot_0/* played" in err) == (0, True), err
             assert (await anext(aiter(poses)))["x"] >= 0.0
             assert await velocities(host) == before
 
@@ -218,7 +218,7 @@ async def test_a_play_without_a_host_says_so(tmp_path: Path) -> None:
         await until_connected(daemon.url)
         await record(daemon, first, seconds=1.0)
     status, _, err = await run("play", str(first), "--connect", "127.0.0.1:9")
-    assert (status, "is `hostlink serve` running?" in err) == (1, True)
+    assert (status, "start one with `hostlink serve`" in err) == (1, True), err
 
 
 async def test_thirty_robots_are_recorded_with_flat_memory(tmp_path: Path) -> None:

@@ -22,7 +22,7 @@ from hostlink.hub.hub import Hub
 from hostlink.hub.message import Message
 from hostlink.hub.participant import Participant
 from hostlink.hub.robot_topic_publisher import own_topics
-from hostlink.hub.stops import own_services
+from hostlink.hub.standstills import own_services
 from hostlink.logs import printable
 from hostlink.messages.catalog import CLOCK, CLOCK_TYPE, decode_clock
 

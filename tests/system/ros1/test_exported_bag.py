@@ -8,7 +8,7 @@ from typing import Any
 
 from hostlink.messages.catalog import Catalog
 from hostlink.recording.channel import EVENTS, as_text, ros_channel
-from hostlink.recording.file_thread import McapWriter
+from hostlink.recording.mcap_writer import McapWriter
 from tests.support.process import run
 from tests.support.ros1.debian import PYTHON
 from tests.support.waiting import TIMEOUT_S

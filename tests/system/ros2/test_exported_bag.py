@@ -7,7 +7,7 @@ from pathlib import Path
 
 from hostlink.messages.catalog import Catalog
 from hostlink.recording.channel import ros_channel
-from hostlink.recording.file_thread import McapWriter
+from hostlink.recording.mcap_writer import McapWriter
 from tests.support.process import run
 from tests.support.ros2 import PYTHON
 

@@ -23,7 +23,7 @@ from hostlink.messages.catalog import Catalog
 from hostlink.recording.bags import RosFormat, export_ros
 from hostlink.recording.channel import EVENTS, as_text, ros_channel
 from hostlink.recording.export import export_csv, file_name
-from hostlink.recording.file_thread import McapWriter
+from hostlink.recording.mcap_writer import McapWriter
 from hostlink.recording.plot import PlotLine, draw_fields, draw_map, read_lines, read_paths
 from hostlink.recording.reader import McapReader, contents_of
 

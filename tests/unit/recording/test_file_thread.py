@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from hostlink.recording import file_thread
+from hostlink.recording import mcap_writer
 from hostlink.recording.channel import EVENTS, Channel
-from hostlink.recording.file_thread import (
+from hostlink.recording.mcap_writer import (
     MAX_CHANNELS,
     MAX_EXPECTED,
     MAX_WAITING_BYTES,
@@ -28,7 +28,7 @@ def count(folder: Path) -> int:
 
 async def test_ten_seconds_of_a_flood_at_once_lose_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The end waits as long as the disk accepts data."""
-    monkeypatch.setattr(file_thread, "CLOSE_TIMEOUT_S", 0.25)
+    monkeypatch.setattr(mcap_writer, "CLOSE_TIMEOUT_S", 0.25)
     thread = FileThread(lambda number: tmp_path / f"{number}.mcap", WHOLE, loop=asyncio.get_running_loop(), metadata={})
     for number in range(50_000):
         thread.put(EVENTS, number, b"x" * 24)
@@ -66,7 +66,7 @@ class StandingDisk:
 
 def test_blocked_disk_at_the_end_is_not_awaited(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The disk may recover after the loop has ended."""
-    monkeypatch.setattr(file_thread, "CLOSE_TIMEOUT_S", 0.1)
+    monkeypatch.setattr(mcap_writer, "CLOSE_TIMEOUT_S", 0.1)
     disk = StandingDisk()
 
     async def record() -> FileThread:
@@ -125,7 +125,7 @@ async def test_file_without_free_channel_numbers_is_followed_by_one_with_the_new
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A program that makes a topic a minute has made 8192 in a week."""
-    monkeypatch.setattr(file_thread, "FULL_FILE_S", 0.0)
+    monkeypatch.setattr(mcap_writer, "FULL_FILE_S", 0.0)
     thread = FileThread(lambda number: tmp_path / f"{number}.mcap", WHOLE, loop=asyncio.get_running_loop(), metadata={})
     channels = [Channel(f"/{number}", "json", "", "") for number in range(MAX_CHANNELS + 100)]
     for number, channel in enumerate(channels):

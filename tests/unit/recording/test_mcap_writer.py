@@ -13,7 +13,7 @@ from mcap.writer import Writer
 from hostlink.errors import RecordingFailed
 from hostlink.messages.catalog import Catalog
 from hostlink.recording.channel import EVENTS, Channel, ros_channel
-from hostlink.recording.file_thread import McapWriter
+from hostlink.recording.mcap_writer import McapWriter
 from hostlink.recording.reader import McapReader, StoredMessage
 from hostlink.recording.salvage import Repaired, repair
 

@@ -21,7 +21,7 @@ from hostlink.recording.bags import RosFormat, export_ros
 from hostlink.recording.channel import EVENTS, JSON, LOG, PARAMETERS, TEXT_MD5, Channel, as_text, ros_channel
 from hostlink.recording.definitions import why_unknown
 from hostlink.recording.export import export_csv
-from hostlink.recording.file_thread import McapWriter
+from hostlink.recording.mcap_writer import McapWriter
 from hostlink.recording.plot import read_lines, read_paths
 from hostlink.recording.reader import contents_of, open_source
 from hostlink.recording.tables import read

@@ -16,7 +16,7 @@ from hostlink.hub.hub import Hub
 from hostlink.recording import recordings as module
 from hostlink.recording.channel import EVENTS
 from hostlink.recording.drives import Drive, DriveLog, append_drives, read_drives
-from hostlink.recording.file_thread import FileThread, Splitting
+from hostlink.recording.mcap_writer import FileThread, Splitting
 from hostlink.recording.reader import McapReader
 from hostlink.recording.recorder import TopicSelection
 from hostlink.recording.recordings import Recordings

@@ -9,12 +9,12 @@ import pytest
 
 from hostlink.api.history import stored_history
 from hostlink.messages.catalog import Catalog
-from hostlink.recording import file_thread
+from hostlink.recording import mcap_writer
 from hostlink.recording.black_box import write_incident
 from hostlink.recording.channel import DEVICE, EVENTS, NS_PER_S, Channel, as_text, ros_channel
-from hostlink.recording.file_thread import FileThread, McapWriter, Splitting
 from hostlink.recording.folder import Folder
 from hostlink.recording.incident import Incident
+from hostlink.recording.mcap_writer import FileThread, McapWriter, Splitting
 from hostlink.recording.playing import schedule
 from hostlink.recording.reader import McapReader, contents_of
 from hostlink.recording.ring import Entry
@@ -135,8 +135,8 @@ async def test_recording_that_is_written_has_steady_times_in_all_its_files(
 ) -> None:
     """Another program sets the wall clock meanwhile."""
     jump_ns = [0]
-    of_system: Callable[[], int] = file_thread.time.time_ns
-    monkeypatch.setattr(file_thread.time, "time_ns", lambda: of_system() + jump_ns[0])
+    of_system: Callable[[], int] = mcap_writer.time.time_ns
+    monkeypatch.setattr(mcap_writer.time, "time_ns", lambda: of_system() + jump_ns[0])
     thread = FileThread(
         lambda number: tmp_path / f"{number}.mcap",
         Splitting(10**9, 10**9),
@@ -146,7 +146,7 @@ async def test_recording_that_is_written_has_steady_times_in_all_its_files(
     for number in range(20):
         if number == 10:
             jump_ns[0] = 100 * DAY_S * NS_PER_S
-        thread.put(EVENTS, file_thread.time.time_ns(), as_text(b"{}"))
+        thread.put(EVENTS, mcap_writer.time.time_ns(), as_text(b"{}"))
     await thread.aclose()
     found = list(McapReader(tmp_path / "0.mcap").messages())
     steady = [message.steady_ns for message in found]

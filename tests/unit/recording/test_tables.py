@@ -10,7 +10,7 @@ import hostlink.recording
 from hostlink.errors import RecordingFailed
 from hostlink.messages.catalog import Catalog
 from hostlink.recording.channel import EVENTS, as_text, ros_channel
-from hostlink.recording.file_thread import McapWriter
+from hostlink.recording.mcap_writer import McapWriter
 
 CATALOG = Catalog()
 BEGIN_NS = 1_700_000_000_000_000_000

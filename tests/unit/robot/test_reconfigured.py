@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hostlink.robot.directory import Accepted, Directory, Places, TopicClaim
+from hostlink.robot.names import Accepted, Directory, Places, TopicClaim
 from hostlink.robot.velocity import ZERO, PlanarVelocity
 from hostlink.robot.velocity_gate import Limits
 from tests.support.gates import GateOfRobot

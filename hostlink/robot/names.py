@@ -1,4 +1,4 @@
-"""Directory: which robot a device is, which name the robot gets, and whether a device is one that reconnected."""
+"""Names of robots: which robot a device is, which name it gets, and whether a device has reconnected."""
 
 import itertools
 import math
@@ -93,14 +93,14 @@ class Places:
 
 
 class RobotNames:
-    """A name is chosen in this order:
+    """Choice of a robot's name. The first of these that is free is chosen:
 
-    1. the name that it announces, where the configuration gives it to its address;
-    2. the name that the same device had before: one that announced the same name from the same address, and best the
-       same port; of several the one that came first;
-    3. a name that the configuration gives to its address: first those that no device had before, in their order;
-    4. the name that it announces, unless it is another's: a device has it now, the configuration gives it to an
-       address, or several were seen that announce it, and it is the name of a device at another address;
+    1. the name that the device announces, if the configuration gives this name to the device's address;
+    2. the name that the same device had before. It is the same if it announced the same name from the same address,
+       preferably from the same port. Of several, the one that connected first counts;
+    3. a name that the configuration gives to the address: first those that no device had before, in their order;
+    4. the name that the device announces, unless the configuration gives it to another address, or several devices
+       announce it and its last owner is at another address;
     5. that name with a number: robot_0_2, robot_0_3, ...
 
     A recording that is played leaves its name to the robot, and is not counted among those that announce it.
@@ -124,7 +124,7 @@ class RobotNames:
             self.forget(name)
 
     def misplaced(self, places: Places) -> list[str]:
-        """The names that would be others' by these places, or whose devices would have others."""
+        """Return the names that these places give to another device, or whose device they give another name."""
         right = {name for name, owner in self._owners.items() if name in places.at(owner)}
         return [
             name
@@ -133,7 +133,7 @@ class RobotNames:
         ]
 
     def choose(self, origin: Origin) -> Named:
-        """The name of a device that has none."""
+        """Choose the name of a device that has none."""
         here = self._places.at(origin)
         free = [name for name in here if name not in self._live]
         is_only_one = len(here) == 1

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hostlink.robot.directory import (
+from hostlink.robot.names import (
     ANSWER_S,
     SURE_S,
     Accepted,

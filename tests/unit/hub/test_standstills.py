@@ -6,7 +6,7 @@ import struct
 import pytest
 
 from hostlink.errors import UnknownTopic
-from hostlink.hub.stops import MAX_WATCHED, own_services
+from hostlink.hub.standstills import MAX_WATCHED, own_services
 from hostlink.robot.standstill import StandstillState
 from hostlink.robot.velocity import PlanarVelocity
 from tests.support.gates import drive_gate
