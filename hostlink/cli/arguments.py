@@ -129,6 +129,18 @@ def json_object(name: str, text: str) -> dict[str, object]:
     return value
 
 
+def field_value(name: str, text: str) -> object:
+    """Read the value of one field: JSON, a list or an object in YAML's flow style, or else a string.
+
+    Raises:
+        ConfigError: a list or an object is not closed, or has other mistakes.
+    """
+    try:
+        return _scalar(text)
+    except (ValueError, RecursionError) as error:
+        raise ConfigError(name, f"is not JSON: {error}; write a list as '[0.1, 0, 0]'") from error
+
+
 # -- ros text ---------------------------------------------------------------------------------------------------------
 
 _TEXT = r'"(?:[^"\\]|\\.)*"'
@@ -139,15 +151,17 @@ _LITERALS = {"true": "true", "false": "false", "null": "null", "yes": "true", "n
 
 
 def read_message(text: str) -> Any:
-    """Read JSON, or YAML in one line, with or without the braces.
+    """Read JSON, YAML in one line, with or without the braces, or the lines that `rostopic echo` prints.
 
     Raises:
-        ValueError: `text` is neither; the error says what is wrong with it as JSON.
+        ValueError: `text` is neither; the error says what is wrong with it as JSON, or in which line as YAML.
         RecursionError: `text` is nested too deeply.
     """
     try:
         return json.loads(text)
     except ValueError:
+        if "\n" in text.strip():
+            return _Lines(text).value()
         try:
             return json.loads(_as_json(text.strip()))
         except ValueError:
@@ -165,3 +179,83 @@ def _as_json(text: str) -> str:
 
 def _word(word: str) -> str:
     return _LITERALS.get(word.lower()) or json.dumps(word)
+
+
+_KEY = re.compile(r"([A-Za-z_]\w*)\s*:(?:\s+(.*))?")
+
+
+class _Lines:
+    """YAML in lines: a field a line, indented; items of a list begin with `- `. Tab of rostopic pub completes it."""
+
+    def __init__(self, text: str) -> None:
+        lines = enumerate(text.split("\n"), 1)
+        self._lines = [
+            (number, len(line) - len(line.lstrip()), line.strip())
+            for number, line in lines
+            if line.strip() and line.strip() != "---" and not line.lstrip().startswith("#")
+        ]
+        self._lines.reverse()  # the next line is the last one
+
+    def value(self) -> Any:
+        """Return the value of all lines.
+
+        Raises:
+            ValueError: a line cannot be read.
+        """
+        if len(self._lines) == 1 and self._lines[0][2].startswith("{"):
+            return _scalar(self._lines[0][2])
+        found = self._value(self._lines[-1][1]) if self._lines else {}
+        if self._lines:
+            raise ValueError(f"line {self._lines[-1][0]} is not indented as the lines before it")
+        return found
+
+    def _value(self, indent: int) -> Any:
+        return self._items(indent) if self._lines[-1][2].startswith("-") else self._fields(indent)
+
+    def _fields(self, indent: int) -> dict[str, Any]:
+        fields: dict[str, Any] = {}
+        while self._lines and self._lines[-1][1] == indent and not self._lines[-1][2].startswith("- "):
+            number, _, text = self._lines.pop()
+            if (found := _KEY.fullmatch(text)) is None:
+                raise ValueError(f"line {number} is not `name: value`: {text}")
+            fields[found[1]] = self._inner(indent, is_item=False) if found[2] is None else _scalar(found[2])
+        return fields
+
+    def _items(self, indent: int) -> list[Any]:
+        items: list[Any] = []
+        while self._lines and self._lines[-1][1] == indent and self._lines[-1][2].startswith("-"):
+            number, _, text = self._lines.pop()
+            rest = text[1:].lstrip()
+            if not rest:
+                items.append(self._inner(indent, is_item=True))
+            elif _KEY.fullmatch(rest) is not None:
+                inner = indent + len(text) - len(rest)
+                self._lines.append((number, inner, rest))
+                items.append(self._fields(inner))
+            else:
+                items.append(_scalar(text if rest == text[1:] else rest))
+        return items
+
+    def _inner(self, indent: int, *, is_item: bool) -> Any:
+        """Return the value below a name or a dash; None without one. A list below a name need not be indented."""
+        if self._lines:
+            _, inner, text = self._lines[-1]
+            if inner > indent or (inner == indent and text.startswith("-") and not is_item):
+                return self._value(inner)
+        return None
+
+
+def _scalar(text: str) -> Any:
+    """Read a value of YAML in one line.
+
+    Raises:
+        ValueError: a list, an object or a quoted text is not closed.
+    """
+    if text.startswith(("{", "[", '"')):
+        return read_message(text) if text[0] != '"' else json.loads(text)
+    if text.startswith("'") and text.endswith("'") and len(text) > 1:
+        return text[1:-1].replace("''", "'")
+    try:
+        return json.loads(_LITERALS.get(text.lower(), text))
+    except ValueError:
+        return text

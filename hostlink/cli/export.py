@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, TypedDict
 import msgspec
 import typer
 
-from hostlink.cli.output import megabytes, show_progress, table, write, write_error
+from hostlink.cli.output import megabytes, show_progress, write, write_error, write_table
 from hostlink.errors import ConfigError, HostlinkError, LibraryMissing
 from hostlink.recording.channel import NS_PER_S
 from hostlink.recording.definitions import need_rosbags, why_unknown
@@ -174,8 +174,11 @@ def show_recording(file: Path, *, as_json: bool) -> None:
         *(f"  {name}: {value}" for name, value in found.metadata.items() if value),
         *(f"  the clock was set by {step.step_s:+.1f} s after {step.at_s:.1f} s" for step in found.clock_steps),
         *(f"  damage: {damage}{_mended(file)}" for damage in found.damage),
-        *table(["topic", "type", "messages", "Hz", "robot", "from", "export"], [_row(topic) for topic in found.topics]),
     )
+    if found.topics:
+        write("")
+    heads = ["topic", "type", "messages", "Hz", "robot", "from", "export"]
+    write_table(heads, [_row(topic) for topic in found.topics])
 
 
 def _mended(file: Path) -> str:

@@ -10,7 +10,7 @@ from hostlink.client import Event, Host
 # -- figures of two snapshots -----------------------------------------------------------------------------------------
 
 LINK_COLUMNS = ("link", "peer", "robot", "topics", "from/s", "to/s", "bytes/s", "lost %", "silent s", "diagnosis")
-ROBOT_COLUMNS = ("robot", "link", "driven by", "m/s", "rad/s", "x m", "y m", "heading °", "Hz", "age s")
+ROBOT_COLUMNS = ("robot", "link", "driven by", "m/s", "rad/s", "x m", "y m", "deg", "Hz", "age s")
 DEVICE_COLUMNS = ("battery", "dBm", "errors", "firmware")  # more columns of a robot, shown if any robot has a value
 _DEGREES = 57.29577951308232
 

@@ -9,7 +9,7 @@ import msgspec
 import typer
 
 from hostlink.cli.connecting import counted
-from hostlink.cli.output import table, write
+from hostlink.cli.output import fitted_table, write
 from hostlink.inspection import Inspection, InspectionReport, Payload, Series, load_reads
 from hostlink.messages.catalog import Catalog
 from hostlink.protocol.control import Parameter, TopicInfo
@@ -114,17 +114,21 @@ def _lines(view: dict[str, Any]) -> list[str]:
         f"skipped bytes {view['skipped_bytes']}"
     ]
     topics = [[topic["id"], topic["kind"], topic["name"], topic["type"]] for topic in view["topics"]]
-    lines += table(["id", "kind", "topic", "type"], topics)
+    lines += fitted_table(["id", "kind", "topic", "type"], topics)
     for title, key in (("from device", "messages"), ("to device", "to_device")):
         series = view[key].items()
-        lines += table([title, "count", "last"], [[name, item["count"], _short(item["last"])] for name, item in series])
+        lines += fitted_table(
+            [title, "count", "last"], [[name, item["count"], _short(item["last"])] for name, item in series]
+        )
     services = view["services"].items()
-    lines += table(
+    lines += fitted_table(
         ["service", "requests", "responses"], [[name, item["requests"], item["responses"]] for name, item in services]
     )
-    lines += table(["parameter", "reply"], [[item["name"], _short(item["reply"])] for item in view["parameters"]])
+    lines += fitted_table(
+        ["parameter", "reply"], [[item["name"], _short(item["reply"])] for item in view["parameters"]]
+    )
     logs = view["logs"][-LAST_LOGS:]
-    return lines + table(
+    return lines + fitted_table(
         ["level", f"log, the last of {len(view['logs'])} lines"], [[each["level"], each["msg"]] for each in logs]
     )
 

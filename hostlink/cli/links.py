@@ -15,7 +15,7 @@ import typer
 from hostlink.cli.arguments import Json, Token, Url
 from hostlink.cli.connecting import connected, run_until_interrupted
 from hostlink.cli.figures import LINK_COLUMNS, Snapshot, advice, figures, link_rows
-from hostlink.cli.output import duration, show_progress, size, table, write, write_error
+from hostlink.cli.output import duration, show_progress, size, write, write_error, write_table
 from hostlink.client import DEFAULT_URL, Host
 from hostlink.errors import BadRequest, ConfigError, HostlinkError
 
@@ -39,9 +39,11 @@ def links(
     shown = figures(Snapshot(0.0, {"links": []}, []), Snapshot(0.0, view, robots))
     if not shown["links"]:
         write_error("no device is connected; `hostlink doctor` finds out why")
-    write(*table(list(LINK_COLUMNS), [list(row) for row in link_rows(shown)])[1:])
+    write_table(LINK_COLUMNS, link_rows(shown))
     if ended:
-        write(*table(["ended", "peer", "why", "after s", "s ago", "diagnosis"], _ended_rows(view)))
+        if view["ended"]:
+            write("")
+        write_table(["ended", "peer", "why", "after s", "s ago", "diagnosis"], _ended_rows(view))
     write(*advice({**shown, "ended": []}))
 
 
@@ -75,7 +77,7 @@ def clients(*, url: Url = DEFAULT_URL, token: Token = None, json: Json = False) 
     if json:
         write(json_text.dumps(view))
     else:
-        write(*table(list(COLUMNS), [_row(client) for client in view["clients"]])[1:])
+        write_table(COLUMNS, [_row(client) for client in view["clients"]])
         if view["refused"]:
             write(f"{view['refused']} clients were refused, because too many were connected")
 

@@ -5,10 +5,13 @@ the command that runs is imported.
 """
 
 import contextlib
+import errno
 import functools
 import importlib
+import itertools
 import math
 import os
+import re
 import shlex
 import signal
 import sys
@@ -29,67 +32,178 @@ HABITS = {  # words that newcomers type, and the command that has their meaning
     "go": "teleop",
     "list": "robots",
     "ls": "robots",
-    "nodes": "robots",
     "rosout": "echo /rosout",
     "monitor": "top",
     "status": "doctor",
     "roswtf": "doctor",
     "start": "serve",
     "run": "serve",
-    "help": "--help",
+    "roscore": "serve",
     "version": "--version",
 }
-_SAME = {name: name for name in ("echo", "hz", "bw", "delay", "pub", "info", "type", "find", "call")}
+_SAME = {name: name for name in ("echo", "hz", "bw", "delay", "pub", "info", "type", "find")}
 ROS_GROUPS = {  # rostopic, ros2 topic and similar programs: the word behind them, and the command of hostlink
-    "topic": _SAME | {"list": "topics"},
-    "node": {"list": "robots", "info": "info"},
-    "service": _SAME | {"list": "services"},
+    "topic": {"list": "topics"} | _SAME,
+    "node": {"list": "nodes", "info": "info"},
+    "service": {"list": "services", "args": "type --fields"}
+    | {name: name for name in ("call", "info", "type", "find")},
     "param": {name: f"params {name}" for name in ("list", "get", "set", "delete", "dump", "load")},
-    "bag": {name: name for name in ("record", "play", "info")},
+    "bag": {"record": "record", "play": "play", "info": "info", "reindex": "record --repair"},
     "msg": {"show": "type"},
     "srv": {"show": "type"},
     "interface": {"show": "type"},
+    "action": {},
 }
-_ALONE = {"topic": "topics", "node": "robots", "service": "services", "param": "params", "bag": "record"}
-ROS_OPTIONS = {  # option of a command of ROS, and the one of hostlink
-    ("echo", "-n"): "--count NUMBER",
-    ("echo", "-p"): "--csv",
-    ("pub", "-1"): "nothing: one message is sent without --count",
-    ("pub", "--once"): "nothing: one message is sent without --count",
-    ("pub", "-r"): "--rate HZ --count 0",
-    ("hz", "-w"): "--window NUMBER",
-    ("bw", "-w"): "--window NUMBER",
-    ("record", "-a"): "nothing: everything is recorded unless a topic is named",
-    ("record", "-O"): "-o FILE",
-    ("play", "-l"): "--loop",
-    ("play", "-r"): "--rate FACTOR",
-    ("play", "-s"): "--start SECONDS",
+ROS2_WORDS = {"doctor": "doctor", "wtf": "doctor"}  # programs of ros2 that are one command
+ROS_OPTIONS = {  # option of a command of ROS, and the one of hostlink; empty: hostlink does so without an option
+    ("topics", "-t"): "",
+    ("topics", "--show-types"): "",
+    ("services", "-t"): "",
+    ("services", "--show-types"): "",
+    ("services", "-n"): "",
+    ("nodes", "-a"): "",
+    ("info", "-v"): "",
+    ("info", "--verbose"): "",
+    ("info", "-y"): "--json",
+    ("info", "--yaml"): "--json",
+    ("echo", "--noarr"): "--no-arr",
+    ("hz", "--wall-time"): "",
+    ("pub", "-t"): "--count",
+    ("pub", "--times"): "--count",
+    ("record", "--topics"): "",
+    ("record", "--output-name"): "--output",
+    ("record", "--duration"): "--seconds",
+    ("play", "--start-offset"): "--start",
+    ("play", "--topics"): "--as-program",
+}
+_IN_A_FILE = "`hostlink export FILE --to csv` writes the messages of a recording"
+_OF_TYPES = "`hostlink type TYPE` shows the fields of a type, and `hostlink topics` lists the types that are in use"
+LACKING = {  # commands and options of ROS that hostlink lacks, and the next step
+    ("node", "kill"): "`hostlink stop` stops the robots, and `hostlink clients` lists the programs that are connected",
+    ("node", "ping"): "`hostlink links` shows for how long each device has been silent",
+    ("node", "machine"): "`hostlink links` and `hostlink clients` list the addresses",
+    ("node", "cleanup"): "the daemon removes a node when its connection ends; `hostlink nodes` lists them",
+    ("service", "uri"): "`hostlink info SERVICE` shows its node",
+    ("service", "echo"): "`hostlink call SERVICE` prints the answer of one call",
+    ("param", "describe"): "`hostlink params get NAME` prints the value",
+    ("bag", "convert"): "`hostlink export FILE --to ros1`, `ros2`, `rosbag2` or `csv` converts a recording",
+    ("bag", "check"): "`hostlink info FILE` reports damage",
+    ("bag", "fix"): "`hostlink record --repair FILE` repairs a recording",
+    ("bag", "filter"): "`hostlink record TOPIC` records only some topics",
+    **{(group, word): _OF_TYPES for group in ("msg", "srv", "interface")
+       for word in ("list", "md5", "package", "packages", "proto")},
+    ("topics", "-b"): "`hostlink info FILE` lists the topics of a recording",
+    ("topics", "-p"): "the columns pubs and subs tell publishers from subscribers; use `hostlink topics`",
+    ("topics", "-s"): "the columns pubs and subs tell publishers from subscribers; use `hostlink topics`",
+    ("topics", "-c"): "`hostlink topics --json` gives every topic to a program that counts them",
+    ("echo", "-b"): _IN_A_FILE,
+    ("echo", "--bag"): _IN_A_FILE,
+    **{(command, "--filter"): "`hostlink echo TOPIC --json` gives every message to a program that filters them"
+       for command in ("echo", "hz")},
+    ("pub", "-f"): "write the message itself, as in `hostlink pub /led 'data: true'`",
+    ("pub", "-l"): "-r 1 sends the message again each second",
+    ("pub", "--latch"): "-r 1 sends the message again each second",
+    ("pub", "-w"): "`hostlink info TOPIC` lists the subscribers",
+    ("call", "-r"): "call the service in a loop of the shell",
+    ("record", "-e"): "name the topics by patterns, as in `hostlink record '/robot_0/*'`",
+    ("record", "--regex"): "name the topics by patterns, as in `hostlink record '/robot_0/*'`",
+    ("record", "-s"): "the file is always MCAP; leave the option out",
+    ("play", "--clock"): "hostlink has no simulated time; leave the option out",
+    ("play", "--pause"): "--step sends the next message when you press Enter",
+    ("play", "-p"): "--step sends the next message when you press Enter",
+    ("play", "-u"): "Ctrl-C ends the playback",
+    ("play", "-d"): "the robots' topics are announced a second before the first message; leave the option out",
+}  # fmt: skip
+_NO_NODE = "a parameter belongs to no node; leave the node out, as in `hostlink params get gain`"
+SURPLUS = {  # commands that take fewer arguments than those of ROS, and what to do
+    **dict.fromkeys(("params get", "params set", "params delete", "params load"), _NO_NODE),
+    **dict.fromkeys(("hz", "bw", "delay"), "one topic is measured at a time; run the command once for each topic"),
 }
 
 
-def meant(words: Sequence[str]) -> str | None:
-    """Return the words that hostlink has for a habit or a command of ROS; None if the words may be right."""
-    first = words[0] if words else ""
+def translated(words: Sequence[str]) -> list[str]:
+    """Return the command line in the words of hostlink. Its own words stay as they are.
+
+    Raises:
+        ConfigError: hostlink lacks a command of ROS.
+    """
+    before = list(itertools.takewhile(lambda word: word == "--debug", words))
+    return [*before, *_own_options(_own_command(words[len(before) :]))]
+
+
+def _own_command(words: Sequence[str]) -> list[str]:
+    first, *rest = words or [""]
+    if first == "help":
+        return [*_own_command(rest), "--help"] if rest else ["--help"]
     if first in HABITS:
-        return _with_rest(HABITS[first], words[1:]) if first != "help" else _help(words[1:])
-    if first == "ros2" and len(words) > 1 and words[1] in ROS_GROUPS:
-        return meant(words[1:])
+        return [*HABITS[first].split(), *rest]
+    if first == "ros2" and rest and rest[0] in ROS2_WORDS:
+        return [ROS2_WORDS[rest[0]], *rest[1:]]
+    if first == "ros2" and rest[:2] == ["param", "dump"] and any(not word.startswith("-") for word in rest[2:]):
+        raise ConfigError("ros2 param dump", _NO_NODE)  # the node would be taken for a file
+    if first == "ros2" and rest and rest[0] in ROS_GROUPS:
+        return _of_group(rest[0], f"ros2 {rest[0]}", rest[1:])
+    if first in ("rosrun", "roslaunch") or (first == "ros2" and rest and not rest[0].startswith("-")):
+        program = f"ros2 {rest[0]}" if first == "ros2" else first
+        raise ConfigError(program, "hostlink has no such command; `hostlink --help` lists all commands")
     group = first.removeprefix("ros").removesuffix("s")
-    second = words[1] if len(words) > 1 else ""
-    if first == "params" or group not in ROS_GROUPS:
-        return None
-    if second in ROS_GROUPS[group]:
-        return _with_rest(ROS_GROUPS[group][second], words[2:])
-    is_command = first in ("topics", "services")
-    return None if is_command else _ALONE.get(group)
+    is_own = first in COMMANDS and (first == "params" or not rest or rest[0] not in ROS_GROUPS.get(group, ()))
+    return list(words) if is_own or group not in ROS_GROUPS else _of_group(group, first, rest)
 
 
-def _with_rest(command: str, rest: Sequence[str]) -> str:
-    return f"{command} {shlex.join(rest)}".rstrip()
+def _of_group(group: str, program: str, rest: Sequence[str]) -> list[str]:
+    """Return the command of a program of ROS, for example rostopic.
+
+    Raises:
+        ConfigError: hostlink lacks the command.
+    """
+    known, word = ROS_GROUPS[group], rest[0] if rest else ""
+    if word in known:
+        return [*known[word].split(), *rest[1:]]
+    if not known:
+        raise ConfigError(program, "rosserial has no actions; `hostlink services` lists the services")
+    if (step := LACKING.get((group, word))) is not None:
+        raise ConfigError(f"{program} {word}", f"hostlink has no such command; {step}")
+    if word in ("", "-h", "--help"):
+        raise ConfigError(program, f"add a command: {', '.join(known)}; `hostlink --help` lists all commands")
+    raise ConfigError(f"{program} {word}", f"there is no such command; `{program}` has: {', '.join(known)}")
 
 
-def _help(rest: Sequence[str]) -> str:
-    return f"{rest[0]} --help" if rest else "--help"
+def _own_options(words: Sequence[str]) -> list[str]:
+    """Replace the options of ROS up to `--`."""
+    command = words[0] if words else ""
+    end = words.index("--") if "--" in words else len(words)
+    found = []
+    for word in words[:end]:
+        name, equals, value = word.partition("=")
+        own = ROS_OPTIONS.get((command, name))
+        if own != "":
+            found.append(word if own is None else f"{own}{equals}{value}")
+    return [*found, *words[end:]]
+
+
+# -- first screen -----------------------------------------------------------------------------------------------------
+
+FIRST_DAY = """\
+hostlink is the host for rosserial robots. The ten commands of the first day:
+
+  hostlink demo            run the daemon with a simulated robot
+  hostlink serve           run the daemon: boards on TCP port 11411 and on USB,
+                           programs and the page on http://127.0.0.1:9090
+  hostlink doctor          find what is wrong with a board, and what to do next
+  hostlink robots          list the robots: who drives them, where they are
+  hostlink teleop ROBOT    drive a robot with the keyboard
+  hostlink stop            stop every robot now
+  hostlink lock            emergency stop, until `hostlink unlock`
+  hostlink topics          list the topics
+  hostlink echo TOPIC      print the messages of a topic
+  hostlink record          record everything until Ctrl-C
+
+Commands of ROS work too: `hostlink rostopic list`, `hostlink ros2 bag record`.
+
+  hostlink --help          list all commands
+  hostlink COMMAND --help  show the options of a command
+"""
 
 
 # -- command line -----------------------------------------------------------------------------------------------------
@@ -116,6 +230,7 @@ PANELS = {
     },
     "Topics, services, parameters": {
         "topics": "List the topics.",
+        "nodes": "List the nodes: devices and programs.",
         "info": "Show publishers and subscribers of a topic or a node, or the content of a recording.",
         "type": "Show the type of a topic or a service.",
         "find": "List the topics and services of a type.",
@@ -151,7 +266,9 @@ PANELS = {
 }
 MODULES = {  # modules whose name is not that of the command
     "serve": "serve_command",
-    **dict.fromkeys(("info", "type", "find", "echo", "hz", "bw", "delay", "pub", "services", "call"), "topics"),
+    **dict.fromkeys(
+        ("nodes", "info", "type", "find", "echo", "hz", "bw", "delay", "pub", "services", "call"), "topics"
+    ),
     **dict.fromkeys(("drives", "incidents"), "record"),
     "plot": "export",
     **dict.fromkeys(("stop", "lock", "unlock"), "robots"),
@@ -167,7 +284,7 @@ UsageError: Any = typer.BadParameter.__base__  # click's class, which newer vers
 def build_app(wanted: str | None) -> typer.Typer:
     """Build the command line. Commands other than `wanted` have a name and a help text only."""
     app = typer.Typer(
-        help="The host for rosserial robots. ROS is not needed; commands and names are those that users of ROS know.",
+        help="The host for rosserial robots. ROS is not needed. Commands of ROS work too: `hostlink rostopic list`.",
         no_args_is_help=True,
         pretty_exceptions_enable=False,
         context_settings={"help_option_names": ["-h", "--help"]},
@@ -232,14 +349,15 @@ def main() -> None:
     except HostlinkError as error:
         if "--debug" in arguments:
             raise
-        _complain(str(error))
+        _complain(with_next_step(error.kind, str(error)))
         sys.exit(MISUSED if isinstance(error, ConfigError) else FAILED)
     except OSError as error:  # mostly: the program that read the output has ended, or the disk is full
         if "--debug" in arguments:
             raise
         _end_output()
         if not isinstance(error, BrokenPipeError):
-            _complain(f"{error.filename or 'a call of the system failed'}: {error.strerror or error}")
+            text = f"{error.filename or 'a call of the system failed'}: {error.strerror or error}"
+            _complain(with_next_step(type(error).__name__, text))
         sys.exit(FAILED)
     except (KeyboardInterrupt, typer.Abort):
         sys.exit(128 + 2)
@@ -251,28 +369,112 @@ def _run(arguments: list[str]) -> int:
     Raises:
         ConfigError: the arguments are wrong.
     """
-    words = meant(arguments)
-    if words is not None:
-        raise ConfigError(arguments[0], f"is not a command; did you mean `hostlink {words}`?")
-    app = build_app(wanted_command([*arguments, *completed_words(os.environ)]))
+    if not arguments and "_HOSTLINK_COMPLETE" not in os.environ:
+        write(*FIRST_DAY.splitlines())
+        return 0
+    os.environ.update(own_completion(os.environ))
+    words = translated(arguments)
+    app = build_app(wanted_command([*words, *completed_words(os.environ)]))
     if signal.getsignal(signal.SIGINT) is signal.SIG_DFL:  # hostlink.cli.start
         signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
-        status = app(prog_name="hostlink", standalone_mode=False)
+        status = app(args=words, prog_name="hostlink", standalone_mode=False)
     except UsageError as error:
         if not error.format_message():  # a group of commands has printed its help
             return MISUSED
-        raise ConfigError(*_complaint(error)) from error
+        raise ConfigError(*_complaint(error, words)) from error
     return status if isinstance(status, int) else 0
 
 
-def _complaint(error: Any) -> tuple[str, str]:
-    """Return the command and its error in one line with the next step."""
-    command = "" if error.ctx is None else error.ctx.command_path.removeprefix("hostlink").strip()
-    text = " ".join(error.format_message().split()).replace("Value error, ", "").rstrip(".")
-    option = ROS_OPTIONS.get((command, getattr(error, "option_name", "")))
-    then = f"use {option}" if option else f"`hostlink {f'{command} --help'.strip()}` lists the options"
-    return command or "arguments", f"{text[:1].lower()}{text[1:]}{' ' if text.endswith('?') else '; '}{then}"
+def _complaint(error: Any, words: Sequence[str]) -> tuple[str, str]:
+    """Return what is wrong, the command or its word, and a sentence with the next step."""
+    path = (wanted_command(words) or "") if error.ctx is None else error.ctx.command_path
+    return complaint(path.removeprefix("hostlink").strip(), " ".join(error.format_message().split()))
+
+
+_TEXTS = (  # of click, and the sentence of hostlink
+    (re.compile(r"Got unexpected extra arguments? ?(?:\(s\) )?\((.*)\)\.?"), r"there is an argument too many: \1"),
+    (re.compile(r"Missing argument '(.*?)'\.?"), r"the argument \1 is missing"),
+    (
+        re.compile(r"Missing option '(.*?)'(?: / '.*?')*\.? ?(?:Choose from: )?(.*?)\.?"),
+        r"the option \1 is missing; choose \2",
+    ),
+    (
+        re.compile(r"Invalid value for '(.*?)'(?: / '.*?')*: (?:Value error, )?(.*?)\.?"),
+        r"the value of \1 is wrong: \2",
+    ),
+    (re.compile(r"Option '(.*?)'(?: / '.*?')* requires an argument\.?"), r"the option \1 needs a value"),
+)
+_NO_OPTION = re.compile(r"No such option:? '?(-[^ ']*?)'?[. ]*(?:(?:Did you mean|\(?Possible options:) (.*?)[?)])?")
+_NO_QOS = "rosserial has no quality of service; leave the option out"
+_NO_COMMAND = re.compile(r"No such command '(.*?)'\.(?: Did you mean (.*)\?)?")
+
+
+def complaint(command: str, text: str) -> tuple[str, str]:
+    """Return the subject and the sentence for an error of the parser. Pure."""
+    is_group = not command or command in ("params", "board")
+    options = f"`hostlink {f'{command} --help'.strip()}` lists the {'commands' if is_group else 'options'}"
+    if (found := _NO_COMMAND.fullmatch(text)) is not None:
+        similar = found[2] and _listed(f"`{name.strip(chr(39))}`" for name in found[2].split(", "))
+        inside = f" of `hostlink {command}`" if command else ""
+        return found[1], f"there is no such command{inside}; {f'did you mean {similar}? ' if similar else ''}{options}"
+    if (found := _NO_OPTION.fullmatch(text)) is not None:
+        similar = found[2] and f"did you mean {_listed(found[2].split(', '))}? "
+        step = LACKING.get((command, found[1])) or (_NO_QOS if found[1].startswith("--qos") else None)
+        if command:
+            return command, f"there is no option {found[1]}; {step or f'{similar or str()}{options}'}"
+        return found[1], "there is no such option; write options behind the command, as in `hostlink robots --url URL`"
+    if "unexpected extra" in text and command in SURPLUS:
+        return command, SURPLUS[command]
+    for pattern, sentence in _TEXTS:
+        if (found := pattern.fullmatch(text)) is not None:
+            return command or "arguments", f"{found.expand(sentence)}; {options}"
+    return command or "arguments", f"{text[:1].lower()}{text[1:].rstrip('.')}; {options}"
+
+
+def _listed(names: Iterable[str]) -> str:
+    """Return the names as `a, b or c`."""
+    *before, last = names
+    return f"{', '.join(before)} or {last}" if before else last
+
+
+_LISTS = {  # command that lists the things of a kind
+    "topic": "topics",
+    "service": "services",
+    "robot": "robots",
+    "parameter": "params list",
+    "link": "links --ended",
+    "client": "clients",
+    "recording": "record --list",
+    "incident": "incidents",
+}
+_UNKNOWN = re.compile(r"no (\w+) named ")
+
+
+def with_next_step(kind: str, text: str) -> str:
+    """Return an error of the daemon, or of its client, with the command that helps. Pure.
+
+    The daemon does not name commands, because most of its clients have none.
+    """
+    if "`hostlink " in text:
+        return text
+    name = text.partition(": ")[0]
+    step = None
+    if (found := _UNKNOWN.match(text)) is not None and found[1] in _LISTS:
+        step = f"`hostlink {_LISTS[found[1]]}` lists them"
+    elif kind == "WrongType" and name.startswith("/"):
+        step = f"`hostlink type {name}` shows its type"
+    elif kind == "BadRequest" and ": wanted " in text:
+        step = "`hostlink type TYPE` shows the fields of a type"
+    elif text.endswith(os.strerror(errno.ENOENT)):
+        step = "check its name"
+    elif text.endswith(" is not an MCAP file"):
+        step = "`hostlink record` writes MCAP files"
+    elif kind == "FrameTooLarge":
+        step = "send less in one message; `hostlink doctor` shows which buffer of the board is too small"
+    elif kind in ("DeviceGone", "not_connected"):
+        step = "`hostlink doctor` finds out why"
+    return f"{text}; {step}" if step else text
 
 
 def _complain(text: str) -> None:
@@ -299,6 +501,27 @@ def completed_words(environment: Mapping[str, str]) -> list[str]:
         return shlex.split(line)[1:]
     except ValueError:  # an unclosed quotation
         return line.split()[1:]
+
+
+def own_completion(environment: Mapping[str, str]) -> dict[str, str]:
+    """Return the variables of a shell's completion in which words of ROS are those of hostlink. Pure."""
+    if "_HOSTLINK_COMPLETE" not in environment:
+        return {}
+    words = completed_words(environment)
+    is_bash = "COMP_CWORD" in environment
+    line = environment.get("_TYPER_COMPLETE_ARGS", "")
+    before = int(environment["COMP_CWORD"]) - 1 if is_bash else len(words) - (not line.endswith(" "))
+    try:
+        found = translated(words[:before])
+    except ConfigError:  # the command is incomplete
+        return {}
+    if found == words[:before]:
+        return {}
+    typed = shlex.join(["hostlink", *found])
+    rest = shlex.join(words[before:])
+    if is_bash:
+        return {"COMP_WORDS": f"{typed} {rest}", "COMP_CWORD": str(len(found) + 1)}
+    return {"_TYPER_COMPLETE_ARGS": f"{typed} {rest}"}
 
 
 def _open_standard_descriptors() -> None:

@@ -36,8 +36,9 @@ def unknown(kind: str, name: str, known: Iterable[str], *, command: str) -> Host
     """Error of an unknown name: similar names, or else known ones, and the command that lists them."""
     names = sorted(known, key=natural)
     found = near(name, names)
-    hint = f"similar names: {', '.join(found)}" if found else f"known are: {', '.join(names[:LISTED]) or 'none yet'}"
-    return HostlinkError(f"no {kind} named {name}; {hint}; `hostlink {command}` lists them")
+    others = f"known are: {', '.join(names[:LISTED])}" if names else "there are none yet"
+    hint = f"similar names: {', '.join(found)}" if found else others
+    return HostlinkError(f"there is no {kind} named {name}; {hint}; `hostlink {command}` lists them")
 
 
 # -- drivers ----------------------------------------------------------------------------------------------------------

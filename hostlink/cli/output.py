@@ -6,7 +6,7 @@ import io
 import json
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Any, TextIO
 
 BYTES_PER_MB = 1_000_000
@@ -114,16 +114,85 @@ def _write(stream: TextIO, text: str) -> None:
         raise
 
 
-def table(head: list[str], rows: list[list[Any]]) -> list[str]:
-    """Lines of a table: columns under a head; none without rows."""
+LEAST = 12  # characters of a cell that was shortened
+_GAP = 2
+_INDENT = 4  # of a row's second line
+
+
+def write_table(head: Sequence[str], rows: Sequence[Sequence[Any]], *, whole: Collection[str] = ()) -> None:
+    """Write a table that fits the terminal; a file or a pipe gets every cell in full. Nothing without rows."""
+    write(*fitted_table(head, rows, whole=whole)[1:])
+
+
+def fitted_table(head: Sequence[str], rows: Sequence[Sequence[Any]], *, whole: Collection[str] = ()) -> list[str]:
+    """Lines of a table that fits the terminal; in full for a file or a pipe."""
+    return table(head, rows, columns=terminal_size()[0] if is_terminal() else 0, whole=whole)
+
+
+def is_terminal() -> bool:
+    """Whether standard output is a terminal, which shows less than a program reads."""
+    return sys.stdout.isatty()
+
+
+def table(
+    head: Sequence[str], rows: Sequence[Sequence[Any]], *, columns: int = 0, whole: Collection[str] = ()
+) -> list[str]:
+    """Lines of a table: columns under a head; none without rows.
+
+    A table wider than `columns` (0: any width) has long cells shortened in the middle, except under the heads of
+    `whole`. If that is not enough, no cell is shortened, and a row takes several lines.
+    """
     if not rows:
         return []
-    cells = [head, *([plain(str(cell)) for cell in row] for row in rows)]
+    cells = [list(head), *([plain(str(cell)) for cell in row] for row in rows)]
     widths = [max(len(row[column]) for row in cells) for column in range(len(head))]
-    return [
-        "",
-        *("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in cells),
+    fitted = widths if columns == 0 else _shrunk(head, widths, columns, whole)
+    if fitted is None:
+        return ["", *(line for row in cells for line in _folded(row, widths, columns))]
+    return ["", *(_line(row, fitted) for row in cells)]
+
+
+def _line(row: Sequence[str], widths: Sequence[int]) -> str:
+    return "  ".join(middle(cell, width).ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
+
+
+def middle(text: str, width: int) -> str:
+    """Return the text in at most `width` characters: its middle is replaced by `…`, because ends tell names apart."""
+    if len(text) <= width:
+        return text
+    end = width // 2
+    return f"{text[: width - end - 1]}…{text[len(text) - end :]}"
+
+
+def _shrunk(head: Sequence[str], widths: Sequence[int], columns: int, whole: Collection[str]) -> list[int] | None:
+    """Return widths that fit into the columns; None if that is not possible.
+
+    The widest column is shortened, and the first, which names the row, only after all others.
+    """
+    found = list(widths)
+    least = [
+        width if name in whole else min(width, max(LEAST, len(name))) for name, width in zip(head, widths, strict=True)
     ]
+    for _ in range(sum(widths) + _GAP * (len(widths) - 1) - columns):
+        spare = [column for column in range(len(found)) if found[column] > least[column]]
+        if not spare:
+            return None
+        found[max(spare, key=lambda column: (column > 0, found[column]))] -= 1
+    return found
+
+
+def _folded(row: Sequence[str], widths: Sequence[int], columns: int) -> list[str]:
+    """Lines of a row that is wider than the columns; the same cells share a line in every row."""
+    lines: list[list[tuple[str, int]]] = [[]]
+    used = 0
+    for cell, width in zip(row, widths, strict=True):
+        if lines[-1] and used + width > columns:
+            lines.append([])
+            used = _INDENT
+        lines[-1].append((cell, width))
+        used += width + _GAP
+    texts = ["  ".join(cell.ljust(width) for cell, width in line).rstrip() for line in lines]
+    return [texts[0], *(" " * _INDENT + text for text in texts[1:])]
 
 
 def duration(seconds: float) -> str:

@@ -9,10 +9,10 @@ from typing import Annotated, Any
 
 import typer
 
-from hostlink.cli.arguments import Json, ParameterName, Token, Url
+from hostlink.cli.arguments import Json, ParameterName, Token, Url, parameter_names
 from hostlink.cli.connecting import connected
 from hostlink.cli.names import unknown
-from hostlink.cli.output import write, write_error
+from hostlink.cli.output import write, write_error, write_table
 from hostlink.client import DEFAULT_URL, Host
 from hostlink.errors import ConfigError
 
@@ -23,14 +23,23 @@ app = typer.Typer(
 
 
 @app.command("list")
-def list_(*, url: Url = DEFAULT_URL, token: Token = None, json: Json = False) -> None:
+def list_(
+    group: Annotated[
+        str,
+        typer.Argument(help="Only the parameters of this group.", show_default=False, autocompletion=parameter_names),
+    ] = "",
+    *,
+    url: Url = DEFAULT_URL,
+    token: Token = None,
+    json: Json = False,
+) -> None:
     """List the parameters with their values."""
-    found = _run(url, token, _values)
+    begin = f"/{group.strip('/')}/" if group.strip("/") else "/"
+    found = {name: value for name, value in _run(url, token, _values).items() if name.startswith(begin)}
     if json:
         write(json_text.dumps(found))
     elif found:
-        width = max(map(len, found))
-        write(*(f"{name:<{width}}  {json_text.dumps(value)}" for name, value in found.items()))
+        write_table(["parameter", "value"], [[name, json_text.dumps(value)] for name, value in found.items()])
     else:
         write_error(
             "there are no parameters; `hostlink params set NAME VALUE` or [parameters] of the configuration sets one"
@@ -43,7 +52,7 @@ def get(name: ParameterName, *, url: Url = DEFAULT_URL, token: Token = None) -> 
     write(json_text.dumps(_run(url, token, lambda host: _get(host, name))))
 
 
-@app.command("set")
+@app.command("set", context_settings={"ignore_unknown_options": True})  # a negative number is a value
 def set_(
     name: ParameterName,
     value: Annotated[str, typer.Argument(help="JSON, for example 1.5, true or [1, 2]; any other text is a string.")],

@@ -58,11 +58,14 @@ def command(
         list[str] | None, typer.Option(help="Play this robot only, of a recording of several. May be repeated.")
     ] = None,
     rate: Annotated[
-        float, typer.Option(min=0.01, max=100.0, help="Speed: 2 is twice as fast, 0.5 shows a moment in slow motion.")
+        float,
+        typer.Option(
+            "--rate", "-r", min=0.01, max=100.0, help="Speed: 2 is twice as fast, 0.5 shows a moment in slow motion."
+        ),
     ] = 1.0,
-    start: Annotated[float, typer.Option(min=0.0, help="Seconds to skip at the beginning.")] = 0.0,
+    start: Annotated[float, typer.Option("--start", "-s", min=0.0, help="Seconds to skip at the beginning.")] = 0.0,
     loop: Annotated[
-        bool, typer.Option("--loop", help="Repeat until Ctrl-C, for a demonstration or a long test.")
+        bool, typer.Option("--loop", "-l", help="Repeat until Ctrl-C, for a demonstration or a long test.")
     ] = False,
     max_pause: Annotated[
         float,

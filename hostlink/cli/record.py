@@ -16,7 +16,7 @@ from hostlink.cli.arguments import Json, RobotName, Token, Url
 from hostlink.cli.connecting import connected
 from hostlink.cli.files import check_output, fetch
 from hostlink.cli.names import named
-from hostlink.cli.output import BYTES_PER_MB, megabytes, show_progress, table, write, write_error
+from hostlink.cli.output import BYTES_PER_MB, megabytes, show_progress, write, write_error, write_table
 from hostlink.client import DEFAULT_URL, Host, connect
 from hostlink.errors import ConfigError, HostlinkError
 from hostlink.recording.folder import is_name
@@ -35,9 +35,13 @@ def record(
     output: Annotated[
         Path | None,
         typer.Option(
-            "-o", "--output", help="Download the file to this path at the end; else it stays in the daemon's folder."
+            "-o",
+            "-O",
+            "--output",
+            help="Download the file to this path at the end; else it stays in the daemon's folder.",
         ),
     ] = None,
+    everything: Annotated[bool, typer.Option("--all", "-a", help="Record every topic, as without a topic.")] = False,
     robot: Annotated[
         list[str] | None, typer.Option(help="Record this robot only, for a smaller file. May be repeated.")
     ] = None,
@@ -60,10 +64,13 @@ def record(
     The daemon writes the file on its own computer, and continues if this command is killed: `hostlink record --list`
     lists recordings, `--stop NAME` ends one. Foxglove, Lichtblick and PlotJuggler open the file.
     """
+    if everything and topics:
+        raise ConfigError("--all", f"means every topic, but {topics[0]!r} is named too; leave one of them out")
     if repair is not None:
         _repair(repair, as_json=as_json)
         return
     if output is not None:
+        _check_format(output)
         check_output(output)
     if name and not is_name(name):
         raise ConfigError(
@@ -78,6 +85,20 @@ def record(
         request = {"topics": topics or [], "robots": robot or [], "name": name}
         work = _record(url, token, request, output, seconds, as_json=as_json)
     asyncio.run(work)
+
+
+def _check_format(output: Path) -> None:
+    """Refuse the name of a bag, because programs of ROS would read the file as one.
+
+    Raises:
+        ConfigError: the name is that of another format.
+    """
+    if output.suffix in (".bag", ".db3"):
+        raise ConfigError(
+            "--output",
+            f"{output} would be a bag of ROS, but the file is MCAP; name it {output.with_suffix('.mcap')}, and "
+            "`hostlink export FILE --to ros1` or `--to rosbag2` writes the bag",
+        )
 
 
 async def _record(
@@ -156,7 +177,10 @@ async def _list(url: str, token: str | None, *, as_json: bool) -> None:
         [file["file"], f"{file['bytes'] / BYTES_PER_MB:.1f}", file["modified"], "now" if file["is_open"] else ""]
         for file in view["files"]
     ]
-    write(f"{len(view['files'])} files in {view['folder']}", *table(["file", "MB", "written", "recording"], rows))
+    write(f"{len(view['files'])} files in {view['folder']}")
+    if rows:
+        write("")
+    write_table(["file", "MB", "written", "recording"], rows, whole=["file"])
 
 
 def _line(view: dict[str, Any]) -> str:
@@ -193,9 +217,10 @@ def drives(robot: RobotName = None, *, url: Url = DEFAULT_URL, token: Token = No
     if json:
         write(json_text.dumps(view))
     else:
-        none = f"there are no drives of {'any robot' if robot is None else robot} yet"
         today = datetime.now(UTC).date().isoformat()
-        write(*(table(HEADS, [row(each, today) for each in view["drives"]])[1:] or [none]))
+        write_table(HEADS, [row(each, today) for each in view["drives"]], whole=HEADS[-1:])
+        if not view["drives"]:
+            write(f"there are no drives of {'any robot' if robot is None else robot} yet")
 
 
 async def _fetch(url: str, token: str | None, robot: str | None) -> dict[str, Any]:
@@ -206,10 +231,15 @@ async def _fetch(url: str, token: str | None, robot: str | None) -> dict[str, An
 
 def row(drive: dict[str, Any], today: str) -> list[str]:
     """Return the cells of a drive under HEADS. The date is left out if it is `today`, for example 2026-11-22."""
-    began = drive["began"].replace("T", " ").partition(".")[0].removeprefix(f"{today} ")
+    began = time_text(drive["began"], today)
     who = named(drive["owner"], drive.get("address", ""))
     speeds = [f"{drive['fastest_m_s']:.2f}", f"{drive['fastest_rad_s']:.2f}"]
     return [began, f"{drive['seconds']:.1f}", drive["robot"], who, *speeds, drive["end"] or "drives now"]
+
+
+def time_text(stamp: str, today: str) -> str:
+    """Return a time of the daemon, which is UTC, in seconds; the date is left out if it is `today`."""
+    return stamp.rstrip("Z").replace("T", " ").partition(".")[0].removeprefix(f"{today} ")
 
 
 # -- incidents --------------------------------------------------------------------------------------------------------
@@ -268,11 +298,14 @@ async def _work(
     if as_json:
         write(msgspec.json.encode(view).decode())
     elif save is None:
+        today = datetime.now(UTC).date().isoformat()
         rows = [
-            [each["at"], each["robot"], each["cause"], each["file"] or "being saved", each["detail"]]
+            [time_text(each["at"], today), each["robot"], each["cause"], each["file"] or "being saved", each["detail"]]
             for each in view["incidents"]
         ]
-        write(*(table(["when", "robot", "cause", "file", "detail"], rows)[1:] or ["there are no incidents"]))
+        write_table(["when UTC", "robot", "cause", "file", "detail"], rows, whole=["file", "detail"])
+        if not rows:
+            write("there are no incidents")
 
 
 COMMANDS = {"record": record, "drives": drives, "incidents": incidents}

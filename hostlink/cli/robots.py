@@ -10,7 +10,7 @@ from hostlink.cli.arguments import Json, RobotName, Token, Url
 from hostlink.cli.connecting import connected
 from hostlink.cli.figures import robot_table
 from hostlink.cli.names import natural, unknown
-from hostlink.cli.output import table, write, write_error
+from hostlink.cli.output import write, write_error, write_table
 from hostlink.client import DEFAULT_URL, Host, RobotState, Standstill, StandstillState
 from hostlink.errors import ConfigError, HostlinkError
 from hostlink.robot.standstill import sentence
@@ -45,8 +45,7 @@ def robots(*, url: Url = DEFAULT_URL, token: Token = None, json: Json = False) -
         write(json_text.dumps(robots))
     elif robots:
         shown: dict[str, Any] = {"robots": robots}
-        columns, rows = robot_table(shown)
-        write(*table(list(columns), [list(row) for row in rows])[1:])
+        write_table(*robot_table(shown))
     else:
         write_error("no robot has connected yet; `hostlink doctor` finds out why, `hostlink sim` runs one")
 

@@ -11,7 +11,7 @@ import typer
 from hostlink.cli.arguments import Token, Url
 from hostlink.cli.connecting import connected
 from hostlink.cli.figures import LINK_COLUMNS, advice, link_rows, live_figures, robot_table
-from hostlink.cli.output import table, write
+from hostlink.cli.output import fitted_table, write
 from hostlink.client import DEFAULT_URL
 from hostlink.errors import ConfigError, LibraryMissing
 
@@ -54,7 +54,6 @@ async def _print(url: str, token: str | None, interval_s: float, *, is_once: boo
 
 
 def _lines(shown: dict[str, Any]) -> list[str]:
-    links = table(list(LINK_COLUMNS), [list(row) for row in link_rows(shown)])
-    columns, rows = robot_table(shown)
-    robots = table(list(columns), [list(row) for row in rows])
+    links = fitted_table(LINK_COLUMNS, link_rows(shown))
+    robots = fitted_table(*robot_table(shown))
     return [*(links[1:] or ["no device is connected"]), *robots, *(["", *advice(shown)] if advice(shown) else [])]

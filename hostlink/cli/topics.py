@@ -1,4 +1,4 @@
-"""The commands for topics, nodes and services: topics, info, type, find, echo, hz, bw, delay, pub, services, call."""
+"""The commands for the graph: topics, nodes, info, type, find, echo, hz, bw, delay, pub, services, call."""
 
 import asyncio
 import contextlib
@@ -12,9 +12,9 @@ import shlex
 import struct
 import time
 from collections import deque
-from collections.abc import AsyncIterator, Awaitable, Callable, Iterable, Iterator
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterable, Iterator, Sequence
 from contextlib import AbstractAsyncContextManager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -29,26 +29,27 @@ from hostlink.cli.arguments import (
     TopicName,
     TypeName,
     Url,
+    field_value,
     graph_names,
     json_object,
 )
 from hostlink.cli.connecting import PATIENCE_S, connected, run_until_interrupted, waiting, write_hint
 from hostlink.cli.names import natural, unknown
-from hostlink.cli.output import duration, plain, show_progress, size, table, write, write_error
+from hostlink.cli.output import duration, is_terminal, show_progress, size, write, write_error, write_table
 from hostlink.client import DEFAULT_URL, Host, Mailbox, RawMessage, TopicState
-from hostlink.errors import ConfigError, HostlinkError
+from hostlink.errors import ConfigError, HostlinkError, WrongType
 
 # -- topics -----------------------------------------------------------------------------------------------------------
 
 RATE_S = 1.0  # in which the rates of -v are measured
-HEAD = ("topic", "type", "publishers", "subscribers", "messages", "rate")
+HEAD = ("topic", "type", "pubs", "subs", "messages", "rate")
 
 
 def topics(
     *,
     verbose: Annotated[
         bool,
-        typer.Option("--verbose", "-v", help="Show column heads and the rate of each topic, measured for a second."),
+        typer.Option("--verbose", "-v", help="Show the rate of each topic too, measured for a second."),
     ] = False,
     url: Url = DEFAULT_URL,
     token: Token = None,
@@ -61,7 +62,7 @@ def topics(
     elif not topics:
         write_error("there are no topics, because no device has connected yet; `hostlink doctor` finds out why")
     else:
-        write(*(table(list(HEAD), [_topic_row(topic) for topic in topics])[1:] if verbose else _topic_lines(topics)))
+        write_table(HEAD if verbose else HEAD[:-1], [_topic_row(topic) for topic in topics])
 
 
 async def _topics(url: str, token: str | None, *, with_rates: bool) -> list[Any]:
@@ -88,18 +89,32 @@ async def _rated(host: Host) -> list[Any]:
 
 def _topic_row(topic: dict[str, Any]) -> list[str]:
     counts = [str(topic[key]) for key in ("publishers", "subscribers", "messages")]
-    rate = "-" if topic["rate_hz"] is None else f"{topic['rate_hz']:.1f} Hz"
-    return [topic["name"], topic["type"] or "-", *counts, rate]
+    row = [topic["name"], topic["type"] or "-", *counts]
+    if "rate_hz" in topic:
+        row.append("-" if topic["rate_hz"] is None else f"{topic['rate_hz']:.1f} Hz")
+    return row
 
 
-def _topic_lines(topics: list[Any]) -> list[str]:
-    names = [(plain(topic["name"]), plain(topic["type"])) for topic in topics]
-    width, type_width = (max(map(len, column)) for column in zip(*names, strict=True))
-    return [
-        f"{name:<{width}}  {type_name:<{type_width}}  {topic['publishers']} -> {topic['subscribers']}  "
-        f"{topic['messages']} messages"
-        for (name, type_name), topic in zip(names, topics, strict=True)
-    ]
+# -- nodes ------------------------------------------------------------------------------------------------------------
+
+
+def nodes(*, url: Url = DEFAULT_URL, token: Token = None, json: Json = False) -> None:
+    """List the nodes, which are devices and programs: how much each publishes, subscribes and offers."""
+    nodes = asyncio.run(_nodes(url, token))
+    if json:
+        write(json_text.dumps(nodes))
+    else:
+        counts = ("publishing", "subscribing", "services")
+        write_table(["node", *counts], [[each["node"], *(len(each[key]) for key in counts)] for each in nodes])
+
+
+async def _nodes(url: str, token: str | None) -> list[dict[str, Any]]:
+    async with connected(url, token) as host:
+        names: list[str] = (await host.call("/rosapi/nodes", {}))["nodes"]
+        return [
+            {"node": name, **(await host.call("/rosapi/node_details", {"node": name}))}
+            for name in sorted(names, key=natural)
+        ]
 
 
 # -- graph info -------------------------------------------------------------------------------------------------------
@@ -227,7 +242,13 @@ def type_(
     if json:
         write(json_text.dumps(found))
     else:
-        write(found["type"], *(f"  {field['type']} {field['name']}" for field in found.get("fields", [])))
+        write(found["type"], *_field_list(found.get("fields", [])))
+        if "response" in found:
+            write("  ---", *_field_list(found["response"]))
+
+
+def _field_list(fields: list[dict[str, str]]) -> list[str]:
+    return [f"  {field['type']} {field['name']}" for field in fields]
 
 
 async def _find_type(url: str, token: str | None, name: str, *, with_fields: bool) -> dict[str, Any]:
@@ -254,11 +275,13 @@ async def _find_type(url: str, token: str | None, name: str, *, with_fields: boo
 
 async def _of_type(host: Host, type_name: str) -> dict[str, Any] | None:
     """Return the fields of a message type, as `rosmsg show` does; None if the type is unknown."""
-    try:
-        fields = await _fields(host, "message_details", type_name)
-    except HostlinkError:
-        return None
-    return {"name": type_name, "type": type_name, "fields": fields} if fields else None
+    found: dict[str, Any] = {"name": type_name, "type": type_name}
+    with contextlib.suppress(HostlinkError):
+        return found | {"fields": await _fields(host, "message_details", type_name)}
+    with contextlib.suppress(HostlinkError):
+        request = await _fields(host, "service_request_details", type_name)
+        return found | {"fields": request, "response": await _fields(host, "service_response_details", type_name)}
+    return None
 
 
 async def _fields(host: Host, details: str, type_name: str) -> list[dict[str, str]]:
@@ -295,7 +318,7 @@ async def _find_of_type(url: str, token: str | None, type_name: str) -> tuple[li
         services: list[str] = (await host.call("/rosapi/services_for_type", {"type": type_name}))["services"]
         if not topics and not services:
             known = {topic["type"] for topic in await host.topics()} - {""}
-            raise unknown("topic or service of type", type_name, known, command="topics")
+            raise unknown("topic or service of a type", type_name, known, command="topics")
     return topics, services
 
 
@@ -313,18 +336,36 @@ class Echo:
     timeout_s: float  # 0: none
     as_json: bool
     as_csv: bool
+    longest: float  # a list with more values, or a longer text, is shortened
+
+
+LONGEST = 32  # values of a list that a terminal shows in full
 
 
 def echo(
     topic: TopicName,
+    type_name: Annotated[
+        str, typer.Argument(metavar="[TYPE]", help="Its type, which may be left out.", show_default=False)
+    ] = "",
     *,
-    count: Annotated[int, typer.Option(min=0, help="End after so many messages, for scripts; 0: never.")] = 0,
+    count: Annotated[
+        int, typer.Option("--count", "-n", min=0, help="End after so many messages, for scripts; 0: never.")
+    ] = 0,
     once: Annotated[bool, typer.Option("--once", help="End after the first message.")] = False,
     field: Annotated[
         str, typer.Option(help="Print only this field, for example pose.position.x or ranges[0].", show_default=False)
     ] = "",
     csv: Annotated[
-        bool, typer.Option("--csv", help="Print CSV, for a spreadsheet: the time and a column for each field.")
+        bool, typer.Option("--csv", "-p", help="Print CSV, for a spreadsheet: the time and a column for each field.")
+    ] = False,
+    no_arr: Annotated[
+        bool, typer.Option("--no-arr", help="Print the length of each list instead of its values.")
+    ] = False,
+    full_length: Annotated[
+        bool,
+        typer.Option(
+            "--full-length", "-f", help=f"Print lists of more than {LONGEST} values in full on a terminal, too."
+        ),
     ] = False,
     throttle_ms: Annotated[
         int, typer.Option(min=0, help="Print at most one message in so many milliseconds, of a fast topic.")
@@ -336,7 +377,7 @@ def echo(
     token: Token = None,
     json: JsonLines = False,
 ) -> None:
-    """Print the messages of a topic until Ctrl-C."""
+    """Print the messages of a topic until Ctrl-C, with `---` after each."""
     if csv and json:
         raise ConfigError("--csv", "cannot be combined with --json; use one of them")
     echo = Echo(
@@ -347,15 +388,19 @@ def echo(
         timeout_s=timeout,
         as_json=json,
         as_csv=csv,
+        longest=0 if no_arr else LONGEST if is_terminal() and not full_length else math.inf,
     )
-    run_until_interrupted(_echo(url, token, echo))
+    run_until_interrupted(_echo(url, token, echo, type_name.replace("/msg/", "/")))
 
 
-async def _echo(url: str, token: str | None, echo: Echo) -> None:
-    async with (
-        connected(url, token) as host,
-        host.subscribe(echo.topic, throttle_rate_ms=echo.throttle_ms) as messages,
-    ):
+async def _echo(url: str, token: str | None, echo: Echo, type_name: str) -> None:
+    async with contextlib.AsyncExitStack() as stack:
+        host = await stack.enter_async_context(connected(url, token))
+        if not echo.field:
+            echo = with_field(echo, [topic["name"] for topic in await host.topics()])
+        messages = await stack.enter_async_context(
+            host.subscribe(echo.topic, type_name=type_name, throttle_rate_ms=echo.throttle_ms)
+        )
         if not echo.as_json:
             await write_hint(host, echo.topic)
         printed = 0
@@ -368,9 +413,11 @@ async def _echo(url: str, token: str | None, echo: Echo) -> None:
 
 def _message_lines(message: dict[str, Any], echo: Echo, *, is_first: bool) -> list[str]:
     value = field_of(message, echo.field) if echo.field else message
+    if echo.as_json:
+        return [json_text.dumps(value, ensure_ascii=False)]
     if not echo.as_csv:
-        text = json_text.dumps(value if echo.as_json else readable(value), ensure_ascii=False)
-        return [text if echo.as_json or echo.field else f"{echo.topic}  {text}"]
+        is_single = bool(echo.field) and not isinstance(value, dict | list)
+        return [*block(readable(value), echo.longest), *([] if is_single else ["---"])]
     names, values = zip(*flat(value, echo.field), strict=True) if value != {} else ((), ())
     lines = [csv_line([f"{time.time():.6f}", *values])]
     return [csv_line(["time", *names]), *lines] if is_first else lines
@@ -392,6 +439,53 @@ async def _within(messages: AsyncIterator[dict[str, Any]], echo: Echo) -> AsyncI
                 f"`hostlink info {echo.topic}` lists its publishers"
             ) from None
         yield message
+
+
+def with_field(echo: Echo, topics: Iterable[str]) -> Echo:
+    """Take the end of an unknown topic as a field, as rostopic does: /robot_0/odometry/x."""
+    full = "/" + echo.topic.lstrip("/~")
+    found = max((name for name in topics if full == name or full.startswith(f"{name}/")), key=len, default=full)
+    rest = full.removeprefix(found).strip("/")
+    return replace(echo, topic=found, field=rest.replace("/", ".")) if rest else echo
+
+
+# -- block ------------------------------------------------------------------------------------------------------------
+
+SHOWN = 8  # values of a list that is shortened
+_CHARS = 4  # characters of a text that count as one value of a list
+
+
+def block(value: Any, longest: float = math.inf) -> list[str]:
+    """Lines of a message as rostopic and ros2 print it: a field a line, indented. They are YAML.
+
+    A list of more than `longest` values ends with its length; with `longest` 0 only the length is shown.
+    """
+    if isinstance(value, dict) and value:
+        return [line for name, inner in value.items() for line in _field_lines(name, inner, longest)]
+    if isinstance(value, list) and any(isinstance(each, dict | list) for each in value) and longest:
+        shown = value if len(value) <= longest else value[:SHOWN]
+        items = [block(each, longest) for each in shown]
+        lines = [("- " if not number else "  ") + line for item in items for number, line in enumerate(item)]
+        return lines if shown is value else [*lines, f"# the first {len(shown)} of {len(value)}"]
+    return [_inline(value, longest)]
+
+
+def _field_lines(name: str, value: Any, longest: float) -> list[str]:
+    lines = block(value, longest)
+    is_inline = len(lines) == 1 and not (isinstance(value, dict) and value) and not lines[0].startswith("- ")
+    return [f"{name}: {lines[0]}"] if is_inline else [f"{name}:", *(f"  {line}" for line in lines)]
+
+
+def _inline(value: Any, longest: float) -> str:
+    if isinstance(value, list) and value and longest < len(value):
+        if not longest:
+            return f"<list of {len(value)}>"
+        shown = ", ".join(json_text.dumps(each, ensure_ascii=False) for each in value[:SHOWN])
+        return f"[{shown}, ...]  # the first {SHOWN} of {len(value)}"
+    if isinstance(value, str) and longest and longest * _CHARS < len(value):
+        shown = json_text.dumps(value[: SHOWN * _CHARS], ensure_ascii=False)
+        return f"{shown}  # the first {SHOWN * _CHARS} of {len(value)} characters"
+    return json_text.dumps(value, ensure_ascii=False)
 
 
 # -- fields -----------------------------------------------------------------------------------------------------------
@@ -540,7 +634,10 @@ def command_of(figures: Figures) -> Callable[..., None]:
         window: Annotated[
             int,
             typer.Option(
-                min=2, help="Number of last messages that the figures are of: a smaller window follows changes sooner."
+                "--window",
+                "-w",
+                min=2,
+                help="Number of last messages that the figures are of: a smaller window follows changes sooner.",
             ),
         ] = figures.window,
         seconds: Seconds = 0.0,
@@ -705,7 +802,7 @@ delay = command_of(
 
 # -- pub --------------------------------------------------------------------------------------------------------------
 
-_TYPE = re.compile(r"[A-Za-z]\w*(/msg)?/[A-Za-z]\w*")
+_TYPE = re.compile(r"[A-Za-z]\w*(/msg|/srv)?/[A-Za-z]\w*")
 
 
 @dataclass(slots=True)
@@ -723,7 +820,8 @@ def pub(
         list[str] | None,
         typer.Argument(
             metavar="[TYPE] [MESSAGE]",
-            help='The message as JSON, for example {"linear": {"x": 0.1}}. Missing fields are zero.',
+            help="The message in JSON or YAML, for example '{linear: {x: 0.1}}', where missing fields are zero; "
+            "or the values of all fields in their order.",
         ),
     ] = None,
     *,
@@ -732,48 +830,124 @@ def pub(
         typer.Option("--type", help="Type, for example geometry_msgs/Twist: only for a topic that does not exist yet."),
     ] = "",
     rate: Annotated[
-        float,
+        float | None,
         typer.Option(
-            min=0.01, max=1000.0, help="Messages a second, with --count: a robot stops after 0.5 s without one."
+            "--rate",
+            "-r",
+            min=0.01,
+            max=1000.0,
+            help="Messages a second, until Ctrl-C or --count: a robot stops after 0.5 s without one.",
+            show_default="10, with --count",
         ),
-    ] = 10.0,
-    count: Annotated[int, typer.Option(min=0, help="Number of messages; 0: until Ctrl-C.")] = 1,
+    ] = None,
+    count: Annotated[
+        int | None,
+        typer.Option(min=0, help="Number of messages; 0: until Ctrl-C.", show_default="1, or until Ctrl-C with --rate"),
+    ] = None,
+    once: Annotated[bool, typer.Option("--once", "-1", help="Send one message, also with --rate.")] = False,
     url: Url = DEFAULT_URL,
     token: Token = None,
 ) -> None:
     """Publish a message once, or at a rate. A robot that it drives stops when this command ends."""
-    named_type, message = type_and_message(words or [])
-    request = json_object("MESSAGE", message)
-    publishing = Publishing(rate, count)
-    run_until_interrupted(_pub(connected(url, token), topic, request, type_name or named_type, publishing))
+    named_type, message = type_and_message("MESSAGE", words or [])
+    publishing = Publishing(rate or PUB_RATE_HZ, message_count(rate, count, once=once))
+    run_until_interrupted(_pub(connected(url, token), topic, message, type_name or named_type, publishing))
     show_progress("")
     write_error(f"{publishing.sent} sent")
 
 
-def type_and_message(words: list[str]) -> tuple[str, str]:
-    """Return the type and the message of `[TYPE] [MESSAGE]`, as rostopic and ros2 have them; a missing type is empty.
+PUB_RATE_HZ = 10.0
+
+
+def message_count(rate_hz: float | None, count: int | None, *, once: bool) -> int:
+    """Return the number of messages, 0 until Ctrl-C: a rate without a number means until Ctrl-C, as in rostopic.
 
     Raises:
-        ConfigError: more than these two were given.
+        ConfigError: --once and --count are given.
+    """
+    if once and count is not None:
+        raise ConfigError("--once", "cannot be combined with --count; use one of them")
+    if once:
+        return 1
+    return count if count is not None else 1 if rate_hz is None else 0
+
+
+Message = dict[str, object] | list[object]  # an object, or the values of the fields in their order
+
+
+def type_and_message(name: str, words: Sequence[str]) -> tuple[str, Message]:
+    """Return the type and the message of `[TYPE] [MESSAGE]`, as rostopic and ros2 have them; a missing type is empty.
+
+    Args:
+        name: name of the message in an error.
+        words: a type, then an object in one word, or a word for each field.
+
+    Raises:
+        ConfigError: the message is neither.
     """
     is_typed = bool(words) and _TYPE.fullmatch(words[0]) is not None
-    type_name, rest = (words[0].replace("/msg/", "/"), words[1:]) if is_typed else ("", words)
-    if len(rest) > 1:
+    type_name, rest = (words[0].replace("/msg/", "/").replace("/srv/", "/"), words[1:]) if is_typed else ("", words)
+    if any(word.endswith(":") for word in rest):
         raise ConfigError(
-            "MESSAGE",
-            f"{len(rest)} arguments were given; put the message in quotes: {shlex.quote('{linear: {x: 0.1}}')}",
+            name, f"{len(rest)} arguments were given; put the message in quotes: {shlex.quote('{linear: {x: 0.1}}')}"
         )
-    return type_name, rest[0] if rest else "{}"
+    if not rest or (len(rest) == 1 and (":" in rest[0] or rest[0].lstrip()[:1] in ("", "{"))):
+        return type_name, json_object(name, rest[0] if rest else "{}")
+    return type_name, [field_value(name, word) for word in rest]
+
+
+async def _object(host: Host, details: str, type_name: str, message: Message) -> dict[str, object]:
+    """Return the message as an object.
+
+    Raises:
+        HostlinkError: the values do not match the fields of the type.
+    """
+    if isinstance(message, dict):
+        return message
+    typedefs = (await host.call(f"/rosapi/{details}", {"type": type_name}))["typedefs"]
+    return filled({each["type"]: each for each in typedefs}, typedefs[0], message)
+
+
+def filled(known: dict[str, Any], typedef: dict[str, Any], values: list[object]) -> dict[str, object]:
+    """Return the object with these values in the order of the fields; a list is the values of a field's fields.
+
+    Raises:
+        HostlinkError: the number of values is not that of the fields.
+    """
+    names = typedef["fieldnames"]
+    if len(values) != len(names):
+        found = f"{len(values)} {'value was' if len(values) == 1 else 'values were'} given"
+        if not names:
+            raise HostlinkError(f"{found}, but {typedef['type']} has no fields; leave the values out")
+        raise HostlinkError(
+            f"{found}, but {typedef['type']} needs one for each of: {', '.join(names)}; a field that may be zero can "
+            f"be left out of an object, as in {shlex.quote('{' + names[0] + ': VALUE}')}"
+        )
+    return {
+        name: filled(known, known[type_name], value)
+        if isinstance(value, list) and length < 0 and type_name in known
+        else value
+        for name, type_name, length, value in zip(
+            names, typedef["fieldtypes"], typedef["fieldarraylen"], values, strict=True
+        )
+    }
 
 
 async def _pub(
     daemon: AbstractAsyncContextManager[Host],
     topic: str,
-    message: dict[str, object],
+    words: Message,
     type_name: str,
     publishing: Publishing,
 ) -> None:
     async with daemon as host:
+        if isinstance(words, list) and not type_name:
+            type_name = (await host.call("/rosapi/topic_type", {"topic": topic}))["type"]
+            if not type_name:
+                raise HostlinkError(
+                    f"{topic} has no type yet; name it, as in `hostlink pub {topic} std_msgs/Bool true`"
+                )
+        message = await _object(host, "message_details", type_name, words)
         while not publishing.count or publishing.sent < publishing.count:
             if publishing.sent:
                 await asyncio.sleep(1 / publishing.rate_hz)
@@ -804,7 +978,7 @@ def services(
     if json:
         write(json_text.dumps(services))
     elif services:
-        write(*table(["service", "type", "node"], [list(each.values()) for each in services])[1:])
+        write_table(["service", "type", "node"], [list(each.values()) for each in services])
     else:
         write_error("no device or program offers a service; --all lists the daemon's own services")
 
@@ -828,7 +1002,14 @@ async def _services(url: str, token: str | None, *, with_own: bool) -> list[dict
 
 def call(
     service: ServiceName,
-    request: Annotated[str, typer.Argument(help='The request as JSON, for example {"data": true}.')] = "{}",
+    words: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="[TYPE] [REQUEST]",
+            help="The request in JSON or YAML, for example '{data: true}', where missing fields are zero; "
+            "or the values of all fields in their order.",
+        ),
+    ] = None,
     *,
     timeout: Annotated[
         float, typer.Option(min=0.01, max=3600.0, help="Seconds to wait for the answer: more for a slow device.")
@@ -837,18 +1018,26 @@ def call(
     token: Token = None,
 ) -> None:
     """Call a service and print its answer as JSON."""
-    answer = asyncio.run(_call(url, token, service, json_object("REQUEST", request), timeout))
+    type_name, request = type_and_message("REQUEST", words or [])
+    answer = asyncio.run(_call(url, token, service, type_name, request, timeout))
     write(json_text.dumps(answer, ensure_ascii=False))
 
 
-async def _call(url: str, token: str | None, service: str, request: dict[str, object], timeout_s: float) -> object:
+async def _call(url: str, token: str | None, service: str, type_name: str, words: Message, timeout_s: float) -> object:
     async with connected(url, token) as host:
+        if type_name or isinstance(words, list):
+            known: str = (await host.call("/rosapi/service_type", {"service": service}))["type"]
+            if type_name and known and known != type_name:
+                raise WrongType(service, known, type_name)
+            type_name = type_name or known
+        request = await _object(host, "service_request_details", type_name, words)
         with waiting(f"waiting for {service}"):
             return await host.call(service, request, timeout_s=timeout_s)
 
 
 COMMANDS = {
     "topics": topics,
+    "nodes": nodes,
     "info": info,
     "type": type_,
     "find": find,

@@ -8,6 +8,7 @@ import sys
 
 import pytest
 
+from hostlink.cli.main import FIRST_DAY
 from tests.support.process import HOSTLINK, free_port, run
 from tests.support.waiting import TIMEOUT_S
 
@@ -27,27 +28,40 @@ runpy.run_module("hostlink", run_name="__main__")
 @pytest.mark.parametrize(
     ("line", "complaint"),
     [
-        (
-            "topics nonsense",
-            "topics: got unexpected extra argument(s) (nonsense); `hostlink topics --help` lists the opt",
-        ),
-        ("hz /x --seconds -1", "hz: invalid value for '--seconds': "),
-        ("sim --robot fast", "sim: invalid value for '--robot': 'fast' is not one of 'nimble', 'paper'; `hostlink sim"),
-        ("echo", "echo: missing argument 'topic'; `hostlink echo --help` lists the options"),
-        ("export x.mcap", "export: missing option '--to'. Choose from: csv, ros2, rosbag2, ros1; `hostlink export -"),
-        ("params get", "params get: missing argument 'name'; `hostlink params get --help` lists the options"),
-        ("pub /x -r 10", "pub: no such option: -r; use --rate HZ --count 0"),
+        ("topics nonsense", "topics: there is an argument too many: nonsense; `hostlink topics --help` lists the opt"),
+        ("hz /x --seconds -1", "hz: the value of --seconds is wrong: "),
+        ("hz /x --seconds", "hz: the option --seconds needs a value; `hostlink hz --help` lists the options"),
+        ("sim --robot fast", "sim: the value of --robot is wrong: 'fast' is not one of 'nimble', 'paper'; `hostlink s"),
+        ("echo", "echo: the argument topic is missing; `hostlink echo --help` lists the options"),
+        ("export x.mcap", "export: the option --to is missing; choose csv, ros2, rosbag2, ros1; `hostlink export -"),
+        ("params get", "params get: the argument name is missing; `hostlink params get --help` lists the options"),
+        ("params lst", "lst: there is no such command of `hostlink params`; did you mean `list` or `set`? `hostl"),
+        ("pub /x --once --count 2", "--once: cannot be combined with --count; use one of them"),
+        ("rosbag record -O run.bag", "--output: run.bag would be a bag of ROS, but the file is MCAP; name it run.mcap"),
+        ("record -a /x", "--all: means every topic, but '/x' is named too; leave one of them out"),
         ("pub /x data: 1", "MESSAGE: 2 arguments were given; put the message in quotes: '{linear: {x: 0.1}}'"),
         ("record --name ../x", "--name: ../x is not a name of a recording; use at most 100 letters and digits"),
-        ("topc list", "arguments: no such command 'topc'. Did you mean 'top"),
-        ("topic echo /x", "topic: is not a command; did you mean `hostlink echo /x`?"),
-        ("--url http://x robots", "arguments: no such option: --url; `hostlink --help` lists the options"),
+        ("topc list", "topc: there is no such command; did you mean `top"),
+        ("topic echo", "echo: the argument topic is missing; `hostlink echo --help` lists the options"),
+        ("topic lst", "topic lst: there is no such command; `topic` has: list, echo, hz"),
+        ("rosnode kill x", "rosnode kill: hostlink has no such command; `hostlink stop` stops the robots"),
+        ("echo /x --filter y", "echo: there is no option --filter; `hostlink echo TOPIC --json` gives every message"),
+        ("ros2 topic echo /x --qos-profile y", "echo: there is no option --qos-profile; rosserial has no quality"),
+        ("ros2 param get /robot_0 gain", "params get: a parameter belongs to no node; leave the node out"),
+        (
+            "--url http://x robots",
+            "--url: there is no such option; write options behind the command, as in `hostlink r",
+        ),
     ],
 )
 async def test_wrong_arguments_are_one_line_and_status_2(line: str, complaint: str) -> None:
     status, out, errors = await run(*line.split())
     assert (status, out, errors.count("\n")) == (2, "", 1)
     assert errors.startswith(f"hostlink: {complaint}")
+
+
+async def test_the_command_alone_shows_the_first_screen() -> None:
+    assert await run() == (0, FIRST_DAY, "")
 
 
 async def test_a_group_of_commands_alone_shows_what_it_has() -> None:

@@ -164,7 +164,7 @@ async def test_a_daemon_that_is_killed_leaves_all_but_the_last_second(tmp_path: 
         last_ns = max(message.stamp_ns for message in McapReader(path).messages())
         assert now_ns - last_ns < 1_000_000_000, number
         status, out, _ = await run("record", "--repair", str(path))
-        assert (status, "it is whole now" in out) == (0, True)
+        assert (status, "the file is repaired" in out) == (0, True)
 
 
 async def _folder(daemon: Process) -> str:

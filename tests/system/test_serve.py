@@ -183,9 +183,9 @@ async def test_a_serial_port_that_is_not_there_is_waited_for() -> None:
             "hostlink: no hostlink at http://127.0.0.1:1: is `hostlink serve`",
         ),
         (["teleop", "--url", "http://127.0.0.1:1"], 1, "hostlink: no hostlink at http://127.0.0.1:1"),
-        (["drive", "robot_0"], 2, "hostlink: drive: is not a command; did you mean `hostlink teleop robot_0`?"),
+        (["drive", "robot_0", "--url", "http://127.0.0.1:1"], 1, "hostlink: no hostlink at http://127.0.0.1:1"),
         (["pub", "/x", "{"], 2, "hostlink: MESSAGE: is not JSON"),
-        (["call", "/x", "[]"], 2, "hostlink: REQUEST: is JSON, but not an object"),
+        (["call", "/x", '"a: b"'], 2, "hostlink: REQUEST: is JSON, but not an object"),
         (["teleop", "--layout", "dvorak"], 2, "hostlink: --layout: unknown layout 'dvorak'; choose original or twist"),
     ],
 )

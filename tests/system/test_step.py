@@ -101,7 +101,7 @@ async def test_an_error_begins_a_line_of_its_own() -> None:
         (("robot_0",), 2, "hostlink: --yes: the robot will move, and this command cannot ask"),
         (("robot_0", "--json"), 2, "hostlink: --yes: the robot will move"),
         (("robot_0", "--yes", "--speed", "0"), 2, "hostlink: --speed: 0 m/s is outside 0.02 to 2 m/s"),
-        (("robot_0", "--yes", "--speed", "nan"), 2, "hostlink: step: invalid value for '--speed': nan is not a number"),
+        (("robot_0", "--yes", "--speed", "nan"), 2, "hostlink: step: the value of --speed is wrong: nan is not a n"),
         (("robot_0", "--yes", "--send"), 2, "hostlink: --send: sends the gains that --tune computes; add --tune"),
         (
             ("robot_0", "--yes", "--tune", "--seconds", "9"),

@@ -38,7 +38,8 @@ async def publishing(data: bytes = b"", *, interval_s: float = 0.02) -> AsyncIte
 async def test_echo_prints_fields_rows_and_single_messages() -> None:
     async with publishing() as (host, _):
         words = ("echo", "/robot_0/odometry", "--url", host.url)
-        assert (await run(*words, "--once"))[1] == '/robot_0/odometry  {"x": 0.333333, "y": 2.0, "theta": 0.5}\n'
+        assert (await run(*words, "--once"))[1] == "x: 0.333333\ny: 2.0\ntheta: 0.5\n---\n"
+        assert (await run("echo", "/robot_0/odometry/theta", "-n", "1", "--url", host.url))[1] == "0.5\n"
         assert json.loads((await run(*words, "--once", "--json"))[1])["x"] == 1 / 3
         assert await run(*words, "--count", "2", "--field", "theta") == (0, "0.5\n0.5\n", "")
         _, table, _ = await run(*words, "--csv", "--count", "2")
@@ -99,7 +100,7 @@ async def test_info_type_and_find() -> None:
         assert out.splitlines() == ["std_msgs/ColorRGBA", *(f"  float32 {name}" for name in "rgba")]
         assert (await run("find", "geometry_msgs/msg/Pose2D", "--url", host.url))[1] == "/robot_0/odometry\n"
         assert (await run("find", "geometry_msgs/Pose3D", *at))[2].startswith(
-            "hostlink: no topic or service of type named geometry_msgs/Pose3D; similar names: geometry_msgs/Pose2D"
+            "hostlink: there is no topic or service of a type named geometry_msgs/Pose3D; similar names: geometry_msgs"
         )
 
 
@@ -108,7 +109,7 @@ async def test_topics_with_rates_and_lists_of_services_robots_links_and_clients(
         at = ("--url", host.url)
         _, out, _ = await run("topics", "-v", *at)
         head, *rows = (line.split() for line in out.splitlines())
-        assert head == ["topic", "type", "publishers", "subscribers", "messages", "rate"]
+        assert head == ["topic", "type", "pubs", "subs", "messages", "rate"]
         (rate,) = (float(row[5]) for row in rows if row[0] == "/robot_0/odometry")
         assert 20 < rate < 60
         assert (await run("services", *at))[1].splitlines()[-1].split() == ["/trigger", "std_srvs/Trigger", "/robot_0"]
@@ -153,7 +154,7 @@ async def test_stop_lock_and_unlock() -> None:
         assert (status, "several robots are locked: mule, robot_0;" in err) == (1, True)
         assert (await run("unlock", "--all", *at))[1] == "mule may be driven\nrobot_0 may be driven\n"
         assert (await run("lock", "mull", *at))[2] == (
-            "hostlink: no robot named mull; similar names: mule; `hostlink robots` lists them\n"
+            "hostlink: there is no robot named mull; similar names: mule; `hostlink robots` lists them\n"
         )
         assert all(robot.gate.lock_reason is None for robot in host.hub.robots.all())
 
@@ -164,7 +165,10 @@ async def test_parameters_are_set_saved_and_loaded(tmp_path: Path) -> None:
         at = ("--url", host.url)
         for name, value in (("/gain", "1.5"), ("/pid/kp", "[1, 2]"), ("/name", "left")):
             assert (await run("params", "set", name, value, *at))[0] == 0
-        assert await run("params", "list", *at) == (0, '/gain    1.5\n/name    "left"\n/pid/kp  [1, 2]\n', "")
+        assert await run("params", "list", *at) == (
+            0, 'parameter  value\n/gain      1.5\n/name      "left"\n/pid/kp    [1, 2]\n', ""
+        )  # fmt: skip
+        assert (await run("params", "list", "/pid", *at))[1].splitlines()[1:] == ["/pid/kp    [1, 2]"]
         assert (await run("params", "get", "/pid", *at))[1] == '{"kp": [1, 2]}\n'
         assert (await run("params", "dump", str(file), *at))[2] == f"3 parameters in {file}\n"
         assert (await run("params", "delete", "/pid", *at))[0] == 0
@@ -196,6 +200,35 @@ async def test_param_load_with_a_file_that_is_not_one_of_parameters_says_so(
         status, out, err = await run("params", words[0], str(tmp_path / words[1]), "--url", host.url)
     assert (status, out, len(err.splitlines())) == (2, "", 1)
     assert complaint in err
+
+
+async def test_commands_of_ros_have_their_effect(tmp_path: Path) -> None:
+    async with publishing() as (host, device):
+        url = {"HOSTLINK_URL": host.url}
+
+        async def ros(*words: str) -> str:
+            status, out, err = await run(*words, environment=url)
+            assert status == 0, err
+            return out
+
+        assert "/robot_0/odometry" in await ros("topic", "list", "-t")
+        assert await ros("rostopic", "echo", "-n", "2", "/robot_0/odometry/theta") == "0.5\n0.5\n"
+        assert " Hz   every " in await ros("topic", "hz", "-w", "10", "/robot_0/odometry", "--seconds", "1")
+        twist = ("/robot_0/velocity_commands", "geometry_msgs/Twist", "--", "[0.1, 0, 0]", "[0, 0, 0.2]")
+        await ros("rostopic", "pub", "-r", "10", "-1", *twist)
+        assert await device.velocity_other_than((0.0, 0.0)) == (0.1, 0.2)
+        listed = [line.split() for line in (await ros("rosnode", "list")).splitlines()]
+        assert listed[0] == ["node", "publishing", "subscribing", "services"]
+        assert "/robot_0" in [row[0] for row in listed]
+        assert "/trigger" in await ros("ros2", "service", "list", "-t")
+        await ros("rosparam", "set", "/gain", "-1.5")
+        assert await ros("param", "get", "/gain") == "-1.5\n"
+        shown = await ros("rossrv", "show", "std_srvs/SetBool")
+        assert shown.split("\n  ---\n") == ["std_srvs/SetBool\n  bool data", "  bool success\n  string message\n"]
+        assert await ros("rosmsg", "show", "std_msgs/Empty") == "std_msgs/Empty\n"
+        file = str(tmp_path / "run.mcap")
+        await ros("rosbag", "record", "-a", "-O", file, "--duration=0.2")
+        assert "/robot_0/odometry" in await ros("ros2", "bag", "info", file)
 
 
 async def test_an_empty_message_needs_no_text() -> None:
@@ -236,6 +269,8 @@ async def test_bash_completes_commands_options_and_topics(tmp_path: Path) -> Non
         await terminal.shows("hostlink teleop")
         await terminal.keys("C-u", "hostlink echo --thr", "Tab")
         await terminal.shows("--throttle-ms")
+        await terminal.keys("C-u", "hostlink ros2 topic echo /robot_0/vel", "Tab")
+        await terminal.shows("ros2 topic echo /robot_0/velocity_commands")
         await terminal.keys("C-u", "hostlink echo /robot_0/vel", "Tab")
         await terminal.shows("/robot_0/velocity_commands")
 

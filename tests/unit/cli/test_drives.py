@@ -3,7 +3,7 @@
 from typing import Any
 
 from hostlink.cli.output import table
-from hostlink.cli.record import HEADS, row
+from hostlink.cli.record import HEADS, row, time_text
 
 
 def drive(**changes: Any) -> dict[str, Any]:
@@ -22,3 +22,8 @@ def test_the_lines_of_a_lesson_fit_80_columns() -> None:
     drives = [drive(), drive(owner="demo", address="", end=""), drive(end="no command came", seconds=4.0)]
     lines = table(HEADS, [row(each, "2026-11-22") for each in drives])[1:]
     assert max(map(len, lines)) <= 80
+
+
+def test_time_of_an_incident_of_today_has_no_date() -> None:
+    assert time_text("2026-11-22T08:40:57Z", "2026-11-22") == "08:40:57"
+    assert time_text("2026-11-21T08:40:57Z", "2026-11-22") == "2026-11-21 08:40:57"

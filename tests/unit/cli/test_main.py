@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from hostlink.cli.main import COMMANDS, completed_words, module_of, wanted_command
+from hostlink.cli.main import COMMANDS, completed_words, module_of, own_completion, wanted_command, with_next_step
 
 
 @pytest.mark.parametrize(
@@ -30,6 +30,34 @@ def test_the_first_name_of_a_command_is_meant(words: list[str], wanted: str | No
 )
 def test_the_words_that_a_shell_completes(environment: dict[str, str], words: list[str]) -> None:
     assert completed_words(environment) == words
+
+
+BASH = {"_HOSTLINK_COMPLETE": "complete_bash"}
+ZSH = {"_HOSTLINK_COMPLETE": "complete_zsh"}
+
+
+@pytest.mark.parametrize(
+    ("environment", "own"),
+    [
+        ({}, {}),
+        (BASH | {"COMP_WORDS": "hostlink echo /rob", "COMP_CWORD": "2"}, {}),
+        (BASH | {"COMP_WORDS": "hostlink topic", "COMP_CWORD": "1"}, {}),
+        (BASH | {"COMP_WORDS": "hostlink topic ec", "COMP_CWORD": "2"}, {}),
+        (
+            BASH | {"COMP_WORDS": "hostlink ros2 topic echo /rob", "COMP_CWORD": "4"},
+            {"COMP_WORDS": "hostlink echo /rob", "COMP_CWORD": "2"},
+        ),
+        (
+            BASH | {"COMP_WORDS": "hostlink param get ", "COMP_CWORD": "3"},
+            {"COMP_WORDS": "hostlink params get ", "COMP_CWORD": "3"},
+        ),
+        (ZSH | {"_TYPER_COMPLETE_ARGS": "hostlink rostopic hz "}, {"_TYPER_COMPLETE_ARGS": "hostlink hz "}),
+        (ZSH | {"_TYPER_COMPLETE_ARGS": "hostlink rostopic hz /r"}, {"_TYPER_COMPLETE_ARGS": "hostlink hz /r"}),
+        (ZSH | {"_TYPER_COMPLETE_ARGS": "hostlink rostopic hz"}, {}),
+    ],
+)
+def test_completion_of_a_command_of_ros_is_that_of_hostlink(environment: dict[str, str], own: dict[str, str]) -> None:
+    assert own_completion(environment) == own
 
 
 def test_every_command_has_a_line_that_fits_a_terminal() -> None:
@@ -76,3 +104,31 @@ def test_a_command_that_queries_a_daemon_imports_no_daemon() -> None:
     text = f"import sys, importlib; [*map(importlib.import_module, {modules})]; print({{*{slow}}} & {{*sys.modules}})"
     found = subprocess.run([sys.executable, "-c", text], capture_output=True, text=True, check=True)
     assert found.stdout == "set()\n"
+
+
+@pytest.mark.parametrize(
+    ("kind", "text", "wanted"),
+    [
+        ("UnknownTopic", "no topic named /x; known: /y", "no topic named /x; known: /y; `hostlink topics` lists them"),
+        ("HostlinkError", "no service named /x", "no service named /x; `hostlink services` lists them"),
+        ("UnknownTopic", "no link named 9; known: 1", "no link named 9; known: 1; `hostlink links --ended` lists them"),
+        ("WrongType", "/x: wanted a/B, got c/D", "/x: wanted a/B, got c/D; `hostlink type /x` shows its type"),
+        (
+            "BadRequest",
+            "a/B.c: wanted text, got 5",
+            "a/B.c: wanted text, got 5; `hostlink type TYPE` shows the fields of a",
+        ),
+        ("FrameTooLarge", "/x: frame of 9 bytes", "/x: frame of 9 bytes; send less in one message; `hostlink doctor`"),
+        ("RecordingFailed", "/x: No such file or directory", "/x: No such file or directory; check its name"),
+        ("DeviceGone", "r: its device is gone", "r: its device is gone; `hostlink doctor` finds out why"),
+    ],
+)
+def test_errors_of_the_daemon_get_the_command_that_helps(kind: str, text: str, wanted: str) -> None:
+    assert with_next_step(kind, text).startswith(wanted)
+
+
+@pytest.mark.parametrize(
+    "text", ["there is no robot named x; `hostlink robots` lists them", "no time named x", "ended"]
+)
+def test_other_errors_stay_as_they_are(text: str) -> None:
+    assert with_next_step("HostlinkError", text) == text

@@ -30,11 +30,11 @@ def test_names_are_in_the_order_of_their_numbers() -> None:
 
 def test_error_names_similar_names_else_known_ones() -> None:
     assert str(unknown("robot", "robt_0", ["robot_0", "mule"], command="robots")) == (
-        "no robot named robt_0; similar names: robot_0; `hostlink robots` lists them"
+        "there is no robot named robt_0; similar names: robot_0; `hostlink robots` lists them"
     )
     assert str(unknown("robot", "xyz", ["robot_0", "mule"], command="robots")) == (
-        "no robot named xyz; known are: mule, robot_0; `hostlink robots` lists them"
+        "there is no robot named xyz; known are: mule, robot_0; `hostlink robots` lists them"
     )
     assert str(unknown("robot", "xyz", [], command="robots")) == (
-        "no robot named xyz; known are: none yet; `hostlink robots` lists them"
+        "there is no robot named xyz; there are none yet; `hostlink robots` lists them"
     )

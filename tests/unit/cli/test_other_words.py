@@ -1,67 +1,158 @@
-"""Words of ROS and other programs, and the suggested commands."""
+"""Words of ROS and other programs, and the command line that they are translated to."""
 
 import pytest
 
 from hostlink.cli import main
-from hostlink.cli.main import meant
-from hostlink.cli.topics import type_and_message
+from hostlink.cli.main import COMMANDS, FIRST_DAY, LACKING, ROS_GROUPS, complaint, translated
 from hostlink.errors import ConfigError
+from tests.support.documented import Documented
 
 
 @pytest.mark.parametrize(
     ("line", "wanted"),
     [
         ("ls", "robots"),
+        ("drive robot_0", "teleop robot_0"),
         ("start --serial /dev/ttyUSB0", "serve --serial /dev/ttyUSB0"),
+        ("roscore", "serve"),
+        ("ros2 param dump", "params dump"),
+        ("rosparam dump file", "params dump file"),
+        ("rosout --once", "echo /rosout --once"),
         ("help", "--help"),
         ("help echo", "echo --help"),
-        ("topic", "topics"),
+        ("help topic echo", "echo --help"),
         ("topic list", "topics"),
-        ("topic echo /robot_0/odom", "echo /robot_0/odom"),
+        ("topic list -t", "topics"),
+        ("topic echo -n 2 /t", "echo -n 2 /t"),
+        ("topic hz -w 10 /t", "hz -w 10 /t"),
+        ("topic pub -r 10 /t std_msgs/Bool true", "pub -r 10 /t std_msgs/Bool true"),
+        ("ros2 topic pub -t 3 /t std_msgs/msg/Bool", "pub --count 3 /t std_msgs/msg/Bool"),
+        ("rostopic pub -1 /t std_msgs/Int8 -- -t", "pub -1 /t std_msgs/Int8 -- -t"),
         ("topics list", "topics"),
-        ("rostopic hz /x", "hz /x"),
+        ("rostopic hz --wall-time /x", "hz /x"),
         ("ros2 topic echo /x --once", "echo /x --once"),
-        ("node info /robot_0", "info /robot_0"),
+        ("rostopic echo --noarr /x", "echo --no-arr /x"),
+        ("ros2 topic info -v /x", "info /x"),
+        ("topic list --help", "topics --help"),
+        ("node list", "nodes"),
+        ("nodes info /robot_0", "info /robot_0"),
+        ("rosnode info /robot_0", "info /robot_0"),
+        ("ros2 service list -t", "services"),
         ("service call /x", "call /x"),
         ("services call /x", "call /x"),
+        ("rosservice args /x", "type --fields /x"),
         ("rosparam get /x", "params get /x"),
-        ("bag record", "record"),
+        ("param load file", "params load file"),
+        ("bag record -a -O run.mcap --duration=5", "record -a -O run.mcap --seconds=5"),
+        ("rosbag play -l -r 2 -s 1 run.mcap", "play -l -r 2 -s 1 run.mcap"),
+        ("ros2 bag play run.mcap --start-offset 3", "play run.mcap --start 3"),
+        ("rosbag info --yaml run.mcap", "info --json run.mcap"),
+        ("rosbag reindex run.mcap", "record --repair run.mcap"),
         ("rosmsg show std_msgs/Bool", "type std_msgs/Bool"),
-        ("topics", None),
-        ("topics -v", None),
-        ("params list", None),
-        ("ros2 --domain 3", None),
-        ("echo /topic", None),
-        ("", None),
+        ("ros2 interface show std_msgs/msg/Bool", "type std_msgs/msg/Bool"),
+        ("ros2 doctor", "doctor"),
+        ("--debug topic list", "--debug topics"),
+        ("topics", "topics"),
+        ("topics -v", "topics -v"),
+        ("services --all", "services --all"),
+        ("params list", "params list"),
+        ("params", "params"),
+        ("ros2 --domain 3", "ros2 --domain 3"),
+        ("echo /topic", "echo /topic"),
+        ("pub /x -- topic list", "pub /x -- topic list"),
+        ("", ""),
     ],
 )
-def test_words_typed_by_habit_have_a_command(line: str, wanted: str | None) -> None:
-    assert meant(line.split()) == wanted
-
-
-def test_suggested_commands_exist() -> None:
-    commands = {
-        *main.HABITS.values(),
-        *(text for group in main.ROS_GROUPS.values() for text in group.values()),
-    }
-    assert {text.split()[0] for text in commands} <= {*main.COMMANDS, "--help", "--version"}
-    assert not set(main.HABITS) & set(main.COMMANDS)
-    assert {command for command, _ in main.ROS_OPTIONS} <= set(main.COMMANDS)
+def test_command_lines_of_ros_become_those_of_hostlink(line: str, wanted: str) -> None:
+    assert translated(line.split()) == wanted.split()
 
 
 @pytest.mark.parametrize(
-    ("words", "wanted"),
+    ("line", "complaint"),
     [
-        ([], ("", "{}")),
-        (["data: hi"], ("", "data: hi")),
-        (["std_msgs/Empty"], ("std_msgs/Empty", "{}")),
-        (["std_msgs/msg/String", "data: a/b"], ("std_msgs/String", "data: a/b")),
+        ("topic", "topic: add a command: list, echo, hz"),
+        ("rostopic --help", "rostopic: add a command: list, echo, hz"),
+        ("topic lst", "topic lst: there is no such command; `topic` has: list, echo, hz"),
+        ("rosnode kill /x", "rosnode kill: hostlink has no such command; `hostlink stop` stops the robots"),
+        ("ros2 interface list", "ros2 interface list: hostlink has no such command; `hostlink type TYPE` shows"),
+        ("ros2 param dump /robot_0", "ros2 param dump: a parameter belongs to no node; leave the node out"),
+        ("ros2 run demo_nodes_cpp talker", "ros2 run: hostlink has no such command; `hostlink --help` lists all"),
+        ("roslaunch robot.launch", "roslaunch: hostlink has no such command; `hostlink --help` lists all commands"),
+        ("ros2 action list", "ros2 action: rosserial has no actions; `hostlink services` lists the services"),
     ],
 )
-def test_a_message_may_have_its_type_before_it(words: list[str], wanted: tuple[str, str]) -> None:
-    assert type_and_message(words) == wanted
+def test_commands_of_ros_that_hostlink_lacks_name_the_next_step(line: str, complaint: str) -> None:
+    with pytest.raises(ConfigError) as found:
+        translated(line.split())
+    assert str(found.value).startswith(complaint)
 
 
-def test_a_message_without_quotes_is_told_so() -> None:
-    with pytest.raises(ConfigError, match="put the message in quotes"):
-        type_and_message(["data:", "hi"])
+def test_translations_exist() -> None:
+    commands = {*main.HABITS.values(), *(text for group in ROS_GROUPS.values() for text in group.values())}
+    assert {text.split()[0] for text in commands} <= {*COMMANDS, "--version"}
+    assert not set(main.HABITS) & set(COMMANDS)
+    for (command, _), option in main.ROS_OPTIONS.items():
+        found = Documented("a table", (command, *([option] if option else [])), is_complete=False).complaint()
+        assert found == ""
+
+
+def test_options_that_hostlink_lacks_do_not_exist() -> None:
+    assert {subject for subject, _ in LACKING} <= {*ROS_GROUPS, *COMMANDS}
+    for subject, option in LACKING:
+        if subject in COMMANDS:
+            assert "No such option" in Documented("a table", (subject, option), is_complete=False).complaint()
+        else:
+            assert option not in ROS_GROUPS[subject]
+            assert " " not in option
+
+
+@pytest.mark.parametrize(
+    ("command", "text", "wanted"),
+    [
+        ("hz", "Got unexpected extra argument (/b)", "hz: one topic is measured at a time; run the command once for"),
+        ("", "No such command 'topc'.", "topc: there is no such command; `hostlink --help` lists the commands"),
+        (
+            "",
+            "No such command 'a'. Did you mean 'b', 'c', 'd'?",
+            "a: there is no such command; did you mean `b`, `c` or",
+        ),
+        (
+            "params",
+            "No such command 'a'.",
+            "a: there is no such command of `hostlink params`; `hostlink params --help`",
+        ),
+        ("echo", "No such option: -x", "echo: there is no option -x; `hostlink echo --help` lists the options"),
+        (
+            "echo",
+            "No such option: --onc (Possible options: --json, --once)",
+            "echo: there is no option --onc; did you m",
+        ),
+        (
+            "echo",
+            "No such option: --qos-depth",
+            "echo: there is no option --qos-depth; rosserial has no quality of ser",
+        ),
+        ("hz", "No such option: --filter", "hz: there is no option --filter; `hostlink echo TOPIC --json` gives every"),
+        ("", "No such option: --url", "--url: there is no such option; write options behind the command, as in"),
+        ("params get", "Got unexpected extra argument (b)", "params get: a parameter belongs to no node; leave the no"),
+        (
+            "topics",
+            "Got unexpected extra argument(s) (a b)",
+            "topics: there is an argument too many: a b; `hostlink to",
+        ),
+        ("hz", "Option '--seconds' requires an argument.", "hz: the option --seconds needs a value; `hostlink hz --he"),
+        ("x", "Something else.", "x: something else; `hostlink x --help` lists the options"),
+    ],
+)
+def test_complaints_of_the_parser_are_sentences_with_the_next_step(command: str, text: str, wanted: str) -> None:
+    assert ": ".join(complaint(command, text)).startswith(wanted)
+
+
+def test_first_screen_fits_a_terminal_and_names_ten_commands() -> None:
+    lines = FIRST_DAY.splitlines()
+    assert len(lines) <= 24
+    assert all(len(line) <= 80 for line in lines)
+    named = [
+        line.split()[1] for line in lines if line.startswith("  hostlink ") and not line.split()[1].startswith("-")
+    ]
+    assert len([name for name in named if name in COMMANDS]) == 10

@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 
 import hostlink.cli
 from hostlink import logs
-from hostlink.cli.output import allow_any_text, plain, show_progress, write
+from hostlink.cli.output import allow_any_text, plain, show_progress, table, write
 
 WRITERS = {"output.py"}
 LINE = "  driving: 12 s, leg 1 of 8; Ctrl-C stops it"
@@ -101,3 +101,47 @@ def test_the_log_on_a_terminal_has_no_codes_but_its_own() -> None:
 def test_a_name_in_the_log_is_printable_and_short() -> None:
     assert logs.printable(HOSTILE).isprintable()
     assert len(logs.printable("x" * 1000)) == 64
+
+
+HEAD = ("topic", "type", "subs")
+ROWS = [("/robot_0/velocity_commands", "geometry_msgs/TwistWithCovarianceStamped", 2), ("/tf", "tf2_msgs/TFMessage", 0)]
+
+
+def test_table_without_a_terminal_has_every_cell_in_full() -> None:
+    assert table(HEAD, ROWS) == [
+        "",
+        "topic                       type                                      subs",
+        "/robot_0/velocity_commands  geometry_msgs/TwistWithCovarianceStamped  2",
+        "/tf                         tf2_msgs/TFMessage                        0",
+    ]
+    assert table(HEAD, []) == []
+
+
+def test_table_that_is_too_wide_has_long_cells_shortened_in_the_middle_and_the_first_column_last() -> None:
+    assert table(HEAD, ROWS, columns=60)[1:] == [
+        "topic                       type                        subs",
+        "/robot_0/velocity_commands  geometry_msg…rianceStamped  2",
+        "/tf                         tf2_msgs/TFMessage          0",
+    ]
+    narrow = table(HEAD, ROWS, columns=34)
+    assert narrow[2].split() == ["/robot…ommands", "geome…tamped", "2"]
+
+
+def test_table_that_shortening_cannot_fit_takes_several_lines_for_a_row() -> None:
+    assert table(HEAD, ROWS, columns=60, whole=("type", "topic"))[1:5] == [
+        "topic",
+        "    type                                      subs",
+        "/robot_0/velocity_commands",
+        "    geometry_msgs/TwistWithCovarianceStamped  2",
+    ]
+
+
+@given(
+    st.lists(
+        st.tuples(st.text("ab/_", max_size=60), st.text("01", max_size=6), st.text("xy", max_size=90)), min_size=1
+    ),
+    st.integers(24, 120),
+)
+def test_lines_of_any_table_fit_or_hold_a_single_cell(rows: list[tuple[str, str, str]], columns: int) -> None:
+    for line in table(("name", "n", "why"), rows, columns=columns):
+        assert len(line) <= columns or len(line.split()) == 1
