@@ -31,7 +31,7 @@ WORKERS ?= $(shell echo $$((3 * $(CORES))))# of make test: two thirds of its tim
 QUIET_WORKERS ?= $(shell echo $$((3 * $(CORES) / 2)))# of the tests that a busy machine disturbs: three fifths of their time is waiting
 unexport PYTHONDONTWRITEBYTECODE # the tests start hostlink some hundred times
 
-.PHONY: help demo docs test test-long quick test-pythons coverage mutants check bench fuzz web screenshots firmware world lab chain soak netns ros2-venv ros-mcp-venv release piuparts arm64 format clean
+.PHONY: help demo docs test test-long quick test-pythons coverage mutants check bench fuzz web screenshots firmware world lab chain soak netns ros2-venv ros-mcp-venv release weight piuparts arm64 format clean
 
 help:
 	@echo "make demo    start the daemon with a simulated robot"
@@ -45,6 +45,7 @@ help:
 	@echo "make release  wheel, source distribution and Debian packages, tried in empty environments of Python 3.11, 3.12 and 3.13"
 	@echo "make piuparts  install, upgrade, remove and purge the Debian package for amd64 (as root)"
 	@echo "make arm64   install the Debian package and the wheel in an emulated arm64, drive there and run unit tests (an hour)"
+	@echo "make weight  measure what the base, each extra, the packages and other programs weigh (docs/weight.md)"
 	@echo "make compiled  the wheel of the same sources compiled with mypyc, for this machine, into build/release"
 	@echo "make check   format, lint, types, import rules"
 	@echo "make bench   measure, write the figures to build/bench*.json"
@@ -89,7 +90,7 @@ $(ROS2_VENV)/.installed: pyproject.toml
 	@echo "installing rclpy and hostlink into $(ROS2_VENV) ..."
 	@test ! -L $(ROS2_VENV) || { echo "$(ROS2_VENV) is a link: venv --clear would empty the directory that it names"; exit 1; }
 	@$(PYTHON) -m venv --clear $(ROS2_VENV)
-	@$(ROS2_VENV)/bin/python -m pip install --quiet --disable-pip-version-check -e . $(ROS2_PACKAGES) \
+	@$(ROS2_VENV)/bin/python -m pip install --quiet --disable-pip-version-check -e '.[ros2]' $(ROS2_PACKAGES) \
 	  || { echo "rclpy cannot be installed from PyPI: the tests of hostlink ros2 (tests/system/ros2) need it"; exit 1; }
 	@touch $@
 
@@ -150,6 +151,9 @@ piuparts: $(VENV)/.dev
 arm64: $(VENV)/.dev
 	@tools/require.sh $(DEB_PACKAGES) debootstrap proot qemu-user-static
 	tools/try_arm64.sh
+
+weight: $(VENV)/.dev
+	$(BIN)/python -m tools.measure_weight
 
 compiled: $(VENV)/.dev
 	$(BIN)/python tools/compiled.py --into build/release

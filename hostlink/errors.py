@@ -1,9 +1,12 @@
 """Errors that hostlink raises on purpose, with their numbers as attributes."""
 
 import itertools
+import shlex
+import sys
 from collections.abc import Hashable, Iterable
 from enum import StrEnum
-from typing import Self
+from pathlib import Path
+from typing import Final, Self
 
 
 class HostlinkError(Exception):
@@ -28,17 +31,35 @@ class ConfigError(HostlinkError):
         self.where, self.problem = where, problem
 
 
+DEBIAN_PACKAGE: Final = Path("/usr/lib/hostlink")  # its virtual environment, which has no pip
+
+
+def requirements_of(extra: str) -> list[str]:
+    """Return what an extra of hostlink installs, as pip takes it. Empty if this installation has no such extra."""
+    from importlib.metadata import PackageNotFoundError, requires  # noqa: PLC0415 - 20 ms, only for an error
+
+    try:
+        lines = [line.partition(";") for line in requires("hostlink") or ()]
+    except PackageNotFoundError:  # the sources, without an installation
+        return []
+    return [name.strip() for name, _, marker in lines if f"extra == '{extra}'" in marker.replace('"', "'")]
+
+
 class LibraryMissing(ConfigError):
     """A feature needs a library that only an extra of hostlink installs."""
 
     def __init__(self, where: str, library: str, extra: str) -> None:
-        """Build the advice.
+        """Build the advice: the command that installs what the extra has, into this environment.
 
-        It names no package index: hostlink is in none, so a package of that name may be malicious.
+        It does not name hostlink: hostlink is in no package index, so a package of that name may be malicious.
         """
         self.library, self.extra = library, extra
-        advice = f"run  pip install '.[{extra}]'  in a clone, or use the wheel's file instead of the dot"
-        super().__init__(where, f"needs {library}: {advice}")
+        if Path(sys.prefix) == DEBIAN_PACKAGE:
+            advice = "the Debian package does not have it; install the wheel with pip"
+        else:
+            wanted = requirements_of(extra) or [library]
+            advice = f"run  {shlex.join([sys.executable, '-m', 'pip', 'install', *wanted])}"
+        super().__init__(where, f"needs {library}, of the extra {extra!r}: {advice}")
 
 
 class UnknownTopic(HostlinkError):

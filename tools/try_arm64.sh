@@ -50,7 +50,7 @@ step deb-remove emulated dpkg --remove hostlink
 step deb-purge emulated dpkg --purge hostlink
 [ ! -e "$root/etc/hostlink" ] && [ ! -e "$root/usr/lib/hostlink" ]
 step wheel-install emulated sh -c 'rm -rf /srv/venv && python3 -m venv /srv/venv && cd /srv/hostlink &&
-  /srv/venv/bin/pip install --no-compile "$(echo /srv/hostlink/*.whl)[sim]" pytest pytest-asyncio pytest-timeout hypothesis'
+  /srv/venv/bin/pip install --no-compile "$(echo /srv/hostlink/*.whl)[sim,export]" pytest pytest-asyncio pytest-timeout hypothesis'
 step wheel-drive emulated python3 /srv/hostlink/try_drive.py /srv/venv/bin/hostlink
 step unit-tests emulated sh -c 'cd /srv/hostlink && HYPOTHESIS_PROFILE=ci /srv/venv/bin/python -m pytest -q -p no:cacheprovider --timeout 1200 \
   tests/unit/protocol tests/unit/messages tests/unit/robot tests/unit/hub'

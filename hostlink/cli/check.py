@@ -109,6 +109,10 @@ async def check(config: Config, *, descriptors: int, is_listening: bool = False)
         raise LibraryMissing("tcp.mdns", "zeroconf", "mdns")
     if config.zenoh is not None and importlib.util.find_spec("zenoh") is None:
         raise LibraryMissing("zenoh", "eclipse-zenoh", "zenoh")
+    if config.zenoh is not None and config.zenoh.ros2:
+        for library in ("rosbags", "xxhash"):
+            if importlib.util.find_spec(library) is None:
+                raise LibraryMissing("zenoh.ros2", library, "zenoh")
     warnings = [] if is_listening else await _try_port("tcp", config.tcp.host, config.tcp.port)
     warnings += await _try_port("api", config.api.host, config.api.port)
     if config.udp is not None:

@@ -12,7 +12,7 @@ import typer
 from hostlink.cli.output import megabytes, show_progress, write, write_error, write_table
 from hostlink.errors import ConfigError, HostlinkError, LibraryMissing
 from hostlink.recording.channel import NS_PER_S
-from hostlink.recording.definitions import why_unknown
+from hostlink.recording.definitions import need_rosbags, why_unknown
 from hostlink.recording.reader import Contents, TopicContents, contents_of
 
 # -- export -----------------------------------------------------------------------------------------------------------
@@ -99,7 +99,8 @@ def _export(file: Path, target: Path, format_: Format, topics: list[str], *, ski
         from hostlink.recording.export import export_csv  # noqa: PLC0415 - as above
 
         return export_csv(source, target, topics=topics, skips_unknown=skips_unknown)[0]
-    from hostlink.recording.export import RosFormat, export_ros  # noqa: PLC0415 - as above
+    need_rosbags(f"--to {format_.value}")
+    from hostlink.recording.bags import RosFormat, export_ros  # noqa: PLC0415 - of the extra `export`
 
     return export_ros(source, target, RosFormat(format_.value), topics=topics, skips_unknown=skips_unknown)
 

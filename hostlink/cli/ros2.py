@@ -1,6 +1,7 @@
 """`hostlink ros2`: robots in a ROS 2 graph, by a process of its own."""
 
 import asyncio
+import importlib.util
 import sys
 from collections.abc import Coroutine
 from typing import Annotated, Any
@@ -11,7 +12,7 @@ from hostlink.cli.arguments import Token, Url
 from hostlink.cli.ending import stop_signals
 from hostlink.cli.output import write_error
 from hostlink.client import DEFAULT_URL, PRIORITY
-from hostlink.errors import ConfigError, HostlinkError
+from hostlink.errors import ConfigError, HostlinkError, LibraryMissing
 
 CONTEXT = {"ignore_unknown_options": True, "allow_extra_args": True}  # arguments behind --ros-args are for ROS 2
 ROS_ARGS = "--ros-args"
@@ -41,6 +42,8 @@ def command(
         raise ConfigError(
             context.args[0], f"is not an option of hostlink ros2; write arguments of ROS 2 behind {ROS_ARGS}"
         )
+    if importlib.util.find_spec("rosbags") is None:
+        raise LibraryMissing("ros2", "rosbags", "ros2")
     try:
         from hostlink.graphs.ros2.bridge import BridgeConfig, run_bridge  # noqa: PLC0415 - it takes time to import
         from hostlink.graphs.ros2.node import ros2_node  # noqa: PLC0415 - rclpy may not be there

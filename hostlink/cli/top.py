@@ -1,6 +1,7 @@
 """`hostlink top`: live figures of links and robots, or once, or as JSON."""
 
 import asyncio
+import importlib.util
 import json as json_text
 import sys
 from typing import Annotated, Any
@@ -12,7 +13,7 @@ from hostlink.cli.connecting import connected
 from hostlink.cli.figures import LINK_COLUMNS, advice, link_rows, live_figures, robot_table
 from hostlink.cli.output import fitted_table, write
 from hostlink.client import DEFAULT_URL
-from hostlink.errors import ConfigError
+from hostlink.errors import ConfigError, LibraryMissing
 
 
 def command(
@@ -33,6 +34,8 @@ def command(
         asyncio.run(_print(url, token, interval, is_once=once, as_json=json))
     elif not sys.stdout.isatty():
         raise ConfigError("top", "standard output is not a terminal; use --once or --json")
+    elif importlib.util.find_spec("textual") is None:
+        raise LibraryMissing("top", "textual", "top")
     else:
         from hostlink.cli.top_screen import TopScreen  # noqa: PLC0415 - textual loads longer than everything else
 

@@ -1,12 +1,11 @@
 """Catalog of message and service types from folders of .msg and .srv files."""
 
+import functools
 import re
 import struct
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Final
-
-from rosbags.typesys import Stores, get_typestore
 
 from hostlink.errors import ConfigError, WrongType
 from hostlink.messages.fields import BUILT_IN, Field
@@ -163,8 +162,16 @@ def decode_clock(payload: bytes) -> int | None:
 # -- catalog ----------------------------------------------------------------------------------------------------------
 
 DEFINITIONS: Final = Path(__file__).with_name("definitions")
+STANDARD: Final = Path(__file__).with_name("noetic.txt")  # written by tools/message_definitions.py
 NESTING_MAX: Final = 32  # ROS has no message nested deeper than 6
 MESSAGE_BYTES_MAX: Final = 65535  # the longest payload of a rosserial frame
+
+
+@functools.cache
+def standard_definitions() -> dict[str, str]:
+    """Return the definitions of ROS 1 Noetic's message types by name, without nested types."""
+    parts = _NEXT.split(STANDARD.read_text(encoding="utf-8"))[1:]
+    return dict(zip(parts[::2], parts[1::2], strict=True))
 
 
 class Catalog:
@@ -177,9 +184,7 @@ class Catalog:
         """
         for folder in folders:
             check_folder(folder)
-        store = get_typestore(Stores.ROS1_NOETIC)
-        self._store = {_short(name): name for name in store.fielddefs if not name.startswith("builtin_interfaces/")}
-        self._definition_text = store.generate_msgdef
+        self._standard = standard_definitions()
         self._message_files: dict[str, Path] = {}
         self._service_files: dict[str, Path] = {}
         for folder in (DEFINITIONS, *reversed(folders)):
@@ -192,7 +197,7 @@ class Catalog:
 
     def message_names(self) -> list[str]:
         """Return the names of all known message types, "pkg/Type", sorted."""
-        return sorted({*self._store, *self._message_files})
+        return sorted({*self._standard, *self._message_files})
 
     def service_names(self) -> list[str]:
         """Return the names of all known service types, "pkg/Type", sorted."""
@@ -230,7 +235,7 @@ class Catalog:
         return _checked(service, known.response if known else None, md5)
 
     def _build_all(self) -> None:
-        for name in (*self._message_files, *self._store):
+        for name in (*self._message_files, *self._standard):
             self.message(name)
         for name in self._service_files:
             self.service(name)
@@ -246,10 +251,8 @@ class Catalog:
     def _definition(self, name: str) -> Definition | None:
         if path := self._message_files.get(name):
             return parse_message(name, read_definition(path), str(path))
-        if stored := self._store.get(name):
-            text = self._definition_text(stored, ros_version=1)[0].partition(SEPARATOR)[0]
-            return parse_message(name, text, f"built-in {name}")
-        return None
+        text = self._standard.get(name)
+        return None if text is None else parse_message(name, text, f"built-in {name}")
 
     def _build(self, definition: Definition, outer: tuple[str, ...]) -> MessageType:
         """Build a type. `outer` holds the types that contain it, and itself."""

@@ -9,12 +9,10 @@ from itertools import islice
 from pathlib import Path
 from typing import Any, Literal, cast
 
-from mcap.exceptions import McapError
-from mcap.records import Metadata
-
 from hostlink.hub.robot_events import HOST_AWAY, LEASE_ENDED, EventKind, RobotEvent
 from hostlink.recording.channel import NS_PER_S, Channel
 from hostlink.recording.folder import Folder, StoredFile
+from hostlink.recording.mcap_format import Opcode, read_metadata
 from hostlink.recording.reader import stored_records
 from hostlink.recording.ring import Entry
 from hostlink.robot.velocity import ZERO
@@ -153,12 +151,12 @@ def read_incident(path: Path) -> Incident | None:
     """Read the incident of a file from its metadata; None if it has none."""
     try:
         with path.open("rb") as file:
-            for record in islice(stored_records(file), _FIRST_RECORDS):
-                if isinstance(record, Metadata) and "cause" in record.metadata:
-                    facts = record.metadata
+            for opcode, body in islice(stored_records(file), _FIRST_RECORDS):
+                facts = read_metadata(body) if opcode == Opcode.METADATA else {}
+                if "cause" in facts:
                     cause = cast("Cause", facts["cause"])
                     return Incident(facts.get("robot", ""), cause, facts.get("detail", ""), int(facts["stamp_ns"]))
-    except (OSError, McapError, ValueError, KeyError):  # removed meanwhile, damaged, or not an incident's file
+    except (OSError, ValueError, KeyError):  # removed meanwhile, damaged, or not an incident's file
         return None
     return None
 

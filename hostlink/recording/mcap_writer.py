@@ -12,11 +12,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
-from mcap.writer import CompressionType, Writer
-
 from hostlink.recording.channel import LIBRARY, LIBRARY_STEADY, Channel, note_newest
+from hostlink.recording.mcap_format import Writer
 
-CHUNK_BYTES = 64 * 1024  # compressing it takes 1.2 ms at most; 3.8 ms with the library's default of 1 MiB
+CHUNK_BYTES = 64 * 1024  # compressing it takes 1.2 ms at most; 3.8 ms with 1 MiB, which is usual
 MAX_CHANNELS = 8192  # of one file; channel numbers of the format have 16 bits
 PROFILE = "ros1"
 
@@ -46,8 +45,8 @@ class McapWriter:
         with contextlib.suppress(OSError):  # a network file system may not support locks
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)  # a repair skips a locked file
         self._inode = os.fstat(self._file.fileno()).st_ino
-        self._writer = Writer(self._file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
-        self._writer.start(PROFILE, library=LIBRARY_STEADY if has_steady_times else LIBRARY)
+        library = LIBRARY_STEADY if has_steady_times else LIBRARY
+        self._writer = Writer(self._file, profile=PROFILE, library=library, chunk_bytes=CHUNK_BYTES)
         self._ids: dict[Channel, int] = {}
         self._schema_ids: dict[tuple[str, str], int] = {}
         self.add_metadata(metadata)
@@ -80,7 +79,7 @@ class McapWriter:
 
     def end_chunk(self) -> None:
         """End the chunk, so that everything written so far can be read."""
-        self._writer._Writer__finalize_chunk()  # type: ignore[attr-defined]  # noqa: SLF001 - it has no public name; a test holds it
+        self._writer.end_chunk()
         self.flush()
 
     def flush(self) -> None:
@@ -93,7 +92,7 @@ class McapWriter:
     def close(self) -> None:
         """Write the index and complete the file."""
         try:
-            self._writer.finish()  # type: ignore[no-untyped-call]
+            self._writer.finish()
             self.flush()
         finally:
             self._file.close()
@@ -114,8 +113,8 @@ class McapWriter:
         key = (channel.type_name, channel.schema)
         if key not in self._schema_ids:
             data = channel.schema.encode()
-            self._schema_ids[key] = self._writer.register_schema(channel.type_name, channel.schema_encoding, data)
-        channel_id: int = self._writer.register_channel(
+            self._schema_ids[key] = self._writer.add_schema(channel.type_name, channel.schema_encoding, data)
+        channel_id = self._writer.add_channel(
             channel.topic, channel.encoding, self._schema_ids[key], dict(channel.metadata)
         )
         self._ids[channel] = channel_id

@@ -2,7 +2,6 @@
 
 import bisect
 import contextlib
-import io
 import itertools
 import os
 import struct
@@ -10,33 +9,34 @@ import zlib
 from array import array
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from io import BytesIO
 from pathlib import Path
 from typing import IO, Any, NamedTuple
 
-import lz4.frame
-import zstandard
-from mcap.data_stream import ReadDataStream
-from mcap.exceptions import EndOfFile, InvalidMagic, McapError, RecordLengthLimitExceeded
-from mcap.opcode import Opcode
-from mcap.records import Channel as McapChannel
-from mcap.records import Chunk, Header, McapRecord, Metadata, Schema
-from mcap.stream_reader import StreamReader
-
 from hostlink.errors import RecordingFailed
 from hostlink.recording.channel import CDR, LIBRARY, LIBRARY_STEADY, NS_PER_S, ROS1, SCHEMA_ENCODINGS, Channel
+from hostlink.recording.definitions import need_rosbags
+from hostlink.recording.mcap_format import (
+    CHANNEL_OFFSET,
+    CHUNK_INDEX,
+    FOOTER,
+    FOOTER_BYTES,
+    MAGIC,
+    MESSAGE,
+    RECORD_HEAD,
+    STATISTICS,
+    ChannelRecord,
+    Damaged,
+    Header,
+    Opcode,
+    SchemaRecord,
+    read_metadata,
+    unpack_chunk,
+)
 
-MAGIC = b"\x89MCAP0\r\n"
-RECORD_HEAD = struct.Struct("<BQ")  # opcode, length
 MAX_RECORD_BYTES = 256 * 1024 * 1024  # a larger length is damage and is not read into memory
-_FOOTER = struct.Struct("<BQQQI")  # opcode, length, start of the summary, start of its offsets, checksum
-_FOOTER_BYTES = 20
-_CHUNK_INDEX = struct.Struct("<QQQQI")  # first and last time, start, length, bytes of the channel list
-_CHANNEL_OFFSET = struct.Struct("<HQ")
-_STATISTICS = struct.Struct("<QHIIII")  # messages, schemas, channels, attachments, metadata, chunks
 _LENGTH = struct.Struct("<Q")
 _PIECE_BYTES = 64 * 1024
-_DAMAGES = (McapError, ValueError, struct.error, OverflowError, MemoryError)
+_DAMAGES = (ValueError, struct.error, OverflowError, MemoryError)
 
 
 class Index:
@@ -68,7 +68,7 @@ class Index:
 
 
 def read_index(
-    file: IO[bytes], note: Callable[[Schema | McapChannel], None], is_wanted: Callable[[int], bool]
+    file: IO[bytes], note: Callable[[SchemaRecord | ChannelRecord], None], is_wanted: Callable[[int], bool]
 ) -> Index | None:
     """Read the index of a file; None if it has none, or a damaged one.
 
@@ -91,14 +91,14 @@ def read_index(
 
 def _find_summary(file: IO[bytes]) -> tuple[int, int] | None:
     """Return start and end of the summary; None if the file was not finished or the summary is damaged."""
-    tail_bytes = RECORD_HEAD.size + _FOOTER_BYTES + len(MAGIC)
+    tail_bytes = RECORD_HEAD.size + FOOTER_BYTES + len(MAGIC)
     size = file.seek(0, os.SEEK_END)
     if size < tail_bytes + len(MAGIC):
         return None
     end = file.seek(size - tail_bytes)
     tail = file.read(tail_bytes)
-    opcode, length, begin, _, checksum = _FOOTER.unpack_from(tail)
-    is_footer = opcode == Opcode.FOOTER and length == _FOOTER_BYTES and tail.endswith(MAGIC)
+    opcode, length, begin, _, checksum = FOOTER.unpack_from(tail)
+    is_footer = opcode == Opcode.FOOTER and length == FOOTER_BYTES and tail.endswith(MAGIC)
     if not (is_footer and len(MAGIC) <= begin < end):
         return None
     if checksum and checksum != _checksum(file, begin, end + RECORD_HEAD.size + 2 * _LENGTH.size):
@@ -133,24 +133,24 @@ def _records(file: IO[bytes], begin: int, end: int, wanted: tuple[Opcode, ...]) 
 
 
 def _read_definitions(
-    file: IO[bytes], begin: int, end: int, note: Callable[[Schema | McapChannel], None]
+    file: IO[bytes], begin: int, end: int, note: Callable[[SchemaRecord | ChannelRecord], None]
 ) -> int | None:
     """Note schemas before channels. Return the number of chunks that the file states, or None."""
     for _, body in _records(file, begin, end, (Opcode.SCHEMA,)):
-        note(Schema.read(ReadDataStream(io.BytesIO(body))))
+        note(SchemaRecord.read(body))
     chunk_count = None
     for opcode, body in _records(file, begin, end, (Opcode.CHANNEL, Opcode.STATISTICS)):
         if opcode == Opcode.CHANNEL:
-            note(McapChannel.read(ReadDataStream(io.BytesIO(body))))
+            note(ChannelRecord.read(body))
         else:
-            chunk_count = _STATISTICS.unpack_from(body)[-1]
+            chunk_count = STATISTICS.unpack_from(body)[-1]
     return chunk_count
 
 
 def _add_chunk(index: Index, body: bytes, summary_begin: int, is_wanted: Callable[[int], bool]) -> None:
-    first_ns, last_ns, begin, length, listed_bytes = _CHUNK_INDEX.unpack_from(body)
-    listed_end = _CHUNK_INDEX.size + listed_bytes
-    channels = [number for number, _ in _CHANNEL_OFFSET.iter_unpack(body[_CHUNK_INDEX.size : listed_end])]
+    first_ns, last_ns, begin, length, listed_bytes = CHUNK_INDEX.unpack_from(body)
+    listed_end = CHUNK_INDEX.size + listed_bytes
+    channels = [number for number, _ in CHANNEL_OFFSET.iter_unpack(body[CHUNK_INDEX.size : listed_end])]
     (indexes_bytes,) = _LENGTH.unpack_from(body, listed_end)
     end = begin + length + indexes_bytes
     if begin < len(MAGIC) or end > summary_begin or length < RECORD_HEAD.size:
@@ -165,7 +165,6 @@ MAX_NAMED = 10  # damaged chunks that are described; the others are counted
 MAX_REASON = 200  # characters of a library's error text
 # Between two messages of a file without steady times; a larger gap means that the clock was set.
 LONGEST_GAP_NS = 3600 * NS_PER_S
-_MESSAGE = struct.Struct("<HIQQ")  # channel, number, log time, publish time; the payload follows
 _NEVER = 2**64
 
 Wanted = Callable[[Channel], bool]
@@ -180,7 +179,7 @@ class StoredMessage(NamedTuple):
     steady_ns: int  # arrival time by a clock that is never set: for order, gaps and ages
 
 
-class _FileCut(EndOfFile):
+class _FileCut(Damaged):
     """The file ends where a record should be."""
 
 
@@ -302,11 +301,12 @@ class McapReader:
 
     def _read_header(self, file: IO[bytes]) -> None:
         try:
-            record = next(stored_records(file))
+            opcode, body = next(stored_records(file))
+            if opcode != Opcode.HEADER:
+                raise RecordingFailed(f"{self.path} is not an MCAP file: it has no header")
+            record = Header.read(body)
         except _DAMAGES as error:
             raise RecordingFailed(f"{self.path} is not an MCAP file") from error
-        if not isinstance(record, Header):
-            raise RecordingFailed(f"{self.path} is not an MCAP file: it has no header")
         self.profile = record.profile
         self.has_steady_times = record.library == LIBRARY_STEADY
         self._is_ours = record.library in (LIBRARY, LIBRARY_STEADY)
@@ -344,7 +344,7 @@ class McapReader:
 
     def _of_chunk(self, body: bytes) -> Iterator[StoredMessage]:
         try:
-            yield from self._of_records(_unpacked(Chunk.read(ReadDataStream(BytesIO(body)))))
+            yield from self._of_records(unpack_chunk(body, MAX_CHUNK_BYTES))
         except Exception as error:  # noqa: BLE001 - the library's and its decompressors', for damaged bytes
             self._damaged_chunks += 1
             if self._damaged_chunks <= MAX_NAMED:
@@ -356,7 +356,7 @@ class McapReader:
         Raises:
             ValueError: a record is cut.
         """
-        read_head, read_message, chosen = RECORD_HEAD.unpack_from, _MESSAGE.unpack_from, self._chosen
+        read_head, read_message, chosen = RECORD_HEAD.unpack_from, MESSAGE.unpack_from, self._chosen
         has_steady_times, is_ours, steady_at = self.has_steady_times, self._is_ours, self._steady.at
         at, end = 0, len(data)
         while at < end:
@@ -368,7 +368,7 @@ class McapReader:
             if opcode != Opcode.MESSAGE:
                 self._note_record(opcode, data[begin:at])
                 continue
-            payload_begin = begin + _MESSAGE.size
+            payload_begin = begin + MESSAGE.size
             if payload_begin > at:
                 raise ValueError("a message in it is cut")
             number, _, stamp_ns, publish_ns = read_message(data, begin)
@@ -382,11 +382,10 @@ class McapReader:
     def _note_record(self, opcode: int, body: bytes) -> None:
         if opcode not in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.METADATA):
             return
-        stream = ReadDataStream(BytesIO(body))
         if opcode == Opcode.METADATA:
-            self.metadata |= Metadata.read(stream).metadata
+            self.metadata |= read_metadata(body)
         else:
-            self._note(Schema.read(stream) if opcode == Opcode.SCHEMA else McapChannel.read(stream))
+            self._note(SchemaRecord.read(body) if opcode == Opcode.SCHEMA else ChannelRecord.read(body))
 
     # -- definitions --------------------------------------------------------------------------------------------------
 
@@ -401,8 +400,8 @@ class McapReader:
             self._chosen[number] = chosen
         return chosen
 
-    def _note(self, record: Schema | McapChannel) -> None:
-        if isinstance(record, Schema):
+    def _note(self, record: SchemaRecord | ChannelRecord) -> None:
+        if isinstance(record, SchemaRecord):
             schema = record.name, record.data.decode(errors="replace"), record.encoding
             if self._schemas.get(record.id) != schema and self._has_room(*schema):
                 self._schemas[record.id] = schema
@@ -434,13 +433,19 @@ class McapReader:
                 index.is_wanted[number] = False
 
 
-def stored_records(file: IO[bytes]) -> Iterator[McapRecord]:
-    """Yield the records of a file, with chunks as stored.
+def stored_records(file: IO[bytes]) -> Iterator[tuple[int, bytes]]:
+    """Yield (opcode, content) of the records of a file, with chunks as stored.
 
     Raises:
-        McapError: the file is damaged, or is not an MCAP file.
+        Damaged: the file is damaged, or is not an MCAP file.
     """
-    yield from StreamReader(file, emit_chunks=True, record_size_limit=MAX_RECORD_BYTES).records
+    if file.read(len(MAGIC)) != MAGIC:
+        raise Damaged("it does not begin as an MCAP file does")
+    at, opcode = len(MAGIC), 0
+    while opcode != Opcode.FOOTER:
+        opcode, body = _read_record(file, at)
+        at += RECORD_HEAD.size + len(body)
+        yield opcode, body
 
 
 def _all(channel: Channel) -> bool:
@@ -453,7 +458,7 @@ def _read_record(file: IO[bytes], at: int) -> tuple[int, bytes]:
 
     Raises:
         _FileCut: the file ends in it.
-        RecordLengthLimitExceeded: the length is damaged.
+        Damaged: the length is damaged.
     """
     file.seek(at)
     head = file.read(RECORD_HEAD.size)
@@ -461,7 +466,7 @@ def _read_record(file: IO[bytes], at: int) -> tuple[int, bytes]:
         raise _FileCut
     opcode, length = RECORD_HEAD.unpack(head)
     if length > MAX_RECORD_BYTES:
-        raise RecordLengthLimitExceeded(opcode, length, MAX_RECORD_BYTES)
+        raise Damaged(f"a record of {length} bytes exceeds the limit of {MAX_RECORD_BYTES}")
     body = file.read(length)
     if len(body) < length:
         raise _FileCut
@@ -473,12 +478,12 @@ def _check_end(file: IO[bytes], at: int) -> None:
 
     Raises:
         _FileCut: they are missing.
-        InvalidMagic: they are wrong.
+        Damaged: they are wrong.
     """
     file.seek(at)
     end = file.read(len(MAGIC))
     if end != MAGIC:
-        raise _FileCut if len(end) < len(MAGIC) else InvalidMagic(tuple(end))
+        raise _FileCut if len(end) < len(MAGIC) else Damaged("it does not end as an MCAP file does")
 
 
 def _steady_ns_from(file: IO[bytes], index: Index, number: int) -> int:
@@ -489,44 +494,19 @@ def _steady_ns_from(file: IO[bytes], index: Index, number: int) -> int:
 
 def _first_steady_ns(file: IO[bytes], index: Index, number: int) -> int | None:
     try:
-        data = _unpacked(Chunk.read(ReadDataStream(BytesIO(_read_record(file, index.begins[number])[1]))))
+        data = unpack_chunk(_read_record(file, index.begins[number])[1], MAX_CHUNK_BYTES)
         at = 0
         while at < len(data):
             opcode, length = RECORD_HEAD.unpack_from(data, at)
             if opcode == Opcode.MESSAGE:
-                return int(_MESSAGE.unpack_from(data, at + RECORD_HEAD.size)[-1])
+                return int(MESSAGE.unpack_from(data, at + RECORD_HEAD.size)[-1])
             at += RECORD_HEAD.size + length
     except Exception:  # noqa: BLE001 - the library's and its decompressors', for damaged bytes; reading reports them
         return None
     return None
 
 
-def _unpacked(chunk: Chunk) -> bytes:
-    """Unpack a chunk, but not more than the size that it states: a few bytes could expand to all memory.
-
-    Raises:
-        ValueError: the stated size is too large, or size, compression or checksum is wrong; also a decompressor's
-            error.
-    """
-    size = chunk.uncompressed_size
-    if size > MAX_CHUNK_BYTES:
-        raise ValueError(f"its stated size of {size} bytes is too large")
-    if chunk.compression == "zstd":
-        data = zstandard.ZstdDecompressor().stream_reader(chunk.data).read(size + 1)
-    elif chunk.compression == "lz4":
-        data = lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, max_length=size + 1)
-    elif chunk.compression:
-        raise ValueError(f"its compression {chunk.compression[:20]!r} is unknown")
-    else:
-        data = chunk.data
-    if len(data) != size:
-        raise ValueError(f"it has {len(data)} bytes{' or more' * (len(data) > size)}, its stated size is {size}")
-    if chunk.uncompressed_crc not in (0, zlib.crc32(data)):
-        raise ValueError("its checksum is wrong")
-    return data
-
-
-def _channel(record: McapChannel, schema: tuple[str, str, str]) -> Channel:
+def _channel(record: ChannelRecord, schema: tuple[str, str, str]) -> Channel:
     name, text, language = schema
     is_usual = language == SCHEMA_ENCODINGS.get(record.message_encoding, "")
     metadata = tuple(record.metadata.items())
@@ -592,8 +572,10 @@ class BagReader:
 
         Raises:
             RecordingFailed: the bag cannot be read, or is not a bag.
+            LibraryMissing: rosbags is not installed.
         """
-        from rosbags.rosbag1 import Reader as Ros1Reader  # noqa: PLC0415 - most recordings are MCAP files
+        need_rosbags(str(self.path))
+        from rosbags.rosbag1 import Reader as Ros1Reader  # noqa: PLC0415 - of the extra `export`
         from rosbags.rosbag2 import Reader as Ros2Reader  # noqa: PLC0415
 
         try:

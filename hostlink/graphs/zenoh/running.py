@@ -1,6 +1,7 @@
 """Start of the graphs that [zenoh] enables, on one session."""
 
 import contextlib
+import importlib.util
 from collections.abc import AsyncIterator
 
 from hostlink.config import ZenohConfig
@@ -25,6 +26,7 @@ async def zenoh_running(hub: Hub, config: ZenohConfig) -> AsyncIterator[None]:
             try:
                 from hostlink.graphs.zenoh.rmw_bridge import ros2_bridged  # noqa: PLC0415 - a fleet without it is lighter
             except ImportError as error:
-                raise LibraryMissing("zenoh.ros2", "xxhash", "zenoh") from error
+                library = "rosbags" if importlib.util.find_spec("rosbags") is None else "xxhash"
+                raise LibraryMissing("zenoh.ros2", library, "zenoh") from error
             await parts.enter_async_context(ros2_bridged(hub, session, config))
         yield

@@ -1,6 +1,7 @@
 """`hostlink sim`: a world that is read, or refused with its line; and what is said without wasmtime."""
 
 import platform
+import shlex
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -43,7 +44,8 @@ STARTS: dict[str, Callable[[], None]] = {
     [
         (
             "aarch64",
-            "needs wasmtime: run  pip install '.[sim]'  in a clone, or use the wheel's file instead of the dot",
+            "needs wasmtime, of the extra 'sim': "
+            f"run  {shlex.quote(sys.executable)} -m pip install 'wasmtime<100,>=38'",
         ),
         ("armv7l", "needs wasmtime, which has no library for armv7l: run it on x86_64 or arm64"),
     ],

@@ -115,7 +115,9 @@ def test_a_picture_that_cannot_be_is_refused_before_the_robot_moves(
     with pytest.raises(ConfigError, match=r"the folder .* does not exist"):
         require_picture(tmp_path / "nowhere" / "step.png")
     monkeypatch.setattr(step_module, "LIBRARY", "no_such_library")
-    with pytest.raises(ConfigError, match=r"needs matplotlib: run  pip install '.\[pictures\]'"):
+    with pytest.raises(
+        ConfigError, match=r"needs matplotlib, of the extra 'pictures': run  .* -m pip install 'matplotlib<"
+    ):
         require_picture(tmp_path / "step.png")
 
 

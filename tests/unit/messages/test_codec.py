@@ -23,7 +23,7 @@ def layout(*fields: Field) -> Layout:
 
 
 def every_type() -> list[MessageType]:
-    names = sorted({*CATALOG._store, *CATALOG._message_files})
+    names = sorted({*CATALOG._standard, *CATALOG._message_files})
     services = [CATALOG.service(name) for name in sorted(CATALOG._service_files)]
     found = [CATALOG.message(name) for name in names]
     found += [part for service in services if service is not None for part in (service.request, service.response)]

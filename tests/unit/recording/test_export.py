@@ -20,8 +20,9 @@ from rosbags.typesys import Stores, get_typestore
 
 from hostlink.errors import RecordingFailed
 from hostlink.messages.catalog import Catalog
+from hostlink.recording.bags import RosFormat, export_ros
 from hostlink.recording.channel import EVENTS, as_text, ros_channel
-from hostlink.recording.export import RosFormat, export_csv, export_ros, file_name
+from hostlink.recording.export import export_csv, file_name
 from hostlink.recording.mcap_writer import McapWriter
 from hostlink.recording.plot import PlotLine, draw_fields, draw_map, read_lines, read_paths
 from hostlink.recording.reader import McapReader, contents_of

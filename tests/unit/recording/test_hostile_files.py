@@ -11,7 +11,8 @@ import pytest
 import zstandard
 
 from hostlink.errors import RecordingFailed
-from hostlink.recording.export import RosFormat, export_csv, export_ros
+from hostlink.recording.bags import RosFormat, export_ros
+from hostlink.recording.export import export_csv
 from hostlink.recording.reader import MAX_CHUNK_BYTES, MAX_NAMED, McapReader, contents_of
 from hostlink.recording.tables import MAX_COLUMNS, read
 

@@ -17,9 +17,10 @@ from rosbags.rosbag2 import Reader as Ros2Reader
 
 from hostlink.errors import HostlinkError, RecordingFailed, UnknownFormat
 from hostlink.messages.catalog import Catalog
+from hostlink.recording.bags import RosFormat, export_ros
 from hostlink.recording.channel import EVENTS, JSON, LOG, PARAMETERS, TEXT_MD5, Channel, as_text, ros_channel
 from hostlink.recording.definitions import why_unknown
-from hostlink.recording.export import RosFormat, export_csv, export_ros
+from hostlink.recording.export import export_csv
 from hostlink.recording.mcap_writer import McapWriter
 from hostlink.recording.plot import read_lines, read_paths
 from hostlink.recording.reader import contents_of, open_source
