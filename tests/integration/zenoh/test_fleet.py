@@ -9,6 +9,7 @@ import pytest
 from hostlink.client import connect
 from hostlink.config import Config, RobotConfig
 from hostlink.errors import CommandRefused, HostlinkError, RefusalKind
+from hostlink.hub.robot_events import EventKind
 from hostlink.protocol.frame import Id
 from hostlink.robot.admission import LEASE_S
 from hostlink.robot.velocity import TWIST_TYPE, PlanarVelocity
@@ -16,7 +17,7 @@ from tests.support.device_reports import battery_topic, report
 from tests.support.fake_device import fake_device, pose, robot_topics, topic
 from tests.support.participants import subscribe
 from tests.support.rosbridge import client
-from tests.support.waiting import expect, expect_never
+from tests.support.waiting import expect, expect_never, is_true_within
 from tests.support.zenoh_fleet import drive, fleet, joined, port_of, robot, shown, subscriber_count
 
 STILL = (0.0, 0.0)
@@ -232,9 +233,14 @@ async def test_remote_stream_that_continued_through_a_lock_does_not_drive_afterw
                 stream.publish("/robot_7/cmd_vel", PlanarVelocity(0.2).encode())
             await b.rest("POST", "/api/robots/robot_7/unlock")
             await expect(lambda: robot.admission.lock_reason is None)
-        stream.publish("/robot_7/cmd_vel", PlanarVelocity().encode())
-        stream.publish("/robot_7/cmd_vel", PlanarVelocity(0.2).encode())
-        await expect(lambda: b.hub.robots.find_here("robot_7").gate.owner_name == "navigation at a")
+        drivers: list[object] = []
+        b.hub.events.observe(
+            "test", lambda event: event.kind is EventKind.COMMANDED and drivers.append(event.facts["owner"])
+        )
+        while "navigation at a" not in drivers:  # a velocity that is read late is refused
+            stream.publish("/robot_7/cmd_vel", PlanarVelocity().encode())
+            stream.publish("/robot_7/cmd_vel", PlanarVelocity(0.2).encode())
+            await is_true_within(lambda: "navigation at a" in drivers, LEASE_S)
 
 
 async def test_lock_follows_a_robot_that_connects_to_another_daemon() -> None:

@@ -16,7 +16,7 @@ from hostlink.robot.standstill import (
 )
 
 STILL, MOVING = Speeds(0.0, 0.001), Speeds(0.15, 0.3)
-IS_STOPPED, IS_MOVING, UNKNOWN = StandstillState.STOPPED, StandstillState.MOVING, StandstillState.UNKNOWN
+AT_REST, MOVES, UNKNOWN = StandstillState.STOPPED, StandstillState.MOVING, StandstillState.UNKNOWN
 
 
 def after(*poses: tuple[float, Speeds]) -> Standstill:
@@ -29,13 +29,13 @@ def after(*poses: tuple[float, Speeds]) -> Standstill:
 
 def test_a_robot_stands_since_the_first_of_the_poses_that_stand_still() -> None:
     measured = after((10.1, MOVING), (10.2, MOVING), (10.3, STILL), (10.4, STILL))
-    assert (measured.state, measured.reason) == (IS_STOPPED, "")
+    assert (measured.state, measured.reason) == (AT_REST, "")
     assert measured.after_s == pytest.approx(0.3)
 
 
 def test_a_robot_that_moves_has_its_newest_speed_and_the_reason() -> None:
     measured = after((10.1, STILL), (10.2, STILL), (10.3, MOVING))
-    assert measured == Standstill(IS_MOVING, 0.15, 0.3, None, "driven by client 3")
+    assert measured == Standstill(MOVES, 0.15, 0.3, None, "driven by client 3")
 
 
 @pytest.mark.parametrize("poses", [(), ((9.9, STILL), (10.0, STILL)), ((9.9, MOVING),)])
@@ -46,7 +46,7 @@ def test_odometry_from_before_the_stop_tells_nothing(poses: tuple[tuple[float, S
 def test_one_pose_that_stands_still_is_not_enough_a_robot_that_reverses_has_one() -> None:
     assert after((10.1, MOVING), (10.2, STILL)).state is UNKNOWN
     assert after((10.1, MOVING), (10.2, STILL), (10.2, STILL)).state is UNKNOWN  # the same one, read again
-    assert after((10.1, MOVING), (10.2, STILL), (10.3, Speeds(-0.1, 0.0))).state is IS_MOVING
+    assert after((10.1, MOVING), (10.2, STILL), (10.3, Speeds(-0.1, 0.0))).state is MOVES
 
 
 @given(st.lists(st.tuples(st.floats(9.0, 12.0), st.sampled_from([STILL, MOVING, Speeds(0.0, 0.5)])), max_size=12))
@@ -54,7 +54,7 @@ def test_no_robot_is_said_to_stand_whose_newest_pose_since_the_stop_moves(poses:
     poses.sort(key=lambda pose: pose[0])
     measured = after(*poses)
     since = {received_s: speeds for received_s, speeds in reversed(poses) if received_s > 10.0}
-    if measured.state is not IS_STOPPED:
+    if measured.state is not AT_REST:
         return
     newest_s = max(since)
     assert since[newest_s].are_still
@@ -64,9 +64,9 @@ def test_no_robot_is_said_to_stand_whose_newest_pose_since_the_stop_moves(poses:
 @pytest.mark.parametrize(
     ("measured", "text"),
     [
-        (Standstill(IS_STOPPED, 0.001, 0.0, 0.42), "robot_0 is stopped (0.00 m/s after 0.4 s)"),
-        (Standstill(IS_MOVING, -0.15, 0.3, reason="driven by demo"), "robot_0 still moves at 0.15 m/s: driven by demo"),
-        (Standstill(IS_MOVING, 0.001, -0.3, reason="driven by demo"), "robot_0 still turns at 0.30 rad/s: driven by demo"),
+        (Standstill(AT_REST, 0.001, 0.0, 0.42), "robot_0 is stopped (0.00 m/s after 0.4 s)"),
+        (Standstill(MOVES, -0.15, 0.3, reason="driven by demo"), "robot_0 still moves at 0.15 m/s: driven by demo"),
+        (Standstill(MOVES, 0.001, -0.3, reason="driven by demo"), "robot_0 still turns at 0.30 rad/s: driven by demo"),
         (Standstill(UNKNOWN, reason="it sends no odometry"),
          "robot_0: it is not known whether it is stopped: it sends no odometry"),
     ],
