@@ -21,13 +21,24 @@ would accept any call of a generic one.
 
 import contextlib
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, overload
 
 from hostlink.client.host import Host
 from hostlink.client.http_client import REQUEST_TIMEOUT_S
 from hostlink.client.loop_thread import LoopThread, Messages, Opened, PlainAnswer, Stream, in_thread
+from hostlink.client.motion import OnProgress
 from hostlink.client.robot import PRIORITY, WAIT_S, Robot
-from hostlink.client.views import ConnectionChange, Driven, Event, Odometry, RawMessage, Refusal, RobotState, TopicState
+from hostlink.client.views import (
+    ConnectionChange,
+    Driven,
+    Event,
+    Motion,
+    Odometry,
+    RawMessage,
+    Refusal,
+    RobotState,
+    TopicState,
+)
 from hostlink.robot.standstill import Standstill
 '''
 OPENED = "contextlib.AbstractAsyncContextManager"
@@ -100,6 +111,9 @@ def method_lines(method: Method, owner: str) -> Iterator[str]:
     """One method: the same arguments and docstring, and one call."""
     returned, body = translated(method, owner)
     arguments = ast.unparse(method.args).replace("Answer", "PlainAnswer")
+    if has_decorator(method, "overload"):
+        yield f"    @overload\n    def {method.name}({arguments}) -> {returned}: ..."
+        return
     yield "    @property" if is_property(method) else ""
     yield f"    def {method.name}({arguments}) -> {returned}:"
     yield f'        """{ast.get_docstring(method, clean=False)}"""'
@@ -118,12 +132,20 @@ def translated(method: Method, owner: str) -> tuple[str, str]:
         facts = {"call": call, "inner": inner, "method": f"{owner}.{method.name}", "name": method.name}
         about = [each.arg for each in method.args.args[1:]][:1]
         return known[0].format(**facts), known[1].format(**facts, about="".join(about))
+    if "on_progress" in call:
+        begin = call.replace("=on_progress", "=report")
+        return returned, f"self._loop.run_reporting(lambda report: {begin}, on_progress)"
     return returned, f"self._loop.run({call})" if isinstance(method, ast.AsyncFunctionDef) else call
 
 
 def is_property(method: Method) -> bool:
     """Whether it is read like an attribute."""
-    return any(ast.unparse(each) == "property" for each in method.decorator_list)
+    return has_decorator(method, "property")
+
+
+def has_decorator(method: Method, name: str) -> bool:
+    """Whether a method has this decorator."""
+    return any(ast.unparse(each) == name for each in method.decorator_list)
 
 
 def passed(arguments: ast.arguments) -> str:

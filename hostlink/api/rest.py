@@ -1,7 +1,9 @@
 """The REST API: robots, their velocity and odometry, links and topics; for curl and for scripts."""
 
 import asyncio
+import difflib
 import ipaddress
+import re
 from collections import OrderedDict
 from collections.abc import Iterable
 from datetime import UTC, datetime
@@ -273,7 +275,7 @@ def _utc(stamp_ns: int) -> str:
     return datetime.fromtimestamp(stamp_ns / 1e9, UTC).isoformat(timespec="milliseconds")
 
 
-Body = TypeVar("Body")
+Body = TypeVar("Body", bound=msgspec.Struct)
 
 VELOCITY_BYTES = 1024  # of a body
 LOCK_BYTES = 4096
@@ -593,4 +595,11 @@ def decode_body(data: bytes, type_: type[Body], shape: str) -> Body:
     try:
         return msgspec.json.decode(data, type=type_)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise BadRequest(f"the body must be {shape}: {error}") from error
+        raise BadRequest(f"the body must be {shape}: {error}{_nearest_field(str(error), type_)}") from error
+
+
+def _nearest_field(problem: str, type_: type[msgspec.Struct]) -> str:
+    """Return the known field that is spelled like an unknown one; empty if there is none."""
+    found = re.search("unknown field `(.*?)`", problem)
+    near = difflib.get_close_matches(found[1], type_.__struct_encode_fields__, n=1) if found is not None else []
+    return f"; did you mean `{near[0]}`?" if near else ""

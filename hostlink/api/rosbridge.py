@@ -741,6 +741,7 @@ class DriveCommands:
         answer: dict[str, object] = {"op": "drive_result", "result": False, "kind": error.kind, "reason": str(error)}
         if isinstance(error, CommandRefused):
             answer["epoch"] = self._robots.find(error.robot).admission.epoch
+            answer["holder"] = None if error.holder is None else str(error.holder)
         self._put(request, answer)
 
     def _put(self, request: Request, answer: dict[str, object]) -> None:

@@ -6,13 +6,24 @@ would accept any call of a generic one.
 
 import contextlib
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, overload
 
 from hostlink.client.host import Host
 from hostlink.client.http_client import REQUEST_TIMEOUT_S
 from hostlink.client.loop_thread import LoopThread, Messages, Opened, PlainAnswer, Stream, in_thread
+from hostlink.client.motion import OnProgress
 from hostlink.client.robot import PRIORITY, WAIT_S, Robot
-from hostlink.client.views import ConnectionChange, Driven, Event, Odometry, RawMessage, Refusal, RobotState, TopicState
+from hostlink.client.views import (
+    ConnectionChange,
+    Driven,
+    Event,
+    Motion,
+    Odometry,
+    RawMessage,
+    Refusal,
+    RobotState,
+    TopicState,
+)
 from hostlink.robot.standstill import Standstill
 
 
@@ -50,12 +61,47 @@ class BlockingRobot:
         """
         return self._loop.run(self._robot.state())
 
-    def drive(self, linear_m_s: float, angular_rad_s: float, linear_y_m_s: float = 0.0) -> Driven:
-        """Drive until the next `drive` or `stop`, or until the connection's block is left.
+    @overload
+    def drive(
+        self,
+        linear_m_s: float,
+        angular_rad_s: float,
+        linear_y_m_s: float = 0.0,
+        *,
+        for_s: None = None,
+        keep: bool = False,
+    ) -> Driven: ...
+    @overload
+    def drive(self, linear_m_s: float, angular_rad_s: float, linear_y_m_s: float = 0.0, *, for_s: float) -> Motion: ...
+    @overload
+    def drive(
+        self,
+        linear_m_s: float,
+        angular_rad_s: float,
+        linear_y_m_s: float = 0.0,
+        *,
+        for_s: float | None,
+        keep: bool = False,
+    ) -> Driven | Motion: ...
+
+    def drive(
+        self,
+        linear_m_s: float,
+        angular_rad_s: float,
+        linear_y_m_s: float = 0.0,
+        *,
+        for_s: float | None = None,
+        keep: bool = False,
+    ) -> Driven | Motion:
+        """Drive until the next `drive` or `stop`, or until the connection's block is left; or for `for_s` seconds.
 
         m/s forward, rad/s counter-clockwise, m/s to the left. Returns when the daemon has accepted the command, with
         what the robot's limits have made of it; it is then repeated ten times a second. `drive(0, 0)` slows down and
         continues to drive; `stop()` stops and lets go. A stop or a lock by any program ends it as a refusal does.
+
+        With `for_s` it returns when the time is over and a zero was sent, or when something has stopped the robot
+        earlier: a Motion whose `outcome` is `reached` or `stopped`. With `keep` the robot drives on after the end of a
+        notebook's cell, which else stops it.
 
         Raises:
             HostlinkError: and the robot is not driven: no robot of that name, its device is not connected, a source
@@ -65,7 +111,50 @@ class BlockingRobot:
                 program did not run for half a second. The `drive()` after that one drives again.
             CommandRefused: one of these, with `kind` for programs.
         """
-        return self._loop.run(self._robot.drive(linear_m_s, angular_rad_s, linear_y_m_s))
+        return self._loop.run(self._robot.drive(linear_m_s, angular_rad_s, linear_y_m_s, for_s=for_s, keep=keep))
+
+    def move(
+        self,
+        metres: float,
+        *,
+        speed_m_s: float = 0.2,
+        timeout_s: float | None = None,
+        on_progress: OnProgress | None = None,
+    ) -> Motion:
+        """Move along a line by odometry, and stop; negative `metres` lead backwards.
+
+        It returns when the robot has stopped, or when something has stopped it earlier: `outcome` is `reached`,
+        `blocked` (the odometry does not advance), `stopped` (with `kind`, `by` and `reason`) or `timed_out`. The robot
+        is also stopped when it has no odometry for half a second, or leaves the line by 0.3 m. `on_progress` is called
+        with a Progress for each pose. `timeout_s` is by default 10 s and four times what the speed needs.
+
+        Raises:
+            HostlinkError: nothing was driven: the first command was refused, as `drive` tells, there is no odometry, or
+                a number is invalid.
+        """
+        return self._loop.run_reporting(
+            lambda report: self._robot.move(metres, speed_m_s=speed_m_s, timeout_s=timeout_s, on_progress=report),
+            on_progress,
+        )
+
+    def turn(
+        self,
+        radians: float,
+        *,
+        speed_rad_s: float = 0.8,
+        timeout_s: float | None = None,
+        on_progress: OnProgress | None = None,
+    ) -> Motion:
+        """Turn on the spot by odometry, and stop; counter-clockwise is positive. It ends as `move` does.
+
+        Raises:
+            HostlinkError: nothing was driven: the first command was refused, as `drive` tells, there is no odometry, or
+                a number is invalid.
+        """
+        return self._loop.run_reporting(
+            lambda report: self._robot.turn(radians, speed_rad_s=speed_rad_s, timeout_s=timeout_s, on_progress=report),
+            on_progress,
+        )
 
     def command(
         self, linear_m_s: float, angular_rad_s: float, linear_y_m_s: float = 0.0, *, epoch: int | None = None

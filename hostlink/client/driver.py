@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 from hostlink.client.connection import HostConnection, Message
-from hostlink.client.views import Driven, Refusal
+from hostlink.client.views import Driven, MotionKind, Refusal
 from hostlink.errors import CommandRefused, HostlinkError, RefusalKind, Refused
 from hostlink.robot.admission import LEASE_S
 from hostlink.robot.velocity import ZERO, PlanarVelocity
@@ -33,6 +33,14 @@ calling_thread: contextvars.ContextVar[threading.Thread | None] = contextvars.Co
 def boot_s() -> float:
     """Seconds since this computer was started, with those that it slept."""
     return time.clock_gettime(_CLOCK)
+
+
+class Broken(NamedTuple):
+    """Reason why a velocity is repeated no more."""
+
+    kind: str
+    reason: str
+    holder: str | None = None  # the source that drives the robot instead; an older daemon sends none
 
 
 @dataclass(slots=True)
@@ -57,6 +65,7 @@ class _Repeated:
     sent_s: float
     epoch: int | None = None  # of the robot that accepted it; None: not answered yet
     thread: threading.Thread | None = field(default_factory=calling_thread.get)  # None: the connection's own
+    is_kept: bool = False  # after the end of a notebook's cell
 
 
 class VelocitySender:
@@ -74,7 +83,7 @@ class VelocitySender:
         self._connection, self._now_s = connection, clock
         self._numbers = itertools.count(1)
         self._repeated: dict[str, _Repeated] = {}
-        self._broken: dict[str, str] = {}
+        self._broken: dict[str, Broken] = {}
         self._told: dict[str, _Told] = {}  # by robot
         self._streams: dict[str, _Stream] = {}
         self._sent_s: dict[str, float] = {}  # by robot: the newest command that was sent
@@ -92,7 +101,13 @@ class VelocitySender:
         threads = {robot: repeated.thread for robot, repeated in self._repeated.items()}
         return tuple(robot for robot, thread in threads.items() if thread is not None and not thread.is_alive())
 
-    async def drive(self, robot: str, velocity: PlanarVelocity, priority: int) -> Driven:
+    def robots_of_cell(self, thread: threading.Thread) -> tuple[str, ...]:
+        """Names of the robots whose newest `drive` was called in this thread, and not to be kept."""
+        return tuple(
+            robot for robot, repeated in self._repeated.items() if repeated.thread is thread and not repeated.is_kept
+        )
+
+    async def drive(self, robot: str, velocity: PlanarVelocity, priority: int, *, is_kept: bool = False) -> Driven:
         """Command, and repeat it from now on; returns when the daemon has accepted it.
 
         Raises:
@@ -104,10 +119,10 @@ class VelocitySender:
         except BaseException:  # the earlier velocity is outdated, and the new one is invalid
             self.stop_repeating(robot)
             raise
-        if (reason := self._broken.pop(robot, None)) is not None:
+        if (broken := self._broken.pop(robot, None)) is not None:
             await self._tell(robot, priority)
-            raise HostlinkError(f"{robot} was stopped, drive again if it is still meant: {reason}")
-        repeated = self._repeated[robot] = _Repeated(next(self._numbers), request, self._now_s())
+            raise HostlinkError(f"{robot} was stopped, drive again if it is still meant: {broken.reason}")
+        repeated = self._repeated[robot] = _Repeated(next(self._numbers), request, self._now_s(), is_kept=is_kept)
         try:
             answer = await self._command(repeated, before)
             driven = _driven(answer)
@@ -122,6 +137,18 @@ class VelocitySender:
                     await self.send_zero(robot, priority)
             raise
         return driven
+
+    def number_of(self, robot: str) -> int | None:
+        """Number of the velocity that is repeated; another call of `drive` gives another one. None: none is."""
+        repeated = self._repeated.get(robot)
+        return None if repeated is None else repeated.number
+
+    async def pop_end(self, robot: str, priority: int) -> Broken:
+        """Return why the velocity is repeated no more. The program is told by it, and may drive again."""
+        if (broken := self._broken.pop(robot, None)) is None:
+            return Broken(MotionKind.PROGRAM, f"this program stopped {robot} or drove it otherwise")
+        await self._tell(robot, priority)
+        return broken
 
     async def _command(self, repeated: _Repeated, before: _Repeated | None) -> Message:
         """Command with the epoch of the motion before: what was interrupted since must not go on without notice.
@@ -208,7 +235,7 @@ class VelocitySender:
         """The connection is lost; returns the robots that were driven."""
         driven = self.robots
         for robot in driven:
-            self._break(robot, reason)
+            self._break(robot, Broken(MotionKind.CONNECTION, reason))
         return driven
 
     async def repeat(self) -> None:
@@ -222,7 +249,8 @@ class VelocitySender:
     async def _repeat(self, robot: str, repeated: _Repeated) -> None:
         now_s = self._now_s()
         if now_s > repeated.sent_s + LEASE_S:
-            self._break(robot, f"this program did not run for {now_s - repeated.sent_s:.1f} s")
+            reason = f"this program did not run for {now_s - repeated.sent_s:.1f} s"
+            self._break(robot, Broken(MotionKind.ASLEEP, reason))
             return
         repeated.sent_s = self._sent_s[robot] = now_s
         request = {"id": f"repeat:{repeated.number}", "sent_s": now_s, "epoch": repeated.epoch}
@@ -233,18 +261,18 @@ class VelocitySender:
         """Handle the answer to a single command or to a repetition."""
         self._remember_name(answer)
         key = str(answer["id"])
-        refusal = None if answer["result"] else Refusal(str(answer["kind"]), str(answer["reason"]))
+        broken = None if answer["result"] else _broken_by(answer)
         if key.startswith(_COMMAND):
             number, _, robot = key.removeprefix(_COMMAND).partition(":")
-            self.refusals[robot] = refusal
+            self.refusals[robot] = None if broken is None else Refusal(broken.kind, broken.reason)
             stream = self._streams.get(robot)
-            if refusal is None and stream is not None and stream.epoch is None and number == str(stream.number):
+            if broken is None and stream is not None and stream.epoch is None and number == str(stream.number):
                 stream.epoch = int(answer["epoch"])
-        elif refusal is not None:
+        elif broken is not None:
             for robot, repeated in list(self._repeated.items()):
                 if key == f"repeat:{repeated.number}":
                     self._note_told(robot, answer)
-                    self._break(robot, refusal.reason)
+                    self._break(robot, broken)
 
     def _receive_status(self, status: dict[str, Any]) -> None:
         """A token that may only read gets no other answer."""
@@ -255,15 +283,21 @@ class VelocitySender:
     def _remember_name(self, answer: Message) -> None:
         self.client_name = answer.get("client", self.client_name)  # a refusal has none, an older daemon neither
 
-    def _break(self, robot: str, reason: str) -> None:
+    def _break(self, robot: str, broken: Broken) -> None:
         del self._repeated[robot]
-        self._broken[robot] = reason
+        self._broken[robot] = broken
 
 
 def refused(robot: str, answer: Message) -> HostlinkError:
     """The error of an answer that refuses a command."""
-    kind, reason = str(answer["kind"]), str(answer["reason"])
-    return CommandRefused(robot, RefusalKind(kind), reason) if kind in set(RefusalKind) else Refused(kind, reason)
+    kind, reason, holder = _broken_by(answer)
+    if kind not in set(RefusalKind):
+        return Refused(kind, reason)
+    return CommandRefused(robot, RefusalKind(kind), reason, holder=holder)
+
+
+def _broken_by(answer: Message) -> Broken:
+    return Broken(str(answer["kind"]), str(answer["reason"]), answer.get("holder"))
 
 
 def _request(robot: str, velocity: PlanarVelocity, priority: int) -> dict[str, Any]:

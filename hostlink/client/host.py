@@ -3,6 +3,7 @@
 import asyncio
 import contextlib
 import ssl
+import threading
 import weakref
 from collections.abc import AsyncGenerator, AsyncIterator, Generator, Mapping
 from types import TracebackType
@@ -279,19 +280,27 @@ class Host:
         await self._round_trip()
         self._topics.raise_refusals()
 
-    async def stop_driven(self, *, of_ended_threads: bool = False) -> None:
+    async def stop_driven(
+        self, *, of_ended_threads: bool = False, of_cell: threading.Thread | None = None
+    ) -> tuple[str, ...]:
         """Let go of what this connection drives: it stops, and another source that waits may drive on.
 
         It waits a second at most: nothing is repeated then, and the daemon stops what is left. `of_ended_threads`:
-        only what threads drove that are over.
+        only what threads drove that are over. `of_cell`: only what this thread drove without `keep`. Returns the names
+        of the robots.
         """
-        names = self._driver.robots_of_ended_threads if of_ended_threads else self._driver.robots
+        names = self._driver.robots
+        if of_ended_threads:
+            names = self._driver.robots_of_ended_threads
+        elif of_cell is not None:
+            names = self._driver.robots_of_cell(of_cell)
         for name in names:
             self._driver.stop_repeating(name)
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(CLOSE_TIMEOUT_S):
                 for name in names:
                     await self._driver.send_zero(name, PRIORITY)
+        return names
 
     async def _round_trip(self) -> None:
         self._topics.is_settled = True  # nothing that is published from now on

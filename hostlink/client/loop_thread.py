@@ -10,6 +10,7 @@ program:
 | event                                                                      | result                             |
 |----------------------------------------------------------------------------|------------------------------------|
 | an uncaught error or Ctrl-C: in a script, in a cell, at the prompt         | what it drives stops               |
+| a cell ends without an error                                               | what it drove stops, unless `keep` |
 | an error or exit() that ends a thread                                      | the same                           |
 | the main thread ends, and another one still runs                           | what ended threads drove stops     |
 | the program ends: exit(), the last line, an uncaught error                 | the same, and connections close    |
@@ -25,6 +26,7 @@ import os
 import sys
 import threading
 import weakref
+from collections import deque
 from collections.abc import AsyncGenerator, AsyncIterator, Callable, Coroutine, Iterator
 from types import TracebackType
 from typing import Any, TypeVar
@@ -108,6 +110,15 @@ def _watch_cells() -> None:
 def _end_cell(result: Any) -> None:
     if not result.success:
         _stop_all()
+        return
+    begun = [connection.begin_stop(of_cell=threading.current_thread()) for connection in list(_watched)]
+    done, _ = concurrent.futures.wait([stop for stop in begun if stop is not None], timeout=STOP_TIMEOUT_S)
+    names = [name for stop in done if not stop.cancelled() and stop.exception() is None for name in stop.result()]
+    if names:
+        sys.stderr.write(
+            f"{', '.join(names)} stopped at the end of the cell; "
+            "drive(..., for_s=2) drives for a time, drive(..., keep=True) over cells\n"
+        )
 
 
 os.register_at_fork(after_in_child=_watched.clear)  # the connections are the parent's, and the threads
@@ -120,6 +131,8 @@ CLOSE_TIMEOUT_S = 4.0  # the stops, what is not settled, and the goodbye have a 
 CANCEL_TIMEOUT_S = 1.0
 
 Result = TypeVar("Result")
+Item = TypeVar("Item")
+Report = Callable[[Item], object]
 
 
 class LoopThread:
@@ -146,8 +159,12 @@ class LoopThread:
             life.end()
             raise
 
-    def run(self, work: Coroutine[Any, Any, Result]) -> Result:
-        """Return the result of a coroutine; an interrupted caller cancels it.
+    def run(
+        self,
+        work: Coroutine[Any, Any, Result],
+        wait: Callable[["concurrent.futures.Future[Result]"], object] | None = None,
+    ) -> Result:
+        """Return the result of a coroutine; an interrupted caller cancels it. `wait` may be called meanwhile.
 
         Raises:
             HostlinkError: the connection is closed, or belongs to another process; and what `work` raises.
@@ -158,11 +175,38 @@ class LoopThread:
         calling_thread.set(threading.current_thread())  # `work` begins with a copy of this context
         call = self._life.begin(work)
         try:
+            if wait is not None:
+                wait(call)
             return _result(call)
         except concurrent.futures.CancelledError:
             raise HostlinkError("the connection is closed: connect again") from None
         finally:
             call.cancel()
+
+    def run_reporting(
+        self, begin: Callable[[Report[Item]], Coroutine[Any, Any, Result]], report: Report[Item] | None
+    ) -> Result:
+        """Run a coroutine that reports, and call `report` in this thread: a slow one gets fewer, the newest first.
+
+        Raises:
+            HostlinkError: as `run`; an error of `report` cancels the coroutine.
+        """
+        newest: deque[Item] = deque(maxlen=1)
+        news = threading.Event()
+
+        def note(item: Item) -> None:
+            newest.append(item)
+            news.set()
+
+        def wait(call: concurrent.futures.Future[Any]) -> None:
+            call.add_done_callback(lambda _: news.set())
+            while report is not None and not call.done():
+                news.wait()
+                news.clear()
+                if newest:
+                    report(newest.pop())
+
+        return self.run(begin(note), wait)
 
     def call(self, function: Callable[[], Result]) -> Result:
         """Call a function in the connection's thread, and return its result.
@@ -267,11 +311,13 @@ class _Life:
         with contextlib.suppress(RuntimeError):  # the loop is closed
             self._loop.call_soon_threadsafe(self._ending.set)
 
-    def begin_stop(self, *, of_ended_threads: bool = False) -> "concurrent.futures.Future[None] | None":
+    def begin_stop(
+        self, *, of_ended_threads: bool = False, of_cell: threading.Thread | None = None
+    ) -> "concurrent.futures.Future[tuple[str, ...]] | None":
         """Stop what is driven, and stay connected; None: there is no connection."""
         if self.ended.done() or not self.opened.done() or self.opened.exception() is not None:
             return None
-        return self.begin(self.opened.result().stop_driven(of_ended_threads=of_ended_threads))
+        return self.begin(self.opened.result().stop_driven(of_ended_threads=of_ended_threads, of_cell=of_cell))
 
     def finish(self) -> None:
         """End, and wait until it has."""
@@ -282,7 +328,6 @@ class _Life:
 
 # -- streams ----------------------------------------------------------------------------------------------------------
 
-Item = TypeVar("Item")
 PlainAnswer = Callable[[Values], Values | None]
 _END: Any = object()
 

@@ -1,13 +1,14 @@
 """Robot: one robot of a host, as a script drives and reads it."""
 
 from collections.abc import AsyncIterator
-from typing import cast
+from typing import cast, overload
 from urllib.parse import quote
 
 from hostlink.client.connection import HostConnection
 from hostlink.client.driver import VelocitySender
 from hostlink.client.http_client import CLOSE_TIMEOUT_S, HttpClient, measured
-from hostlink.client.views import Driven, Odometry, Refusal, RobotState
+from hostlink.client.motion import OnProgress, drive_for, follow, line, turn
+from hostlink.client.views import Driven, Motion, Odometry, Refusal, RobotState
 from hostlink.robot.standstill import Standstill
 from hostlink.robot.velocity import PlanarVelocity
 
@@ -47,12 +48,51 @@ class Robot:
         """
         return cast(RobotState, await self._http.request("GET", self._path))
 
-    async def drive(self, linear_m_s: float, angular_rad_s: float, linear_y_m_s: float = 0.0) -> Driven:
-        """Drive until the next `drive` or `stop`, or until the connection's block is left.
+    @overload
+    async def drive(
+        self,
+        linear_m_s: float,
+        angular_rad_s: float,
+        linear_y_m_s: float = 0.0,
+        *,
+        for_s: None = None,
+        keep: bool = False,
+    ) -> Driven: ...
+
+    @overload
+    async def drive(
+        self, linear_m_s: float, angular_rad_s: float, linear_y_m_s: float = 0.0, *, for_s: float
+    ) -> Motion: ...
+
+    @overload
+    async def drive(
+        self,
+        linear_m_s: float,
+        angular_rad_s: float,
+        linear_y_m_s: float = 0.0,
+        *,
+        for_s: float | None,
+        keep: bool = False,
+    ) -> Driven | Motion: ...
+
+    async def drive(
+        self,
+        linear_m_s: float,
+        angular_rad_s: float,
+        linear_y_m_s: float = 0.0,
+        *,
+        for_s: float | None = None,
+        keep: bool = False,
+    ) -> Driven | Motion:
+        """Drive until the next `drive` or `stop`, or until the connection's block is left; or for `for_s` seconds.
 
         m/s forward, rad/s counter-clockwise, m/s to the left. Returns when the daemon has accepted the command, with
         what the robot's limits have made of it; it is then repeated ten times a second. `drive(0, 0)` slows down and
         continues to drive; `stop()` stops and lets go. A stop or a lock by any program ends it as a refusal does.
+
+        With `for_s` it returns when the time is over and a zero was sent, or when something has stopped the robot
+        earlier: a Motion whose `outcome` is `reached` or `stopped`. With `keep` the robot drives on after the end of a
+        notebook's cell, which else stops it.
 
         Raises:
             HostlinkError: and the robot is not driven: no robot of that name, its device is not connected, a source
@@ -62,9 +102,49 @@ class Robot:
                 program did not run for half a second. The `drive()` after that one drives again.
             CommandRefused: one of these, with `kind` for programs.
         """
-        return await self._driver.drive(
-            self.name, PlanarVelocity(linear_m_s, linear_y_m_s, angular_rad_s), self.priority
-        )
+        velocity = PlanarVelocity(linear_m_s, linear_y_m_s, angular_rad_s)
+        if for_s is None:
+            return await self._driver.drive(self.name, velocity, self.priority, is_kept=keep)
+        return await drive_for(self._driver, self.name, velocity, self.priority, for_s=for_s)
+
+    async def move(
+        self,
+        metres: float,
+        *,
+        speed_m_s: float = 0.2,
+        timeout_s: float | None = None,
+        on_progress: OnProgress | None = None,
+    ) -> Motion:
+        """Move along a line by odometry, and stop; negative `metres` lead backwards.
+
+        It returns when the robot has stopped, or when something has stopped it earlier: `outcome` is `reached`,
+        `blocked` (the odometry does not advance), `stopped` (with `kind`, `by` and `reason`) or `timed_out`. The robot
+        is also stopped when it has no odometry for half a second, or leaves the line by 0.3 m. `on_progress` is called
+        with a Progress for each pose. `timeout_s` is by default 10 s and four times what the speed needs.
+
+        Raises:
+            HostlinkError: nothing was driven: the first command was refused, as `drive` tells, there is no odometry, or
+                a number is invalid.
+        """
+        course = line(metres, speed_m_s, timeout_s)
+        return await follow(self._driver, self.name, self.priority, course, self.odometry(), on_progress)
+
+    async def turn(
+        self,
+        radians: float,
+        *,
+        speed_rad_s: float = 0.8,
+        timeout_s: float | None = None,
+        on_progress: OnProgress | None = None,
+    ) -> Motion:
+        """Turn on the spot by odometry, and stop; counter-clockwise is positive. It ends as `move` does.
+
+        Raises:
+            HostlinkError: nothing was driven: the first command was refused, as `drive` tells, there is no odometry, or
+                a number is invalid.
+        """
+        course = turn(radians, speed_rad_s, timeout_s)
+        return await follow(self._driver, self.name, self.priority, course, self.odometry(), on_progress)
 
     async def command(
         self, linear_m_s: float, angular_rad_s: float, linear_y_m_s: float = 0.0, *, epoch: int | None = None

@@ -1,6 +1,7 @@
 """Results of the client: the JSON of hostlink's REST API as typed dicts; numbers carry their unit."""
 
 from dataclasses import dataclass
+from enum import StrEnum
 from typing import Any, NamedTuple, NotRequired, TypedDict
 
 
@@ -95,6 +96,52 @@ class Refusal(NamedTuple):
 
     kind: str
     reason: str
+
+
+class MotionOutcome(StrEnum):
+    """How a motion of `drive(for_s=...)`, `move` or `turn` ended."""
+
+    REACHED = "reached"
+    BLOCKED = "blocked"  # the odometry did not advance as commanded
+    STOPPED = "stopped"  # `Motion.kind`, `by` and `reason` tell why
+    TIMED_OUT = "timed_out"
+
+
+class Progress(NamedTuple):
+    """Progress of a `move` or `turn`, by odometry."""
+
+    distance_m: float  # forward, along the heading at the start
+    turned_rad: float  # counter-clockwise
+    elapsed_s: float
+    fraction: float  # of the way; it may pass 1 by a little
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """End of a motion. The robot was sent a zero, or the daemon had stopped it before."""
+
+    outcome: MotionOutcome
+    elapsed_s: float
+    distance_m: float | None = None  # forward, by odometry; None: the motion was `drive(for_s=...)`
+    turned_rad: float | None = None  # counter-clockwise
+    kind: str = ""  # of a stop: `held`, `locked`, `disarmed` ..., as in CommandRefused; or one of MotionKind
+    by: str | None = None  # the source that stopped it, where that is known
+    reason: str = ""  # for people
+
+    @property
+    def is_reached(self) -> bool:
+        """Whether the motion was completed."""
+        return self.outcome is MotionOutcome.REACHED
+
+
+class MotionKind(StrEnum):
+    """Causes of a stop that the client finds itself."""
+
+    PROGRAM = "program"  # this program stopped the robot, or drove it otherwise
+    CONNECTION = "connection"  # lost
+    ASLEEP = "asleep"  # this program did not run for longer than a command holds
+    NO_ODOMETRY = "no_odometry"
+    OFF_COURSE = "off_course"  # the odometry jumped, or the robot left the line
 
 
 @dataclass(frozen=True, slots=True)

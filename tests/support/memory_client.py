@@ -10,12 +10,14 @@ from typing import Any, cast
 
 from hostlink.api.clients import ClientQueue
 from hostlink.api.rosbridge import RosbridgeClient
-from hostlink.client import Host, Robot
+from hostlink.api.views import odometry_view
+from hostlink.client import Event, Host, Robot
 from hostlink.client.connection import HostConnection
 from hostlink.client.driver import VelocitySender
 from hostlink.client.http_client import HttpClient
 from hostlink.errors import HostlinkError
 from hostlink.hub.hub import Hub
+from hostlink.hub.node import Role
 from hostlink.hub.participant import Participant
 
 _numbers = itertools.count(1)
@@ -26,6 +28,7 @@ class MemoryConnection:
 
     def __init__(self, hub: Hub, tasks: asyncio.TaskGroup) -> None:
         self.delay_s = 0.0
+        self._hub = hub
         self.handlers: defaultdict[str, list[Callable[[dict[str, Any]], None]]] = defaultdict(list)
         self._queue = ClientQueue()
         self._client = RosbridgeClient(f"program {next(_numbers)}", hub, self._queue, spawn=tasks.create_task)
@@ -54,6 +57,23 @@ class MemoryConnection:
                 return await answer
         except TimeoutError:
             raise HostlinkError(f"no answer within {timeout_s:g} s") from None
+
+    async def events(self, path: str) -> AsyncIterator[Event]:
+        """The odometry of a robot, as the daemon streams it."""
+        name, stream = path.removeprefix("/api/robots/").split("/", 1)
+        assert stream == "odometry/events"
+        robot, news = self._hub.robots.find(name), asyncio.Event()
+        reader = self._hub.join(f"events {next(_numbers)}", role=Role.READ)
+        reader.follow(robot, news.set)
+        news.set()
+        try:
+            while True:
+                await news.wait()
+                news.clear()
+                if (known := robot.odometry.snapshot(asyncio.get_running_loop().time())) is not None:
+                    yield Event("odometry", cast(dict[str, Any], odometry_view(known)))
+        finally:
+            reader.leave()
 
     def close(self) -> None:
         if not self.participant.has_left:
@@ -111,6 +131,10 @@ class MemoryHost:
     def stop_repeating(self, robot: str) -> None:
         """Let the commands of this robot end with their lease, as in a program that hangs."""
         self._driver.stop_repeating(robot)
+
+    def lose(self) -> None:
+        """The network is cut, and is there again afterwards."""
+        self._driver.break_all("the network is cut")
 
     async def stop_driven(self) -> None:
         """Stop the robots that this program drives."""

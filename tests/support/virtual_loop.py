@@ -56,6 +56,8 @@ class VirtualLoop(asyncio.BaseEventLoop):
         if timeout is None:
             raise Deadlock(f"deadlock at {self._now_s:g} s: nothing is ready and no timer is set\n{self._waiting()}")
         self._now_s += timeout
+        if self._scheduled and self._scheduled[0].when() < self._now_s + self._clock_resolution:
+            self._now_s = max(self._now_s, self._scheduled[0].when())  # else a loop of tiny sleeps would never end
         return []
 
     def _waiting(self) -> str:

@@ -61,7 +61,9 @@ async def notebook() -> AsyncIterator[Notebook]:
         await manager.shutdown_kernel(now=True)
 
 
-async def test_a_robot_is_driven_over_cells_and_an_error_an_interrupt_or_the_kernels_death_stops_it() -> None:
+async def test_a_cell_stops_its_robot_unless_it_is_kept_and_an_error_an_interrupt_or_the_kernels_death_stops_it() -> (
+    None
+):
     async with robot_to_drive() as robot, notebook() as cells:
         await cells.run("import time, hostlink.client")
         await cells.run(f"host = hostlink.client.connect_blocking({robot.host.url!r})")
@@ -70,14 +72,19 @@ async def test_a_robot_is_driven_over_cells_and_an_error_an_interrupt_or_the_ker
             == f"<BlockingRobot robot_0 at {robot.host.url}, priority 50>"
         )
 
-        assert (await cells.run("robot.drive(0.2, 0.0)")).startswith("Driven(linear_m_s=0.2")
+        shown = await cells.run("robot.drive(0.2, 0.0); time.sleep(0.5)")
+        assert shown.startswith("robot_0 stopped at the end of the cell; drive(..., for_s=2)")
+        await robot.stands()
+        assert await cells.run("robot.is_driven") == "False"
+
+        assert (await cells.run("robot.drive(0.2, 0.0, keep=True)")).startswith("Driven(linear_m_s=0.2")
         await robot.moves()
         assert float(await cells.run("print(next(robot.odometry())['pose']['x_m'])")) >= 0.0
-        assert await cells.run("robot.is_driven") == "True"  # cells that end well change nothing
+        assert await cells.run("robot.is_driven") == "True"  # cells that end well change nothing about what is kept
         assert await cells.run("1 / 0") == "ZeroDivisionError"
         await robot.stands()
 
-        await cells.run("robot.drive(0.2, 0.0)")
+        await cells.run("robot.drive(0.2, 0.0, keep=True)")
         await robot.moves()
         cells.begin("for pose in robot.odometry(): pass")
         await asyncio.sleep(0.3)
@@ -85,17 +92,17 @@ async def test_a_robot_is_driven_over_cells_and_an_error_an_interrupt_or_the_ker
         assert await cells.shown() == "KeyboardInterrupt"
         await robot.stands()
 
-        await cells.run("robot.drive(0.2, 0.0)")
+        await cells.run("robot.drive(0.2, 0.0, keep=True)")
         await robot.moves()
         assert await cells.run("await undefined") == "NameError"
         await robot.stands()
 
-        await cells.run("robot.drive(0.2, 0.0)")
+        await cells.run("robot.drive(0.2, 0.0, keep=True)")
         await robot.moves()
         await cells.run("import threading; threading.Thread(target=lambda: 1 / 0).start()")  # the cell itself ends well
         await robot.stands()
 
-        await cells.run("robot.drive(0.2, 0.0)")
+        await cells.run("robot.drive(0.2, 0.0, keep=True)")
         await robot.moves()
         await cells.manager.signal_kernel(9)
         await robot.stands()

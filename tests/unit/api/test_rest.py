@@ -6,8 +6,9 @@ from collections.abc import Awaitable, Callable
 
 import pytest
 
-from hostlink.api.rest import MAX_OWNERS, Owners
+from hostlink.api.rest import MAX_OWNERS, Owners, VelocityRequest, decode_body
 from hostlink.config import Config
+from hostlink.errors import BadRequest
 from hostlink.hub.hub import Hub
 from hostlink.hub.node import Role
 from tests.support.fake_device import CATALOG
@@ -241,3 +242,16 @@ async def test_owner_is_the_same_until_its_token_is_revoked() -> None:
     owners.end(["phone", "unknown"])
     assert one.has_left
     assert owners.of("phone", Role.DRIVE) is not one
+
+
+@pytest.mark.parametrize(
+    ("body", "problem"),
+    [
+        (b'{"linear": 0.2, "angular": 0.5, "priorty": 7}', "unknown field `priorty`; did you mean `priority`?"),
+        (b'{"linear": 0.2, "angular": 0.5, "colour": 7}', "unknown field `colour`"),
+    ],
+)
+def test_unknown_field_of_a_body_is_refused_with_the_nearest_name(body: bytes, problem: str) -> None:
+    with pytest.raises(BadRequest) as caught:
+        decode_body(body, VelocityRequest, "a velocity")
+    assert str(caught.value).endswith(problem)

@@ -1,0 +1,356 @@
+"""Motions of the client: `drive(for_s=...)`, `move` and `turn`, without sockets and in virtual time."""
+
+import asyncio
+import contextlib
+import math
+from collections.abc import AsyncIterator, Awaitable, Callable
+
+import pytest
+
+from hostlink.client import Motion, MotionOutcome, Progress, Robot
+from hostlink.client.motion import CoursePilot, line
+from hostlink.errors import CommandRefused, HostlinkError
+from hostlink.robot.kinematics import Pose
+from hostlink.robot.velocity import PlanarVelocity, Twist
+from tests.support.memory_client import MemoryHost, memory_host
+from tests.support.participants import ODOMETRY_ID, POSE, ROBOT, VELOCITY_ID, Scene, scene
+from tests.support.virtual_loop import run_virtual
+
+PERIOD_S = 0.05
+WITHIN_S = 0.7  # a repetition finds the refusal, and the daemon sends zeros
+
+
+class World:
+    """A robot that follows its velocity at once, and the program that drives it."""
+
+    def __init__(self, made: Scene, me: MemoryHost) -> None:
+        self.made, self.me, self.robot = made, me, me.robot(ROBOT)
+        self.pose = Pose(1.0, 2.0, 0.5)
+        self.grip = 1.0  # part of the commanded velocity that the wheels do
+        self.is_silent = False
+
+    @property
+    def velocity(self) -> Twist:
+        payloads = self.made.robot.payloads(VELOCITY_ID)
+        return Twist.decode(payloads[-1]) if payloads else Twist(0.0, 0.0)
+
+    @property
+    def is_zero(self) -> bool:
+        return (self.velocity.linear_x_m_s, self.velocity.angular_z_rad_s) == (0.0, 0.0)
+
+    async def run(self) -> None:
+        while True:
+            x_m, y_m, theta_rad = self.pose
+            step_m = self.velocity.linear_x_m_s * PERIOD_S * self.grip
+            theta_rad += self.velocity.angular_z_rad_s * PERIOD_S * self.grip
+            self.pose = Pose(x_m + step_m * math.cos(theta_rad), y_m + step_m * math.sin(theta_rad), theta_rad)
+            if not self.is_silent:
+                wrapped = math.remainder(theta_rad, math.tau)
+                await self.made.robot.send(ODOMETRY_ID, POSE.pack(self.pose.x_m, self.pose.y_m, wrapped))
+            await asyncio.sleep(PERIOD_S)
+
+
+@contextlib.asynccontextmanager
+async def world() -> AsyncIterator[World]:
+    async with scene() as made, memory_host(made.hub, made.tasks) as me:
+        here = World(made, me)
+        running = made.tasks.create_task(here.run())
+        await asyncio.sleep(0.2)
+        try:
+            yield here
+        finally:
+            running.cancel()
+
+
+def in_world(test: Callable[[World], Awaitable[None]]) -> None:
+    async def run() -> None:
+        async with world() as here:
+            await test(here)
+            await asyncio.sleep(WITHIN_S)
+            assert here.is_zero
+            assert not here.robot.is_driven
+
+    run_virtual(run())
+
+
+MOTIONS: list[Callable[[Robot], Awaitable[Motion]]] = [
+    lambda robot: robot.drive(0.2, 0.0, for_s=20.0),
+    lambda robot: robot.move(4.0),
+    lambda robot: robot.turn(20.0),
+]
+NAMES = ["drive", "move", "turn"]
+every_motion = pytest.mark.parametrize("motion", MOTIONS, ids=NAMES)
+
+
+async def interrupted(here: World, motion: Callable[[Robot], Awaitable[Motion]], event: Callable[[], object]) -> Motion:
+    """Result of a motion in which something happens after a second."""
+
+    async def run() -> Motion:
+        return await motion(here.robot)
+
+    task = here.made.tasks.create_task(run())
+    await asyncio.sleep(1.0)
+    assert not here.is_zero
+    happened = event()
+    if isinstance(happened, Awaitable):
+        await happened
+    return await task
+
+
+# -- completed --------------------------------------------------------------------------------------------------------
+
+
+def test_drive_for_a_time_is_repeated_beyond_the_lease_and_ends_in_zero() -> None:
+    async def test(here: World) -> None:
+        result = await here.robot.drive(0.2, 0.0, for_s=2.0)
+        assert (result.outcome, result.kind, result.by) == (MotionOutcome.REACHED, "", None)
+        assert result.is_reached
+        assert result.elapsed_s == pytest.approx(2.0, abs=0.01)
+        assert math.dist(here.pose[:2], (1.0, 2.0)) == pytest.approx(0.4, abs=0.03)
+        await asyncio.sleep(PERIOD_S)
+        assert here.is_zero
+
+    in_world(test)
+
+
+@pytest.mark.parametrize("metres", [1.0, -0.6, 0.0])
+def test_move_reaches_the_place_and_reports_progress(metres: float) -> None:
+    async def test(here: World) -> None:
+        seen: list[Progress] = []
+        result = await here.robot.move(metres, on_progress=seen.append)
+        assert (result.outcome, result.reason) == (MotionOutcome.REACHED, "")
+        assert result.distance_m == pytest.approx(metres, abs=0.03)
+        assert result.turned_rad == pytest.approx(0.0, abs=0.05)
+        assert math.dist(here.pose[:2], (1.0, 2.0)) == pytest.approx(abs(metres), abs=0.03)
+        assert seen[-1].fraction == pytest.approx(1.0, abs=0.05)
+        assert [each.elapsed_s for each in seen] == sorted(each.elapsed_s for each in seen)
+
+    in_world(test)
+
+
+@pytest.mark.parametrize("radians", [math.pi / 2, -4.0])
+def test_turn_reaches_the_heading_also_beyond_half_a_turn(radians: float) -> None:
+    async def test(here: World) -> None:
+        result = await here.robot.turn(radians)
+        assert result.outcome is MotionOutcome.REACHED
+        assert result.turned_rad == pytest.approx(radians, abs=0.06)
+        assert here.pose.theta_rad - 0.5 == pytest.approx(radians, abs=0.06)
+
+    in_world(test)
+
+
+def test_move_is_never_faster_than_its_speed() -> None:
+    async def test(here: World) -> None:
+        result = await here.robot.move(0.2, speed_m_s=0.04)
+        assert result.is_reached
+        assert max(here.made.speeds()) == 0.04
+
+    in_world(test)
+
+
+# -- ended by something else ------------------------------------------------------------------------------------------
+
+
+@every_motion
+def test_motion_that_is_locked_is_stopped_with_the_reason(motion: Callable[[Robot], Awaitable[Motion]]) -> None:
+    async def test(here: World) -> None:
+        gate = here.made.hub.robots.find_here(ROBOT)
+        result = await interrupted(here, motion, lambda: gate.lock("smoke"))
+        assert (result.outcome, result.kind, result.by) == (MotionOutcome.STOPPED, "locked", None)
+        assert "smoke" in result.reason
+        assert result.elapsed_s < 1.5
+        await asyncio.sleep(PERIOD_S)
+        assert here.is_zero
+        with pytest.raises(CommandRefused, match="smoke"):  # a motion that cannot begin raises, as `drive` does
+            await motion(here.robot)
+
+    in_world(test)
+
+
+@every_motion
+def test_motion_that_is_stopped_by_another_is_not_resumed(motion: Callable[[Robot], Awaitable[Motion]]) -> None:
+    async def test(here: World) -> None:
+        result = await interrupted(here, motion, here.made.hub.robots.find_here(ROBOT).stop)
+        assert (result.outcome, result.kind) == (MotionOutcome.STOPPED, "disarmed")
+        await asyncio.sleep(0.2)
+        assert here.is_zero
+        assert (await here.robot.drive(0.1, 0.0, for_s=0.2)).is_reached  # the result has told the program
+
+    in_world(test)
+
+
+@every_motion
+def test_motion_ends_when_a_person_takes_over_and_names_who(motion: Callable[[Robot], Awaitable[Motion]]) -> None:
+    async def test(here: World) -> None:
+        person = here.made.hub.join("teleop of Ada")
+        robot = here.made.hub.robots.find_here(ROBOT)
+
+        def take_over() -> None:
+            person.drive(robot, PlanarVelocity(-0.1), priority=60)
+
+        result = await interrupted(here, motion, take_over)
+        assert (result.outcome, result.kind, result.by) == (MotionOutcome.STOPPED, "held", "teleop of Ada")
+        await asyncio.sleep(PERIOD_S)
+        assert here.velocity.linear_x_m_s == -0.1  # the end of the motion has not stopped the person
+        person.leave()
+
+    in_world(test)
+
+
+@every_motion
+def test_motion_ends_by_a_stop_of_the_same_program(motion: Callable[[Robot], Awaitable[Motion]]) -> None:
+    async def test(here: World) -> None:
+        result = await interrupted(here, motion, here.me.stop_driven)
+        assert (result.outcome, result.kind, result.by) == (MotionOutcome.STOPPED, "program", "this program")
+
+    in_world(test)
+
+
+@every_motion
+def test_motion_gives_way_to_a_newer_drive_of_the_same_program(motion: Callable[[Robot], Awaitable[Motion]]) -> None:
+    async def test(here: World) -> None:
+        result = await interrupted(here, motion, lambda: here.robot.drive(-0.1, 0.0))
+        assert (result.outcome, result.kind) == (MotionOutcome.STOPPED, "program")
+        await asyncio.sleep(PERIOD_S)
+        assert here.velocity.linear_x_m_s == -0.1
+        await here.me.stop_driven()
+
+    in_world(test)
+
+
+@every_motion
+def test_motion_that_is_cancelled_ends_in_zero_at_once(motion: Callable[[Robot], Awaitable[Motion]]) -> None:
+    async def test(here: World) -> None:
+        with pytest.raises(TimeoutError):
+            async with asyncio.timeout(1.0):
+                await motion(here.robot)
+        await asyncio.sleep(0.01)
+        assert here.is_zero
+
+    in_world(test)
+
+
+@every_motion
+def test_motion_whose_connection_breaks_ends_with_the_lease(motion: Callable[[Robot], Awaitable[Motion]]) -> None:
+    async def test(here: World) -> None:
+        result = await interrupted(here, motion, here.me.lose)
+        assert (result.outcome, result.kind, result.by) == (MotionOutcome.STOPPED, "connection", None)
+        assert result.reason == "the network is cut"
+
+    in_world(test)
+
+
+@pytest.mark.parametrize("motion", MOTIONS[1:], ids=NAMES[1:])
+def test_motion_without_odometry_for_half_a_second_ends(motion: Callable[[Robot], Awaitable[Motion]]) -> None:
+    async def test(here: World) -> None:
+        def silence() -> None:
+            here.is_silent = True
+
+        result = await interrupted(here, motion, silence)
+        assert (result.outcome, result.kind) == (MotionOutcome.STOPPED, "no_odometry")
+        assert 1.4 < result.elapsed_s < 1.8
+
+    in_world(test)
+
+
+@pytest.mark.parametrize("motion", MOTIONS[1:], ids=NAMES[1:])
+def test_motion_against_an_obstacle_is_blocked(motion: Callable[[Robot], Awaitable[Motion]]) -> None:
+    async def test(here: World) -> None:
+        def block() -> None:
+            here.grip = 0.0
+
+        result = await interrupted(here, motion, block)
+        assert result.outcome is MotionOutcome.BLOCKED
+        assert "did not advance" in result.reason
+        assert result.elapsed_s < 3.5
+
+    in_world(test)
+
+
+def test_motion_whose_odometry_jumps_is_stopped() -> None:
+    async def test(here: World) -> None:
+        def turn() -> None:
+            here.pose = Pose(1.0, 2.0, 2.5)
+
+        result = await interrupted(here, MOTIONS[1], turn)
+        assert (result.outcome, result.kind) == (MotionOutcome.STOPPED, "off_course")
+        assert result.reason == "the odometry jumped"
+
+    in_world(test)
+
+
+@pytest.mark.parametrize("jump", [Pose(0.5, 0.0, 0.0), Pose(0.0, 0.0, 1.2)])
+def test_pilot_ends_by_a_jump_of_the_place_or_the_heading(jump: Pose) -> None:
+    pilot = CoursePilot(line(1.0, 0.2, None), Pose(), 0.0)
+    assert pilot.update(Pose(), 0.0).x_m_s == 0.2
+    assert pilot.update(jump, 0.1) == PlanarVelocity()
+    assert (pilot.outcome, pilot.reason) == (MotionOutcome.STOPPED, "the odometry jumped")
+
+
+def test_motion_has_a_bound_in_time() -> None:
+    async def test(here: World) -> None:
+        result = await here.robot.move(4.0, timeout_s=1.5)
+        assert result.outcome is MotionOutcome.TIMED_OUT
+        assert result.reason == "it was not completed within 1.5 s"
+        assert result.elapsed_s == pytest.approx(1.5, abs=0.1)
+        assert result.distance_m == pytest.approx(0.3, abs=0.05)
+
+    in_world(test)
+
+
+def test_motion_has_a_bound_in_distance() -> None:
+    """A robot that is pushed to the side, past the end or backwards leaves its course, and is stopped."""
+    course = line(1.0, 0.2, None)
+    for end in (Pose(0.5, 0.35), Pose(1.35, 0.0), Pose(-0.35, 0.0)):
+        pilot = CoursePilot(course, Pose(), 0.0)
+        steps = 20
+        for step in range(1, steps + 1):
+            if pilot.outcome is None:
+                part = step / steps
+                velocity = pilot.update(Pose(end.x_m * part, end.y_m * part), step * 0.1)
+        assert (pilot.outcome, pilot.kind) == (MotionOutcome.STOPPED, "off_course")
+        assert velocity == PlanarVelocity()
+
+
+def test_error_of_the_progress_function_ends_the_motion_and_is_raised() -> None:
+    async def test(here: World) -> None:
+        def fail(progress: Progress) -> None:
+            if progress.distance_m > 0.1:
+                raise ZeroDivisionError
+
+        with pytest.raises(ZeroDivisionError):
+            await here.robot.move(2.0, on_progress=fail)
+        await asyncio.sleep(0.01)
+        assert here.is_zero
+
+    in_world(test)
+
+
+def test_motion_without_any_odometry_does_not_begin() -> None:
+    async def test(here: World) -> None:
+        here.is_silent = True
+        await asyncio.sleep(1.0)  # the known pose is old
+        with pytest.raises(HostlinkError, match="no odometry arrived for 3 s"):
+            await here.robot.move(1.0)
+        assert here.is_zero
+
+    in_world(test)
+
+
+@pytest.mark.parametrize(
+    ("motion", "problem"),
+    [
+        (lambda robot: robot.move(math.nan), "metres is nan"),
+        (lambda robot: robot.move(1.0, speed_m_s=-0.2), "speed_m_s is -0.2; pass at least 0.02"),
+        (lambda robot: robot.turn(1.0, speed_rad_s=0.01), "speed_rad_s is 0.01; pass at least 0.05"),
+        (lambda robot: robot.turn(1.0, timeout_s=0.0), "timeout_s is 0; pass a positive"),
+        (lambda robot: robot.drive(0.1, 0.0, for_s=math.inf), "for_s is inf; pass a positive"),
+    ],
+)
+def test_motion_with_an_invalid_number_is_refused(motion: Callable[[Robot], Awaitable[Motion]], problem: str) -> None:
+    async def test(here: World) -> None:
+        with pytest.raises(HostlinkError, match=problem) as caught:
+            await motion(here.robot)
+        assert caught.value.kind == "BadRequest"
+
+    in_world(test)
