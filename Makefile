@@ -83,7 +83,7 @@ demo: $(VENV)/.hostlink
 
 # rclpy and its messages from PyPI, 240 MB, in a venv of their own: no other test may depend on them.
 ROS2_VENV := build/ros2-venv
-ROS2_PACKAGES := 'ros-rclpy[fastrtps]' ros-std-msgs ros-std-srvs ros-geometry-msgs ros-nav-msgs ros-sensor-msgs ros-diagnostic-msgs
+ROS2_PACKAGES := mcap 'ros-rclpy[fastrtps]' ros-std-msgs ros-std-srvs ros-geometry-msgs ros-nav-msgs ros-sensor-msgs ros-diagnostic-msgs
 
 $(ROS2_VENV)/.installed: pyproject.toml
 	@test -n "$(PYTHON)" || { echo "hostlink needs Python 3.11 or newer"; exit 1; }

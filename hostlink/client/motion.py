@@ -172,7 +172,7 @@ class _Held:
         return Motion(MotionOutcome.STOPPED, elapsed_s, kind=end.kind, by=by, reason=end.reason)
 
     async def let_go(self) -> None:
-        """Command a zero, unless the robot is not this motion's any more."""
+        """Command a zero, unless another command of this program has replaced the motion."""
         if self._number is not None and not self.is_lost:
             self._driver.stop_repeating(self._robot)
             await self._driver.send_zero(self._robot, self._priority)

@@ -99,7 +99,7 @@ class Refusal(NamedTuple):
 
 
 class MotionOutcome(StrEnum):
-    """How a motion of `drive(for_s=...)`, `move` or `turn` ended."""
+    """End of a motion of `drive(for_s=...)`, `move` or `turn`."""
 
     REACHED = "reached"
     BLOCKED = "blocked"  # the odometry did not advance as commanded

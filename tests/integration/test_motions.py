@@ -1,4 +1,4 @@
-"""Motions of a script on a simulated robot, beside a neighbour that misbehaves."""
+"""Motions of a script on a simulated robot next to a neighbour that misbehaves."""
 
 import asyncio
 import contextlib

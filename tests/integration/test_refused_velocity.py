@@ -197,7 +197,8 @@ async def test_errors_of_the_python_client_have_the_kind() -> None:
 async def test_a_command_gives_the_reason() -> None:
     async with small_robot() as host:
         status, _, error = await run("pub", "/robot_0/cmd_vel", '{"linear": {"x": 0.1}}', "--url", host.url)
-    assert (status, error) == (1, f"hostlink: {REASON}\n")
+    next_step = "send less in one message; `hostlink doctor` shows which buffer of the board is too small"
+    assert (status, error) == (1, f"hostlink: {REASON}; {next_step}\n")
 
 
 async def test_the_log_has_one_line_of_it() -> None:

@@ -106,5 +106,5 @@ async def test_tool_of_the_document_drives_and_reports_a_lock() -> None:
         driven = await asyncio.to_thread(names["drive"], 0.2, 0.1)
         host.hub.robots.find("robot_0").lock("smoke")
         refused = await asyncio.to_thread(names["drive"], 0.2, 0.1)
-    assert driven.startswith("driven; now it stands at x 0.")
+    assert driven.startswith("driven; now it is stopped at x 0.")
     assert refused.startswith("not driven: robot_0: locked: smoke")

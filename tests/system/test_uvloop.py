@@ -4,6 +4,7 @@ import asyncio
 import os
 import signal
 import subprocess
+import sys
 from http import HTTPStatus
 from pathlib import Path
 
@@ -94,7 +95,7 @@ async def test_an_unknown_loop_is_one_line() -> None:
 
 def test_a_loop_that_is_not_installed_is_one_line(tmp_path: Path) -> None:
     (tmp_path / "uvloop.py").write_text("raise ImportError")
-    command = [HOSTLINK, "serve", *ON_UVLOOP]
+    command = [sys.executable, "-m", "hostlink", "serve", *ON_UVLOOP]
     environment = {**os.environ, "PYTHONPATH": str(tmp_path)}
     ended = subprocess.run(command, capture_output=True, text=True, check=False, timeout=20, env=environment)
     message = f"hostlink: {LibraryMissing('--loop', 'uvloop', 'uvloop')}\n"
