@@ -410,6 +410,8 @@ SITES: dict[str, tuple[type[EntryPoint], ...]] = {
     "cli/topics.py: host.publish": (entry_points.RosbridgePublish,),
     "client/robot.py: self._driver.drive": (entry_points.ClientDrive,),
     "client/robot.py: self._driver.command": (entry_points.ClientCommand,),
+    "client/motion.py: self._driver.drive": (entry_points.ClientDrive,),
+    "client/motion.py: held.drive": (entry_points.ClientDrive,),
     "client/host.py: self._topics.publish": (entry_points.RosbridgePublish, entry_points.RosbridgeRaw),
     "client/blocking_calls.py: self._robot.drive": (entry_points.ClientDrive,),
     "client/blocking_calls.py: self._robot.command": (entry_points.ClientCommand,),
