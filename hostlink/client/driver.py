@@ -43,6 +43,11 @@ class Broken(NamedTuple):
     holder: str | None = None  # the source that drives the robot instead; an older daemon sends none
 
 
+class _Ended(NamedTuple):
+    number: int  # of the velocity that was broken off
+    broken: Broken
+
+
 @dataclass(slots=True)
 class _Stream:
     """Single commands that make one motion, and the epoch at which the daemon admitted the first one."""
@@ -83,7 +88,9 @@ class VelocitySender:
         self._connection, self._now_s = connection, clock
         self._numbers = itertools.count(1)
         self._repeated: dict[str, _Repeated] = {}
-        self._broken: dict[str, Broken] = {}
+        self._broken: dict[str, _Ended] = {}
+        self._newest: dict[str, int] = {}  # by robot: number of the newest call that drove or stopped it
+        self._newest_of_all = 0  # number of the newest call that stopped all robots
         self._told: dict[str, _Told] = {}  # by robot
         self._streams: dict[str, _Stream] = {}
         self._sent_s: dict[str, float] = {}  # by robot: the newest command that was sent
@@ -107,22 +114,28 @@ class VelocitySender:
             robot for robot, repeated in self._repeated.items() if repeated.thread is thread and not repeated.is_kept
         )
 
-    async def drive(self, robot: str, velocity: PlanarVelocity, priority: int, *, is_kept: bool = False) -> Driven:
+    async def drive(
+        self, robot: str, velocity: PlanarVelocity, priority: int, *, is_kept: bool = False, number: int | None = None
+    ) -> Driven:
         """Command, and repeat it from now on; returns when the daemon has accepted it.
+
+        `number`: of this call, from `next_number`.
 
         Raises:
             HostlinkError: it was refused, and nothing is repeated; or what was repeated before was broken off.
         """
         before = self._repeated.get(robot)
+        number = self.next_number() if number is None else number
+        self._newest[robot] = number
         try:
             request = _request(robot, velocity, priority)
         except BaseException:  # the earlier velocity is outdated, and the new one is invalid
             self.stop_repeating(robot)
             raise
-        if (broken := self._broken.pop(robot, None)) is not None:
+        if (ended := self._broken.pop(robot, None)) is not None:
             await self._tell(robot, priority)
-            raise HostlinkError(f"{robot} was stopped, drive again if it is still meant: {broken.reason}")
-        repeated = self._repeated[robot] = _Repeated(next(self._numbers), request, self._now_s(), is_kept=is_kept)
+            raise HostlinkError(f"{robot} was stopped, drive again if it is still meant: {ended.broken.reason}")
+        repeated = self._repeated[robot] = _Repeated(number, request, self._now_s(), is_kept=is_kept)
         try:
             answer = await self._command(repeated, before)
             driven = _driven(answer)
@@ -130,10 +143,10 @@ class VelocitySender:
         except KeyError as missing:
             self.stop_repeating(robot)
             raise HostlinkError(f"hostlink is of another version than this one: its answer has no {missing}") from None
-        except BaseException as ended:  # a cancellation too: an abandoned command is not repeated
+        except BaseException as error:  # a cancellation too: an abandoned command is not repeated
             if self._repeated.get(robot, repeated) is repeated:  # or it was broken off, which is raised here
                 self.stop_repeating(robot)
-                if not isinstance(ended, HostlinkError | GeneratorExit):  # it may be on its way, and hold for a lease
+                if not isinstance(error, HostlinkError | GeneratorExit):  # it may be on its way, and hold for a lease
                     await self.send_zero(robot, priority)
             raise
         return driven
@@ -143,12 +156,22 @@ class VelocitySender:
         repeated = self._repeated.get(robot)
         return None if repeated is None else repeated.number
 
-    async def pop_end(self, robot: str, priority: int) -> Broken:
-        """Return why the velocity is repeated no more. The program is told by it, and may drive again."""
-        if (broken := self._broken.pop(robot, None)) is None:
+    def next_number(self) -> int:
+        """Return the number of a call of `drive` that is about to be made."""
+        return next(self._numbers)
+
+    def newest(self, robot: str) -> int:
+        """Number of the newest call of this program that drove or stopped a robot; 0: none did."""
+        return max(self._newest.get(robot, 0), self._newest_of_all)
+
+    async def pop_end(self, robot: str, priority: int, number: int) -> Broken:
+        """Return why the velocity of this number is repeated no more. The program is told, and may drive again."""
+        ended = self._broken.get(robot)
+        if ended is None or ended.number != number:  # the notice of a newer velocity is for the newer call
             return Broken(MotionKind.PROGRAM, f"this program stopped {robot} or drove it otherwise")
+        del self._broken[robot]
         await self._tell(robot, priority)
-        return broken
+        return ended.broken
 
     async def _command(self, repeated: _Repeated, before: _Repeated | None) -> Message:
         """Command with the epoch of the motion before: what was interrupted since must not go on without notice.
@@ -211,14 +234,16 @@ class VelocitySender:
         await self._connection.send(_request(robot, velocity, priority) | request)
 
     def stop_repeating_all(self) -> tuple[str, ...]:
-        """Repeat nothing more; returns the robots that were driven."""
+        """Repeat nothing more, and end motions that have not commanded yet; returns the robots that were driven."""
         driven = self.robots
+        self._newest_of_all = self.next_number()
         self._repeated.clear()
         self._broken.clear()
         return driven
 
     def stop_repeating(self, robot: str) -> None:
-        """Repeat it no more; the end of it is known to the caller."""
+        """Repeat it no more, and end a motion that has not commanded yet; the caller knows of the end."""
+        self._newest[robot] = self.next_number()
         self._repeated.pop(robot, None)
         self._broken.pop(robot, None)
 
@@ -284,8 +309,7 @@ class VelocitySender:
         self.client_name = answer.get("client", self.client_name)  # a refusal has none, an older daemon neither
 
     def _break(self, robot: str, broken: Broken) -> None:
-        del self._repeated[robot]
-        self._broken[robot] = broken
+        self._broken[robot] = _Ended(self._repeated.pop(robot).number, broken)
 
 
 def refused(robot: str, answer: Message) -> HostlinkError:

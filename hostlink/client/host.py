@@ -294,6 +294,8 @@ class Host:
             names = self._driver.robots_of_ended_threads
         elif of_cell is not None:
             names = self._driver.robots_of_cell(of_cell)
+        else:
+            self._driver.stop_repeating_all()
         for name in names:
             self._driver.stop_repeating(name)
         with contextlib.suppress(TimeoutError):

@@ -149,31 +149,36 @@ class CoursePilot:
 
 
 class _Held:
-    """The velocity of one motion, as long as no other call ends it."""
+    """The velocity of one motion, as long as no other call ends it, from the beginning of the motion on."""
 
     def __init__(self, driver: VelocitySender, robot: str, priority: int) -> None:
         self._driver, self._robot, self._priority = driver, robot, priority
-        self._number: int | None = None
+        self._newest = driver.newest(robot)  # number of the motion's own newest call; before: of the one before it
+        self._has_driven = False
 
     @property
     def is_lost(self) -> bool:
-        """Whether something else has ended it."""
-        return self._number is not None and self._driver.number_of(self._robot) != self._number
+        """Whether another call of this program, or a refusal, has ended it."""
+        if self._driver.newest(self._robot) != self._newest:
+            return True
+        return self._has_driven and self._driver.number_of(self._robot) != self._newest
 
     async def drive(self, velocity: PlanarVelocity) -> Driven:
-        driven = await self._driver.drive(self._robot, velocity, self._priority)
-        self._number = self._driver.number_of(self._robot)
+        """Command a velocity. A call of this program meanwhile is noticed by `is_lost`."""
+        self._newest = self._driver.next_number()
+        driven = await self._driver.drive(self._robot, velocity, self._priority, number=self._newest)
+        self._has_driven = True
         return driven
 
     async def pop_end(self, elapsed_s: float) -> Motion:
         """Result of a motion that something else has ended."""
-        end = await self._driver.pop_end(self._robot, self._priority)
+        end = await self._driver.pop_end(self._robot, self._priority, self._newest)
         by = "this program" if end.kind == MotionKind.PROGRAM else end.holder
         return Motion(MotionOutcome.STOPPED, elapsed_s, kind=end.kind, by=by, reason=end.reason)
 
     async def let_go(self) -> None:
         """Command a zero, unless another command of this program has replaced the motion."""
-        if self._number is not None and not self.is_lost:
+        if self._has_driven and not self.is_lost:
             self._driver.stop_repeating(self._robot)
             await self._driver.send_zero(self._robot, self._priority)
 
@@ -209,7 +214,9 @@ async def drive_for(
         while (left_s := began_s + for_s - now_s()) > TIMER_S:
             await asyncio.sleep(min(left_s, REPEAT_INTERVAL_S))
             if held.is_lost:
-                return await held.pop_end(now_s() - began_s)
+                break
+        if held.is_lost:
+            return await held.pop_end(now_s() - began_s)
     return Motion(MotionOutcome.REACHED, now_s() - began_s)
 
 
@@ -250,6 +257,8 @@ async def _read(odometry: AsyncIterator[Odometry], poses: Mailbox[Odometry]) -> 
 async def _follow(held: _Held, course: Course, poses: Mailbox[Odometry], on_progress: OnProgress | None) -> Motion:
     now_s = asyncio.get_running_loop().time
     pose = await _first(poses)
+    if held.is_lost:
+        return await held.pop_end(0.0)
     began_s = now_s()
     pilot = CoursePilot(course, pose, began_s)
     commanded: PlanarVelocity | None = None

@@ -38,6 +38,11 @@ class World:
     def is_zero(self) -> bool:
         return (self.velocity.linear_x_m_s, self.velocity.angular_z_rad_s) == (0.0, 0.0)
 
+    async def stop(self) -> None:
+        """Stop the robot as `Robot.stop` does, without REST and without its last zero."""
+        self.me.stop_repeating(ROBOT)
+        self.made.hub.robots.find_here(ROBOT).stop()
+
     async def run(self) -> None:
         while True:
             x_m, y_m, theta_rad = self.pose
@@ -95,6 +100,10 @@ async def interrupted(here: World, motion: Callable[[Robot], Awaitable[Motion]],
     if isinstance(happened, Awaitable):
         await happened
     return await task
+
+
+async def as_coroutine(motion: Awaitable[Motion]) -> Motion:
+    return await motion
 
 
 # -- completed --------------------------------------------------------------------------------------------------------
@@ -214,6 +223,59 @@ def test_motion_gives_way_to_a_newer_drive_of_the_same_program(motion: Callable[
         await asyncio.sleep(PERIOD_S)
         assert here.velocity.linear_x_m_s == -0.1
         await here.me.stop_driven()
+
+    in_world(test)
+
+
+@pytest.mark.parametrize("motion", MOTIONS[1:], ids=NAMES[1:])
+@pytest.mark.parametrize("of_all", [True, False], ids=["all", "robot"])
+def test_motion_that_waits_for_its_first_pose_ends_by_a_stop_of_the_same_program(
+    motion: Callable[[Robot], Awaitable[Motion]], of_all: bool
+) -> None:
+    async def test(here: World) -> None:
+        here.is_silent = True
+        await asyncio.sleep(3.0)  # the poses of before are old
+        task = here.made.tasks.create_task(as_coroutine(motion(here.robot)))
+        await asyncio.sleep(0.5)
+        await (here.me.stop_driven() if of_all else here.stop())
+        here.is_silent = False
+        result = await task
+        assert (result.outcome, result.kind) == (MotionOutcome.STOPPED, "program")
+        await asyncio.sleep(PERIOD_S)
+        assert here.is_zero
+
+    in_world(test)
+
+
+@every_motion
+def test_motion_ends_by_a_stop_during_the_round_trip_of_its_command(
+    motion: Callable[[Robot], Awaitable[Motion]],
+) -> None:
+    async def test(here: World) -> None:
+        here.me.connection_.delay_s = 0.4
+        task = here.made.tasks.create_task(as_coroutine(motion(here.robot)))
+        await asyncio.sleep(0.3)
+        await here.stop()
+        result = await task
+        assert (result.outcome, result.kind) == (MotionOutcome.STOPPED, "program")
+        assert result.elapsed_s < 1.0
+
+    in_world(test)
+
+
+@every_motion
+def test_end_of_a_replaced_motion_leaves_the_notice_of_the_newer_drive(
+    motion: Callable[[Robot], Awaitable[Motion]],
+) -> None:
+    async def test(here: World) -> None:
+        task = here.made.tasks.create_task(as_coroutine(motion(here.robot)))
+        await asyncio.sleep(1.0)
+        await here.robot.drive(-0.1, 0.0)
+        here.made.hub.robots.find_here(ROBOT).lock("a person is near")
+        assert (await task).kind == "program"
+        await asyncio.sleep(0.5)
+        with pytest.raises(HostlinkError, match="drive again if it is still meant"):
+            await here.robot.drive(-0.1, 0.0)
 
     in_world(test)
 
