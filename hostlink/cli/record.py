@@ -199,9 +199,11 @@ def _repair(file: Path, *, as_json: bool) -> None:
     seconds = time.monotonic() - began_s
     if as_json:
         facts = {"file": str(file), "messages": found.messages, "damage": found.damage, "seconds": round(seconds, 3)}
+        facts["original"] = None if found.original is None else str(found.original)
         write(msgspec.json.encode(facts).decode())
     elif found.damage:
-        write(f"{file}: {found.messages} messages; the file is repaired. It had: {'; '.join(found.damage)}")
+        kept = "" if found.original is None else f". The damaged file is kept: {found.original}"
+        write(f"{file}: {found.messages} messages; the file is repaired. It had: {'; '.join(found.damage)}{kept}")
     else:
         write(f"{file}: {found.messages} messages; the file is not damaged, and was not changed")
 

@@ -161,6 +161,7 @@ def _add_chunk(index: Index, body: bytes, summary_begin: int, is_wanted: Callabl
 
 MAX_CHUNK_BYTES = 64 * 1024 * 1024  # unpacked; chunks of other writers have a few MB
 MAX_DEFINITIONS_BYTES = 64 * 1024 * 1024  # of schemas and channels, which stay in memory; a large one has a few kB
+NOT_FINISHED = "the file was not finished"  # the only damage of a file whose writer was killed
 MAX_NAMED = 10  # damaged chunks that are described; the others are counted
 MAX_REASON = 200  # characters of a library's error text
 # Between two messages of a file without steady times; a larger gap means that the clock was set.
@@ -281,7 +282,7 @@ class McapReader:
     def damage(self) -> list[str]:
         """Damage of the parts read so far; empty if there is none."""
         others = self._damaged_chunks - len(self._chunks)
-        return [*self._chunks, *([f"{others} other chunks are damaged"] if others else []), *self._damage]
+        return [*self._chunks, *([f"{others} other chunks or records are damaged"] if others else []), *self._damage]
 
     @property
     def channels(self) -> list[Channel]:
@@ -320,8 +321,7 @@ class McapReader:
                     if number and not index.is_wanted[number]:  # the first chunk has the beginning
                         self._steady.skip(index.first_ns[number], index.last_ns[number])
                     else:
-                        _, body = _read_record(file, at)
-                        yield from self._of_chunk(body)
+                        yield from self._of_indexed_chunk(file, at)
                     at = index.ends[number]
                     number += 1
                     continue
@@ -335,20 +335,37 @@ class McapReader:
                 elif opcode == Opcode.MESSAGE:
                     yield from self._of_records(RECORD_HEAD.pack(opcode, len(body)) + body)
                 else:
-                    self._note_record(opcode, body)
+                    self._note_stored(opcode, body)
         except _DAMAGES as error:
             is_cut = isinstance(error, _FileCut)
-            self._damage.append(
-                "the file was not finished" if is_cut else f"unreadable from byte {file.tell()}: {error}"
-            )
+            self._damage.append(NOT_FINISHED if is_cut else f"unreadable from byte {file.tell()}: {error}")
+
+    def _note_stored(self, opcode: int, body: bytes) -> None:
+        """Note a record outside chunks. A damaged one costs only itself, because its end is known."""
+        try:
+            self._note_record(opcode, body)
+        except _DAMAGES as error:
+            self._note_damage("a record", error)
+
+    def _of_indexed_chunk(self, file: IO[bytes], at: int) -> Iterator[StoredMessage]:
+        """Yield the messages of a chunk whose end the index knows; its own length may be damaged."""
+        try:
+            _, body = _read_record(file, at)
+        except _DAMAGES as error:
+            self._note_damage("a chunk", error)
+        else:
+            yield from self._of_chunk(body)
 
     def _of_chunk(self, body: bytes) -> Iterator[StoredMessage]:
         try:
             yield from self._of_records(unpack_chunk(body, MAX_CHUNK_BYTES))
         except Exception as error:  # noqa: BLE001 - the library's and its decompressors', for damaged bytes
-            self._damaged_chunks += 1
-            if self._damaged_chunks <= MAX_NAMED:
-                self._chunks.append(f"a chunk is damaged: {type(error).__name__}: {error}"[:MAX_REASON])
+            self._note_damage("a chunk", error)
+
+    def _note_damage(self, part: str, error: Exception) -> None:
+        self._damaged_chunks += 1
+        if self._damaged_chunks <= MAX_NAMED:
+            self._chunks.append(f"{part} is damaged: {type(error).__name__}: {error}"[:MAX_REASON])
 
     def _of_records(self, data: bytes) -> Iterator[StoredMessage]:
         """Yield the messages of a chunk, which may have millions of records.

@@ -28,7 +28,7 @@ from hostlink.recording.folder import Folder
 from hostlink.recording.history import decode_event
 from hostlink.recording.incident import Incident, OutOfTime, write_incident
 from hostlink.recording.mcap_writer import MAX_CHANNELS, PROFILE, McapWriter
-from hostlink.recording.reader import McapReader
+from hostlink.recording.reader import NOT_FINISHED, McapReader
 from hostlink.recording.ring import RING, Entry, read_blocks, read_entries, read_schemas, write_fact
 
 # -- salvage ----------------------------------------------------------------------------------------------------------
@@ -197,12 +197,15 @@ class Repaired:
 
     messages: int
     damage: tuple[str, ...]
+    original: Path | None = None  # the damaged file, which is kept; None for one that only lacked its end
 
 
 def repair(path: Path, on_progress: Callable[[int], None] = lambda _: None) -> Repaired:
     """Replace a file by a finished one with every readable message. An intact file is not changed.
 
-    `on_progress` is called with the number of messages now and then. After any failure the file is unchanged.
+    A file with other damage than a missing end is kept under the name NAME.damaged, because a later version may read
+    more of it. `on_progress` is called with the number of messages now and then. After any failure the file is
+    unchanged.
 
     Raises:
         RecordingFailed: the file cannot be read or written, is not an MCAP file, is a damaged file of another program,
@@ -212,6 +215,7 @@ def repair(path: Path, on_progress: Callable[[int], None] = lambda _: None) -> R
     _check_left(path)
     reader = McapReader(path)
     part = path.with_name(f"{path.name}.repaired")
+    original: Path | None = None
     try:
         part.unlink(missing_ok=True)
         writer = McapWriter(part, metadata={}, has_steady_times=McapReader(path).reads_steady_times())
@@ -227,13 +231,16 @@ def repair(path: Path, on_progress: Callable[[int], None] = lambda _: None) -> R
             writer.close()
             if reader.damage:
                 _check_ours(reader)
+                if reader.damage != [NOT_FINISHED]:
+                    original = path.with_name(f"{path.name}.damaged")
+                    path.replace(original)
                 part.replace(path)
         finally:
             writer.abandon()
             part.unlink(missing_ok=True)
     except OSError as error:
         raise RecordingFailed(f"{path}: {error.strerror or error}") from error
-    return Repaired(writer.messages, tuple(reader.damage))
+    return Repaired(writer.messages, tuple(reader.damage), original)
 
 
 def _check_left(path: Path) -> None:

@@ -111,7 +111,7 @@ def test_of_many_damaged_chunks_a_few_are_named_and_the_others_counted(tmp_path:
     assert [each.payload for each in reader.messages()] == [text("a")]
     assert len(reader.damage) == MAX_NAMED + 1
     assert reader.damage[0].startswith("a chunk is damaged: ")
-    assert reader.damage[-1] == f"{20_000 - MAX_NAMED} other chunks are damaged"
+    assert reader.damage[-1] == f"{20_000 - MAX_NAMED} other chunks or records are damaged"
     assert len(contents_of(path).damage) == MAX_NAMED + 1
 
 

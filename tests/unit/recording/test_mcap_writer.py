@@ -146,6 +146,36 @@ def test_damaged_chunk_loses_its_messages_but_no_channel(tmp_path: Path) -> None
     assert list(McapReader(path).messages()) == messages[50:]
 
 
+def test_damaged_metadata_costs_no_message_and_repair_keeps_the_original(tmp_path: Path) -> None:
+    path, messages = tmp_path / "a.mcap", drawn(100)
+    writer = McapWriter(path, metadata={"note": "hello"})
+    for message in messages:
+        writer.write(*message)
+    writer.close()
+    damaged = bytearray(path.read_bytes())
+    damaged[damaged.index(b"hello")] = 0xFF  # not UTF-8
+    path.write_bytes(damaged)
+    assert list(McapReader(path).messages()) == messages
+    repaired = repair(path)
+    assert (repaired.messages, repaired.original) == (100, tmp_path / "a.mcap.damaged")
+    assert (tmp_path / "a.mcap.damaged").read_bytes() == damaged
+    assert list(McapReader(path).messages()) == messages
+
+
+def test_damaged_length_of_an_indexed_chunk_costs_only_that_chunk(tmp_path: Path) -> None:
+    path, messages = tmp_path / "a.mcap", drawn(300)
+    sizes = write(path, messages)
+    damaged = bytearray(path.read_bytes())
+    with path.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    damaged[summary.chunk_indexes[1].chunk_start_offset + 7] ^= 0x40  # a high byte of the length
+    path.write_bytes(damaged)
+    found = list(McapReader(path).messages())
+    assert len(found) >= len(messages) - 100
+    assert len(sizes) > 2
+
+
 def test_repairing_a_whole_file_leaves_its_bytes(tmp_path: Path) -> None:
     write(tmp_path / "a.mcap", drawn(100))
     before = (tmp_path / "a.mcap").read_bytes()
