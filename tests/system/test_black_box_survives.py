@@ -135,10 +135,13 @@ async def test_a_daemon_that_ends_with_many_pending_incidents_is_quick_and_loses
         assert await idle.end(signal.SIGTERM) == 0
         idle_s = time.monotonic() - began_s
     async with serve(*words) as daemon, aiohttp.ClientSession() as session, asyncio.TaskGroup() as tasks:
+        begin = asyncio.Event()
         for name in names:
-            tasks.create_task(flood(daemon, name))
+            tasks.create_task(flood(daemon, name, begin))
         for _ in names:
             await daemon.read_log("robot.appeared")
+        await get(session, daemon, "/api/robots")  # by its answer the black box has subscribed
+        begin.set()
         await expect_messages(session, daemon, names)
         for name in names:
             await post(session, daemon, f"/api/robots/{name}/lock", {"reason": "all at once"})
@@ -161,9 +164,10 @@ async def test_a_daemon_that_ends_with_many_pending_incidents_is_quick_and_loses
     assert len(incident_files(tmp_path)) == 4 + MAX_REQUESTED
 
 
-async def flood(daemon: Process, name: str) -> None:
-    """A robot with POSES poses, until the daemon ends."""
+async def flood(daemon: Process, name: str, begin: asyncio.Event) -> None:
+    """Send POSES poses of a robot after `begin`, and stay until the daemon ends."""
     async with fake_device(daemon.tcp, robot_topics(name)) as device:
+        await begin.wait()
         for _ in range(POSES // 100):
             await device.send(pose(1.0, 2.0, 0.5) * 100)
         await device.closed()
