@@ -76,6 +76,7 @@ ROS_OPTIONS = {  # option of a command of ROS, and the one of hostlink; empty: h
     ("play", "--start-offset"): "--start",
     ("play", "--topics"): "--as-program",
 }
+LISTS_TOPICS = {("record", "--topics"), ("play", "--topics")}
 _IN_A_FILE = "`hostlink export FILE --to csv` writes the messages of a recording"
 _OF_TYPES = "`hostlink type TYPE` shows the fields of a type, and `hostlink topics` lists the types that are in use"
 LACKING = {  # commands and options of ROS that hostlink lacks, and the next step
@@ -177,8 +178,12 @@ def _own_options(words: Sequence[str]) -> list[str]:
     for word in words[:end]:
         name, equals, value = word.partition("=")
         own = ROS_OPTIONS.get((command, name))
-        if own != "":
-            found.append(word if own is None else f"{own}{equals}{value}")
+        if own is None:
+            found.append(word)
+        elif (command, name) in LISTS_TOPICS and equals:  # its value is an argument here
+            found += [*([own] if own else []), value]
+        elif own:
+            found.append(f"{own}{equals}{value}")
     return [*found, *words[end:]]
 
 

@@ -405,22 +405,23 @@ async def _echo(url: str, token: str | None, echo: Echo, type_name: str) -> None
             await write_hint(host, echo.topic)
         printed = 0
         async for message in _within(messages, echo):
-            write(*_message_lines(message, echo, is_first=not printed))
+            write(*message_lines(message, echo, is_first=not printed))
             printed += 1
             if printed == echo.count:
                 return
 
 
-def _message_lines(message: dict[str, Any], echo: Echo, *, is_first: bool) -> list[str]:
+def message_lines(message: dict[str, Any], echo: Echo, *, is_first: bool) -> list[str]:
+    """Return the lines that show a message; for CSV the first message has a header line."""
     value = field_of(message, echo.field) if echo.field else message
     if echo.as_json:
         return [json_text.dumps(value, ensure_ascii=False)]
     if not echo.as_csv:
         is_single = bool(echo.field) and not isinstance(value, dict | list)
         return [*block(readable(value), echo.longest), *([] if is_single else ["---"])]
-    names, values = zip(*flat(value, echo.field), strict=True) if value != {} else ((), ())
-    lines = [csv_line([f"{time.time():.6f}", *values])]
-    return [csv_line(["time", *names]), *lines] if is_first else lines
+    pairs = list(flat(value, echo.field)) if value != {} else []
+    lines = [csv_line([f"{time.time():.6f}", *(each for _, each in pairs)])]
+    return [csv_line(["time", *(name for name, _ in pairs)]), *lines] if is_first else lines
 
 
 async def _within(messages: AsyncIterator[dict[str, Any]], echo: Echo) -> AsyncIterator[dict[str, Any]]:

@@ -205,6 +205,8 @@ class LoopThread:
                 news.clear()
                 if newest:
                     report(newest.pop())
+            if report is not None and newest and not call.cancelled() and call.exception() is None:
+                report(newest.pop())
 
         return self.run(begin(note), wait)
 

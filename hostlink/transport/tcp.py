@@ -178,6 +178,9 @@ async def serve_tcp(
             await loop.connect_accepted_socket(lambda: TcpTransport(on_connection), connection)
         except OSError:  # the peer has reset the connection
             connection.close()
+        except Exception as error:  # noqa: BLE001 - a defect in opening one connection ends neither listener nor daemon
+            connection.close()
+            loop.call_exception_handler({"message": "a connection could not be opened", "exception": error})
 
     def accepted(connection: socket.socket, peer: str, _: float) -> None:
         tasks.create_task(open_transport(connection), name=f"opening of {peer}")
@@ -185,7 +188,7 @@ async def serve_tcp(
     loop = asyncio.get_running_loop()
     try:
         sockets = list(listening) or await bind(config.host, config.port)
-    except (OSError, OverflowError) as error:
+    except (OSError, OverflowError, UnicodeError) as error:
         raise ConfigError(f"TCP {spelled(config.host, config.port)}", explain(error, "--listen")) from error
     address = sockets[0].getsockname()[:2]
     async with asyncio.TaskGroup() as tasks:
@@ -201,8 +204,10 @@ def spelled(host: str, port: int) -> str:
     return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
 
 
-def explain(error: OSError | OverflowError, option: str) -> str:
+def explain(error: OSError | OverflowError | UnicodeError, option: str) -> str:
     """Explain why an address cannot be listened on. `option` is the flag that chooses another."""
+    if isinstance(error, UnicodeError):
+        return f"invalid host name; choose another with {option} HOST:PORT"
     if isinstance(error, OverflowError):
         return "invalid port; choose 0 (any free port) to 65535"
     if error.errno == errno.EADDRINUSE:

@@ -396,6 +396,7 @@ async def test_a_port_in_use_is_named_in_the_error() -> None:
             TcpConfig(host="192.0.2.1"),
             r"^TCP 192\.0\.2\.1:11411: cannot be listened on: (Cannot assign requested|could not bind on any) address",
         ),
+        (TcpConfig(host="a" * 70), "invalid host name; choose another with --listen HOST:PORT"),
         (TcpConfig(host="2001:db8::1"), r"^TCP \[2001:db8::1\]:11411: cannot be listened on: "),
     ],
 )

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hostlink.cli.arguments import read_message
-from hostlink.cli.topics import Echo, block, filled, message_count, type_and_message, with_field
+from hostlink.cli.topics import Echo, block, filled, message_count, message_lines, type_and_message, with_field
 from hostlink.errors import ConfigError, HostlinkError
 
 VECTOR = {
@@ -199,3 +199,9 @@ MESSAGES = st.recursive(
 @given(st.dictionaries(NAMES, MESSAGES, max_size=4))
 def test_message_that_echo_prints_is_read_again(message: dict[str, Any]) -> None:
     assert read_message("\n".join([*block(message), "---", ""])) == message
+
+
+def test_csv_of_a_message_with_only_empty_fields_has_its_time_alone() -> None:
+    echo = Echo(topic="/t", field="", count=0, throttle_ms=0, timeout_s=0, as_json=False, as_csv=True, longest=0)
+    head, line = message_lines({"a": {}}, echo, is_first=True)
+    assert (head, line.count(",")) == ("time", 0)
