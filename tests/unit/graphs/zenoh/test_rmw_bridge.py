@@ -32,6 +32,7 @@ from tests.support.fake_device import CATALOG
 from tests.support.memory_zenoh import MemoryNetwork, MemorySession
 from tests.support.participants import ROBOT, TEXT, TEXT_TYPE, Scene, play
 from tests.support.virtual_loop import run_virtual
+from tests.support.waiting import expect
 
 TYPES = Ros2Types(CATALOG, "kilted")
 STRING, TWIST, TRIGGER = "std_msgs/msg/String", "geometry_msgs/msg/Twist", "std_srvs/srv/Trigger"
@@ -163,7 +164,7 @@ def test_topic_of_ros_2_reaches_a_program_and_ends_with_its_token() -> None:
         await asyncio.sleep(0.3)
         assert world.scene.hub.topics.find("/chatter").type_name == TEXT_TYPE
         world.send("/chatter", token, cdr("hello"), 1)
-        await asyncio.sleep(0.1)
+        await expect(lambda: heard)
         assert heard == [text("hello")]
         assert world.counts["from_ros2"] == 1
         declaration.close()
