@@ -233,10 +233,14 @@ class VelocitySender:
         request = {"id": f"{_COMMAND}{stream.number}:{robot}", "sent_s": now_s, "epoch": epoch}
         await self._connection.send(_request(robot, velocity, priority) | request)
 
+    def end_motions(self) -> None:
+        """End motions, also those that have not commanded yet. Notices of velocities that were broken off stay."""
+        self._newest_of_all = self.next_number()
+
     def stop_repeating_all(self) -> tuple[str, ...]:
         """Repeat nothing more, and end motions that have not commanded yet; returns the robots that were driven."""
         driven = self.robots
-        self._newest_of_all = self.next_number()
+        self.end_motions()
         self._repeated.clear()
         self._broken.clear()
         return driven

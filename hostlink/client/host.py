@@ -295,7 +295,7 @@ class Host:
         elif of_cell is not None:
             names = self._driver.robots_of_cell(of_cell)
         else:
-            self._driver.stop_repeating_all()
+            self._driver.end_motions()
         for name in names:
             self._driver.stop_repeating(name)
         with contextlib.suppress(TimeoutError):
