@@ -1,14 +1,15 @@
 """Cost of a fleet over Zenoh on one machine: traffic and CPU of each daemon, and the delay of a command.
 
 Each daemon is a process, each robot a device that sends ten poses a second. A program at the first daemon drives a
-robot of the last one 50 times a second; the latency is from its send to the robot's read, and to the answer. `--pages`
-of the daemons have an open event stream, as of a page. Prints JSON; with `--check` it ends with status 1 when the 99th
-percentile is over 10 ms.
+robot of the last one 50 times a second; the latency is from its send to the robot's read, and to the answer. It drives
+a robot of its own daemon in the same way, as the yardstick. `--pages` of the daemons have an open event stream, as of a
+page. Prints JSON; with `--check` it ends with status 1 when the 99th percentile is over 10 ms.
 """
 
 import argparse
 import asyncio
 import contextlib
+import functools
 import itertools
 import json
 import os
@@ -57,7 +58,7 @@ async def measure(daemons: int, robots: int, pages: int, seconds: float) -> dict
         found_s = await all_known(session, hosts, daemons * robots)
         await asyncio.sleep(READ_S + 1)  # poses travel on for a while
         idle = await costs(hosts, seconds)
-        driving = await drive(session, hosts, f"robot_{daemons * robots - 1}", seconds)
+        driving = await drive(session, hosts, seconds)
         readers = [tasks.create_task(read_page(session, host)) for host in hosts[:pages]]
         await asyncio.sleep(2.0)
         with_pages = await costs(hosts, seconds)
@@ -208,21 +209,43 @@ def traffic(pids: list[int]) -> dict[int, int]:
     return total
 
 
-async def drive(session: aiohttp.ClientSession, hosts: list[Process], name: str, seconds: float) -> dict[str, Any]:
-    """A program at the first daemon drives a device of its own at the last one."""
+async def drive(session: aiohttp.ClientSession, hosts: list[Process], seconds: float) -> dict[str, Any]:
+    """Drive a robot of the last daemon from the first one and, as the yardstick, a robot of the first one itself."""
+    answers: dict[str, Callable[[], None]] = {}
+    async with session.ws_connect(hosts[0].url) as program, asyncio.TaskGroup() as reading:
+        reader = reading.create_task(_read_answers(program, answers))
+        async with asyncio.TaskGroup() as driving:
+            far, near = [
+                driving.create_task(_drive_one(session, (hosts[0], host), name, program, answers, seconds))
+                for host, name in ((hosts[-1], "driven_far"), (hosts[0], "driven_near"))
+            ]
+        reader.cancel()
+    return {**far.result(), "near": near.result()}
+
+
+async def _read_answers(program: aiohttp.ClientWebSocketResponse, answers: dict[str, Callable[[], None]]) -> None:
+    async for message in program:
+        answer = message.json()
+        if answer.get("op") == "drive_result" and answer["result"]:
+            answers.pop(answer["id"])()
+
+
+async def _drive_one(
+    session: aiohttp.ClientSession,
+    ends: tuple[Process, Process],
+    name: str,
+    program: aiohttp.ClientWebSocketResponse,
+    answers: dict[str, Callable[[], None]],
+    seconds: float,
+) -> dict[str, Any]:
+    """The latencies of commands from a program at the first daemon to a device at the second one."""
     loop = asyncio.get_running_loop()
-    sent: dict[int, float] = {}
+    first, last = ends
     not_arrived: dict[int, float] = {}  # a velocity is repeated towards the device
     to_device: list[float] = []
     to_answer: list[float] = []
-    async with (
-        fake_device(hosts[-1].tcp, robot_topics("driven")) as device,
-        session.ws_connect(hosts[0].url) as program,
-        asyncio.TaskGroup() as tasks,
-    ):
-        await until(
-            session, hosts[0], lambda robots: any(each["name"] == "driven" and each["connected"] for each in robots)
-        )
+    async with fake_device(last.tcp, robot_topics(name)) as device, asyncio.TaskGroup() as tasks:
+        await until(session, first, lambda robots: any(each["name"] == name and each["connected"] for each in robots))
 
         async def arrive() -> None:
             while True:
@@ -231,23 +254,21 @@ async def drive(session: aiohttp.ClientSession, hosts: list[Process], name: str,
                 if begun_s is not None:
                     to_device.append(1000 * (loop.time() - begun_s))
 
-        async def answers() -> None:
-            async for message in program:
-                answer = message.json()
-                if answer.get("op") == "drive_result" and answer["result"]:
-                    to_answer.append(1000 * (loop.time() - sent[int(answer["id"])]))
+        def answered(sent_s: float) -> None:
+            to_answer.append(1000 * (loop.time() - sent_s))
 
-        running = [tasks.create_task(arrive()), tasks.create_task(answers())]
+        arriving = tasks.create_task(arrive())
         for number in range(1, round(seconds / COMMAND_INTERVAL_S) + 1):
-            sent[number] = not_arrived[number] = loop.time()
+            command = f"{name} {number}"
+            not_arrived[number] = loop.time()
+            answers[command] = functools.partial(answered, not_arrived[number])
             await program.send_json(
-                {"op": "drive", "id": str(number), "robot": "driven", "linear": number * STEP_M_S, "angular": 0.0}
+                {"op": "drive", "id": command, "robot": name, "linear": number * STEP_M_S, "angular": 0.0}
             )
             await asyncio.sleep(COMMAND_INTERVAL_S)
         await asyncio.sleep(0.5)
-        for task in running:
-            task.cancel()
-    return {"driven": name, "to_device_ms": _spread(to_device), "to_answer_ms": _spread(to_answer)}
+        arriving.cancel()
+    return {"to_device_ms": _spread(to_device), "to_answer_ms": _spread(to_answer)}
 
 
 def _spread(values: list[float]) -> dict[str, float]:
