@@ -247,7 +247,8 @@ class PacedReading(ForwardingProtocol, asyncio.BufferedProtocol):
         self._is_lost, self._held = True, b""
         self.give_room()
         self._connections.leave(self._connection)
-        super().connection_lost(exc)
+        # A turn later: aiohttp calls None for a request that arrived in this turn, because it has forgotten its handler.
+        self._loop.call_soon(super().connection_lost, exc)
 
     def pause_writing(self) -> None:
         self.is_writing_paused = True
