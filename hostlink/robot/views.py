@@ -1,4 +1,4 @@
-"""What REST, the events and the client show of a robot, as JSON. Numbers carry their unit. Pure."""
+"""The JSON of a robot that REST, the events and the client show. Numbers carry their unit. Pure."""
 
 from typing import TypedDict
 
