@@ -16,6 +16,8 @@ const WAYS: Record<string, [forward: number, turn: number]> = {
 /** Events after which releases are not reported: another window, a browser menu, a drag out of the page. */
 export const LOST = ["blur", "contextmenu", "dragstart"] as const;
 
+const FRAME = "[role=separator], .full"; // resize and maximise panels: no key on them drives
+
 const TEXTS = new Set(["text", "password", "number", "search", "email", "url", "tel"]);
 
 /** Space stops; L and Escape lock. */
@@ -68,6 +70,7 @@ export function connectKeys(driving: Driving, stop: () => void, lock: () => void
 /** Whether the focused element needs the key. Radio buttons and scrolling elements do not use letters. */
 function isTaken({ target, code }: KeyboardEvent): boolean {
   if (!(target instanceof HTMLElement)) return false;
+  if (target.matches(FRAME)) return true;
   if (code.startsWith("Arrow")) return isControl(target) || target.matches("[role=menu] *, [tabindex]:focus-visible");
   return (isControl(target) && !isRadio(target)) || target.matches("[role=menu] *");
 }
