@@ -3,10 +3,10 @@
  * that gives it another height; columns have edges for their widths.
  */
 
-import { find, make, remember, remembered, setText } from "./dom";
+import { ageText, find, make, remember, remembered, setText } from "./dom";
 import { COLUMNS, LAYOUTS, type LayoutName, Layouts } from "./layouts";
 import type { Page } from "./page";
-import { PANELS, type Panel } from "./panels";
+import { type Feed, PANELS, type Panel } from "./panels";
 import { Sizes } from "./sizes";
 import { makeSplitter } from "./splitter";
 
@@ -24,6 +24,7 @@ interface Framed {
   element: HTMLElement;
   fold: HTMLButtonElement;
   full: HTMLButtonElement;
+  age: HTMLElement;
   body: HTMLElement;
 }
 
@@ -129,6 +130,15 @@ export class Frame {
     this.onLayout(this.layout);
   }
 
+  /** Show how old the values of each feed are; null: they are up to date. */
+  showAges(ages_s: Record<Feed, number | null>): void {
+    for (const { panel, element, age } of this.framed.values()) {
+      const age_s = panel.feed ? ages_s[panel.feed] : null;
+      element.classList.toggle("aged", age_s !== null);
+      setText(age, age_s === null ? "" : `${ageText(age_s)} old`);
+    }
+  }
+
   isFolded(name: string): boolean {
     return this.folded.has(name);
   }
@@ -187,8 +197,9 @@ export class Frame {
     const more = make("button", { type: "button", class: "more", "aria-label": `${title}: move, fold` }, "⋯");
     const extras = element.querySelectorAll(":scope > [data-bar]");
     const body = make("div", { class: "body", id: `${name}-body` });
+    const age = make("span", { class: "age" });
     const ends = make("span", { class: "ends" }, full, more);
-    const bar = make("div", { class: "bar" }, make("h2", { id: `${name}-title` }, fold), ...extras, ends);
+    const bar = make("div", { class: "bar" }, make("h2", { id: `${name}-title` }, fold), age, ...extras, ends);
     body.append(...element.childNodes);
     const edge = makeSplitter({
       label: `Height of ${title}`,
@@ -203,7 +214,7 @@ export class Frame {
     full.addEventListener("mousedown", (event) => event.preventDefault()); // no focus: keys go on driving
     full.addEventListener("click", () => this.maximise(this.maximised === name ? null : name));
     more.addEventListener("click", () => this.menu.open(name, title, more));
-    const framed = { panel, element, fold, full, body };
+    const framed = { panel, element, fold, full, age, body };
     this.framed.set(name, framed);
     this.showFold(framed);
   }
