@@ -37,7 +37,7 @@ export const PANELS: readonly Panel[] = [
     places: { Drive: "middle", Watch: "middle" },
     wide: { Drive: "right", Watch: "right" },
   },
-  { name: "steps", title: "Step", places: { Tune: "middle" } },
+  { name: "steps", title: "Step response", places: { Tune: "middle" } },
   { name: "plots", title: "Wheels", feed: "topics", places: { Tune: "middle" }, wide: { Tune: "right" } },
   { name: "tuning", title: "PID tuning", places: { Tune: "right" } },
   { name: "topics", title: "Topics", feed: "events", places: { Watch: "middle" }, start: startTopics },
