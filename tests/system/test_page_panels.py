@@ -4,6 +4,7 @@ import re
 from typing import Any
 
 import pytest
+from axe_playwright_python.async_playwright import Axe
 from playwright.async_api import Browser
 from playwright.async_api import expect as expect_page
 
@@ -102,6 +103,8 @@ async def test_one_panel_covers_the_others_and_the_stops_stay(browser: Browser, 
         for stop in ("#stop", "#stop-all"):
             measured = await box(tab, stop)
             assert measured["seen"] == measured["height"] > 30
+        found = await Axe().run(tab.page)
+        assert found.violations_count == 0, found.generate_report()
         await tab.page.keyboard.down("KeyW")  # the button was pressed by mouse, so keys drive
         await expect(lambda: drives(server)[-1][0] > 0)
         await tab.page.locator("#stop-all").click()
@@ -141,13 +144,18 @@ async def test_plots_share_the_free_height(browser: Browser) -> None:
             for plot in await tab.page.locator("main .plot").all():
                 measured = await plot.evaluate(BOX)
                 assert measured["seen"] == measured["height"] > 140, layout
+        await tab.page.set_viewport_size(TABLETS[0])
+        for plot in await tab.page.locator("main .plot").all():  # of Tune
+            measured = await plot.evaluate(BOX)
+            assert measured["seen"] == measured["height"] >= 100
+        await tab.page.set_viewport_size(LAPTOP)
         await tab.layout("Watch")
         await tab.page.locator("#topics .topics button").click()
         await server.publish("/robot_0/odometry", {"x": 1.0, "y": 2.0, "theta": 0.5})
         await tab.page.get_by_label("Plot theta").check()
         plot = await box(tab, "#topics .plot")
         assert plot["seen"] == plot["height"] >= 160
-        assert (await box(tab, "#topics .tree"))["seen"] > 60  # its values are beside it
+        assert (await box(tab, "#topics .tree"))["seen"] > 60  # the values stand beside the plot
         assert tab.complaints == []
 
 
@@ -221,7 +229,7 @@ async def test_keys_and_gamepad_move_the_knob_of_the_stick(browser: Browser) -> 
         await is_at(0, 0)
 
 
-async def test_what_panels_show_ages_while_the_daemon_is_gone(browser: Browser) -> None:
+async def test_panels_show_the_age_of_their_values_while_the_daemon_is_gone(browser: Browser) -> None:
     async with page_server() as server, visit(browser, server.url, viewport=LAPTOP) as tab:
         server.show(fleet())
         await tab.shows("#drive-state", "no driver")
