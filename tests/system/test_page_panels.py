@@ -155,7 +155,7 @@ async def test_plots_share_the_free_height(browser: Browser) -> None:
         await tab.page.get_by_label("Plot theta").check()
         plot = await box(tab, "#topics .plot")
         assert plot["seen"] == plot["height"] >= 160
-        assert (await box(tab, "#topics .tree"))["seen"] > 60  # the values stand beside the plot
+        assert (await box(tab, "#topics .tree"))["seen"] > 60  # the values are shown next to the plot
         assert tab.complaints == []
 
 

@@ -12,8 +12,9 @@ import { makeSplitter } from "./splitter";
 
 const SHORT = "(max-height: 640px)";
 const PHONE =
-  "(max-width: 479px), (max-width: 599px) and (min-height: 421px), (max-width: 719px) and (min-height: 521px)";
-const TABLET = "(max-width: 899px) and (min-height: 521px)"; // in portrait, where it is not a phone
+  "(max-width: 479px), (max-width: 599px) and (min-height: 421px), (max-width: 719px) and (min-height: 521px), " +
+  "(max-width: 899px) and (min-height: 521px) and (max-height: 640px)";
+const TABLET = "(max-width: 899px) and (min-height: 641px)"; // in portrait, where it is not a phone
 const NARROW = "(max-width: 767px)"; // too narrow for three columns, and not a phone in portrait
 const WIDE = "(min-width: 1700px)";
 const LEAST_PX = { height: 80, width: 200 };

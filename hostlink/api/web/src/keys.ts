@@ -63,16 +63,22 @@ export function connectKeys(driving: Driving, stop: () => void, lock: () => void
     hold();
   };
   for (const lost of LOST) addEventListener(lost, lose);
-  addEventListener("focusin", (event) => isControl(event.target) && !isRadio(event.target) && lose());
+  addEventListener("focusin", ({ target }) => {
+    if ((isControl(target) && !isRadio(target)) || isFrame(target)) lose();
+  });
   document.addEventListener("visibilitychange", lose);
 }
 
 /** Whether the focused element needs the key. Radio buttons and scrolling elements do not use letters. */
 function isTaken({ target, code }: KeyboardEvent): boolean {
   if (!(target instanceof HTMLElement)) return false;
-  if (target.matches(FRAME)) return true;
+  if (isFrame(target)) return true;
   if (code.startsWith("Arrow")) return isControl(target) || target.matches("[role=menu] *, [tabindex]:focus-visible");
   return (isControl(target) && !isRadio(target)) || target.matches("[role=menu] *");
+}
+
+function isFrame(target: EventTarget | null): boolean {
+  return target instanceof HTMLElement && target.matches(FRAME);
 }
 
 function isControl(target: EventTarget | null): boolean {
