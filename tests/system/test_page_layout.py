@@ -29,7 +29,6 @@ LAYOUTS = ("Drive", "Tune", "Fleet", "Watch")
 COLOURS = {
     "runOnly": {"type": "rule", "values": ["color-contrast", "link-in-text-block"]}
 }  # of axe: what depends on the scheme
-MEASURE = (Path(__file__).parents[1] / "support" / "page_measure.js").read_text(encoding="utf-8")
 PICTURES = Path("build/screenshots")
 TAKES_PICTURES = bool(os.environ.get("HOSTLINK_PICTURES"))  # make screenshots
 SETTLED = "() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))"
@@ -192,8 +191,7 @@ class Scene:
             await self.tab.page.screenshot(path=PICTURES / f"{name}.png")
 
     async def faults(self) -> list[str]:
-        found: list[str] = await self.tab.page.evaluate(MEASURE)
-        return found
+        return await self.tab.faults()
 
 
 @pytest_asyncio.fixture(scope="module", loop_scope="session")

@@ -178,6 +178,9 @@ async def test_a_tablet_shows_robot_stick_and_stops_without_scrolling_and_a_fing
                     assert measured["seen"] == measured["height"] > 25, (count, size, layout, selector)
         assert await tab.page.evaluate("document.documentElement.scrollWidth") == TABLETS[1]["width"]
         await tab.layout("Drive")
+        for size in (PHONE, *TABLETS):  # with the larger buttons of a touch screen
+            await tab.page.set_viewport_size(size)
+            assert await tab.faults() == [], size
         finger = await tab.page.context.new_cdp_session(tab.page)
         before, edge = await box(tab, "#map"), await box(tab, "#map > .splitter")
         assert edge["height"] >= 14  # as high as a finger needs it
