@@ -4,6 +4,7 @@ import contextlib
 import re
 from collections.abc import AsyncIterator
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
@@ -23,6 +24,7 @@ FLAGS = [
     "--disable-component-update",
     "--disable-sync",
 ]
+MEASURE = Path(__file__).with_name("page_measure.js").read_text(encoding="utf-8")
 DESK = {"width": 1440, "height": 900}
 PHONE = {"width": 390, "height": 844}
 
@@ -53,6 +55,11 @@ class Visit:
     async def layout(self, name: str) -> None:
         """Choose a layout: Drive, Tune, Fleet, Watch."""
         await self.page.locator("#layouts").get_by_role("button", name=name).click()
+
+    async def faults(self) -> list[str]:
+        """Return what leaves the window, overlaps, is hard to read or must be scrolled to."""
+        found: list[str] = await self.page.evaluate(MEASURE)
+        return found
 
     async def stick(self) -> tuple[float, float]:
         """The middle of the joystick."""

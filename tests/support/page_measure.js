@@ -107,7 +107,7 @@
   // what one drives with is there without scrolling
   if (document.body.dataset.layout === "Drive") {
     const main = document.querySelector("main").getBoundingClientRect();
-    const needed = ["#stop", "#robots .robot:has(:checked)", "#joystick", "#map-canvas", "#link .tiles", "#status"];
+    const needed = ["#stop", "#stop-all:not([hidden])", "#robots .robot:has(:checked)", "#joystick", "#map-canvas", "#link .tiles", "#status"];
     for (const selector of needed) {
       const element = document.querySelector(selector);
       if (element === null) continue; // no robot

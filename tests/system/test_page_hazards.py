@@ -470,7 +470,7 @@ async def test_wild_values_of_a_device_stay_readable(scene: Scene) -> None:
     await scene.tab.layout("Watch")
     await page.get_by_role("button", name="/robot_0/odometry").click()
     await scene.server.publish("/robot_0/odometry", {"x": 1e-9, "y": -1.7e308, "z": None, "long": "v" * 500, "n": 0.25})
-    for text in ("1.000e−9", "−1.7e+308", "none", "(500 letters)", "0.2500"):
+    for text in ("1.000e−9", "−1.7e+308", "none", "(500 characters)", "0.2500"):
         await scene.tab.shows("#topics .tree", text)
     await page.get_by_role("button", name="All topics").click()
 

@@ -170,14 +170,14 @@ async def test_gains_are_kept_under_a_name(browser: Browser) -> None:
     async with bench(browser) as (_, robot, tab):
         page = tab.page
         await page.get_by_label("Left Kp").fill("17.5")
-        await page.get_by_label("Keep these as").fill(HOSTILE)
-        await page.get_by_role("button", name="Keep", exact=True).click()
+        await page.get_by_label("Save these as").fill(HOSTILE)
+        await page.get_by_role("button", name="Save", exact=True).click()
         await page.get_by_label("Left Kp").fill("3")
         await page.reload()
         await page.locator("#step:enabled").wait_for()
-        await page.get_by_label("Kept gains").select_option(HOSTILE)
+        await page.get_by_label("Saved gains").select_option(HOSTILE)
         assert await page.get_by_label("Left Kp").input_value() == "17.5"
         assert robot.controls[0].kp != 17.5  # choosing sends nothing
         await page.get_by_role("button", name="Remove the chosen gains").click()
-        await expect_page(page.get_by_label("Kept gains").locator("option")).to_have_count(1)
+        await expect_page(page.get_by_label("Saved gains").locator("option")).to_have_count(1)
         assert await page.locator("img").count() == 0

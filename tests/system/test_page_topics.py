@@ -94,7 +94,7 @@ async def test_lists_are_bounded_and_texts_stay_text(browser: Browser) -> None:
         await expect(lambda: len(host.hub.topics.find("/many/topic_249").subscribers) > 0)
         await program.send(op="publish", topic="/many/topic_249", msg={"data": HOSTILE + "y" * 1000})
         await tab.shows("#topics .tree", HOSTILE)
-        await tab.shows("#topics .tree", "letters)")
+        await tab.shows("#topics .tree", "characters)")
         host.hub.join("a program").advertise("/rosout", "rosgraph_msgs/Log")
         for number in range(MANY_LINES):
             line = {"level": 8, "name": "a program", "msg": f"{HOSTILE} {number}"}

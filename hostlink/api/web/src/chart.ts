@@ -137,7 +137,7 @@ export class Chart {
           splits: (plot, _, begin, end) => timeline.marks(begin, end, plot.width - WIDTH_OF_NUMBERS),
           values: (_, marks) => marks.map((mark) => timeline.label(mark)),
         },
-        { ...axis, size: WIDTH_OF_NUMBERS, space: 30 },
+        { ...axis, size: WIDTH_OF_NUMBERS, space: (...[, , , , height]) => Math.max(30, height / 10) },
       ],
       series: [{}, ...this.lines.map((line) => seriesOf(line, this.options.isSparse === true))],
       hooks: {

@@ -2,7 +2,7 @@
 
 import type { Connection, DriveAnswer } from "./connection";
 import { ageText, digits, find, remember, remembered, setText } from "./dom";
-import { Driving, TICK_MS } from "./driving";
+import { type Deflection, Driving, TICK_MS } from "./driving";
 import type { Fleet } from "./fleet";
 import { connectGamepad } from "./gamepad";
 import { connectJoystick } from "./joystick";
@@ -30,6 +30,7 @@ export class Drive {
   private refusedAt = Number.NEGATIVE_INFINITY;
   private droveAt = Number.NEGATIVE_INFINITY;
   private wasHeld = false; // at the previous command
+  private showCommand: (command: Deflection) => void = () => {}; // on the stick
   private readonly pause = new Pause();
   private readonly holders = new Map<string, number>(); // other drivers during this motion, and when they drove
 
@@ -47,7 +48,7 @@ export class Drive {
 
   /** `stop` is called for Space and the gamepad's button, `lock` for L and Escape. */
   connectInputs(stop: () => void, lock: () => void): void {
-    connectJoystick(find("#joystick"), this.driving);
+    this.showCommand = connectJoystick(find("#joystick"), this.driving);
     connectKeys(this.driving, stop, lock);
     connectGamepad(find("#gamepad"), this.driving, stop);
   }
@@ -136,6 +137,8 @@ export class Drive {
     const command = this.canDrive() ? this.driving.velocity() : STANDING;
     setText(find("#command-linear"), digits(command.linear_m_s, 2));
     setText(find("#command-angular"), digits(command.angular_rad_s, 2));
+    const { linear_m_s, angular_rad_s } = this.driving.limits;
+    this.showCommand({ forward: command.linear_m_s / linear_m_s, turn: command.angular_rad_s / angular_rad_s });
   }
 
   private send(velocity: Velocity): void {

@@ -28,7 +28,8 @@ export class Events {
   /** Whether the daemon is heard; null: not yet. */
   isHeard: boolean | null = null;
 
-  heardAt = 0; // time of the last byte, by the page's clock
+  heardAt = 0; // time of the last byte, or of the last attempt to connect, by the page's clock
+  private newestAt: number | null = null; // time of the last byte; null: none yet
   private isLate = false;
   private readonly delay = new Delay();
   private attempt = new AbortController();
@@ -43,6 +44,12 @@ export class Events {
   /** Age of the newest event in seconds; null: no noticeable delay. A slow connection delivers old states. */
   get late_s(): number | null {
     return this.isLate ? this.delay.at_ms(performance.now()) / 1000 : null;
+  }
+
+  /** Age of what the page shows in seconds, while nothing newer comes; null: it is up to date. */
+  get age_s(): number | null {
+    if (this.isHeard !== false) return this.late_s;
+    return this.newestAt === null ? null : (performance.now() - this.newestAt) / 1000;
   }
 
   start(): void {
@@ -86,7 +93,7 @@ export class Events {
     const reader = response.body.pipeThrough(new TextDecoderStream()).getReader();
     let pending = "";
     for (let part = await reader.read(); !part.done; part = await reader.read()) {
-      this.heardAt = performance.now();
+      this.heardAt = this.newestAt = performance.now();
       this.change(true);
       pending += part.value;
       const events = pending.split("\n\n");

@@ -1,35 +1,57 @@
-/** The frame: tabs of the layouts, and columns with panels. Each panel has a bar to fold and move it. */
+/**
+ * The frame: tabs of the layouts, and columns with panels. Each panel has a bar to fold, maximise and move it, and an edge
+ * that gives it another height; columns have edges for their widths.
+ */
 
-import { find, make, remember, remembered, setText } from "./dom";
+import { ageText, find, make, remember, remembered, setText } from "./dom";
 import { COLUMNS, LAYOUTS, type LayoutName, Layouts } from "./layouts";
 import type { Page } from "./page";
-import { PANELS, type Panel } from "./panels";
+import { type Feed, PANELS, type Panel } from "./panels";
+import { Sizes } from "./sizes";
+import { makeSplitter } from "./splitter";
 
 const SHORT = "(max-height: 640px)";
 const PHONE =
-  "(max-width: 479px), (max-width: 599px) and (min-height: 421px), (max-width: 899px) and (min-height: 521px)";
-const NARROW = "(max-width: 767px)"; // too narrow for two columns, and not a phone in portrait
+  "(max-width: 479px), (max-width: 599px) and (min-height: 421px), (max-width: 719px) and (min-height: 521px), " +
+  "(max-width: 899px) and (min-height: 521px) and (max-height: 640px)";
+const TABLET = "(max-width: 899px) and (min-height: 641px)"; // in portrait, where it is not a phone
+const NARROW = "(max-width: 767px)"; // too narrow for three columns, and not a phone in portrait
+const WIDE = "(min-width: 1700px)";
+const LEAST_PX = { height: 80, width: 200 };
+const MOST_SHARE = { height: 1, width: 0.4 }; // of the column's height, of the width of all columns
 
 interface Framed {
   panel: Panel;
   element: HTMLElement;
   fold: HTMLButtonElement;
+  full: HTMLButtonElement;
+  age: HTMLElement;
   body: HTMLElement;
 }
 
 export class Frame {
   layout: LayoutName;
 
-  private readonly layouts = new Layouts(PANELS, remembered("panels", ""), (kept) => remember("panels", kept));
+  private readonly isWide = matchMedia(WIDE);
+  private readonly layouts = new Layouts(
+    PANELS,
+    () => this.isWide.matches,
+    remembered("panels", ""),
+    (kept) => remember("panels", kept),
+  );
+  private readonly sizes = new Sizes(remembered("sizes", ""), (kept) => remember("sizes", kept));
+  private readonly main = find("main");
   private readonly folded = new Set(remembered("folded", "").split(" ").filter(Boolean));
   private readonly framed = new Map<string, Framed>();
   private readonly tabs = new Map<LayoutName, HTMLButtonElement>();
   private readonly isPhone = matchMedia(PHONE);
   private readonly isShort = matchMedia(SHORT);
+  private readonly isTablet = matchMedia(TABLET);
   private readonly isNarrow = matchMedia(NARROW);
+  private maximised: string | null = null; // name of the panel that covers the others
   private readonly menu = new PanelMenu(this);
 
-  /** `onLayout` is called when another layout is shown. */
+  /** `onLayout` is called when another layout is shown, or other panels of it. */
   constructor(
     page: Page,
     private readonly onLayout: (layout: LayoutName) => void,
@@ -42,15 +64,33 @@ export class Frame {
       this.tabs.set(name, tab);
       find("#layouts").append(tab);
     }
-    for (const query of [this.isPhone, this.isShort, this.isNarrow])
+    for (const query of [this.isPhone, this.isTablet, this.isShort, this.isNarrow, this.isWide])
       query.addEventListener("change", () => this.arrange());
+    this.main.append(this.makeEdge("left"), this.makeEdge("right"));
+    // the stop also uses this key and stops its propagation
+    addEventListener(
+      "keydown",
+      ({ code, repeat }) => {
+        if (code !== "Escape" || repeat || this.menu.close() || this.maximised === null) return;
+        this.maximise(null);
+      },
+      { capture: true },
+    );
     this.arrange();
   }
 
   choose(layout: LayoutName): void {
     this.layout = layout;
+    this.maximised = null;
     remember("layout", layout);
     this.arrange();
+  }
+
+  /** Let a panel cover the others; null: show all of them again. */
+  maximise(name: string | null): void {
+    this.maximised = name;
+    this.showMaximised();
+    this.changed();
   }
 
   /** Put every panel in its place. A panel that stays is not touched: a finger may be on it. */
@@ -60,25 +100,44 @@ export class Frame {
     const columns = { left: [...arrangement.left], middle: [...arrangement.middle], right: [...arrangement.right] };
     if (isPhone) {
       const all = PANELS.filter(({ name }) => !arrangement.away.includes(name));
-      columns.left = all.filter(({ isFirst }) => isFirst).map(({ name }) => name);
+      columns.left = all.map(({ name }) => name).filter(isFirst);
       columns.middle = [];
-      columns.right = all.filter(({ isFirst }) => !isFirst).map(({ name }) => name);
+      columns.right = all.map(({ name }) => name).filter((name) => !isFirst(name));
     }
-    const isPair = !isPhone && this.isNarrow.matches;
-    if (isPair && columns.left.length > 0) {
-      columns.middle.splice(1, 0, ...columns.right); // after the map
+    const isTablet = !isPhone && this.isTablet.matches;
+    const isPair = !isPhone && !isTablet && this.isNarrow.matches;
+    if ((isTablet || isPair) && columns.left.length > 0) {
+      columns.middle.splice(1, 0, ...columns.right.filter(isFirst)); // after the map
+      columns.middle.push(...columns.right.filter((name) => !isFirst(name)));
       columns.right = [];
     }
     for (const column of COLUMNS) this.fill(find(`main > .${column}`), columns[column]);
     this.fill(find("#shelf"), arrangement.away);
     document.body.dataset.layout = this.layout;
     document.body.dataset.shape = isPhone ? "phone" : "columns";
-    document.body.dataset.columns = isPair ? "two" : "three";
+    document.body.dataset.columns = isTablet ? "tablet" : isPair ? "two" : "three";
     const isStrip = this.layout !== "Fleet" && (isPhone || this.isShort.matches);
     document.body.dataset.robots = isStrip ? "strip" : "list";
     for (const [name, tab] of this.tabs) tab.setAttribute("aria-pressed", String(name === this.layout));
-    dispatchEvent(new Event("resize")); // so that the joystick measures its position again
+    if (this.maximised !== null && arrangement.away.includes(this.maximised)) this.maximised = null;
+    this.showMaximised();
+    this.showSizes();
+    this.changed();
+  }
+
+  /** What is held may have moved: the joystick measures its position again. */
+  private changed(): void {
+    dispatchEvent(new Event("resize"));
     this.onLayout(this.layout);
+  }
+
+  /** Show how old the values of each feed are; null: they are up to date. */
+  showAges(ages_s: Record<Feed, number | null>): void {
+    for (const { panel, element, age } of this.framed.values()) {
+      const age_s = panel.feed ? ages_s[panel.feed] : null;
+      element.classList.toggle("aged", age_s !== null);
+      setText(age, age_s === null ? "" : `${ageText(age_s)} old`);
+    }
   }
 
   isFolded(name: string): boolean {
@@ -117,7 +176,13 @@ export class Frame {
           layouts.put(each, name, isIn ? "away" : (PANELS.find((one) => one.name === name)?.places[each] ?? "right"));
         }),
       })),
-      { label: `Reset ${layout}`, act: done(() => layouts.reset(layout)) },
+      {
+        label: `Reset ${layout}`,
+        act: done(() => {
+          layouts.reset(layout);
+          this.sizes.reset(layout);
+        }),
+      },
     ];
   }
 
@@ -129,22 +194,76 @@ export class Frame {
     element.classList.add("panel");
     element.setAttribute("aria-labelledby", `${name}-title`);
     const fold = make("button", { type: "button", class: "fold", "aria-expanded": "true" }, title);
+    const full = make("button", { type: "button", class: "full", "aria-label": `${title}: maximise` });
     const more = make("button", { type: "button", class: "more", "aria-label": `${title}: move, fold` }, "⋯");
     const extras = element.querySelectorAll(":scope > [data-bar]");
     const body = make("div", { class: "body", id: `${name}-body` });
-    const bar = make("div", { class: "bar" }, make("h2", { id: `${name}-title` }, fold), ...extras, more);
+    const age = make("span", { class: "age" });
+    const ends = make("span", { class: "ends" }, full, more);
+    const bar = make("div", { class: "bar" }, make("h2", { id: `${name}-title` }, fold), age, ...extras, ends);
     body.append(...element.childNodes);
-    element.append(bar, body);
+    const edge = makeSplitter({
+      label: `Height of ${title}`,
+      axis: "y",
+      size: () => element.offsetHeight,
+      bounds: () => [LEAST_PX.height, MOST_SHARE.height * (element.parentElement?.clientHeight ?? innerHeight)],
+      resize: (size) => this.resize(name, size),
+    });
+    element.append(bar, body, edge);
     fold.setAttribute("aria-controls", body.id);
     fold.addEventListener("click", () => this.fold(name));
+    full.addEventListener("mousedown", (event) => event.preventDefault()); // no focus: keys go on driving
+    full.addEventListener("click", () => this.maximise(this.maximised === name ? null : name));
     more.addEventListener("click", () => this.menu.open(name, title, more));
-    const framed = { panel, element, fold, body };
+    const framed = { panel, element, fold, full, age, body };
     this.framed.set(name, framed);
     this.showFold(framed);
   }
 
+  /** The edge between a column and its neighbour. */
+  private makeEdge(column: "left" | "right"): HTMLElement {
+    const edge = makeSplitter({
+      label: `Width of the ${column} column`,
+      axis: "x",
+      isBefore: column === "right",
+      size: () => find(`main > .${column}`).offsetWidth,
+      bounds: () => [LEAST_PX.width, MOST_SHARE.width * this.main.clientWidth],
+      resize: (size) => this.resize(column, size),
+    });
+    edge.classList.add(`of-${column}`);
+    return edge;
+  }
+
+  private resize(name: string, size: number | null): void {
+    this.sizes.set(this.layout, name, size);
+    this.showSizes();
+  }
+
+  private showSizes(): void {
+    const isPhone = document.body.dataset.shape === "phone"; // it has one column, which scrolls
+    const give = (element: HTMLElement, property: string, name: string) => {
+      const size = isPhone ? null : this.sizes.of(this.layout, name);
+      element.style.setProperty(property, size === null ? null : `${size}px`);
+      return size !== null;
+    };
+    for (const [name, { element }] of this.framed) element.classList.toggle("sized", give(element, "--height", name));
+    for (const column of ["left", "right"]) give(this.main, `--${column}`, column);
+  }
+
+  private showMaximised(): void {
+    for (const [name, framed] of this.framed) {
+      const isIt = name === this.maximised;
+      framed.element.classList.toggle("maximised", isIt);
+      framed.full.setAttribute("aria-pressed", String(isIt));
+      framed.full.title = isIt
+        ? "Show all panels again. Escape does so too, and locks the robot."
+        : "Show this panel alone";
+      this.showFold(framed);
+    }
+  }
+
   private showFold({ panel, element, fold, body }: Framed): void {
-    const isFolded = this.isFolded(panel.name);
+    const isFolded = this.isFolded(panel.name) && this.maximised !== panel.name;
     body.hidden = isFolded;
     element.classList.toggle("folded", isFolded);
     fold.setAttribute("aria-expanded", String(!isFolded));
@@ -158,6 +277,10 @@ export class Frame {
   }
 }
 
+function isFirst(name: string): boolean {
+  return PANELS.find((panel) => panel.name === name)?.isFirst === true;
+}
+
 /** One menu for all panels, next to the button that opened it. */
 class PanelMenu {
   private readonly box = make("div", { id: "panel-menu", popover: "", role: "menu" });
@@ -166,8 +289,13 @@ class PanelMenu {
     const { box } = this;
     document.body.append(box);
     box.addEventListener("keydown", (event) => this.move(event));
-    // the stop also uses this key and stops its propagation
-    addEventListener("keydown", ({ code }) => code === "Escape" && box.hidePopover(), { capture: true });
+  }
+
+  /** Return whether it was open. */
+  close(): boolean {
+    const isOpen = this.box.matches(":popover-open");
+    this.box.hidePopover();
+    return isOpen;
   }
 
   /** Arrow keys wrap around; Home and End go to the ends. */

@@ -10,13 +10,16 @@ type Tile = "rate" | "age" | "lost" | "resyncs" | "page" | "device" | "signal" |
 const TILES: Record<Tile, [label: string, hint: string]> = {
   rate: ["Odometry", "poses a second"],
   age: ["Last byte", "time since the device's last byte"],
-  lost: ["Lost", "bytes that were not part of a frame"],
-  resyncs: ["Resyncs", "renegotiations of the topics"],
-  page: ["Page", "round trip from this page to hostlink"],
-  device: ["Device", "round trip from hostlink to the device"],
+  lost: ["Skipped", "bytes from the device that were not part of a valid frame"],
+  resyncs: ["Resyncs", "how often the topics were negotiated again"],
+  page: ["RTT host", "round trip from this page to hostlink"],
+  device: ["RTT device", "round trip from hostlink to the device"],
   signal: ["WiFi", "signal strength of the device's WiFi"],
   battery: ["Battery", "voltage of the robot's battery, and its charge if measured"],
-  errors: ["Errors", "errors that the device reports; docs/robot.md explains the numbers"],
+  errors: [
+    "Errors",
+    "errors that the device reports; docs/robot.md#what-the-robot-knows-of-itself explains the numbers",
+  ],
 };
 const OLD_S = 1;
 const SLOW_MS = 200;

@@ -1,14 +1,16 @@
 /** The joystick for fingers and mice, drawn by nipplejs. Every way of losing the pointer releases it. */
 
 import nipplejs from "nipplejs";
-import type { Driving } from "./driving";
+import { find } from "./dom";
+import type { Deflection, Driving } from "./driving";
 
 const SIZE_PX = 150;
 const DEAD_ZONE = 0.08;
 
 const MAIN_BUTTON = 1; // in `buttons`
 
-export function connectJoystick(zone: HTMLElement, driving: Driving): void {
+/** Return what shows a command on the knob: keys and gamepads move it too. While the stick is held it follows the pointer. */
+export function connectJoystick(zone: HTMLElement, driving: Driving): (command: Deflection) => void {
   const isOther = (event: PointerEvent) => event.pointerType === "mouse" && (event.buttons & MAIN_BUTTON) === 0;
   zone.addEventListener("pointerdown", (event) => isOther(event) && event.stopImmediatePropagation(), {
     capture: true,
@@ -50,4 +52,10 @@ export function connectJoystick(zone: HTMLElement, driving: Driving): void {
     { capture: true },
   );
   for (const lost of ["pointercancel", "touchcancel", "touchend"]) zone.addEventListener(lost, release);
+  const knob = find("#joystick .front");
+  return ({ forward, turn }) => {
+    const radius = SIZE_PX / 2 / Math.max(1, Math.hypot(forward, turn)); // the knob stays within the circle
+    const isHeld = zone.classList.contains("held");
+    knob.style.translate = isHeld ? "none" : `${-turn * radius}px ${-forward * radius}px`;
+  };
 }

@@ -24,14 +24,14 @@ export class KeptGains {
       const found = this.kept.find(([name]) => name === this.choice.value);
       if (found) this.apply(found[1]);
     });
-    const save = makeButton("Keep", () => this.save());
+    const save = makeButton("Save", () => this.save());
     const remove = makeButton("Remove", () => this.remove(), { "aria-label": "Remove the chosen gains" });
     place.append(
       make(
         "div",
         { class: "kept" },
-        make("div", { class: "row" }, makeField("Kept gains", this.choice), remove),
-        make("div", { class: "row" }, makeField("Keep these as", this.name), save),
+        make("div", { class: "row" }, makeField("Saved gains", this.choice), remove),
+        make("div", { class: "row" }, makeField("Save these as", this.name), save),
       ),
     );
     this.show("");

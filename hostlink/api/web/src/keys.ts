@@ -16,6 +16,8 @@ const WAYS: Record<string, [forward: number, turn: number]> = {
 /** Events after which releases are not reported: another window, a browser menu, a drag out of the page. */
 export const LOST = ["blur", "contextmenu", "dragstart"] as const;
 
+const FRAME = "[role=separator], .full"; // resize and maximise panels: no key on them drives
+
 const TEXTS = new Set(["text", "password", "number", "search", "email", "url", "tel"]);
 
 /** Space stops; L and Escape lock. */
@@ -61,15 +63,22 @@ export function connectKeys(driving: Driving, stop: () => void, lock: () => void
     hold();
   };
   for (const lost of LOST) addEventListener(lost, lose);
-  addEventListener("focusin", (event) => isControl(event.target) && !isRadio(event.target) && lose());
+  addEventListener("focusin", ({ target }) => {
+    if ((isControl(target) && !isRadio(target)) || isFrame(target)) lose();
+  });
   document.addEventListener("visibilitychange", lose);
 }
 
 /** Whether the focused element needs the key. Radio buttons and scrolling elements do not use letters. */
 function isTaken({ target, code }: KeyboardEvent): boolean {
   if (!(target instanceof HTMLElement)) return false;
+  if (isFrame(target)) return true;
   if (code.startsWith("Arrow")) return isControl(target) || target.matches("[role=menu] *, [tabindex]:focus-visible");
   return (isControl(target) && !isRadio(target)) || target.matches("[role=menu] *");
+}
+
+function isFrame(target: EventTarget | null): boolean {
+  return target instanceof HTMLElement && target.matches(FRAME);
 }
 
 function isControl(target: EventTarget | null): boolean {

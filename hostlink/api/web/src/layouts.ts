@@ -13,6 +13,7 @@ export type Arrangement = Record<Column | "away", string[]>;
 export interface Place {
   name: string;
   places: Partial<Record<LayoutName, Column>>; // default column in each layout
+  wide?: Partial<Record<LayoutName, Column>>; // the same in a wide window, where it differs
 }
 
 export class Layouts {
@@ -21,10 +22,11 @@ export class Layouts {
   /** `kept` is the value that `save` last received. */
   constructor(
     private readonly panels: readonly Place[],
+    private readonly isWide: () => boolean,
     kept: string,
     private readonly save: (kept: string) => void,
   ) {
-    this.moved = parsed(kept);
+    this.moved = parsed(kept) as typeof this.moved;
   }
 
   /** The layout as the user left it; panels that are new since then are in their default place. */
@@ -36,8 +38,9 @@ export class Layouts {
       if (Array.isArray(names)) arrangement[column] = [...new Set(names)].filter((name) => known.includes(name));
     }
     const placed = new Set(Object.values(arrangement).flat());
-    for (const { name, places } of this.panels) {
-      if (!placed.has(name)) arrangement[places[layout] ?? "away"].push(name);
+    for (const { name, places, wide } of this.panels) {
+      const column = (this.isWide() && wide?.[layout]) || places[layout];
+      if (!placed.has(name)) arrangement[column ?? "away"].push(name);
     }
     return arrangement;
   }
@@ -83,7 +86,8 @@ function remove(names: string[], name: string): void {
   if (at >= 0) names.splice(at, 1);
 }
 
-function parsed(kept: string): Partial<Record<LayoutName, Arrangement>> {
+/** An object that was kept as text; an empty one if it is not readable. */
+export function parsed(kept: string): object {
   try {
     const value: unknown = JSON.parse(kept);
     return typeof value === "object" && value !== null ? value : {};

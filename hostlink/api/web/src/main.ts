@@ -141,8 +141,9 @@ page.onLog((line) => log.add(line));
 page.onRefusal((topic, reason) => tuning.refused(topic, reason));
 
 let isCut = false; // the WebSocket was lost and has not reconnected
+let cutAt = 0; // when it was lost, by the page's clock
 
-new Frame(page, () => drive.driving.releaseAll());
+const frame = new Frame(page, () => drive.driving.releaseAll());
 connectTheme(() => {
   map.redraw();
   plots.recolour();
@@ -162,6 +163,7 @@ setInterval(() => {
   drive.show();
   robots.show(events.isHeard);
   odometry.show(rights.canDrive);
+  plots.showState();
   health.show(fleet, connection.roundTripMs);
   showConnection();
 }, REFRESH_MS);
@@ -178,7 +180,9 @@ function changed(state: State): void {
   if (state === "late") drive.driving.releaseAll();
   else if (state !== "open") drive.forget();
   if (state === "closed") health.setErrors(null); // data of this connection is unknown now
+  const wasCut = isCut;
   isCut = state === "open" ? false : state !== "connecting" || isCut;
+  if (isCut && !wasCut) cutAt = performance.now();
   showConnection();
   drive.show();
 }
@@ -192,6 +196,7 @@ function showConnection(): void {
   const isAsking = access.isShown && state !== "open";
   document.body.classList.toggle("lost", isCut || isSilent || late_s !== null);
   find("#connection").dataset.state = shown;
+  frame.showAges({ events: events.age_s, topics: isCut ? (performance.now() - cutAt) / 1000 : null });
   setText(find("#connection .text"), isAsking ? "token needed" : STATES[shown]);
   setText(find("#connection .detail"), roundTripMs === null ? "" : `${digits(roundTripMs, 0)} ms`);
   const slow =

@@ -1,6 +1,6 @@
 /** Live plots of the chosen robot: commanded and measured velocity, and wheels and PWM from plot_data. */
 
-import { find, make, setText } from "./dom";
+import { ageText, find, make, setText } from "./dom";
 import type { Fleet, RobotState } from "./fleet";
 import { type HistoryView, valuesOf } from "./past";
 import { RobotCharts } from "./robotcharts";
@@ -44,8 +44,9 @@ export class Plots {
   showState(): boolean {
     const { robot } = this.fleet;
     const state = robot ? this.fleet.state(robot) : "gone";
-    setText(this.note, robot ? NOTES[state] : "");
     const isFresh = NOTES[state] === "";
+    const hasAge = robot && (state === "silent" || state === "unknown");
+    setText(this.note, robot ? NOTES[state] + (hasAge ? ` for ${ageText(this.fleet.age_s(robot))}` : "") : "");
     this.speeds.classList.toggle("stale", !isFresh);
     return isFresh;
   }

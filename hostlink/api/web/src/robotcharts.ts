@@ -24,9 +24,14 @@ const SPEEDS: Kind[] = [
     id: "plot-forward",
     from: 0,
     lines: [ASKED, DONE],
-    options: { name: "Forward", unit: "m/s", places: 2, least: 0.1 },
+    options: { name: "Forward speed", unit: "m/s", places: 2, least: 0.1 },
   },
-  { id: "plot-turn", from: 2, lines: [ASKED, DONE], options: { name: "Turn", unit: "rad/s", places: 2, least: 0.5 } },
+  {
+    id: "plot-turn",
+    from: 2,
+    lines: [ASKED, DONE],
+    options: { name: "Turn rate", unit: "rad/s", places: 2, least: 0.5 },
+  },
 ];
 const WHEELS: Kind[] = [
   { id: "plot-left", from: 0, lines: [SET_POINT, DONE], options: { name: "Left wheel", unit: "ticks/s", least: 50 } },

@@ -10,8 +10,8 @@ import { Timeline } from "./timeline";
 
 const SPAN_S = 4; // of an empty chart
 const LINES: Line[] = [
-  { label: "left before", colour: "ghost-1" },
-  { label: "right before", colour: "ghost-2" },
+  { label: "left, previous", colour: "ghost-1" },
+  { label: "right, previous", colour: "ghost-2" },
   { label: "set-point", colour: "muted", isDashed: true },
   { label: "left", colour: "accent" },
   { label: "right", colour: "second" },
@@ -25,7 +25,7 @@ export class StepChart {
   private before: Sample[][] = [];
 
   constructor() {
-    const options = { name: "Speed of the wheels", unit: "ticks/s", least: 50, isSparse: true };
+    const options = { name: "Wheel speed", unit: "ticks/s", least: 50, isSparse: true };
     this.chart = new Chart(this.timeline, LINES, options, new Series(LINES.length));
     find("#steps").prepend(make("div", { class: "charts" }, this.chart.figure));
     this.save.addEventListener("click", () => saveCsv("step.csv", NAMES, tableOf(this.run)));

@@ -79,6 +79,7 @@ export class Stop {
       find("#stop .label"),
       missed !== null ? "Stop all" : robots.length > 1 && robot ? `Stop ${robot.name}` : "Stop",
     );
+    find("#stop-all").hidden = missed !== null || robots.length < 2;
     find("#lock").hidden = !robot?.locked;
     setText(find("#lock-reason"), robot?.lock_reason ?? "");
     find("#lock-reason").title = robot?.lock_reason ?? "";

@@ -58,9 +58,7 @@ export class OpenedTopic {
       this.state,
       this.plotTools,
       this.plot,
-      hint,
-      this.tree.element,
-      form,
+      make("div", { class: "values" }, hint, this.tree.element, form),
     );
     this.root = element;
     this.unsubscribe = page.connection.subscribe<unknown>(name, type, (msg) => this.receive(msg), THROTTLE_MS);

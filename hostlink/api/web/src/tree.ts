@@ -104,5 +104,5 @@ function numberText(value: number): string {
 function textOf(value: unknown): string {
   if (typeof value === "number") return numberText(value);
   const text = value === null ? "none" : String(value);
-  return text.length > MAX_TEXT ? `${text.slice(0, MAX_TEXT)} … (${text.length} letters)` : text;
+  return text.length > MAX_TEXT ? `${text.slice(0, MAX_TEXT)} … (${text.length} characters)` : text;
 }

@@ -10,7 +10,7 @@ const TYPE = "geometry_msgs/Vector3";
 const SIDES = ["l", "r"] as const;
 const GAINS = ["x", "y", "z"] as const;
 const NAMES = { x: "Kp", y: "Ki", z: "Kd" };
-const PAPER = { l: { x: "23", y: "36", z: "0.1" }, r: { x: "24", y: "35", z: "0.1" } }; // docs/robot.md
+const PAPER = { l: { x: "23", y: "36", z: "0.1" }, r: { x: "24", y: "35", z: "0.1" } }; // docs/paper-robot.md#numbers
 
 type Side = (typeof SIDES)[number];
 
