@@ -164,13 +164,19 @@ class RefusalKind(StrEnum):
 
 
 class CommandRefused(HostlinkError):
-    """A velocity was refused. `kind` is the rule; `holder` is the source that holds the lease, if any."""
+    """A velocity was refused. `kind` is the rule; `holder` is the source that holds the lease, if any.
+
+    `by` is the holder, who locked the robot, or what disarmed the source; None: unknown.
+    """
 
     kind: RefusalKind
 
-    def __init__(self, robot: str, kind: RefusalKind, reason: str, *, holder: Hashable = None) -> None:
+    def __init__(
+        self, robot: str, kind: RefusalKind, reason: str, *, holder: Hashable = None, by: str | None = None
+    ) -> None:
         super().__init__(reason)
         self.robot, self.kind, self.reason, self.holder = robot, kind, reason, holder
+        self.by = str(holder) if by is None and holder is not None else by
 
 
 class Refused(HostlinkError):

@@ -742,6 +742,7 @@ class DriveCommands:
         if isinstance(error, CommandRefused):
             answer["epoch"] = self._robots.find(error.robot).admission.epoch
             answer["holder"] = None if error.holder is None else str(error.holder)
+            answer["by"] = error.by
         self._put(request, answer)
 
     def _put(self, request: Request, answer: dict[str, object]) -> None:

@@ -40,7 +40,7 @@ class Broken(NamedTuple):
 
     kind: str
     reason: str
-    holder: str | None = None  # the source that drives the robot instead; an older daemon sends none
+    by: str | None = None  # who drives or locked the robot, or what disarmed this program; None: unknown
 
 
 class _Ended(NamedTuple):
@@ -318,14 +318,15 @@ class VelocitySender:
 
 def refused(robot: str, answer: Message) -> HostlinkError:
     """The error of an answer that refuses a command."""
-    kind, reason, holder = _broken_by(answer)
+    kind, reason, by = _broken_by(answer)
     if kind not in set(RefusalKind):
         return Refused(kind, reason)
-    return CommandRefused(robot, RefusalKind(kind), reason, holder=holder)
+    return CommandRefused(robot, RefusalKind(kind), reason, holder=answer.get("holder"), by=by)
 
 
 def _broken_by(answer: Message) -> Broken:
-    return Broken(str(answer["kind"]), str(answer["reason"]), answer.get("holder"))
+    by = answer.get("by") or answer.get("holder")  # an older daemon sends only the holder, or none of both
+    return Broken(str(answer["kind"]), str(answer["reason"]), by)
 
 
 def _request(robot: str, velocity: PlanarVelocity, priority: int) -> dict[str, Any]:
