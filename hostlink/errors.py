@@ -125,6 +125,18 @@ class ServiceFailed(HostlinkError):
         return cls(service, f"no answer within {timeout_s:g} s")
 
 
+def nearest_field(name: str, known: Iterable[str]) -> str:
+    """Return the end of an error's text about an unknown field: the known one that is spelled alike, or all of them."""
+    from difflib import get_close_matches  # noqa: PLC0415 - 5 ms, only for an error
+
+    fields = list(known)
+    near = get_close_matches(name[:MAX_FIELD_NAME], fields, n=1)
+    return f"; did you mean `{near[0]}`?" if near else f"; its fields: {', '.join(fields) or 'none'}"
+
+
+MAX_FIELD_NAME: Final = 64  # characters that are compared: a client may send any
+
+
 class BadRequest(HostlinkError):
     """A client's request is invalid."""
 

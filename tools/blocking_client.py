@@ -28,6 +28,7 @@ from hostlink.client.http_client import REQUEST_TIMEOUT_S
 from hostlink.client.loop_thread import LoopThread, Messages, Opened, PlainAnswer, Stream, in_thread
 from hostlink.client.motion import OnProgress
 from hostlink.client.robot import PRIORITY, WAIT_S, Robot
+from hostlink.client.type_names import TypeName
 from hostlink.client.views import (
     ConnectionChange,
     Driven,

@@ -1,9 +1,7 @@
 """The REST API: robots, their velocity and odometry, links and topics; for curl and for scripts."""
 
 import asyncio
-import difflib
 import ipaddress
-import re
 from collections import OrderedDict
 from collections.abc import Iterable
 from datetime import UTC, datetime
@@ -14,6 +12,7 @@ import msgspec
 from aiohttp import web
 
 from hostlink.api.access import GRANT
+from hostlink.api.bodies import decode_body
 from hostlink.api.clients import Clients, ClientView
 from hostlink.api.routes import BODY, CAME, Route, refusal, reply
 from hostlink.api.views import (
@@ -597,22 +596,3 @@ def _wait_s(request: web.Request) -> float:
 
 def _now_s() -> float:
     return asyncio.get_running_loop().time()
-
-
-def decode_body(data: bytes, type_: type[Body], shape: str) -> Body:
-    """Decode the body of a request. `shape` is the example in the error.
-
-    Raises:
-        BadRequest: the body does not have this shape.
-    """
-    try:
-        return msgspec.json.decode(data, type=type_)
-    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise BadRequest(f"the body must be {shape}: {error}{_nearest_field(str(error), type_)}") from error
-
-
-def _nearest_field(problem: str, type_: type[msgspec.Struct]) -> str:
-    """Return the known field that is spelled like an unknown one; empty if there is none."""
-    found = re.search("unknown field `(.*?)`", problem)
-    near = difflib.get_close_matches(found[1], type_.__struct_encode_fields__, n=1) if found is not None else []
-    return f"; did you mean `{near[0]}`?" if near else ""

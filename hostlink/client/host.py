@@ -16,6 +16,7 @@ from hostlink.client.mailbox import Mailbox
 from hostlink.client.robot import PRIORITY, WAIT_S, Robot
 from hostlink.client.services import Answer, ProvidedServices
 from hostlink.client.topics import Graphs, GraphWatch, RawSubscription, Subscription, Topics
+from hostlink.client.type_names import TypeName, type_name_of
 from hostlink.client.views import ConnectionChange, Event, RobotState, TopicState
 from hostlink.errors import HostlinkError
 from hostlink.robot.standstill import Standstill
@@ -125,32 +126,35 @@ class Host:
     # -- topics and services ------------------------------------------------------------------------------------------
 
     async def publish(
-        self, topic: str, message: Mapping[str, Any], *, type_name: str = "", priority: int = PRIORITY
+        self, topic: str, message: Mapping[str, Any], *, type_name: TypeName = "", priority: int = PRIORITY
     ) -> None:
         """Send one message; fields that are missing are zero. `type_name` may be left out when the topic is known.
 
+        It is a name, as "std_msgs/String", or a message class of genpy, rclpy or rosbags; in all calls that take one.
         Numbers and arrays of numpy are as good as Python's.
 
         Raises:
             HostlinkError: there is no connection, or an earlier message on this topic was refused. The refusal of the
                 last one is raised by `settle`, and at the end of the connection's block.
         """
-        await self._topics.publish(topic, message, type_name, priority)
+        await self._topics.publish(topic, message, type_name_of(type_name), priority)
 
-    async def publish_raw(self, topic: str, payload: bytes, *, type_name: str = "", priority: int = PRIORITY) -> None:
+    async def publish_raw(
+        self, topic: str, payload: bytes, *, type_name: TypeName = "", priority: int = PRIORITY
+    ) -> None:
         """Send one serialised message, as rosserial and ROS 1 have it.
 
         Raises:
             HostlinkError: there is no connection, or an earlier message on this topic was refused.
         """
-        await self._topics.publish_raw(topic, payload, type_name, priority)
+        await self._topics.publish_raw(topic, payload, type_name_of(type_name), priority)
 
     def pop_refusal(self, topic: str) -> str:
         """Return why a message on the topic was refused since the last call; empty if none was."""
         return self._topics.pop_refusal(topic)
 
     def advertise(
-        self, topic: str, type_name: str, *, is_latched: bool = False
+        self, topic: str, type_name: TypeName, *, is_latched: bool = False
     ) -> contextlib.AbstractAsyncContextManager[None]:
         """Be a publisher of the topic for the length of the block, across losses of the connection too.
 
@@ -159,10 +163,10 @@ class Host:
         Raises:
             HostlinkError: when it begins, there is no connection. An unknown type is raised by the next `publish`.
         """
-        return self._topics.advertise(topic, type_name, is_latched=is_latched)
+        return self._topics.advertise(topic, type_name_of(type_name), is_latched=is_latched)
 
     def subscribe(
-        self, topic: str, *, type_name: str = "", throttle_rate_ms: int = 0, queue_length: int = 0
+        self, topic: str, *, type_name: TypeName = "", throttle_rate_ms: int = 0, queue_length: int = 0
     ) -> contextlib.AbstractAsyncContextManager[Subscription]:
         """The messages of a topic, from now on, for the length of the block, across losses of the connection too.
 
@@ -173,10 +177,10 @@ class Host:
         Raises:
             HostlinkError: there is no connection when it begins; in the iteration: the subscription was refused.
         """
-        return self._topics.subscribe(topic, type_name, throttle_rate_ms, queue_length)
+        return self._topics.subscribe(topic, type_name_of(type_name), throttle_rate_ms, queue_length)
 
     def subscribe_raw(
-        self, topic: str, *, type_name: str = ""
+        self, topic: str, *, type_name: TypeName = ""
     ) -> contextlib.AbstractAsyncContextManager[RawSubscription]:
         """The messages of a topic as bytes, with the time at which each reached the daemon; else as `subscribe`.
 
@@ -186,7 +190,7 @@ class Host:
         Raises:
             HostlinkError: there is no connection when it begins; in the iteration: the subscription was refused.
         """
-        return self._topics.subscribe_raw(topic, type_name)
+        return self._topics.subscribe_raw(topic, type_name_of(type_name))
 
     async def watch_graph(self) -> Graphs:
         """The topics, services and robots of all who are not of this connection's group: now, and after every change.
@@ -199,7 +203,7 @@ class Host:
         """
         return await self._graph.watch()
 
-    def serve(self, service: str, type_name: str, answer: Answer) -> contextlib.AbstractAsyncContextManager[None]:
+    def serve(self, service: str, type_name: TypeName, answer: Answer) -> contextlib.AbstractAsyncContextManager[None]:
         """Answer the calls of a service for the length of the block, across losses of the connection too.
 
         `answer`, a function or a coroutine function, receives the request and returns the response, both as dicts;
@@ -208,7 +212,7 @@ class Host:
         Raises:
             HostlinkError: there is no connection when it begins.
         """
-        return self._services.serve(service, type_name, answer)
+        return self._services.serve(service, type_name_of(type_name), answer)
 
     async def call(
         self, service: str, arguments: Mapping[str, Any] | None = None, *, timeout_s: float = REQUEST_TIMEOUT_S
