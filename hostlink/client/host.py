@@ -1,6 +1,7 @@
 """Host: a running hostlink as its users see it; and `connect`, which opens a connection to it."""
 
 import asyncio
+import concurrent.futures
 import contextlib
 import ssl
 import threading
@@ -9,6 +10,7 @@ from collections.abc import AsyncGenerator, AsyncIterator, Generator, Mapping
 from types import TracebackType
 from typing import Any, NoReturn, cast
 
+from hostlink.client.cells import Names, forget, watch_cells
 from hostlink.client.connection import HostConnection
 from hostlink.client.driver import VelocitySender
 from hostlink.client.http_client import CLOSE_TIMEOUT_S, DEFAULT_PORT, REQUEST_TIMEOUT_S, HttpClient, measured
@@ -39,6 +41,8 @@ class Host:
         self._driver = VelocitySender(self._connection)
         self._connection.on_open.append(self._report_return)
         self._ends_when_lost = not reconnect
+        self._tasks: asyncio.TaskGroup | None = None  # while `running`
+        self._loop: asyncio.AbstractEventLoop | None = None
         self._lost: HostlinkError | None = None
         self._watchers: weakref.WeakSet[Mailbox[ConnectionChange]] = weakref.WeakSet()
 
@@ -49,11 +53,15 @@ class Host:
         try:
             async with asyncio.TaskGroup() as tasks:
                 self._services.begin(tasks)
+                self._tasks, self._loop = tasks, asyncio.get_running_loop()
+                watch_cells(self)
                 reader = tasks.create_task(self._connection.run(), name="reader")
                 repeater = tasks.create_task(self._driver.repeat(), name="repeater")
                 try:
                     yield
                 finally:
+                    forget(self)
+                    self._tasks = None
                     repeater.cancel()
                     self._services.end()
                     await self._leave()
@@ -302,11 +310,26 @@ class Host:
             self._driver.end_motions()
         for name in names:
             self._driver.stop_repeating(name)
-        with contextlib.suppress(TimeoutError):
-            async with asyncio.timeout(CLOSE_TIMEOUT_S):
-                for name in names:
-                    await self._driver.send_zero(name, PRIORITY)
+        await self._driver.let_go(names, PRIORITY)
         return names
+
+    def end_cell(self, *, has_failed: bool) -> Names | None:
+        """Stop what ended tasks of the notebook drove without `keep`; after an error, everything.
+
+        A loop that does not run between cells, as IPython's in a terminal, repeats nothing: the daemon stops its
+        robots. The connection of a LoopThread has a loop of its own.
+        """
+        if self._tasks is None or asyncio.events._get_running_loop() is not self._loop:  # noqa: SLF001 - None, no error
+            return None
+        names = self._driver.robots if has_failed else self._driver.robots_of_ended_tasks
+        if has_failed:
+            self._driver.end_motions()
+        for name in names:
+            self._driver.stop_repeating(name)
+        self._tasks.create_task(self._driver.let_go(names, PRIORITY), name="end of a cell")
+        stopped: Names = concurrent.futures.Future()
+        stopped.set_result(names)
+        return stopped
 
     async def _round_trip(self) -> None:
         self._topics.is_settled = True  # nothing that is published from now on
