@@ -46,20 +46,26 @@ def requirements_of(extra: str) -> list[str]:
 
 
 class LibraryMissing(ConfigError):
-    """A feature needs a library that only an extra of hostlink installs."""
+    """A feature needs a library that only an extra of hostlink installs, or that this installation lacks."""
 
     def __init__(self, where: str, library: str, extra: str) -> None:
         """Build the advice: the command that installs what the extra has, into this environment.
 
+        The extra is empty for a library that every installation of hostlink should have.
         It does not name hostlink: hostlink is in no package index, so a package of that name may be malicious.
         """
         self.library, self.extra = library, extra
         if Path(sys.prefix) == DEBIAN_PACKAGE:
-            advice = "the Debian package does not have it; install the wheel with pip"
+            advice = (
+                "the Debian package does not have it; install the wheel with pip"
+                if extra
+                else "run  sudo apt install --reinstall hostlink"
+            )
         else:
             wanted = requirements_of(extra) or [library]
             advice = f"run  {shlex.join([sys.executable, '-m', 'pip', 'install', *wanted])}"
-        super().__init__(where, f"needs {library}, of the extra {extra!r}: {advice}")
+        of_extra = f", of the extra {extra!r}" if extra else ", which is not installed"
+        super().__init__(where, f"needs {library}{of_extra}: {advice}")
 
 
 class UnknownTopic(HostlinkError):
