@@ -510,3 +510,37 @@ def test_motion_with_an_invalid_number_is_refused(motion: Callable[[Robot], Awai
         assert caught.value.kind == "BadRequest"
 
     in_world(test)
+
+
+def test_end_of_all_motions_keeps_the_notice_of_a_velocity_that_was_broken_off() -> None:
+    async def test(here: World) -> None:
+        driver = here.me._driver
+        await here.robot.drive(0.1, 0.0)
+        here.me.lose()
+        driver.end_motions()
+        assert not here.robot.is_driven
+        with pytest.raises(HostlinkError, match="the network is cut"):
+            await here.robot.drive(0.1, 0.0)
+        await here.robot.drive(0.1, 0.0)  # a drive after the end is a new one
+        assert here.robot.is_driven
+        await here.me.stop_driven()
+
+    in_world(test)
+
+
+@pytest.mark.parametrize("motion", MOTIONS[1:], ids=NAMES[1:])
+def test_end_of_all_motions_ends_one_that_has_not_commanded_and_no_later_one(
+    motion: Callable[[Robot], Awaitable[Motion]],
+) -> None:
+    async def test(here: World) -> None:
+        here.is_silent = True
+        await asyncio.sleep(3.0)  # the poses of before are old
+        waiting = here.made.tasks.create_task(as_coroutine(motion(here.robot)))
+        await asyncio.sleep(0.5)
+        here.me._driver.end_motions()
+        here.is_silent = False
+        assert (await waiting).kind == "program"
+        assert here.is_zero
+        assert (await here.robot.move(0.2)).is_reached
+
+    in_world(test)
