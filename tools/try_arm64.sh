@@ -8,9 +8,13 @@ work=$PWD/build/arm64
 root=$work/root
 certificates=/etc/ssl/certs/ca-certificates.crt
 mkdir -p "$work"
+# Copies, because a package that is installed in the emulated system writes to them through the bind.
+cp "$certificates" "$work/certificates.crt"
+cp /etc/resolv.conf "$work/resolv.conf"
 
 emulated() {
-  proot -0 -q qemu-aarch64-static -r "$root" -b /dev -b /proc -b /sys -b /etc/resolv.conf -b "$certificates" -w / \
+  proot -0 -q qemu-aarch64-static -r "$root" -b /dev -b /proc -b /sys -b "$work/resolv.conf:/etc/resolv.conf" \
+    -b "$work/certificates.crt:$certificates" -w / \
     /usr/bin/env -i HOME=/root PATH=/usr/sbin:/usr/bin:/sbin:/bin LC_ALL=C.UTF-8 DEBIAN_FRONTEND=noninteractive \
     PIP_CERT="$certificates" "$@"
 }

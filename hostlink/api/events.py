@@ -25,12 +25,13 @@ from hostlink.api.clients import Backlog, Client, Clients
 from hostlink.api.recordings import recording_view
 from hostlink.api.rosbridge import encode_json
 from hostlink.api.routes import Route
-from hostlink.api.views import RobotView, Slices, links_view, odometry_view, robot_view
+from hostlink.api.views import Slices, links_view, odometry_view, robot_view
 from hostlink.errors import BadPayload
 from hostlink.hub.hub import Hub
 from hostlink.hub.message import Message
 from hostlink.hub.node import Role
 from hostlink.recording.recordings import Recordings
+from hostlink.robot.views import RobotView
 
 MOST_BYTES = 4096  # smaller amounts arrive at once, or wait for a delayed acknowledgement
 CHECK_S = 0.02

@@ -18,7 +18,7 @@ from aiohttp import web
 from hostlink.api.bodies import decode_body
 from hostlink.api.recordings import send_file
 from hostlink.api.routes import BODY, FILE, Route, reply, reply_encoded
-from hostlink.api.views import PoseView, VelocityView, velocity_view
+from hostlink.api.views import velocity_view
 from hostlink.errors import RecordingFailed, UnknownTopic
 from hostlink.hub.hub import Hub
 from hostlink.hub.node import Role
@@ -34,6 +34,7 @@ from hostlink.recording.ring import Entry
 from hostlink.robot.kinematics import Pose
 from hostlink.robot.odometry import OdometryEstimator
 from hostlink.robot.velocity import TWIST_TYPE, PlanarVelocity, Twist
+from hostlink.robot.views import PoseView, VelocityView
 
 WORK_S = 0.0005  # time that the reading thread works before it yields the interpreter for REST_S
 REST_S = 0.001

@@ -17,8 +17,6 @@ from hostlink.api.clients import Clients, ClientView
 from hostlink.api.routes import BODY, CAME, Route, refusal, reply
 from hostlink.api.views import (
     LinksView,
-    OdometryView,
-    RobotView,
     Slices,
     StoppedRobotView,
     TopicView,
@@ -42,6 +40,7 @@ from hostlink.hub.standstills import MAX_WAIT_S, WAIT_S
 from hostlink.recording.drives import Drive, DriveLog
 from hostlink.robot.state import MAX_PRIORITY
 from hostlink.robot.velocity import PlanarVelocity
+from hostlink.robot.views import OdometryView, RobotView
 
 MAX_OWNERS = 64  # the number of sources that one robot distinguishes; a driving one sends a request in every lease
 

@@ -3,7 +3,7 @@
 import asyncio
 import functools
 from collections.abc import Callable, Hashable, Iterable, Iterator
-from typing import TypedDict, TypeVar
+from typing import TypedDict, TypeVar, cast
 
 import msgspec
 
@@ -15,6 +15,7 @@ from hostlink.hub.topic import Topic
 from hostlink.robot.odometry import OdometrySnapshot
 from hostlink.robot.standstill import Standstill
 from hostlink.robot.velocity import PlanarVelocity
+from hostlink.robot.views import OdometryView, RobotView, VelocityView
 
 View = TypeVar("View")
 
@@ -59,14 +60,6 @@ def receivers(topic: Topic) -> Iterable[Hashable]:
     return (*topic.devices, *(subscriber.key for subscriber in topic.subscribers))
 
 
-class VelocityView(TypedDict):
-    """Velocity forwards, to the left, and counter-clockwise."""
-
-    linear_m_s: float
-    linear_y_m_s: float
-    angular_rad_s: float
-
-
 class VelocityAnswer(TypedDict):
     """The velocity after the limits, and its lease.
 
@@ -78,69 +71,6 @@ class VelocityAnswer(TypedDict):
     limited_by: str | None
     lease_s: float
     epoch: int  # commands with it are newer than the last interruption
-
-
-class PoseView(TypedDict):
-    """A pose by a robot's odometry: metres, and radians counter-clockwise from the x axis."""
-
-    x_m: float
-    y_m: float
-    theta_rad: float
-
-
-class OdometryView(TypedDict):
-    """The newest pose, and the motion over the last poses."""
-
-    pose: PoseView
-    twist: VelocityView
-    stamp_ns: int
-    age_s: float
-    rate_hz: float
-    count: int
-    restarts: int
-    ignored: int
-
-
-class RobotView(TypedDict):
-    """One robot: its topics, its driver, its velocity, its odometry, its device.
-
-    holder_address: address of the driver's connection; null: no driver, a part of a daemon, or at another daemon.
-    played: the device is a recording that is played, which obeys no command. unreachable: why the device could not
-    receive the last velocity; null: it could. host: the daemon that has its link; null: this one. also_at: other
-    daemons with a robot of this name. wheel_separation_m, kinematics: as configured. frames: number that the device has
-    sent on this link, so that a reader notices silence; null: not connected, or at another daemon. epoch: number of
-    interruptions: stops, locks, reconnections. battery_v, battery_percent: newest values that the device has sent on
-    this link; null: it sends none. signal_dbm: WiFi signal of the device; null: it does not report it. device_errors:
-    codes of what `hostlink doctor` finds wrong with the device, the most likely cause first. firmware: name and version
-    in the device's log; null: it logs none.
-    """
-
-    name: str
-    host: str | None
-    also_at: list[str]
-    connected: bool
-    link: int | None
-    frames: int | None
-    velocity_topic: str
-    odometry_topic: str
-    played: bool
-    holder: str | None
-    holder_address: str | None
-    priority: int | None
-    locked: bool
-    lock_reason: str | None
-    epoch: int
-    unreachable: str | None
-    wheel_separation_m: float | None
-    kinematics: str
-    lease_s: float
-    velocity: VelocityView
-    odometry: OdometryView | None
-    battery_v: float | None
-    battery_percent: float | None
-    signal_dbm: int | None
-    device_errors: list[str]
-    firmware: str | None
 
 
 class StandstillView(TypedDict):
@@ -280,34 +210,20 @@ class TopicView(TypedDict):
 def robot_view(robot: Robot) -> RobotView:
     """Return the present state of one robot."""
     state = robot.state(asyncio.get_running_loop().time())
-    return {
+    fields = msgspec.structs.asdict(state)
+    del fields["odometry_type"], fields["reset_topic"]
+    view = {
         "name": state.name,
-        "host": state.host,
-        "also_at": list(state.also_at),
         "connected": state.link is not None,
-        "link": state.link,
-        "frames": state.frames,
-        "velocity_topic": state.velocity_topic,
-        "odometry_topic": state.odometry_topic,
-        "played": state.is_played,
-        "holder": state.holder,
-        "holder_address": state.holder_address,
-        "priority": state.priority,
+        **fields,
+        "also_at": list(state.also_at),
+        "played": fields.pop("is_played"),
         "locked": state.lock_reason is not None,
-        "lock_reason": state.lock_reason,
-        "epoch": state.epoch,
-        "unreachable": state.unreachable,
-        "wheel_separation_m": state.wheel_separation_m,
-        "kinematics": state.kinematics,
-        "lease_s": state.lease_s,
         "velocity": velocity_view(state.velocity),
         "odometry": None if state.odometry is None else odometry_view(state.odometry),
-        "battery_v": state.battery_v,
-        "battery_percent": state.battery_percent,
-        "signal_dbm": state.signal_dbm,
         "device_errors": list(state.device_errors),
-        "firmware": state.firmware,
     }
+    return cast(RobotView, view)
 
 
 def stopped_view(robot: Robot, measured: Standstill) -> StoppedRobotView:

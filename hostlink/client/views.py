@@ -2,66 +2,15 @@
 
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Any, NamedTuple, NotRequired, TypedDict
+from typing import Any, NamedTuple, TypedDict
 
+from hostlink.robot.views import OdometryView, PoseView, RobotView, VelocityView
 
-class Pose(TypedDict):
-    """Place of a robot by its own odometry, in the frame in which the odometry began (REP 103)."""
-
-    x_m: float
-    y_m: float
-    theta_rad: float  # counter-clockwise, in (-pi, pi]
-
-
-class Twist(TypedDict):
-    """Velocity of a robot: forward, counter-clockwise, and to the left."""
-
-    linear_m_s: float
-    angular_rad_s: float
-    linear_y_m_s: NotRequired[float]  # an older daemon sends none
-
-
-class Odometry(TypedDict):
-    """A pose that the robot sent, and what follows from it."""
-
-    pose: Pose
-    twist: Twist
-    stamp_ns: int  # wall time at which it reached the daemon
-    age_s: float  # since then, when this was sent
-    rate_hz: float  # at which poses come
-    count: int  # of poses since the daemon knows the robot
-    restarts: NotRequired[int]  # of its device that were noticed
-
-
-class RobotState(TypedDict):
-    """A robot as the daemon sees it now."""
-
-    name: str
-    connected: bool
-    link: int | None  # the number of its device's connection
-    velocity_topic: str
-    odometry_topic: str
-    holder: str | None  # who drives it
-    holder_address: NotRequired[str | None]  # from where
-    velocity: Twist  # as commanded, within the limits
-    odometry: Odometry | None  # None: no pose came yet
-    priority: NotRequired[int | None]  # of who drives it
-    played: NotRequired[bool]  # its device is a recording, which obeys no command
-    locked: NotRequired[bool]
-    lock_reason: NotRequired[str | None]
-    host: NotRequired[str | None]  # the daemon that has it; None: the one that sent this
-    also_at: NotRequired[list[str]]  # other daemons that have a robot of this name; then it is driven only here
-    wheel_separation_m: NotRequired[float | None]  # as it is configured
-    kinematics: NotRequired[str]  # as it is configured: "differential", or empty
-    unreachable: NotRequired[str | None]  # why its device could not take the last velocity
-    epoch: NotRequired[int]  # counts interruptions: stops, locks, reconnections
-    lease_s: NotRequired[float]  # how long a command lasts
-    frames: NotRequired[int | None]  # that its device has sent on this link; None: not connected, or not here
-    battery_v: NotRequired[float | None]  # None: its device sends no voltage
-    battery_percent: NotRequired[float | None]  # None: its device sends no charge
-    signal_dbm: NotRequired[int | None]  # of its device's WiFi; None: the device does not report it
-    device_errors: NotRequired[list[str]]  # codes of what `hostlink doctor` finds wrong, the likeliest cause first
-    firmware: NotRequired[str | None]  # name and version, as its device logs them
+# The names that users import.
+Pose = PoseView
+Twist = VelocityView
+Odometry = OdometryView
+RobotState = RobotView
 
 
 class TopicState(TypedDict):

@@ -1,6 +1,7 @@
-"""Diagnosis rules: evidence -> findings, the likeliest cause first. Each threshold names its source.
+"""Diagnosis rules: evidence -> findings (wrong baud rate, no device, ...), the likeliest cause first.
 
-Codes and texts are in findings.toml. The numbers of a case are in the finding's detail.
+Each threshold names its source. Codes and texts are in findings.toml. The numbers of a case are in the finding's
+detail.
 """
 
 from collections.abc import Callable

@@ -438,7 +438,7 @@ class Gates:
         """Return the pauses of this process."""
         return self._stalls.pauses(now_s)
 
-    def close(self) -> None:
+    def refuse_all(self) -> None:
         """Refuse every command from now on, because the daemon ends."""
         self.is_closed = True
 

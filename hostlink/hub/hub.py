@@ -163,7 +163,7 @@ class Hub:
 
         Commands are refused from the start, so that the last velocity to each robot is zero.
         """
-        self.gates.close()
+        self.gates.refuse_all()
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(SHUTDOWN_TIMEOUT_S):
                 for _ in range(STOP_REPEATS if self.robots.drivables() else 0):

@@ -1,4 +1,4 @@
-"""Queue: bounded send queue of one participant, with the policy and the counters of its backpressure."""
+"""Queue: bounded send queue of one participant: what a slow client loses, and the counters of it."""
 
 import asyncio
 from collections import deque

@@ -1,4 +1,4 @@
-"""Acceptors of devices on TCP, UDP and serial ports, and the admission of connections."""
+"""Acceptors of devices on TCP and UDP, serial ports that are opened again when they fail, admission of connections."""
 
 import asyncio
 import dataclasses
@@ -342,7 +342,7 @@ RETRY_S = 1.0  # interval of the search for a removed port
 
 
 async def serve_serial(hub: Hub, config: SerialConfig, *, retry_s: float = RETRY_S) -> None:
-    """Serve the serial port until cancelled. Retry after `retry_s` when it fails."""
+    """Serve the serial port until cancelled. Open it again after `retry_s` when it fails."""
     logged = ""
     while True:
         with hub.isolation.around("task", task=f"serial port {config.name}"):

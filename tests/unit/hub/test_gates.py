@@ -185,7 +185,7 @@ def test_crash_while_sending_ends_the_link_and_refuses_the_command() -> None:
 def test_closed_gates_refuse_every_command() -> None:
     async def test(made: MemoryHub) -> None:
         await made.connect()
-        made.hub.gates.close()
+        made.hub.gates.refuse_all()
         with pytest.raises(CommandRefused) as refused:
             drive_gate(made.robot(), SLOW, owner="ann")
         assert refused.value.kind is RefusalKind.ENDING

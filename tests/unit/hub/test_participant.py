@@ -281,7 +281,7 @@ def test_closed_gates_refuse_publications() -> None:
     async def test(made: MemoryHub) -> None:
         ann = made.hub.join("ann")
         ann.advertise("/t", TEXT)
-        made.hub.gates.close()
+        made.hub.gates.refuse_all()
         with pytest.raises(DeviceGone):
             ann.publish("/t", text("x"))
 

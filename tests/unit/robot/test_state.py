@@ -2,17 +2,15 @@
 
 import json
 import math
-from typing import Any, get_args
 
 import pytest
 
-from hostlink.api.views import RobotView
-from hostlink.client import RobotState as ClientRobotState
 from hostlink.graphs.zenoh.fleet_messages import STATE, RobotMessage, State, decode, encode
 from hostlink.robot.kinematics import Pose
 from hostlink.robot.odometry import OdometrySnapshot
 from hostlink.robot.state import BATTERY_TYPE, DEVICE_AWAY, BatteryReading, RobotState, read_battery
 from hostlink.robot.velocity import Kinematics, PlanarVelocity
+from hostlink.robot.views import RobotView
 from tests.support.fake_device import CATALOG
 
 EVERYTHING = RobotState(
@@ -99,16 +97,3 @@ def test_an_older_daemon_understands_what_it_knows() -> None:
     fields = json.loads(encode(RobotMessage.of(EVERYTHING)))
     assert fields["velocity"] == [0.1, 0.3]
     assert fields["pose"][:5] == [1.0, 2.0, 0.5, 0.1, 0.3]
-
-
-def test_the_client_has_the_fields_of_rest_with_their_types() -> None:
-    client, rest = ClientRobotState.__annotations__, RobotView.__annotations__
-    assert client.keys() == rest.keys()
-    scalars = {name for name, kind in rest.items() if kind in (str, int, float, bool) or type(None) in get_args(kind)}
-    scalars -= {"odometry"}
-    assert {name: _plain(client[name]) for name in scalars} == {name: rest[name] for name in scalars}
-
-
-def _plain(kind: Any) -> Any:
-    """Value of a field that is not empty."""
-    return get_args(kind)[0] if "NotRequired" in str(kind) else kind

@@ -1,0 +1,74 @@
+"""The JSON of a robot that REST, the events and the client show. Numbers carry their unit. Pure."""
+
+from typing import TypedDict
+
+
+class VelocityView(TypedDict):
+    """Velocity forwards, to the left, and counter-clockwise."""
+
+    linear_m_s: float
+    linear_y_m_s: float
+    angular_rad_s: float
+
+
+class PoseView(TypedDict):
+    """A pose by a robot's odometry: metres, and radians counter-clockwise from the x axis."""
+
+    x_m: float
+    y_m: float
+    theta_rad: float
+
+
+class OdometryView(TypedDict):
+    """The newest pose, and the motion over the last poses."""
+
+    pose: PoseView
+    twist: VelocityView
+    stamp_ns: int
+    age_s: float
+    rate_hz: float
+    count: int
+    restarts: int
+    ignored: int
+
+
+class RobotView(TypedDict):
+    """One robot: its topics, its driver, its velocity, its odometry, its device.
+
+    holder_address: address of the driver's connection; null: no driver, a part of a daemon, or at another daemon.
+    played: the device is a recording that is played, which obeys no command. unreachable: why the device could not
+    receive the last velocity; null: it could. host: the daemon that has its link; null: this one. also_at: other
+    daemons with a robot of this name. wheel_separation_m, kinematics: as configured. frames: number that the device has
+    sent on this link, so that a reader notices silence; null: not connected, or at another daemon. epoch: number of
+    interruptions: stops, locks, reconnections. battery_v, battery_percent: newest values that the device has sent on
+    this link; null: it sends none. signal_dbm: WiFi signal of the device; null: it does not report it. device_errors:
+    codes of what `hostlink doctor` finds wrong with the device, the most likely cause first. firmware: name and version
+    in the device's log; null: it logs none.
+    """
+
+    name: str
+    host: str | None
+    also_at: list[str]
+    connected: bool
+    link: int | None
+    frames: int | None
+    velocity_topic: str
+    odometry_topic: str
+    played: bool
+    holder: str | None
+    holder_address: str | None
+    priority: int | None
+    locked: bool
+    lock_reason: str | None
+    epoch: int
+    unreachable: str | None
+    wheel_separation_m: float | None
+    kinematics: str
+    lease_s: float
+    velocity: VelocityView
+    odometry: OdometryView | None
+    battery_v: float | None
+    battery_percent: float | None
+    signal_dbm: int | None
+    device_errors: list[str]
+    firmware: str | None
