@@ -1,4 +1,4 @@
-"""Every Python snippet of docs/client.md, client-topics.md and client-stops.md, run as its reader runs it, on a simulated robot."""
+"""Every Python snippet of docs/client.md, client-topics.md and client-stops.md, run by itself on a simulated robot."""
 
 import asyncio
 import re
