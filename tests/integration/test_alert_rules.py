@@ -8,6 +8,13 @@ from pathlib import Path
 
 import pytest
 import yaml
+from prometheus_client.parser import text_string_to_metric_families
+
+from hostlink.config import Config, RecordingConfig
+from tests.support.daemon import daemon
+from tests.support.device_reports import BATTERY, battery
+from tests.support.fake_device import fake_device, pose, robot_topics
+from tests.support.waiting import expect
 
 RULES_FILE = Path("docs/prometheus-alerts.yml")
 RULES = {rule["alert"]: rule for rule in yaml.safe_load(RULES_FILE.read_text(encoding="utf-8"))["groups"][0]["rules"]}
@@ -88,6 +95,24 @@ def test_each_rule_has_a_trouble_on_which_it_fires() -> None:
         metrics = set(re.findall(r"\b(?:up|process_\w+|hostlink_\w+)\b(?!\")", RULES[name]["expr"]))
         assert trouble.keys() <= WELL.keys()
         assert {each.partition("{")[0] for each in trouble} <= metrics, name
+
+
+async def test_series_of_the_scenarios_have_the_labels_that_the_daemon_exports(tmp_path: Path) -> None:
+    exported: dict[str, set[str]] = {"up": {"job"}, "process_start_time_seconds": {"job"}}  # by Prometheus itself
+    config = Config(recording=RecordingConfig(folder=tmp_path))
+    async with daemon(config) as host, fake_device(host.tcp, [*robot_topics(), BATTERY]) as device:
+        await device.send(b"\xff\xfe" + bytes(20) + pose(1.0, 2.0, 0.5) + battery(7.5))
+        await expect(lambda: host.hub.robots.find("robot_0").battery is not None)
+        host.hub.counts.refused["test"] += 1
+        host.hub.isolation.crashes["test"] += 1
+        async with host.session.get(host.url + "/metrics") as response:
+            text = await response.text()
+    for family in text_string_to_metric_families(text):
+        for sample in family.samples:
+            exported.setdefault(sample.name, set()).update(sample.labels)
+    for series in WELL:
+        name, _, labels = series.partition("{")
+        assert set(re.findall(r"(\w+)=", labels)) <= exported[name], series
 
 
 @pytest.mark.skipif(PROMTOOL is None, reason="needs promtool of Prometheus")
