@@ -115,7 +115,7 @@ async def test_a_cell_of_the_asyncio_client_stops_its_robot_unless_it_is_kept_or
         await cells.run(f"host = await cells.enter_async_context(hostlink.client.connect({robot.host.url!r}))")
         await cells.run("robot = host.robot('robot_0')")
 
-        shown = await cells.run("await robot.drive(0.2, 0.0)")
+        shown = await cells.run("driven = await robot.drive(0.2, 0.0)")
         assert shown.startswith("robot_0 stopped at the end of the cell; drive(..., for_s=2)")
         await robot.stands()
         assert await cells.run("robot.is_driven") == "False"
