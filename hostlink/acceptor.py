@@ -36,8 +36,9 @@ def why(error: OSError | OverflowError | UnicodeError) -> str:
     if isinstance(error, OverflowError):
         return "invalid port; choose 0 (any free port) to 65535"
     if isinstance(error, UnicodeError):
-        return "no such name"
-    if isinstance(error, socket.gaierror) or error.errno is None:  # getaddrinfo has its own error numbers
+        return "invalid host name"
+    # getaddrinfo has its own error numbers; Python 3.13 has only a text for an address of no interface.
+    if isinstance(error, socket.gaierror) or error.errno is None:
         return error.strerror or str(error)
     return os.strerror(error.errno)
 

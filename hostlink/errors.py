@@ -46,20 +46,26 @@ def requirements_of(extra: str) -> list[str]:
 
 
 class LibraryMissing(ConfigError):
-    """A feature needs a library that only an extra of hostlink installs."""
+    """A feature needs a library that only an extra of hostlink installs, or that this installation lacks."""
 
     def __init__(self, where: str, library: str, extra: str) -> None:
         """Build the advice: the command that installs what the extra has, into this environment.
 
+        The extra is empty for a library that every installation of hostlink should have.
         It does not name hostlink: hostlink is in no package index, so a package of that name may be malicious.
         """
         self.library, self.extra = library, extra
         if Path(sys.prefix) == DEBIAN_PACKAGE:
-            advice = "the Debian package does not have it; install the wheel with pip"
+            advice = (
+                "the Debian package does not have it; install the wheel with pip"
+                if extra
+                else "run  sudo apt install --reinstall hostlink"
+            )
         else:
             wanted = requirements_of(extra) or [library]
             advice = f"run  {shlex.join([sys.executable, '-m', 'pip', 'install', *wanted])}"
-        super().__init__(where, f"needs {library}, of the extra {extra!r}: {advice}")
+        of_extra = f", of the extra {extra!r}" if extra else ", which is not installed"
+        super().__init__(where, f"needs {library}{of_extra}: {advice}")
 
 
 class UnknownTopic(HostlinkError):
@@ -125,6 +131,18 @@ class ServiceFailed(HostlinkError):
         return cls(service, f"no answer within {timeout_s:g} s")
 
 
+def nearest_field(name: str, known: Iterable[str]) -> str:
+    """Return the end of an error's text about an unknown field: the known one that is spelled alike, or all of them."""
+    from difflib import get_close_matches  # noqa: PLC0415 - 5 ms, only for an error
+
+    fields = list(known)
+    near = get_close_matches(name[:MAX_FIELD_NAME], fields, n=1)
+    return f"; did you mean `{near[0]}`?" if near else f"; its fields: {', '.join(fields) or 'none'}"
+
+
+MAX_FIELD_NAME: Final = 64  # characters that are compared: a client may send any
+
+
 class BadRequest(HostlinkError):
     """A client's request is invalid."""
 
@@ -164,13 +182,19 @@ class RefusalKind(StrEnum):
 
 
 class CommandRefused(HostlinkError):
-    """A velocity was refused. `kind` is the rule; `holder` is the source that holds the lease, if any."""
+    """A velocity was refused. `kind` is the rule; `holder` is the source that holds the lease, if any.
+
+    `by` is the holder, who locked the robot, or what disarmed the source; None: unknown.
+    """
 
     kind: RefusalKind
 
-    def __init__(self, robot: str, kind: RefusalKind, reason: str, *, holder: Hashable = None) -> None:
+    def __init__(
+        self, robot: str, kind: RefusalKind, reason: str, *, holder: Hashable = None, by: str | None = None
+    ) -> None:
         super().__init__(reason)
         self.robot, self.kind, self.reason, self.holder = robot, kind, reason, holder
+        self.by = str(holder) if by is None and holder is not None else by
 
 
 class Refused(HostlinkError):

@@ -1,10 +1,34 @@
-"""LogBudget: limit of log lines for each peer, so that no device fills a disk. Pure.
+"""Limits of log lines, so that no peer fills a disk. Pure. LogBudget: lines of each peer; Budget: one repeated line.
 
 Measured need: tests/system/test_log_budget.py, where one device causes a line with each of its frames. Neither
 structlog nor the standard library limits lines by peer.
 """
 
-from collections import OrderedDict
+from collections import Counter, OrderedDict
+
+LOG_INTERVAL_S = 10.0  # between two lines of one kind: a refused peer tries again at once
+MAX_KINDS = 64  # with counts each; all further ones are the kind "others"
+OTHERS = "others"
+
+
+class Budget:
+    """Rate limit of repeated lines: the first of a kind is due at once, then one in LOG_INTERVAL_S with the counts."""
+
+    def __init__(self) -> None:
+        self._since: dict[str, Counter[str]] = {}
+        self._due_s: dict[str, float] = {}
+
+    def due(self, kind: str, now_s: float, cause: str = "count") -> Counter[str]:
+        """Count an event by its cause. Return the counts since the last line of its kind; empty: no line is due."""
+        if kind not in self._due_s and len(self._due_s) >= MAX_KINDS:
+            kind = OTHERS
+        since = self._since.setdefault(kind, Counter())
+        since[cause] += 1
+        if now_s < self._due_s.get(kind, float("-inf")):
+            return Counter()
+        self._due_s[kind] = now_s + LOG_INTERVAL_S
+        return self._since.pop(kind)
+
 
 BURST_LINES = 500  # fifty robots connect from one address
 RATE_HZ = 10.0

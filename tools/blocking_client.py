@@ -12,7 +12,7 @@ from pathlib import Path
 
 CLIENT = Path(__file__).parents[1] / "hostlink" / "client"
 TARGET = CLIENT / "blocking_calls.py"
-INTERNAL = {"running", "stop_driven"}  # of `connect` and of the thread
+INTERNAL = {"running", "stop_driven", "end_cell"}  # of `connect` and of the thread
 HEAD = '''"""The methods of Host and Robot without `async`, as tools/blocking_client.py makes them: change those.
 
 Needed for types: Python cannot declare a proxy whose methods are those of a class without `async`, so mypy and editors
@@ -28,6 +28,7 @@ from hostlink.client.http_client import REQUEST_TIMEOUT_S
 from hostlink.client.loop_thread import LoopThread, Messages, Opened, PlainAnswer, Stream, in_thread
 from hostlink.client.motion import OnProgress
 from hostlink.client.robot import PRIORITY, WAIT_S, Robot
+from hostlink.client.type_names import TypeName
 from hostlink.client.views import (
     ConnectionChange,
     Driven,

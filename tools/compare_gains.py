@@ -57,7 +57,7 @@ class Driven(NamedTuple):
 
 
 def drawn_world(seed: int) -> WorldParameters:
-    """Motors, load and battery as in docs/wheel-control.md#what-the-tests-hold, of robots that reach 0.3 m/s."""
+    """Motors, load and battery as in docs/wheel-tests.md#what-the-tests-hold, of robots that reach 0.3 m/s."""
     random = np.random.default_rng(seed)
 
     def draw(low: float, high: float) -> float:

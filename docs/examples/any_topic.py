@@ -5,6 +5,7 @@ Needs a running daemon with robot_0: start `hostlink demo`, then run `python any
 
 import argparse
 import asyncio
+import sys
 
 import hostlink.client
 
@@ -32,4 +33,9 @@ async def main(url: str) -> None:
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("url", nargs="?", default=hostlink.client.DEFAULT_URL, help="of the daemon (%(default)s)")
-    asyncio.run(main(parser.parse_args().url))
+    arguments = parser.parse_args()
+    print(__doc__)
+    try:
+        asyncio.run(main(arguments.url))
+    except hostlink.client.HostlinkError as error:
+        sys.exit(str(error))

@@ -7,6 +7,7 @@ seconds and stops. The same lines work in the cells of a notebook.
 import argparse
 import itertools
 import math
+import sys
 
 import hostlink.client
 
@@ -29,4 +30,8 @@ if __name__ == "__main__":
     parser.add_argument("poses", nargs="?", type=int, default=50, help="number of poses to drive for (%(default)s)")
     parser.add_argument("url", nargs="?", default=hostlink.client.DEFAULT_URL, help="of the daemon (%(default)s)")
     arguments = parser.parse_args()
-    main(arguments.poses, arguments.url)
+    print(__doc__)
+    try:
+        main(arguments.poses, arguments.url)
+    except hostlink.client.HostlinkError as error:
+        sys.exit(str(error))

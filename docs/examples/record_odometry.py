@@ -6,7 +6,6 @@ odometry.csv until Ctrl-C.
 
 import argparse
 import asyncio
-import contextlib
 import csv
 import itertools
 import sys
@@ -44,5 +43,10 @@ if __name__ == "__main__":
     parser.add_argument("count", nargs="?", type=int, help="number of poses (until Ctrl-C)")
     parser.add_argument("url", nargs="?", default=hostlink.client.DEFAULT_URL, help="of the daemon (%(default)s)")
     arguments = parser.parse_args()
-    with contextlib.suppress(KeyboardInterrupt):
+    print(__doc__)
+    try:
         asyncio.run(main(arguments.file, arguments.count, arguments.url))
+    except KeyboardInterrupt:
+        print(f"wrote {arguments.file}")
+    except hostlink.client.HostlinkError as error:
+        sys.exit(str(error))

@@ -15,8 +15,8 @@ from typing import Annotated, Any, NotRequired, TypedDict, cast
 import msgspec
 from aiohttp import web
 
+from hostlink.api.bodies import decode_body
 from hostlink.api.recordings import send_file
-from hostlink.api.rest import decode_body
 from hostlink.api.routes import BODY, FILE, Route, reply, reply_encoded
 from hostlink.api.views import velocity_view
 from hostlink.errors import RecordingFailed, UnknownTopic

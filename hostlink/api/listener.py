@@ -15,6 +15,7 @@ from aiohttp import web
 from hostlink.acceptor import Acceptor
 from hostlink.forwarding_protocol import ForwardingProtocol
 from hostlink.hub.hub import Hub
+from hostlink.log_budget import Budget
 from hostlink.logs import printable
 from hostlink.transport.base import READ_BYTES
 
@@ -321,7 +322,6 @@ def _call_nothing() -> None:
 log = structlog.get_logger()
 
 SWEEP_INTERVAL_S = 1.0  # a connection may exceed its timeout by this time
-LOG_INTERVAL_S = 10.0
 UNAVAILABLE = b"HTTP/1.1 503 Too many connections\r\nConnection: close\r\nRetry-After: 1\r\nContent-Length: 0\r\n\r\n"
 
 MakeProtocol = Callable[[], asyncio.Protocol]
@@ -333,7 +333,7 @@ class ApiListener:
     def __init__(self, connections: ApiConnections, hub: Hub) -> None:
         self.connections, self._hub = connections, hub
         self._sweeper: asyncio.TimerHandle
-        self._log_at_s = float("-inf")
+        self._lines = Budget()
         self._logged: Counter[str] = Counter()
 
     @contextlib.asynccontextmanager
@@ -401,10 +401,8 @@ class ApiListener:
         self._log_crowd("")
 
     def _log_crowd(self, address: str) -> None:
-        """Log refused and closed connections: the first at once, the others at most once in LOG_INTERVAL_S."""
-        now_s = _now_s()
-        if now_s >= self._log_at_s:
-            self._log_at_s = now_s + LOG_INTERVAL_S
+        """Log refused and closed connections, within the budget of repeated lines."""
+        if self._lines.due("client.crowded", _now_s()):
             news = self.connections.closed - self._logged
             self._logged = self.connections.closed.copy()
             log.warning("client.crowded", peer=address, connections=len(self.connections), **news)

@@ -10,7 +10,7 @@ import msgspec
 from aiohttp import web
 
 from hostlink.api.access import GRANT
-from hostlink.api.rest import decode_body
+from hostlink.api.bodies import decode_body
 from hostlink.api.routes import BODY, FILE, Route, reply
 from hostlink.errors import UnknownTopic
 from hostlink.hub.node import Role

@@ -1,9 +1,7 @@
 """The REST API: robots, their velocity and odometry, links and topics; for curl and for scripts."""
 
 import asyncio
-import difflib
 import ipaddress
-import re
 from collections import OrderedDict
 from collections.abc import Iterable
 from datetime import UTC, datetime
@@ -14,6 +12,7 @@ import msgspec
 from aiohttp import web
 
 from hostlink.api.access import GRANT
+from hostlink.api.bodies import decode_body
 from hostlink.api.clients import Clients, ClientView
 from hostlink.api.routes import BODY, CAME, Route, refusal, reply
 from hostlink.api.views import (
@@ -46,6 +45,20 @@ from hostlink.robot.views import OdometryView, RobotView
 MAX_OWNERS = 64  # the number of sources that one robot distinguishes; a driving one sends a request in every lease
 
 
+def _participant_name(caller: str) -> str:
+    return f"rest {caller}"
+
+
+def _caller_name(request: web.Request) -> str:
+    """Return the name of the token; without tokens the client's address."""
+    return request[GRANT].who or request.remote or ""
+
+
+def _caller(request: web.Request) -> str:
+    """Return the name of the participant that a request has, or would have if it drove."""
+    return _participant_name(_caller_name(request))
+
+
 class Owners:
     """Participants of REST requests: one for each token, or for each client address without tokens.
 
@@ -75,7 +88,7 @@ class Owners:
         """Return the participant of this name; create it if there is none."""
         owner = self._owners.pop(name, None)
         if owner is None or owner.has_left:
-            owner = self._hub.join(f"rest {name}", role=role)
+            owner = self._hub.join(_participant_name(name), role=role)
         self._owners[name] = owner
         if len(self._owners) > MAX_OWNERS:
             self._owners.popitem(last=False)[1].leave()
@@ -397,7 +410,7 @@ class Rest:
                 max_body_bytes=LOCK_BYTES,
                 check_head=self._find,
                 is_body_optional=True,
-                on_head=lambda request: self._find(request).lock(),
+                on_head=lambda request: self._find(request).lock(by=_caller(request)),
                 is_limited=False,
                 fails=(BAD_REQUEST, NOT_FOUND, TOO_LARGE, UNAVAILABLE),
             ),
@@ -482,20 +495,19 @@ class Rest:
         return reply(velocity_answer(robot, velocity, limited))
 
     def _owner(self, request: web.Request) -> Participant:
-        grant = request[GRANT]
-        owner = self._owners.of(grant.who or request.remote or "", grant.role)
+        owner = self._owners.of(_caller_name(request), request[GRANT].role)
         owner.address = request.remote or ""
         return owner
 
     async def _stop(self, request: web.Request) -> web.Response:
         robot, since_s = self._find(request), _now_s()
-        robot.stop()
+        robot.stop(by=_caller(request))
         await self._hub.gates.settled()
         return await self._measured(request, robot, since_s)
 
     async def _stop_all(self, request: web.Request) -> web.Response:
         since_s = _now_s()
-        self._hub.robots.stop_all()
+        self._hub.robots.stop_all(by=_caller(request))
         await self._hub.gates.settled()
         return await self._all_measured(request, since_s)
 
@@ -521,15 +533,15 @@ class Rest:
         try:
             body = decode_body(request[BODY] or b"{}", LockRequest, '{"reason": a text} or empty; the robot is locked')
         except BadRequest:
-            robot.lock()
+            robot.lock(by=_caller(request))
             raise
-        robot.lock(body.reason)
+        robot.lock(body.reason, by=_caller(request))
         await self._hub.gates.settled()
         return await self._measured(request, robot, since_s)
 
     async def _unlock(self, request: web.Request) -> web.Response:
         robot = self._find(request)
-        robot.unlock()
+        robot.unlock(by=_caller(request))
         await self._hub.gates.settled()
         return reply(robot_view(robot))
 
@@ -583,22 +595,3 @@ def _wait_s(request: web.Request) -> float:
 
 def _now_s() -> float:
     return asyncio.get_running_loop().time()
-
-
-def decode_body(data: bytes, type_: type[Body], shape: str) -> Body:
-    """Decode the body of a request. `shape` is the example in the error.
-
-    Raises:
-        BadRequest: the body does not have this shape.
-    """
-    try:
-        return msgspec.json.decode(data, type=type_)
-    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise BadRequest(f"the body must be {shape}: {error}{_nearest_field(str(error), type_)}") from error
-
-
-def _nearest_field(problem: str, type_: type[msgspec.Struct]) -> str:
-    """Return the known field that is spelled like an unknown one; empty if there is none."""
-    found = re.search("unknown field `(.*?)`", problem)
-    near = difflib.get_close_matches(found[1], type_.__struct_encode_fields__, n=1) if found is not None else []
-    return f"; did you mean `{near[0]}`?" if near else ""

@@ -18,6 +18,7 @@ import cbor2
 import msgspec
 import structlog
 
+from hostlink.api.bodies import convert_fields
 from hostlink.api.clients import ClientQueue, Operation, Outgoing, is_zero_payload, put_json
 from hostlink.api.rate_limit import REFUSED_VELOCITIES_S, RateLimit
 from hostlink.api.views import velocity_answer
@@ -653,7 +654,7 @@ class ClientServices:
 MAX_ANSWERS = 64  # calls of one client that wait for another daemon
 
 
-class DriveOperation(msgspec.Struct):
+class DriveOperation(msgspec.Struct, forbid_unknown_fields=True):
     """Fields of the operation `drive`: m/s and rad/s, counter-clockwise positive; `linear_y` is to the left.
 
     Only programs that send commands by themselves need the fields from `sent_s` on.
@@ -668,6 +669,8 @@ class DriveOperation(msgspec.Struct):
     epoch: int | None = None  # of the robot, from the previous answer
     stops: int | None = None  # synonym of `epoch`
     link: int | None = None  # number of the device's connection; for another number the epoch counts as an earlier one
+    op: str = "drive"
+    id: object = None
 
 
 class DriveCommands:
@@ -692,10 +695,7 @@ class DriveCommands:
     def receive(self, request: Request) -> None:
         """Execute a `drive`. The answer is also sent for each operation that it replaced."""
         try:
-            try:
-                wanted = msgspec.convert(request.fields, DriveOperation)
-            except msgspec.ValidationError as error:
-                raise BadRequest(f"drive: {error}") from error
+            wanted = convert_fields(request.fields, DriveOperation, "drive")
             if not 0 <= wanted.priority <= MAX_PRIORITY:
                 raise BadRequest(f"drive: priority must be a number from 0 to {MAX_PRIORITY}")
             velocity = PlanarVelocity(wanted.linear, wanted.linear_y, wanted.angular)
@@ -742,6 +742,7 @@ class DriveCommands:
         if isinstance(error, CommandRefused):
             answer["epoch"] = self._robots.find(error.robot).admission.epoch
             answer["holder"] = None if error.holder is None else str(error.holder)
+            answer["by"] = error.by
         self._put(request, answer)
 
     def _put(self, request: Request, answer: dict[str, object]) -> None:

@@ -393,4 +393,4 @@ async def _bind(config: ApiConfig) -> list[sockets.socket]:
         if isinstance(error, OSError) and error.errno == errno.EADDRINUSE:
             problem = "is in use by another hostlink or rosbridge; stop it, or choose another port with --api HOST:PORT"
             raise ConfigError(where, problem) from error
-        raise ConfigError(f"{where} of {config.host}", f"cannot be opened:{why(error)}") from error
+        raise ConfigError(f"{where} of {config.host}", f"cannot be opened: {why(error)}") from error

@@ -113,7 +113,9 @@ def _welcome(api: str) -> tuple[str, ...]:
 
 
 class DemoDriver:
-    """Driver of every robot in a curve. It pauses for a robot until PAUSE_S after another driver's last command.
+    """Driver of every robot in a curve, except recordings that are played: they obey no command.
+
+    It pauses for a robot until PAUSE_S after another driver's last command.
 
     After an interruption (a stop, a lock, a reconnection) it leaves the robot alone until the service DRIVE is called.
     """
@@ -134,7 +136,7 @@ class DemoDriver:
 
     def _drive(self, robot: LocalRobot) -> None:
         now_s = asyncio.get_running_loop().time()
-        if robot.link is None:
+        if robot.link is None or robot.is_played:
             return
         epoch = self._epochs.setdefault(robot.name, robot.gate.admission.epoch)
         if epoch != robot.gate.admission.epoch:

@@ -135,7 +135,8 @@ def translated(words: Sequence[str]) -> list[str]:
 def _own_command(words: Sequence[str]) -> list[str]:
     first, *rest = words or [""]
     if first == "help":
-        return [*_own_command(rest), "--help"] if rest else ["--help"]
+        about = [word for word in rest if word != "--"]  # behind it --help would be an argument
+        return [*_own_command(about), "--help"] if about else ["--help"]
     if first in HABITS:
         return [*HABITS[first].split(), *rest]
     if first == "ros2" and rest and rest[0] in ROS2_WORDS:

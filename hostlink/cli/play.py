@@ -114,6 +114,10 @@ def command(
 async def play_devices(file: Path, playback: Playback, address: tuple[str, int], wanted: list[str]) -> None:
     channels = _channels_of(file)
     robots = {name: found for name, found in robots_of(channels).items() if not wanted or name in wanted}
+    if robots and _first_of(file, lambda each: each.robot in robots and each.origin == DEVICE) is None:
+        raise BadRequest(
+            f"{file} has no messages of {', '.join(sorted(robots))}; `hostlink info {file}` lists what it has"
+        )
     if not robots:
         known = ", ".join(sorted(robots_of(channels)))
         named = ", ".join(wanted)
@@ -229,15 +233,36 @@ async def drive_robot(
     velocities = [channel for channel in _channels_of(file) if is_drive(channel)]
     names = sorted({channel.robot for channel in velocities if not recorded or channel.robot in recorded})
     if len(names) != 1:
-        raise BadRequest(
-            f"{file} has velocities of {', '.join(names) or 'no robot'}; choose one robot of a recording with --robot"
-        )
-    topic = min(channel.topic for channel in velocities if channel.robot == names[0])
+        raise BadRequest(_not_one(file, names, {channel.robot for channel in velocities}))
+    topic = _first_of(file, lambda channel: is_drive(channel) and channel.robot == names[0])
+    if topic is None:
+        raise BadRequest(_undriven(file, names[0]))
     async with connect(url, token=token, reconnect=False) as host:
         driven = host.robot(robot)
         write_error(f"driving {robot} as {names[0]} was driven; Ctrl-C stops the robot, and so does `hostlink stop`")
         count = await drive_as_recorded(driven, file, playback, names[0], topic)
     write_error(f"{count} velocities driven")
+
+
+def _undriven(file: Path, robot: str) -> str:
+    """Return why there is nothing to drive by."""
+    return (
+        f"{file} has no velocities of {robot}, because nothing drove it during the recording; choose another recording "
+        f"(`hostlink info {file}` lists what it has), or record while the robot is driven: hostlink record"
+    )
+
+
+def _not_one(file: Path, names: list[str], driven: set[str]) -> str:
+    """Return why the recorded robot is not known: there is none, or none of that name, or several."""
+    if not driven:
+        return _undriven(file, "any robot")
+    found = f"has velocities of {', '.join(names)}" if names else "has none of the named robots"
+    return f"{file} {found}; choose one of: {', '.join(sorted(driven))}  with --robot"
+
+
+def _first_of(file: Path, wanted: Wanted) -> str | None:
+    """Return the topic of the first message of these channels; None: they have none."""
+    return next((message.channel.topic for message in McapReader(file).messages(wanted)), None)
 
 
 async def drive_as_recorded(driven: Robot, file: Path, playback: Playback, recorded: str, topic: str) -> int:

@@ -12,7 +12,6 @@ import signal
 import socket
 import sys
 import threading
-from collections import Counter
 from collections.abc import AsyncIterator, Callable, Iterator, Mapping, Sequence
 from typing import Any
 
@@ -33,6 +32,7 @@ from hostlink.hub.reloader import Read, Reloader
 from hostlink.hub.robots import Robots
 from hostlink.listeners.accepting import TcpAcceptor, UdpAcceptor, serve_serial
 from hostlink.listening import close_all
+from hostlink.log_budget import Budget
 from hostlink.logs import printable
 from hostlink.messages.catalog import Catalog
 from hostlink.recording.recordings import Recordings
@@ -370,16 +370,12 @@ class Notifier:
 # -- logs of libraries ------------------------------------------------------------------------------------------------
 
 
-LOG_INTERVAL_S = 10.0
-MAX_KINDS = 64  # with a count each
-
-
 @contextlib.asynccontextmanager
 async def complaints_logged() -> AsyncIterator[None]:
     """Log complaints of libraries and of the event loop, for the length of the block."""
     loop = asyncio.get_running_loop()
-    budget = Budget(loop.time)
-    before, handler = loop.get_exception_handler(), _LibraryLog(budget)
+    budget = Budget()
+    before, handler = loop.get_exception_handler(), _LibraryLog(budget, loop.time)
     loop.set_exception_handler(_LoopErrors(budget))
     logging.getLogger().addHandler(handler)
     try:
@@ -389,52 +385,32 @@ async def complaints_logged() -> AsyncIterator[None]:
         loop.set_exception_handler(before)
 
 
-class Budget:
-    """Rate limit of complaints: the first of a kind is logged, then one in LOG_INTERVAL_S with their count."""
-
-    def __init__(self, clock: Callable[[], float]) -> None:
-        self._clock = clock
-        self._since: Counter[str] = Counter()
-        self._log_at_s: dict[str, float] = {}
-
-    def due(self, kind: str) -> int:
-        """Count a complaint; return the number since the last line, or 0 if no line is due."""
-        if kind not in self._log_at_s and len(self._log_at_s) >= MAX_KINDS:
-            kind = "others"
-        self._since[kind] += 1
-        now_s = self._clock()
-        if now_s < self._log_at_s.get(kind, float("-inf")):
-            return 0
-        self._log_at_s[kind] = now_s + LOG_INTERVAL_S
-        return self._since.pop(kind)
-
-
 class _LoopErrors:
     """Exception handler of the event loop."""
 
     def __init__(self, budget: Budget) -> None:
         self._budget = budget
 
-    def __call__(self, _: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+    def __call__(self, loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
         error = context.get("exception")
-        if count := self._budget.due(f"loop {type(error).__name__}"):
-            log.error("loop.error", reason=printable(str(context.get("message", ""))), count=count, exc_info=error)
+        if counts := self._budget.due(f"loop {type(error).__name__}", loop.time()):
+            log.error("loop.error", reason=printable(str(context.get("message", ""))), **counts, exc_info=error)
 
 
 class _LibraryLog(logging.Handler):
     """Handler of the standard library's log, which only libraries use."""
 
-    def __init__(self, budget: Budget) -> None:
+    def __init__(self, budget: Budget, clock: Callable[[], float]) -> None:
         super().__init__(logging.WARNING)
-        self._budget = budget
+        self._budget, self._clock = budget, clock
 
     def emit(self, record: logging.LogRecord) -> None:
         error = record.exc_info[1] if record.exc_info else None
-        count = self._budget.due(f"{record.name} {type(error).__name__}")
-        if not count:
+        counts = self._budget.due(f"{record.name} {type(error).__name__}", self._clock())
+        if not counts:
             return
         if isinstance(error, HttpProcessingError):
-            log.warning("client.malformed", reason=printable(error.message.partition("\n")[0]), count=count)
+            log.warning("client.malformed", reason=printable(error.message.partition("\n")[0]), **counts)
         else:
             text = printable(record.getMessage())
-            log.error("library.complained", library=record.name, text=text, count=count, exc_info=error)
+            log.error("library.complained", library=record.name, text=text, **counts, exc_info=error)

@@ -6,6 +6,7 @@ A device that connects in this time waits in the kernel until it is served, or i
 import dataclasses
 import importlib
 import socket
+import sys
 from collections.abc import Callable
 from importlib.resources import files
 from pathlib import Path
@@ -70,7 +71,7 @@ def command(
     ] = None,
     log_level: Annotated[str, typer.Option(help="debug, info, warning or error: debug to trace a fault.")] = "info",
     loop: Annotated[
-        str, typer.Option(help="Event loop: asyncio, uvloop, or auto, which is uvloop where it is installed.")
+        str, typer.Option(help="Event loop: asyncio, uvloop, or auto, which is uvloop on Linux where it is installed.")
     ] = "auto",
     check_config: Annotated[
         Path | None,
@@ -135,17 +136,21 @@ def with_master(config: Ros1Config, where: str, url: str) -> Ros1Config:
         raise ConfigError(where, str(error)) from error
 
 
-def loop_factory(name: str) -> "Callable[[], asyncio.AbstractEventLoop] | None":
+def loop_factory(name: str, platform: str = sys.platform) -> "Callable[[], asyncio.AbstractEventLoop] | None":
     """Return what makes the loop that `--loop` names; None for asyncio's own.
 
+    UvLoop compares uvloop's clock with Python's. Both are CLOCK_MONOTONIC on Linux; other systems have several clocks.
+
     Raises:
-        ConfigError: the name is unknown.
+        ConfigError: the name is unknown, or uvloop is requested on another system than Linux.
         LibraryMissing: uvloop is requested and not installed.
     """
     if name not in LOOPS:
         raise ConfigError("--loop", f"unknown loop {name!r}; choose {', '.join(LOOPS)}")
-    if name == "asyncio":
+    if name == "asyncio" or (name == "auto" and platform != "linux"):
         return None
+    if platform != "linux":
+        raise ConfigError("--loop", "uvloop is supported on Linux only, because of its clock; choose asyncio")
     try:
         factory: Callable[[], asyncio.AbstractEventLoop] = importlib.import_module("hostlink.cli.uvloop_loop").UvLoop
     except ImportError as error:

@@ -13,6 +13,7 @@ from hostlink.client.http_client import REQUEST_TIMEOUT_S
 from hostlink.client.loop_thread import LoopThread, Messages, Opened, PlainAnswer, Stream, in_thread
 from hostlink.client.motion import OnProgress
 from hostlink.client.robot import PRIORITY, WAIT_S, Robot
+from hostlink.client.type_names import TypeName
 from hostlink.client.views import (
     ConnectionChange,
     Driven,
@@ -291,9 +292,12 @@ class HostCalls:
         """
         return self._loop.run(self._host.standstill(wait_s=wait_s))
 
-    def publish(self, topic: str, message: Mapping[str, Any], *, type_name: str = "", priority: int = PRIORITY) -> None:
+    def publish(
+        self, topic: str, message: Mapping[str, Any], *, type_name: TypeName = "", priority: int = PRIORITY
+    ) -> None:
         """Send one message; fields that are missing are zero. `type_name` may be left out when the topic is known.
 
+        It is a name, as "std_msgs/String", or a message class of genpy, rclpy or rosbags; in all calls that take one.
         Numbers and arrays of numpy are as good as Python's.
 
         Raises:
@@ -302,7 +306,7 @@ class HostCalls:
         """
         return self._loop.run(self._host.publish(topic, message, type_name=type_name, priority=priority))
 
-    def publish_raw(self, topic: str, payload: bytes, *, type_name: str = "", priority: int = PRIORITY) -> None:
+    def publish_raw(self, topic: str, payload: bytes, *, type_name: TypeName = "", priority: int = PRIORITY) -> None:
         """Send one serialised message, as rosserial and ROS 1 have it.
 
         Raises:
@@ -314,7 +318,7 @@ class HostCalls:
         """Return why a message on the topic was refused since the last call; empty if none was."""
         return self._host.pop_refusal(topic)
 
-    def advertise(self, topic: str, type_name: str, *, is_latched: bool = False) -> Opened:
+    def advertise(self, topic: str, type_name: TypeName, *, is_latched: bool = False) -> Opened:
         """Be a publisher of the topic for the length of the block, across losses of the connection too.
 
         With `is_latched` programs that subscribe later get the last message.
@@ -325,7 +329,7 @@ class HostCalls:
         return Opened(self._loop, self._host.advertise(topic, type_name, is_latched=is_latched), topic)
 
     def subscribe(
-        self, topic: str, *, type_name: str = "", throttle_rate_ms: int = 0, queue_length: int = 0
+        self, topic: str, *, type_name: TypeName = "", throttle_rate_ms: int = 0, queue_length: int = 0
     ) -> Messages[dict[str, Any]]:
         """The messages of a topic, from now on, for the length of the block, across losses of the connection too.
 
@@ -343,7 +347,7 @@ class HostCalls:
             ),
         )
 
-    def subscribe_raw(self, topic: str, *, type_name: str = "") -> Messages[RawMessage]:
+    def subscribe_raw(self, topic: str, *, type_name: TypeName = "") -> Messages[RawMessage]:
         """The messages of a topic as bytes, with the time at which each reached the daemon; else as `subscribe`.
 
         Do not combine it with a `subscribe` of the same topic on one connection: the daemon sends each message once,
@@ -365,7 +369,7 @@ class HostCalls:
         """
         return Messages(self._loop, contextlib.nullcontext(self._loop.run(self._host.watch_graph())))
 
-    def serve(self, service: str, type_name: str, answer: PlainAnswer) -> Opened:
+    def serve(self, service: str, type_name: TypeName, answer: PlainAnswer) -> Opened:
         """Answer the calls of a service for the length of the block, across losses of the connection too.
 
         `answer`, a function or a coroutine function, receives the request and returns the response, both as dicts;

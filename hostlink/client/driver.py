@@ -10,11 +10,12 @@ import itertools
 import math
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 from hostlink.client.connection import HostConnection, Message
+from hostlink.client.http_client import CLOSE_TIMEOUT_S
 from hostlink.client.views import Driven, MotionKind, Refusal
 from hostlink.errors import CommandRefused, HostlinkError, RefusalKind, Refused
 from hostlink.robot.admission import LEASE_S
@@ -40,7 +41,7 @@ class Broken(NamedTuple):
 
     kind: str
     reason: str
-    holder: str | None = None  # the source that drives the robot instead; an older daemon sends none
+    by: str | None = None  # who drives or locked the robot, or what disarmed this program; None: unknown
 
 
 class _Ended(NamedTuple):
@@ -71,6 +72,7 @@ class _Repeated:
     epoch: int | None = None  # of the robot that accepted it; None: not answered yet
     thread: threading.Thread | None = field(default_factory=calling_thread.get)  # None: the connection's own
     is_kept: bool = False  # after the end of a notebook's cell
+    task: asyncio.Task[Any] | None = field(default_factory=asyncio.current_task)  # that called `drive`
 
 
 class VelocitySender:
@@ -113,6 +115,12 @@ class VelocitySender:
         return tuple(
             robot for robot, repeated in self._repeated.items() if repeated.thread is thread and not repeated.is_kept
         )
+
+    @property
+    def robots_of_ended_tasks(self) -> tuple[str, ...]:
+        """Names of the robots whose newest `drive` was called in a task that has ended, and not to be kept."""
+        repeated = self._repeated.items()
+        return tuple(robot for robot, each in repeated if not each.is_kept and (each.task is None or each.task.done()))
 
     async def drive(
         self, robot: str, velocity: PlanarVelocity, priority: int, *, is_kept: bool = False, number: int | None = None
@@ -260,6 +268,13 @@ class VelocitySender:
             with contextlib.suppress(HostlinkError):
                 await self._connection.send({**_request(robot, ZERO, priority), "id": f"zero:{robot}"})
 
+    async def let_go(self, robots: Iterable[str], priority: int) -> None:
+        """Send zeros, for a second at most; the lease stops what they do not reach."""
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(CLOSE_TIMEOUT_S):
+                for robot in robots:
+                    await self.send_zero(robot, priority)
+
     def break_all(self, reason: str) -> tuple[str, ...]:
         """The connection is lost; returns the robots that were driven."""
         driven = self.robots
@@ -318,14 +333,15 @@ class VelocitySender:
 
 def refused(robot: str, answer: Message) -> HostlinkError:
     """The error of an answer that refuses a command."""
-    kind, reason, holder = _broken_by(answer)
+    kind, reason, by = _broken_by(answer)
     if kind not in set(RefusalKind):
         return Refused(kind, reason)
-    return CommandRefused(robot, RefusalKind(kind), reason, holder=holder)
+    return CommandRefused(robot, RefusalKind(kind), reason, holder=answer.get("holder"), by=by)
 
 
 def _broken_by(answer: Message) -> Broken:
-    return Broken(str(answer["kind"]), str(answer["reason"]), answer.get("holder"))
+    by = answer.get("by") or answer.get("holder")  # an older daemon sends only the holder, or none of both
+    return Broken(str(answer["kind"]), str(answer["reason"]), by)
 
 
 def _request(robot: str, velocity: PlanarVelocity, priority: int) -> dict[str, Any]:

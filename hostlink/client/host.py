@@ -1,6 +1,7 @@
 """Host: a running hostlink as its users see it; and `connect`, which opens a connection to it."""
 
 import asyncio
+import concurrent.futures
 import contextlib
 import ssl
 import threading
@@ -9,6 +10,7 @@ from collections.abc import AsyncGenerator, AsyncIterator, Generator, Mapping
 from types import TracebackType
 from typing import Any, NoReturn, cast
 
+from hostlink.client.cells import Names, forget, watch_cells
 from hostlink.client.connection import HostConnection
 from hostlink.client.driver import VelocitySender
 from hostlink.client.http_client import CLOSE_TIMEOUT_S, DEFAULT_PORT, REQUEST_TIMEOUT_S, HttpClient, measured
@@ -16,6 +18,7 @@ from hostlink.client.mailbox import Mailbox
 from hostlink.client.robot import PRIORITY, WAIT_S, Robot
 from hostlink.client.services import Answer, ProvidedServices
 from hostlink.client.topics import Graphs, GraphWatch, RawSubscription, Subscription, Topics
+from hostlink.client.type_names import TypeName, type_name_of
 from hostlink.client.views import ConnectionChange, Event, RobotState, TopicState
 from hostlink.errors import HostlinkError
 from hostlink.robot.standstill import Standstill
@@ -38,6 +41,8 @@ class Host:
         self._driver = VelocitySender(self._connection)
         self._connection.on_open.append(self._report_return)
         self._ends_when_lost = not reconnect
+        self._tasks: asyncio.TaskGroup | None = None  # while `running`
+        self._loop: asyncio.AbstractEventLoop | None = None
         self._lost: HostlinkError | None = None
         self._watchers: weakref.WeakSet[Mailbox[ConnectionChange]] = weakref.WeakSet()
 
@@ -48,11 +53,15 @@ class Host:
         try:
             async with asyncio.TaskGroup() as tasks:
                 self._services.begin(tasks)
+                self._tasks, self._loop = tasks, asyncio.get_running_loop()
+                watch_cells(self)
                 reader = tasks.create_task(self._connection.run(), name="reader")
                 repeater = tasks.create_task(self._driver.repeat(), name="repeater")
                 try:
                     yield
                 finally:
+                    forget(self)
+                    self._tasks = None
                     repeater.cancel()
                     self._services.end()
                     await self._leave()
@@ -125,32 +134,35 @@ class Host:
     # -- topics and services ------------------------------------------------------------------------------------------
 
     async def publish(
-        self, topic: str, message: Mapping[str, Any], *, type_name: str = "", priority: int = PRIORITY
+        self, topic: str, message: Mapping[str, Any], *, type_name: TypeName = "", priority: int = PRIORITY
     ) -> None:
         """Send one message; fields that are missing are zero. `type_name` may be left out when the topic is known.
 
+        It is a name, as "std_msgs/String", or a message class of genpy, rclpy or rosbags; in all calls that take one.
         Numbers and arrays of numpy are as good as Python's.
 
         Raises:
             HostlinkError: there is no connection, or an earlier message on this topic was refused. The refusal of the
                 last one is raised by `settle`, and at the end of the connection's block.
         """
-        await self._topics.publish(topic, message, type_name, priority)
+        await self._topics.publish(topic, message, type_name_of(type_name), priority)
 
-    async def publish_raw(self, topic: str, payload: bytes, *, type_name: str = "", priority: int = PRIORITY) -> None:
+    async def publish_raw(
+        self, topic: str, payload: bytes, *, type_name: TypeName = "", priority: int = PRIORITY
+    ) -> None:
         """Send one serialised message, as rosserial and ROS 1 have it.
 
         Raises:
             HostlinkError: there is no connection, or an earlier message on this topic was refused.
         """
-        await self._topics.publish_raw(topic, payload, type_name, priority)
+        await self._topics.publish_raw(topic, payload, type_name_of(type_name), priority)
 
     def pop_refusal(self, topic: str) -> str:
         """Return why a message on the topic was refused since the last call; empty if none was."""
         return self._topics.pop_refusal(topic)
 
     def advertise(
-        self, topic: str, type_name: str, *, is_latched: bool = False
+        self, topic: str, type_name: TypeName, *, is_latched: bool = False
     ) -> contextlib.AbstractAsyncContextManager[None]:
         """Be a publisher of the topic for the length of the block, across losses of the connection too.
 
@@ -159,10 +171,10 @@ class Host:
         Raises:
             HostlinkError: when it begins, there is no connection. An unknown type is raised by the next `publish`.
         """
-        return self._topics.advertise(topic, type_name, is_latched=is_latched)
+        return self._topics.advertise(topic, type_name_of(type_name), is_latched=is_latched)
 
     def subscribe(
-        self, topic: str, *, type_name: str = "", throttle_rate_ms: int = 0, queue_length: int = 0
+        self, topic: str, *, type_name: TypeName = "", throttle_rate_ms: int = 0, queue_length: int = 0
     ) -> contextlib.AbstractAsyncContextManager[Subscription]:
         """The messages of a topic, from now on, for the length of the block, across losses of the connection too.
 
@@ -173,10 +185,10 @@ class Host:
         Raises:
             HostlinkError: there is no connection when it begins; in the iteration: the subscription was refused.
         """
-        return self._topics.subscribe(topic, type_name, throttle_rate_ms, queue_length)
+        return self._topics.subscribe(topic, type_name_of(type_name), throttle_rate_ms, queue_length)
 
     def subscribe_raw(
-        self, topic: str, *, type_name: str = ""
+        self, topic: str, *, type_name: TypeName = ""
     ) -> contextlib.AbstractAsyncContextManager[RawSubscription]:
         """The messages of a topic as bytes, with the time at which each reached the daemon; else as `subscribe`.
 
@@ -186,7 +198,7 @@ class Host:
         Raises:
             HostlinkError: there is no connection when it begins; in the iteration: the subscription was refused.
         """
-        return self._topics.subscribe_raw(topic, type_name)
+        return self._topics.subscribe_raw(topic, type_name_of(type_name))
 
     async def watch_graph(self) -> Graphs:
         """The topics, services and robots of all who are not of this connection's group: now, and after every change.
@@ -199,7 +211,7 @@ class Host:
         """
         return await self._graph.watch()
 
-    def serve(self, service: str, type_name: str, answer: Answer) -> contextlib.AbstractAsyncContextManager[None]:
+    def serve(self, service: str, type_name: TypeName, answer: Answer) -> contextlib.AbstractAsyncContextManager[None]:
         """Answer the calls of a service for the length of the block, across losses of the connection too.
 
         `answer`, a function or a coroutine function, receives the request and returns the response, both as dicts;
@@ -208,7 +220,7 @@ class Host:
         Raises:
             HostlinkError: there is no connection when it begins.
         """
-        return self._services.serve(service, type_name, answer)
+        return self._services.serve(service, type_name_of(type_name), answer)
 
     async def call(
         self, service: str, arguments: Mapping[str, Any] | None = None, *, timeout_s: float = REQUEST_TIMEOUT_S
@@ -298,11 +310,26 @@ class Host:
             self._driver.end_motions()
         for name in names:
             self._driver.stop_repeating(name)
-        with contextlib.suppress(TimeoutError):
-            async with asyncio.timeout(CLOSE_TIMEOUT_S):
-                for name in names:
-                    await self._driver.send_zero(name, PRIORITY)
+        await self._driver.let_go(names, PRIORITY)
         return names
+
+    def end_cell(self, *, has_failed: bool) -> Names | None:
+        """Stop what ended tasks of the notebook drove without `keep`; after an error, everything.
+
+        A loop that does not run between cells, as IPython's in a terminal, repeats nothing: the daemon stops its
+        robots. The connection of a LoopThread has a loop of its own.
+        """
+        if self._tasks is None or asyncio.events._get_running_loop() is not self._loop:  # noqa: SLF001 - None, no error
+            return None
+        names = self._driver.robots if has_failed else self._driver.robots_of_ended_tasks
+        if has_failed:
+            self._driver.end_motions()
+        for name in names:
+            self._driver.stop_repeating(name)
+        self._tasks.create_task(self._driver.let_go(names, PRIORITY), name="end of a cell")
+        stopped: Names = concurrent.futures.Future()
+        stopped.set_result(names)
+        return stopped
 
     async def _round_trip(self) -> None:
         self._topics.is_settled = True  # nothing that is published from now on

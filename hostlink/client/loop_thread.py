@@ -31,6 +31,7 @@ from collections.abc import AsyncGenerator, AsyncIterator, Callable, Coroutine, 
 from types import TracebackType
 from typing import Any, TypeVar
 
+from hostlink.client.cells import STOP_TIMEOUT_S, forget_all, watch_cells
 from hostlink.client.driver import calling_thread
 from hostlink.client.host import Connecting, Host
 from hostlink.client.mailbox import Mailbox
@@ -39,11 +40,7 @@ from hostlink.errors import HostlinkError
 
 # -- end of the program -----------------------------------------------------------------------------------------------
 
-STOP_TIMEOUT_S = 1.5  # of all connections together
-
-
 _watched: "weakref.WeakSet[_Life]" = weakref.WeakSet()
-_shells: weakref.WeakSet[Any] = weakref.WeakSet()
 
 
 def watch(connection: "_Life") -> None:
@@ -51,7 +48,7 @@ def watch(connection: "_Life") -> None:
     _watch_program()
     _watch_main_thread()
     _watched.add(connection)
-    _watch_cells()
+    watch_cells(connection)
 
 
 def _stop_all(timeout_s: float = STOP_TIMEOUT_S) -> None:
@@ -98,30 +95,8 @@ def _stop_behind(main_thread: threading.Thread) -> None:
         connection.begin_stop(of_ended_threads=True)
 
 
-def _watch_cells() -> None:
-    """IPython and Jupyter catch the errors of a cell: they report them by an event."""
-    ipython = sys.modules.get("IPython")
-    shell = None if ipython is None else ipython.get_ipython()
-    if shell is not None and shell not in _shells:
-        _shells.add(shell)
-        shell.events.register("post_run_cell", _end_cell)
-
-
-def _end_cell(result: Any) -> None:
-    if not result.success:
-        _stop_all()
-        return
-    begun = [connection.begin_stop(of_cell=threading.current_thread()) for connection in list(_watched)]
-    done, _ = concurrent.futures.wait([stop for stop in begun if stop is not None], timeout=STOP_TIMEOUT_S)
-    names = [name for stop in done if not stop.cancelled() and stop.exception() is None for name in stop.result()]
-    if names:
-        sys.stderr.write(
-            f"{', '.join(names)} stopped at the end of the cell; "
-            "drive(..., for_s=2) drives for a time, drive(..., keep=True) over cells\n"
-        )
-
-
 os.register_at_fork(after_in_child=_watched.clear)  # the connections are the parent's, and the threads
+os.register_at_fork(after_in_child=forget_all)
 os.register_at_fork(after_in_child=_watch_main_thread.cache_clear)
 
 
@@ -320,6 +295,10 @@ class _Life:
         if self.ended.done() or not self.opened.done() or self.opened.exception() is not None:
             return None
         return self.begin(self.opened.result().stop_driven(of_ended_threads=of_ended_threads, of_cell=of_cell))
+
+    def end_cell(self, *, has_failed: bool) -> "concurrent.futures.Future[tuple[str, ...]] | None":
+        """Stop what the cell of this thread drove without `keep`; after an error, everything."""
+        return self.begin_stop(of_cell=None if has_failed else threading.current_thread())
 
     def finish(self) -> None:
         """End, and wait until it has."""

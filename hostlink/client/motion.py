@@ -6,10 +6,14 @@
 | no progress for STUCK_S of robot/course.py                  | blocked       | the motion                             |
 | `timeout_s` is over                                         | timed_out     | the motion                             |
 | no odometry for SILENCE_S, a jump, away from the course     | stopped       | the motion                             |
+| the board restarts, the odometry is reset                   | stopped       | the motion                             |
 | stop, lock, another driver, the device connects again       | stopped       | the daemon, before the client knows it |
 | `stop`, `drive` of this program, the end of it or of a cell | stopped       | who ended it                           |
 | the connection is lost, this program does not run           | stopped       | the daemon, when the lease ends        |
 | cancellation, Ctrl-C, an error of `on_progress`             | is raised     | the motion                             |
+
+A course that has arrived holds a zero until the robot has settled. Another event in that time does not change its
+result: reached.
 """
 
 import asyncio
@@ -29,13 +33,22 @@ from hostlink.robot.velocity import PlanarVelocity
 
 SILENCE_S = 0.5  # without odometry the robot would drive blind
 FIRST_POSE_S = 3.0
-JUMP_M, JUMP_RAD = 0.3, 1.0  # between two poses, besides what the speed explains: the odometry was reset
+JUMP_M, JUMP_RAD = 0.3, 1.0  # between two poses, besides what the speed explains: the odometry was set
+ORIGIN_M, ORIGIN_RAD = 0.05, 0.2  # how near the origin the first pose after a reset is; a robot may roll on
+LEAST_RESET_M, LEAST_RESET_RAD = 0.05, 0.15  # smaller steps to the origin are motion: the course errs by no more
 TIMER_S = 0.001  # a timer's resolution: what is left of a time is over
 STRAY_M = 0.3  # past the end, or away from the start of a turn
 LEAST_M_S, LEAST_RAD_S = 0.02, 0.05  # at lower speeds progress cannot be told from a stop
 GRACE_S, TIMES_LONGER = 10.0, 4.0  # of the default timeout: a robot's limits may slow it down
 
 OnProgress = Callable[[Progress], object]
+
+
+class Fix(NamedTuple):
+    """A pose, and the number of restarts of the robot's board until then."""
+
+    pose: Pose
+    restarts: int = 0
 
 
 class Course(NamedTuple):
@@ -95,21 +108,34 @@ class CoursePilot:
     A line backwards is a line forwards of the robot's mirror image, which drives the other way.
     """
 
-    def __init__(self, course: Course, first: Pose, now_s: float) -> None:
+    def __init__(self, course: Course, first: Fix, now_s: float) -> None:
         self.outcome: MotionOutcome | None = None
         self.kind, self.reason = "", ""
         self._course, self._began_s = course, now_s
         self._way = -1.0 if course.distance_m < 0 else 1.0
         self._follower = CourseFollower([Leg(abs(course.distance_m), course.turn_rad)], course.speed)
-        self._origin = frame_of(Pose(), first)
+        self._origin = frame_of(Pose(), first.pose)
+        self._newest = first
         self._last, self._last_s = Pose(), now_s
         self._turned_rad = 0.0
 
-    def update(self, pose: Pose, now_s: float) -> PlanarVelocity:
+    @property
+    def has_arrived(self) -> bool:
+        """Whether the place or the heading was reached: another source does not change the result."""
+        return self._follower.is_settling or self.outcome is MotionOutcome.REACHED
+
+    def update(self, fix: Fix, now_s: float) -> PlanarVelocity:
         """Return the velocity at this pose; zero when the course has ended."""
-        here = placed(self._origin, pose)
+        before, self._newest = self._newest, fix
+        if fix.restarts != before.restarts:
+            self._stop("the robot's board restarted, which `hostlink doctor` explains", MotionKind.ODOMETRY_RESET)
+            return PlanarVelocity()
+        here = placed(self._origin, fix.pose)
         step_m, step_rad = math.dist(here[:2], self._last[:2]), wrap_angle(here.theta_rad - self._last.theta_rad)
         passed_s, speed = now_s - self._last_s, self._course.speed
+        if _is_at_origin(fix.pose) and self._is_reset(step_m, abs(step_rad), passed_s):
+            self._stop("the robot's odometry was reset", MotionKind.ODOMETRY_RESET)
+            return PlanarVelocity()
         if step_m > JUMP_M + speed.linear_m_s * passed_s or abs(step_rad) > JUMP_RAD + speed.angular_rad_s * passed_s:
             self._stop("the odometry jumped")
             return PlanarVelocity()
@@ -117,7 +143,8 @@ class CoursePilot:
         self._turned_rad += step_rad
         past_m = here.x_m * self._way - abs(self._course.distance_m)
         if past_m > STRAY_M or abs(here.y_m) > STRAY_M or here.x_m * self._way < -STRAY_M:
-            self._stop(f"the robot is more than {STRAY_M:g} m away from its course")
+            self.outcome, self.kind = MotionOutcome.STOPPED, MotionKind.OFF_COURSE  # also if it had arrived before
+            self.reason = f"the robot is more than {STRAY_M:g} m away from its course"
             return PlanarVelocity()
         seen = here if self._way > 0 else Pose(-here.x_m, -here.y_m, here.theta_rad)
         linear_m_s, angular_rad_s = self._follower.update(seen, now_s)
@@ -130,11 +157,20 @@ class CoursePilot:
         limit_rad_s = speed.angular_rad_s
         return PlanarVelocity(linear_m_s, 0.0, max(-limit_rad_s, min(limit_rad_s, angular_rad_s)))
 
+    def _is_reset(self, step_m: float, step_rad: float, passed_s: float) -> bool:
+        """Whether a step to the origin is a reset: poses are never more than SILENCE_S late."""
+        speed, longest_s = self._course.speed, passed_s + SILENCE_S
+        return (
+            step_m > LEAST_RESET_M + speed.linear_m_s * longest_s
+            or step_rad > LEAST_RESET_RAD + speed.angular_rad_s * longest_s
+        )
+
     def check(self, now_s: float, *, is_silent: bool) -> None:
         """Decide whether the course ends because it lasts too long, or because no pose has arrived."""
         if is_silent and now_s > self._last_s + SILENCE_S:
-            self._stop(f"no odometry arrived for {SILENCE_S:g} s; `hostlink doctor` finds out why", "no_odometry")
-        elif now_s > self._began_s + self._course.timeout_s:
+            reason = f"no odometry arrived for {SILENCE_S:g} s; `hostlink doctor` finds out why"
+            self._stop(reason, MotionKind.NO_ODOMETRY)
+        elif now_s > self._began_s + self._course.timeout_s and not self.has_arrived:
             self.outcome = MotionOutcome.TIMED_OUT
             self.reason = f"it was not completed within {self._course.timeout_s:.1f} s"
 
@@ -144,8 +180,15 @@ class CoursePilot:
         gone, whole = (self._turned_rad, course.turn_rad) if course.turn_rad else (distance_m, course.distance_m)
         return Progress(distance_m, self._turned_rad, now_s - self._began_s, gone / whole if whole else 1.0)
 
-    def _stop(self, reason: str, kind: str = "off_course") -> None:
-        self.outcome, self.kind, self.reason = MotionOutcome.STOPPED, MotionKind(kind), reason
+    def _stop(self, reason: str, kind: MotionKind = MotionKind.OFF_COURSE) -> None:
+        if self.has_arrived:
+            self.outcome = MotionOutcome.REACHED
+        else:
+            self.outcome, self.kind, self.reason = MotionOutcome.STOPPED, kind, reason
+
+
+def _is_at_origin(pose: Pose) -> bool:
+    return math.hypot(*pose[:2]) < ORIGIN_M and abs(pose.theta_rad) < ORIGIN_RAD
 
 
 class _Held:
@@ -173,7 +216,7 @@ class _Held:
     async def pop_end(self, elapsed_s: float) -> Motion:
         """Result of a motion that something else has ended."""
         end = await self._driver.pop_end(self._robot, self._priority, self._newest)
-        by = "this program" if end.kind == MotionKind.PROGRAM else end.holder
+        by = "this program" if end.kind == MotionKind.PROGRAM else end.by
         return Motion(MotionOutcome.STOPPED, elapsed_s, kind=end.kind, by=by, reason=end.reason)
 
     async def let_go(self) -> None:
@@ -193,8 +236,7 @@ async def _held(driver: VelocitySender, robot: str, priority: int) -> AsyncItera
 
 
 def _refused(error: HostlinkError, elapsed_s: float) -> Motion:
-    holder = error.holder if isinstance(error, CommandRefused) else None
-    by = None if holder is None else str(holder)
+    by = error.by if isinstance(error, CommandRefused) else None
     return Motion(MotionOutcome.STOPPED, elapsed_s, kind=str(error.kind), by=by, reason=str(error))
 
 
@@ -256,42 +298,47 @@ async def _read(odometry: AsyncIterator[Odometry], poses: Mailbox[Odometry]) -> 
 
 async def _follow(held: _Held, course: Course, poses: Mailbox[Odometry], on_progress: OnProgress | None) -> Motion:
     now_s = asyncio.get_running_loop().time
-    pose = await _first(poses)
+    fix = await _first(poses)
     if held.is_lost:
         return await held.pop_end(0.0)
     began_s = now_s()
-    pilot = CoursePilot(course, pose, began_s)
+    pilot = CoursePilot(course, fix, began_s)
     commanded: PlanarVelocity | None = None
     try:
         while True:
-            velocity = pilot.update(pose, now_s())
+            velocity = pilot.update(fix, now_s())
             if pilot.outcome is None and velocity != commanded:
                 await held.drive(velocity)
                 commanded = velocity
             if on_progress is not None:
                 on_progress(pilot.progress(now_s()))
-            newer: Pose | None = None
+            newer: Fix | None = None
             while newer is None and pilot.outcome is None:
                 newer = await _newest(poses)
                 if held.is_lost:  # nothing is awaited between this and the next command
-                    return _placed(await held.pop_end(now_s() - began_s), pilot.progress(now_s()))
+                    ended = await held.pop_end(now_s() - began_s)
+                    return _ended(pilot, ended, now_s())
                 pilot.check(now_s(), is_silent=newer is None)
             if pilot.outcome is not None:
                 ended = Motion(pilot.outcome, now_s() - began_s, kind=pilot.kind, reason=pilot.reason)
-                return _placed(ended, pilot.progress(now_s()))
+                return _ended(pilot, ended, now_s())
             assert newer is not None  # noqa: S101 - the loop above ends with one of both
-            pose = newer
+            fix = newer
     except HostlinkError as error:
         if commanded is None:
             raise
-        return _placed(_refused(error, now_s() - began_s), pilot.progress(now_s()))
+        return _ended(pilot, _refused(error, now_s() - began_s), now_s())
 
 
-def _placed(motion: Motion, progress: Progress) -> Motion:
+def _ended(pilot: CoursePilot, motion: Motion, now_s: float) -> Motion:
+    """Return the result with the way that was gone. Another source does not change that a motion has arrived."""
+    progress = pilot.progress(now_s)
+    if pilot.has_arrived and pilot.outcome is None:
+        motion = Motion(MotionOutcome.REACHED, motion.elapsed_s)
     return replace(motion, distance_m=progress.distance_m, turned_rad=progress.turned_rad)
 
 
-async def _first(poses: Mailbox[Odometry]) -> Pose:
+async def _first(poses: Mailbox[Odometry]) -> Fix:
     """Wait for a pose of now.
 
     Raises:
@@ -299,14 +346,14 @@ async def _first(poses: Mailbox[Odometry]) -> Pose:
     """
     try:
         async with asyncio.timeout(FIRST_POSE_S):
-            while (pose := await _newest(poses)) is None:
+            while (fix := await _newest(poses)) is None:
                 pass
     except TimeoutError:
         raise HostlinkError(f"no odometry arrived for {FIRST_POSE_S:g} s; `hostlink doctor` finds out why") from None
-    return pose
+    return fix
 
 
-async def _newest(poses: Mailbox[Odometry]) -> Pose | None:
+async def _newest(poses: Mailbox[Odometry]) -> Fix | None:
     """Return the newest pose; None when none arrives within REPEAT_INTERVAL_S."""
     try:
         async with asyncio.timeout(REPEAT_INTERVAL_S):
@@ -316,4 +363,4 @@ async def _newest(poses: Mailbox[Odometry]) -> Pose | None:
     found = [found, *poses.pop_all()][-1]
     if found["age_s"] > SILENCE_S:
         return None
-    return Pose(found["pose"]["x_m"], found["pose"]["y_m"], found["pose"]["theta_rad"])
+    return Fix(Pose(found["pose"]["x_m"], found["pose"]["y_m"], found["pose"]["theta_rad"]), found.get("restarts", 0))

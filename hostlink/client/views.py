@@ -74,7 +74,7 @@ class Motion:
     distance_m: float | None = None  # forward, by odometry; None: the motion was `drive(for_s=...)`
     turned_rad: float | None = None  # counter-clockwise
     kind: str = ""  # of a stop: `held`, `locked`, `disarmed` ..., as in CommandRefused; or one of MotionKind
-    by: str | None = None  # the source that stopped it, where that is known
+    by: str | None = None  # who drives or locked the robot, or what stopped it: "a stop by ..."; None: unknown
     reason: str = ""  # for people
 
     @property
@@ -90,6 +90,7 @@ class MotionKind(StrEnum):
     CONNECTION = "connection"  # lost
     ASLEEP = "asleep"  # this program did not run for longer than a command holds
     NO_ODOMETRY = "no_odometry"
+    ODOMETRY_RESET = "odometry_reset"  # the robot's board restarted, or a program made its place the origin
     OFF_COURSE = "off_course"  # the odometry jumped, or the robot left the line
 
 

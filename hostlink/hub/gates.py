@@ -35,7 +35,7 @@ from hostlink.hub.topic import Topic
 from hostlink.link.link import Link, LinkEnd
 from hostlink.protocol.control import TopicInfo
 from hostlink.protocol.frame import Id
-from hostlink.robot.admission import LEASE_S, Admission, Command
+from hostlink.robot.admission import LEASE_S, Admission, Command, named
 from hostlink.robot.velocity import (
     TWIST_STAMPED_TYPE,
     TWIST_TYPE,
@@ -352,7 +352,7 @@ class Gates:
         since_s = self._stalls.pop_pause(now_s)
         if since_s is not None:
             for admission in tuple(self._admissions):  # also of a robot at rest: its sources may be disarmed
-                admission.interrupt(now_s, since_s=since_s)
+                admission.interrupt(now_s, since_s=since_s, by="a pause of hostlink")
 
     def _overrule(self, beside: list[Drivable], drivable: Drivable, owner: Hashable, priority: int) -> None:
         """Stop velocity topics of the robot that a source of lower priority drives. Its next command is refused."""
@@ -379,8 +379,8 @@ class Gates:
                 self._note_stop(drivable, OWNER_LEFT, str(owner))
                 self._step(drivable, now_s, is_news=True)
 
-    def stop(self, drivables: Iterable[Drivable]) -> None:
-        """Stop these within their deceleration limits, for every source.
+    def stop(self, drivables: Iterable[Drivable], *, by: str | None = None) -> None:
+        """Stop these within their deceleration limits, for every source. `by` is who stops them.
 
         Raises:
             HostlinkError: the zero does not fit a device; all others have been stopped.
@@ -388,7 +388,7 @@ class Gates:
         drivables, now_s, refusal = list(drivables), _now_s(), None
         driven = [(drivable, str(drivable.gate.owner)) for drivable in drivables if drivable.gate.owner is not None]
         for admission in {drivable.admission for drivable in drivables}:  # velocity topics of one robot share one
-            admission.interrupt(now_s)
+            admission.interrupt(now_s, by=named("a stop", by))
         for drivable in drivables:
             drivable.gate.counts.stops += 1
             drivable.gate.stop(now_s=now_s)
@@ -414,25 +414,25 @@ class Gates:
             drivable.gate.stop_at_once()
             self._step(drivable, now_s, is_news=True)
 
-    def lock(self, drivables: Iterable[Drivable], reason: str) -> None:
-        """Send zero at once, and refuse commands until `unlock`.
+    def lock(self, drivables: Iterable[Drivable], reason: str, *, by: str | None = None) -> None:
+        """Send zero at once, and refuse commands until `unlock`. `by` is who locks.
 
         Raises:
             HostlinkError: the zero does not fit a device; its gate is locked nevertheless.
         """
         drivables, now_s, refusal = list(drivables), _now_s(), None
         for admission in {drivable.admission for drivable in drivables}:
-            admission.lock(reason, now_s)
+            admission.lock(reason, now_s, by=by)
         for drivable in drivables:
             drivable.gate.stop_at_once()
             refusal = self._step(drivable, now_s, is_news=True) or refusal
         if refusal is not None:
             raise refusal
 
-    def unlock(self, drivables: Iterable[Drivable]) -> None:
+    def unlock(self, drivables: Iterable[Drivable], *, by: str | None = None) -> None:
         """Admit commands again. Unlocking moves nothing."""
         for admission in {drivable.admission for drivable in drivables}:
-            admission.unlock(_now_s())
+            admission.unlock(_now_s(), by=by)
 
     def pauses(self, now_s: float) -> HostPauses:
         """Return the pauses of this process."""

@@ -326,7 +326,8 @@ class Links:
             other = robots.locked_likewise(robot)
             if other is not None:
                 with contextlib.suppress(HostlinkError):  # the lock holds even if the device refuses the zero
-                    robot.lock(f"it may be {other.name}: {other.gate.lock_reason}")
+                    reason = f"it may be {other.name}: {other.gate.lock_reason}"
+                    robot.lock(reason, by=other.gate.admission.locked_by)
         return robot
 
     def _displace(self, robot: LocalRobot) -> None:

@@ -121,23 +121,27 @@ class Robot(VelocityTarget):
         """Return the setting that slows a velocity down most; None if none does, or for a remote robot."""
 
     @abstractmethod
-    def stop(self) -> None:
+    def stop(self, *, by: str | None = None) -> None:
         """Stop the robot and all velocity topics of its link, within the deceleration limits, for every source.
+
+        `by` is who stops it, for refusals.
 
         Raises:
             HostlinkError: the zero does not fit the device.
         """
 
     @abstractmethod
-    def lock(self, reason: str = LOCK_REASON) -> None:
+    def lock(self, reason: str = LOCK_REASON, *, by: str | None = None) -> None:
         """Send zero at once, and refuse commands until `unlock`, also while the device is not connected.
+
+        `by` is who locks it, for refusals.
 
         Raises:
             HostlinkError: the zero does not fit the device; the robot is locked nevertheless.
         """
 
     @abstractmethod
-    def unlock(self) -> None:
+    def unlock(self, *, by: str | None = None) -> None:
         """Admit commands again. Unlocking moves nothing.
 
         Raises:
@@ -222,38 +226,38 @@ class LocalRobot(Drivable, Robot):
         """Return the setting that slows a velocity down most; None if none does."""
         return self.gate.limits.slowest(velocity)
 
-    def stop(self) -> None:
+    def stop(self, *, by: str | None = None) -> None:
         """Stop the robot, and robots of its name at other daemons."""
         if self.also_at and self.gates.hosts is not None:
             self.gates.hosts.stop(self.name)
-        self.stop_here()
+        self.stop_here(by=by)
 
-    def stop_here(self) -> None:
+    def stop_here(self, *, by: str | None = None) -> None:
         """Stop only this robot."""
-        self.gates.stop(self.beside)
+        self.gates.stop(self.beside, by=by)
 
-    def lock(self, reason: str = LOCK_REASON) -> None:
+    def lock(self, reason: str = LOCK_REASON, *, by: str | None = None) -> None:
         """Lock the robot, and robots of its name at other daemons."""
         if self.also_at and self.gates.hosts is not None:
             self.gates.hosts.lock(self.name, printable(reason))
-        self.lock_here(reason)
+        self.lock_here(reason, by=by)
 
-    def lock_here(self, reason: str) -> None:
+    def lock_here(self, reason: str, *, by: str | None = None) -> None:
         """Lock only this robot."""
         self.locked_link = self.link
         try:
-            self.gates.lock(self.beside, printable(reason))
+            self.gates.lock(self.beside, printable(reason), by=by)
         finally:
             self.on_lock(self)
             log.warning("robot.locked", robot=self.name, reason=self.gate.lock_reason)
             self.gates.events.note(EventKind.LOCKED, self.name, reason=self.gate.lock_reason)
 
-    def unlock(self) -> None:
+    def unlock(self, *, by: str | None = None) -> None:
         """Admit commands again. Robots of its name at other daemons are not unlocked."""
         if self.gate.lock_reason is not None:
             log.warning("robot.unlocked", robot=self.name, reason=self.gate.lock_reason)
             self.gates.events.note(EventKind.UNLOCKED, self.name, reason=self.gate.lock_reason)
-        self.gates.unlock(self.beside)
+        self.gates.unlock(self.beside, by=by)
         self.on_lock(self)
 
     def is_surely_there(self) -> bool:
@@ -410,7 +414,7 @@ class RemoteRobot(Robot):
         self._check_unique()
         decision = self.admission.decide(command, _now_s())
         if decision.kind is not None:
-            raise CommandRefused(self.name, decision.kind, decision.reason, holder=decision.holder)
+            raise CommandRefused(self.name, decision.kind, decision.reason, holder=decision.holder, by=decision.by)
         epoch = None if command.epoch is None else self._epoch
         self.hosts.drive(self, command.velocity, owner=command.source, priority=command.priority, epoch=epoch)
         return command.velocity
@@ -423,17 +427,17 @@ class RemoteRobot(Robot):
         """Return None: the limits are at the robot's daemon."""
         return
 
-    def stop(self) -> None:
+    def stop(self, *, by: str | None = None) -> None:  # noqa: ARG002 - used by LocalRobot
         """Stop the robots of this name at other daemons."""
         if self.gates.hosts is not None:
             self.gates.hosts.stop(self.name)
 
-    def lock(self, reason: str = LOCK_REASON) -> None:
+    def lock(self, reason: str = LOCK_REASON, *, by: str | None = None) -> None:  # noqa: ARG002 - used by LocalRobot
         """Lock the robots of this name at other daemons."""
         if self.gates.hosts is not None:
             self.gates.hosts.lock(self.name, printable(reason))
 
-    def unlock(self) -> None:
+    def unlock(self, *, by: str | None = None) -> None:  # noqa: ARG002 - used by LocalRobot
         """Unlock the robot.
 
         Raises:

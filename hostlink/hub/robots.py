@@ -202,23 +202,23 @@ class Robots:
                 return other
         return None
 
-    def stop_all(self) -> None:
-        """Stop every robot, including those of other daemons.
+    def stop_all(self, *, by: str | None = None) -> None:
+        """Stop every robot, including those of other daemons. `by` is who stops them, for refusals.
 
         Raises:
             HostlinkError: the zero does not fit a device; all others have been stopped.
         """
         if self._gates.hosts is not None:
             self._gates.hosts.stop(None)
-        self._gates.stop(self.drivables())
+        self._gates.stop(self.drivables(), by=by)
 
-    def stop_all_here(self) -> None:
+    def stop_all_here(self, *, by: str | None = None) -> None:
         """Stop every robot of this daemon.
 
         Raises:
             HostlinkError: the zero does not fit a device; all others have been stopped.
         """
-        self._gates.stop(self.drivables())
+        self._gates.stop(self.drivables(), by=by)
 
     # -- which come and leave -----------------------------------------------------------------------------------------
 

@@ -6,6 +6,7 @@ taken for the answer to the next call.
 
 import asyncio
 import itertools
+import reprlib
 from collections import defaultdict
 from collections.abc import Awaitable, Callable, Hashable, Iterable, Mapping
 from typing import TypeVar
@@ -21,6 +22,7 @@ from hostlink.errors import (
     ServiceFailed,
     UnknownTopic,
     WrongType,
+    nearest_field,
 )
 from hostlink.hub.graph_changes import GraphChanges, GraphKind
 from hostlink.hub.node import Node
@@ -342,6 +344,8 @@ class Services:
         """
         service = self.find(name)
         if isinstance(service, Provider):
+            if service.is_daemon and (own := self._catalog.service(service.type_name)) is not None:
+                _check_fields(service.name, request, [field.name for field in own.request.fields])
             return await service.call(name, request, timeout_s=PROGRAM_TIMEOUT_S if timeout_s is None else timeout_s)
         if service.type is None:
             raise WrongType(service.name, "a service type with a definition", service.type_name)
@@ -352,6 +356,17 @@ class Services:
     def _log_takeover(self, name: str, key: Hashable, before: Provider) -> None:
         log.warning("service.taken_over", service=printable(name), by=str(key), before=str(before.key))
         before.notify(f"{name}: {key} offers it too and gets the calls, as long as it is there")
+
+
+def _check_fields(name: str, request: Mapping[str, object], known: list[str]) -> None:
+    """Refuse a request to the daemon itself, which reads it without a codec.
+
+    Raises:
+        BadRequest: a field is unknown.
+    """
+    for field in request:
+        if field not in known:
+            raise BadRequest(f"{name}: the request has no field {reprlib.repr(field)}{nearest_field(field, known)}")
 
 
 def _newest(offers: Mapping[str, dict[Hashable, _Offer]], name: str) -> _Offer | None:

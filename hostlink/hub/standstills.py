@@ -73,14 +73,14 @@ class LockServices:
     def _serve(self, name: str) -> None:
         async def lock(_: Mapping[str, object]) -> Mapping[str, object]:
             robot, now_s = self._robots.find(name), asyncio.get_running_loop().time()
-            robot.lock()
+            robot.lock(by=f"a call of {name}/{_LOCK}")
             await self._gates.settled()
             measured = (await self._standstills.measure([robot], now_s))[0]
             text = f"{name} is locked until {name}/{_UNLOCK} is called; {sentence(name, measured)}"
             return {"success": measured.state is not StandstillState.MOVING, "message": text}
 
         async def unlock(_: Mapping[str, object]) -> Mapping[str, object]:
-            self._robots.find(name).unlock()
+            self._robots.find(name).unlock(by=f"a call of {name}/{_UNLOCK}")
             await self._gates.settled()
             return {"success": True, "message": f"{name} may be driven"}
 

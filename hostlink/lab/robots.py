@@ -1,7 +1,7 @@
 """The laboratory's robots: the project's firmware and the rebuilt software of the paper, each in its own world.
 
 Time is virtual: a minute of the robot takes a tenth of a second. The paper's software is rebuilt from the paper and its
-sketch: docs/paper-robot.md#where-the-paper-and-its-code-are-wrong. RandomNumbers are those of the operator.
+sketch: docs/paper-errors.md#where-the-paper-and-its-code-are-wrong. RandomNumbers are those of the operator.
 """
 
 import math

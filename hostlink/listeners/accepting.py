@@ -14,6 +14,7 @@ from hostlink.acceptor import EXHAUSTED
 from hostlink.config import LinkConfig, SerialConfig, TcpConfig, UdpConfig
 from hostlink.hub.hub import Hub
 from hostlink.link.link import INVITATION, Authenticate, Link, LinkEnd, has_frame, trust
+from hostlink.log_budget import Budget
 from hostlink.logs import printable
 from hostlink.transport.base import Transport
 from hostlink.transport.keyed import HELLO, KeyProof, read_key
@@ -26,7 +27,6 @@ from hostlink.transport.udp import Datagram, UdpPort, UdpTransport
 log = structlog.get_logger()
 
 PAUSE_S = 5.0  # a refused device reconnects at once, when there is still no room
-LOG_INTERVAL_S = 10.0  # a refused peer reconnects at once
 
 
 class RefusedPeers:
@@ -35,9 +35,7 @@ class RefusedPeers:
     def __init__(self, hub: Hub) -> None:
         self._hub = hub
         self._paused_until_s: dict[str, float] = {}
-        self._log_at_s = self._log_exhausted_at_s = float("-inf")
-        self._unlogged: Counter[str] = Counter()
-        self._tries = 0  # to accept without a free descriptor, since the last line of the log
+        self._lines = Budget()
 
     def pause(self, address: str) -> None:
         """Refuse this address for PAUSE_S."""
@@ -52,22 +50,14 @@ class RefusedPeers:
     def count(self, cause: str, peer: str) -> None:
         """Count a refusal. Log the first one, then at most one line per LOG_INTERVAL_S with the counts since."""
         self._hub.counts.refused[cause] += 1
-        self._unlogged[cause] += 1
-        now_s = _now_s()
-        if now_s >= self._log_at_s:
-            self._log_at_s = now_s + LOG_INTERVAL_S
-            log.warning("connection.refused", cause=cause, peer=printable(peer), **self._unlogged)
-            self._unlogged.clear()
+        if counts := self._lines.due("connection.refused", _now_s(), cause):
+            log.warning("connection.refused", cause=cause, peer=printable(peer), **counts)
 
     def note_exhausted(self) -> None:
         """Count a connection that waits because no descriptor is free. Log at most one line per LOG_INTERVAL_S."""
         self._hub.counts.refused["no_descriptors"] += 1
-        self._tries += 1
-        now_s = _now_s()
-        if now_s >= self._log_exhausted_at_s:
-            self._log_exhausted_at_s = now_s + LOG_INTERVAL_S
-            log.error("descriptors.exhausted", tries=self._tries)
-            self._tries = 0
+        if counts := self._lines.due("descriptors.exhausted", _now_s(), "tries"):
+            log.error("descriptors.exhausted", **counts)
 
 
 def _now_s() -> float:

@@ -16,7 +16,10 @@ from hostlink.errors import LibraryMissing
 if sys.version_info >= (3, 14):
     from compression import zstd
 else:
-    from backports import zstd
+    try:
+        from backports import zstd
+    except ImportError:  # an incomplete installation: hostlink's own wheel depends on it
+        raise LibraryMissing("recordings", "backports.zstd", "") from None
 
 MAGIC: Final = b"\x89MCAP0\r\n"
 RECORD_HEAD: Final = struct.Struct("<BQ")  # opcode, length

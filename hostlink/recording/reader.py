@@ -34,8 +34,11 @@ from hostlink.recording.mcap_format import (
 )
 
 MAX_RECORD_BYTES = 256 * 1024 * 1024  # a larger length is damage and is not read into memory
+MAX_DEFINITIONS_BYTES = 64 * 1024 * 1024  # of schemas, channels and metadata, which stay in memory
+MAX_DEFINITION_BYTES = 1024 * 1024  # of one of them; a large one has a few kB
 _LENGTH = struct.Struct("<Q")
 _PIECE_BYTES = 64 * 1024
+_DEFINITIONS = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.METADATA)
 _DAMAGES = (ValueError, struct.error, OverflowError, MemoryError)
 
 
@@ -114,11 +117,13 @@ def _checksum(file: IO[bytes], begin: int, end: int) -> int:
     return found
 
 
-def _records(file: IO[bytes], begin: int, end: int, wanted: tuple[Opcode, ...]) -> Iterator[tuple[int, bytes]]:
+def _records(
+    file: IO[bytes], begin: int, end: int, wanted: tuple[Opcode, ...], limit_bytes: int = MAX_RECORD_BYTES
+) -> Iterator[tuple[int, bytes]]:
     """Yield (opcode, content) of the records of these kinds.
 
     Raises:
-        ValueError: a length is too large.
+        ValueError: a length is too large; `limit_bytes` is that of these kinds.
         struct.error: a record is cut.
     """
     at = begin
@@ -129,6 +134,8 @@ def _records(file: IO[bytes], begin: int, end: int, wanted: tuple[Opcode, ...]) 
         if length > MAX_RECORD_BYTES or at > end:
             raise ValueError(f"a record of {length} bytes")
         if opcode in wanted:
+            if length > limit_bytes:
+                raise ValueError(f"a record of {length} bytes")
             yield opcode, file.read(length)
 
 
@@ -136,10 +143,10 @@ def _read_definitions(
     file: IO[bytes], begin: int, end: int, note: Callable[[SchemaRecord | ChannelRecord], None]
 ) -> int | None:
     """Note schemas before channels. Return the number of chunks that the file states, or None."""
-    for _, body in _records(file, begin, end, (Opcode.SCHEMA,)):
+    for _, body in _records(file, begin, end, (Opcode.SCHEMA,), MAX_DEFINITION_BYTES):
         note(SchemaRecord.read(body))
     chunk_count = None
-    for opcode, body in _records(file, begin, end, (Opcode.CHANNEL, Opcode.STATISTICS)):
+    for opcode, body in _records(file, begin, end, (Opcode.CHANNEL, Opcode.STATISTICS), MAX_DEFINITION_BYTES):
         if opcode == Opcode.CHANNEL:
             note(ChannelRecord.read(body))
         else:
@@ -160,7 +167,6 @@ def _add_chunk(index: Index, body: bytes, summary_begin: int, is_wanted: Callabl
 
 
 MAX_CHUNK_BYTES = 64 * 1024 * 1024  # unpacked; chunks of other writers have a few MB
-MAX_DEFINITIONS_BYTES = 64 * 1024 * 1024  # of schemas and channels, which stay in memory; a large one has a few kB
 NOT_FINISHED = "the file was not finished"  # the only damage of a file whose writer was killed
 MAX_NAMED = 10  # damaged chunks that are described; the others are counted
 MAX_REASON = 200  # characters of a library's error text
@@ -325,6 +331,11 @@ class McapReader:
                     at = index.ends[number]
                     number += 1
                     continue
+                opcode, length = _read_head(file, at)
+                if opcode in _DEFINITIONS and MAX_DEFINITION_BYTES < length <= MAX_RECORD_BYTES:
+                    self._note_large(length)
+                    at += RECORD_HEAD.size + length
+                    continue
                 opcode, body = _read_record(file, at)
                 at += RECORD_HEAD.size + len(body)
                 if opcode == Opcode.FOOTER:
@@ -339,6 +350,11 @@ class McapReader:
         except _DAMAGES as error:
             is_cut = isinstance(error, _FileCut)
             self._damage.append(NOT_FINISHED if is_cut else f"unreadable from byte {file.tell()}: {error}")
+
+    def _note_large(self, size_bytes: int) -> None:
+        """Count a definition or metadata that is omitted for its size."""
+        limit = f"exceeds the limit of {MAX_DEFINITION_BYTES}; it is omitted"
+        self._note_damage("a record", Damaged(f"a definition of {size_bytes} bytes {limit}"))
 
     def _note_stored(self, opcode: int, body: bytes) -> None:
         """Note a record outside chunks. A damaged one costs only itself, because its end is known."""
@@ -397,10 +413,14 @@ class McapReader:
                 yield StoredMessage(channel, stamp_ns, data[payload_begin:at], steady_ns)
 
     def _note_record(self, opcode: int, body: bytes) -> None:
-        if opcode not in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.METADATA):
+        if opcode not in _DEFINITIONS:
             return
-        if opcode == Opcode.METADATA:
-            self.metadata |= read_metadata(body)
+        if len(body) > MAX_DEFINITION_BYTES:
+            self._note_large(len(body))
+        elif opcode == Opcode.METADATA:
+            for name, value in read_metadata(body).items():
+                if self.metadata.get(name) != value and self._has_room(name, value):
+                    self.metadata[name] = value
         else:
             self._note(SchemaRecord.read(body) if opcode == Opcode.SCHEMA else ChannelRecord.read(body))
 
@@ -434,7 +454,9 @@ class McapReader:
         if self._definitions_left_bytes >= 0:
             self._definitions_left_bytes -= sum(map(len, texts))
             if self._definitions_left_bytes < 0:
-                self._damage.append(f"the definitions exceed {MAX_DEFINITIONS_BYTES} bytes; the rest is omitted")
+                self._damage.append(
+                    f"the definitions and metadata exceed {MAX_DEFINITIONS_BYTES} bytes; the rest is omitted"
+                )
         return self._definitions_left_bytes >= 0
 
     # -- times --------------------------------------------------------------------------------------------------------
@@ -470,6 +492,20 @@ def _all(channel: Channel) -> bool:
     return True
 
 
+def _read_head(file: IO[bytes], at: int) -> tuple[int, int]:
+    """Return (opcode, length of the content) of the record at this position.
+
+    Raises:
+        _FileCut: the file ends in it.
+    """
+    file.seek(at)
+    head = file.read(RECORD_HEAD.size)
+    if len(head) < RECORD_HEAD.size:
+        raise _FileCut
+    opcode, length = RECORD_HEAD.unpack(head)
+    return int(opcode), int(length)
+
+
 def _read_record(file: IO[bytes], at: int) -> tuple[int, bytes]:
     """Return (opcode, content) of the record at this position.
 
@@ -477,11 +513,7 @@ def _read_record(file: IO[bytes], at: int) -> tuple[int, bytes]:
         _FileCut: the file ends in it.
         Damaged: the length is damaged.
     """
-    file.seek(at)
-    head = file.read(RECORD_HEAD.size)
-    if len(head) < RECORD_HEAD.size:
-        raise _FileCut
-    opcode, length = RECORD_HEAD.unpack(head)
+    opcode, length = _read_head(file, at)
     if length > MAX_RECORD_BYTES:
         raise Damaged(f"a record of {length} bytes exceeds the limit of {MAX_RECORD_BYTES}")
     body = file.read(length)

@@ -162,11 +162,17 @@ class Decision(NamedTuple):
     kind: RefusalKind | None = None
     reason: str = ""
     holder: Hashable = None  # the source that holds the robot, for `held`
+    by: str | None = None  # who locked it, or what disarmed the source; None: unknown
 
     @property
     def is_admitted(self) -> bool:
         """Whether the velocity may move the robot."""
         return self.kind is None
+
+
+def named(what: str, by: str | None) -> str:
+    """Return the text of an interruption: "a stop by teleop", or "a stop" when it is unknown by whom."""
+    return f"{what} by {by}" if by else what
 
 
 class Lease(NamedTuple):
@@ -213,6 +219,8 @@ class Admission:
     kinematics: Kinematics = Kinematics.PLANAR
     epoch: int = 0
     lock_reason: str | None = None
+    locked_by: str | None = None
+    interrupted_by: str | None = None  # the newest interruption
     is_connected: bool = False
     refused: dict[RefusalKind, int] = field(default_factory=dict)
     _sources: dict[Hashable, _Source] = field(default_factory=dict)  # the one that commanded last is the last one
@@ -246,7 +254,7 @@ class Admission:
         if self.kinematics is Kinematics.DIFFERENTIAL and velocity.y_m_s != 0:
             return self._refuse(RefusalKind.UNSUPPORTED, NOT_SIDEWAYS)
         if self.lock_reason is not None:
-            return self._refuse(RefusalKind.LOCKED, self._locked_text())
+            return self._refuse(RefusalKind.LOCKED, self._locked_text(), by=self.locked_by)
         if not self.is_connected:
             return self._refuse(RefusalKind.NOT_CONNECTED, "its device is not connected")
         waited_s = source.waited_s(command, now_s)
@@ -261,7 +269,7 @@ class Admission:
                 f"it was stopped, locked or reconnected while this source was driving; to drive again, send a zero, "
                 f"pause for {self.lease_s:g} s, or send epoch {self.epoch}"
             )
-            return self._refuse(RefusalKind.DISARMED, reason)
+            return self._refuse(RefusalKind.DISARMED, reason, by=self.interrupted_by)
         holder = self._other_holder(owner, now_s) if len(self._sources) > 1 else None
         if holder is not None and command.priority < self._sources[holder].priority:
             reason = f"{holder} drives it with a higher priority; wait until it lets go, or use stop"
@@ -326,9 +334,9 @@ class Admission:
         )
         return max(others, key=lambda each: each[:2], default=(0, 0.0, None))[2]
 
-    def _refuse(self, kind: RefusalKind, reason: str, holder: Hashable = None) -> Decision:
+    def _refuse(self, kind: RefusalKind, reason: str, holder: Hashable = None, *, by: str | None = None) -> Decision:
         self.refused[kind] = self.refused.get(kind, 0) + 1
-        return Decision(kind, f"{self.robot}: {reason}", holder)
+        return Decision(kind, f"{self.robot}: {reason}", holder, str(holder) if holder is not None else by)
 
     def _late_text(self, command: Command[Any], waited_s: float) -> str:
         """Return why a command is too old; empty: it is not."""
@@ -364,26 +372,30 @@ class Admission:
 
     # -- interruptions ------------------------------------------------------------------------------------------------
 
-    def interrupt(self, now_s: float, *, since_s: float | None = None) -> None:
-        """Stop the robot: disarm every source that was commanding within a lease before `since_s`, or now."""
+    def interrupt(self, now_s: float, *, since_s: float | None = None, by: str | None = None) -> None:
+        """Stop the robot: disarm every source that was commanding within a lease before `since_s`, or now.
+
+        `by` names the interruption for refusals; None: it is unknown.
+        """
         since_s = now_s if since_s is None else since_s
         self.epoch += 1
+        self.interrupted_by = by
         self._drivers.clear()
         for source in self._sources.values():
             if source.has_lost_device or since_s < source.commanded_s + self.lease_s:
                 # Commands that waited through a pause are read now, so a lease without commands begins now.
                 source.is_armed, source.commanded_s = False, now_s
 
-    def lock(self, reason: str, now_s: float) -> None:
-        """Refuse every non-zero command until `unlock`."""
-        self.lock_reason = reason
-        self.interrupt(now_s)
+    def lock(self, reason: str, now_s: float, *, by: str | None = None) -> None:
+        """Refuse every non-zero command until `unlock`. `by` is who locks."""
+        self.lock_reason, self.locked_by = reason, by
+        self.interrupt(now_s, by=named("a lock", by))
 
-    def unlock(self, now_s: float) -> None:
+    def unlock(self, now_s: float, *, by: str | None = None) -> None:
         """Admit commands again. A source that went on through the lock stays disarmed: unlocking moves nothing."""
         if self.lock_reason is not None:
-            self.lock_reason = None
-            self.interrupt(now_s)
+            self.lock_reason = self.locked_by = None
+            self.interrupt(now_s, by=named("an unlock", by))
 
     def join(self, sources: Iterable[Hashable], now_s: float) -> None:
         """Note sources that have published to the robot since before it was subscribed."""
@@ -394,7 +406,7 @@ class Admission:
         """The device is connected, or has other topics; returns whether that is an interruption."""
         is_interruption = now_s >= self._disconnected_s + self.resume_after_reconnect_s
         if is_interruption:
-            self.interrupt(now_s)
+            self.interrupt(now_s, by="a reconnection of its device")
         self.is_connected = True
         self._drop_holds()
         for source in self._sources.values():

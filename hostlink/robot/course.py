@@ -70,6 +70,11 @@ class CourseFollower:
         """Number of legs that are not done."""
         return len(self._legs)
 
+    @property
+    def is_settling(self) -> bool:
+        """Whether the end of a leg was reached, and the robot is given time to stop."""
+        return self._settled_at_s is not None
+
     def update(self, pose: Pose, now_s: float) -> tuple[float, float]:
         """The velocity (m/s, rad/s) at this pose, which is counted from where the course began."""
         if self._last is not None:

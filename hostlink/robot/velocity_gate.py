@@ -213,7 +213,9 @@ class VelocityGate(Generic[V]):
         velocity = command.velocity
         decision = self.admission.decide(command, now_s, topic=self)
         if decision.kind is not None:
-            raise CommandRefused(self.admission.robot, decision.kind, decision.reason, holder=decision.holder)
+            raise CommandRefused(
+                self.admission.robot, decision.kind, decision.reason, holder=decision.holder, by=decision.by
+            )
         self.counts.commands += 1
         if velocity.is_zero and self.driver is None:
             self._zeros = max(self._zeros, 1)

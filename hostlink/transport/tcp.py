@@ -5,7 +5,6 @@ import contextlib
 import errno
 import fcntl
 import ipaddress
-import os
 import socket
 import struct
 import sys
@@ -13,7 +12,7 @@ import termios
 from collections.abc import AsyncIterator, Callable, Sequence
 from dataclasses import dataclass
 
-from hostlink.acceptor import Acceptor, bind
+from hostlink.acceptor import Acceptor, bind, why
 from hostlink.config import TcpConfig
 from hostlink.errors import ConfigError, LibraryMissing
 from hostlink.transport.base import Transport
@@ -207,14 +206,12 @@ def spelled(host: str, port: int) -> str:
 def explain(error: OSError | OverflowError | UnicodeError, option: str) -> str:
     """Explain why an address cannot be listened on. `option` is the flag that chooses another."""
     if isinstance(error, UnicodeError):
-        return f"invalid host name; choose another with {option} HOST:PORT"
+        return f"{why(error)}; choose another with {option} HOST:PORT"
     if isinstance(error, OverflowError):
-        return "invalid port; choose 0 (any free port) to 65535"
+        return why(error)
     if error.errno == errno.EADDRINUSE:
         return f"is in use, probably by another rosserial host; stop it, or choose another port with {option} HOST:PORT"
-    is_lookup = isinstance(error, socket.gaierror)  # getaddrinfo has its own error numbers
-    reason = error.strerror if is_lookup or error.errno is None else os.strerror(error.errno)
-    return f"cannot be listened on: {reason or error}"  # Python 3.13 has only a text for an address of no interface
+    return f"cannot be listened on: {why(error)}"
 
 
 # -- mDNS -------------------------------------------------------------------------------------------------------------

@@ -53,7 +53,7 @@ def test_tuned_gains_follow_the_set_point_better_than_table_1_and_do_not_swing(s
 
 
 def tuned_worlds(count: int) -> list[tuple[WorldParameters, Gains]]:
-    """Return the first robots of docs/gains.md#how-far-the-true-speed-overshoots, each with its own gains."""
+    """Return the first robots of docs/gains-measured.md#how-far-the-true-speed-overshoots, each with its own gains."""
     worlds = [drawn_world(seed) for seed in range(1, count + 1)]
     return [(world, {side: simc_gains(model) for side, model in identify(world).items()}) for world in worlds]
 

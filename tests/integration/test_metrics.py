@@ -148,6 +148,13 @@ async def test_the_dashboard_and_the_alerts_name_metrics_that_exist(tmp_path: Pa
     assert (shown | alerted) - observed == set()
 
 
+def test_dashboard_lists_which_robots_are_connected_driven_locked_and_silent() -> None:
+    (table,) = (panel for panel in DASHBOARD["panels"] if panel["title"] == "Robots")
+    shown = {name for target in table["targets"] for name in named(target["expr"])}
+    states = ("connected", "driven", "locked", "odometry_age_seconds")
+    assert {f"hostlink_robot_{state}" for state in states} <= shown
+
+
 def test_each_alert_says_what_is_wrong_and_what_to_do() -> None:
     for rule in RULES:
         assert set(rule["annotations"]) == {"summary", "next"}

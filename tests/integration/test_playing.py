@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from hostlink.cli import play
+from hostlink.cli.demo import DemoDriver
 from hostlink.cli.names import driver
 from hostlink.client import connect
 from hostlink.errors import BadRequest, ConfigError, HostlinkError
@@ -115,7 +116,39 @@ async def test_invalid_velocity_ends_the_play_with_one_line(tmp_path: Path) -> N
 async def test_a_text_that_is_said_to_be_a_velocity_drives_nothing(tmp_path: Path) -> None:
     text = channel("/robot_0/velocity_commands", "std_msgs/String", VELOCITY)
     async with robot() as (host, _):
-        assert "velocities of no robot" in await refusal(host, recording(tmp_path, [(0.0, text, bytes(48))]))
+        assert "no velocities of any robot" in await refusal(host, recording(tmp_path, [(0.0, text, bytes(48))]))
+
+
+async def test_a_robot_that_nothing_drove_is_named_as_the_cause(tmp_path: Path) -> None:
+    announced = recording(tmp_path, [(0.0, ODOMETRY, POSE)], [COMMANDS])
+    async with robot() as (host, _):
+        reason = await refusal(host, announced)
+        assert "no velocities of robot_0, because nothing drove it during the recording" in reason
+        assert "--start" not in reason
+        with pytest.raises(BadRequest, match="none of the named robots; choose one of: robot_0  with --robot"):
+            await play.drive_robot(host.url, None, announced, PLAYBACK, "robot_0", ["robot_7"])
+        announced.unlink()
+        empty = recording(tmp_path, [], [ODOMETRY, COMMANDS])
+        with pytest.raises(BadRequest, match="has no messages of robot_0"):
+            await play.play_devices(empty, PLAYBACK, host.tcp, [])
+
+
+async def test_velocities_on_the_second_topic_of_a_robot_are_driven(tmp_path: Path) -> None:
+    other = channel("/robot_0/a_silent_vel", "geometry_msgs/Twist", VELOCITY)
+    file = recording(tmp_path, [(0.0, COMMANDS, FORWARD.encode()), (0.1, COMMANDS, FORWARD.encode())], [other])
+    async with robot() as (host, device), beside(drive(host, file)):
+        await device.velocity_of((0.2, 0.0))
+
+
+async def test_the_demo_drives_no_recording() -> None:
+    mark = topic(Id.PUBLISHER, 130, "/played/played", "std_msgs/String")
+    played = [*robot_topics("played"), mark]
+    async with daemon() as host, fake_device(host.tcp, robot_topics()), fake_device(host.tcp, played):
+        await expect(lambda: host.hub.robots.has("robot_0") and host.hub.robots.find("played").is_played)
+        demo = DemoDriver(host.hub, host.hub.join("demo"))
+        async with beside(demo.run()):
+            await expect(lambda: host.hub.robots.find("robot_0").gate.owner_name == "demo")
+        assert host.hub.robots.find("played").gate.counts.commands == 0
 
 
 @pytest.mark.parametrize("is_looped", [False, True])

@@ -1,4 +1,4 @@
-"""Every Python snippet of docs/client.md and docs/client-stops.md, run as its reader runs it, on a simulated robot."""
+"""Every Python snippet of docs/client.md, client-topics.md and client-stops.md, run by itself on a simulated robot."""
 
 import asyncio
 import re
@@ -14,7 +14,7 @@ from tests.support.proxy import proxy
 from tests.support.simulated import simulated_robot
 from tests.support.waiting import expect
 
-DOCUMENTS = [Path(__file__).parents[2] / "docs" / name for name in ("client.md", "client-stops.md")]
+DOCUMENTS = [Path(__file__).parents[2] / "docs" / name for name in ("client.md", "client-topics.md", "client-stops.md")]
 FENCED = re.compile(r"^```python\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 CONNECT = re.compile(r"\b(connect(?:_blocking)?)\(\)")
 TIMEOUT_S = 30.0

@@ -5,6 +5,7 @@ import asyncio
 import contextlib
 import csv
 import math
+import re
 import sys
 from collections.abc import AsyncIterator
 from pathlib import Path
@@ -19,17 +20,26 @@ from tests.support.waiting import expect
 EXAMPLES = Path(__file__).parents[2] / "docs" / "examples"
 TIMEOUT_S = 40.0
 SIDE_M = 0.1
-FAR_CORNERS = [(SIDE_M, 0.0, math.pi / 2), (SIDE_M, SIDE_M, math.pi)]
 
 
 async def run_example(name: str, *arguments: str) -> str:
-    """Run an example; return what it prints."""
+    """Run an example, which explains itself; return what it prints then."""
+    printed = await printed_by(name, *arguments)
+    explanation = ast.get_docstring(ast.parse((EXAMPLES / name).read_text(encoding="utf-8")), clean=False)
+    assert explanation is not None
+    assert printed.startswith(explanation)
+    return printed.removeprefix(explanation).lstrip()
+
+
+async def printed_by(name: str, *arguments: str, status: int = 0, error: str = "") -> str:
+    """Run an example; return its output."""
     child = await asyncio.create_subprocess_exec(
         sys.executable, str(EXAMPLES / name), *arguments, stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.PIPE
     )
     async with asyncio.timeout(TIMEOUT_S):
         out, err = await child.communicate()
-    assert (child.returncode, err) == (0, b""), err.decode()
+    assert child.returncode == status
+    assert re.fullmatch(error, err.decode()), err.decode()
     return out.decode()
 
 
@@ -42,18 +52,28 @@ async def world() -> AsyncIterator[tuple[str, SimulatedRobot]]:
 
 @pytest.mark.parametrize("name", sorted(path.name for path in EXAMPLES.glob("*.py")))
 async def test_help_says_how_to_start_the_example_without_arguments(name: str) -> None:
-    printed = " ".join((await run_example(name, "--help")).split())
+    printed = " ".join((await printed_by(name, "--help")).split())
     assert f"start `hostlink demo`, then run `python {name}`" in printed
+
+
+@pytest.mark.parametrize("name", sorted(path.name for path in EXAMPLES.glob("*.py")))
+async def test_example_without_a_daemon_names_the_next_step_in_one_line(name: str, tmp_path: Path) -> None:
+    arguments = {"circle.py": ["5"], "square.py": ["0.1"], "record_odometry.py": [str(tmp_path / "a.csv"), "5"]}
+    line = r"no hostlink at http://127.0.0.1:1: [^\n]*`hostlink demo` runs one with a robot\n"
+    await printed_by(name, *arguments.get(name, []), "http://127.0.0.1:1", status=1, error=line)
 
 
 async def test_half_a_square_ends_at_the_far_corner() -> None:
     async with world() as (url, robot):
         printed = await run_example("square.py", str(SIDE_M), url, "2")
         assert abs(robot.speed_m_s) < 0.01
-    corners = [ast.literal_eval(line) for line in printed.splitlines()]
-    for corner, (x_m, y_m, theta_rad) in zip(corners, FAR_CORNERS, strict=True):
-        assert math.hypot(corner["x_m"] - x_m, corner["y_m"] - y_m) < 0.05
-        assert abs(math.remainder(corner["theta_rad"] - theta_rad, math.tau)) < 0.25
+        pose = robot.pose
+    assert [line.partition(":")[0] for line in printed.splitlines()] == ["reached"] * 4
+    numbers = [[float(each) for each in re.findall(r"(-?[\d.]+) (?:m|rad)", line)] for line in printed.splitlines()]
+    assert numbers[0][0] == pytest.approx(SIDE_M, abs=0.03)
+    assert numbers[1][1] == pytest.approx(math.pi / 2, abs=0.2)
+    assert math.dist(pose[:2], (SIDE_M, SIDE_M)) < 0.07
+    assert abs(math.remainder(pose.theta_rad - math.pi, math.tau)) < 0.35
 
 
 async def test_odometry_is_recorded(tmp_path: Path) -> None:

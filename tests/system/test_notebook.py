@@ -1,4 +1,4 @@
-"""The blocking client in a real Jupyter kernel: a robot is driven over cells; a cell that fails stops it."""
+"""The client in a real Jupyter kernel: a robot is driven over cells; a cell that fails stops it."""
 
 import asyncio
 import contextlib
@@ -105,4 +105,29 @@ async def test_a_cell_stops_its_robot_unless_it_is_kept_and_an_error_an_interrup
         await cells.run("robot.drive(0.2, 0.0, keep=True)")
         await robot.moves()
         await cells.manager.signal_kernel(9)
+        await robot.stands()
+
+
+async def test_a_cell_of_the_asyncio_client_stops_its_robot_unless_it_is_kept_or_a_task_drives_it() -> None:
+    async with robot_to_drive() as robot, notebook() as cells:
+        await cells.run("import asyncio, contextlib, hostlink.client")
+        await cells.run("cells = contextlib.AsyncExitStack()")
+        await cells.run(f"host = await cells.enter_async_context(hostlink.client.connect({robot.host.url!r}))")
+        await cells.run("robot = host.robot('robot_0')")
+
+        shown = await cells.run("driven = await robot.drive(0.2, 0.0)")
+        assert shown.startswith("robot_0 stopped at the end of the cell; drive(..., for_s=2)")
+        await robot.stands()
+        assert await cells.run("robot.is_driven") == "False"
+
+        await cells.run("await robot.drive(0.2, 0.0, keep=True)")
+        await robot.moves()
+        assert await cells.run("robot.is_driven") == "True"
+        assert await cells.run("1 / 0") == "ZeroDivisionError"
+        await robot.stands()
+
+        await cells.run("driving = asyncio.get_running_loop().create_task(robot.drive(0.2, 0.0, for_s=60.0))")
+        await robot.moves()
+        assert await cells.run("robot.is_driven") == "True"
+        await cells.run("driving.cancel()")
         await robot.stands()

@@ -61,6 +61,18 @@ def test_chunk_compressed_with_lz4_names_the_extra_that_reads_it() -> None:
     assert "Damaged: needs lz4, of the extra 'export': run" in done.stderr
 
 
+@pytest.mark.skipif(sys.version_info >= (3, 14), reason="zstd is part of Python 3.14")
+def test_recordings_without_zstd_name_the_installation() -> None:
+    block = "sys.modules.update({'backports.zstd': None})\n"
+    done = run(f"{block}sys.argv = ['hostlink', 'info', 'none.mcap']\nfrom hostlink.cli.start import main\nmain()")
+    assert done.returncode == 2
+    wanted = (
+        f"recordings: needs backports.zstd, which is not installed: run  {sys.executable} -m pip install backports.zstd"
+    )
+    assert wanted in done.stderr.replace("\n", " ")
+    assert "Traceback" not in done.stderr
+
+
 def test_advice_is_a_command_with_the_requirements_of_the_extra() -> None:
     assert requirements_of("top") == ["textual<9,>=1"]
     assert set(requirements_of("lab")) > {"scipy<2,>=1.11"}
@@ -73,3 +85,5 @@ def test_advice_in_the_debian_package_is_the_wheel(monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(sys, "prefix", "/usr/lib/hostlink")
     advice = str(LibraryMissing("plot", "matplotlib", "plot"))
     assert advice.endswith("the Debian package does not have it; install the wheel with pip")
+    advice = str(LibraryMissing("recordings", "backports.zstd", ""))
+    assert advice.endswith("which is not installed: run  sudo apt install --reinstall hostlink")

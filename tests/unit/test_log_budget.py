@@ -3,7 +3,7 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hostlink.log_budget import BURST_LINES, MAX_PEERS, RATE_HZ, LogBudget
+from hostlink.log_budget import BURST_LINES, LOG_INTERVAL_S, MAX_KINDS, MAX_PEERS, RATE_HZ, Budget, LogBudget
 
 
 def spent(budget: LogBudget, peer: str) -> None:
@@ -62,3 +62,19 @@ def test_lines_of_a_peer_never_exceed_burst_and_rate(calls: list[tuple[str, floa
         allowed[peer] += budget.allows(peer, now_s)
     assert all(count <= RATE_HZ * now_s + 1e-6 for count in allowed.values())
     assert sum(allowed.values()) + budget.left_out == len(calls)
+
+
+def test_repeated_line_is_due_at_once_and_then_once_an_interval_with_its_counts() -> None:
+    budget = Budget()
+    assert [budget.due("a", 0.0) for _ in range(5)] == [{"count": 1}, {}, {}, {}, {}]
+    assert budget.due("b", 0.0, "crowd") == {"crowd": 1}
+    assert budget.due("b", 1.0, "crowd") == budget.due("b", LOG_INTERVAL_S - 0.1, "key") == {}
+    assert budget.due("b", LOG_INTERVAL_S, "key") == {"crowd": 1, "key": 2}
+    assert budget.due("a", LOG_INTERVAL_S) == {"count": 5}
+
+
+def test_kinds_of_repeated_lines_are_bounded() -> None:
+    budget = Budget()
+    lines = [budget.due(str(number), 0.0) for number in range(10 * MAX_KINDS)]
+    assert sum(map(bool, lines)) == MAX_KINDS + 1
+    assert budget.due("one more", LOG_INTERVAL_S) == {"count": 9 * MAX_KINDS}

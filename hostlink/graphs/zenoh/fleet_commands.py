@@ -138,7 +138,7 @@ class FleetDrivers:
                 case Unlock():
                     self._check_role(neighbour, request.robot)
                     robot = self._hub.robots.find_here(request.robot)
-                    robot.unlock()
+                    robot.unlock(by=str(printable(neighbour.sender.name)))
                     return FleetAnswer(number=request.number, robots=(state_of(robot),))
                 case _:
                     assert_never(request)
@@ -160,16 +160,16 @@ class FleetDrivers:
         return FleetAnswer(number=request.number, velocity=limited.twist, epoch=robot.admission.epoch)
 
     def _stop(self, neighbour: Neighbour, request: StopRequest) -> FleetAnswer:
-        name = request.robot
+        name, by = request.robot, printable(neighbour.sender.name)
         robots = [robot for robot in self._hub.robots.here() if name in (None, robot.name)]
         try:
             if name is None:
-                self._hub.robots.stop_all_here()
+                self._hub.robots.stop_all_here(by=by)
             for robot in robots if name is not None else ():
                 if isinstance(request, Lock):
-                    robot.lock_here(f"{request.reason} ({neighbour.sender.name})")
+                    robot.lock_here(f"{request.reason} ({neighbour.sender.name})", by=by)
                 else:
-                    robot.stop_here()
+                    robot.stop_here(by=by)
         except HostlinkError as error:
             return _refusal(request.number, error)
         return FleetAnswer(number=request.number, robots=tuple(map(state_of, robots)))

@@ -1,6 +1,6 @@
 """The protocol of rmw_zenoh: names, keys, qualities of service, signatures, tokens, and the graph that they form. Pure.
 
-The formats are those of docs/ros2-zenoh.md#on-the-wire. Declarations of other programs are untrusted text:
+The formats are those of docs/ros2-zenoh-wire.md#on-the-wire. Declarations of other programs are untrusted text:
 unreadable text gives None, never an exception.
 """
 

@@ -6,7 +6,9 @@ from collections.abc import Awaitable, Callable
 
 import pytest
 
-from hostlink.api.rest import MAX_OWNERS, Owners, VelocityRequest, decode_body
+from hostlink.api.bodies import convert_fields, decode_body
+from hostlink.api.rest import MAX_OWNERS, Owners, VelocityRequest
+from hostlink.api.rosbridge import DriveOperation
 from hostlink.config import Config
 from hostlink.errors import BadRequest
 from hostlink.hub.hub import Hub
@@ -248,10 +250,29 @@ async def test_owner_is_the_same_until_its_token_is_revoked() -> None:
     ("body", "problem"),
     [
         (b'{"linear": 0.2, "angular": 0.5, "priorty": 7}', "unknown field `priorty`; did you mean `priority`?"),
-        (b'{"linear": 0.2, "angular": 0.5, "colour": 7}', "unknown field `colour`"),
+        (
+            b'{"linear": 0.2, "angular": 0.5, "colour": 7}',
+            "unknown field `colour`; its fields: linear, angular, linear_y_m_s, priority, epoch",
+        ),
     ],
 )
 def test_unknown_field_of_a_body_is_refused_with_the_nearest_name(body: bytes, problem: str) -> None:
     with pytest.raises(BadRequest) as caught:
         decode_body(body, VelocityRequest, "a velocity")
     assert str(caught.value).endswith(problem)
+
+
+@pytest.mark.parametrize(
+    ("fields", "problem"),
+    [
+        ({"lineary": 1.0}, "drive: Object contains unknown field `lineary`; did you mean `linear_y`?"),
+        ({"angular": "fast"}, "drive: Expected `float`, got `str` - at `$.angular`"),
+        ({"robot": 7}, "drive: Expected `str`, got `int` - at `$.robot`"),
+    ],
+)
+def test_unknown_field_of_a_drive_is_refused_as_one_of_a_body(fields: dict[str, object], problem: str) -> None:
+    drive = {"op": "drive", "id": 1, "robot": "robot_0", "linear": 0.1, "angular": 0.0}
+    assert convert_fields(drive, DriveOperation, "drive").linear == 0.1
+    with pytest.raises(BadRequest) as caught:
+        convert_fields(drive | fields, DriveOperation, "drive")
+    assert str(caught.value) == problem

@@ -8,13 +8,14 @@ from collections.abc import AsyncIterator, Awaitable, Callable
 import pytest
 
 from hostlink.client import Motion, MotionOutcome, Progress, Robot
-from hostlink.client.motion import CoursePilot, line
+from hostlink.client.motion import CoursePilot, Fix, line, turn
 from hostlink.errors import CommandRefused, HostlinkError
 from hostlink.robot.kinematics import Pose
 from hostlink.robot.velocity import PlanarVelocity, Twist
 from tests.support.memory_client import MemoryHost, memory_host
 from tests.support.participants import ODOMETRY_ID, POSE, ROBOT, VELOCITY_ID, Scene, scene
 from tests.support.virtual_loop import run_virtual
+from tests.support.waiting import expect
 
 PERIOD_S = 0.05
 WITHIN_S = 0.7  # a repetition finds the refusal, and the daemon sends zeros
@@ -164,8 +165,8 @@ def test_move_is_never_faster_than_its_speed() -> None:
 def test_motion_that_is_locked_is_stopped_with_the_reason(motion: Callable[[Robot], Awaitable[Motion]]) -> None:
     async def test(here: World) -> None:
         gate = here.made.hub.robots.find_here(ROBOT)
-        result = await interrupted(here, motion, lambda: gate.lock("smoke"))
-        assert (result.outcome, result.kind, result.by) == (MotionOutcome.STOPPED, "locked", None)
+        result = await interrupted(here, motion, lambda: gate.lock("smoke", by="the fire alarm"))
+        assert (result.outcome, result.kind, result.by) == (MotionOutcome.STOPPED, "locked", "the fire alarm")
         assert "smoke" in result.reason
         assert result.elapsed_s < 1.5
         await asyncio.sleep(PERIOD_S)
@@ -179,8 +180,9 @@ def test_motion_that_is_locked_is_stopped_with_the_reason(motion: Callable[[Robo
 @every_motion
 def test_motion_that_is_stopped_by_another_is_not_resumed(motion: Callable[[Robot], Awaitable[Motion]]) -> None:
     async def test(here: World) -> None:
-        result = await interrupted(here, motion, here.made.hub.robots.find_here(ROBOT).stop)
-        assert (result.outcome, result.kind) == (MotionOutcome.STOPPED, "disarmed")
+        robot = here.made.hub.robots.find_here(ROBOT)
+        result = await interrupted(here, motion, lambda: robot.stop(by="the page"))
+        assert (result.outcome, result.kind, result.by) == (MotionOutcome.STOPPED, "disarmed", "a stop by the page")
         await asyncio.sleep(0.2)
         assert here.is_zero
         assert (await here.robot.drive(0.1, 0.0, for_s=0.2)).is_reached  # the result has told the program
@@ -343,10 +345,102 @@ def test_motion_whose_odometry_jumps_is_stopped() -> None:
 
 @pytest.mark.parametrize("jump", [Pose(0.5, 0.0, 0.0), Pose(0.0, 0.0, 1.2)])
 def test_pilot_ends_by_a_jump_of_the_place_or_the_heading(jump: Pose) -> None:
-    pilot = CoursePilot(line(1.0, 0.2, None), Pose(), 0.0)
-    assert pilot.update(Pose(), 0.0).x_m_s == 0.2
-    assert pilot.update(jump, 0.1) == PlanarVelocity()
+    pilot = CoursePilot(line(1.0, 0.2, None), Fix(Pose()), 0.0)
+    assert pilot.update(Fix(Pose()), 0.0).x_m_s == 0.2
+    assert pilot.update(Fix(jump), 0.1) == PlanarVelocity()
     assert (pilot.outcome, pilot.reason) == (MotionOutcome.STOPPED, "the odometry jumped")
+
+
+@pytest.mark.parametrize(
+    "event", ["taken over", "locked", "odometry lost", "stopped by the program", "connection lost"]
+)
+@pytest.mark.parametrize("motion", [lambda robot: robot.move(0.2), lambda robot: robot.turn(0.6)], ids=NAMES[1:])
+def test_motion_that_has_arrived_is_reached_also_if_it_ends_before_the_robot_settled(
+    motion: Callable[[Robot], Awaitable[Motion]], event: str
+) -> None:
+    async def test(here: World) -> None:
+        robot = here.made.hub.robots.find_here(ROBOT)
+        task = here.made.tasks.create_task(as_coroutine(motion(here.robot)))
+        await asyncio.sleep(0.5)
+        await expect(lambda: here.is_zero)
+        other = here.made.hub.join("a program of lower priority")
+        match event:
+            case "taken over":
+                for _ in range(10):  # a zero holds no robot
+                    with contextlib.suppress(CommandRefused):  # until the lease of the newest velocity ends
+                        other.drive(robot, PlanarVelocity(-0.1), priority=10)
+                    await asyncio.sleep(0.1)
+            case "locked":
+                robot.lock("smoke")
+            case "odometry lost":
+                here.is_silent = True
+            case "stopped by the program":
+                await here.stop()
+            case _:
+                here.me.lose()
+        result = await task
+        other.leave()
+        assert (result.outcome, result.kind, result.by, result.reason) == (MotionOutcome.REACHED, "", None, "")
+        assert result.distance_m is not None
+        assert result.turned_rad is not None
+        assert result.distance_m / 0.2 + result.turned_rad / 0.6 == pytest.approx(1.0, abs=0.2)
+
+    in_world(test)
+
+
+@pytest.mark.parametrize("continues", [True, False])
+def test_motion_whose_board_restarts_without_an_interruption_ends(continues: bool) -> None:
+    """The pose continues or begins again; the distance of the meantime is unknown in both cases."""
+
+    async def test(here: World) -> None:
+        estimator = here.made.hub.robots.find_here(ROBOT).odometry
+        estimator._continues = continues
+        here.pose = Pose(0.1, 0.0, 0.0)
+        await asyncio.sleep(2.5)
+
+        def restart() -> None:
+            here.pose = Pose()
+
+        result = await interrupted(here, MOTIONS[1], restart)
+        assert (result.outcome, result.kind) == (MotionOutcome.STOPPED, "odometry_reset")
+        assert "board restarted" in result.reason
+        assert result.distance_m == pytest.approx(0.2, abs=0.03)
+
+    in_world(test)
+
+
+@pytest.mark.parametrize("before", [Pose(), Pose(1.0, 2.0, 0.5)], ids=["near the origin", "far away"])
+@pytest.mark.parametrize("motion", MOTIONS[1:], ids=NAMES[1:])
+def test_motion_whose_odometry_is_reset_ends(motion: Callable[[Robot], Awaitable[Motion]], before: Pose) -> None:
+    """Within a second of the origin the step back is smaller than a jump."""
+
+    async def test(here: World) -> None:
+        estimator = here.made.hub.robots.find_here(ROBOT).odometry
+        here.pose = before
+        await asyncio.sleep(0.2)
+
+        def reset() -> None:
+            estimator.expect_reset(asyncio.get_running_loop().time())
+            here.pose = Pose()
+
+        result = await interrupted(here, motion, reset)
+        assert (result.outcome, result.kind) == (MotionOutcome.STOPPED, "odometry_reset")
+        assert result.reason == "the robot's odometry was reset"
+
+    in_world(test)
+
+
+@pytest.mark.parametrize("late_s", [0.0, 0.4])
+def test_pilot_passes_through_the_origin_with_late_poses(late_s: float) -> None:
+    for course, at in ((line(-1.0, 0.2, None), Pose(0.31, 0.0, 0.0)), (turn(-1.5, 0.8, None), Pose(0.0, 0.0, 0.9))):
+        pilot = CoursePilot(course, Fix(at), 0.0)
+        for step in range(1, 40):
+            x_m, theta_rad = (
+                (max(at.x_m - 0.02 * step, -0.5), 0.0) if course.distance_m else (0.0, at.theta_rad - 0.08 * step)
+            )
+            arrives_s = step * 0.1 + (late_s if step % 2 else 0.0)
+            pilot.update(Fix(Pose(x_m, 0.0, theta_rad)), arrives_s)
+        assert pilot.outcome is not MotionOutcome.STOPPED
 
 
 def test_motion_has_a_bound_in_time() -> None:
@@ -364,12 +458,12 @@ def test_motion_has_a_bound_in_distance() -> None:
     """A robot that is pushed to the side, past the end or backwards leaves its course, and is stopped."""
     course = line(1.0, 0.2, None)
     for end in (Pose(0.5, 0.35), Pose(1.35, 0.0), Pose(-0.35, 0.0)):
-        pilot = CoursePilot(course, Pose(), 0.0)
+        pilot = CoursePilot(course, Fix(Pose()), 0.0)
         steps = 20
         for step in range(1, steps + 1):
             if pilot.outcome is None:
                 part = step / steps
-                velocity = pilot.update(Pose(end.x_m * part, end.y_m * part), step * 0.1)
+                velocity = pilot.update(Fix(Pose(end.x_m * part, end.y_m * part)), step * 0.1)
         assert (pilot.outcome, pilot.kind) == (MotionOutcome.STOPPED, "off_course")
         assert velocity == PlanarVelocity()
 
@@ -414,5 +508,39 @@ def test_motion_with_an_invalid_number_is_refused(motion: Callable[[Robot], Awai
         with pytest.raises(HostlinkError, match=problem) as caught:
             await motion(here.robot)
         assert caught.value.kind == "BadRequest"
+
+    in_world(test)
+
+
+def test_end_of_all_motions_keeps_the_notice_of_a_velocity_that_was_broken_off() -> None:
+    async def test(here: World) -> None:
+        driver = here.me._driver
+        await here.robot.drive(0.1, 0.0)
+        here.me.lose()
+        driver.end_motions()
+        assert not here.robot.is_driven
+        with pytest.raises(HostlinkError, match="the network is cut"):
+            await here.robot.drive(0.1, 0.0)
+        await here.robot.drive(0.1, 0.0)  # a drive after the end is a new one
+        assert here.robot.is_driven
+        await here.me.stop_driven()
+
+    in_world(test)
+
+
+@pytest.mark.parametrize("motion", MOTIONS[1:], ids=NAMES[1:])
+def test_end_of_all_motions_ends_one_that_has_not_commanded_and_no_later_one(
+    motion: Callable[[Robot], Awaitable[Motion]],
+) -> None:
+    async def test(here: World) -> None:
+        here.is_silent = True
+        await asyncio.sleep(3.0)  # the poses of before are old
+        waiting = here.made.tasks.create_task(as_coroutine(motion(here.robot)))
+        await asyncio.sleep(0.5)
+        here.me._driver.end_motions()
+        here.is_silent = False
+        assert (await waiting).kind == "program"
+        assert here.is_zero
+        assert (await here.robot.move(0.2)).is_reached
 
     in_world(test)

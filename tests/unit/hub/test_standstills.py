@@ -5,7 +5,7 @@ import struct
 
 import pytest
 
-from hostlink.errors import UnknownTopic
+from hostlink.errors import BadRequest, UnknownTopic
 from hostlink.hub.standstills import MAX_WATCHED, own_services
 from hostlink.robot.standstill import StandstillState
 from hostlink.robot.velocity import PlanarVelocity
@@ -88,6 +88,9 @@ def test_services_lock_and_unlock_a_robot_as_long_as_it_is_known() -> None:
         answer = await ann.call("robot_0/lock", {})
         assert answer["success"] is True
         assert str(answer["message"]).startswith("robot_0 is locked until robot_0/unlock is called; ")
+        assert made.robot().gate.lock_reason == "emergency stop"
+        with pytest.raises(BadRequest, match="the request has no field 'data'; its fields: none"):
+            await ann.call("robot_0/unlock", {"data": 1})
         assert made.robot().gate.lock_reason == "emergency stop"
         assert await ann.call("robot_0/unlock", {}) == {"success": True, "message": "robot_0 may be driven"}
         assert made.robot().gate.lock_reason is None

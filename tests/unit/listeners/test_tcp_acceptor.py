@@ -6,7 +6,8 @@ from structlog.testing import capture_logs
 
 from hostlink.config import Config
 from hostlink.hub.hub import Hub
-from hostlink.listeners.accepting import LOG_INTERVAL_S, PAUSE_S, TcpAcceptor
+from hostlink.listeners.accepting import PAUSE_S, TcpAcceptor
+from hostlink.log_budget import LOG_INTERVAL_S
 from hostlink.messages.catalog import Catalog
 from hostlink.protocol.control import encode_topic_info
 from hostlink.protocol.frame import Id, encode

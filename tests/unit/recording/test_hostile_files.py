@@ -13,18 +13,26 @@ import zstandard
 from hostlink.errors import RecordingFailed
 from hostlink.recording.bags import RosFormat, export_ros
 from hostlink.recording.export import export_csv
-from hostlink.recording.reader import MAX_CHUNK_BYTES, MAX_NAMED, McapReader, contents_of
+from hostlink.recording.reader import (
+    MAX_CHUNK_BYTES,
+    MAX_DEFINITION_BYTES,
+    MAX_DEFINITIONS_BYTES,
+    MAX_NAMED,
+    McapReader,
+    contents_of,
+)
 from hostlink.recording.tables import MAX_COLUMNS, read
 
 MAGIC = b"\x89MCAP0\r\n"
-HEADER, SCHEMA, CHANNEL, MESSAGE, CHUNK = 1, 3, 4, 5, 6
+HEADER, SCHEMA, CHANNEL, MESSAGE, CHUNK, METADATA = 1, 3, 4, 5, 6, 12
 LITTLE = 16 * 1024 * 1024
 SEPARATOR = "=" * 80
 TEXT = "std_msgs/String"
 
 
 def text(value: str) -> bytes:
-    return struct.pack("<I", len(value)) + value.encode()
+    data = value.encode()
+    return struct.pack("<I", len(data)) + data
 
 
 def record(opcode: int, *parts: bytes) -> bytes:
@@ -121,17 +129,47 @@ def test_chunk_of_many_messages_is_read_one_by_one(tmp_path: Path) -> None:
     assert peak_bytes(lambda: sum(1 for _ in McapReader(path).messages())) < LITTLE // 4
 
 
-def test_expanded_definitions_are_bounded(tmp_path: Path) -> None:
+def metadata(name: str, value: str) -> bytes:
+    values = text(name) + text(value)
+    return record(METADATA, text("m"), struct.pack("<I", len(values)), values)
+
+
+@pytest.mark.parametrize("kind", ["schemas", "metadata"])
+def test_expanded_definitions_and_metadata_are_bounded(tmp_path: Path, kind: str) -> None:
     """Each text is different, and every channel has it."""
-    chunks = []
-    for number in range(1, 9):
-        data = schema(number, "a/A", str(number) * LITTLE) + channel(number, "/x") + message(number, b"{}")
-        chunks.append(chunk(zstandard.compress(data), "zstd", len(data)))
-    path = file(tmp_path, *chunks)
-    assert path.stat().st_size < LITTLE // 1000
+    parts = []
+    for number in range(1, 140):
+        value = chr(ord("0") + number) * (MAX_DEFINITION_BYTES // 2 - 100)  # two bytes of UTF-8 beyond 127
+        is_schema = kind == "schemas"
+        define = schema(number, "a/A", value) + channel(number, "/x") if is_schema else metadata(f"{number}", value)
+        parts.append(define + (message(number, b"{}") if is_schema else b""))
+    groups = [b"".join(parts[at : at + 16]) for at in range(0, len(parts), 16)]
+    path = file(tmp_path, *(chunk(zstandard.compress(data), "zstd", len(data)) for data in groups * 2))
+    assert path.stat().st_size < LITTLE // 100
     reader = McapReader(path)
-    assert peak_bytes(lambda: list(reader.messages())) < 8 * LITTLE
-    assert len(reader.damage) == 1
+    assert peak_bytes(lambda: list(reader.messages())) < 12 * LITTLE
+    assert sum(map(len, reader.metadata.values())) <= MAX_DEFINITIONS_BYTES
+    if kind == "schemas":
+        assert reader.metadata == {}
+    assert reader.damage == [f"the definitions and metadata exceed {MAX_DEFINITIONS_BYTES} bytes; the rest is omitted"]
+
+
+@pytest.mark.parametrize("is_in_chunk", [True, False])
+def test_definition_or_metadata_larger_than_its_limit_is_omitted_and_named(
+    tmp_path: Path, *, is_in_chunk: bool
+) -> None:
+    large = "x" * MAX_DEFINITION_BYTES
+    parts = [
+        schema(1, "a/A", "int8 a"), channel(1, "/x"), schema(2, "a/B", large), metadata("key", large),
+        metadata("other", "kept"), message(1, b"a"),
+    ]  # fmt: skip
+    data = b"".join(parts)
+    path = file(tmp_path, *([chunk(zstandard.compress(data), "zstd", len(data))] if is_in_chunk else parts))
+    reader = McapReader(path)
+    assert [each.payload for each in reader.messages()] == [b"a"]
+    assert reader.metadata == {"other": "kept"}
+    assert [each.partition(":")[0] for each in reader.damage] == ["a record is damaged"] * 2
+    assert all("exceeds the limit of 1048576; it is omitted" in each for each in reader.damage)
 
 
 def test_channels_of_one_schema_share_its_text(tmp_path: Path) -> None:

@@ -17,6 +17,7 @@ from hostlink.robot.admission import (
     EarlierCommands,
     EarlierMotion,
     Freshness,
+    named,
 )
 from hostlink.robot.velocity import ZERO, Kinematics, PlanarVelocity, Twist
 
@@ -246,6 +247,26 @@ def test_command_while_locked_is_refused_and_unlocking_moves_nothing(robot: Time
     robot.admission.unlock(robot.now_s)
     robot.wait(0.1)
     assert robot.command().kind is RefusalKind.DISARMED
+
+
+def test_refusal_names_who_locked_or_what_disarmed_the_source(driven: Timeline) -> None:
+    admission = driven.admission
+    admission.interrupt(driven.now_s, by=named("a stop", "the page"))
+    assert driven.command().by == "a stop by the page"
+    admission.lock("smoke", driven.now_s, by="bob")
+    assert driven.command().by == "bob"
+    admission.unlock(driven.now_s)
+    assert driven.command().by == named("an unlock", None) == "an unlock"
+    admission.disconnect(driven.now_s)
+    assert driven.command().by is None
+    admission.connect(driven.now_s)
+    assert driven.command().by == "a reconnection of its device"
+    driven.stop()
+    assert driven.command().by is None
+    driven.wait(LEASE_S)
+    driven.command(source="bob", priority=60)
+    refused = driven.command()
+    assert (refused.holder, refused.by) == ("bob", "bob")
 
 
 def test_zero_while_locked_arms_for_the_time_after_unlock(robot: Timeline) -> None:

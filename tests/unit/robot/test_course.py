@@ -6,7 +6,7 @@ import math
 import pytest
 
 from hostlink.robot.calibration import RunKind, WheelGeometry, end_of, uncorrected
-from hostlink.robot.course import STUCK_S, CourseFollower, Leg, Speed, square, straight, turns
+from hostlink.robot.course import SETTLE_S, STUCK_S, CourseFollower, Leg, Speed, square, straight, turns
 from hostlink.robot.kinematics import DifferentialDrive, Pose
 from tests.unit.robot.drives import ExactRobot
 
@@ -98,3 +98,13 @@ def test_each_leg_has_the_time_for_its_own_start() -> None:
         now_s += 0.9 * STUCK_S
         follower.update(Pose(x_m), now_s)
     assert not follower.is_stuck
+
+
+def test_course_settles_after_its_end_and_is_done_then() -> None:
+    follower = CourseFollower(straight(0.1))
+    follower.update(Pose(), 0.0)
+    assert not follower.is_settling
+    assert follower.update(Pose(0.1, 0.0, 0.0), 1.0) == (0.0, 0.0)
+    assert (follower.is_settling, follower.is_done) == (True, False)
+    follower.update(Pose(0.1, 0.0, 0.0), 1.0 + SETTLE_S)
+    assert (follower.is_settling, follower.is_done) == (False, True)

@@ -31,9 +31,10 @@ def test_address_of_ip_version_6_has_brackets() -> None:
         (OSError(errno.EACCES, "x"), f"cannot be listened on: {os.strerror(errno.EACCES)}"),
         (socket.gaierror(socket.EAI_NONAME, "unknown name"), "cannot be listened on: unknown name"),
         (OSError("only a text"), "cannot be listened on: only a text"),
+        (UnicodeError("label too long"), "invalid host name; choose another with --listen HOST:PORT"),
     ],
 )
-def test_unusable_address_is_explained(error: OSError | OverflowError, text: str) -> None:
+def test_unusable_address_is_explained(error: OSError | OverflowError | UnicodeError, text: str) -> None:
     assert explain(error, "--listen").startswith(text)
 
 
