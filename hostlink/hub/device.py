@@ -16,7 +16,8 @@ from hostlink.hub.robot import LocalRobot, limits_of
 from hostlink.hub.services import DeviceService
 from hostlink.hub.topic import DeviceSubscription, Receive, Subscriber, Topic
 from hostlink.hub.topic_graph import resolve
-from hostlink.link.link import Link, LinkEnd
+from hostlink.link.link import Link
+from hostlink.link.serving import LinkEnd
 from hostlink.logs import printable
 from hostlink.messages.catalog import Catalog
 from hostlink.messages.fields import Field

@@ -7,7 +7,7 @@ import asyncio
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, ParamSpec
 
-from hostlink.cancellation import expire
+from hostlink.cancellation import expire, within
 from hostlink.errors import BadRequest, DeviceGone, ServiceFailed, UnknownTopic, WrongType
 from hostlink.hub.byte_budget import OWN_LATCHED_BYTES, SHARES
 from hostlink.hub.gates import ENDING
@@ -270,12 +270,7 @@ class Participant(Node):
         if len(self._calls) >= MAX_CALLS:
             raise BadRequest(f"more than {MAX_CALLS} calls under way")
         try:
-            async with asyncio.timeout(None) as end:  # `leave` sets it
-                self._calls.add(end)
-                try:
-                    return await self._hub.services.call(service, request, timeout_s=timeout_s)
-                finally:
-                    self._calls.discard(end)
+            return await within(None, self._hub.services.call(service, request, timeout_s=timeout_s), self._calls)
         except TimeoutError:
             raise ServiceFailed(service, f"{self.name} has left") from None
 

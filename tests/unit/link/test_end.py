@@ -3,7 +3,8 @@
 import asyncio
 
 from hostlink.config import LinkConfig
-from hostlink.link.link import LAST_FRAME_TIMEOUT_S, Link, LinkEnd
+from hostlink.link.link import Link
+from hostlink.link.serving import LAST_FRAME_TIMEOUT_S, LinkEnd
 from hostlink.protocol.session import Session
 from tests.support.memory_transport import memory_pair
 from tests.support.session_host import check
