@@ -252,6 +252,7 @@ class Gates:
         self._active: dict[Drivable, None] = {}  # drivables whose gate may have a velocity to send
         self._wake = asyncio.Event()
         self._stalls = StallWatch()
+        self._unwritten: dict[Link, None] | None = None  # links with a velocity, between `hold` and `write`
 
     # -- which there are ----------------------------------------------------------------------------------------------
 
@@ -328,6 +329,16 @@ class Gates:
             self._overrule(connection.drivables, drivable, owner, command.priority)
         self.events.note(EventKind.COMMANDED, drivable.name, **facts, limited=limited)
         return limited
+
+    def hold(self) -> None:
+        """Keep velocities in their links until `write`, which saves a turn of the loop. The caller must call it."""
+        self._unwritten = {}
+
+    def write(self) -> None:
+        """Write the velocities since `hold`: the newest of each topic."""
+        links, self._unwritten = self._unwritten or {}, None
+        for link in links:
+            link.write_now()
 
     def timed(self, name: str, command: Command[V]) -> Command[V]:
         """Return the command with the earliest time of its arrival: it may have waited while the loop was late.
@@ -524,7 +535,10 @@ class Gates:
                 return error
             drivable.refusals.cause = None
             drivable.sent, drivable.sent_at_s = velocity, now_s
-            link.wake()
+            if self._unwritten is None:
+                link.wake()
+            else:
+                self._unwritten[link] = None
             for topic in drivable.echoes.values():
                 topic.deliver(payload, source=drivable, at_s=now_s)
         except Exception as error:  # noqa: BLE001 - counted; the other gates are stepped

@@ -208,9 +208,13 @@ class Link:
         `authenticate` returns when rosserial may begin, or raises ConnectionRefusedError.
         """
         self._context = contextvars.copy_context()  # log lines have the caller's bound keys
-        writing = self._catch_up(authenticate)
         end = await serve(
-            self._wait_for_end(), writing, self._transport, self._close, name=f"link {self.number} writer"
+            self._wait_for_end(),
+            self._catch_up(authenticate),
+            self._transport,
+            self._close,
+            is_over=self._finished.done,
+            name=f"link {self.number} writer",
         )
         return self._end or end
 
@@ -246,6 +250,24 @@ class Link:
         if not self._is_write_due:
             self._is_write_due = True
             loop.call_soon(self._write_due, context=self._context)
+
+    def write_now(self) -> None:
+        """Write newly queued frames at once, for velocities. They wait for a write that is due anyway.
+
+        Events of the session wait for the next turn of the loop, because the caller is at work in the hub.
+        """
+        if self._finished.done():
+            return
+        now_s = self._now_s()
+        if self._is_write_due:
+            self.session.outbox.begin_waiting(now_s)
+            return
+        try:
+            self._write_frames(now_s)
+            if self.session.outbox.has_waiting:
+                self._expect(now_s)
+        except Exception as error:  # noqa: BLE001 - raised by `run`
+            self._crash(error)
 
     async def drained(self) -> None:
         """Wait until every queued frame was sent, or the link ends."""
@@ -390,26 +412,31 @@ class Link:
         """Write the frames that may be sent now, do what is due, and set the timer."""
         self._is_write_due = False
         session = self.session
-        outbox = session.outbox
-        outbox.begin_waiting(now_s)
-        while not self._is_behind.is_set():
-            wall_ns = self._wall_ns() if outbox.is_time_due else 0
-            outgoing = session.pop_frame(now_s=now_s, wall_ns=wall_ns)
-            if outgoing is not None:
-                if not self._transport.write(outgoing.frame):
-                    self._is_behind.set()
-                if outgoing.waiting_since_s is not None:
-                    self.command_latency.add(self._now_s() - outgoing.waiting_since_s)
-                self._to_device.add(outgoing.frame, now_s)
-            elif session.deadline_s() <= now_s + SOON_S and self._is_settled(now_s):
-                for event in session.tick(now_s=now_s + SOON_S):
-                    self._on_event(self, event)
-            else:
-                break
+        self._write_frames(now_s)
+        while session.deadline_s() <= now_s + SOON_S and not self._is_behind.is_set() and self._is_settled(now_s):
+            for event in session.tick(now_s=now_s + SOON_S):
+                self._on_event(self, event)
+            self._write_frames(now_s)
         if self._silent_at_s() <= now_s + SOON_S and self._is_silent(now_s):
             self.end(LinkEnd.IDLE)
         else:
             self._expect(now_s)
+
+    def _write_frames(self, now_s: float) -> None:
+        """Write the frames that may be sent now, until the device is behind."""
+        session = self.session
+        outbox = session.outbox
+        outbox.begin_waiting(now_s)
+        while outbox.has_waiting and not self._is_behind.is_set():
+            wall_ns = self._wall_ns() if outbox.is_time_due else 0
+            outgoing = session.pop_frame(now_s=now_s, wall_ns=wall_ns)
+            if outgoing is None:  # the device's UART is busy
+                break
+            if not self._transport.write(outgoing.frame):
+                self._is_behind.set()
+            if outgoing.waiting_since_s is not None:
+                self.command_latency.add(self._now_s() - outgoing.waiting_since_s)
+            self._to_device.add(outgoing.frame, now_s)
 
     def _is_settled(self, now_s: float) -> bool:
         """Whether due work may be done.

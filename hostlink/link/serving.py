@@ -49,17 +49,28 @@ async def serve(
     transport: Transport,
     close: Callable[[], bytes],
     *,
+    is_over: Callable[[], bool],
     name: str,
 ) -> LinkEnd:
     """Run `writing` until `finished` returns the reason of the end, then send the frame that `close` returns.
+
+    `is_over` says that the reason is known, so that an error of the connection changes nothing.
 
     Raises:
         Exception: a callback of the link has failed, and `finished` raised its error.
     """
     end = LinkEnd.BROKEN
+
+    async def write() -> None:
+        try:
+            await writing
+        except OSError:
+            if not is_over():  # otherwise the task group would count this task as cancelled
+                raise
+
     try:
         async with asyncio.TaskGroup() as tasks:
-            writer = tasks.create_task(writing, name=name)
+            writer = tasks.create_task(write(), name=name)
             try:
                 end = await finished
             finally:

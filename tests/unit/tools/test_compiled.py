@@ -49,3 +49,12 @@ def test_no_compiled_coroutine_waits_while_it_handles_an_exception() -> None:
             found = [each for part in handling for each in ast.walk(part) if isinstance(each, waits)]
             assert not found, f"{path}:{found[0].lineno}"
             assert not isinstance(node, ast.AsyncWith | ast.TryStar), f"{path}:{node.lineno}"
+
+
+def test_no_compiled_function_names_one_within_it() -> None:
+    """mypyc keeps both in a reference cycle, so that a link that has ended was freed by the garbage collector only."""
+    functions = (ast.FunctionDef, ast.AsyncFunctionDef)
+    for path in COMPILED:
+        for node in ast.walk(ast.parse(path.read_text())):
+            inner = [each for each in ast.walk(node) if isinstance(each, functions) and each is not node]
+            assert not (isinstance(node, functions) and inner), f"{path}:{inner[0].lineno}"
