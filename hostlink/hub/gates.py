@@ -311,7 +311,8 @@ class Gates:
         velocity, owner = command.velocity, command.source
         facts = {"owner": str(owner), "address": address_of(owner), "priority": command.priority, "velocity": velocity}
         try:
-            command, now_s = self.timed(drivable.name, command), asyncio.get_running_loop().time()
+            now_s = asyncio.get_running_loop().time()
+            command = self.timed(drivable.name, command, now_s)
             # Two zeros at the same time would become one frame on a slow line.
             is_stopping = velocity.is_zero and gate.is_stopping and drivable.refusals.cause is None
             limited = gate.command(command, now_s=now_s)
@@ -340,7 +341,7 @@ class Gates:
         for link in links:
             link.write_now()
 
-    def timed(self, name: str, command: Command[V]) -> Command[V]:
+    def timed(self, name: str, command: Command[V], now_s: float) -> Command[V]:
         """Return the command with the earliest time of its arrival: it may have waited while the loop was late.
 
         Every command of a robot, here or of another daemon, passes through here before its admission.
@@ -350,7 +351,6 @@ class Gates:
         """
         if self.is_closed:
             raise CommandRefused(name, RefusalKind.ENDING, f"{name}: {ENDING}")
-        now_s = asyncio.get_running_loop().time()
         self._notice_pause(now_s)
         came_s = now_s - self._stalls.late_s(now_s)
         return command._replace(received_s=came_s) if came_s < command.received_s else command
