@@ -6,6 +6,7 @@ computer (Origin and Host are checked). With tokens it may listen on any address
 
 import asyncio
 import contextlib
+import functools
 import hmac
 import ipaddress
 import math
@@ -193,6 +194,7 @@ def is_loopback(host: str) -> bool:
         return False
 
 
+@functools.lru_cache(maxsize=64)  # the few names by which programs call this server
 def _is_plain_address(host: str) -> bool:
     """Whether a Host header names this computer without DNS."""
     name = _parts(f"//{host}").hostname or ""

@@ -294,6 +294,7 @@ class ApiServer:
                         program,
                         queue,
                         self._hub.turns(),
+                        self._hub.gates,
                         tasks=tasks,
                         max_messages_s=self._config.max_requests_s,
                         on_replaced=lambda: self._hub.counts.velocities_replaced.update((kind,)),

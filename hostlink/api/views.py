@@ -258,7 +258,7 @@ def velocity_answer(robot: Robot, requested: PlanarVelocity, limited: PlanarVelo
             "angular_rad_s": limited.yaw_rad_s,
         },
         "is_limited": limited != requested,
-        "limited_by": robot.limited_by(requested),
+        "limited_by": None if limited == requested else robot.limited_by(requested),
         "lease_s": robot.admission.lease_s,
         "epoch": robot.admission.epoch,
     }

@@ -13,6 +13,7 @@ from aiohttp import WSCloseCode, WSMsgType, web
 
 from hostlink.api.clients import Client, ClientProgram, ClientQueue, OperationQueue
 from hostlink.api.listener import PacedReading
+from hostlink.hub.gates import Gates
 from hostlink.hub.participant import MAX_CALLS
 from hostlink.latency import Latency
 from hostlink.link.fair_share import Turns
@@ -36,7 +37,7 @@ class ClientSocket:
     | turn of the loop | what happens                                                                                  |
     |------------------|-----------------------------------------------------------------------------------------------|
     | bytes are read   | PacedReading passes them to aiohttp, which decodes the messages                               |
-    | the next one     | `receive` queues all of them; `_work` executes them, and writes the answers at once           |
+    | the next one     | `receive` queues all; `_work` executes them, and writes velocities and answers at once        |
     | a device's bytes | the hub queues messages                                                                       |
     | the next one     | `_send` writes all of them at once                                                            |
 
@@ -52,6 +53,7 @@ class ClientSocket:
         program: ClientProgram[Any],
         queue: ClientQueue,
         turns: Turns,
+        gates: Gates,
         *,
         tasks: asyncio.TaskGroup,
         max_messages_s: float,
@@ -61,7 +63,7 @@ class ClientSocket:
         """Take over the socket. `to_client`: latency from the arrival of a message to the socket, of all clients."""
         self._socket, self._transport, self._reading = socket, transport, reading
         self._client, self._program, self._queue = client, program, queue
-        self._turns, self._tasks, self._to_client = turns, tasks, to_client
+        self._turns, self._gates, self._tasks, self._to_client = turns, gates, tasks, to_client
         self._loop = asyncio.get_running_loop()
         self._context = contextvars.copy_context()  # so that log lines of callbacks name the client
         self._operations = OperationQueue[Any](program, on_replaced, max_messages_s)
@@ -151,6 +153,7 @@ class ClientSocket:
             return
         operations, queue, turns = self._operations, self._queue, self._turns
         self._is_send_due = True  # the answers are sent together, at the end
+        self._gates.hold()
         try:
             while operations.waiting and not self._is_work_due:
                 if is_admitted or turns.share.is_free(is_flooding=operations.is_flooding):
@@ -172,6 +175,8 @@ class ClientSocket:
                     turns.call(work, is_flooding=operations.is_flooding)
         except Exception as error:  # noqa: BLE001 - raised in the client's task group
             self._fail(error)
+        finally:
+            self._gates.write()
         self._send()
 
     async def _work_with_room(self) -> None:

@@ -14,9 +14,10 @@ from hostlink.hub.gates import Drivable, is_velocity
 from hostlink.hub.message import Message
 from hostlink.hub.robot import LocalRobot, limits_of
 from hostlink.hub.services import DeviceService
-from hostlink.hub.topic import DeviceSubscription, Receive, Subscriber, Topic
+from hostlink.hub.topic import DeviceSubscription, Subscriber, Topic
 from hostlink.hub.topic_graph import resolve
-from hostlink.link.link import Link, LinkEnd
+from hostlink.link.link import Link
+from hostlink.link.serving import LinkEnd
 from hostlink.logs import printable
 from hostlink.messages.catalog import Catalog
 from hostlink.messages.fields import Field
@@ -239,17 +240,14 @@ class Device:
             self._route(info, topic, robot)
 
     def _subscribe_robot(self, topic: Topic, robot: LocalRobot) -> None:
-        number = topic.add_subscriber(Subscriber(robot.receive_odometry, self._hub.node, "", self._fail(robot)))
+        fail = partial(self._crash, robot)
+        number = topic.add_subscriber(Subscriber(robot.receive_odometry, self._hub.node, "", fail))
         self._odometry.append(lambda: topic.remove_subscriber(number))
 
-    def _fail(self, robot: LocalRobot) -> Callable[[Exception], None]:
-        """Return the callback that ends the link after a crash of odometry. The robot then reconnects, at rest."""
-
-        def fail(error: Exception) -> None:
-            self.link.end(LinkEnd.CRASHED)
-            self._hub.isolation.crashed("robot", error, robot=robot.name)
-
-        return fail
+    def _crash(self, robot: LocalRobot, error: Exception) -> None:
+        """End the link after a crash of odometry. The robot then reconnects, at rest."""
+        self.link.end(LinkEnd.CRASHED)
+        self._hub.isolation.crashed("robot", error, robot=robot.name)
 
     def _battery_info(self) -> TopicInfo | None:
         """Return the first topic of the battery's type; None if there is none."""
@@ -282,8 +280,9 @@ class Device:
             drivable = self._drivable(info, robot)
             self._hub.gates.attach(drivable, self)
         if drivable is None:
-            is_reset = _is_reset(info, robot)
-            subscription = DeviceSubscription(self._sender(info, robot), is_gate=False, is_command=is_reset)
+            is_reset = robot is not None and info.name == robot.topics.reset
+            send = partial(self._send, info.name, robot if is_reset else None)
+            subscription = DeviceSubscription(send, is_gate=False, is_command=is_reset)
         else:
             subscription = DeviceSubscription(drivable.receive, is_gate=True)
         topic = self._hub.topics.subscribe_device(name, self.link, subscription, type_name=info.type)
@@ -305,17 +304,12 @@ class Device:
         gate = VelocityGate(robot.gate.admission, limits_of(robot.config), ZERO)
         return Drivable(name=robot.name, velocity_topic=info.name, gate=gate, gates=self._hub.gates)
 
-    def _sender(self, info: TopicInfo, robot: LocalRobot | None) -> Receive:
-        def send(message: Message) -> None:
-            self.link.session.publish(info.name, message.payload, depth=COMMAND_DEPTH)
-            self.link.wake()
-
-        def reset(message: Message) -> None:
-            if robot is not None:
-                robot.odometry.expect_reset(message.at_s)
-            send(message)
-
-        return reset if _is_reset(info, robot) else send
+    def _send(self, name: str, reset: LocalRobot | None, message: Message) -> None:
+        """Send a message to the device. `reset` is the robot whose odometry it resets."""
+        if reset is not None:
+            reset.odometry.expect_reset(message.at_s)
+        self.link.session.publish(name, message.payload, depth=COMMAND_DEPTH)
+        self.link.wake()
 
     def _md5_sums(self, service: str) -> tuple[str, str]:
         sums = {info.kind: info.md5 for info in self.infos if info.name == service}
@@ -324,10 +318,6 @@ class Device:
     def _call(self, name: str, payload: bytes) -> None:
         self.link.session.call(name, payload)
         self.link.wake()
-
-
-def _is_reset(info: TopicInfo, robot: LocalRobot | None) -> bool:
-    return robot is not None and info.name == robot.topics.reset
 
 
 class EarlyMessages:

@@ -19,7 +19,8 @@ from hostlink.hub.isolation import Isolation
 from hostlink.hub.robot_events import EventKind, RobotEvents
 from hostlink.hub.stall_watch import slept_s
 from hostlink.link.capture_buffer import Captured
-from hostlink.link.link import Link, LinkEnd
+from hostlink.link.link import Link
+from hostlink.link.serving import LinkEnd
 from hostlink.logs import printable
 from hostlink.protocol import events
 from hostlink.protocol.control import TopicInfo, encode_topic_info

@@ -32,7 +32,8 @@ from hostlink.hub.robot_events import (
 )
 from hostlink.hub.stall_watch import BEAT_S, StallWatch
 from hostlink.hub.topic import Topic
-from hostlink.link.link import Link, LinkEnd
+from hostlink.link.link import Link
+from hostlink.link.serving import LinkEnd
 from hostlink.protocol.control import TopicInfo
 from hostlink.protocol.frame import Id
 from hostlink.robot.admission import LEASE_S, Admission, Command, named
@@ -251,6 +252,7 @@ class Gates:
         self._active: dict[Drivable, None] = {}  # drivables whose gate may have a velocity to send
         self._wake = asyncio.Event()
         self._stalls = StallWatch()
+        self._unwritten: dict[Link, None] | None = None  # links with a velocity, between `hold` and `write`
 
     # -- which there are ----------------------------------------------------------------------------------------------
 
@@ -309,7 +311,8 @@ class Gates:
         velocity, owner = command.velocity, command.source
         facts = {"owner": str(owner), "address": address_of(owner), "priority": command.priority, "velocity": velocity}
         try:
-            command, now_s = self.timed(drivable.name, command), asyncio.get_running_loop().time()
+            now_s = asyncio.get_running_loop().time()
+            command = self.timed(drivable.name, command, now_s)
             # Two zeros at the same time would become one frame on a slow line.
             is_stopping = velocity.is_zero and gate.is_stopping and drivable.refusals.cause is None
             limited = gate.command(command, now_s=now_s)
@@ -328,7 +331,17 @@ class Gates:
         self.events.note(EventKind.COMMANDED, drivable.name, **facts, limited=limited)
         return limited
 
-    def timed(self, name: str, command: Command[V]) -> Command[V]:
+    def hold(self) -> None:
+        """Keep velocities in their links until `write`, which saves a turn of the loop. The caller must call it."""
+        self._unwritten = {}
+
+    def write(self) -> None:
+        """Write the velocities since `hold`: the newest of each topic."""
+        links, self._unwritten = self._unwritten or {}, None
+        for link in links:
+            link.write_now()
+
+    def timed(self, name: str, command: Command[V], now_s: float) -> Command[V]:
         """Return the command with the earliest time of its arrival: it may have waited while the loop was late.
 
         Every command of a robot, here or of another daemon, passes through here before its admission.
@@ -338,7 +351,6 @@ class Gates:
         """
         if self.is_closed:
             raise CommandRefused(name, RefusalKind.ENDING, f"{name}: {ENDING}")
-        now_s = asyncio.get_running_loop().time()
         self._notice_pause(now_s)
         came_s = now_s - self._stalls.late_s(now_s)
         return command._replace(received_s=came_s) if came_s < command.received_s else command
@@ -523,7 +535,10 @@ class Gates:
                 return error
             drivable.refusals.cause = None
             drivable.sent, drivable.sent_at_s = velocity, now_s
-            link.wake()
+            if self._unwritten is None:
+                link.wake()
+            else:
+                self._unwritten[link] = None
             for topic in drivable.echoes.values():
                 topic.deliver(payload, source=drivable, at_s=now_s)
         except Exception as error:  # noqa: BLE001 - counted; the other gates are stepped

@@ -19,7 +19,8 @@ from hostlink.hub.parameters import ParameterAnswers, ParameterSource
 from hostlink.hub.robot import LocalRobot
 from hostlink.hub.robot_events import EventKind
 from hostlink.link.fair_share import Turns
-from hostlink.link.link import Authenticate, Link, LinkEnd, trust
+from hostlink.link.link import Link
+from hostlink.link.serving import Authenticate, LinkEnd, trust
 from hostlink.logs import of_peer, printable
 from hostlink.protocol import events
 from hostlink.protocol.control import Parameter

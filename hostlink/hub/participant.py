@@ -5,9 +5,10 @@ Payloads are bytes, as devices send and receive them. Other languages are transl
 
 import asyncio
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, ParamSpec
+from functools import partial
+from typing import TYPE_CHECKING
 
-from hostlink.cancellation import expire
+from hostlink.cancellation import expire, within
 from hostlink.errors import BadRequest, DeviceGone, ServiceFailed, UnknownTopic, WrongType
 from hostlink.hub.byte_budget import OWN_LATCHED_BYTES, SHARES
 from hostlink.hub.gates import ENDING
@@ -32,8 +33,6 @@ MAX_LATCHED = 16  # latched topics; each keeps a message
 MAX_SUBSCRIPTIONS = 256
 MAX_SERVICES = 64
 MAX_CALLS = 64  # of services at once
-
-Given = ParamSpec("Given")
 
 
 class Participant(Node):
@@ -198,17 +197,16 @@ class Participant(Node):
         except WrongType:
             del self._subscriptions[subscription]
             raise
-
-        def close() -> None:
-            subscription.end()
-            subscription.close = nothing_to_close  # otherwise they form a reference cycle
-            unsubscribe()
-            self._subscriptions.pop(subscription, None)
-
-        subscription.close = close
+        subscription.close = partial(self._unsubscribe, subscription, unsubscribe)
         if self.has_left:  # a latched message ended it
-            close()
+            subscription.close()
         return subscription
+
+    def _unsubscribe(self, subscription: Subscription, unsubscribe: Callable[[], None]) -> None:
+        subscription.end()
+        subscription.close = nothing_to_close  # otherwise they form a reference cycle
+        unsubscribe()
+        self._subscriptions.pop(subscription, None)
 
     def flush(self, now_s: float) -> float | None:
         """Deliver waiting messages that are due. Return the time at which the next one is due."""
@@ -270,12 +268,7 @@ class Participant(Node):
         if len(self._calls) >= MAX_CALLS:
             raise BadRequest(f"more than {MAX_CALLS} calls under way")
         try:
-            async with asyncio.timeout(None) as end:  # `leave` sets it
-                self._calls.add(end)
-                try:
-                    return await self._hub.services.call(service, request, timeout_s=timeout_s)
-                finally:
-                    self._calls.discard(end)
+            return await within(None, self._hub.services.call(service, request, timeout_s=timeout_s), self._calls)
         except TimeoutError:
             raise ServiceFailed(service, f"{self.name} has left") from None
 
@@ -335,9 +328,11 @@ class Participant(Node):
         """
         self.check(Role.READ, "follow")
 
-        notify = self._failing_alone(receive)
-        robot.followers[self] = lambda _: notify()
+        robot.followers[self] = partial(self._follow, receive)
         self._followed.add(robot)
+
+    def _follow(self, receive: Callable[[], None], _: object) -> None:
+        self._notify(receive)
 
     # -- the graph ----------------------------------------------------------------------------------------------------
 
@@ -353,7 +348,7 @@ class Participant(Node):
         """
         self.check(Role.READ, "watch_graph")
 
-        self._hub.changes.watch(self, self._failing_alone(on_change))
+        self._hub.changes.watch(self, partial(self._notify, on_change))
 
     def observe(self, receive: Callable[[RobotEvent], None]) -> None:
         """Call `receive` with every event of robots and links, until the participant leaves.
@@ -362,18 +357,14 @@ class Participant(Node):
             BadRequest: the participant has left.
         """
         self.check(Role.READ, "observe")
-        self._hub.events.observe(self, self._failing_alone(receive))
+        self._hub.events.observe(self, partial(self._notify, receive))
 
-    def _failing_alone(self, callback: Callable[Given, None]) -> Callable[Given, None]:
-        """Wrap a callback: an exception ends this participant, and does not reach the caller."""
-
-        def guarded(*args: Given.args, **kwargs: Given.kwargs) -> None:
-            try:
-                callback(*args, **kwargs)
-            except Exception as error:  # noqa: BLE001 - as for every message
-                self.fail(error)
-
-        return guarded
+    def _notify(self, callback: Callable[..., None], *given: object) -> None:
+        """Call a callback. An exception ends this participant, and does not reach the caller."""
+        try:
+            callback(*given)
+        except Exception as error:  # noqa: BLE001 - as for every message
+            self.fail(error)
 
     # -- its end ------------------------------------------------------------------------------------------------------
 

@@ -106,7 +106,8 @@ class Queue(Generic[Item]):
             self._results.append(new)
             self._result_bytes += new.size_bytes
             self._share.held_bytes += new.size_bytes
-        self._note_room()
+            if not self._is_roomy():
+                self._room.clear()
         self.on_news()
 
     def forget(self, topic: str) -> None:
@@ -124,7 +125,8 @@ class Queue(Generic[Item]):
             result = self._results.popleft()
             self._result_bytes -= result.size_bytes
             self._share.held_bytes -= result.size_bytes
-            self._note_room()
+            if not self._room.is_set() and self._is_roomy():
+                self._room.set()
             return result
         if topic is None:
             self._news.clear()
@@ -167,11 +169,8 @@ class Queue(Generic[Item]):
             self._share.refused += 1
             largest.drop_oldest()
 
-    def _note_room(self) -> None:
-        if len(self._results) > MAX_RESULTS // 2 or self._result_bytes > MAX_RESULT_BYTES // 2:
-            self._room.clear()
-        else:
-            self._room.set()
+    def _is_roomy(self) -> bool:
+        return len(self._results) <= MAX_RESULTS // 2 and self._result_bytes <= MAX_RESULT_BYTES // 2
 
     def drop_oldest(self, topic: str | None = None) -> None:
         """Drop and count the oldest item of a topic; by default, of the topic with most items."""

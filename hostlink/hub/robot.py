@@ -410,7 +410,7 @@ class RemoteRobot(Robot):
             DeviceGone: several robots have this name, or the robot's daemon does not answer.
             FrameTooLarge, WrongType: the answer to the previous command of this source.
         """
-        command = self.gates.timed(self.name, command)
+        command = self.gates.timed(self.name, command, _now_s())
         self._check_unique()
         decision = self.admission.decide(command, _now_s())
         if decision.kind is not None:

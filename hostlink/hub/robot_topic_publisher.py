@@ -12,7 +12,7 @@ from hostlink.errors import HostlinkError
 from hostlink.hub.message import Message
 from hostlink.hub.node import Node
 from hostlink.hub.robot import LocalRobot
-from hostlink.hub.topic import DeviceSubscription, Receive, Topic
+from hostlink.hub.topic import DeviceSubscription, Topic
 from hostlink.hub.topic_graph import TopicGraph, resolve
 from hostlink.messages.catalog import Catalog
 from hostlink.messages.message_type import MessageType
@@ -190,7 +190,7 @@ class RobotTopicPublisher:
         if not name or resolve(name) in self._commands or (known is not None and known.devices):
             return False
         is_away = robot.link is None
-        receive = self._yielding(robot.receive) if is_away else robot.receive
+        receive = functools.partial(self._receive_alone, robot) if is_away else robot.receive
         subscription = DeviceSubscription(receive, is_gate=True, is_away=is_away)
         try:
             topic = self._graph.subscribe_device(name, self._node, subscription, type_name=type_name)
@@ -201,14 +201,10 @@ class RobotTopicPublisher:
             robot.echoes[topic.name] = topic
         return True
 
-    def _yielding(self, receive: Receive) -> Receive:
-        """Wrap a gate to yield to another gate of the topic: the device may be connected to another daemon."""
-
-        def receive_alone(message: Message) -> None:
-            if len(self._graph.find(message.topic).devices) == 1:
-                receive(message)
-
-        return receive_alone
+    def _receive_alone(self, robot: LocalRobot, message: Message) -> None:
+        """Yield to another gate of the topic: the device may be connected to another daemon."""
+        if len(self._graph.find(message.topic).devices) == 1:
+            robot.receive(message)
 
     def _publishes(self, robot: LocalRobot, name: str) -> bool:
         topic = self._graph.find_or_none(name)

@@ -13,7 +13,7 @@ from typing import TypeVar
 
 import structlog
 
-from hostlink.cancellation import expire
+from hostlink.cancellation import expire, within
 from hostlink.errors import (
     BadRequest,
     DeviceBusy,
@@ -163,12 +163,7 @@ class Provider:
             HostlinkError: the error that the provider answers.
         """
         try:
-            async with asyncio.timeout(timeout_s) as end:  # `withdraw` sets it
-                self._calls.add(end)
-                try:
-                    return await self.answer(request)
-                finally:
-                    self._calls.discard(end)
+            return await within(timeout_s, self.answer(request), self._calls)
         except TimeoutError:
             if self._is_withdrawn:
                 raise UnknownTopic("service", name) from None

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable
+from functools import partial
 
 import structlog
 
@@ -16,12 +17,9 @@ GRACE_S = LEASE_S / 2  # bytes that waited through a pause are read by then
 
 
 _BOOT_CLOCK = getattr(time, "CLOCK_BOOTTIME", None)  # only on Linux
+_boot_s = partial(time.clock_gettime, 0 if _BOOT_CLOCK is None else _BOOT_CLOCK)
 MAX_READINGS = 5  # of both clocks, on a busy machine
 APART_S = 0.001  # longest time between the two clocks' readings
-
-
-def _boot_s() -> float:
-    return 0.0 if _BOOT_CLOCK is None else time.clock_gettime(_BOOT_CLOCK)
 
 
 def slept_s(boot_s: Callable[[], float] = _boot_s, running_s: Callable[[], float] = time.monotonic) -> float:

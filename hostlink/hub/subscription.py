@@ -36,7 +36,7 @@ class Subscription:
         """
         self.close: Callable[[], None] = nothing_to_close  # set when it is in the graph
         self.is_closed = False  # then no message is delivered, not even one on its way
-        self.waiting: deque[Message] = deque(maxlen=queue_length)
+        self.waiting = _queue(queue_length)
         self._deliver, self._on_throttled, self._group = deliver, on_throttled, group
         self._interval_s, self._free_at_s = interval_s, float("-inf")
         self._share = Share(SHARES["held_back"]) if share is None else share
@@ -54,7 +54,8 @@ class Subscription:
             self._interval_s = interval_s
             while len(self.waiting) > queue_length:
                 self._pop()
-            self.waiting = deque(self.waiting, maxlen=queue_length)
+            waiting, self.waiting = self.waiting, _queue(queue_length)
+            self.waiting.extend(waiting)
 
     def receive(self, message: Message) -> None:
         """Deliver a message, or a waiting older one in its place, or keep the message for later."""
@@ -96,6 +97,13 @@ class Subscription:
         oldest = self.waiting.popleft()
         self._share.give(len(oldest.payload))
         return oldest
+
+
+_NO_ROOM: deque[Message] = deque(maxlen=0)  # shared: it stays empty, and an empty deque has 600 bytes
+
+
+def _queue(length: int) -> deque[Message]:
+    return deque(maxlen=length) if length else _NO_ROOM
 
 
 def nothing_to_close() -> None:

@@ -2,6 +2,7 @@
 
 import asyncio
 from collections.abc import Callable, Hashable, Iterable
+from functools import partial
 
 from hostlink.errors import UnknownTopic, WrongType
 from hostlink.hub.byte_budget import ByteBudget
@@ -67,12 +68,11 @@ class TopicGraph:
             topic.deliver_latched(subscriber)
         except Exception as error:  # noqa: BLE001 - as for every later message
             subscriber.fail(error)
+        return partial(self._unsubscribe, topic, number)
 
-        def unsubscribe() -> None:
-            topic.remove_subscriber(number)
-            self._settle(topic)
-
-        return unsubscribe
+    def _unsubscribe(self, topic: Topic, number: int) -> None:
+        topic.remove_subscriber(number)
+        self._settle(topic)
 
     def advertise(self, name: str, key: Hashable, *, type_name: str, is_latched: bool = False) -> Topic:
         """Add `key` as a publisher of the topic.

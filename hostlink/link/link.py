@@ -1,23 +1,21 @@
 """Link: one device connection, from its first byte to a named end."""
 
 import asyncio
-import contextlib
 import contextvars
 import dataclasses
 import math
 import time
-from collections.abc import Awaitable, Callable
+from collections.abc import Callable
 from dataclasses import dataclass
-from enum import Enum
 
 import structlog
 
-from hostlink.cancellation import raise_if_cancelled
 from hostlink.config import LinkConfig
 from hostlink.host_pauses import HostPauses, never_paused
 from hostlink.latency import Latency
 from hostlink.link.capture_buffer import CaptureBuffer, Captured, captured
 from hostlink.link.fair_share import FairShare, Turns
+from hostlink.link.serving import Authenticate, LinkEnd, drain, serve, trust
 from hostlink.protocol.clock import ClockReading
 from hostlink.protocol.control import TopicInfo
 from hostlink.protocol.events import Event
@@ -125,24 +123,8 @@ class Trouble:
 
 # -- link -------------------------------------------------------------------------------------------------------------
 
-LAST_FRAME_TIMEOUT_S = 0.2
 SOON_S = 0.001  # granularity of a timer: work due within it is done
 AGAIN_S = 0.1  # retry interval for work that was postponed
-
-
-class LinkEnd(Enum):
-    """Reason for the end of a link."""
-
-    PEER_CLOSED = "peer_closed"
-    IDLE = "idle"
-    REPLACED = "replaced"
-    REFUSED = "refused"
-    EVICTED = "evicted"
-    UNAUTHENTICATED = "unauthenticated"
-    STOPPED = "stopped"
-    BROKEN = "broken"
-    CRASHED = "crashed"
-    UNANSWERABLE = "unanswerable"  # the device waits for an answer that its buffer cannot hold
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,13 +138,6 @@ class LinkFacts:
     slowest_wait_s: float
     oldest_waiting_s: float
     clock: ClockReading | None
-
-
-Authenticate = Callable[[], Awaitable[None]]
-
-
-async def trust() -> None:
-    """Accept a device that needs no key."""
 
 
 class Link:
@@ -232,38 +207,25 @@ class Link:
 
         `authenticate` returns when rosserial may begin, or raises ConnectionRefusedError.
         """
-        end = LinkEnd.BROKEN
         self._context = contextvars.copy_context()  # log lines have the caller's bound keys
-        try:
-            async with asyncio.TaskGroup() as tasks:
-                writer = tasks.create_task(self._catch_up(authenticate), name=f"link {self.number} writer")
-                try:
-                    end = await self._finished
-                finally:
-                    writer.cancel()
-                if self._failure is not None:
-                    raise self._failure
-        except BaseExceptionGroup as group:  # mypyc does not compile `except*`
-            refused, others = group.split(ConnectionRefusedError)  # the device did not prove the key
-            broken, unexpected = (None, None) if others is None else others.split(OSError)
-            if refused is not None:
-                end = LinkEnd.UNAUTHENTICATED
-            if broken is not None:
-                end = LinkEnd.BROKEN
-                log.debug("link.broken", cause=str(broken.exceptions[0]))
-            if unexpected is not None:
-                raise unexpected from None
-        finally:
-            self._close()
-            try:
-                await self._send_last()
-            finally:  # also when cancelled
-                await self._transport.aclose()
-        raise_if_cancelled()
+        end = await serve(
+            self._wait_for_end(),
+            self._catch_up(authenticate),
+            self._transport,
+            self._close,
+            is_over=self._finished.done,
+            name=f"link {self.number} writer",
+        )
         return self._end or end
 
-    def _close(self) -> None:
-        """Stop reading and writing."""
+    async def _wait_for_end(self) -> LinkEnd:
+        end = await self._finished
+        if self._failure is not None:
+            raise self._failure
+        return end
+
+    def _close(self) -> bytes:
+        """Stop reading and writing. Return the final zero velocity; empty if none is to be sent."""
         self._is_behind.set()
         self._note_drained()
         self._reader.stop()
@@ -271,13 +233,7 @@ class Link:
             self._finished.cancel()
         if self._timer is not None:
             self._timer.cancel()
-
-    async def _send_last(self) -> None:
-        """Send the final zero velocity before closing. Give up after LAST_FRAME_TIMEOUT_S."""
-        if self.last_frame and not self.session.outbox.is_stopped:
-            with contextlib.suppress(OSError):  # TimeoutError is an OSError
-                async with asyncio.timeout(LAST_FRAME_TIMEOUT_S):
-                    await self._transport.send(self.last_frame)
+        return b"" if self.session.outbox.is_stopped else self.last_frame
 
     def end(self, reason: LinkEnd) -> None:
         """End the link. `run` returns the reason."""
@@ -294,6 +250,24 @@ class Link:
         if not self._is_write_due:
             self._is_write_due = True
             loop.call_soon(self._write_due, context=self._context)
+
+    def write_now(self) -> None:
+        """Write newly queued frames at once, for velocities. They wait for a write that is due anyway.
+
+        Events of the session wait for the next turn of the loop, because the caller is at work in the hub.
+        """
+        if self._finished.done():
+            return
+        now_s = self._now_s()
+        if self._is_write_due:
+            self.session.outbox.begin_waiting(now_s)
+            return
+        try:
+            self._write_frames(now_s)
+            if self.session.outbox.has_waiting:
+                self._expect(now_s)
+        except Exception as error:  # noqa: BLE001 - raised by `run`
+            self._crash(error)
 
     async def drained(self) -> None:
         """Wait until every queued frame was sent, or the link ends."""
@@ -423,25 +397,9 @@ class Link:
         self._begin()
         while True:
             await self._is_behind.wait()
-            await self._drain()
+            await drain(self._transport, self._config.write_timeout_s, self._pauses)
             self._is_behind.clear()
             self._write(self._now_s())
-
-    async def _drain(self) -> None:
-        """Wait until the device keeps up. A timeout during a pause of the host is not counted.
-
-        Raises:
-            OSError: the connection is lost, or the device does not read for write_timeout_s.
-        """
-        began_s = self._now_s()
-        while True:
-            try:
-                async with asyncio.timeout(self._config.write_timeout_s):
-                    return await self._transport.drain()
-            except TimeoutError:  # an OSError, so the link ends as broken
-                if not self._pauses(self._now_s()).was_paused(began_s):
-                    raise
-                began_s = self._now_s()
 
     def _write_due(self) -> None:
         try:
@@ -454,26 +412,31 @@ class Link:
         """Write the frames that may be sent now, do what is due, and set the timer."""
         self._is_write_due = False
         session = self.session
-        outbox = session.outbox
-        outbox.begin_waiting(now_s)
-        while not self._is_behind.is_set():
-            wall_ns = self._wall_ns() if outbox.is_time_due else 0
-            outgoing = session.pop_frame(now_s=now_s, wall_ns=wall_ns)
-            if outgoing is not None:
-                if not self._transport.write(outgoing.frame):
-                    self._is_behind.set()
-                if outgoing.waiting_since_s is not None:
-                    self.command_latency.add(self._now_s() - outgoing.waiting_since_s)
-                self._to_device.add(outgoing.frame, now_s)
-            elif session.deadline_s() <= now_s + SOON_S and self._is_settled(now_s):
-                for event in session.tick(now_s=now_s + SOON_S):
-                    self._on_event(self, event)
-            else:
-                break
+        self._write_frames(now_s)
+        while session.deadline_s() <= now_s + SOON_S and not self._is_behind.is_set() and self._is_settled(now_s):
+            for event in session.tick(now_s=now_s + SOON_S):
+                self._on_event(self, event)
+            self._write_frames(now_s)
         if self._silent_at_s() <= now_s + SOON_S and self._is_silent(now_s):
             self.end(LinkEnd.IDLE)
         else:
             self._expect(now_s)
+
+    def _write_frames(self, now_s: float) -> None:
+        """Write the frames that may be sent now, until the device is behind."""
+        session = self.session
+        outbox = session.outbox
+        outbox.begin_waiting(now_s)
+        while outbox.has_waiting and not self._is_behind.is_set():
+            wall_ns = self._wall_ns() if outbox.is_time_due else 0
+            outgoing = session.pop_frame(now_s=now_s, wall_ns=wall_ns)
+            if outgoing is None:  # the device's UART is busy
+                break
+            if not self._transport.write(outgoing.frame):
+                self._is_behind.set()
+            if outgoing.waiting_since_s is not None:
+                self.command_latency.add(self._now_s() - outgoing.waiting_since_s)
+            self._to_device.add(outgoing.frame, now_s)
 
     def _is_settled(self, now_s: float) -> bool:
         """Whether due work may be done.

@@ -13,7 +13,8 @@ import structlog
 from hostlink.acceptor import EXHAUSTED
 from hostlink.config import LinkConfig, SerialConfig, TcpConfig, UdpConfig
 from hostlink.hub.hub import Hub
-from hostlink.link.link import INVITATION, Authenticate, Link, LinkEnd, has_frame, trust
+from hostlink.link.link import INVITATION, Link, has_frame
+from hostlink.link.serving import Authenticate, LinkEnd, trust
 from hostlink.log_budget import Budget
 from hostlink.logs import printable
 from hostlink.transport.base import Transport

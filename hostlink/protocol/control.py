@@ -5,6 +5,7 @@
 
 import sys
 from collections.abc import Callable
+from functools import partial
 from struct import Struct
 from typing import Any, NamedTuple, TypeVar
 
@@ -64,15 +65,15 @@ def encode_topic_info(info: TopicInfo) -> bytes:
 
 def decode_topic_info(kind: Id, payload: bytes) -> TopicInfo | None:
     """Decode a TopicInfo; None if it is malformed or if a name, type or md5 is empty, too long or unprintable."""
+    return _decode(payload, partial(_read_topic_info, kind))
 
-    def read(reader: _PayloadReader) -> TopicInfo:
-        (topic_id,) = reader.unpack(_TOPIC_ID)
-        name, type_name, md5 = (_word(reader.string()) for _ in range(3))
-        (buffer_bytes,) = reader.unpack(_I32)
-        # A thousand robots keep the same few types once.
-        return TopicInfo(kind, topic_id, name, sys.intern(type_name), sys.intern(md5), buffer_bytes)
 
-    return _decode(payload, read)
+def _read_topic_info(kind: Id, reader: "_PayloadReader") -> TopicInfo:
+    (topic_id,) = reader.unpack(_TOPIC_ID)
+    name, type_name, md5 = (_word(reader.string()) for _ in range(3))
+    (buffer_bytes,) = reader.unpack(_I32)
+    # A thousand robots keep the same few types once.
+    return TopicInfo(kind, topic_id, name, sys.intern(type_name), sys.intern(md5), buffer_bytes)
 
 
 def decode_parameter_request(payload: bytes) -> str | None:
@@ -90,24 +91,24 @@ def encode_parameter(parameter: Parameter) -> bytes:
 
 def decode_parameter(payload: bytes) -> Parameter | None:
     """Decode the answer to a parameter request, as a device does; None if malformed."""
+    return _decode(payload, _read_parameter)
 
-    def read(reader: _PayloadReader) -> Parameter:
-        ints = reader.unpack(Struct(f"<{reader.count(4)}i"))
-        floats = reader.unpack(Struct(f"<{reader.count(4)}f"))
-        strings = tuple(reader.string().decode(errors="replace") for _ in range(reader.count(4)))
-        return Parameter(ints, floats, strings)
 
-    return _decode(payload, read)
+def _read_parameter(reader: "_PayloadReader") -> Parameter:
+    ints = reader.unpack(Struct(f"<{reader.count(4)}i"))
+    floats = reader.unpack(Struct(f"<{reader.count(4)}f"))
+    strings = tuple(reader.string().decode(errors="replace") for _ in range(reader.count(4)))
+    return Parameter(ints, floats, strings)
 
 
 def decode_log(payload: bytes) -> Log | None:
     """Decode a log line; None if malformed. A level above fatal is read as fatal."""
+    return _decode(payload, _read_log)
 
-    def read(reader: _PayloadReader) -> Log:
-        level = reader.read(1)[0]
-        return Log(min(level, len(LOG_LEVELS) - 1), reader.string().decode(errors="replace"))
 
-    return _decode(payload, read)
+def _read_log(reader: "_PayloadReader") -> Log:
+    level = reader.read(1)[0]
+    return Log(min(level, len(LOG_LEVELS) - 1), reader.string().decode(errors="replace"))
 
 
 def encode_time(wall_ns: int) -> bytes:

@@ -5,7 +5,6 @@ import contextlib
 import os
 import time
 from collections import deque
-from collections.abc import Iterator
 from itertools import islice
 from pathlib import Path
 from typing import NamedTuple
@@ -57,22 +56,18 @@ class DriveFinder:
     def __len__(self) -> int:
         return len(self._open)
 
-    def observe(self, event: RobotEvent) -> None:
-        """Handle an event of a robot."""
+    def observe(self, event: RobotEvent) -> bool:
+        """Handle an event of a robot. Return whether a drive has begun."""
         if event.kind is EventKind.COMMANDED:
-            self._command(event)
-        elif event.kind is EventKind.STOPPED:
+            return self._command(event)
+        if event.kind is EventKind.STOPPED:
             drive = self._open.get(_Key(event.robot, str(event.facts["owner"])))
             self._end([] if drive is None else [drive], event, str(event.facts["reason"]))
         elif event.kind is EventKind.LOCKED:
             self._end(self._of(event.robot), event, f"locked: {event.facts['reason']}")
         elif event.kind is EventKind.GONE:
             self._end(self._of(event.robot), event, "its device disconnected")
-
-    @property
-    def has_begun(self) -> bool:
-        """Whether `pop_begun` has drives."""
-        return bool(self._begun)
+        return False
 
     def pop_begun(self) -> list[Drive]:
         """Remove and return the drives that have started since the last call."""
@@ -95,17 +90,17 @@ class DriveFinder:
             self._began_s.pop(key, None)
         return [self._open.pop(key) for key in finished]
 
-    def _of(self, robot: str) -> Iterator[Drive]:
-        return (drive for key, drive in self._open.items() if key.robot == robot)
+    def _of(self, robot: str) -> list[Drive]:
+        return [drive for drive in self._open.values() if drive.robot == robot]
 
-    def _command(self, event: RobotEvent) -> None:
+    def _command(self, event: RobotEvent) -> bool:
         velocity, owner = event.facts["limited"], str(event.facts["owner"])
         assert isinstance(velocity, PlanarVelocity | Twist)  # noqa: S101 - see EventKind
         if velocity.is_zero:
-            return  # a zero starts no drive
+            return False  # a zero starts no drive
         key = _Key(event.robot, owner)
         drive = self._open.get(key)
-        is_continued = drive is not None and not drive.end
+        is_new, is_continued = drive is None, drive is not None and not drive.end
         if drive is None:
             priority = int(str(event.facts["priority"]))
             drive = Drive(
@@ -115,24 +110,23 @@ class DriveFinder:
             self._begun.append(drive)
             del self._begun[:-MAX_OPEN]  # bounded, in case no caller reads them
         drive.end = ""
-        self._lasts_until(drive, event)
+        drive.ended_ns, drive.seconds = event.stamp_ns, event.at_s - self._began_s[key]
         drive.address = str(event.facts["address"])
         drive.commands += 1
         drive.fastest_m_s = max(drive.fastest_m_s, velocity.speed_m_s)
         drive.fastest_rad_s = max(drive.fastest_rad_s, velocity.turn_rad_s)
         if not is_continued:  # otherwise the other drives have ended already
-            others = (other for other in self._of(event.robot) if other is not drive)
-            self._end(others, event, f"taken over by {owner}")
+            for other in self._open.values():
+                if other.robot == event.robot and other is not drive and not other.end:
+                    self._end([other], event, f"taken over by {owner}")
+        return is_new
 
-    def _end(self, drives: Iterator[Drive] | list[Drive], event: RobotEvent, reason: str) -> None:
+    def _end(self, drives: list[Drive], event: RobotEvent, reason: str) -> None:
         for drive in drives:
             if not drive.end:
                 drive.end = reason
-                self._lasts_until(drive, event)
-
-    def _lasts_until(self, drive: Drive, event: RobotEvent) -> None:
-        drive.ended_ns = event.stamp_ns
-        drive.seconds = event.at_s - self._began_s[_Key(drive.robot, drive.owner)]
+                drive.ended_ns = event.stamp_ns
+                drive.seconds = event.at_s - self._began_s[_Key(drive.robot, drive.owner)]
 
 
 # -- drive file -------------------------------------------------------------------------------------------------------
@@ -274,10 +268,8 @@ class DriveLog:
         return list(islice((drive for drive in reversed(found) if robot in (None, drive.robot)), limit))
 
     def _receive(self, event: RobotEvent) -> None:
-        self._drives.observe(event)
-        if self._drives and not self._is_open.is_set():
+        if self._drives.observe(event):
             self._is_open.set()
-        if self._drives.has_begun:
             self._has_begun.set()
 
     async def _begin(self) -> None:

@@ -72,11 +72,12 @@ class IncidentRules:
     def _cause(self, event: RobotEvent) -> tuple[Cause | None, str]:
         """Return (cause, detail); cause is None if the event is not an incident."""
         facts = event.facts
+        if event.kind is EventKind.COMMANDED:
+            self._is_driven[event.robot] = facts["limited"] != ZERO
+            _drop_oldest(self._is_driven)
+            return None, ""
         was_driven = self._is_driven.pop(event.robot, False) if event.kind in _ENDS else False
         match event.kind:
-            case EventKind.COMMANDED:
-                self._is_driven[event.robot] = facts["limited"] != ZERO
-                _drop_oldest(self._is_driven)
             case EventKind.STOPPED if was_driven and facts["reason"] == LEASE_ENDED:
                 return "lease", f"no command from {facts['owner']} within the lease"
             case EventKind.STOPPED if was_driven and facts["reason"] == HOST_AWAY:

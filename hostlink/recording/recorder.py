@@ -16,7 +16,7 @@ from hostlink.hub.graph_view import OBSERVERS, GraphTopic
 from hostlink.hub.hub import Hub
 from hostlink.hub.message import Message
 from hostlink.hub.node import Node
-from hostlink.hub.robot_events import EventKind, RobotEvent
+from hostlink.hub.robot_events import RobotEvent
 from hostlink.hub.subscription import Subscription
 from hostlink.mirror.mirror import Mirror
 from hostlink.recording.channel import (
@@ -34,7 +34,6 @@ from hostlink.recording.channel import (
 from hostlink.robot.velocity import PlanarVelocity, Twist
 
 _ENCODER = msgspec.json.Encoder(enc_hook=str)
-_KINDS = {kind: kind.value for kind in EventKind}
 RETRY_S = 1.0  # of a topic whose type has changed while it was subscribed to
 GROUP = OBSERVERS  # a subscription of a recorder alone does not make a topic worth recording
 
@@ -171,7 +170,7 @@ class Recorder:
                 facts[name] = value._asdict()
             elif name != "address":  # the file may be given to others
                 facts[name] = value
-        shown = {"kind": _KINDS[event.kind], "robot": event.robot, "facts": facts}
+        shown = {"kind": event.kind._value_, "robot": event.robot, "facts": facts}
         self._put_json(EVENTS, event.stamp_ns, shown, event.robot)
 
     def _receive_line(self, stamp_ns: int, line: Mapping[str, object]) -> None:

@@ -58,12 +58,12 @@ class PlanarVelocity(NamedTuple):
     @property
     def is_zero(self) -> bool:
         """Whether nothing moves."""
-        return not any(self)
+        return not (self.x_m_s or self.y_m_s or self.yaw_rad_s)
 
     @property
     def is_finite(self) -> bool:
         """Whether every component is a number."""
-        return all(map(math.isfinite, self))
+        return math.isfinite(self.x_m_s) and math.isfinite(self.y_m_s) and math.isfinite(self.yaw_rad_s)
 
     @property
     def speed_m_s(self) -> float:

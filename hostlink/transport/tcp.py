@@ -42,6 +42,7 @@ class Stall:
 
 # -- tcp --------------------------------------------------------------------------------------------------------------
 
+_I32 = struct.Struct("=i")
 _RTT_AT = 68  # offset of tcpi_rtt, in microseconds, in Linux's struct tcp_info
 SEND_BUFFER_BYTES = 8192  # bounds old commands in the kernel, where they cannot be replaced
 RECEIVE_BUFFER_BYTES = 65536  # bounds how late a device's data may be during a flood
@@ -106,9 +107,11 @@ class TcpTransport(StreamTransport):
 
     def _is_stalled(self) -> bool:
         """Whether the peer acknowledges nothing; False where the system does not tell, or the connection is lost."""
-        unacknowledged_bytes, connection = 0, self._open_socket()
-        if connection is not None and sys.platform == "linux":
-            unacknowledged_bytes = struct.unpack("=i", fcntl.ioctl(connection.fileno(), termios.TIOCOUTQ, bytes(4)))[0]
+        unacknowledged_bytes, connection = 0, self._socket
+        if connection is not None and sys.platform == "linux" and not self._lost.done():
+            number = connection.fileno()
+            if number >= 0:
+                unacknowledged_bytes = _I32.unpack(fcntl.ioctl(number, termios.TIOCOUTQ, bytes(4)))[0]
         return self._stall.is_stalled(
             sent_bytes=self._sent_bytes,
             unacknowledged_bytes=unacknowledged_bytes,

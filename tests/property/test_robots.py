@@ -18,7 +18,8 @@ from hostlink.errors import CommandRefused, RefusalKind
 from hostlink.hub.device import Device, check_type
 from hostlink.hub.gates import TICK_S
 from hostlink.hub.hub import Hub
-from hostlink.link.link import Link, LinkEnd
+from hostlink.link.link import Link
+from hostlink.link.serving import LinkEnd
 from hostlink.messages.catalog import Catalog
 from hostlink.protocol.control import encode_topic_info
 from hostlink.protocol.events import Event, TopicsNegotiated

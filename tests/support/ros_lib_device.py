@@ -12,7 +12,8 @@ from collections.abc import AsyncIterator
 from typing import Any
 
 from hostlink.hub.hub import Hub
-from hostlink.link.link import Link, LinkEnd
+from hostlink.link.link import Link
+from hostlink.link.serving import LinkEnd
 from hostlink.messages.fields import FORMATS, VARIABLE, Layout
 from hostlink.messages.message_type import MessageType
 from hostlink.messages.parsing import parse_service

@@ -13,6 +13,8 @@ from structlog.testing import capture_logs
 from hostlink.api.clients import Client, ClientQueue, Operation, Outgoing
 from hostlink.api.listener import PacedReading
 from hostlink.api.web_socket import READY_TIMEOUT_S, SEND_BATCH, SEND_TIMEOUT_S, WRITE_BYTES, ClientSocket, frame_head
+from hostlink.hub.gates import Gates
+from hostlink.hub.isolation import Isolation
 from hostlink.hub.queue import MAX_RESULTS
 from hostlink.latency import Latency
 from hostlink.link.fair_share import FairShare, Turns
@@ -111,6 +113,7 @@ class Connected:
             cast(Any, self.program),
             self.queue,
             Turns(FairShare()),
+            Gates(Isolation()),
             tasks=tasks,
             max_messages_s=max_messages_s,
             on_replaced=self._note_replaced,

@@ -15,7 +15,7 @@ from hostlink.config import Config
 from hostlink.hub.device_calls import LAST_S, MAX_CALLS, MAX_WAITING
 from hostlink.hub.hub import Hub
 from hostlink.hub.services import DEVICE_TIMEOUT_S, Provider
-from hostlink.link.link import LinkEnd
+from hostlink.link.serving import LinkEnd
 from hostlink.messages.message_type import MessageType, ServiceType
 from hostlink.protocol.control import Parameter, TopicInfo
 from hostlink.protocol.events import ServiceRequested

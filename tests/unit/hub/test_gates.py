@@ -80,6 +80,27 @@ def test_stop_sends_zero_at_once_and_records_its_source() -> None:
     in_hub(test)
 
 
+def test_velocities_of_one_batch_are_written_at_its_end_and_only_the_newest() -> None:
+    async def test(made: MemoryHub) -> None:
+        device = await made.connect()
+        await asyncio.sleep(0.5)
+        written = device.link.session.counts.frames_to_device
+        made.hub.gates.hold()
+        drive_gate(made.robot(), SLOW, owner="ann")
+        drive_gate(made.robot(), FAST, owner="ann")
+        assert device.link.session.counts.frames_to_device == written
+        made.hub.gates.write()
+        assert device.link.session.counts.frames_to_device == written + 1
+        await asyncio.sleep(0.01)
+        assert velocities(device)[-1] == (0.4, 0.0)
+        drive_gate(made.robot(), SLOW, owner="ann")  # outside of a batch, the next turn of the loop writes it
+        assert device.link.session.counts.frames_to_device == written + 1
+        await asyncio.sleep(0.01)
+        assert velocities(device)[-1] == (0.1, 0.0)
+
+    in_hub(test)
+
+
 @replaces_a_method
 def test_stop_of_all_reaches_each_robot_although_one_refuses_the_zero() -> None:
     async def test(made: MemoryHub) -> None:

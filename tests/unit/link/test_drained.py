@@ -3,7 +3,8 @@
 import asyncio
 
 from hostlink.config import LinkConfig
-from hostlink.link.link import Link, LinkEnd
+from hostlink.link.link import Link
+from hostlink.link.serving import LinkEnd
 from hostlink.protocol.frame import STOP_REQUEST, TOPICS_REQUEST
 from hostlink.protocol.session import Session
 from tests.support.memory_transport import memory_pair

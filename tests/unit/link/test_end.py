@@ -3,7 +3,8 @@
 import asyncio
 
 from hostlink.config import LinkConfig
-from hostlink.link.link import LAST_FRAME_TIMEOUT_S, Link, LinkEnd
+from hostlink.link.link import Link
+from hostlink.link.serving import LAST_FRAME_TIMEOUT_S, LinkEnd
 from hostlink.protocol.session import Session
 from tests.support.memory_transport import memory_pair
 from tests.support.session_host import check
@@ -25,3 +26,20 @@ def test_cancelled_link_closes_the_connection_while_its_last_frame_waits() -> No
         assert device.is_ended
 
     run_virtual(run())
+
+
+def test_device_that_closes_while_the_writer_waits_for_it_ends_the_link_as_closed_by_the_peer() -> None:
+    """The writer's error counted as a cancellation of the link's task."""
+
+    async def run() -> LinkEnd:
+        transport, device = memory_pair()
+        link = Link(transport, Session(check=check), LinkConfig(), number=1, on_event=lambda _link, _event: None)
+        async with asyncio.TaskGroup() as tasks:
+            running = tasks.create_task(link.run())
+            await asyncio.sleep(1.0)
+            await device.aclose()
+            link.session.outbox.put_urgent(100, bytes(56))
+            link.write_now()
+        return running.result()
+
+    assert run_virtual(run()) is LinkEnd.PEER_CLOSED

@@ -6,7 +6,8 @@ import pytest
 
 from hostlink.config import LinkConfig
 from hostlink.hub.stall_watch import BEAT_S, StallWatch
-from hostlink.link.link import Link, LinkEnd
+from hostlink.link.link import Link
+from hostlink.link.serving import LinkEnd
 from hostlink.protocol.events import Event
 from hostlink.protocol.session import Session
 from tests.support.memory_transport import MemoryTransport, memory_pair

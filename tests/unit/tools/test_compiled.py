@@ -38,3 +38,23 @@ def test_classes_that_interpreted_ones_inherit_permit_it() -> None:
         if path in COMPILED and node.name in inherited:
             decorators = [ast.unparse(each) for each in node.decorator_list]
             assert "mypyc_attr(allow_interpreted_subclasses=True)" in decorators, f"{path}: {node.name}"
+
+
+def test_no_compiled_coroutine_waits_while_it_handles_an_exception() -> None:
+    """mypyc leaves that exception to all other coroutines: after one cancelled link, every other ended as cancelled."""
+    waits = (ast.Await, ast.Yield, ast.YieldFrom)
+    for path in COMPILED:
+        for node in ast.walk(ast.parse(path.read_text())):
+            handling: list[ast.AST] = [*node.handlers, *node.finalbody] if isinstance(node, ast.Try) else []
+            found = [each for part in handling for each in ast.walk(part) if isinstance(each, waits)]
+            assert not found, f"{path}:{found[0].lineno}"
+            assert not isinstance(node, ast.AsyncWith | ast.TryStar), f"{path}:{node.lineno}"
+
+
+def test_no_compiled_function_names_one_within_it() -> None:
+    """mypyc keeps both in a reference cycle, so that a link that has ended was freed by the garbage collector only."""
+    functions = (ast.FunctionDef, ast.AsyncFunctionDef)
+    for path in COMPILED:
+        for node in ast.walk(ast.parse(path.read_text())):
+            inner = [each for each in ast.walk(node) if isinstance(each, functions) and each is not node]
+            assert not (isinstance(node, functions) and inner), f"{path}:{inner[0].lineno}"

@@ -1,0 +1,116 @@
+"""Waiting of a link for its end. A module of its own because it must not be compiled.
+
+mypyc 2.4 keeps the exception that a coroutine handles while it waits in an `except`, a `finally` or an `async with`
+where every other coroutine finds it: after one link was cancelled, every later one ended as cancelled.
+"""
+
+import asyncio
+import contextlib
+from collections.abc import Awaitable, Callable, Coroutine
+from enum import Enum
+from typing import Any
+
+import structlog
+
+from hostlink.cancellation import raise_if_cancelled
+from hostlink.host_pauses import HostPauses
+from hostlink.transport.base import Transport
+
+log = structlog.get_logger()
+
+LAST_FRAME_TIMEOUT_S = 0.2
+
+
+class LinkEnd(Enum):
+    """Reason for the end of a link."""
+
+    PEER_CLOSED = "peer_closed"
+    IDLE = "idle"
+    REPLACED = "replaced"
+    REFUSED = "refused"
+    EVICTED = "evicted"
+    UNAUTHENTICATED = "unauthenticated"
+    STOPPED = "stopped"
+    BROKEN = "broken"
+    CRASHED = "crashed"
+    UNANSWERABLE = "unanswerable"  # the device waits for an answer that its buffer cannot hold
+
+
+Authenticate = Callable[[], Awaitable[None]]
+
+
+async def trust() -> None:
+    """Accept a device that needs no key."""
+
+
+async def serve(
+    finished: Awaitable[LinkEnd],
+    writing: Coroutine[Any, Any, None],
+    transport: Transport,
+    close: Callable[[], bytes],
+    *,
+    is_over: Callable[[], bool],
+    name: str,
+) -> LinkEnd:
+    """Run `writing` until `finished` returns the reason of the end, then send the frame that `close` returns.
+
+    `is_over` says that the reason is known, so that an error of the connection changes nothing.
+
+    Raises:
+        Exception: a callback of the link has failed, and `finished` raised its error.
+    """
+    end = LinkEnd.BROKEN
+
+    async def write() -> None:
+        try:
+            await writing
+        except OSError:
+            if not is_over():  # otherwise the task group would count this task as cancelled
+                raise
+
+    try:
+        async with asyncio.TaskGroup() as tasks:
+            writer = tasks.create_task(write(), name=name)
+            try:
+                end = await finished
+            finally:
+                writer.cancel()
+    except* ConnectionRefusedError:  # the device did not prove the key
+        end = LinkEnd.UNAUTHENTICATED
+    except* OSError as broken:
+        end = LinkEnd.BROKEN
+        log.debug("link.broken", cause=str(broken.exceptions[0]))
+    finally:
+        last_frame = close()
+        try:
+            if last_frame:
+                await _send_last(transport, last_frame)
+        finally:  # also when cancelled
+            await transport.aclose()
+    raise_if_cancelled()
+    return end
+
+
+async def _send_last(transport: Transport, frame: bytes) -> None:
+    """Send the final zero velocity before closing. Give up after LAST_FRAME_TIMEOUT_S."""
+    with contextlib.suppress(OSError):  # TimeoutError is an OSError
+        async with asyncio.timeout(LAST_FRAME_TIMEOUT_S):
+            await transport.send(frame)
+
+
+async def drain(transport: Transport, timeout_s: float, pauses: Callable[[float], HostPauses]) -> None:
+    """Wait until the device keeps up. A timeout during a pause of the host is not counted.
+
+    Raises:
+        OSError: the connection is lost, or the device does not read for `timeout_s`.
+    """
+    now_s = asyncio.get_running_loop().time
+    began_s = now_s()
+    while True:
+        try:
+            async with asyncio.timeout(timeout_s):
+                return await transport.drain()
+        except TimeoutError:  # an OSError, so the link ends as broken
+            if not pauses(now_s()).was_paused(began_s):
+                raise
+            began_s = now_s()
