@@ -22,7 +22,8 @@ from hostlink.hub.robot import LocalRobot
 from hostlink.robot.velocity import PlanarVelocity
 from hostlink.sim.firmware_module import require_wasmtime
 from hostlink.sim.firmware_world import RobotKind
-from hostlink.sim.run import run_fleet
+from hostlink.sim.run import SocketAddress, run_fleet
+from hostlink.transport.tcp import spelled
 
 OWNER = "demo"
 DEMO_PRIORITY = 0  # every other driver takes precedence
@@ -85,9 +86,12 @@ async def _demo(config: Config, robots: int, kind: RobotKind) -> None:
         output = Output(ending)
         async with running(config) as (hub, addresses), asyncio.TaskGroup() as tasks:
             host, port = addresses.tcp
-            fleet = tasks.create_task(run_fleet(host, port, robots=robots, kind=kind), name="simulated robots")
+            own: dict[str, SocketAddress] = {}  # addresses of the simulated robots, by name
+            fleet = tasks.create_task(
+                run_fleet(host, port, robots=robots, kind=kind, on_connected=own.__setitem__), name="simulated robots"
+            )
             participant = hub.join(OWNER, priority=DEMO_PRIORITY)
-            demo = DemoDriver(hub, participant)
+            demo = DemoDriver(hub, participant, lambda peer: peer in {spelled(*each[:2]) for each in own.values()})
             driver = tasks.create_task(demo.run(), name="demo driver")
             line = tasks.create_task(_show(hub, demo, output), name="live line")
             output.show(write, *_welcome(addresses.api))
@@ -113,15 +117,16 @@ def _welcome(api: str) -> tuple[str, ...]:
 
 
 class DemoDriver:
-    """Driver of every robot in a curve, except recordings that are played: they obey no command.
+    """Driver of the demo's own robots in a curve. A board of the user, which may connect too, is never driven.
 
     It pauses for a robot until PAUSE_S after another driver's last command.
 
     After an interruption (a stop, a lock, a reconnection) it leaves the robot alone until the service DRIVE is called.
     """
 
-    def __init__(self, hub: Hub, participant: Participant) -> None:
-        self._hub, self._participant = hub, participant
+    def __init__(self, hub: Hub, participant: Participant, is_own: Callable[[str], bool]) -> None:
+        """Drive robots whose device is connected from an address for which `is_own` is true."""
+        self._hub, self._participant, self._is_own = hub, participant, is_own
         self._epochs: dict[str, int] = {}  # of each robot, when the demo began to drive it
         self._busy_until_s: dict[str, float] = {}
         self.stopped: set[str] = set()  # the names of robots that are not driven until DRIVE is called
@@ -136,7 +141,7 @@ class DemoDriver:
 
     def _drive(self, robot: LocalRobot) -> None:
         now_s = asyncio.get_running_loop().time()
-        if robot.link is None or robot.is_played:
+        if robot.link is None or not self._is_own(robot.link.peer):
             return
         epoch = self._epochs.setdefault(robot.name, robot.gate.admission.epoch)
         if epoch != robot.gate.admission.epoch:

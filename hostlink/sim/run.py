@@ -8,11 +8,14 @@ import contextlib
 import os
 import socket
 from collections.abc import AsyncIterator, Callable, Iterator
+from typing import Any
 
 from hostlink.protocol.frame import Id, encode
 from hostlink.sim.firmware_module import WorldParameters
 from hostlink.sim.firmware_world import RobotKind
 from hostlink.sim.robot import HEALTHY, Fault, FaultyLine, SimulatedRobot
+
+SocketAddress = tuple[Any, ...]  # host and port, and for IPv6 two more
 
 READ_BYTES = 4096
 RECONNECT_S = 0.5
@@ -35,15 +38,22 @@ async def run_fleet(
     world: WorldParameters | None = None,
     kind: RobotKind = RobotKind.PAPER,
     log: Callable[[str], None] = lambda _: None,
+    on_connected: Callable[[str, SocketAddress], None] = lambda _name, _address: None,
 ) -> None:
-    """Run robot_0, robot_1, ... until cancelled. Each robot reconnects when its connection ends."""
+    """Run robot_0, robot_1, ... until cancelled. Each robot reconnects when its connection ends.
+
+    Over TCP, `on_connected` is called with the robot's name and its own end of each new connection.
+    """
     async with asyncio.TaskGroup() as tasks:
         for number in range(first, first + robots):
             robot = SimulatedRobot(
                 f"robot_{number}", world=world_of(number, world), kind=kind, clock_rate=fault.clock_rate
             )
-            run = run_over_udp if is_udp else run_over_tcp
-            tasks.create_task(run(robot, host, port, fault=fault, log=log), name=robot.name)
+            if is_udp:
+                running = run_over_udp(robot, host, port, fault=fault, log=log)
+            else:
+                running = run_over_tcp(robot, host, port, fault=fault, log=log, on_connected=on_connected)
+            tasks.create_task(running, name=robot.name)
 
 
 def world_of(number: int, world: WorldParameters | None) -> WorldParameters:
@@ -60,6 +70,7 @@ async def run_over_tcp(
     fault: Fault = HEALTHY,
     local_host: str | None = None,
     log: Callable[[str], None] = lambda _: None,
+    on_connected: Callable[[str, SocketAddress], None] = lambda _name, _address: None,
 ) -> None:
     """Keep the robot connected (from `local_host`) until cancelled. The firmware runs meanwhile."""
     local = None if local_host is None else (local_host, 0)
@@ -76,6 +87,7 @@ async def run_over_tcp(
             else:
                 last_error = ""
                 _give_up_soon(writer)
+                on_connected(robot.name, writer.get_extra_info("sockname"))
                 log(f"{robot.name}: connected to {host}:{port}")
                 with contextlib.suppress(TimeoutError):
                     async with asyncio.timeout(fault.runs_s):

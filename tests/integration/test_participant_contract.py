@@ -501,7 +501,7 @@ def test_the_demo_drives_no_robot_again_after_a_stop_until_it_is_told() -> None:
         robot = made.hub.robots.find(ROBOT)
         assert isinstance(robot, Robot)
         participant, program = made.hub.join("demo", priority=0), made.hub.join("program")
-        driving = made.tasks.create_task(DemoDriver(made.hub, participant).run())
+        driving = made.tasks.create_task(DemoDriver(made.hub, participant, lambda _: True).run())
         await asyncio.sleep(0.5)
         assert robot.gate.owner is participant
         robot.stop()

@@ -20,6 +20,8 @@ from hostlink.protocol.frame import Id, encode
 from hostlink.recording.channel import DEVICE, VELOCITY, Channel, ros_channel
 from hostlink.recording.mcap_writer import McapWriter
 from hostlink.robot.velocity import ZERO, PlanarVelocity
+from hostlink.sim.run import SocketAddress, run_fleet
+from hostlink.transport.tcp import spelled
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import FakeDevice, fake_device, pose, robot_topics, topic
 from tests.support.virtual_loop import run_virtual
@@ -140,15 +142,23 @@ async def test_velocities_on_the_second_topic_of_a_robot_are_driven(tmp_path: Pa
         await device.velocity_of((0.2, 0.0))
 
 
-async def test_the_demo_drives_no_recording() -> None:
+async def test_the_demo_drives_its_own_robots_and_no_board_or_recording_that_connects_too() -> None:
     mark = topic(Id.PUBLISHER, 130, "/played/played", "std_msgs/String")
     played = [*robot_topics("played"), mark]
-    async with daemon() as host, fake_device(host.tcp, robot_topics()), fake_device(host.tcp, played):
-        await expect(lambda: host.hub.robots.has("robot_0") and host.hub.robots.find("played").is_played)
-        demo = DemoDriver(host.hub, host.hub.join("demo"))
+    own: dict[str, SocketAddress] = {}
+    async with (
+        daemon() as host,
+        fake_device(host.tcp, robot_topics("board")),
+        fake_device(host.tcp, played),
+        beside(run_fleet(*host.tcp, on_connected=own.__setitem__)),
+    ):
+        await expect(lambda: all(host.hub.robots.has(name) for name in ("robot_0", "played", "board")))
+        demo = DemoDriver(
+            host.hub, host.hub.join("demo"), lambda peer: peer in {spelled(*each[:2]) for each in own.values()}
+        )
         async with beside(demo.run()):
             await expect(lambda: host.hub.robots.find("robot_0").gate.owner_name == "demo")
-        assert host.hub.robots.find("played").gate.counts.commands == 0
+        assert [host.hub.robots.find(name).gate.counts.commands for name in ("played", "board")] == [0, 0]
 
 
 @pytest.mark.parametrize("is_looped", [False, True])

@@ -116,7 +116,7 @@ async def test_driver_of_lower_priority_that_begins_meanwhile_does_not_disturb_t
         idle = host.hub.join("demo", priority=0)
         step = tasks.create_task(record(me))
         await expect(lambda: host.hub.robots.find("robot_0").gate.counts.stops > 0)
-        demo = tasks.create_task(DemoDriver(host.hub, idle).run())
+        demo = tasks.create_task(DemoDriver(host.hub, idle, lambda _: True).run())
         recording = await step
         demo.cancel()
         idle.leave()

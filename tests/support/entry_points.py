@@ -624,7 +624,7 @@ class Demo(EntryPoint):
         self.made.neighbour.drive(self.made.hub.robots.find("robot_1"), PlanarVelocity(0.2))
 
     async def _repeat(self) -> None:
-        await demo.DemoDriver(self.made.hub, self._participant).run()
+        await demo.DemoDriver(self.made.hub, self._participant, lambda _: True).run()
 
     async def vanish(self) -> None:
         self.silence()
