@@ -63,7 +63,7 @@ async def test_history_has_poses_commands_and_events_with_ages_oldest_first(tmp_
         {"x_m": 1.0, "y_m": 2.0, "theta_rad": 0.5},
         {"x_m": 1.5, "y_m": 2.0, "theta_rad": 0.5},
     ]
-    assert [each["velocity"] for each in history["commands"] if each["velocity"] != ZERO][0] == {
+    assert next(each["velocity"] for each in history["commands"] if each["velocity"] != ZERO) == {
         "linear_m_s": 0.2,
         "linear_y_m_s": 0.0,
         "angular_rad_s": 0.0,
