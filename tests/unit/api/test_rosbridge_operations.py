@@ -313,7 +313,7 @@ def test_watched_graph_is_sent_at_once_and_after_each_change(check: Callable[...
             "latched": False, "velocity": True,
         }  # fmt: skip
         assert (topics["/robot_0/odometry"]["published"], topics["/robot_0/odometry"]["velocity"]) == (True, False)
-        assert {"name": "/rosapi/topics", "type": "rosapi/Topics"} in graph["services"]
+        assert {"name": "/robot_0/lock", "type": "std_srvs/Trigger"} in graph["services"]
         await asyncio.sleep(1.0)
         assert peer.texts() == []
         other = api.hub.join("program")
