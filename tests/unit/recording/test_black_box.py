@@ -49,8 +49,9 @@ async def running(folder: Path, config: BlackBoxConfig) -> AsyncIterator[tuple[H
 
 def kept(box: BlackBox, robot: str) -> bool:
     """Whether messages of the robot other than events are in the memory."""
-    return any(entry.channel.topic == f"/{robot}/odometry" or entry.channel.topic == TEXT
-               for copy in box.rings.copies(robot) for entry in copy)
+    return any(
+        entry.channel.topic in (f"/{robot}/odometry", TEXT) for copy in box.rings.copies(robot) for entry in copy
+    )
 
 
 def saved(folder: Path) -> list[Path]:

@@ -82,7 +82,11 @@ def test_newest_drives_alone_are_read(tmp_path: Path, monkeypatch: pytest.Monkey
 
 def test_killed_daemons_drive_ends_with_the_last_command_of_its_driver(tmp_path: Path) -> None:
     append_drives(tmp_path, [drive(1, end=""), drive(1, owner="bob", end=""), drive(2)])
-    commands = [LastCommand("rover", "ann", 4 * S), LastCommand("rover", "ann", 3 * S), LastCommand("dog", "bob", 9 * S)]
+    commands = [
+        LastCommand("rover", "ann", 4 * S),
+        LastCommand("rover", "ann", 3 * S),
+        LastCommand("dog", "bob", 9 * S),
+    ]
     size = (tmp_path / NAME).stat().st_size
     finish_drives(tmp_path, commands)
     found = {(each.owner, each.began_ns // S): each for each in read_drives(tmp_path)}

@@ -419,3 +419,46 @@ def test_robot_with_several_places_is_driven_by_no_other_daemon() -> None:
         assert requests.drive(speed_m_s=0.0).error == ""
 
     play(test)
+
+
+def test_messages_of_another_daemons_programs_are_of_no_driver_there() -> None:
+    async def test(scene: Scene) -> None:
+        requests = Requests(scene)
+        requests.hear()
+        requests.drive(owner=1)
+        neighbour = requests.drivers._roster.announced(requests.desk)
+        assert neighbour is not None
+        scene.neighbour.subscribe("/door", lambda _: None, type_name="std_msgs/Bool")
+        for _ in range(2):
+            with contextlib.suppress(HostlinkError):
+                requests.drivers.publish(neighbour, "/door", b"\1")
+        drivers = list(requests.drivers._drivers["2b"].values())
+        assert len(drivers) == 2
+        assert sorted(driver.participant.name for driver in drivers) == ["pad at desk", "programs at desk"]
+
+    play(test)
+
+
+def test_motions_are_sent_between_states_only_while_they_are_read() -> None:
+    async def test(world: World) -> None:
+        sent: Counter[str] = Counter()
+        listener = MemorySession(world.network, "3c")
+        live, state = (
+            next(each.key for each in world.network.publishers if f"/{kind}/" in f"{each.key}/" and "1a" in each.key)
+            for kind in ("live", "state")
+        )
+
+        async def moved(seconds: float) -> Counter[str]:
+            sent.clear()
+            for number in range(int(seconds / 0.1)):
+                await world.scene.robot.send(ODOMETRY_ID, POSE.pack(0.01 * number, 0.0, 0.0))
+                await asyncio.sleep(0.1)
+            return sent
+
+        for key in (state, live):
+            listener.subscribe(key, lambda sample: sent.update((sample.key,)))
+            counts = await moved(5.0)
+            assert 4 <= counts[state] <= 6
+            assert (counts[live] > 2 * counts[state]) is (key == live)
+
+    with_fleet(test)
