@@ -205,7 +205,7 @@ def _copy(folder: Path) -> Path:
     for name in COPIED:
         source = ROOT / name
         if source.is_dir():
-            ignored = shutil.ignore_patterns("node_modules", "__pycache__")
+            ignored = shutil.ignore_patterns("node_modules")  # __pycache__ saves compiling hostlink for each change
             shutil.copytree(source, folder / name, ignore=ignored)
         else:
             shutil.copy(source, folder / name)
