@@ -390,6 +390,6 @@ async def test_crash_of_the_executor_is_reported_in_the_loop(scene: Scene) -> No
 async def test_wrong_arguments_are_an_error_in_one_line(scene: Scene) -> None:
     fake, module = scene
     fake.error = ValueError("unknown argument\nand a long text")
-    with pytest.raises(ConfigError, match="--ros-args: unknown argument$|unknown argument$"):
+    with pytest.raises(ConfigError, match=r"unknown argument$"):
         async with module.ros2_node(["--odd"], print):
             pass
