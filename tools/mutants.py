@@ -79,6 +79,15 @@ class Mutant:
         made: str = MutationVisitor.mutate_code(self._original(), _operator(self.operator), self.occurrence)
         return made
 
+    @property
+    def is_possible(self) -> bool:
+        """Whether cosmic-ray can make the change. It cannot replace an exception with a dotted name."""
+        try:
+            self.source()
+        except AttributeError:
+            return False
+        return True
+
     def describe(self) -> str:
         """Return the place of the change, and its lines before and after."""
         before, after = self._original().splitlines(), self.source().splitlines()
@@ -108,7 +117,7 @@ def drawn(where: str, count: int, seed: int) -> list[Mutant]:
         for place, mutant in _mutants(module):
             places[module, place].append(mutant)
     chosen = dice.sample(sorted(places), min(count, len(places)))
-    return [dice.choice(places[place]) for place in sorted(chosen)]
+    return [mutant for mutant in (dice.choice(places[place]) for place in sorted(chosen)) if mutant.is_possible]
 
 
 def _mutants(module: str) -> Iterator[tuple[object, Mutant]]:
