@@ -4,7 +4,7 @@ import asyncio
 import contextlib
 from collections import Counter
 from collections.abc import Awaitable, Callable
-from typing import cast
+from typing import Any, cast
 
 import pytest
 from structlog.testing import capture_logs
@@ -12,7 +12,7 @@ from structlog.testing import capture_logs
 from hostlink.config import Config, ZenohConfig
 from hostlink.errors import BadRequest, CommandRefused, DeviceGone, HostlinkError, RefusalKind
 from hostlink.graphs.zenoh import fleet_commands
-from hostlink.graphs.zenoh.fleet import fleet_running, sender_name
+from hostlink.graphs.zenoh.fleet import FIND_INTERVAL_S, fleet_running, sender_name
 from hostlink.graphs.zenoh.fleet_commands import FleetDrivers
 from hostlink.graphs.zenoh.fleet_messages import (
     ANSWER,
@@ -460,5 +460,54 @@ def test_motions_are_sent_between_states_only_while_they_are_read() -> None:
             counts = await moved(5.0)
             assert 4 <= counts[state] <= 6
             assert (counts[live] > 2 * counts[state]) is (key == live)
+
+    with_fleet(test)
+
+
+def test_end_of_the_fleet_here_stops_what_drivers_at_other_daemons_drive() -> None:
+    async def test(scene: Scene) -> None:
+        requests = Requests(scene)
+        requests.hear()
+        await asyncio.sleep(0.5)
+        assert requests.drive().error == ""
+        await asyncio.sleep(0.05)
+        assert scene.speeds()[-1] == 0.2
+        requests.drivers.leave_all()
+        await asyncio.sleep(0.05)
+        assert (scene.speeds()[-1], requests.drivers._drivers) == (0.0, {})
+
+    play(test)
+
+
+@pytest.mark.parametrize(("early_m_s", "is_refused"), [(0.2, True), (0.0, False)])
+def test_driver_that_commanded_before_the_robot_existed_does_not_move_it(early_m_s: float, *, is_refused: bool) -> None:
+    async def test(scene: Scene) -> None:
+        requests = Requests(scene)
+        requests.hear()
+        assert requests.drive(robot="robot_9", speed_m_s=early_m_s).error == "UnknownTopic"
+        device = ScriptedDevice(scene.hub, robot_topics("robot_9"), address="10.0.0.9")
+        await asyncio.sleep(0.2)
+        requests.hear()
+        assert (requests.drive(robot="robot_9").error != "") is is_refused
+        await device.aclose()
+
+    play(test)
+
+
+def test_daemons_are_found_again_after_a_token_may_have_been_dropped() -> None:
+    async def test(world: World) -> None:
+        subscribed: list[str] = []
+        session: Any = next(each[0] for each in world.network.subscribers if each[0].zid == "1a")
+        subscribe = session.subscribe_tokens
+        session.subscribe_tokens = lambda keys, receive: subscribed.append(keys) or subscribe(keys, receive)
+        await asyncio.sleep(2 * FIND_INTERVAL_S)
+        assert subscribed == []
+        session.counts["dropped"] += 1
+        await asyncio.sleep(1.0)
+        assert len(subscribed) == 1
+        for _ in range(20):
+            session.counts["dropped"] += 1
+            await asyncio.sleep(FIND_INTERVAL_S / 10)
+        assert 2 <= len(subscribed) <= 3
 
     with_fleet(test)
