@@ -116,7 +116,7 @@ async def test_unknown_incident_and_request_of_an_unknown_robot_are_answered_404
         assert (await api.call("GET", "/api/incidents/plain.mcap/history"))[0] == 404
 
 
-def test_history_is_the_same_json_whatever_the_number_of_its_pieces() -> None:
+def test_history_is_the_same_json_for_any_number_of_pieces() -> None:
     for count in (0, 1, PIECE - 1, PIECE, PIECE + 1, 3 * PIECE):
         rests: list[None] = []
         view = {"poses": list(range(count)), "events": [{"age_s": 0.5}]}

@@ -318,7 +318,7 @@ def test_lost_web_socket_that_waits_for_room_takes_none() -> None:
     check(test)
 
 
-def test_pings_are_no_part_of_a_message() -> None:
+def test_pings_do_not_count_as_bytes_of_a_message() -> None:
     async def test(scene: Scene) -> None:
         scene.become_web_socket()
         scene.read(bytes(CONTROL_FRAME_BYTES + 4))

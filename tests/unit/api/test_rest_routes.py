@@ -1,4 +1,4 @@
-"""REST routes beside those of a robot: drives, reload, listening, standstills, and the history of the fleet."""
+"""REST routes other than those of a robot: drives, reload, listening, standstills, and the history of the fleet."""
 
 import asyncio
 import json
@@ -69,7 +69,7 @@ def test_drive_has_its_times_in_utc_and_rounded_figures() -> None:
 
 
 @pytest.mark.parametrize("limit", ["", "-1", "1.5", "many", "1000000", "\u0661"])
-def test_limit_that_is_no_number_is_refused(limit: str) -> None:
+def test_limit_other_than_a_number_is_refused(limit: str) -> None:
     async def test(api: RestMemory) -> None:
         drives: Any = FakeDrives()
         api.add(DriveRoute(drives).routes())

@@ -31,7 +31,7 @@ def with_findings(made: MemoryHub, monkeypatch: pytest.MonkeyPatch) -> list[Find
     return findings
 
 
-def test_new_finding_is_an_event_and_a_log_line_and_a_lasting_one_is_no_news(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_finding_is_an_event_and_a_log_line_once_while_it_lasts(monkeypatch: pytest.MonkeyPatch) -> None:
     async def test(made: MemoryHub) -> None:
         findings, heard = with_findings(made, monkeypatch), list[RobotEvent]()
         device = await made.connect(peer="10.0.0.2:7")

@@ -122,7 +122,7 @@ def test_reconnection_with_the_same_epoch_resumes_and_with_another_one_interrupt
     in_hub(test)
 
 
-def test_state_that_is_older_than_an_answer_is_no_interruption() -> None:
+def test_state_older_than_an_answer_interrupts_nothing() -> None:
     async def test(made: MemoryHub) -> None:
         robot = remote_robot(made.hub, "robot_7", Hosts())
         robot.connect(12, 100, made.hub.robots.new_number)

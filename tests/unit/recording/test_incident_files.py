@@ -30,7 +30,7 @@ def test_incidents_are_listed_newest_first_by_their_time_and_not_by_their_file(f
     assert all(each.file.size_bytes == (folder.path / each.file.name).stat().st_size for each in found)
 
 
-def test_files_that_are_no_incidents_are_left_out(folder: Folder) -> None:
+def test_files_other_than_incidents_are_left_out(folder: Folder) -> None:
     path = write(folder, 100)
     McapWriter(folder.path / "plain.mcap", metadata={"recording": "plain"}).close()
     (folder.path / "damaged.mcap").write_bytes(b"\x89MCAP0\r\n" + bytes(100))

@@ -106,7 +106,7 @@ def test_end_of_the_node_is_reported_and_the_daemon_continues(
     assert line["reason"] == reasons[0]
 
 
-def test_end_of_the_daemon_is_no_end_of_the_node(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_end_of_the_daemon_reports_no_end_of_the_node(monkeypatch: pytest.MonkeyPatch) -> None:
     async def forever(_: Ros1Node) -> str:
         await asyncio.sleep(1e6)
         return ""

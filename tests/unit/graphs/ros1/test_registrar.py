@@ -196,6 +196,6 @@ def test_state_of_the_master_has_publishers_subscribers_and_services_in_this_ord
 @pytest.mark.parametrize(
     "state", [7, [], [[], []], [[], [], [], []], [[7], [], []], [[["/a"]], [], []], [[["/a", 7]], [], []]]
 )
-def test_state_of_another_form_is_no_answer_of_the_master(state: object) -> None:
+def test_state_of_another_form_counts_as_a_lost_master(state: object) -> None:
     with pytest.raises(Unreachable, match="malformed"):
         _nodes_by_name(state)

@@ -179,7 +179,7 @@ def test_early_call_without_an_answer_has_a_readable_reason(answer: bytes | Exce
     assert (len(connection.requests), connection.closed) == (1, 1)
 
 
-def test_early_call_that_the_master_refuses_is_no_lost_connection() -> None:
+def test_early_call_that_the_master_refuses_keeps_the_connection() -> None:
     made, connection = early_master(encode_answer(-1, "unknown node", 0))
     with pytest.raises(CallRefused, match="unknown node"):
         made.call("lookupNode", "/x")

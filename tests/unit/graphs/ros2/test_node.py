@@ -78,7 +78,7 @@ class FakeExecutor:
 
 
 class FakeNode:
-    """Node of rclpy in the namespace /lab, beside the node `other`."""
+    """Node of rclpy in the namespace /lab. The graph has another node, `other`."""
 
     def __init__(self) -> None:
         self.ends: list[tuple[str, tuple[Any, ...], dict[str, Any]]] = []

@@ -337,7 +337,7 @@ def test_query_is_answered_in_order_on_its_key_or_another_and_ended() -> None:
     with_session(test)
 
 
-def test_closed_session_undeclares_nothing_and_its_errors_are_no_news() -> None:
+def test_closed_session_undeclares_nothing_and_logs_no_errors() -> None:
     async def test(session: ZenohSession, zenoh: FakeZenoh) -> None:
         declared = session.declare_token("alive/a")
         await session.aclose()
