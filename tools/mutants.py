@@ -1,7 +1,7 @@
 """Changes one place of the code at a time and runs its package's unit tests: a change that no test notices survives.
 
 cosmic-ray knows the changes; a seed draws some places of each package, and one change at each. Prints the score and
-what survived. With paths of packages or modules: only these.
+what survived. With paths of packages or modules: only these; --together draws one sample from all of them.
 """
 
 import argparse
@@ -11,7 +11,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -28,6 +28,8 @@ from cosmic_ray.plugins import get_operator, operator_names
 ROOT = Path(__file__).resolve().parent.parent
 COPIED = ("hostlink", "tests", "tools", "docs", "firmware", "pyproject.toml")
 TIMEOUT_S = 300.0  # an endless loop is noticed
+QUICK = "not quiet and not alone and not long"  # the tests of `make quick`
+NO_TESTS_SELECTED = 5  # pytest's exit code, where each test of a file has one of these marks
 MORE_TESTS = {  # in addition to a package's unit tests
     "hostlink/messages": ("tests/property/test_codec.py",),
     "hostlink/protocol": (
@@ -54,10 +56,14 @@ def tests_of(module: str) -> tuple[str, ...]:
 
     The test file of the module's name is run first, because it notices most.
     """
-    package = "/".join(module.split("/")[:2])
+    package = _package(module)
     unit = package.replace("hostlink", "tests/unit", 1)
     named = sorted(str(path.relative_to(ROOT)) for path in (ROOT / unit).rglob(f"test_{Path(module).stem}.py"))
     return (*named, unit, *MORE_TESTS.get(package, ()))
+
+
+def _package(module: str) -> str:
+    return "/".join(module.split("/")[:2])
 
 
 @dataclass(frozen=True)
@@ -72,6 +78,15 @@ class Mutant:
         """The module with the change."""
         made: str = MutationVisitor.mutate_code(self._original(), _operator(self.operator), self.occurrence)
         return made
+
+    @property
+    def is_possible(self) -> bool:
+        """Whether cosmic-ray can make the change. It cannot replace an exception with a dotted name."""
+        try:
+            self.source()
+        except AttributeError:
+            return False
+        return True
 
     def describe(self) -> str:
         """Return the place of the change, and its lines before and after."""
@@ -89,16 +104,20 @@ def _operator(name: str) -> Operator:
 
 
 def drawn(where: str, count: int, seed: int) -> list[Mutant]:
-    """So many places of the package or module, and one change at each; the same for the same seed."""
+    """So many places of the packages or modules, and one change at each; the same for the same seed.
+
+    Args:
+        where: path of a package or module, or several separated by spaces: each gets a share by its number of places.
+    """
     dice = random.Random(f"{seed} {where}")  # noqa: S311 - to be repeated
-    path = ROOT / where
-    modules = [path] if path.is_file() else sorted(path.rglob("*.py"))
+    paths = [ROOT / each for each in where.split()]
+    modules = [module for path in paths for module in ([path] if path.is_file() else sorted(path.rglob("*.py")))]
     places = defaultdict(list)
     for module in (str(each.relative_to(ROOT)) for each in modules):
         for place, mutant in _mutants(module):
             places[module, place].append(mutant)
     chosen = dice.sample(sorted(places), min(count, len(places)))
-    return [dice.choice(places[place]) for place in sorted(chosen)]
+    return [mutant for mutant in (dice.choice(places[place]) for place in sorted(chosen)) if mutant.is_possible]
 
 
 def _mutants(module: str) -> Iterator[tuple[object, Mutant]]:
@@ -106,7 +125,8 @@ def _mutants(module: str) -> Iterator[tuple[object, Mutant]]:
     for name in operator_names():
         if get_operator(name).arguments():
             continue
-        places = [(node, place) for node in nodes for place in _operator(name).mutation_positions(node)]
+        operator = _operator(name)
+        places = [(node, place) for node in nodes for place in operator.mutation_positions(node)]
         for occurrence, (node, place) in enumerate(places):
             if not _is_declaration(node):
                 yield place, Mutant(module, name, occurrence)
@@ -138,14 +158,16 @@ def survives(mutant: Mutant, folder: Path) -> bool:
 
 def passes(module: str, folder: Path) -> bool:
     """Whether the module's tests pass in the copy; tests that do not end in time do not pass."""
-    command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider"]
+    command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", "-m", QUICK]
     environment = {**os.environ, "HYPOTHESIS_PROFILE": "ci", "PYTHONDONTWRITEBYTECODE": "1"}
     for tests in tests_of(module):
         try:
-            subprocess.run(
-                [*command, tests], cwd=folder, env=environment, capture_output=True, timeout=TIMEOUT_S, check=True
+            ended = subprocess.run(
+                [*command, tests], cwd=folder, env=environment, capture_output=True, timeout=TIMEOUT_S, check=False
             )
-        except subprocess.SubprocessError:
+        except subprocess.TimeoutExpired:
+            return False
+        if ended.returncode not in (0, NO_TESTS_SELECTED):
             return False
     return True
 
@@ -155,6 +177,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("places", metavar="PATH", nargs="*", default=list(MORE_TESTS))
     parser.add_argument("--count", type=int, default=8, help="places in each package or module")
+    parser.add_argument("--together", action="store_true", help="draw --count places from all paths together")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
     wanted = parser.parse_args()
@@ -171,14 +194,19 @@ def main() -> None:
                 folders.put(folder)
 
         print(f"seed {wanted.seed}")
-        for where in wanted.places:
+        for where in [" ".join(wanted.places)] if wanted.together else wanted.places:
             mutants = drawn(where, wanted.count, wanted.seed)
-            if not passes(mutants[0].module, Path(root) / "0"):
-                sys.exit(f"{where}: its tests fail without a change; nothing can be learned from the changes")
-            survivors = [mutant for mutant, lives in zip(mutants, pool.map(test, mutants), strict=True) if lives]
-            print(f"{where}: {len(mutants) - len(survivors)} of {len(mutants)} noticed", flush=True)
-            for mutant in survivors:
-                print(mutant.describe(), flush=True)
+            for package, first in {_package(mutant.module): mutant for mutant in mutants}.items():
+                if not passes(first.module, Path(root) / "0"):
+                    sys.exit(f"{package}: its tests fail without a change; nothing can be learned from the changes")
+            survivors = []
+            for mutant, lives in zip(mutants, pool.map(test, mutants), strict=True):
+                if lives:
+                    survivors.append(mutant)
+                    print(mutant.describe(), flush=True)
+            for package, count in Counter(_package(mutant.module) for mutant in mutants).items():
+                left = sum(_package(mutant.module) == package for mutant in survivors)
+                print(f"{package}: {count - left} of {count} noticed", flush=True)
 
 
 def _copy(folder: Path) -> Path:
@@ -186,7 +214,7 @@ def _copy(folder: Path) -> Path:
     for name in COPIED:
         source = ROOT / name
         if source.is_dir():
-            ignored = shutil.ignore_patterns("node_modules", "__pycache__")
+            ignored = shutil.ignore_patterns("node_modules")  # __pycache__ saves compiling hostlink for each change
             shutil.copytree(source, folder / name, ignore=ignored)
         else:
             shutil.copy(source, folder / name)

@@ -32,10 +32,10 @@ class RestMemory:
         self._app = web.Application()
         self.device: ScriptedDevice
 
-    async def begin(self) -> None:
+    async def begin(self, settle_s: float) -> None:
         self.add(Rest(self.hub, Clients(4, max_per_address=4), self.owners).routes())
         self.device = ScriptedDevice(self.hub, self._topics, address="10.0.0.1")
-        await asyncio.sleep(0.5)
+        await asyncio.sleep(settle_s)
 
     def add(self, routes: Sequence[Route]) -> None:
         """Offer more paths."""
@@ -46,6 +46,13 @@ class RestMemory:
         self, method: str, path: str, body: object = b"", *, role: Role = Role.DRIVE, who: str = "phone"
     ) -> tuple[int, Any]:
         """Return the status and the JSON of an answer. `body` is JSON unless it is bytes."""
+        status, data = await self.call_raw(method, path, body, role=role, who=who)
+        return status, json.loads(data)
+
+    async def call_raw(
+        self, method: str, path: str, body: object = b"", *, role: Role = Role.DRIVE, who: str = "phone"
+    ) -> tuple[int, bytes]:
+        """Return the status and the body of an answer."""
         match = await self._app.router.resolve(make_mocked_request(method, path))
         request = make_mocked_request(method, path, match_info=dict(match))
         request[GRANT], request[CAME] = Grant(who, role), asyncio.get_running_loop().time()
@@ -53,7 +60,7 @@ class RestMemory:
         answer = await explain_errors(request, match.handler)
         assert isinstance(answer, web.Response)
         assert isinstance(answer.body, bytes)
-        return answer.status, json.loads(answer.body)
+        return answer.status, answer.body
 
     async def move_to(self, x_m: float, y_m: float, theta_rad: float) -> None:
         """Publish a pose of the robot."""
@@ -62,14 +69,14 @@ class RestMemory:
 
 
 @contextlib.asynccontextmanager
-async def rest_memory(topics: Sequence[TopicInfo] | None = None) -> AsyncIterator[RestMemory]:
-    """A running hub with one robot, for virtual time."""
+async def rest_memory(topics: Sequence[TopicInfo] | None = None, *, settle_s: float = 0.5) -> AsyncIterator[RestMemory]:
+    """A running hub with one robot, for virtual time. `settle_s`: time in which the device announces its topics."""
     made = RestMemory(robot_topics(ROBOT) if topics is None else topics)
     async with asyncio.TaskGroup() as tasks:
         running = tasks.create_task(made.hub.run())
         await made.hub.is_running.wait()
         try:
-            await made.begin()
+            await made.begin(settle_s)
             yield made
         finally:
             for task in asyncio.all_tasks() - {asyncio.current_task()}:

@@ -1,12 +1,16 @@
 """Access to the API: tokens, roles, and pages of other origins."""
 
+import asyncio
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 from aiohttp import web
 from structlog.testing import capture_logs
 
-from hostlink.api.access import Access, Grant, Role, check_role, tls_context
+from hostlink.api.access import SHORTEST_TOKEN, Access, Grant, Grants, Role, check_role, is_loopback, tls_context
+from hostlink.api.listener import KEPT_FOR_REQUESTS
 from hostlink.config import ApiConfig, TokenConfig
 from hostlink.errors import ConfigError
 
@@ -157,3 +161,112 @@ def test_refused_origin_of_a_browser_is_logged_once() -> None:
         ("client.origin_refused", "http://evil.example"),
         ("client.origin_refused", "null"),
     ]
+
+
+def access_of(*tokens: TokenConfig) -> Access:
+    return Access(ApiConfig(tokens=tokens))
+
+
+def test_token_that_is_missing_or_has_another_role_is_revoked() -> None:
+    old, reader = access_of(DRIVER, WATCHER), replace(DRIVER, role="read")
+    assert old.revoked(access_of(WATCHER, DRIVER)) == set()
+    assert old.revoked(access_of(DRIVER)) == {"wall"}
+    assert old.revoked(access_of(reader, WATCHER)) == {"phone"}
+    assert old.revoked(access_of(replace(DRIVER, token="another-token-of-it"), WATCHER)) == {"phone"}
+    assert old.revoked(Access(ApiConfig())) == {"phone", "wall"}
+
+
+def test_requests_without_a_token_are_revoked_with_the_first_token() -> None:
+    none = Access(ApiConfig())
+    assert (none.has_tokens, access_of(DRIVER).has_tokens) == (False, True)
+    assert none.revoked(access_of(DRIVER)) == {""}
+    assert none.revoked(Access(ApiConfig())) == set()
+
+
+@pytest.mark.parametrize(
+    ("host", "is_loopback_"),
+    [
+        ("localhost", True),
+        ("127.0.0.1", True),
+        ("127.8.8.8", True),
+        ("::1", True),
+        ("[::1]", True),
+        ("0.0.0.0", False),
+        ("10.0.0.1", False),
+        ("robot", False),
+        ("", False),
+    ],
+)
+def test_loopback_is_reached_by_this_computer_alone(host: str, is_loopback_: bool) -> None:
+    assert is_loopback(host) is is_loopback_
+
+
+@pytest.mark.parametrize(
+    ("token", "problem"),
+    [
+        (TokenConfig(name="a", role="read"), "needs either token or token_file"),
+        (TokenConfig(name="a", role="read", token="x" * 20, token_file=Path("f")), "needs either token or token_file"),
+        (TokenConfig(name="a", role="read", token_file=Path("/none/of/these")), "token_file: "),
+        (TokenConfig(name="a", role="read", token="x" * (SHORTEST_TOKEN - 1)), f"at least {SHORTEST_TOKEN} characters"),
+    ],
+)
+def test_token_without_a_secret_is_refused(token: TokenConfig, problem: str) -> None:
+    with pytest.raises(ConfigError, match=problem):
+        access_of(token)
+    access_of(TokenConfig(name="a", role="read", token="x" * SHORTEST_TOKEN))
+
+
+@pytest.mark.parametrize(
+    ("changes", "problem"),
+    [
+        ({"max_clients": 0}, "api.max_clients"),
+        ({"max_message_bytes": 0}, "api.max_message_bytes"),
+        ({"max_requests_s": 0.5}, "api.max_requests_s"),
+        ({"max_requests_s": float("nan")}, "api.max_requests_s"),
+        ({"request_timeout_s": 0.0}, "api.request_timeout_s"),
+        ({"request_timeout_s": float("inf")}, "api.request_timeout_s"),
+        ({"max_connections": KEPT_FOR_REQUESTS}, "api.max_connections"),
+        ({"max_connections_per_address": KEPT_FOR_REQUESTS}, "api.max_connections_per_address"),
+        ({"origins": ("*",)}, "api.origins"),
+        ({"tokens": (DRIVER, replace(WATCHER, token=DRIVER.token))}, "two names have the same token"),
+    ],
+)
+def test_setting_out_of_its_bounds_is_refused(changes: dict[str, Any], problem: str) -> None:
+    with pytest.raises(ConfigError, match=problem):
+        Access(replace(ApiConfig(), **changes))
+
+
+def test_least_settings_are_accepted() -> None:
+    least = KEPT_FOR_REQUESTS + 1
+    Access(
+        ApiConfig(
+            max_clients=1,
+            max_message_bytes=1,
+            max_requests_s=1.0,
+            max_connections=least,
+            max_connections_per_address=least,
+        )
+    )
+    Access(ApiConfig(tokens=(DRIVER,), origins=("*",), host="0.0.0.0"))
+
+
+async def test_task_of_a_revoked_grant_is_cancelled_and_the_own_one_is_not() -> None:
+    grants, ended = Grants(), []
+
+    async def answer(who: str) -> None:
+        with grants.using(Grant(who, Role.READ)):
+            try:
+                await asyncio.sleep(1e6)
+            finally:
+                ended.append(who)
+
+    async with asyncio.TaskGroup() as tasks:
+        both = [tasks.create_task(answer(who)) for who in ("phone", "wall")]
+        await asyncio.sleep(0)
+        with grants.using(Grant("phone", Role.DRIVE)):
+            grants.end({"phone"})
+            await asyncio.sleep(0)
+        assert ended == ["phone"]
+        grants.end({"wall", "phone"})
+        await asyncio.wait(both)
+    assert ended == ["phone", "wall"]

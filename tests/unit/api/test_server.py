@@ -11,7 +11,7 @@ import pytest
 
 from hostlink.api.server import url_of
 from hostlink.config import ApiConfig, Config, TokenConfig
-from tests.support.api_memory import ApiMemory, api_memory
+from tests.support.api_memory import Answer, ApiMemory, api_memory
 from tests.support.participants import VELOCITY_ID
 from tests.support.virtual_loop import run_virtual
 
@@ -97,6 +97,98 @@ def test_body_over_the_bound_of_its_route_is_answered_413(check: Callable[..., N
         chunked.send_head("PUT", VELOCITY, {"Host": "localhost", "Transfer-Encoding": "chunked"})
         chunked.send(b"400\r\n" + bytes(0x400) + b"\r\n" + b"400\r\n" + bytes(0x400) + b"\r\n")
         assert (await api.answer(chunked)).status == 413
+
+    check(test)
+
+
+def test_large_bodies_share_a_budget_and_a_velocity_needs_none(check: Callable[..., None]) -> None:
+    async def test(api: ApiMemory) -> None:
+        share = api.hub.budget["bodies"]
+        share.add(share.max_bytes)
+        refused = await api.request("POST", "/api/recordings", b'{"robots": ["none"]}')
+        assert (refused.status, refused.headers["Retry-After"]) == (503, "1")
+        assert (await api.request("PUT", VELOCITY, FAST)).status == 200
+        share.give(share.max_bytes)
+        assert (await api.request("POST", "/api/recordings", b'{"robots": ["none"]}')).status == 404
+        assert share.held_bytes == 0
+
+    check(test)
+
+
+def test_large_body_that_is_cut_off_gives_its_room_back(check: Callable[..., None]) -> None:
+    async def test(api: ApiMemory) -> None:
+        peer = api.connect()
+        peer.send_head("POST", "/api/recordings", {"Host": "localhost", "Transfer-Encoding": "chunked"})
+        await asyncio.sleep(0.05)
+        assert api.hub.budget["bodies"].held_bytes > 0
+        peer.transport.close()
+        await asyncio.sleep(0.05)
+        assert api.hub.budget["bodies"].held_bytes == 0
+
+    check(test)
+
+
+def test_openapi_document_has_every_path_and_needs_no_token(check: Callable[..., None]) -> None:
+    async def test(api: ApiMemory) -> None:
+        document = json.loads((await api.request("GET", "/api/openapi.json")).body)
+        assert document["openapi"] == "3.1.0"
+        paths = document["paths"]
+        assert "description" in document["components"]["schemas"]["ErrorView"]
+        velocity = paths["/api/robots/{name}/velocity"]["put"]
+        assert velocity["operationId"] == "put_api_robots_name_velocity"
+        assert velocity["parameters"] == [
+            {"name": "name", "in": "path", "required": True, "schema": {"type": "string"}}
+        ]
+        assert velocity["requestBody"]["required"]
+        assert {"401", "403", "429"} <= velocity["responses"].keys()
+        assert velocity["responses"]["200"]["content"].keys() == {"application/json"}
+        assert "security" not in velocity
+        assert not paths["/api/recordings"]["post"]["requestBody"]["required"]
+        health = paths["/healthz"]["get"]
+        assert (health["security"], "401" in health["responses"], "parameters" in health) == ([{}], False, False)
+        assert paths["/api/events"]["get"]["responses"]["200"]["content"] == {
+            "text/event-stream": {"schema": {"type": "string"}}
+        }
+
+    check(test)
+
+
+def test_revoked_token_ends_its_web_socket_and_stops_what_it_drives(check: Callable[..., None]) -> None:
+    async def test(api: ApiMemory) -> None:
+        peer = await api.web_socket("/?token=a-token-that-drives")
+        reader = await api.web_socket("/?token=a-token-that-reads")
+        peer.send_text(op="drive", id="1", robot="robot_0", linear=0.2, angular=0.0)
+        await asyncio.sleep(0.05)
+        assert speeds(api)[-1] == (0.2, 0.0)
+        api.server._prepare_access(Config(api=ApiConfig(tokens=TOKENS[1:])))()
+        await asyncio.sleep(0.05)
+        assert speeds(api)[-1] == (0.0, 0.0)
+        assert (peer.transport.is_closed, reader.transport.is_closed) == (True, False)
+        assert (await api.request("GET", "/api/robots?token=a-token-that-drives")).status == 401
+
+    check(test, Config(api=ApiConfig(tokens=TOKENS)))
+
+
+def test_odometry_events_begin_with_the_known_pose_and_continue_with_each_new_one(check: Callable[..., None]) -> None:
+    async def test(api: ApiMemory) -> None:
+        await api.move_to(1.0, 2.0, 0.5)
+        peer = api.connect()
+        peer.send_head("GET", "/api/robots/robot_0/odometry/events", {"Host": "localhost"})
+        await asyncio.sleep(0.05)
+        await api.move_to(1.5, 2.0, 0.5)
+        await asyncio.sleep(1.0)
+        answer = Answer(bytes(peer.transport.written))
+        assert (answer.status, answer.headers["Content-Type"]) == (200, "text/event-stream")
+        assert answer.headers["Hostlink-Role"] == "drive"
+        poses = [json.loads(line[6:]) for line in answer.body.splitlines() if line.startswith(b"data: ")]
+        assert [each["pose"]["x_m"] for each in poses] == [1.0, 1.5]
+        assert [each["count"] for each in poses] == [1, 2]
+        assert answer.body.count(b": alive") == 3
+        (client,) = json.loads((await api.request("GET", "/api/clients")).body)["clients"]
+        assert client["kind"] == "events"
+        peer.transport.close()
+        await asyncio.sleep(1.0)
+        assert json.loads((await api.request("GET", "/api/clients")).body)["clients"] == []
 
     check(test)
 

@@ -147,13 +147,14 @@ def test_time_of_ros_2_has_no_message_around_it(name: str, type_code: str) -> No
     assert message(name).from_cdr(data) == payload
 
 
-def test_a_log_has_the_levels_of_ros_2() -> None:
+@pytest.mark.parametrize(("level", "level_in_ros2"), [(1, 10), (2, 20), (4, 30), (8, 40), (16, 50), (3, 0)])
+def test_a_log_has_the_levels_of_ros_2(level: int, level_in_ros2: int) -> None:
     payload = ros1(
         "rosgraph_msgs/Log",
-        {"header": {"stamp": {"secs": 7}}, "level": 8, "name": "device", "msg": "hot", "topics": ["/a", "/b"]},
+        {"header": {"stamp": {"secs": 7}}, "level": level, "name": "device", "msg": "hot", "topics": ["/a", "/b"]},
     )
     made = in_ros2("rcl_interfaces/msg/Log", message("rosgraph_msgs/Log").to_cdr(payload))
-    assert (made.level, made.stamp.sec, made.name, made.msg) == (40, 7, "device", "hot")
+    assert (made.level, made.stamp.sec, made.name, made.msg) == (level_in_ros2, 7, "device", "hot")
 
 
 def test_a_message_without_fields_has_one_byte_in_ros_2() -> None:

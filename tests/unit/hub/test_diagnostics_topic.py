@@ -6,7 +6,7 @@ from typing import Any
 from hostlink.config import Config
 from hostlink.diagnosis.evidence import HostClock
 from hostlink.diagnosis.finding import words
-from hostlink.hub.diagnostics_topic import ARRAY_STATUSES, INTERVAL_S, STALE_AFTER_S, TOPIC, TYPE, WARNINGS, Level
+from hostlink.hub.diagnostics_topic import ARRAY_STATUSES, INTERVAL_S, STALE_AFTER_S, TOPIC, TYPE, WARNINGS
 from hostlink.hub.hub import Hub
 from hostlink.hub.message import Message
 from hostlink.hub.participant import Participant
@@ -18,7 +18,7 @@ from tests.support.fake_device import robot_topics, topic
 from tests.support.scripted_device import ScriptedDevice
 from tests.support.virtual_loop import run_virtual
 
-OK, WARN, ERROR, STALE = map(int, (Level.OK, Level.WARN, Level.ERROR, Level.STALE))
+OK, WARN, ERROR, STALE = 0, 1, 2, 3  # as in diagnostic_msgs/DiagnosticStatus
 Statuses = dict[str, dict[str, Any]]
 
 

@@ -398,3 +398,21 @@ def test_gates_without_events_keep_their_own() -> None:
         assert gates.came_s(5.0) == 5.0
 
     run_virtual(test())
+
+
+def test_link_ends_with_one_zero_for_each_velocity_topic_also_after_another_announcement() -> None:
+    async def test(made: MemoryHub) -> None:
+        device = await made.connect()
+        zero = device.link.session.frame_to("/robot_0/velocity_commands", ZERO.encode())
+        assert device.link.last_frame == zero
+        device.infos.append(topic(Id.PUBLISHER, 200, "/extra", "std_msgs/Bool"))
+        await device.announce()
+        await asyncio.sleep(1.5)
+        assert device.link.last_frame == zero
+        device.infos.append(topic(Id.SUBSCRIBER, 201, "/robot_0/cmd_vel", "geometry_msgs/Twist"))
+        await device.announce()
+        await asyncio.sleep(1.5)
+        other = device.link.session.frame_to("/robot_0/cmd_vel", ZERO.encode())
+        assert device.link.last_frame in (zero + other, other + zero)
+
+    in_hub(test)

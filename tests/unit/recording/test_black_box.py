@@ -7,16 +7,21 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from structlog.testing import capture_logs
 
 from hostlink.config import BlackBoxConfig, Config
 from hostlink.errors import RecordingBusy, UnknownTopic
 from hostlink.hub.hub import Hub
+from hostlink.recording import black_box as module
 from hostlink.recording.black_box import MAX_DETAIL, MAX_REQUESTED, BlackBox
+from hostlink.recording.drives import LastCommand
 from hostlink.recording.incident import read_incident
 from hostlink.recording.reader import McapReader
+from hostlink.recording.ring import RingMemory
+from hostlink.robot.velocity import PlanarVelocity
 from tests.support.fake_device import CATALOG
-from tests.support.participants import ROBOT, ScriptedDevice, robot_topics
-from tests.support.waiting import expect
+from tests.support.participants import ODOMETRY_ID, POSE, ROBOT, ScriptedDevice, robot_topics
+from tests.support.waiting import TIMEOUT_S, expect
 
 TEXT = f"/{ROBOT}/text"
 
@@ -40,6 +45,13 @@ async def running(folder: Path, config: BlackBoxConfig) -> AsyncIterator[tuple[H
         finally:
             await box.aclose()
             task.cancel()
+
+
+def kept(box: BlackBox, robot: str) -> bool:
+    """Whether messages of the robot other than events are in the memory."""
+    return any(
+        entry.channel.topic in (f"/{robot}/odometry", TEXT) for copy in box.rings.copies(robot) for entry in copy
+    )
 
 
 def saved(folder: Path) -> list[Path]:
@@ -78,3 +90,85 @@ async def test_requests_are_bounded_and_only_for_robots_here(tmp_path: Path) -> 
         with pytest.raises(RecordingBusy, match=f"{MAX_REQUESTED} incidents are being saved on request"):
             box.save(ROBOT, "why")
         assert len(box.pending) == MAX_REQUESTED
+
+
+async def test_lock_is_saved_after_the_time_after_it(tmp_path: Path) -> None:
+    async with running(tmp_path, BlackBoxConfig(after_s=0.05)) as (hub, box):
+        hub.robots.find_here(ROBOT).lock("a hand in the wheel")
+        assert [(each.cause, each.detail) for each in box.pending] == [("locked", "a hand in the wheel")]
+        assert saved(tmp_path) == []
+        await expect(lambda: box.saved == 1)
+        assert list(box.pending) == []
+        (path,) = saved(tmp_path)
+        found = read_incident(path)
+        assert found is not None
+        assert (found.cause, found.detail) == ("locked", "a hand in the wheel")
+        topics = {each.channel.topic for each in McapReader(path).messages()}
+        assert {TEXT, "/hostlink/events"} <= topics
+
+
+async def test_incident_that_cannot_be_written_is_counted_and_logged(tmp_path: Path) -> None:
+    (tmp_path / "incidents").write_text("in the place of the folder")
+    with capture_logs() as logs:
+        async with running(tmp_path, BlackBoxConfig(after_s=0.05)) as (_, box):
+            box.save(ROBOT, "why")
+            await expect(lambda: box.missed == 1)
+            assert (box.saved, list(box.pending)) == (0, [])
+    (line,) = [each for each in logs if each["event"] == "incident.lost"]
+    assert (line["robot"], line["cause"]) == (ROBOT, "requested")
+
+
+async def test_incidents_over_the_bound_are_missed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "MAX_PENDING", 1)
+    async with running(tmp_path, BlackBoxConfig()) as (hub, box):
+        box.save(ROBOT, "why")
+        hub.robots.find_here(ROBOT).lock("why")
+        assert (len(box.pending), box.missed) == (1, 1)
+
+
+async def test_removed_robot_is_kept_while_its_incident_is_pending(tmp_path: Path) -> None:
+    async with running(tmp_path, BlackBoxConfig(after_s=0.3)) as (hub, box):
+        device = ScriptedDevice(hub, robot_topics("robot_7"), address="10.0.0.7")
+        await expect(lambda: hub.robots.get_here("robot_7"))
+        await expect(lambda: hub.topics.find("/robot_7/odometry").subscribers)
+        async with asyncio.timeout(TIMEOUT_S):
+            while not kept(box, "robot_7"):  # until the recorder has subscribed
+                await device.send(ODOMETRY_ID, POSE.pack(1.0, 2.0, 0.5))
+                await asyncio.sleep(0.01)
+        await device.aclose()
+        box.save("robot_7", "why")
+        await expect(lambda: hub.robots.find_here("robot_7").link is None)
+        hub.robots.forget("robot_7")
+        assert not hub.robots.has("robot_7")
+        assert kept(box, "robot_7")
+        await expect(lambda: box.saved == 1)
+        await expect(lambda: not kept(box, "robot_7"))
+        assert kept(box, ROBOT)
+
+
+async def test_incident_of_a_killed_daemon_is_saved_by_the_next_with_its_last_commands(tmp_path: Path) -> None:
+    async with running(tmp_path, BlackBoxConfig()) as (hub, box):
+        driver = hub.join("ann")
+        driver.drive(hub.robots.find_here(ROBOT), PlanarVelocity(0.1))
+        box.save(ROBOT, "why")
+        await expect(lambda: box._memory.folder)
+        facts = box._memory
+        box.pending.clear()  # the process is killed: it writes nothing
+        unsaved, box._unsaved = box._unsaved, {}
+        facts.release()
+        box._memory = RingMemory(1_000_000, purpose=None)
+    assert unsaved
+    commands: list[LastCommand] = []
+    hub = Hub(Config(black_box=BlackBoxConfig()), CATALOG, reraises=True)
+    async with asyncio.TaskGroup() as tasks:
+        task = tasks.create_task(hub.run())
+        await hub.is_running.wait()
+        box = BlackBox(hub, tmp_path)
+        box.start(commands.extend)
+        await expect(lambda: box.saved == 2)  # the request, and the end of a daemon while a robot was driven
+        await box.aclose()
+        task.cancel()
+    found = [read_incident(path) for path in saved(tmp_path)]
+    assert [(each.robot, each.detail) for each in found if each and each.cause == "requested"] == [(ROBOT, "why")]
+    assert box.missed == 0
+    assert [(each.robot, each.owner) for each in commands] == [(ROBOT, "ann")]

@@ -2,6 +2,7 @@
 
 import contextlib
 import random
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -268,3 +269,24 @@ def test_damaged_file_of_another_program_is_unchanged(tmp_path: Path, profile: s
         repair(path)
     assert path.read_bytes() == before
     assert [each.name for each in tmp_path.iterdir()] == ["theirs.mcap"]
+
+
+@pytest.mark.parametrize(
+    ("change", "damage"),
+    [
+        (lambda data: data[:-3], "the file was not finished"),
+        (lambda data: data[:-8], "the file was not finished"),
+        (lambda data: data[:-8] + b"\x89MCAP0\r\r", "it does not end as an MCAP file does"),
+        (lambda data: data, None),
+    ],
+)
+def test_end_of_a_file_that_is_cut_is_another_damage_than_a_wrong_one(
+    tmp_path: Path, change: Callable[[bytes], bytes], damage: str | None
+) -> None:
+    messages = drawn(100)
+    write(tmp_path / "a.mcap", messages)
+    (tmp_path / "b.mcap").write_bytes(change((tmp_path / "a.mcap").read_bytes()))
+    reader = McapReader(tmp_path / "b.mcap")
+    assert list(reader.messages()) == messages
+    assert len(reader.damage) == (damage is not None)
+    assert damage is None or damage in reader.damage[0]

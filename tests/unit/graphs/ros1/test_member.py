@@ -10,10 +10,11 @@ import pytest
 
 from hostlink.graphs.ros1 import graph_sync
 from hostlink.graphs.ros1.local_node import RegistrationKind
-from hostlink.graphs.ros1.member import Member, SlaveApi
+from hostlink.graphs.ros1.member import HEADER_TIMEOUT_S, KEEPALIVE_S, MAX_AGE_S, Member, SlaveApi
 from hostlink.graphs.ros1.names import NameResolver
 from hostlink.graphs.ros1.tcpros import encode_header
 from hostlink.graphs.ros1.xml_rpc import CallRefused, decode_answer, encode_call
+from tests.support.api_memory import ApiTransport
 from tests.support.participants import ROBOT, TEXT, TEXT_TYPE, Scene, play
 from tests.support.ros1.wireless import FakeRpc, FakeWire, local_node
 
@@ -254,6 +255,44 @@ def test_connection_to_an_unknown_topic_is_refused_and_to_a_known_one_accepted()
         made.sync.accept(malformed.wire, [b"\x05"])
         assert len(malformed.refusals) == 1
         assert made.node.counts.refused_headers == 2
+
+    with_graph(test)
+
+
+def test_connection_without_a_header_is_closed_after_a_time() -> None:
+    async def test(made: Graph) -> None:
+        silent, known = made.member.make_wire(), made.member.make_wire()
+        md5 = made.sync.publications[TEXT].type.md5
+        for wire in (silent, known):
+            transport = ApiTransport("10.0.0.9")
+            transport.protocol = wire
+            wire.connection_made(transport)
+        header = {"callerid": "/listener", "md5sum": md5, "type": TEXT_TYPE, "topic": TEXT}
+        known.data_received(encode_header(header))
+        await asyncio.sleep(HEADER_TIMEOUT_S - 0.1)
+        assert (silent.is_closed, known.is_closed) == (False, False)
+        await asyncio.sleep(0.2)
+        assert (silent.is_closed, known.is_closed) == (True, False)
+        assert made.node.counts.refused_headers == 1
+        known.close()
+
+    with_graph(test)
+
+
+def test_connection_to_the_slave_api_is_closed_after_its_largest_age() -> None:
+    async def test(made: Graph) -> None:
+        async with made.api.serving() as make_protocol:
+            protocol: Any = make_protocol()
+            transport = ApiTransport("10.0.0.9")
+            transport.protocol = protocol
+            protocol.connection_made(transport)
+            await asyncio.sleep(KEEPALIVE_S / 2)
+            protocol.data_received(b"POST / HTTP/1.1\r\nHost: here\r\nContent-Length: 9\r\n\r\nno xml...")
+            await asyncio.sleep(0.1)
+            assert b"faultString" in transport.written
+            assert made.node.counts.refused_calls == 1
+            await asyncio.sleep(MAX_AGE_S + 1.0)
+            assert transport.is_closed
 
     with_graph(test)
 

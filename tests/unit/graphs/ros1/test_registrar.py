@@ -4,13 +4,14 @@ import asyncio
 from dataclasses import dataclass, field
 from typing import Any, cast
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from structlog.testing import capture_logs
 
 from hostlink.graphs.ros1.graph_sync import GraphSync
 from hostlink.graphs.ros1.local_node import LocalNode, RegistrationKind, Ros1Counts
-from hostlink.graphs.ros1.master import CHECK_INTERVAL_S, STATE_INTERVAL_S, MasterParameters, Registrar
+from hostlink.graphs.ros1.master import CHECK_INTERVAL_S, STATE_INTERVAL_S, MasterParameters, Registrar, _nodes_by_name
 from hostlink.graphs.ros1.xml_rpc import CallRefused, Unreachable
 from hostlink.mirror.log_once import LogOnce
 from tests.support.virtual_loop import run_virtual
@@ -181,3 +182,20 @@ def test_name_that_the_master_refuses_is_logged_once_and_tried_again_and_affects
         running.cancel()
 
     run_virtual(test())
+
+
+def test_state_of_the_master_has_publishers_subscribers_and_services_in_this_order() -> None:
+    state = [[["/a", ["/n"]]], [], [["/s", ["/n", "/m"]]]]
+    assert _nodes_by_name(state) == {
+        RegistrationKind.PUBLISHER: {"/a": ["/n"]},
+        RegistrationKind.SUBSCRIBER: {},
+        RegistrationKind.SERVICE: {"/s": ["/n", "/m"]},
+    }
+
+
+@pytest.mark.parametrize(
+    "state", [7, [], [[], []], [[], [], [], []], [[7], [], []], [[["/a"]], [], []], [[["/a", 7]], [], []]]
+)
+def test_state_of_another_form_counts_as_a_lost_master(state: object) -> None:
+    with pytest.raises(Unreachable, match="malformed"):
+        _nodes_by_name(state)

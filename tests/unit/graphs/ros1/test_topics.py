@@ -128,10 +128,10 @@ class Driver:
         self.topic = velocity_topic(scene)
         self.connection = topics._PublisherConnection(self.node, self.topic, topics.RefusalLog(), is_new=is_new)
 
-    def begin(self, **fields: str) -> None:
+    def begin(self, *payloads: bytes, **fields: str) -> None:
         assert TWIST is not None
         header = {"callerid": "/joystick", "type": TWIST_TYPE, "md5sum": TWIST.md5} | fields
-        self.connection._begin([encode_header(header)[4:]])
+        self.connection._begin([encode_header(header)[4:], *payloads])
 
     def drive(self, *speeds_m_s: float) -> None:
         self.connection.wire.receive([PlanarVelocity(speed).encode() for speed in speeds_m_s])
@@ -151,6 +151,45 @@ def test_new_publisher_drives_and_only_its_newest_velocity_counts() -> None:
         await asyncio.sleep(0.05)
         assert scene.speeds()[-1] == 0.0
         assert not driver.connection.is_accepted
+
+    play(test)
+
+
+def test_messages_read_together_with_the_header_are_published() -> None:
+    async def test(scene: Scene) -> None:
+        driver = Driver(scene, is_new=True)
+        driver.begin(PlanarVelocity(0.1).encode(), PlanarVelocity(0.2).encode())
+        await asyncio.sleep(0.05)
+        assert [speed for speed in scene.speeds() if speed] == [0.2]
+        assert driver.node.counts.messages_from_ros == 2
+        driver.connection.wire.close()
+
+    play(test)
+
+
+def test_publisher_that_disconnects_before_its_header_is_not_waited_for() -> None:
+    async def test(scene: Scene) -> None:
+        driver = Driver(scene, is_new=True)
+        driver.connection.wire.close()
+        with pytest.raises(ConnectionResetError, match="closed before its header"):
+            await driver.connection.accepted
+        await driver.connection.ended
+        driver.begin()  # read too late
+        assert not driver.connection.is_accepted
+
+    play(test)
+
+
+def test_message_over_the_largest_size_is_counted() -> None:
+    async def test(scene: Scene) -> None:
+        driver = Driver(scene, is_new=True)
+        driver.begin()
+        assert driver.connection.wire.stream.max_bytes == driver.node.config.max_message_bytes
+        driver.connection.wire.stream.too_large = 2
+        driver.drive(0.1)
+        driver.drive(0.1)
+        assert driver.node.counts.too_large_messages == 2
+        driver.connection.wire.close()
 
     play(test)
 

@@ -12,7 +12,7 @@ import pytest
 
 from hostlink.api.rosapi import describe
 from hostlink.errors import HostlinkError
-from hostlink.graphs.ros2.bridge import FIRST_RETRY_S, Bridge
+from hostlink.graphs.ros2.bridge import FIRST_RETRY_S, Bridge, write_line
 from hostlink.graphs.ros2.plan import COMMAND, Qos, Ros2Graph, Ros2Publisher, publisher_qos
 from tests.support.fake_device import CATALOG
 from tests.support.virtual_loop import run_virtual
@@ -415,3 +415,23 @@ def test_log_line_of_a_device_has_its_level_in_ros_2(level: int, expected: str) 
         assert world.node.lines == [(expected, "robot_0: low battery")]
 
     bridged(test)
+
+
+class FakeLogger:
+    """Logger of rclpy, which keeps the lines with their levels."""
+
+    def __init__(self) -> None:
+        self.lines: list[tuple[str, str]] = []
+
+    def __getattr__(self, level: str) -> Callable[[str], None]:
+        return lambda text: self.lines.append((level, text))
+
+
+@pytest.mark.parametrize(
+    ("level", "name"),
+    [(1, "debug"), (2, "info"), (4, "warning"), (8, "error"), (16, "fatal"), (32, "fatal"), (0, "debug")],
+)
+def test_line_of_a_device_has_its_level_in_ros_2(level: int, name: str) -> None:
+    logger = FakeLogger()
+    write_line(logger, {"level": level, "name": "robot_0", "msg": "hot"})
+    assert logger.lines == [(name, "robot_0: hot")]

@@ -4,7 +4,7 @@ import asyncio
 import contextlib
 from collections import Counter
 from collections.abc import Awaitable, Callable
-from typing import cast
+from typing import Any, cast
 
 import pytest
 from structlog.testing import capture_logs
@@ -12,7 +12,7 @@ from structlog.testing import capture_logs
 from hostlink.config import Config, ZenohConfig
 from hostlink.errors import BadRequest, CommandRefused, DeviceGone, HostlinkError, RefusalKind
 from hostlink.graphs.zenoh import fleet_commands
-from hostlink.graphs.zenoh.fleet import fleet_running, sender_name
+from hostlink.graphs.zenoh.fleet import FIND_INTERVAL_S, fleet_running, sender_name
 from hostlink.graphs.zenoh.fleet_commands import FleetDrivers
 from hostlink.graphs.zenoh.fleet_messages import (
     ANSWER,
@@ -419,3 +419,95 @@ def test_robot_with_several_places_is_driven_by_no_other_daemon() -> None:
         assert requests.drive(speed_m_s=0.0).error == ""
 
     play(test)
+
+
+def test_messages_of_another_daemons_programs_are_of_no_driver_there() -> None:
+    async def test(scene: Scene) -> None:
+        requests = Requests(scene)
+        requests.hear()
+        requests.drive(owner=1)
+        neighbour = requests.drivers._roster.announced(requests.desk)
+        assert neighbour is not None
+        scene.neighbour.subscribe("/door", lambda _: None, type_name="std_msgs/Bool")
+        for _ in range(2):
+            with contextlib.suppress(HostlinkError):
+                requests.drivers.publish(neighbour, "/door", b"\1")
+        drivers = list(requests.drivers._drivers["2b"].values())
+        assert len(drivers) == 2
+        assert sorted(driver.participant.name for driver in drivers) == ["pad at desk", "programs at desk"]
+
+    play(test)
+
+
+def test_motions_are_sent_between_states_only_while_they_are_read() -> None:
+    async def test(world: World) -> None:
+        sent: Counter[str] = Counter()
+        listener = MemorySession(world.network, "3c")
+        live, state = (
+            next(each.key for each in world.network.publishers if f"/{kind}/" in f"{each.key}/" and "1a" in each.key)
+            for kind in ("live", "state")
+        )
+
+        async def moved(seconds: float) -> Counter[str]:
+            sent.clear()
+            for number in range(int(seconds / 0.1)):
+                await world.scene.robot.send(ODOMETRY_ID, POSE.pack(0.01 * number, 0.0, 0.0))
+                await asyncio.sleep(0.1)
+            return sent
+
+        for key in (state, live):
+            listener.subscribe(key, lambda sample: sent.update((sample.key,)))
+            counts = await moved(5.0)
+            assert 4 <= counts[state] <= 6
+            assert (counts[live] > 2 * counts[state]) is (key == live)
+
+    with_fleet(test)
+
+
+def test_end_of_the_fleet_here_stops_what_drivers_at_other_daemons_drive() -> None:
+    async def test(scene: Scene) -> None:
+        requests = Requests(scene)
+        requests.hear()
+        await asyncio.sleep(0.5)
+        assert requests.drive().error == ""
+        await asyncio.sleep(0.05)
+        assert scene.speeds()[-1] == 0.2
+        requests.drivers.leave_all()
+        await asyncio.sleep(0.05)
+        assert (scene.speeds()[-1], requests.drivers._drivers) == (0.0, {})
+
+    play(test)
+
+
+@pytest.mark.parametrize(("early_m_s", "is_refused"), [(0.2, True), (0.0, False)])
+def test_driver_that_commanded_before_the_robot_existed_does_not_move_it(early_m_s: float, *, is_refused: bool) -> None:
+    async def test(scene: Scene) -> None:
+        requests = Requests(scene)
+        requests.hear()
+        assert requests.drive(robot="robot_9", speed_m_s=early_m_s).error == "UnknownTopic"
+        device = ScriptedDevice(scene.hub, robot_topics("robot_9"), address="10.0.0.9")
+        await asyncio.sleep(0.2)
+        requests.hear()
+        assert (requests.drive(robot="robot_9").error != "") is is_refused
+        await device.aclose()
+
+    play(test)
+
+
+def test_daemons_are_found_again_after_a_token_may_have_been_dropped() -> None:
+    async def test(world: World) -> None:
+        subscribed: list[str] = []
+        session: Any = next(each[0] for each in world.network.subscribers if each[0].zid == "1a")
+        subscribe = session.subscribe_tokens
+        session.subscribe_tokens = lambda keys, receive: subscribed.append(keys) or subscribe(keys, receive)
+        await asyncio.sleep(2 * FIND_INTERVAL_S)
+        assert subscribed == []
+        session.counts["dropped"] += 1
+        await asyncio.sleep(1.0)
+        assert len(subscribed) == 1
+        for _ in range(20):
+            session.counts["dropped"] += 1
+            await asyncio.sleep(FIND_INTERVAL_S / 10)
+        assert 2 <= len(subscribed) <= 3
+
+    with_fleet(test)

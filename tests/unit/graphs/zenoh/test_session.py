@@ -1,21 +1,29 @@
 """ZenohSession without a network: which samples arrive, and what Zenoh's errors do."""
 
 import asyncio
+import sys
+import threading
 from collections.abc import Awaitable, Callable
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from structlog.testing import capture_logs
 
-from hostlink.errors import ConfigError
+from hostlink.config import ZenohConfig
+from hostlink.errors import ConfigError, LibraryMissing
+from hostlink.graphs.zenoh import session as module
 from hostlink.graphs.zenoh.session import (
     MAX_ANSWERS,
     MAX_KEY_CHARS,
     MAX_PAYLOAD_BYTES,
+    Query,
     Token,
     ZenohSample,
     ZenohSession,
+    opened,
 )
+from hostlink.graphs.zenoh.settings import library
 from hostlink.hub.isolation import Isolation
 from tests.support.virtual_loop import run_virtual
 
@@ -66,6 +74,8 @@ class FakeZenoh:
         self.options: dict[str, dict[str, Any]] = {}
         self.puts: list[tuple[str, bytes, dict[str, Any]]] = []
         self.replies: list[Any] = []
+        self.publishers: dict[str, FakePublisher] = {}
+        self.settings: Any = None
         self.has_failed = False
         self.is_closed = False
 
@@ -78,6 +88,15 @@ class FakeZenoh:
         return SimpleNamespace(undeclare=lambda: self._undeclare(key))
 
     declare_subscriber = declare_queryable = declare_token = _declare
+
+    def declare_publisher(self, key: str, **options: Any) -> "FakePublisher":
+        self._declare(key, **options)
+        return FakePublisher(self, key)
+
+    def open(self, settings: Any) -> "FakeZenoh":
+        self._check()
+        self.settings = settings
+        return self
 
     def liveliness(self) -> "FakeZenoh":
         return self
@@ -102,6 +121,46 @@ class FakeZenoh:
     def _undeclare(self, key: str) -> None:
         self._check()
         del self.options[key]
+
+
+class FakePublisher:
+    """A key on which a session of FakeZenoh publishes."""
+
+    def __init__(self, zenoh: FakeZenoh, key: str) -> None:
+        self._zenoh, self._key = zenoh, key
+        self.is_matching = False
+        zenoh.publishers[key] = self
+
+    @property
+    def matching_status(self) -> Any:
+        self._zenoh._check()
+        return SimpleNamespace(matching=self.is_matching)
+
+    def put(self, payload: bytes, **options: Any) -> None:
+        self._zenoh.put(self._key, payload, **options)
+
+    def declare_matching_listener(self, callback: Any) -> Any:
+        self.notice = callback[0]
+        return self._zenoh._declare(f"{self._key} matching")
+
+    def undeclare(self) -> None:
+        self._zenoh._undeclare(self._key)
+
+
+class FakeQuery:
+    """A query of another session, which keeps its answers."""
+
+    def __init__(self, key: str, payload: bytes | None = None, attachment: bytes | None = None) -> None:
+        self.key_expr = key
+        self.payload, self.attachment = (None if each is None else Payload(each) for each in (payload, attachment))
+        self.answers: list[tuple[str, bytes, bytes | None]] = []
+        self.dropped = threading.Event()
+
+    def reply(self, key: str, payload: bytes, *, attachment: bytes | None) -> None:
+        self.answers.append((key, payload, attachment))
+
+    def drop(self) -> None:
+        self.dropped.set()
 
 
 def with_session(test: Callable[[ZenohSession, FakeZenoh], Awaitable[None]]) -> None:
@@ -215,3 +274,105 @@ def test_certificate_is_that_of_the_neighbour_of_the_id(zid: str, name: str) -> 
         assert (session.zid, session.certificate_of(zid)) == ("1a", name)
 
     with_session(test)
+
+
+def test_publisher_sends_on_its_key_and_knows_its_subscribers() -> None:
+    async def test(session: ZenohSession, zenoh: FakeZenoh) -> None:
+        made = session.declare_publisher("a", is_urgent=True)
+        assert (zenoh.options["a"]["express"], zenoh.options["a"]["priority"]) == (True, "real time")
+        changes: list[bool] = []
+        made.watch(changes.append)
+        raw = zenoh.publishers["a"]
+        for is_matching in (True, False):
+            raw.is_matching = is_matching
+            raw.notice(SimpleNamespace(matching=is_matching))
+            await asyncio.sleep(0.01)
+            assert (made.is_subscribed, changes[-1]) == (is_matching, is_matching)
+        made.put(b"1", attachment=b"x")
+        assert zenoh.puts == [("a", b"1", {"attachment": b"x"})]
+        made.close()
+        assert zenoh.options == {}
+
+    with_session(test)
+
+
+def test_publisher_of_a_failed_session_sends_nothing_and_has_no_subscribers() -> None:
+    async def test(session: ZenohSession, zenoh: FakeZenoh) -> None:
+        made = session.declare_publisher("a")
+        zenoh.publishers["a"].is_matching = zenoh.has_failed = True
+        made.put(b"1")
+        assert (made.is_subscribed, zenoh.puts) == (False, [])
+        made.close()
+        assert session.counts == {"failed": 3}
+        with pytest.raises(ConfigError, match="b cannot be declared"):
+            session.declare_publisher("b")
+
+    with_session(test)
+
+
+def test_query_is_answered_in_order_on_its_key_or_another_and_ended() -> None:
+    async def test(session: ZenohSession, zenoh: FakeZenoh) -> None:
+        queries: list[Query] = []
+        declared = session.serve("a/**", queries.append)
+        assert zenoh.options["a/**"] == {"complete": True}
+        asked = FakeQuery("a/b", b"1", b"x")
+        for query in (asked, FakeQuery("a/b", bytes(MAX_PAYLOAD_BYTES + 1)), FakeQuery("a/c")):
+            zenoh.received["a/**"](query)
+        await asyncio.sleep(0.01)
+        assert [(each.key, each.payload, each.attachment) for each in queries] == [
+            ("a/b", b"1", b"x"),
+            ("a/c", b"", b""),
+        ]
+        assert session.counts == {"oversized": 1}
+        queries[0].reply(b"2")
+        queries[0].reply(b"3", key="a/d", attachment=b"y")
+        queries[0].close()
+        assert asked.dropped.wait(10.0)
+        assert asked.answers == [("a/b", b"2", None), ("a/d", b"3", b"y")]
+        declared.close()
+        assert zenoh.options == {}
+        await session.aclose()
+        queries[1].reply(b"late")  # its thread has ended
+
+    with_session(test)
+
+
+def test_closed_session_undeclares_nothing_and_logs_no_errors() -> None:
+    async def test(session: ZenohSession, zenoh: FakeZenoh) -> None:
+        declared = session.declare_token("alive/a")
+        await session.aclose()
+        assert zenoh.is_closed
+        declared.close()
+        assert "alive/a" in zenoh.options
+        zenoh.has_failed = True
+        with capture_logs() as logs:
+            session.put("a", b"1")
+        assert logs == []
+
+    with_session(test)
+
+
+def test_opened_session_is_closed_at_the_end_of_its_block(monkeypatch: pytest.MonkeyPatch) -> None:
+    zenoh = FakeZenoh()
+    monkeypatch.setattr(module, "library", lambda: zenoh)
+    monkeypatch.setattr(module, "settings_of", lambda _: "settings")
+    monkeypatch.setattr(module, "reach_of", lambda *_: SimpleNamespace(lines=("loopback",)))
+
+    async def run(config: ZenohConfig) -> None:
+        async with opened(config, Isolation(reraises=True)) as session:
+            assert (session.zid, zenoh.settings, zenoh.is_closed) == ("1a", "settings", False)
+        assert zenoh.is_closed
+
+    with capture_logs() as logs:
+        run_virtual(run(ZenohConfig(name="lab")))
+    assert [each["event"] for each in logs] == ["zenoh.opened", "zenoh.closed"]
+    assert logs[0]["zid"] == "1a"
+    zenoh.has_failed = True
+    with pytest.raises(ConfigError, match="the session cannot be opened: session closed"):
+        run_virtual(run(ZenohConfig(name="lab")))
+
+
+def test_missing_library_is_named_with_its_extra(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "zenoh", None)
+    with pytest.raises(LibraryMissing, match="eclipse-zenoh"):
+        library()

@@ -1,0 +1,169 @@
+"""Robot of another daemon: its velocity topics here, its connections and epochs there, and what is not known of it."""
+
+import msgspec
+import pytest
+
+from hostlink.errors import DeviceGone
+from hostlink.hub.topic import DeviceSubscription
+from hostlink.robot.kinematics import Pose
+from hostlink.robot.odometry import OdometrySnapshot
+from hostlink.robot.velocity import TWIST_TYPE, ZERO, PlanarVelocity
+from tests.support.memory_hub import MemoryHub, in_hub
+from tests.support.participants import publish
+from tests.support.remote_robots import remote_robot
+
+TOPIC = "/robot_7/cmd_vel"
+SLOW = PlanarVelocity(0.1)
+SNAPSHOT = OdometrySnapshot(
+    pose=Pose(1.0), twist=ZERO, age_s=0.2, rate_hz=10.0, count=3, restarts=0, ignored=0, stamp_ns=5
+)
+
+
+class Hosts:
+    """Records the velocities that the other daemon is sent."""
+
+    def __init__(self) -> None:
+        self.sent: list[tuple[PlanarVelocity, int | None]] = []
+
+    def drive(
+        self,
+        robot: object,  # noqa: ARG002 - of RobotHosts
+        velocity: PlanarVelocity,
+        *,
+        owner: object,  # noqa: ARG002
+        priority: int,  # noqa: ARG002
+        epoch: int | None,
+    ) -> None:
+        self.sent.append((velocity, epoch))
+
+    def release(self, owner: object) -> None:
+        """Forget nothing."""
+
+
+def speeds(hosts: Hosts) -> list[float]:
+    return [velocity.x_m_s for velocity, _ in hosts.sent]
+
+
+def move(made: MemoryHub, speed_m_s: float = 0.1) -> None:
+    publish(made.hub, TOPIC, {"linear": {"x": speed_m_s}}, source="by topic")
+
+
+def test_velocity_published_here_is_sent_to_the_robots_daemon_while_it_offers_the_topic() -> None:
+    async def test(made: MemoryHub) -> None:
+        hosts = Hosts()
+        robot = remote_robot(made.hub, "robot_7", hosts)
+        made.hub.robots.put_remote(robot)
+        robot.connect(12, 100, made.hub.robots.new_number)
+        robot.offer([(TOPIC, TWIST_TYPE)])
+        move(made)
+        assert speeds(hosts) == [0.1]
+        topic = made.hub.topics.find(TOPIC)
+        assert (topic.type_name, topic.is_gated) == (TWIST_TYPE, True)
+        robot.offer([(TOPIC, TWIST_TYPE)])
+        assert len(topic.devices) == 1
+        robot.offer([("/robot_7/other", TWIST_TYPE)])
+        assert made.hub.topics.find_or_none(TOPIC) is None or not made.hub.topics.find(TOPIC).devices
+        robot.leave()
+        assert made.hub.topics.find_or_none("/robot_7/other") is None
+
+    in_hub(test)
+
+
+def test_topic_of_a_device_here_and_of_a_robot_there_drives_neither_robot_there() -> None:
+    async def test(made: MemoryHub) -> None:
+        hosts = Hosts()
+        robot = remote_robot(made.hub, "robot_7", hosts)
+        made.hub.robots.put_remote(robot)
+        robot.connect(12, 100, made.hub.robots.new_number)
+        robot.offer([(TOPIC, TWIST_TYPE)])
+        made.hub.topics.subscribe_device(
+            TOPIC, "device here", DeviceSubscription(lambda _: None, is_gate=True), type_name=TWIST_TYPE
+        )
+        with pytest.raises(DeviceGone, match="is a topic here and at other"):
+            move(made)
+        assert hosts.sent == []
+        made.hub.topics.unsubscribe_device(TOPIC, "device here")
+        move(made)
+        assert speeds(hosts) == [0.1]
+
+    in_hub(test)
+
+
+def test_topic_of_another_type_is_refused_and_logged_and_the_others_are_offered() -> None:
+    async def test(made: MemoryHub) -> None:
+        robot = remote_robot(made.hub, "robot_7", Hosts())
+        made.hub.join("program").advertise("/robot_7/taken", "std_msgs/Bool")
+        robot.offer([("/robot_7/taken", TWIST_TYPE), (TOPIC, TWIST_TYPE)])
+        assert [each["topic"] for each in made.logged("topic.refused")] == ["/robot_7/taken"]
+        assert made.hub.topics.find(TOPIC).devices
+        robot.leave()
+
+    in_hub(test)
+
+
+def test_reconnection_with_the_same_epoch_resumes_and_with_another_one_interrupts() -> None:
+    async def test(made: MemoryHub) -> None:
+        robot, numbers = remote_robot(made.hub, "robot_7", Hosts()), made.hub.robots.new_number
+        robot.connect(12, 100, numbers)
+        assert robot.link is not None
+        first = robot.link.number
+        assert (robot.link.own_number, robot.resumed_link) == (12, first)
+        epoch = robot.admission.epoch
+        robot.connect(12, 100, numbers)
+        assert robot.link.number == first
+        robot.connect(None, None, numbers)
+        assert robot.link is None
+        robot.connect(13, 100, numbers)
+        assert robot.admission.epoch == epoch
+        robot.connect(14, 99, numbers)  # the other daemon may have restarted
+        assert robot.admission.epoch > epoch
+        assert robot.link.number > first
+
+    in_hub(test)
+
+
+def test_state_older_than_an_answer_interrupts_nothing() -> None:
+    async def test(made: MemoryHub) -> None:
+        robot = remote_robot(made.hub, "robot_7", Hosts())
+        robot.connect(12, 100, made.hub.robots.new_number)
+        robot.note_epoch(105, lock_reason=None)
+        epoch = robot.admission.epoch
+        for older in (103, 105, None):
+            robot.note_epoch(older, lock_reason=None)
+            assert robot.admission.epoch == epoch
+        robot.note_epoch(106, lock_reason=None)
+        assert robot.admission.epoch == epoch + 1
+        robot.note_epoch(106, lock_reason="smoke")
+        assert robot.admission.lock_reason == "smoke"
+        epoch = robot.admission.epoch
+        robot.note_epoch(106, lock_reason="smoke")
+        assert robot.admission.epoch == epoch
+
+    in_hub(test)
+
+
+def test_new_poses_call_the_followers_and_known_ones_do_not() -> None:
+    async def test(made: MemoryHub) -> None:
+        robot, calls = remote_robot(made.hub, "robot_7", Hosts()), list[object]()
+        robot.followers["page"] = calls.append
+        state = msgspec.structs.replace(robot.known, odometry=SNAPSHOT, lease_s=0.3)
+        robot.update(robot.known, epoch=1)
+        assert calls == []
+        for _ in range(2):
+            robot.update(state, epoch=1)
+        assert (calls, robot.admission.lease_s) == ([None], 0.3)
+
+    in_hub(test)
+
+
+def test_reason_for_unknown_motion_names_what_is_missing() -> None:
+    async def test(made: MemoryHub) -> None:
+        robot = remote_robot(made.hub, "robot_7", Hosts())
+        assert robot.why_unknown() == "its device is not connected"
+        robot.connect(12, 100, made.hub.robots.new_number)
+        assert robot.why_unknown() == "it sends no odometry"
+        robot.update(msgspec.structs.replace(robot.known, odometry=SNAPSHOT), epoch=100)
+        assert robot.why_unknown() == "no odometry of it has come from other since the stop"
+        assert robot.limited_by(SLOW) is None
+
+    in_hub(test)
