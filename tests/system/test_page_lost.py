@@ -167,6 +167,7 @@ async def test_without_a_robot_a_daemon_on_all_addresses_names_its_port_and_seri
             "udp": {"host": "10.0.0.7", "port": 11500},
             "serial": [{"port": "/dev/ttyACM0", "bauds": [57600, 115200]}],
             "simulate": "hostlink sim --connect 127.0.0.1:11412",
+            "address": "192.168.1.20",
         }
         server.show(State(listening=listening))
         async with visit(browser, server.url) as tab:
