@@ -31,6 +31,7 @@ interface Card {
   battery: HTMLElement;
   signal: HTMLElement;
   stop: HTMLButtonElement;
+  share: string; // of the bar of the speed, -1 to 1
 }
 
 export class RobotList {
@@ -108,13 +109,15 @@ export class RobotList {
     const isKnown = state !== "unknown"; // an old state is not enough to drive by
     card.row.dataset.state = isKnown ? this.kindOf(robot) : state;
     card.row.classList.toggle("faulty", isKnown && faultOf(robot) !== "");
-    card.row.title = `${robot.name}: ${what}`;
+    const title = `${robot.name}: ${what}`;
+    if (card.row.title !== title) card.row.title = title;
     showName(card.name, robot.name, this.prefix);
     setText(card.state, what);
     const twist = isKnown && robot.connected ? robot.odometry?.twist : undefined;
     setText(card.speed, isKnown && robot.connected ? speedText(robot.odometry?.twist).replace(", ", "\n") : "");
-    const share = Math.max(-1, Math.min(1, (twist?.linear_m_s ?? 0) / full_m_s));
-    card.speed.style.setProperty("--share", share.toFixed(2));
+    const share = Math.max(-1, Math.min(1, (twist?.linear_m_s ?? 0) / full_m_s)).toFixed(2);
+    if (card.share !== share) card.speed.style.setProperty("--share", share);
+    card.share = share;
     setText(card.battery, (isKnown && batteryText(robot)) || "");
     const dbm = (isKnown && robot.signal_dbm) || null;
     const rate = isKnown && robot.connected && robot.odometry ? `${digits(robot.odometry.rate_hz, 0)} Hz` : "";
@@ -204,7 +207,7 @@ export class RobotList {
     input.addEventListener("change", () => this.fleet.choose(name));
     label.addEventListener("mousedown", dropFocus); // after a click the arrow keys drive, and do not choose another robot
     onPress(stop, () => this.stop(name), { isScrolled: true });
-    this.cards.set(name, { row, input, name: title, state, speed, battery, signal, stop });
+    this.cards.set(name, { row, input, name: title, state, speed, battery, signal, stop, share: "" });
   }
 }
 
