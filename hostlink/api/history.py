@@ -6,7 +6,7 @@ Ages are measured back from now, or from the incident.
 import asyncio
 import heapq
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from datetime import UTC, datetime
 from http import HTTPStatus
@@ -336,10 +336,9 @@ class IncidentRoutes:
 
     async def _all(self, _: web.Request) -> web.Response:
         box = self._black_box
-        pending = [_view(incident) for incident in reversed(box.pending)]
+        pending = list(box.pending)
         saved = await asyncio.to_thread(self._files.newest_first)
-        views = [*pending, *map(_saved_view, saved)]
-        return reply({"incidents": views, "missed": box.missed, "folder": str(box.folder.path)})
+        return reply({"incidents": incident_views(pending, saved), "missed": box.missed, "folder": str(box.folder.path)})
 
     async def _save(self, request: web.Request) -> web.Response:
         body = decode_body(request[BODY], IncidentRequest, '{"robot": a name, "reason": a text}')
@@ -477,6 +476,14 @@ def _view(incident: Incident) -> IncidentView:
         "file": "",
         "bytes": 0,
     }
+
+
+def incident_views(pending: Iterable[Incident], saved: Iterable[SavedIncident]) -> list[IncidentView]:
+    """Return the views, the newest first. A pending incident that was saved while the files were read is saved."""
+    views = [_saved_view(each) for each in saved]
+    known = {(each["robot"], each["cause"], each["at"]) for each in views}
+    unsaved = [_view(incident) for incident in reversed(list(pending))]
+    return [*(each for each in unsaved if (each["robot"], each["cause"], each["at"]) not in known), *views]
 
 
 def _saved_view(saved: SavedIncident) -> IncidentView:

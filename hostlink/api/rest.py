@@ -120,7 +120,7 @@ class ListeningView(TypedDict):
 
 
 class ArrivalView(TypedDict):
-    """What came from one address in the last minute and is not a robot, `count` times, the last time `ago_s` ago."""
+    """Arrivals of one address and cause in the last minute that are not a robot. ago_s: age of the last one."""
 
     way: str
     peer: str

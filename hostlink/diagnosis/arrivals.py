@@ -28,7 +28,7 @@ REFUSALS = {  # causes of docs/service.md, for people
 
 @dataclass(frozen=True, slots=True)
 class Arrival:
-    """What came from one address, `count` times with one cause. `way`: tcp, udp or serial."""
+    """Arrivals of one address with one cause, `count` times. `way`: tcp, udp or serial."""
 
     way: str
     peer: str
@@ -98,7 +98,7 @@ def daemon_findings(
         return found
     counts: Counter[str] = Counter()
     for each in refused:
-        if each.cause != NOT_ROSSERIAL:  # of a program that is no device
+        if each.cause != NOT_ROSSERIAL:  # of programs, not of devices
             counts[each.cause] += each.count
     if not counts:
         return [finding("no_device", listening)]

@@ -25,7 +25,7 @@ log = structlog.get_logger()
 
 MAX_UNDER_WAY = 8
 LOOK_INTERVAL_S = 1.0  # of the parameters and the free disk space
-PART = ".upload.part"  # file of an upload that is not complete; its name is no recording's
+PART = ".upload.part"  # file of an upload that is not complete; no recording has such a name
 
 
 @dataclass(slots=True, eq=False)

@@ -538,7 +538,7 @@ async def test_sent_file_becomes_a_recording_once(tmp_path: Path) -> None:
         ("crowded", {"max_disk_mb": 0.001}, 507, "there is room for 0 MB"),
     ],
 )
-async def test_file_that_is_no_recording_or_has_no_room_is_refused(
+async def test_sent_file_without_mcap_or_without_room_is_refused(
     tmp_path: Path, name: str, changes: dict[str, float], status: int, words: str
 ) -> None:
     async with daemon(config(tmp_path, **changes)) as host:

@@ -1,4 +1,4 @@
-"""What came in the last minute and is not a robot, and the findings of the daemon."""
+"""Arrivals of the last minute that are not robots, and the findings of the daemon."""
 
 from pathlib import Path
 
