@@ -338,7 +338,8 @@ class IncidentRoutes:
         box = self._black_box
         pending = list(box.pending)
         saved = await asyncio.to_thread(self._files.newest_first)
-        return reply({"incidents": incident_views(pending, saved), "missed": box.missed, "folder": str(box.folder.path)})
+        views = incident_views(pending, saved)
+        return reply({"incidents": views, "missed": box.missed, "folder": str(box.folder.path)})
 
     async def _save(self, request: web.Request) -> web.Response:
         body = decode_body(request[BODY], IncidentRequest, '{"robot": a name, "reason": a text}')
