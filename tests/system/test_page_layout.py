@@ -391,7 +391,7 @@ def warehouse() -> State:
 
 
 WAREHOUSE = "warehouse_north_mecanum_"
-CUT_PARTS = """rows => rows.flatMap((row) => [...row.querySelectorAll(".name-last, .speed")])
+CUT_PARTS = """rows => rows.flatMap((row) => [...row.querySelectorAll(".name-last, .speed, .battery, .signal")])
   .filter((part) => part.checkVisibility() && part.scrollWidth > part.clientWidth).map((part) => part.textContent)"""
 BAR = """cell => {
   const bar = getComputedStyle(cell, "::after");
