@@ -56,7 +56,7 @@ class RefusedLately:
     def recent(self, now_s: float) -> list[Arrival]:
         """Return the refusals of the last minute."""
         return [
-            Arrival(way, peer, cause, REFUSALS[cause], now_s - at_s, count)
+            Arrival(way, peer, cause, REFUSALS.get(cause, f"refused: {cause}"), now_s - at_s, count)
             for (way, peer, cause), (count, at_s) in self._times_s.items()
             if now_s - at_s < RECENT_S
         ]

@@ -433,6 +433,10 @@ async def test_fleet_of_fifty_is_sorted_by_trouble_counted_and_readable_at_every
             f"{WAREHOUSE}12",
             f"{WAREHOUSE}47",
         ]
+        await tab.layout("Drive")  # a phone has no counts there, and shows all robots
+        await expect(page.locator("#robots .robot:visible")).to_have_count(50)
+        await tab.layout("Fleet")
+        await expect(page.locator("#robots .robot:visible")).to_have_count(2)
         await counts.get_by_text("2 locked").click()
         assert await page.locator("#robots .robot:visible").count() == 50
         assert tab.complaints == []

@@ -40,7 +40,7 @@ export class RobotList {
   private readonly cards = new Map<string, Card>();
   private readonly counts = new Map<Kind, HTMLButtonElement>();
   private readonly placing = new FleetOrder();
-  private only: Kind | null = null; // robots of this kind are shown; null: all
+  private only: Kind | null = null; // robots of this kind are shown, where their count is; null: all
   private order = "";
   private prefix = "";
   private shown = ""; // the chosen robot and the order of the list
@@ -64,7 +64,8 @@ export class RobotList {
     this.filter.hidden = robots.length <= FILTERED;
     this.place(robots);
     this.count(robots);
-    const words = this.filter.hidden ? [] : this.filter.value.toLowerCase().split(/\s+/).filter(Boolean);
+    const only = this.only !== null && this.counts.get(this.only)?.checkVisibility() ? this.only : null;
+    const words = !this.filter.checkVisibility() ? [] : this.filter.value.toLowerCase().split(/\s+/).filter(Boolean);
     const fastest = robots.map(({ odometry }) => Math.abs(odometry?.twist.linear_m_s ?? 0));
     const full_m_s = Math.max(LEAST_SPEED_M_S, ...fastest);
     let shown = 0;
@@ -72,7 +73,7 @@ export class RobotList {
       const card = this.cards.get(robot.name);
       if (card === undefined) continue;
       const what = this.describe(robot);
-      const isOfKind = this.only === null || this.only === this.placing.kindOf(robot.name);
+      const isOfKind = only === null || only === this.placing.kindOf(robot.name);
       const isMatch = isOfKind && words.every((word) => `${robot.name} ${what}`.toLowerCase().includes(word));
       card.row.hidden = !isMatch;
       shown += Number(isMatch);

@@ -9,6 +9,7 @@ import type { Fleet } from "./fleet";
 import { rest } from "./rest";
 
 const AGAIN_MS = 2000;
+const HEARD = "Received in the last minute";
 const LOOPBACK = /^(localhost|127\..*|\[?::1\]?)$/; // names of this computer that other computers cannot use
 const ANY = ["0.0.0.0", "::"]; // all addresses of the computer
 const TRIED_BAUD = 57600; // of ros_lib
@@ -85,7 +86,7 @@ export class Waiting {
       replace(this.heard, heard(arrivals));
       replace(
         this.found,
-        findings.length > 0 ? [make("h3", {}, "What hostlink doctor finds"), list(findings.map(finding))] : [],
+        findings.length > 0 ? [make("h3", {}, "Findings of hostlink doctor"), list(findings.map(finding))] : [],
       );
     } catch {
       replace(this.heard, []);
@@ -109,7 +110,7 @@ function ways({ tcp, udp, serial }: Listening): HTMLElement[] {
   for (const { port, bauds } of serial)
     items.push(["on ", make("code", {}, port), ` at ${bauds.join(", ")} baud: plug it in`]);
   if (items.length === 0) return [make("p", {}, "This hostlink has no port for devices: check its settings.")];
-  return [make("h3", {}, "A device connects here"), list(items)];
+  return [make("h3", {}, "Ports for devices"), list(items)];
 }
 
 /** What to set on the three most common boards, with this daemon's addresses. */
@@ -127,7 +128,7 @@ function boards({ tcp, serial, simulate, address }: Listening): HTMLElement {
   ];
   if (simulate !== null) rows.push(["No board: a simulated robot", ["on hostlink's computer, ", code(simulate)]]);
   const terms = rows.flatMap(([name, what]) => [make("dt", {}, name), make("dd", {}, ...what)]);
-  return make("div", { class: "boards" }, make("h3", {}, "What to set"), make("dl", {}, ...terms));
+  return make("div", { class: "boards" }, make("h3", {}, "What to set on the board"), make("dl", {}, ...terms));
 }
 
 function wifi(tcp: Address | null, own: string | null | undefined): (Node | string)[] {
@@ -144,13 +145,13 @@ function wifi(tcp: Address | null, own: string | null | undefined): (Node | stri
 }
 
 function heard(arrivals: Diagnosis["arrivals"]): HTMLElement[] {
-  if (arrivals.length === 0) return [make("h3", {}, "In the last minute"), make("p", {}, "Nothing was received.")];
+  if (arrivals.length === 0) return [make("h3", {}, HEARD), make("p", {}, "Nothing was received.")];
   const items = arrivals.map(({ way, peer, text, count, ago_s, diagnosis }) => {
     const when = `${count > 1 ? `${count} times, the last ` : ""}${ageText(ago_s)} ago`;
     const facts = `${way === "serial" ? "" : `${way.toUpperCase()} `}${peer}: ${text} (${when})`;
     return [facts, ...diagnosis.map((each) => make("div", {}, ...finding(each)))];
   });
-  return [make("h3", {}, "In the last minute"), list(items)];
+  return [make("h3", {}, HEARD), list(items)];
 }
 
 function finding({ cause, detail, next_step }: Finding): (Node | string)[] {
