@@ -67,3 +67,13 @@ def close_all(listening: Iterable[socket.socket]) -> None:
     """Close the sockets."""
     for each in listening:
         each.close()
+
+
+def own_address() -> str | None:
+    """Return this computer's address in its network; None without one. Connecting a UDP socket sends no packet."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.connect(("192.0.2.1", 9))  # RFC 5737: for documentation, assigned to no host
+        except OSError:
+            return None
+        return str(probe.getsockname()[0])

@@ -6,8 +6,9 @@ Ages are measured back from now, or from the incident.
 import asyncio
 import heapq
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
+from datetime import UTC, datetime
 from http import HTTPStatus
 from pathlib import Path
 from typing import Annotated, Any, NotRequired, TypedDict, cast
@@ -19,26 +20,27 @@ from hostlink.api.bodies import decode_body
 from hostlink.api.recordings import send_file
 from hostlink.api.routes import BODY, FILE, Route, reply, reply_encoded
 from hostlink.api.views import velocity_view
-from hostlink.errors import RecordingFailed, UnknownTopic
+from hostlink.errors import BadRequest, RecordingFailed, UnknownTopic
 from hostlink.hub.hub import Hub
 from hostlink.hub.node import Role
 from hostlink.hub.robot import LocalRobot
 from hostlink.messages.catalog import Catalog
 from hostlink.recording.black_box import MAX_DETAIL, BlackBox
-from hostlink.recording.channel import NS_PER_S
-from hostlink.recording.folder import StoredFile
+from hostlink.recording.channel import DEVICE, NS_PER_S, ROS1, VELOCITY, Channel
+from hostlink.recording.folder import Folder, StoredFile
 from hostlink.recording.history import PastPose, Rest, RobotHistory
 from hostlink.recording.incident import Incident, IncidentFiles, SavedIncident, read_incident
 from hostlink.recording.reader import McapReader
 from hostlink.recording.ring import Entry
 from hostlink.robot.kinematics import Pose
-from hostlink.robot.odometry import OdometryEstimator
+from hostlink.robot.odometry import READERS, OdometryEstimator
 from hostlink.robot.velocity import TWIST_TYPE, PlanarVelocity, Twist
 from hostlink.robot.views import PoseView, VelocityView
 
 WORK_S = 0.0005  # time that the reading thread works before it yields the interpreter for REST_S
 REST_S = 0.001
 SEND_TIMEOUT_S = 5.0  # without progress in writing the reader is disconnected
+READ_S = 10.0  # longest reading of a recording
 PIECE = 100  # items of a list, encoded at once: about 0.1 ms
 
 
@@ -335,9 +337,9 @@ class IncidentRoutes:
 
     async def _all(self, _: web.Request) -> web.Response:
         box = self._black_box
-        pending = [_view(incident) for incident in reversed(box.pending)]
+        pending = list(box.pending)
         saved = await asyncio.to_thread(self._files.newest_first)
-        views = [*pending, *map(_saved_view, saved)]
+        views = incident_views(pending, saved)
         return reply({"incidents": views, "missed": box.missed, "folder": str(box.folder.path)})
 
     async def _save(self, request: web.Request) -> web.Response:
@@ -363,6 +365,109 @@ class IncidentRoutes:
         return path
 
 
+class RecordingHistoryView(TypedDict):
+    """History of one robot in a recording. Ages are relative to `begin`, and negative.
+
+    robots: those of the recording; empty if another program wrote it. damage: what could not be read.
+    """
+
+    file: str
+    bytes: int
+    robot: str
+    robots: list[str]
+    begin: str
+    seconds: float
+    history: HistoryView
+    damage: list[str]
+
+
+class RecordingHistoryRoute:
+    """The route of the history in a recording. `turn`: one history is made at a time."""
+
+    def __init__(self, folder: Folder, catalog: Catalog, turn: asyncio.Semaphore) -> None:
+        self._folder, self._catalog, self._turn = folder, catalog, turn
+
+    def routes(self) -> list[Route]:
+        """Return the route."""
+        return [
+            Route(
+                "/api/recordings/{name}/history",
+                self._history,
+                "Path, commands, plots and events of the first robot in a recording, or of `?robot=NAME`",
+                RecordingHistoryView,
+                fails=(HTTPStatus.BAD_REQUEST, HTTPStatus.NOT_FOUND),
+            )
+        ]
+
+    async def _history(self, request: web.Request) -> web.Response:
+        """Read a recording.
+
+        Raises:
+            UnknownTopic: there is no such recording, or no such robot in it.
+            BadRequest: the file cannot be read.
+        """
+        name = request.match_info["name"]
+        path = await asyncio.to_thread(self._folder.find, name)
+        if path is None:
+            raise UnknownTopic("recording", name)
+        try:
+            async with self._turn:
+                body = await asyncio.to_thread(recording_history, self._catalog, path, request.query.get("robot", ""))
+        except RecordingFailed as error:
+            raise BadRequest(str(error).removeprefix(f"{path.parent}/")) from error
+        return reply_encoded(body)
+
+
+def recording_history(catalog: Catalog, path: Path, robot: str, *, read_s: float = READ_S) -> bytes:
+    """Return the RecordingHistoryView of a file, as JSON. Runs in a thread, for about `read_s` seconds at most.
+
+    Raises:
+        RecordingFailed: the file cannot be read.
+        UnknownTopic: the recording does not have this robot.
+    """
+    reader = McapReader(path)
+    channels = reader.read_channels()
+    robots = sorted({each.robot for each in channels if each.robot and each.origin in (DEVICE, VELOCITY)})
+    if robot and robot not in robots:
+        raise UnknownTopic("robot in the recording", robot, robots)
+    robot = robot or next(iter(robots), "")
+    history = RobotHistory(robot, odometry=None if robots else _any_odometry(channels))
+    rest, began_s = Pauses(), time.perf_counter()
+    limit: list[str] = []
+    first_ns, last_ns, stamp_ns = NEVER_NS, 0, 0
+    for message in reader.messages(lambda each: each.robot in ("", robot) and history.is_wanted(each)):
+        rest()
+        if first_ns == NEVER_NS:
+            first_ns, stamp_ns = message.steady_ns, message.stamp_ns
+        at_s = (message.steady_ns - first_ns) / NS_PER_S
+        if time.perf_counter() > began_s + read_s:
+            limit = [f"only the first {at_s:.0f} s are shown; `hostlink plot {path.name}` shows all"]
+            break
+        last_ns = max(last_ns, message.steady_ns)
+        history.add(Entry(message.channel, message.stamp_ns, message.payload, at_s))
+    view = history_view(catalog, history, OdometryEstimator(), None, 0.0, rest)
+    view["events"] = [each for each in view["events"] if each["msg"].get("robot", "") in ("", robot)]
+    begin = datetime.fromtimestamp(stamp_ns / NS_PER_S, UTC).isoformat(timespec="milliseconds")
+    head = msgspec.json.encode(
+        {
+            "file": path.name,
+            "bytes": reader.size_bytes,
+            "robot": robot,
+            "robots": robots,
+            "begin": begin,
+            "seconds": max(0, last_ns - first_ns) / NS_PER_S,
+            "damage": [*reader.damage, *limit],
+        }
+    )
+    return b'%s,"history":%s}' % (head[:-1], encode_history(view, rest))
+
+
+def _any_odometry(channels: list[Channel]) -> tuple[str, str] | None:
+    """Return topic and type of the first odometry in a recording of another program."""
+    found = ((each.topic, each.type_name) for each in channels if each.type_name in READERS and each.encoding == ROS1)
+    return min(found, default=None)
+
+
 def _view(incident: Incident) -> IncidentView:
     at = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(incident.stamp_ns // 1_000_000_000))
     return {
@@ -373,6 +478,14 @@ def _view(incident: Incident) -> IncidentView:
         "file": "",
         "bytes": 0,
     }
+
+
+def incident_views(pending: Iterable[Incident], saved: Iterable[SavedIncident]) -> list[IncidentView]:
+    """Return the views, the newest first. A pending incident that was saved while the files were read is saved."""
+    views = [_saved_view(each) for each in saved]
+    known = {(each["robot"], each["cause"], each["at"]) for each in views}
+    unsaved = [_view(incident) for incident in reversed(list(pending))]
+    return [*(each for each in unsaved if (each["robot"], each["cause"], each["at"]) not in known), *views]
 
 
 def _saved_view(saved: SavedIncident) -> IncidentView:

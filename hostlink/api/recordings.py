@@ -2,24 +2,28 @@
 
 import asyncio
 import time
+from collections.abc import AsyncIterator
 from http import HTTPStatus
 from pathlib import Path
 from typing import Annotated, NotRequired, TypedDict
 
 import msgspec
 from aiohttp import web
+from aiohttp.http_exceptions import HttpProcessingError
 
 from hostlink.api.access import GRANT
 from hostlink.api.bodies import decode_body
 from hostlink.api.routes import BODY, FILE, Route, reply
-from hostlink.errors import UnknownTopic
+from hostlink.errors import BadRequest, UnknownTopic
 from hostlink.hub.node import Role
-from hostlink.recording.folder import NAME_PATTERN, StoredFile
+from hostlink.recording.folder import MEGABYTE, NAME_PATTERN, StoredFile
 from hostlink.recording.recorder import TopicSelection
 from hostlink.recording.recordings import Recording, Recordings
 
 MAX_PATTERNS = 256  # topics and robots in one request
 MAX_LISTED = 1000  # files; the newest are listed
+UPLOAD_S, SLOWEST_BYTES_S = 30.0, 50_000  # longest time of an upload: this, and its size at this rate
+PIECE_S = 10.0  # longest pause of an upload
 _BAD, _NOT_FOUND = HTTPStatus.BAD_REQUEST, HTTPStatus.NOT_FOUND
 _BUSY, _FULL = HTTPStatus.CONFLICT, HTTPStatus.INSUFFICIENT_STORAGE
 
@@ -75,8 +79,8 @@ class RemovedView(TypedDict):
 class RecordingRoutes:
     """The routes of recordings."""
 
-    def __init__(self, recordings: Recordings) -> None:
-        self._recordings = recordings
+    def __init__(self, recordings: Recordings, max_file_mb: float) -> None:
+        self._recordings, self._max_file_mb = recordings, max_file_mb
 
     def routes(self) -> list[Route]:
         """Return the routes."""
@@ -102,6 +106,16 @@ class RecordingRoutes:
                 None,
                 media_type=FILE,
                 fails=(_NOT_FOUND,),
+            ),
+            Route(
+                one,
+                self._store,
+                "Store an MCAP file as a recording of that name, at most recording.max_file_mb large, one at a time",
+                StoredView,
+                method="PUT",
+                is_upload=True,
+                role=Role.DRIVE,
+                fails=(_BAD, HTTPStatus.REQUEST_TIMEOUT, _BUSY, HTTPStatus.REQUEST_ENTITY_TOO_LARGE, _FULL),
             ),
             Route(
                 f"{one}/stop",
@@ -154,8 +168,43 @@ class RecordingRoutes:
             raise UnknownTopic("recording", name)
         return send_file(path)
 
+    async def _store(self, request: web.Request) -> web.Response:
+        size_bytes, most_bytes = request.content_length, int(self._max_file_mb * MEGABYTE)
+        if size_bytes is None:
+            raise BadRequest("the request has no Content-Length: the size of the file")
+        if size_bytes > most_bytes:
+            raise web.HTTPRequestEntityTooLarge(
+                most_bytes, size_bytes, reason=f"the file may have {most_bytes} bytes at most (recording.max_file_mb)"
+            )
+        try:
+            async with asyncio.timeout(UPLOAD_S + size_bytes / SLOWEST_BYTES_S):
+                path = await self._recordings.store(request.match_info["name"], size_bytes, _pieces(request))
+        except TimeoutError:
+            raise web.HTTPRequestTimeout(reason="the file did not arrive in time") from None
+        return reply(_stored_view(StoredFile(path.name, size_bytes, time.time())))
+
     async def _remove(self, request: web.Request) -> web.Response:
         return reply({"removed": await self._recordings.remove(request.match_info["name"])})
+
+
+async def _pieces(request: web.Request) -> AsyncIterator[bytes]:
+    """Yield the body in pieces, as they arrive.
+
+    Raises:
+        BadRequest: the client sent less than its head says.
+        TimeoutError: nothing came for PIECE_S seconds.
+    """
+    try:
+        while True:
+            async with asyncio.timeout(PIECE_S):
+                piece = await request.content.readany()
+            if not piece:
+                return
+            yield piece
+    except (OSError, web.RequestPayloadError, HttpProcessingError) as error:
+        if isinstance(error, TimeoutError):
+            raise
+        raise BadRequest("the file is incomplete") from error
 
 
 def send_file(path: Path) -> web.FileResponse:

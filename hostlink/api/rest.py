@@ -16,11 +16,13 @@ from hostlink.api.bodies import decode_body
 from hostlink.api.clients import Clients, ClientView
 from hostlink.api.routes import BODY, CAME, Route, refusal, reply
 from hostlink.api.views import (
+    FindingView,
     LinksView,
     Slices,
     StoppedRobotView,
     TopicView,
     VelocityAnswer,
+    finding_views,
     links_view,
     odometry_view,
     robot_view,
@@ -37,6 +39,7 @@ from hostlink.hub.participant import Participant
 from hostlink.hub.reloader import Reloader
 from hostlink.hub.robot import LOCK_REASON, Robot
 from hostlink.hub.standstills import MAX_WAIT_S, WAIT_S
+from hostlink.listening import own_address
 from hostlink.recording.drives import Drive, DriveLog
 from hostlink.robot.state import MAX_PRIORITY
 from hostlink.robot.velocity import PlanarVelocity
@@ -116,35 +119,102 @@ class SerialPortView(TypedDict):
 
 
 class ListeningView(TypedDict):
-    """Addresses that devices connect to. simulate: command that starts a simulated robot here; null: refused."""
+    """Addresses that devices connect to. simulate: command that starts a simulated robot here; null: refused.
+
+    address: of this computer in its network; null: it is in none.
+    """
 
     tcp: AddressView | None
     udp: AddressView | None
     serial: list[SerialPortView]
     simulate: str | None
+    address: str | None
+
+
+class ArrivalView(TypedDict):
+    """Arrivals of one address and cause in the last minute that are not a robot. ago_s: age of the last one."""
+
+    way: str
+    peer: str
+    cause: str
+    text: str
+    count: int
+    ago_s: float
+    diagnosis: list[FindingView]
+
+
+class DaemonDiagnosisView(TypedDict):
+    """Findings that belong to no link, as `hostlink doctor` prints them, and arrivals of the last minute."""
+
+    findings: list[FindingView]
+    arrivals: list[ArrivalView]
 
 
 class ListeningRoute:
-    """The route `GET /api/listening`."""
+    """The routes `GET /api/listening` and `GET /api/diagnosis`."""
 
     def __init__(self, hub: Hub) -> None:
         self._hub = hub
 
     def routes(self) -> list[Route]:
-        """Return the route."""
-        return [Route("/api/listening", self._show, "Where devices connect", ListeningView)]
+        """Return the routes."""
+        return [
+            Route("/api/listening", self._show, "Where devices connect", ListeningView),
+            Route(
+                "/api/diagnosis",
+                self._diagnose,
+                "Findings that belong to no link, and what came in the last minute and is not a robot",
+                DaemonDiagnosisView,
+            ),
+        ]
 
     async def _show(self, _: web.Request) -> web.Response:
-        return reply(listening_view(self._hub.listening, self._hub.config))
+        return reply(listening_view(self._hub.listening, self._hub.config, own_address()))
+
+    async def _diagnose(self, _: web.Request) -> web.Response:
+        return reply(daemon_diagnosis_view(self._hub))
 
 
-def listening_view(listening: Listening, config: Config) -> ListeningView:
-    """Return the addresses that devices connect to."""
+def daemon_diagnosis_view(hub: Hub) -> DaemonDiagnosisView:
+    """Return the findings of the daemon and the arrivals of the last minute."""
+    listening = listening_text(hub.listening, hub.config)
+    return {
+        "findings": finding_views(hub.diagnoses.daemon_findings(listening)),
+        "arrivals": [
+            {
+                "way": each.way,
+                "peer": each.peer,
+                "cause": each.cause,
+                "text": each.text,
+                "count": each.count,
+                "ago_s": round(each.ago_s, 1),
+                "diagnosis": finding_views(list(each.findings)),
+            }
+            for each in hub.diagnoses.arrivals()
+        ],
+    }
+
+
+def listening_text(listening: Listening, config: Config) -> str:
+    """Describe where devices connect: `listening on TCP 0.0.0.0:11411, /dev/ttyACM0`."""
+    addresses = (("TCP", listening.tcp), ("UDP", listening.udp))
+    places = [f"{name} {_spelled(*address)}" for name, address in addresses if address is not None]
+    places += [port.name for port in config.serial]
+    return f"listening on {', '.join(places)}" if places else "listening on no port"
+
+
+def _spelled(host: str, port: int) -> str:
+    return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
+
+
+def listening_view(listening: Listening, config: Config, address: str | None = None) -> ListeningView:
+    """Return the addresses that devices connect to. `address` is this computer's in its network."""
     return {
         "tcp": _address(listening.tcp),
         "udp": _address(listening.udp),
         "serial": [{"port": port.name, "bauds": list(port.bauds)} for port in config.serial],
         "simulate": _simulate(listening.tcp, config.tcp) or _simulate(listening.udp, config.udp, " --udp"),
+        "address": address,
     }
 
 
@@ -162,7 +232,7 @@ def _simulate(address: tuple[str, int] | None, config: TcpConfig | UdpConfig | N
         return None
     if (host, address[1]) == SIM_CONNECTS_TO:
         return SIM + option
-    return f"{SIM}{option} --connect {f'[{host}]' if bound.version == 6 else host}:{address[1]}"  # noqa: PLR2004
+    return f"{SIM}{option} --connect {_spelled(host, address[1])}"
 
 
 def _is_in(host: str, networks: Iterable[str]) -> bool:

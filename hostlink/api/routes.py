@@ -68,6 +68,7 @@ class Route:
     method: str = "GET"
     media_type: str = "application/json"
     request: type | None = None  # type of its body
+    is_upload: bool = False  # its handler reads a file from the body
     max_body_bytes: int = MAX_BODY_BYTES
     is_body_optional: bool = False
     check_head: Callable[[web.Request], object] | None = None  # refuses a request before its body is read
@@ -131,6 +132,9 @@ def _operation(route: Route) -> dict[str, Any]:
             "required": not route.is_body_optional,
             "content": {"application/json": {"schema": _schema(route.request)}},
         }
+    if route.is_upload:
+        content = {FILE: {"schema": {"type": "string", "format": "binary"}}}
+        operation["requestBody"] = {"required": True, "content": content}
     return operation
 
 

@@ -21,7 +21,7 @@ from hostlink.api.captures import Captures
 from hostlink.api.clients import Client, ClientQueue, Clients
 from hostlink.api.events import Events
 from hostlink.api.foxglove import FoxgloveClient, FoxgloveDirectory
-from hostlink.api.history import HistoryRoutes, IncidentRoutes
+from hostlink.api.history import HistoryRoutes, IncidentRoutes, RecordingHistoryRoute
 from hostlink.api.listener import KEPT_FOR_REQUESTS, ApiConnections, ApiListener, MakeProtocol, reading_of
 from hostlink.api.metrics import Metrics
 from hostlink.api.rate_limit import RateLimit
@@ -135,7 +135,8 @@ class ApiServer:
             *Rest(self._hub, self._clients, self._owners).routes(),
             *Events(self._hub, self._clients, self._recordings).routes(),
             *Captures(self._hub).routes(),
-            *RecordingRoutes(self._recordings).routes(),
+            *RecordingRoutes(self._recordings, self._hub.config.recording.max_file_mb).routes(),
+            *RecordingHistoryRoute(self._recordings.folder, self._hub.catalog, history_turn).routes(),
             *IncidentRoutes(self._recordings.black_box, self._hub.catalog, history_turn).routes(),
             *DriveRoute(self._recordings.drives).routes(),
             *HistoryRoutes(self._hub, self._recordings.black_box, history_turn).routes(),

@@ -2,7 +2,6 @@
 
 import asyncio
 import contextlib
-import dataclasses
 import importlib
 import json as json_text
 from collections.abc import Iterator, Sequence
@@ -17,7 +16,6 @@ from hostlink.cli.arguments import Token, Url
 from hostlink.cli.connecting import connected
 from hostlink.cli.output import duration, show_progress, write, write_error
 from hostlink.client import DEFAULT_URL
-from hostlink.diagnosis.finding import finding
 from hostlink.errors import HostlinkError
 
 # -- report -----------------------------------------------------------------------------------------------------------
@@ -188,6 +186,7 @@ async def _query_or_listen(url: str, token: str | None, seconds: float, folders:
     try:
         async with connected(url, token) as host:
             view, robots = await host.get("/api/links"), await host.robots()
+            diagnosis = await host.get("/api/diagnosis")
     except HostlinkError as error:
         if url != DEFAULT_URL or not isinstance(
             error.__cause__, OSError
@@ -195,12 +194,7 @@ async def _query_or_listen(url: str, token: str | None, seconds: float, folders:
             raise
         write_error(str(error))
         return await _listen(LISTEN, seconds, folders)
-    report = report_of(view, url, robots)
-    if not report["links"] and not report["findings"]:
-        refused = ", ".join(f"{cause} {count}" for cause, count in view["refused"].items())
-        found = finding("not_let_in", refused) if refused else finding("no_device")
-        report["findings"].append(dataclasses.asdict(found))
-    return report
+    return {**report_of(view, url, robots), "findings": diagnosis["findings"]}
 
 
 async def _listen(address: str, seconds: float, folders: tuple[Path, ...]) -> Report:

@@ -23,6 +23,7 @@ from hostlink.diagnosis.replay import Replay, replay
 from hostlink.hub.device import check_type
 from hostlink.hub.hub import Hub
 from hostlink.inspection import load_reads
+from hostlink.listening import own_address
 from hostlink.messages.catalog import Catalog
 
 # -- port users -------------------------------------------------------------------------------------------------------
@@ -95,7 +96,8 @@ async def probe_network(host: str, port: int, seconds: float, folders: tuple[Pat
             await asyncio.sleep(_POLL_S)
         report = await _report_of(hub, source)
     if not report["links"]:
-        report["findings"] += finding_views([finding("no_device", f"this computer is {_own_address()}, port {port}")])
+        here = own_address() or "in no network"
+        report["findings"] += finding_views([finding("no_device", f"this computer is {here}, port {port}")])
     return report
 
 
@@ -181,13 +183,3 @@ def _is_in_use(host: str, port: int) -> bool:
         except OSError as error:
             return error.errno == errno.EADDRINUSE
     return False
-
-
-def _own_address() -> str:
-    """Return this computer's address in its network. Connecting a UDP socket sends no packet."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        try:
-            probe.connect(("192.0.2.1", 9))  # RFC 5737: for documentation, assigned to no host
-        except OSError:
-            return "in no network"
-        return str(probe.getsockname()[0])

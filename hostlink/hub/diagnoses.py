@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 
 import structlog
 
+from hostlink.diagnosis.arrivals import RECENT_S, Arrival, RefusedLately, connection_text, daemon_findings, newest
 from hostlink.diagnosis.evidence import EarlierLink, Evidence, HostClock, port_finding
 from hostlink.diagnosis.finding import Finding, words
 from hostlink.diagnosis.link_monitor import SAMPLE_INTERVAL_S, LinkMonitor
@@ -118,6 +119,7 @@ class Diagnoses:
         self._host_clock = ""
         self._logged_at_s: dict[tuple[str, str], float] = {}
         self.ports: dict[str, Finding] = {}  # serial ports that cannot be opened
+        self.refused = RefusedLately()
 
     def observe_port(self, name: str, error: OSError | None) -> None:
         """Note that a serial port was opened, or the error."""
@@ -172,6 +174,20 @@ class Diagnoses:
     def live(self) -> list[Diagnosis]:
         """Return the diagnoses of the live links, oldest first."""
         return list(self._live.values())
+
+    def arrivals(self) -> list[Arrival]:
+        """Return what came in the last minute and is not a robot, newest first."""
+        now_s = _now_s()
+        ended = [each for each in self.ended if now_s - each.ended_at_s < RECENT_S]
+        links = [each for each in (*self._live.values(), *ended) if not each.robot]
+        return newest((*self.refused.recent(now_s), *(_arrival(each, now_s) for each in links)))
+
+    def daemon_findings(self, listening: str) -> list[Finding]:
+        """Return the findings that belong to no link. `listening`: where the daemon listens, as a text."""
+        now_s = _now_s()
+        is_connected = bool(self._live) or any(now_s - each.ended_at_s < RECENT_S for each in self.ended)
+        refused = self.refused.recent(now_s)
+        return daemon_findings(self.ports.values(), refused, is_connected=is_connected, listening=listening)
 
     def numbers(self) -> list[int]:
         """Return the numbers of all links that have a diagnosis."""
@@ -269,6 +285,15 @@ class Diagnoses:
             next_step=found.next_step,
             detail=printable(found.detail),
         )
+
+
+def _arrival(diagnosis: Diagnosis, now_s: float) -> Arrival:
+    link, end = diagnosis.link, None if diagnosis.end is None else diagnosis.end.value
+    counts = link.session.counts
+    text = connection_text(counts.bytes_from_device, counts.frames_from_device, len(diagnosis.topics), end)
+    at_s = link.received_at_s if end is None else diagnosis.ended_at_s
+    findings = tuple(diagnosis.findings)
+    return Arrival(link.kind, link.address, end or "connected", text, now_s - at_s, findings=findings)
 
 
 def _now_s() -> float:

@@ -81,8 +81,16 @@ def limits_of(config: RobotConfig) -> Limits:
 
 
 LOCK_REASON = "emergency stop"  # default
+MAX_LOCK_REASON = 200  # characters, as many as a fleet passes on; a longer reason ends with an ellipsis
 
 Follow = Callable[[Message | None], None]
+
+
+def shown_reason(reason: str) -> str:
+    """Return the reason of a lock as it is kept: printable, and with an ellipsis if it is cut."""
+    if len(reason) <= MAX_LOCK_REASON:
+        return printable(reason, MAX_LOCK_REASON)
+    return printable(reason[: MAX_LOCK_REASON - 1].rstrip(), MAX_LOCK_REASON) + "…"
 
 
 class Robot(VelocityTarget):
@@ -239,14 +247,14 @@ class LocalRobot(Drivable, Robot):
     def lock(self, reason: str = LOCK_REASON, *, by: str | None = None) -> None:
         """Lock the robot, and robots of its name at other daemons."""
         if self.also_at and self.gates.hosts is not None:
-            self.gates.hosts.lock(self.name, printable(reason))
+            self.gates.hosts.lock(self.name, shown_reason(reason))
         self.lock_here(reason, by=by)
 
     def lock_here(self, reason: str, *, by: str | None = None) -> None:
         """Lock only this robot."""
         self.locked_link = self.link
         try:
-            self.gates.lock(self.beside, printable(reason), by=by)
+            self.gates.lock(self.beside, shown_reason(reason), by=by)
         finally:
             self.on_lock(self)
             log.warning("robot.locked", robot=self.name, reason=self.gate.lock_reason)
@@ -435,7 +443,7 @@ class RemoteRobot(Robot):
     def lock(self, reason: str = LOCK_REASON, *, by: str | None = None) -> None:  # noqa: ARG002 - used by LocalRobot
         """Lock the robots of this name at other daemons."""
         if self.gates.hosts is not None:
-            self.gates.hosts.lock(self.name, printable(reason))
+            self.gates.hosts.lock(self.name, shown_reason(reason))
 
     def unlock(self, *, by: str | None = None) -> None:  # noqa: ARG002 - used by LocalRobot
         """Unlock the robot.

@@ -33,8 +33,8 @@ PAUSE_S = 5.0  # a refused device reconnects at once, when there is still no roo
 class RefusedPeers:
     """Counts and pauses of one acceptor's refused peers."""
 
-    def __init__(self, hub: Hub) -> None:
-        self._hub = hub
+    def __init__(self, hub: Hub, way: str) -> None:
+        self._hub, self._way = hub, way
         self._paused_until_s: dict[str, float] = {}
         self._lines = Budget()
 
@@ -48,10 +48,12 @@ class RefusedPeers:
         self._paused_until_s = {each: until_s for each, until_s in self._paused_until_s.items() if until_s > now_s}
         return address in self._paused_until_s
 
-    def count(self, cause: str, peer: str) -> None:
+    def count(self, cause: str, peer: str, address: str) -> None:
         """Count a refusal. Log the first one, then at most one line per LOG_INTERVAL_S with the counts since."""
         self._hub.counts.refused[cause] += 1
-        if counts := self._lines.due("connection.refused", _now_s(), cause):
+        now_s = _now_s()
+        self._hub.diagnoses.refused.note(self._way, address, cause, now_s)
+        if counts := self._lines.due("connection.refused", now_s, cause):
             log.warning("connection.refused", cause=cause, peer=printable(peer), **counts)
 
     def note_exhausted(self) -> None:
@@ -153,7 +155,7 @@ class TcpAcceptor:
         self._admission = ConnectionAdmission(config)
         self._key = None if config.key_file is None else read_key(config.key_file, "tcp.key_file")
         self._links: dict[int, Link] = {}  # oldest first
-        self._refusals = RefusedPeers(hub)
+        self._refusals = RefusedPeers(hub, "tcp")
         self.note_exhausted = self._refusals.note_exhausted
 
     def accept(self, transport: Transport) -> None:
@@ -165,12 +167,12 @@ class TcpAcceptor:
         verdict = self._admission.judge(transport.address, connections)
         refusal = "too_many_robots" if self._refusals.is_paused(transport.address) else verdict.refusal
         if refusal is not None:
-            self._refusals.count(refusal, transport.peer)
+            self._refusals.count(refusal, transport.peer, transport.address)
             self._hub.spawn(transport.aclose(), name=f"refusal of {transport.peer}")
             return
         if verdict.evicts is not None:
             leaving = self._links.pop(verdict.evicts)
-            self._refusals.count(LinkEnd.EVICTED.value, leaving.peer)
+            self._refusals.count(LinkEnd.EVICTED.value, leaving.peer, leaving.address)
             leaving.end(LinkEnd.EVICTED)
         link = self._hub.links.open(transport)
         self._links[link.number] = link
@@ -179,7 +181,11 @@ class TcpAcceptor:
     def _authentication(self, transport: Transport) -> Authenticate:
         if self._key is None or not self._admission.needs_key(transport.address):
             return trust
-        proof = KeyProof(transport, self._key, on_refused=lambda cause: self._refusals.count(cause, transport.peer))
+        proof = KeyProof(
+            transport,
+            self._key,
+            on_refused=lambda cause: self._refusals.count(cause, transport.peer, transport.address),
+        )
         return proof.authenticate
 
     async def _serve(self, link: Link, authenticate: Authenticate) -> None:
@@ -222,7 +228,7 @@ class UdpAcceptor:
         self._trusted = [ipaddress.ip_network(network) for network in config.trusted]
         self._devices = config.device_addresses()
         self._sessions: dict[tuple[str, int], _Session] = {}  # by source address, oldest first
-        self._refusals = RefusedPeers(hub)
+        self._refusals = RefusedPeers(hub, "udp")
         self._rates = {is_verified: _Rate() for is_verified in (False, True)}
 
     def receive(self, port: UdpPort, datagram: Datagram) -> bool:
@@ -234,6 +240,7 @@ class UdpAcceptor:
         if self._is_greeting(datagram):
             return self._open(port, datagram)
         self._hub.counts.datagrams_dropped["not_rosserial"] += 1
+        self._hub.diagnoses.refused.note("udp", datagram.source[0], "not_rosserial", _now_s())
         return False
 
     async def invite(self, ports: Sequence[UdpPort]) -> None:
@@ -257,12 +264,13 @@ class UdpAcceptor:
         is_verified = not self._needs_key(address) and self._is_trusted(datagram.source[:2])
         refusal = self._refusal(address, peer, is_verified=is_verified)
         if refusal is not None:
-            self._refusals.count(refusal, peer)
+            self._refusals.count(refusal, peer, address)
             return False
         try:
             connection = port.connect(datagram)
         except OSError as error:
-            self._refusals.count("no_descriptor" if error.errno in EXHAUSTED else "unreachable", peer)
+            cause = "no_descriptor" if error.errno in EXHAUSTED else "unreachable"
+            self._refusals.count(cause, peer, address)
             return False
         transport = UdpTransport(
             connection,
@@ -270,7 +278,7 @@ class UdpAcceptor:
             is_verified=is_verified,
             dropped=self._hub.counts.datagrams_dropped,
             on_other=lambda other: self.receive(port, other),
-            on_limited=lambda: self._refusals.count("unverified", peer),
+            on_limited=lambda: self._refusals.count("unverified", peer, address),
         )
         session = _Session(self._hub.links.open(transport), transport)
         self._sessions[datagram.source[:2]] = session
@@ -297,7 +305,7 @@ class UdpAcceptor:
         return verdict.refusal
 
     def _evict(self, session: _Session) -> None:
-        self._refusals.count(LinkEnd.EVICTED.value, session.link.peer)
+        self._refusals.count(LinkEnd.EVICTED.value, session.link.peer, session.link.address)
         session.link.end(LinkEnd.EVICTED)
 
     def _authentication(self, transport: UdpTransport) -> Authenticate:
@@ -306,7 +314,7 @@ class UdpAcceptor:
         proof = KeyProof(
             transport,
             self._key,
-            on_refused=lambda cause: self._refusals.count(cause, transport.peer),
+            on_refused=lambda cause: self._refusals.count(cause, transport.peer, transport.address),
             on_proven=transport.verify,
         )
         return proof.authenticate

@@ -5,17 +5,19 @@ import functools
 import itertools
 import re
 import time
+from collections.abc import AsyncIterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
 import structlog
 
-from hostlink.errors import RecordingBusy, RecordingFailed, UnknownTopic
+from hostlink.errors import BadRequest, RecordingBusy, RecordingFailed, UnknownTopic
 from hostlink.hub.hub import Hub
 from hostlink.recording.black_box import BlackBox
 from hostlink.recording.drives import DriveLog
 from hostlink.recording.folder import MEGABYTE, Folder, check_name, default_folder
+from hostlink.recording.mcap_format import MAGIC
 from hostlink.recording.mcap_writer import MAX_CHANNELS, FileThread, Splitting
 from hostlink.recording.recorder import Recorder, TopicSelection
 
@@ -23,6 +25,7 @@ log = structlog.get_logger()
 
 MAX_UNDER_WAY = 8
 LOOK_INTERVAL_S = 1.0  # of the parameters and the free disk space
+PART = ".upload.part"  # file of an upload that is not complete; no recording has such a name
 
 
 @dataclass(slots=True, eq=False)
@@ -69,6 +72,7 @@ class Recordings:
         self._hub, self._config = hub, config
         self._under_way: dict[str, Recording] = {}
         self._starting: set[str] = set()
+        self._is_storing = False  # a client sends a file
         self._ended = Totals()
 
     def under_way(self) -> list[Recording]:
@@ -161,6 +165,56 @@ class Recordings:
             raise RecordingFailed(f"{path.name}: {error.strerror}") from error
         self.changes += 1
         return path.name
+
+    async def store(self, name: str, size_bytes: int, pieces: AsyncIterable[bytes]) -> Path:
+        """Store a recording that a client sends, one at a time. No other recording is removed for it.
+
+        Raises:
+            BadRequest: the name is invalid, the bytes are not MCAP, or are not `size_bytes`.
+            RecordingBusy: the name is in use, or another file is being sent.
+            RecordingFailed: the disk has no room for `size_bytes`, or cannot be written to.
+            TimeoutError: no piece came in time.
+        """
+        name = check_name(name)
+        if self._is_storing:
+            raise RecordingBusy("another file is being uploaded; try again when it is complete")
+        if name in self._under_way or name in self._starting:
+            raise RecordingBusy(f"a recording {name} is under way; choose another name")
+        self._is_storing = True
+        self._starting.add(name)
+        part, path = self.folder.path / PART, self.folder.file(name, 0)
+        try:
+            await asyncio.to_thread(self._check_room, path, size_bytes)
+            await _write(part, size_bytes, pieces)
+            await asyncio.to_thread(part.rename, path)
+        except TimeoutError:  # of the pieces
+            raise
+        except OSError as error:
+            raise RecordingFailed(f"{path.name}: {error.strerror or error}") from error
+        finally:
+            self._is_storing = False
+            self._starting.discard(name)
+            part.unlink(missing_ok=True)
+        self.changes += 1
+        log.info("recording.stored", recording=name, file=str(path), bytes=size_bytes)
+        return path
+
+    def _check_room(self, path: Path, size_bytes: int) -> None:
+        """Check that a file of this size may be created.
+
+        Raises:
+            RecordingBusy: the file exists.
+            RecordingFailed: there is no room for it.
+        """
+        if path.exists():
+            raise RecordingBusy(f"a recording named {path.stem} already exists; choose another name")
+        usage = self.folder.usage()
+        room_bytes = min(usage.budget_bytes - usage.used_bytes, usage.free_bytes - usage.min_free_bytes)
+        if size_bytes > room_bytes:
+            room_mb = max(0, room_bytes) / MEGABYTE
+            size = f"{path.name} has {size_bytes / MEGABYTE:.0f} MB"
+            raise RecordingFailed(f"{size}, and there is room for {room_mb:.0f} MB; remove recordings")
+        self.folder.path.mkdir(parents=True, exist_ok=True)
 
     async def open(self) -> None:
         """Start the drive log and the black box."""
@@ -256,6 +310,28 @@ class Recordings:
             return self.folder.file(name, 0).exists()
         except OSError:  # creating the file will report the error
             return False
+
+
+async def _write(path: Path, size_bytes: int, pieces: AsyncIterable[bytes]) -> None:
+    """Write an MCAP file piece by piece, in threads.
+
+    Raises:
+        BadRequest: the bytes are not MCAP, or are not `size_bytes`.
+        OSError: the disk refuses.
+    """
+    written, head = 0, b""
+    with await asyncio.to_thread(path.open, "wb") as file:
+        async for piece in pieces:
+            written += len(piece)
+            head += piece[: len(MAGIC) - len(head)]
+            if not MAGIC.startswith(head) or written > size_bytes:
+                break
+            await asyncio.to_thread(file.write, piece)
+        await asyncio.to_thread(file.flush)
+    if head != MAGIC:
+        raise BadRequest("the file is not an MCAP file")
+    if written != size_bytes:
+        raise BadRequest(f"the file has {size_bytes} bytes, and {written} arrived")
 
 
 def _discard(opening: "asyncio.Future[FileThread]") -> None:

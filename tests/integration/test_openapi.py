@@ -29,6 +29,8 @@ def try_everything(url: str, document: dict[str, Any]) -> list[str]:
         operation = result.ok()
         if "text/event-stream" in str(operation.definition.raw):
             continue  # it does not end by itself; it has tests of its own
+        if "'binary'" in str(operation.definition.raw):
+            continue  # a schema cannot describe an MCAP file: tests/integration/test_recordings.py
 
         @settings(
             max_examples=EXAMPLES,

@@ -14,11 +14,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import aiohttp
 import pytest
 import structlog
 from structlog.testing import capture_logs
 
 from hostlink import logs
+from hostlink.api.history import recording_history
 from hostlink.config import ApiConfig, Config, RecordingConfig, TokenConfig
 from hostlink.hub.node import is_of
 from hostlink.hub.topic import Topic
@@ -26,12 +28,13 @@ from hostlink.recording import mcap_writer
 from hostlink.recording import recordings as recordings_module
 from hostlink.recording.channel import EVENTS_TOPIC, LOG_TOPIC, NS_PER_S, PARAMETERS_TOPIC, json_of
 from hostlink.recording.folder import Folder
+from hostlink.recording.mcap_format import MAGIC
 from hostlink.recording.reader import McapReader, StoredMessage
 from hostlink.recording.recorder import GROUP, TopicSelection
 from hostlink.recording.recordings import Recordings
 from hostlink.robot.velocity import PlanarVelocity
 from tests.support.daemon import Daemon, daemon, driven
-from tests.support.fake_device import FakeDevice, fake_device, pose, robot_topics
+from tests.support.fake_device import CATALOG, FakeDevice, fake_device, pose, robot_topics
 from tests.support.waiting import expect
 
 POSES = [pose(0.1 * number, 0.2, 0.3) for number in range(20)]
@@ -471,3 +474,97 @@ async def test_topics_for_which_a_file_has_no_room_are_told_once(
             await expect(lambda: [line for line in lines if line["event"] == "recording.channel_limit_reached"])
             assert (await stop(host, "run"))["dropped"] > 0
     assert [line["recording"] for line in lines if line["event"] == "recording.channel_limit_reached"] == ["run"]
+
+
+async def put(host: Daemon, name: str, body: bytes, **headers: str) -> tuple[int, dict[str, Any]]:
+    """Send a file as a recording."""
+    async with aiohttp.ClientSession() as session:
+        request = session.put(f"{host.url}/api/recordings/{name}", data=body, headers=headers)
+        async with request as answer:
+            return answer.status, await answer.json()
+
+
+async def record_drive(host: Daemon, device: FakeDevice, name: str) -> bytes:
+    """Record some poses and a drive, and return the file."""
+    await start(host, name=name)
+    async with driven(host, "robot_0", 0.2):
+        for each in POSES:
+            await device.send(each)
+        await expect(lambda: host.hub.robots.find("robot_0").state(0.0).odometry is not None)
+    await stop(host, name)
+    return (host.hub.config.recording.folder / f"{name}.mcap").read_bytes()  # type: ignore[operator]
+
+
+async def test_recording_is_read_as_the_history_of_its_robot(tmp_path: Path) -> None:
+    async with recorded(config(tmp_path)) as (host, device):
+        await record_drive(host, device, "run")
+        view = await host.get("/api/recordings/run.mcap/history")
+        assert (view["robot"], view["robots"], view["damage"]) == ("robot_0", ["robot_0"], [])
+        history = view["history"]
+        assert history["poses"][-1]["pose"]["x_m"] == pytest.approx(1.9, abs=1e-3)
+        assert {each["velocity"]["linear_m_s"] for each in history["commands"]} >= {0.2}
+        ages = [-each["age_s"] for each in history["poses"]]
+        assert ages == sorted(ages)
+        assert 0 <= ages[0] <= ages[-1] <= view["seconds"] + 1e-3
+        assert (await host.rest("GET", "/api/recordings/run.mcap/history?robot=other"))[0] == 404
+        assert (await host.rest("GET", "/api/recordings/none.mcap/history"))[0] == 404
+
+
+async def test_long_recording_is_read_for_a_bounded_time(tmp_path: Path) -> None:
+    async with recorded(config(tmp_path)) as (host, device):
+        await record_drive(host, device, "run")
+    view = json.loads(recording_history(CATALOG, tmp_path / "run.mcap", "", read_s=-1.0))
+    assert view["damage"] == ["only the first 0 s are shown; `hostlink plot run.mcap` shows all"]
+    assert view["history"]["poses"] == []
+
+
+async def test_sent_file_becomes_a_recording_once(tmp_path: Path) -> None:
+    async with recorded(config(tmp_path)) as (host, device):
+        content = await record_drive(host, device, "run")
+        status, view = await put(host, "copy", content)
+        assert (status, view["file"], view["bytes"]) == (200, "copy.mcap", len(content))
+        assert (tmp_path / "copy.mcap").read_bytes() == content
+        assert (await host.get("/api/recordings/copy.mcap/history"))["robots"] == ["robot_0"]
+        assert (await put(host, "copy", content))[0] == 409
+        assert names(tmp_path) == ["copy.mcap", "run.mcap"]
+
+
+@pytest.mark.parametrize(
+    ("name", "changes", "status", "words"),
+    [
+        ("other", {}, 400, "not an MCAP file"),
+        (".hidden", {}, 400, "invalid recording name"),
+        ("large", {"max_file_mb": 0.001}, 413, "recording.max_file_mb"),
+        ("crowded", {"max_disk_mb": 0.001}, 507, "there is room for 0 MB"),
+    ],
+)
+async def test_sent_file_without_mcap_or_without_room_is_refused(
+    tmp_path: Path, name: str, changes: dict[str, float], status: int, words: str
+) -> None:
+    async with daemon(config(tmp_path, **changes)) as host:
+        found, answer = await put(host, name, b"%PDF-1.7 " * 1000)
+        assert (found, words in answer["error"]["reason"]) == (status, True), answer
+        assert names(tmp_path) == []
+
+
+async def test_file_of_a_client_that_disconnects_is_removed_and_the_next_one_is_stored(tmp_path: Path) -> None:
+    async with recorded(config(tmp_path)) as (host, device):
+        content = await record_drive(host, device, "run")
+        where, _, port = host.url.removeprefix("http://").partition(":")
+        _, writer = await asyncio.open_connection(where, int(port))
+        head = f"PUT /api/recordings/copy HTTP/1.1\r\nHost: {where}:{port}\r\nContent-Length: {len(content)}\r\n\r\n"
+        writer.write(head.encode() + content[:-100])
+        await expect(lambda: ".upload.part" in names(tmp_path))
+        assert (await put(host, "second", content))[0] == 409  # one at a time
+        writer.close()
+        await expect(lambda: names(tmp_path) == ["run.mcap"])
+        assert (await put(host, "copy", content))[0] == 200
+
+
+async def test_token_that_may_only_read_sends_no_file_and_reads_the_history(tmp_path: Path) -> None:
+    tokens = (TokenConfig(name="wall", role="read", token="a-token-of-a-watcher"),)
+    async with daemon(replace(config(tmp_path), api=ApiConfig(tokens=tokens))) as host:
+        key = {"Authorization": "Bearer a-token-of-a-watcher"}
+        assert (await put(host, "copy", MAGIC, **key))[0] == 403
+        assert (await put(host, "copy", MAGIC))[0] == 401
+        assert names(tmp_path) == []

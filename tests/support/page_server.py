@@ -16,7 +16,7 @@ import msgspec
 from aiohttp import WSMsgType, web
 
 from hostlink.api.events import ROLE_HEADER
-from hostlink.api.rest import DriveView, ListeningView
+from hostlink.api.rest import DaemonDiagnosisView, DriveView, ListeningView
 from hostlink.api.views import LinkView, RobotView, StoppedRobotView
 
 BUILT = Path(__file__).parents[2] / "hostlink" / "api" / "web" / "built"
@@ -41,8 +41,9 @@ class State:
     is_lost: bool = False  # nothing answers
     late_s: float = 0.0  # how long the events are on their way
     listening: dict[str, Any] = field(
-        default_factory=lambda: {"tcp": None, "udp": None, "serial": [], "simulate": None}
+        default_factory=lambda: {"tcp": None, "udp": None, "serial": [], "simulate": None, "address": None}
     )  # where devices connect
+    diagnosis: dict[str, Any] = field(default_factory=lambda: {"findings": [], "arrivals": []})
     is_stop_lost: bool = False  # no request that changes something arrives
     standstills: dict[str, dict[str, Any]] = field(default_factory=dict)  # by robot, what differs from standing
 
@@ -71,6 +72,7 @@ class PageServer:
         msgspec.convert(state.links, list[LinkView])
         msgspec.convert(state.drives, list[DriveView])
         msgspec.convert(state.listening, ListeningView)
+        msgspec.convert(state.diagnosis, DaemonDiagnosisView)
         self._state = state
         self._version += 1
         self._wake()
@@ -179,6 +181,9 @@ class PageServer:
     async def _listening(self, _: web.Request) -> web.Response:
         return web.json_response(self._state.listening)
 
+    async def _diagnosis(self, _: web.Request) -> web.Response:
+        return web.json_response(self._state.diagnosis)
+
     async def _end(self, _: web.Application) -> None:
         self._is_ending = True
         self._wake()
@@ -197,6 +202,7 @@ class PageServer:
         application.router.add_get("/api/standstill", self._standstill)
         application.router.add_get("/api/drives", self._drives)
         application.router.add_get("/api/listening", self._listening)
+        application.router.add_get("/api/diagnosis", self._diagnosis)
         application.router.add_get("/api/topics", _topics)
         application.router.add_post("/api/{path:.*}", self._change)
         application.on_shutdown.append(self._end)

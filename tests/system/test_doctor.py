@@ -81,7 +81,10 @@ async def test_a_daemon_without_a_device_has_advice() -> None:
     async with serve() as daemon:
         status, out, _ = await run("doctor", "--url", daemon.url)
     assert status == 1
-    assert out.startswith("no_device: no device has connected to this computer\n  next: check the host address")
+    where = "listening on TCP {}:{}".format(*daemon.tcp)
+    assert out.startswith(
+        f"no_device: no device has connected to this computer ({where})\n  next: check the host address"
+    )
 
 
 async def test_doctor_names_a_serial_port_that_the_daemon_cannot_open(tmp_path: Path) -> None:

@@ -351,7 +351,7 @@ async def test_fifty_robots_are_in_natural_order_filtered_and_locked_at_once(bro
         server.show(state)
         await tab.layout("Fleet")
         await tab.shows("#robots .robot:nth-child(50)", "robot_49")
-        shown = await tab.page.locator("#robots .robot b").all_inner_texts()
+        shown = await tab.page.locator("#robots .robot b").all_text_contents()
         assert shown == names(50)
         colours = await tab.page.locator("#robots .robot").evaluate_all(
             "rows => rows.map((row) => getComputedStyle(row.querySelector('.dot')).backgroundColor)"
@@ -365,7 +365,7 @@ async def test_fifty_robots_are_in_natural_order_filtered_and_locked_at_once(bro
         for part in (".battery", ".signal"):  # on a phone, too
             await expect(tab.page.locator("#robots .robot:nth-child(8)").locator(part)).to_be_visible()
         await tab.page.locator("#robots-filter").fill("bench-2")
-        assert await tab.page.locator("#robots .robot:visible b").all_inner_texts() == [state.robots[3]["name"]]
+        assert await tab.page.locator("#robots .robot:visible b").all_text_contents() == [state.robots[3]["name"]]
         await tab.page.locator("#robots-filter").fill("")
         await tab.page.get_by_role("button", name="Lock all").click()
         await tab.shows("#notice", "50 robots")
@@ -374,6 +374,139 @@ async def test_fifty_robots_are_in_natural_order_filtered_and_locked_at_once(bro
         await tab.page.get_by_role("button", name="Stop all").click()
         await tab.shows("#notice", "All 50 robots are stopped.")
         assert server.requests == [("POST", "/api/stop")]
+
+
+REASON = "somebody stands in front of the third bench, because a cable lies across the aisle by the window " * 2
+
+
+def warehouse() -> State:
+    """Fifty robots with long names: one is not connected, one silent, two locked, one driven in reverse."""
+    back = {"linear_m_s": -0.34, "linear_y_m_s": -0.15, "angular_rad_s": 0.0}
+    changes: dict[int, dict[str, Any]] = {
+        31: {"connected": False, "link": None},
+        12: {"locked": True, "lock_reason": REASON},
+        47: {"locked": True, "lock_reason": REASON},
+        20: {"holder": "client 12 (phone)", "priority": 50, "odometry": odometry(0.0, 0.0, 0.0, twist=back)},
+        18: {"device_errors": ["battery_low"]},
+    }
+    robots = [robot(f"{WAREHOUSE}{number}", **changes.get(number, {})) for number in range(50)]
+    return State(robots, [link(view["name"]) for view in robots], silent=frozenset({f"{WAREHOUSE}40"}))
+
+
+WAREHOUSE = "warehouse_north_mecanum_"
+CUT_PARTS = """rows => rows.flatMap((row) => [...row.querySelectorAll(".name-last, .speed, .battery, .signal")])
+  .filter((part) => part.checkVisibility() && part.scrollWidth > part.clientWidth).map((part) => part.textContent)"""
+BAR = """cell => {
+  const bar = getComputedStyle(cell, "::after");
+  return [parseFloat(bar.marginLeft), parseFloat(bar.marginLeft) + parseFloat(bar.width), cell.clientWidth / 2];
+}"""
+
+
+async def test_fleet_of_fifty_is_sorted_by_trouble_counted_and_readable_at_every_size(browser: Browser) -> None:
+    async with page_server() as server, visit(browser, server.url) as tab:
+        page, rows = tab.page, tab.page.locator("#robots .robot")
+        server.show(warehouse())
+        await tab.layout("Fleet")
+        troubled = [31, 40, 12, 47, 18]  # not connected, silent, locked, an error of the device
+        order = troubled + [number for number in range(50) if number not in troubled]
+        await expect(rows.locator("b")).to_have_text([f"{WAREHOUSE}{number}" for number in order])
+        await tab.shows("#robots .robot:nth-child(5) .what", "battery low · no driver")
+        counts = page.locator("#robots-counts button:visible")
+        await expect(counts).to_have_text(["1 not connected", "1 silent", "2 locked", "1 driven", "45 idle"])
+        driven_row = page.locator("#robots .robot", has=page.locator(f"[value={WAREHOUSE}20]"))
+        await expect(driven_row.locator(".speed")).to_have_text("−0.34 m/s y −0.15 m/s")
+        begin, end, middle = await driven_row.locator(".speed").evaluate(BAR)
+        assert 0 <= begin < end == pytest.approx(middle, abs=1)  # reverse: to the left
+        for size in ((1366, 768), (1024, 768), (768, 1024), (390, 844)):
+            await page.set_viewport_size({"width": size[0], "height": size[1]})
+            assert await rows.evaluate_all(CUT_PARTS) == []
+            assert await rows.first.get_attribute("title") == f"{WAREHOUSE}31: not connected"
+            assert await page.evaluate("document.documentElement.scrollWidth") == size[0]
+            last = rows.last
+            await last.scroll_into_view_if_needed()
+            server.requests.clear()
+            await last.get_by_role("button", name=f"Stop {WAREHOUSE}49").click()
+            await tab.shows("#notice", f"{WAREHOUSE}49 is stopped.")
+            assert server.requests == [("POST", f"/api/robots/{WAREHOUSE}49/stop")]
+            await expect(page.locator("#robots input:checked")).to_have_value(
+                f"{WAREHOUSE}0"
+            )  # nothing is chosen by it
+        await counts.get_by_text("2 locked").click()
+        assert await page.locator("#robots .robot:visible b").all_text_contents() == [
+            f"{WAREHOUSE}12",
+            f"{WAREHOUSE}47",
+        ]
+        await tab.layout("Drive")  # a phone has no counts there, and shows all robots
+        await expect(page.locator("#robots .robot:visible")).to_have_count(50)
+        await tab.layout("Fleet")
+        await expect(page.locator("#robots .robot:visible")).to_have_count(2)
+        await counts.get_by_text("2 locked").click()
+        assert await page.locator("#robots .robot:visible").count() == 50
+        assert tab.complaints == []
+
+
+async def test_rows_move_only_while_the_user_does_not_aim_at_them(browser: Browser) -> None:
+    async with page_server() as server, visit(browser, server.url) as tab:
+        first = tab.page.locator("#robots .robot").first
+        server.show(fleet(12))
+        await tab.layout("Fleet")
+        await tab.shows("#robots .robot:nth-child(12)", "robot_11")
+        state = fleet(12)
+        state.robots[5] |= {"connected": False, "link": None}
+        await tab.page.locator("#robots .robot").nth(2).hover()
+        server.show(state)
+        gone = tab.page.locator("#robots .robot[data-state=gone]")
+        await expect(gone).to_contain_text("robot_5not connected")
+        await tab.shows("#robots-counts", "1 not connected")
+        await expect(first).to_contain_text("robot_0")
+        await tab.page.locator("#map-canvas").hover()
+        await expect(first).to_contain_text("robot_5")  # some seconds later
+        server.show(fleet(12))
+        await expect(gone).to_have_count(0)
+        await expect(first).to_contain_text("robot_5")  # its place does not change back and forth
+        await expect(first).to_contain_text("robot_0")
+
+
+IS_CUT = "text => text.scrollHeight > text.clientHeight + 1 || text.scrollWidth > text.clientWidth + 1"
+
+
+async def test_reasons_of_locks_and_refusals_can_be_read_whole(browser: Browser) -> None:
+    async with page_server() as server, visit(browser, server.url) as tab:
+        page = tab.page
+        locked_state = fleet(2, locked=True, lock_reason=REASON.strip())
+        server.show(locked_state)
+        for size in ((1366, 768), (390, 844)):
+            await page.set_viewport_size({"width": size[0], "height": size[1]})
+            await expect(page.locator("#lock-reason")).to_have_text(REASON.strip())
+            assert not await page.locator("#lock-reason").evaluate(IS_CUT)
+            await page.locator("#unlock").scroll_into_view_if_needed()
+            await expect(page.locator("#unlock")).to_be_in_viewport()
+        locked_state.refusal = REASON
+        server.show(locked_state)
+        await page.locator("#unlock").click()
+        await reads_whole(tab, "#notice p", f"Not unlocked: {REASON.strip()}")
+        await tab.layout("Fleet")
+        row = page.locator("#robots .robot:has(:checked) .what")
+        await expect(row).to_have_text(f"locked: {REASON.strip()}")
+        assert not await row.evaluate(IS_CUT)
+        await tab.layout("Drive")
+        free = fleet(2)
+        free.drive_refusal = {"kind": "held", "reason": REASON.strip()}
+        server.show(free)
+        await tab.shows("#drive-state", "no driver")
+        await page.keyboard.down("KeyW")
+        await tab.shows("#drive-state", REASON.strip())
+        await reads_whole(tab, "#drive-state", REASON.strip())
+        await page.keyboard.up("KeyW")
+
+
+async def reads_whole(tab: Visit, selector: str, text: str) -> None:
+    """Check that a text of few lines is expanded by the button next to it."""
+    place = tab.page.locator(selector)
+    await expect(place).to_have_text(text)
+    assert await place.evaluate(IS_CUT)
+    await tab.page.locator(f"{selector} + .show-all").click()
+    assert not await place.evaluate(IS_CUT)
 
 
 async def test_all_locked_robots_are_unlocked_at_the_second_press(browser: Browser) -> None:
@@ -385,7 +518,7 @@ async def test_all_locked_robots_are_unlocked_at_the_second_press(browser: Brows
         for view in state.robots[1:]:
             view |= {"locked": True, "lock_reason": "a lesson ends"}
         server.show(state)
-        await tab.shows("#robots-locked", "2 robots are locked")
+        await tab.shows("#robots-counts", "2 locked")
         await button.click()
         await expect(button).to_have_text("Really unlock?")
         assert server.requests == []

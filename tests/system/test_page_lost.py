@@ -6,6 +6,7 @@ import shlex
 import sys
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
+from dataclasses import asdict
 from pathlib import Path
 
 import pytest
@@ -13,7 +14,8 @@ from playwright.async_api import Browser
 from playwright.async_api import expect as expect_page
 
 from hostlink.config import Config, RecordingConfig, TcpConfig, UdpConfig
-from tests.support.browser import Visit, visit
+from hostlink.diagnosis.finding import finding
+from tests.support.browser import PHONE, Visit, visit
 from tests.support.daemon import Daemon, daemon, driven
 from tests.support.page_server import State, page_server
 from tests.support.proxy import Line, Proxy, proxy
@@ -126,8 +128,18 @@ async def test_without_a_robot_the_page_names_the_ports_of_this_daemon(browser: 
         assert host.udp is not None
         await tab.shows("#robots .ways", f"127.0.0.1:{host.tcp[1]}")
         await tab.shows("#robots .ways", f"127.0.0.1:{host.udp[1]}")
+        await tab.shows("#robots .heard", "Nothing was received")
+        listening = f"listening on TCP 127.0.0.1:{host.tcp[1]}, UDP 127.0.0.1:{host.udp[1]}"
+        await tab.shows("#robots .found", f"no device has connected to this computer ({listening})")
+        await tab.shows("#robots .found", "Next: check the host address and the port")
         assert "11411" not in await tab.page.locator("#robots .empty").inner_text()
         await tab.page.screenshot(path=PICTURES / "page-empty.png")
+        _, writer = await asyncio.open_connection(*host.tcp)
+        writer.write(b"GET / HTTP/1.1\r\n\r\n")
+        await tab.shows("#robots .heard", "TCP 127.0.0.1: connected, sent 18 bytes without a rosserial frame")
+        await expect_page(tab.page.locator("#robots .found")).to_be_empty()  # a device is connected
+        writer.close()
+        await tab.shows("#robots .heard", "the connection ended: peer closed")
         shown_command = await tab.page.locator("#robots .ways code").last.inner_text()
         command = shlex.split(shown_command)
         assert command[:2] == ["hostlink", "sim"]
@@ -146,6 +158,12 @@ async def test_without_a_robot_that_may_connect_from_here_the_page_names_no_simu
     config = Config(tcp=TcpConfig(allow=("10.0.0.0/8",)))
     async with daemon(config) as host, visit(browser, host.url) as tab:
         await tab.shows("#robots .ways", f"127.0.0.1:{host.tcp[1]}")
+        for _ in range(2):
+            _, writer = await asyncio.open_connection(*host.tcp)
+            writer.close()
+        refused = "TCP 127.0.0.1: refused: its address is not in the allowed networks (tcp.allow, udp.allow) (2 times"
+        await tab.shows("#robots .heard", refused)
+        await tab.shows("#robots .found", "their connections are refused (not_allowed 2)")
         assert "hostlink sim" not in await tab.page.locator("#robots .empty").inner_text()
 
 
@@ -167,9 +185,24 @@ async def test_without_a_robot_a_daemon_on_all_addresses_names_its_port_and_seri
             "udp": {"host": "10.0.0.7", "port": 11500},
             "serial": [{"port": "/dev/ttyACM0", "bauds": [57600, 115200]}],
             "simulate": "hostlink sim --connect 127.0.0.1:11412",
+            "address": "192.168.1.20",
         }
-        server.show(State(listening=listening))
+        wrong_baud = asdict(finding("wrong_baud", "57600 instead of 115200"))
+        noise = {"way": "serial", "peer": "/dev/ttyACM0", "cause": "connected", "text": "connected, sent 900 bytes"}
+        arrivals = [{**noise, "count": 1, "ago_s": 0.4, "diagnosis": [wrong_baud]}]
+        server.show(State(listening=listening, diagnosis={"findings": [], "arrivals": arrivals}))
         async with visit(browser, server.url) as tab:
+            await tab.shows("#robots .heard", "/dev/ttyACM0: connected, sent 900 bytes (0.4 s ago)")
+            await tab.shows("#robots .heard", "at another baud rate than its reader (57600 instead of 115200)")
+            await tab.shows(
+                "#robots .boards", "Arduino over USBplug it in as /dev/ttyACM0; its sketch uses 57600 or 115200"
+            )
+            await tab.shows("#robots .boards", "nh.getHardware()->setConnection(IPAddress(192, 168, 1, 20), 11412);")
+            await tab.shows("#robots .boards", "hostlink serve --serial /dev/ttyUSB0@57600")
+            await tab.page.set_viewport_size(PHONE)  # all of it can be read there
+            assert await tab.page.evaluate("document.documentElement.scrollWidth") == PHONE["width"]
+            await tab.page.locator("#robots .heard li").last.scroll_into_view_if_needed()
+            await expect_page(tab.page.locator("#robots .heard li").last).to_be_in_viewport()
             await tab.shows("#robots .ways", "port 11412, this computer")
             await tab.shows("#robots .ways", "10.0.0.7:11500")
             await tab.shows("#robots .ways", "on /dev/ttyACM0 at 57600, 115200 baud")

@@ -90,6 +90,8 @@ async def test_an_incident_from_the_cut_link_to_its_plots_and_its_file(browser: 
             await expect_page(opened.locator(f"#incident-plot-{chart} .uplot")).to_have_attribute(
                 "data-count", re.compile(r"\d\d+")
             )
+        await expect_page(opened.locator("> .hint")).to_have_text(re.compile("In a terminal: hostlink plot "))
+        await opens_at_the_incident(opened)
         await one_instant_everywhere(opened)
         for viewport in ({"width": 1280, "height": 800}, PHONE):
             await page.set_viewport_size(viewport)
@@ -107,6 +109,14 @@ async def test_an_incident_from_the_cut_link_to_its_plots_and_its_file(browser: 
         picture = tmp_path / f"{words[0].strip('/-').replace('/', '_')}.png"
         status, _, err = await run("plot", str(path), *words, "-o", str(picture))
         assert (status, picture.read_bytes()[:4]) == (0, b"\x89PNG"), err
+
+
+async def opens_at_the_incident(opened: Locator) -> None:
+    """The cursor, the plots and the log are at the incident, in the middle of what is shown."""
+    await expect_page(opened.locator(".timebar output")).to_have_text("0 s")
+    await expect_page(opened.locator("[role=log] [aria-current]")).to_contain_text("link lost while it was driven")
+    commanded = opened.locator("#incident-plot-forward .legend b").first
+    await expect_page(commanded).not_to_have_text(re.compile(r"–|0\.00"))  # it was driven at that time
 
 
 async def one_instant_everywhere(opened: Locator) -> None:
@@ -170,6 +180,7 @@ async def test_a_recording_is_begun_stopped_downloaded_and_removed(browser: Brow
         found = {message.channel.topic for message in McapReader(path).messages()}
         assert {"/robot_0/odometry", "/robot_0/velocity_commands"} <= found
         assert "/robot_0/plot_data" not in found
+        await is_opened(tab, panel.get_by_role("button", name=f"Open {path.name}"), path.name)
         remove = panel.get_by_role("button", name="Remove")
         await remove.click()
         await expect_page(remove).to_have_text("Remove it?")
@@ -177,7 +188,30 @@ async def test_a_recording_is_begun_stopped_downloaded_and_removed(browser: Brow
         await remove.click()
         await expect_page(panel.locator(".files li")).to_have_count(0)
         assert path.name not in [each.name for each in folder.iterdir()]
-        assert tab.complaints == []
+        another = path.rename(path.with_name("from my laptop (2).mcap"))
+        await panel.locator("input[type=file]").set_input_files(another)
+        await is_opened(tab, None, "from-my-laptop-2-.mcap")
+        assert (folder / "from-my-laptop-2-.mcap").read_bytes() == another.read_bytes()
+        await panel.locator("input[type=file]").set_input_files(another)
+        await tab.shows("#recordings [role=status]", "a recording named from-my-laptop-2- already exists")
+        assert [each for each in tab.complaints if "409" not in each] == []
+
+
+async def is_opened(tab: Visit, button: Locator | None, file: str) -> None:
+    """Check that the recording is shown from its beginning, and close it. `button` opens it."""
+    if button is not None:
+        await button.click()
+    opened = tab.page.locator("#incident")
+    await expect_page(opened.get_by_role("heading", name=f"{file}: robot_0")).to_be_focused()
+    await expect_page(opened.locator(".timebar output")).to_have_text("0 s")
+    await expect_page(opened.locator("#incident-plot-forward .uplot")).to_have_attribute(
+        "data-count", re.compile(r"\d\d+")
+    )
+    assert int(await opened.locator("canvas.path").get_attribute("data-points") or 0) > 3
+    await opened.get_by_role("slider", name="Recording: instant").press("End")
+    await expect_page(opened.locator(".timebar output")).to_have_text(re.compile(r"^\+\d"))
+    await expect_page(tab.page.locator("#stop")).to_be_visible()
+    await opened.get_by_role("button", name="Close").click()
 
 
 async def test_a_remove_that_is_to_be_confirmed_outlives_another_recording(browser: Browser, tmp_path: Path) -> None:
@@ -235,6 +269,9 @@ async def test_a_token_that_may_only_read_records_nothing_and_downloads(browser:
             await expect_page(tab.page.get_by_role("button", name="Record", exact=True)).to_be_disabled()
             await expect_page(tab.page.get_by_role("button", name="Save now")).to_be_disabled()
             await expect_page(tab.page.get_by_role("button", name="Remove before.mcap")).to_be_disabled()
+            await expect_page(tab.page.get_by_role("button", name="Open a file")).to_be_disabled()
+            await tab.page.get_by_role("button", name="Open before.mcap").click()  # reading needs no other right
+            await tab.shows("#recordings [role=status]", "before.mcap is not an MCAP file")
             await expect_page(tab.page.locator("#tuning").get_by_text("Send")).to_be_disabled()
             host.hub.robots.find("robot_0").lock("a hand in the wheel")
             await tab.shows("#incidents .detail", "a hand in the wheel")

@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from hostlink.api.rest import listening_view
+from hostlink.api.rest import listening_text, listening_view
 from hostlink.cli.addresses import parse_address
 from hostlink.config import Config, SerialConfig, TcpConfig, UdpConfig
 from hostlink.hub.hub import Listening
@@ -55,4 +55,12 @@ def test_listening_view_names_serial_ports_with_their_rates() -> None:
         "udp": None,
         "serial": [{"port": "/dev/ttyACM0", "bauds": [57600]}, {"port": "A1", "bauds": [57600, 115200]}],
         "simulate": None,
+        "address": None,
     }
+
+
+def test_listening_text_names_every_real_port() -> None:
+    config = Config(serial=(SerialConfig(path="/dev/ttyACM0"),))
+    listening = Listening(("0.0.0.0", 11500), ("fd00::7", 11412))
+    assert listening_text(listening, config) == "listening on TCP 0.0.0.0:11500, UDP [fd00::7]:11412, /dev/ttyACM0"
+    assert listening_text(Listening(), Config()) == "listening on no port"

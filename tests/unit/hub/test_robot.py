@@ -11,7 +11,7 @@ from structlog.testing import capture_logs
 
 from hostlink.config import CalibrationConfig, Config, RobotConfig
 from hostlink.errors import CommandRefused, ConfigError, DeviceGone, UnknownTopic
-from hostlink.hub.robot import RemoteOdometry, correction_of, limits_of, of_namesake
+from hostlink.hub.robot import MAX_LOCK_REASON, RemoteOdometry, correction_of, limits_of, of_namesake
 from hostlink.protocol.frame import Id
 from hostlink.robot.kinematics import Pose
 from hostlink.robot.odometry import OdometrySnapshot
@@ -149,6 +149,20 @@ def test_lock_and_unlock_are_logged_with_the_reason() -> None:
         made.robot().unlock()
         assert [each["reason"] for each in made.logged("robot.locked")] == ["smoke?[31m"]
         assert len(made.logged("robot.unlocked")) == 1
+
+    in_hub(test)
+
+
+def test_reason_of_a_lock_is_kept_whole_or_says_that_it_is_cut() -> None:
+    reason = "the person at the third bench has pressed the emergency stop because a cable lies across the aisle"
+
+    async def test(made: MemoryHub) -> None:
+        await made.connect()
+        made.robot().lock(reason)
+        assert made.robot().gate.lock_reason == reason
+        made.robot().unlock()
+        made.robot().lock("x" * (MAX_LOCK_REASON + 1))
+        assert made.robot().gate.lock_reason == "x" * (MAX_LOCK_REASON - 1) + "…"
 
     in_hub(test)
 

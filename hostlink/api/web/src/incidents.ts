@@ -3,9 +3,9 @@
 import "./style/recordings.css";
 import { make, setText } from "./dom";
 import { makeDownload } from "./download";
-import { causeInWords, IncidentWindow } from "./incident";
 import type { Page } from "./page";
 import { reasonOf, rest } from "./rest";
+import { causeInWords, StoredWindow } from "./stored";
 import type { IncidentCounts, IncidentView } from "./views";
 import { bytes, makeButton } from "./widgets";
 
@@ -23,7 +23,7 @@ class Incidents {
 
   private readonly list = make("ul", { class: "incidents" });
   private readonly state = make("p", { class: "hint", role: "status" });
-  private readonly window = new IncidentWindow();
+  private readonly window = new StoredWindow();
   private known = "";
 
   constructor(private readonly page: Page) {
@@ -69,11 +69,11 @@ class Incidents {
     const words = causeInWords(cause);
     const when = new Date(at);
     const time = make("time", { datetime: at }, when.toLocaleString([], { hour12: false }));
-    const title = make("span", { class: "what" }, make("b", {}, words), make("i", {}, robot), time);
-    const item = make("li", { "data-cause": cause }, title, make("span", { class: "detail" }, detail));
+    const title = make("span", { class: "what" }, make("b", {}, words), " ", make("i", {}, robot), " ", time);
+    const item = make("li", { "data-cause": cause }, title, " ", make("span", { class: "detail" }, detail), " ");
     if (file === "") item.append(make("em", {}, "being saved, with the half minute after the incident"));
     else {
-      const open = makeButton("Open", () => void this.window.open(incident, open), {
+      const open = makeButton("Open", () => void this.window.openIncident(incident, open), {
         "aria-label": `Open ${words} of ${robot} at ${when.toLocaleTimeString([], { hour12: false })}`,
         title: bytes(incident.bytes),
       });

@@ -4,12 +4,14 @@ import "./style/controls.css";
 import "./style/frame.css";
 import "./style/driving.css";
 import "./style/showing.css";
+import "./style/reasons.css";
 import { Access } from "./access";
 import { showClients } from "./clients";
 import { Connection, type State } from "./connection";
 import { ageText, digits, find, setText } from "./dom";
 import { Drive } from "./drive";
 import { Events } from "./events";
+import { makeExpandable } from "./expandable";
 import { Fleet } from "./fleet";
 import { Followed } from "./followed";
 import { Frame } from "./frame";
@@ -92,7 +94,11 @@ const rights = new Rights(show);
 const drive = new Drive(fleet, connection, () => rights.canDrive);
 const stop = new Stop(fleet, drive.driving);
 const step = new Step(drive.driving);
-const robots = new RobotList(fleet, (robot) => drive.driver(robot));
+const robots = new RobotList(
+  fleet,
+  (robot) => drive.driver(robot),
+  (name) => stop.stopOne(name),
+);
 const timeline = new Timeline(SPAN_S);
 const map = new RobotMap(fleet, timeline);
 const plots = new Plots(fleet, timeline);
@@ -144,6 +150,7 @@ let isCut = false; // the WebSocket was lost and has not reconnected
 let cutAt = 0; // when it was lost, by the page's clock
 
 const frame = new Frame(page, () => drive.driving.releaseAll());
+for (const text of ["#drive-state", "#notice p"]) makeExpandable(find(text));
 connectTheme(() => {
   map.redraw();
   plots.recolour();

@@ -19,10 +19,11 @@ export class PathView {
   private readonly view = new Viewport();
   private readonly path = new Path();
 
-  /** The timeline's zero is the incident. */
+  /** `isIncident`: the timeline's zero is an incident, and not the beginning of a recording. */
   constructor(
     private readonly timeline: Timeline,
     poses: PastPose[],
+    private readonly isIncident: boolean,
   ) {
     for (const { pose, time_s } of poses) this.path.add(pose, time_s);
     this.canvas.setAttribute(
@@ -66,23 +67,21 @@ export class PathView {
 
   private draw(): void {
     const { context: c, view, timeline, path } = this;
-    if (view.isFitting) view.fit(boxAround(path.points), true);
+    const [begin, end] = timeline.range;
+    const inRange = path.points.filter(({ time_s }) => time_s >= begin && time_s <= end);
+    if (view.isFitting) view.fit(boxAround(inRange.length > 0 ? inRange : path.points), true);
     c.setTransform(devicePixelRatio, 0, 0, devicePixelRatio, 0, 0);
     c.clearRect(0, 0, view.width, view.height);
-    const zero_s = timeline.zero_s ?? 0;
-    const [begin, end] = timeline.range;
+    const zero_s = this.isIncident ? (timeline.zero_s ?? 0) : end;
     this.drawLine(path.points, "axis", 1.5);
+    const isBefore = ({ time_s }: Point) => time_s <= zero_s;
+    this.drawLine(inRange.filter(isBefore), "accent", 3);
     this.drawLine(
-      path.points.filter(({ time_s }) => time_s >= begin && time_s <= Math.min(end, zero_s)),
-      "accent",
-      3,
-    );
-    this.drawLine(
-      path.points.filter(({ time_s }) => time_s >= Math.max(begin, zero_s) && time_s <= end),
+      inRange.filter(({ time_s }) => time_s >= zero_s),
       "second",
       3,
     );
-    this.drawIncident(zero_s);
+    if (this.isIncident) this.drawIncident(zero_s);
     this.drawRobot(timeline.cursor_s ?? Math.min(end, zero_s));
     this.drawScale();
   }

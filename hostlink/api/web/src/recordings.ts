@@ -4,7 +4,8 @@ import "./style/recordings.css";
 import { arrange, confirmed, make, setText } from "./dom";
 import { makeDownload } from "./download";
 import type { Page } from "./page";
-import { reasonOf, rest } from "./rest";
+import { reasonOf, refusalOf, request, rest } from "./rest";
+import { StoredWindow } from "./stored";
 import type { RecordingNews, RecordingView } from "./views";
 import { bytes, duration, makeButton, makeField } from "./widgets";
 
@@ -39,9 +40,16 @@ class Recordings {
   private readonly underWay = make("ul", { class: "underway" });
   private readonly files = make("ul", { class: "files" });
   private readonly state = make("p", { class: "hint", role: "status" });
+  private readonly chosen = make("input", { type: "file", accept: ".mcap", hidden: "", "aria-label": "MCAP file" });
+  private readonly openFile = makeButton("Open a file", () => this.chosen.click(), {
+    "data-bar": "",
+    title: "Copy an MCAP file from this computer into the recordings, and open it",
+  });
+  private readonly window = new StoredWindow();
   private readonly rows = new Map<string, { root: HTMLElement; figures: HTMLElement }>();
   private items = new Map<string, HTMLElement>();
   private known = "";
+  private isUploading = false;
 
   constructor(private readonly page: Page) {
     const form = make("form", {}, makeField("Robots", this.robots), makeField("Topics", this.topics), this.start);
@@ -49,8 +57,18 @@ class Recordings {
       event.preventDefault();
       void this.begin();
     });
-    const hint = make("p", { class: "hint none" }, "No file yet. A recording opens in Foxglove and by hostlink play.");
-    this.root = make("section", {}, form, this.state, this.underWay, this.files, hint);
+    this.chosen.addEventListener("change", () => {
+      const file = this.chosen.files?.[0];
+      this.chosen.value = ""; // the same file may be chosen again
+      if (file) void this.upload(file);
+    });
+    const hint = make(
+      "p",
+      { class: "hint none" },
+      "No file yet. A recording opens here, in Foxglove and by hostlink play.",
+    );
+    const parts = [this.openFile, this.chosen, form, this.state, this.underWay, this.files, hint];
+    this.root = make("section", {}, ...parts);
     page.onShow(() => {
       this.showRights();
       this.showRobots();
@@ -77,9 +95,11 @@ class Recordings {
     for (const { figures } of this.rows.values()) setText(figures, "no data");
   }
 
-  /** Disable all controls that change something; downloads remain. */
+  /** Disable all controls that change something; opening and downloads remain. */
   private showRights(): void {
-    for (const button of this.root.querySelectorAll("button")) button.disabled = !this.page.canDrive;
+    const changing = this.root.querySelectorAll<HTMLButtonElement>("button:not(.reads, .fold, .more)");
+    for (const button of changing)
+      button.disabled = !this.page.canDrive || (button === this.openFile && this.isUploading);
   }
 
   private showRobots(): void {
@@ -146,14 +166,37 @@ class Recordings {
     const remove = make("button", { type: "button", "aria-label": `Remove ${file}` }, "Remove");
     confirmed(remove, "Remove it?", () => () => void this.remove(file));
     const facts = make("span", { class: "figures" }, `${bytes(size)} · ${when}`);
+    const open = makeButton("Open", () => void this.open(file, open), { class: "reads", "aria-label": `Open ${file}` });
     return make(
       "li",
       {},
       make("b", {}, file),
       facts,
+      open,
       makeDownload(`${PATH}/${encodeURIComponent(file)}`, file),
       remove,
     );
+  }
+
+  private async open(file: string, opener: HTMLElement): Promise<void> {
+    await this.attempt(() => this.window.openRecording(file, opener));
+  }
+
+  /** Copy a file into the recordings of the daemon, which reads it, and open it. */
+  private async upload(file: File): Promise<void> {
+    const name = nameOf(file.name);
+    this.isUploading = true;
+    this.showRights();
+    setText(this.state, `Copying ${file.name}, ${bytes(file.size)} …`);
+    await this.attempt(async () => {
+      const response = await request("PUT", `${PATH}/${encodeURIComponent(name)}`, { body: file });
+      if (!response.ok) throw await refusalOf(response);
+      setText(this.state, `${name}.mcap is among the recordings.`);
+      await this.load();
+      await this.window.openRecording(`${name}.mcap`, this.openFile);
+    });
+    this.isUploading = false;
+    this.showRights();
   }
 
   private async remove(file: string): Promise<void> {
@@ -171,6 +214,12 @@ class Recordings {
       setText(this.state, reasonOf(error));
     }
   }
+}
+
+/** A recording's name: letters, digits and . _ + - of the file's name. */
+function nameOf(file: string): string {
+  const plain = file.replace(/\.mcap$/i, "").replace(/[^A-Za-z0-9_+-]+/g, "-");
+  return plain.replace(/^[^A-Za-z0-9]+/, "").slice(0, 90) || "recording";
 }
 
 function figuresOf({ messages, bytes: size, seconds, dropped, failure }: RecordingView): string {

@@ -3,7 +3,9 @@
 import { confirmed, digits, find, setText } from "./dom";
 import type { Driving } from "./driving";
 import type { Fleet } from "./fleet";
+import { commonPrefix, showName, showText } from "./names";
 import { notice } from "./notice";
+import { onPress } from "./press";
 import { ofRobot, reasonOf, Refused, rest } from "./rest";
 import type { RobotView, StoppedRobotView } from "./views";
 
@@ -66,6 +68,12 @@ export class Stop {
     void this.deliver("every robot", [{ path: "api/stop" }], null);
   }
 
+  /** Stop a robot that need not be the chosen one. */
+  stopOne(name: string): void {
+    this.flash();
+    void this.deliver(name, [{ path: ofRobot(name, "stop") }], new Set([name]));
+  }
+
   lockAll(): void {
     this.flash();
     const names = this.fleet.robots.map(({ name }) => name);
@@ -75,19 +83,19 @@ export class Stop {
   /** `canDrive`: whether the user may unlock. */
   show(canDrive: boolean): void {
     const { robot, robots, missed } = this.fleet;
-    setText(
-      find("#stop .label"),
-      missed !== null ? "Stop all" : robots.length > 1 && robot ? `Stop ${robot.name}` : "Stop",
-    );
+    const label = find("#stop .label");
+    if (robots.length > 1 && robot && missed === null) {
+      showName(label, robot.name, commonPrefix(robots.map(({ name }) => name)), "Stop ");
+    } else showText(label, missed !== null ? "Stop all" : "Stop");
     find("#stop-all").hidden = missed !== null || robots.length < 2;
     find("#lock").hidden = !robot?.locked;
-    setText(find("#lock-reason"), robot?.lock_reason ?? "");
-    find("#lock-reason").title = robot?.lock_reason ?? "";
+    const reason = find("#lock-reason");
+    setText(reason, robot?.lock_reason ?? "");
+    reason.tabIndex = reason.scrollHeight > reason.clientHeight + 1 ? 0 : -1; // keys scroll a very long one
     find<HTMLButtonElement>("#unlock").disabled = !canDrive;
     find("#unlock").title = canDrive ? "" : "This token has the role read.";
     const locked = robots.filter((each) => each.locked).length;
-    find("#robots-locked").hidden = locked === 0 || robots.length < 2;
-    setText(find("#robots-locked span"), locked === 1 ? "1 robot is locked" : `${locked} robots are locked`);
+    this.unlockAllButton.hidden = locked === 0 || robots.length < 2;
     this.unlockAllButton.disabled = !canDrive;
     if (robots.some(({ name, holder }) => holder !== null && this.stopped.has(name))) this.confirm(new Set());
   }
@@ -184,19 +192,6 @@ export class Stop {
     if (failures.length > 0) notice("refused", `Not unlocked: ${failures.join("; ")}`, 6000);
     else notice("done", `${locked.length} ${locked.length === 1 ? "robot" : "robots"} unlocked.`, 2500);
   }
-}
-
-/** Act on pointer down: sliding off, scrolling, or a second finger prevents a click. */
-function onPress(button: HTMLElement, act: () => void): void {
-  let isDone = false; // by the pointer down
-  button.addEventListener("pointerdown", () => {
-    isDone = true;
-    act();
-  });
-  button.addEventListener("click", ({ detail }) => {
-    if (detail === 0 || !isDone) act(); // by a key or an assistive tool
-    isDone = false;
-  });
 }
 
 interface StopRequest {

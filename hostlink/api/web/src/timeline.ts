@@ -6,6 +6,7 @@
 
 const SPAN_S = { least: 0.5, most: 300 };
 
+const STEPS_S = [0.1, 0.2, 0.5, 1, 2, 5, 10, 15, 30, 60, 120, 300, 600, 1800, 3600, 7200, 21600]; // of an axis
 const SLEPT_S = 2; // a smaller difference is clock drift
 
 let slept_s = 0; // the page's clock may stop while the computer sleeps
@@ -87,7 +88,7 @@ export class Timeline {
   /** Positions of the marks of an axis: round numbers, at least as far apart as their texts are wide. */
   marks(begin_s: number, end_s: number, width: number): number[] {
     const least = ((end_s - begin_s) * (this.isClock ? 76 : 52)) / Math.max(1, width);
-    const step = [0.1, 0.2, 0.5, 1, 2, 5, 10, 15, 30, 60, 120].find((each) => each >= least) ?? 300;
+    const step = STEPS_S.find((each) => each >= least) ?? 86400;
     const zero = this.isClock ? 0 : (this.zero_s ?? end_s);
     const marks = [];
     for (let index = Math.ceil((begin_s - zero) / step - 1e-6); zero + index * step <= end_s + 1e-6; index++) {

@@ -42,6 +42,7 @@ export interface RobotView {
   battery_v?: number | null;
   battery_percent?: number | null;
   signal_dbm?: number | null; // WiFi signal of its device
+  device_errors?: string[]; // codes of what `hostlink doctor` finds wrong, the most likely cause first
   firmware?: string | null; // name and version in its device's log
 }
 
