@@ -320,7 +320,7 @@ async def test_a_robot_that_is_forgotten_in_the_half_minute_after_is_in_its_inci
     settings = config(tmp_path, after_s=0.6)
     async with boxed(replace(settings, link=LinkConfig(forget_robot_after_s=0.1))) as (host, device):
         drive = b'{"linear": 0.2, "angular": 0}'
-        assert (await host.rest("PUT", "/api/robots/robot_0/velocity", drive))[0] == 200
+        await host.drive("robot_0", drive)
         device.break_off()
         await expect(lambda: not host.hub.robots.has("robot_0"))
         (incident,) = await saved(host)
