@@ -1,7 +1,7 @@
 """Number of hypothesis examples, order of the tests, tests that cannot run here, and signals of the tests' programs.
 
-A test of tests/property draws 100 examples, any other test 20. HYPOTHESIS_PROFILE=fuzz draws 5000 for each of them, ci
-draws the same examples each time.
+A test of tests/property draws 50 examples, any other test 20. HYPOTHESIS_PROFILE=ci draws 100 and 20, the same ones
+each time, and fuzz 5000 for each test.
 """
 
 import gc
@@ -16,14 +16,14 @@ from hypothesis import HealthCheck, settings
 
 from tests.support import requirements
 
-_EXAMPLES, _FEWER_EXAMPLES = 100, 20
+_EXAMPLES, _CI_EXAMPLES, _FUZZ_EXAMPLES, _FEWER_EXAMPLES = 50, 100, 5000, 20
 _COMMON: dict[str, Any] = {"deadline": None, "suppress_health_check": [HealthCheck.too_slow]}
-_FUZZ = settings(max_examples=_EXAMPLES * 50, **_COMMON)
+_FUZZ = settings(max_examples=_FUZZ_EXAMPLES, **_COMMON)
 _PROFILE = os.environ.get("HYPOTHESIS_PROFILE", "default")
 
 settings.register_profile("default", max_examples=_EXAMPLES, **_COMMON)
 settings.register_profile("default_fewer", max_examples=_FEWER_EXAMPLES, **_COMMON)
-settings.register_profile("ci", max_examples=_EXAMPLES, derandomize=True, print_blob=True, **_COMMON)
+settings.register_profile("ci", max_examples=_CI_EXAMPLES, derandomize=True, print_blob=True, **_COMMON)
 settings.register_profile("ci_fewer", settings.get_profile("ci"), max_examples=_FEWER_EXAMPLES)
 settings.register_profile("fuzz", _FUZZ)
 settings.register_profile("fuzz_fewer", _FUZZ)
@@ -79,15 +79,17 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     """
     absent = requirements.missing()
     for item in items:
-        path, fixtures = item.path.relative_to(config.rootpath).as_posix(), getattr(item, "fixturenames", ())
-        for reason in requirements.reasons(path, fixtures, absent):
+        for reason in requirements.reasons(_file(item), getattr(item, "fixturenames", ()), absent):
             item.add_marker(pytest.mark.skip(reason=reason))
-    has_workers = hasattr(config, "workerinput")
-    items.sort(key=lambda item: _place(item, config) if has_workers else 0)
+    if hasattr(config, "workerinput"):
+        items.sort(key=_place)
 
 
-def _place(item: pytest.Item, config: pytest.Config) -> int:
+def _file(item: pytest.Item) -> str:
+    """Return the path of its file, relative to the repository."""
+    return item.nodeid.partition("::")[0]
+
+
+def _place(item: pytest.Item) -> int:
     """Return a place that is the same in each worker and for all tests of a file; 0 for a test that measures times."""
-    if item.get_closest_marker("quiet"):
-        return 0
-    return zlib.crc32(item.path.relative_to(config.rootpath).as_posix().encode())
+    return 0 if item.get_closest_marker("quiet") else zlib.crc32(_file(item).encode())

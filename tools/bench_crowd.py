@@ -9,6 +9,7 @@ import asyncio
 import contextlib
 import json
 import os
+import re
 import statistics
 import struct
 import sys
@@ -124,7 +125,7 @@ async def measure(load: Load) -> dict[str, Any]:
     }
 
 
-REPLACED = "hostlink_velocities_replaced_total"
+REPLACED, GATE = "hostlink_velocities_replaced_total", "hostlink_robot_gate_total"
 SETTLED_S = 0.6  # a program that advertised before its robot connected lets go for a lease
 
 
@@ -189,12 +190,13 @@ class Robot:
         return sent.latencies_s
 
     async def _replaced(self) -> int:
-        """Commands to the robot that the daemon has not sent because a newer one came."""
+        """Commands to the robot that the daemon has not sent, because a newer one came or they were late."""
         async with self._session.get("/api/links") as answer:
             links = (await answer.json())["links"]
         async with self._session.get("/metrics") as answer:
             lines = (await answer.text()).splitlines()
-        in_api = [float(line.rpartition(" ")[2]) for line in lines if line.startswith(REPLACED)]
+        is_late = re.compile(rf'{GATE}{{.*outcome="refused_late"')
+        in_api = [float(line.rpartition(" ")[2]) for line in lines if line.startswith(REPLACED) or is_late.match(line)]
         return int(next(link["replaced"] for link in links if link["robot"] == "robot_0") + sum(in_api))
 
 
@@ -212,10 +214,12 @@ async def driven(daemon: Process) -> AsyncIterator[Robot]:
         await program.send_json(
             {"op": "advertise", "topic": "/robot_0/velocity_commands", "type": "geometry_msgs/Twist"}
         )
-        yield robot
-        for task in running:
-            task.cancel()
-    writer.close()
+        try:
+            yield robot
+        finally:
+            writer.close()
+            for task in running:
+                task.cancel()
 
 
 @contextlib.asynccontextmanager

@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import json
 import re
 import subprocess
 from collections.abc import AsyncIterator
@@ -14,6 +15,7 @@ from tests.firmware import esp8266
 from tests.support.once import once
 from tests.support.precedence import GOES_FIRST
 from tests.support.process import Process, serve
+from tests.support.rest_velocity import put_velocity
 
 FIRMWARE = Path(__file__).resolve().parents[2] / "firmware"
 BUILD = FIRMWARE.parent / "build" / "firmware"
@@ -109,8 +111,7 @@ async def drive(daemon: Process, made: Board, linear: float, *, until_ticks_s: f
             async with session.get(url) as response:
                 epoch = (await response.json())["epoch"]
             velocity = {"linear": linear, "angular": 0.0, "epoch": epoch}
-            async with session.put(f"{url}/velocity", json=velocity) as response:
-                assert response.status == 200, await response.text()
+            await put_velocity(session, url, json.dumps(velocity).encode())
             await asyncio.sleep(0.1)
 
 

@@ -17,6 +17,7 @@ from hostlink.cli.board import arduino_library as command
 from hostlink.messages.catalog import Catalog
 from tests.support.board_codec import FIRMWARE, SOURCES, write_headers
 from tests.support.compilers import CORE, SKETCH, SKETCH_WARNINGS, run
+from tests.support.once import compiled
 
 COMPILERS = {
     "pc": ["g++", "-O1"],
@@ -54,7 +55,8 @@ def headers(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize("board", COMPILERS)
 def test_every_header_compiles_without_a_warning(headers: Path, tmp_path: Path, board: str) -> None:
     for source in (FIRMWARE / "tests" / "message_headers.cpp", SOURCES / "ros" / "wire.cpp"):
-        run([*COMPILERS[board], *CORE, f"-I{SOURCES}", f"-I{headers}", "-c", source, "-o", tmp_path / "x.o"])
+        made = tmp_path / f"{source.stem}.o"
+        compiled([*COMPILERS[board], *CORE, f"-I{SOURCES}", f"-I{headers}", "-c", source, "-o", made], made, headers)
 
 
 DEFINITION = """\
@@ -126,7 +128,7 @@ def test_a_program_with_the_library_fits_an_uno(unpacked: Path, tmp_path: Path) 
     flags = "-mmcu=atmega328p -Os -fno-exceptions -fno-threadsafe-statics -ffunction-sections -fdata-sections"
     sources = [FIRMWARE / "tests" / "library_program.cpp", *sorted((unpacked / "src").rglob("*.cpp"))]
     command = ["avr-g++", *flags.split(), "-Wl,--gc-sections", *SKETCH, f"-I{unpacked}/src"]
-    run([*command, *sources, "-o", tmp_path / "x.elf"])
+    compiled([*command, *sources, "-o", tmp_path / "x.elf"], tmp_path / "x.elf", unpacked)
     text, data, bss = map(int, run(["avr-size", tmp_path / "x.elf"]).splitlines()[1].split()[:3])
     assert text + data < 32256
     assert data + bss < 2048
@@ -135,11 +137,12 @@ def test_a_program_with_the_library_fits_an_uno(unpacked: Path, tmp_path: Path) 
 ARDUINO = Path("/usr/share/arduino/hardware/arduino/avr")
 
 
-def test_a_zip_of_few_types_has_what_its_examples_include(unpacked: Path) -> None:
+def test_a_zip_of_few_types_has_what_its_examples_include(unpacked: Path, tmp_path: Path) -> None:
     examples = sorted((unpacked / "examples").glob("*/*.ino"))
     assert len(examples) >= 10
     flags = ["-std=gnu++17", *SKETCH_WARNINGS, "-fsyntax-only", "-DARDUINO=10819", "-include", "Arduino.h"]
-    run(["g++", *flags, f"-I{FIRMWARE}/host/any_board", f"-I{unpacked}/src", "-x", "c++", *examples])
+    command = ["g++", *flags, f"-I{FIRMWARE}/host/any_board", f"-I{unpacked}/src", "-x", "c++", *examples]
+    compiled(command, tmp_path / "checked", unpacked)
 
 
 @pytest.mark.parametrize(

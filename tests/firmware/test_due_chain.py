@@ -6,7 +6,6 @@ The firmware runs natively, and on a Cortex-M3 that QEMU emulates; with the ESP8
 import asyncio
 import signal
 import socket
-import time
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +16,7 @@ from hostlink.sim.firmware_module import WorldParameters
 from tests.firmware import esp8266
 from tests.firmware.boards import Board, board, chain, drive
 from tests.support.process import serve
+from tests.support.stopwatch import Stopwatch
 
 pytestmark = pytest.mark.usefixtures("esp8266_built")
 
@@ -106,9 +106,9 @@ async def test_host_that_reconnects_drives_again_within_three_seconds(kind: str,
         port = daemon.tcp[1]
         await daemon.end(number)
         async with serve("--listen", f"127.0.0.1:{port}") as again:
-            began_s = time.monotonic()
+            watch = Stopwatch(again.pid)
             await again.read_log("robot.appeared")
-            assert time.monotonic() - began_s < 3.0
+            assert watch.seconds < 3.0
             await drive(again, made, 0.3, until_ticks_s=50.0)
 
 
@@ -126,9 +126,9 @@ async def test_killed_passthrough_stops_the_robot_and_reconnects(kind: str) -> N
                 first.signal(signal.SIGKILL)
                 await expect_stop(made)
                 with esp8266.running("esp8266_native", daemon.tcp[1], *options):
-                    began_s = time.monotonic()
+                    watch = Stopwatch(daemon.pid)
                     await daemon.read_log("robot.appeared")
-                    assert time.monotonic() - began_s < 3.0
+                    assert watch.seconds < 3.0
                     await drive(daemon, made, 0.3, until_ticks_s=50.0)
 
 
@@ -139,10 +139,10 @@ async def test_a_device_that_restarts_is_driven_again_within_ten_seconds() -> No
             async with board("native", sketch.uart_port) as made:
                 await daemon.read_log("robot.appeared")
                 await drive(daemon, made, 0.3, until_ticks_s=50.0)
-            began_s = time.monotonic()
+            watch = Stopwatch(daemon.pid)
             async with board("native", sketch.uart_port) as made:
                 await drive(daemon, made, 0.3, until_ticks_s=50.0)
-            assert time.monotonic() - began_s < 10.0
+            assert watch.seconds < 10.0
 
 
 async def test_the_robot_shows_its_battery_its_errors_and_a_weak_wifi() -> None:

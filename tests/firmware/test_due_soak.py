@@ -5,6 +5,7 @@ Twelve seconds here, with a reversal; `make soak` sets HOSTLINK_SOAK_S to ten mi
 """
 
 import asyncio
+import json
 import math
 import os
 
@@ -13,6 +14,7 @@ import pytest
 
 from tests.firmware.boards import Board, chain
 from tests.support.process import Process
+from tests.support.rest_velocity import put_velocity
 
 pytestmark = pytest.mark.usefixtures("esp8266_built")
 
@@ -47,12 +49,11 @@ def velocity(driven_s: float) -> dict[str, float]:
 
 async def drive_squares(session: aiohttp.ClientSession, daemon: Process) -> None:
     """Send a command every tenth of a second."""
-    url = f"{daemon.url}/api/robots/robot_0/velocity"
+    url = f"{daemon.url}/api/robots/robot_0"
     loop = asyncio.get_running_loop()
     began_s = loop.time()
     while (driven_s := loop.time() - began_s) < SOAK_S:
-        async with session.put(url, json=velocity(driven_s)) as response:
-            assert response.status == 200, await response.text()
+        await put_velocity(session, url, json.dumps(velocity(driven_s)).encode())
         await asyncio.sleep(COMMAND_INTERVAL_S)
 
 

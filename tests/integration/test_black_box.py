@@ -52,8 +52,9 @@ async def saved(host: Daemon, count: int = 1) -> list[dict[str, Any]]:
         while len([each for each in listed if each["file"]]) < count:
             await asyncio.sleep(REQUEST_INTERVAL_S)
             listed = (await host.get("/api/incidents"))["incidents"]
-    assert len([each for each in listed if each["file"]]) == count, listed
-    return listed
+    written = [each for each in listed if each["file"]]  # a pause of a starved process may be another, still pending
+    assert len(written) == count, listed
+    return written
 
 
 def read(folder: Path, incident: dict[str, Any]) -> list[StoredMessage]:
@@ -320,7 +321,7 @@ async def test_a_robot_that_is_forgotten_in_the_half_minute_after_is_in_its_inci
     settings = config(tmp_path, after_s=0.6)
     async with boxed(replace(settings, link=LinkConfig(forget_robot_after_s=0.1))) as (host, device):
         drive = b'{"linear": 0.2, "angular": 0}'
-        assert (await host.rest("PUT", "/api/robots/robot_0/velocity", drive))[0] == 200
+        await host.drive("robot_0", drive)
         device.break_off()
         await expect(lambda: not host.hub.robots.has("robot_0"))
         (incident,) = await saved(host)

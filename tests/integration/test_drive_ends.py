@@ -20,7 +20,7 @@ SPEED_M_S = 0.2
 
 async def put(host: Daemon, linear: float) -> None:
     body = b'{"linear": %f, "angular": 0.0}' % linear
-    assert (await host.rest("PUT", "/api/robots/robot_0/velocity", body))[0] == 200
+    await host.drive("robot_0", body)
 
 
 async def rest_ends_with_a_zero(host: Daemon) -> None:

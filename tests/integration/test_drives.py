@@ -59,7 +59,7 @@ async def test_failing_disk_is_counted_and_does_not_end_the_daemon(tmp_path: Pat
             fake_device(host.tcp, robot_topics()) as device,
         ):
             await expect(lambda: host.hub.robots.has("robot_0"))
-            await host.rest("PUT", "/api/robots/robot_0/velocity", b'{"linear": 0.2, "angular": 0}')
+            await host.drive("robot_0", b'{"linear": 0.2, "angular": 0}')
             assert await device.velocity_other_than((0.0, 0.0)) == (0.2, 0.0)
             await host.rest("POST", "/api/robots/robot_0/lock")
             (drive,) = (await host.get("/api/drives"))["drives"]
@@ -71,7 +71,7 @@ async def test_drive_history_that_is_turned_off_writes_no_file(tmp_path: Path) -
     config = replace(config_in(tmp_path), recording=RecordingConfig(folder=tmp_path, drives=False))
     async with daemon(config, has_black_box=True) as host, fake_device(host.tcp, robot_topics()):
         await expect(lambda: host.hub.robots.has("robot_0"))
-        await host.rest("PUT", "/api/robots/robot_0/velocity", b'{"linear": 0.2, "angular": 0}')
+        await host.drive("robot_0", b'{"linear": 0.2, "angular": 0}')
         assert len((await host.get("/api/drives"))["drives"]) == 1
     assert not (tmp_path / NAME).exists()
 
@@ -109,7 +109,7 @@ async def test_the_command_lists_them_or_says_that_there_are_none(tmp_path: Path
         fake_device(host.tcp, robot_topics()) as device,
     ):
         assert await run("drives", "--url", host.url) == (0, "there are no drives of any robot yet\n", "")
-        await host.rest("PUT", "/api/robots/robot_0/velocity", b'{"linear": 0.2, "angular": 0}')
+        await host.drive("robot_0", b'{"linear": 0.2, "angular": 0}')
         assert await device.velocity_other_than((0.0, 0.0)) == (0.2, 0.0)
         _, out, _ = await run("drives", "robot_0", "--url", host.url)
         head, row = out.splitlines()

@@ -264,7 +264,7 @@ async def test_a_stop_brakes_as_gently_as_is_configured() -> None:
 
 async def test_priorities_are_read_from_rest_and_shown() -> None:
     async with daemon() as host, fake_device(host.tcp, robot_topics()):
-        await host.rest("PUT", "/api/robots/robot_0/velocity", b'{"linear": 0.1, "angular": 0, "priority": 70}')
+        await host.drive("robot_0", b'{"linear": 0.1, "angular": 0, "priority": 70}')
         assert (await host.get("/api/robots/robot_0"))["priority"] == 70
         with pytest.raises(CommandRefused):
             drive(host, "teleop", priority=60)

@@ -60,7 +60,7 @@ async def test_links_robots_and_clients() -> None:
         assert observed["hostlink_device_to_client_seconds_count[]"] == 2
         assert 0 < observed["hostlink_device_to_client_seconds_sum[]"] < 5
         assert observed["hostlink_client_dropped_total[]"] == 0
-        await host.rest("PUT", "/api/robots/robot_0/velocity", b'{"linear": 0.2, "angular": 0.5}')
+        await host.drive("robot_0", b'{"linear": 0.2, "angular": 0.5}')
         assert await device.velocity_other_than((0.0, 0.0)) == (0.2, 0.5)
         observed = await metrics(host)
         assert observed["hostlink_command_to_device_seconds_count" + device_labels] >= 2  # the first is a zero
@@ -177,7 +177,7 @@ async def test_metrics_show_how_a_robot_is_driven() -> None:
         for number in range(3):
             await device.send(pose(0.1 * number) + battery(7.5))
             await asyncio.sleep(0.1)
-        await host.rest("PUT", "/api/robots/robot_0/velocity", b'{"linear": 0.3, "linear_y_m_s": 0.1, "angular": -0.5}')
+        await host.drive("robot_0", b'{"linear": 0.3, "linear_y_m_s": 0.1, "angular": -0.5}')
         await expect(lambda: host.hub.robots.find("robot_0").odometry.count == 3)
         found = await metrics(host)
         labels = "[('axis', '{}'), ('robot', 'robot_0')]"

@@ -61,7 +61,7 @@ async def test_rest_gives_the_reason(method: str, path: str, body: bytes | None)
 
 async def test_a_stop_of_all_reaches_the_others_first() -> None:
     async with small_robot() as host, fake_device(host.tcp, robot_topics("robot_1")) as other:
-        assert (await host.rest("PUT", "/api/robots/robot_1/velocity", b'{"linear": 0.2, "angular": 0}'))[0] == 200
+        await host.drive("robot_1", b'{"linear": 0.2, "angular": 0}')
         assert await other.velocity_other_than((0.0, 0.0)) == (0.2, 0.0)
         status, answer = await host.rest("POST", "/api/stop")
         assert (status, answer["error"]["reason"]) == (413, REASON)
@@ -219,5 +219,5 @@ async def test_a_robot_that_accepts_its_velocity_again_is_reachable() -> None:
             robot.stop()
         async with fake_device(host.tcp, robot_topics()) as better:  # the same address replaces it
             await expect(lambda: robot.refusals.cause is None)
-            assert (await host.rest("PUT", "/api/robots/robot_0/velocity", b'{"linear": 0.2, "angular": 0}'))[0] == 200
+            await host.drive("robot_0", b'{"linear": 0.2, "angular": 0}')
             assert await better.velocity_other_than((0.0, 0.0)) == (0.2, 0.0)

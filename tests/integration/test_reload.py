@@ -71,19 +71,19 @@ async def test_higher_limit_alone_moves_no_robot() -> None:
         served(robots(robot_0=RobotConfig(max_linear_m_s=0.1))) as (host, file),
         fake_device(host.tcp, robot_topics()) as device,
     ):
-        await host.rest("PUT", "/api/robots/robot_0/velocity", b'{"linear": 0.5, "angular": 0}')
+        await host.drive("robot_0", b'{"linear": 0.5, "angular": 0}')
         assert await device.velocity_other_than((0.0, 0.0)) == (0.1, 0.0)
         file.config = Config()
         await reload(host)
         assert await device.velocity_other_than((0.1, 0.0)) == (0.0, 0.0)  # the lease has ended
-        await host.rest("PUT", "/api/robots/robot_0/velocity", b'{"linear": 0.5, "angular": 0}')
+        await host.drive("robot_0", b'{"linear": 0.5, "angular": 0}')
         assert await device.velocity_other_than((0.0, 0.0)) == (0.5, 0.0)
 
 
 async def test_kinematics_apply_to_the_next_velocity() -> None:
     sideways = b'{"linear": 0.0, "linear_y_m_s": 0.2, "angular": 0}'
     async with served(Config()) as (host, file), fake_device(host.tcp, robot_topics()):
-        assert (await host.rest("PUT", "/api/robots/robot_0/velocity", sideways))[0] == 200
+        await host.drive("robot_0", sideways)
         file.config = robots(robot_0=RobotConfig(kinematics="differential"))
         assert (await reload(host))[1]["changed"] == ["robots.robot_0.kinematics"]
         status, answer = await host.rest("PUT", "/api/robots/robot_0/velocity", sideways)
@@ -91,7 +91,7 @@ async def test_kinematics_apply_to_the_next_velocity() -> None:
         assert host.hub.robots.find_here("robot_0").odometry.is_differential
         file.config = Config()
         await reload(host)
-        assert (await host.rest("PUT", "/api/robots/robot_0/velocity", sideways))[0] == 200
+        await host.drive("robot_0", sideways)
 
 
 async def test_poses_of_a_robot_that_may_be_faster_now_are_believed() -> None:
@@ -147,7 +147,7 @@ async def test_a_robot_that_is_driven_or_locked_keeps_its_name(is_locked: bool) 
         if is_locked:
             await host.rest("POST", "/api/robots/robot_0/lock")
         else:
-            await host.rest("PUT", "/api/robots/robot_0/velocity", b'{"linear": 0.2, "angular": 0}')
+            await host.drive("robot_0", b'{"linear": 0.2, "angular": 0}')
         file.config = robots(rover=RobotConfig(address="127.0.0.1"), robot_0=RobotConfig(max_linear_m_s=0.1))
         status, answer = await reload(host)
         assert status == 409

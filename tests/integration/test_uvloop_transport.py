@@ -82,7 +82,7 @@ async def robot_over_udp() -> None:
     async with daemon(config) as host, udp_device(host.udp, robot_topics()) as device:
         await device.send(pose(1.0))
         await expect(lambda: host.hub.topics.find("/robot_0/odometry").messages == 1)
-        await host.rest("PUT", "/api/robots/robot_0/velocity", b'{"linear": 0.2, "angular": 0}')
+        await host.drive("robot_0", b'{"linear": 0.2, "angular": 0}')
         assert await device.velocity_other_than((0.0, 0.0)) == (0.2, 0.0)
 
 

@@ -8,8 +8,8 @@ from typing import NamedTuple
 
 from hostlink.board.headers import class_name
 from hostlink.board.library import TypeSelection, headers
-from tests.support import compilers
 from tests.support.compilers import CORE, SANITIZERS
+from tests.support.once import compiled
 
 FIRMWARE = Path(__file__).parents[2] / "firmware"
 SOURCES = FIRMWARE / "rosserial" / "src"
@@ -60,7 +60,7 @@ def compile_codec(folder: Path, compiler: Sequence[str] = ("g++", "-O0", *SANITI
     """
     program = folder / "codec"
     sources = [FIRMWARE / "tests" / "message_codec.cpp", SOURCES / "ros" / "wire.cpp"]
-    compilers.run([*compiler, *CORE, f"-I{SOURCES}", f"-I{folder}", *sources, "-o", program])
+    compiled([*compiler, *CORE, f"-I{SOURCES}", f"-I{folder}", *sources, "-o", program], program, folder)
     return program
 
 

@@ -14,6 +14,7 @@ from hostlink.config import BlackBoxConfig, Config
 from hostlink.hub.hub import Hub
 from hostlink.robot.velocity import PlanarVelocity
 from tests.support.background import meanwhile
+from tests.support.rest_velocity import put_velocity
 from tests.support.waiting import expect
 
 IN_TIME_S = 0.1  # of the event loop: later commands have most of their lease
@@ -33,6 +34,10 @@ class Daemon:
         """(status, JSON)."""
         async with self.session.request(method, self.url + path, data=body) as response:
             return response.status, msgspec.json.decode(await response.read())
+
+    async def drive(self, robot: str, body: bytes) -> None:
+        """Send a velocity until it is obeyed (`put_velocity`)."""
+        await put_velocity(self.session, f"{self.url}/api/robots/{robot}", body)
 
     async def get(self, path: str) -> Any:
         """The JSON of a GET that must succeed."""

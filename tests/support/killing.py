@@ -35,6 +35,7 @@ class Drive:
     daemon: Process
     robots: list[UnwatchedRobot] = field(default_factory=list)
     is_let_go: bool = False  # while it is, the program commands nothing
+    longest_gap_s: float = 0.0  # between two commands: a starved program pauses, too
 
     def stood_after_s(self, since_s: float) -> float:
         """Return the time from then until the last of the robots stood."""
@@ -105,8 +106,11 @@ def killer(number: int) -> Callable[[int], None]:
 
 
 async def _command(client: aiohttp.ClientWebSocketResponse, drive: Drive) -> None:
+    sent_s = time.monotonic()
     with contextlib.suppress(ConnectionError):  # the daemon has ended
         for turn in itertools.count():
+            now_s = time.monotonic()
+            drive.longest_gap_s, sent_s = max(drive.longest_gap_s, now_s - sent_s), now_s
             for name in () if drive.is_let_go else ("on_wire", "on_air"):
                 speed = 0.1 + turn % 7 / 100
                 twist = {"linear": {"x": speed, "y": 0, "z": 0}, "angular": {"x": 0, "y": 0, "z": 0.5}}

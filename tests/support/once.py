@@ -3,9 +3,11 @@
 import fcntl
 import hashlib
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cache
 from pathlib import Path
+
+from tests.support import compilers
 
 ROOT = Path(__file__).resolve().parents[2]
 BUILD = ROOT / "build"
@@ -26,6 +28,37 @@ def once(name: str, make: Callable[[], object], result: Path) -> None:
             made.truncate(0)
             make()
             made.write(digest())
+
+
+def compiled(command: Sequence[object], result: Path, *inputs: Path) -> None:
+    """Run a compiler that writes `result`, or copy what the same command made of the same inputs before.
+
+    Args:
+        command: compiler and its options, with `result` and paths in or of `inputs`
+        result: file that the command writes; an empty one stays, if it only checks
+        inputs: all files and folders of the repository and of the test that the compiler may read
+
+    Raises:
+        AssertionError: the compiler failed, or it wrote a warning. Nothing is kept then.
+    """
+    found = hashlib.sha256(f"{[shutil.which(str(command[0])), digest()]}".encode())
+    for number, each in enumerate(inputs):
+        for path in sorted(file for file in (each, *each.rglob("*")) if file.is_file()):
+            found.update(f"{number} {path.relative_to(each)}\0{path.stat().st_size}\0".encode() + path.read_bytes())
+    text = " ".join(map(str, command)).replace(str(result), "<result>")
+    for number, each in enumerate(inputs):
+        text = text.replace(str(each), f"<{number}>")
+    found.update(text.encode())
+    kept = BUILD / "compiled" / found.hexdigest()
+    kept.parent.mkdir(parents=True, exist_ok=True)
+    with kept.with_suffix(".lock").open("a") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not kept.exists():
+            result.touch()
+            compilers.run(command)
+            shutil.copy(result, kept.with_suffix(".new"))
+            kept.with_suffix(".new").rename(kept)
+    shutil.copy(kept, result)
 
 
 @cache

@@ -2,12 +2,14 @@
 
 from xdist.scheduler import LoadScopeScheduling  # type: ignore[import-untyped]
 
-SHARING = (  # their tests share what is slow to make: a daemon, a browser, a compiled program, a library out of its ZIP
+SHARING = (  # their tests share what is slow to make: a daemon, a compiled program, a large file, all parsed sources
     "test_board_headers.py",
     "test_board_library.py",
     "test_diagnoses.py",
+    "test_large_recordings.py",
     "test_page.py",
     "test_page_firefox.py",
+    "test_words.py",
 )
 
 

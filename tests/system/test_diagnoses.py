@@ -14,9 +14,8 @@ from hostlink.sim.run import run_over_tcp
 from tests.support.daemon import Daemon, daemon
 from tests.support.process import run
 
-pytestmark = pytest.mark.quiet
+pytestmark = pytest.mark.timeout(900)  # a daemon that the machine starves draws no conclusion: the test waits for it
 
-PATIENCE_S = 100.0  # only a defect reaches it; 25 s on a quiet machine
 POLL_S = 0.2
 CODES = {
     "silence": "no_bytes",
@@ -58,7 +57,7 @@ async def observed() -> tuple[Observed, Observed]:
     names = {f"127.0.1.{number + 1}": name for number, name in enumerate(faults)}
     of_api: Observed = {name: {} for name in faults}
     of_doctor: Observed = {name: {} for name in faults}
-    async with daemon() as host, robots(host, faults), asyncio.timeout(PATIENCE_S):
+    async with daemon() as host, robots(host, faults):
         while not all(CODES[name] in of_api[name] for name in FAULTS):
             view = await host.get("/api/links")
             note(of_api, [*view["links"], *view["ended"]], names)

@@ -80,7 +80,7 @@ async def test_the_stick_drives_and_letting_it_go_stops(scene: Scene) -> None:
 
 async def test_the_stop_stops_what_another_drives(scene: Scene) -> None:
     host, device, tab = scene
-    await host.rest("PUT", "/api/robots/robot_0/velocity", b'{"linear": 0.2, "angular": 0}')
+    await host.drive("robot_0", b'{"linear": 0.2, "angular": 0}')
     await device.velocity_of((0.2, 0.0))
     await tab.press(SPACE)
     await tab.release(SPACE)

@@ -16,7 +16,7 @@ from tests.support.browser import Visit, visit
 from tests.support.page_server import PageServer, State, link, odometry, page_server, robot
 from tests.support.waiting import TIMEOUT_S, expect, expect_never
 
-pytestmark = [pytest.mark.asyncio(loop_scope="session"), pytest.mark.quiet]
+pytestmark = pytest.mark.asyncio(loop_scope="session")
 
 PAD = """
   const pad = { connected: true, axes: [0, -1, 0, 0], buttons: Array.from({ length: 16 }, () => ({ pressed: false })) };

@@ -20,7 +20,7 @@ from tests.support.browser import Visit, visit
 from tests.support.page_server import BUILT, PageServer, State, link, odometry, page_server, robot
 from tests.support.waiting import is_soon
 
-pytestmark = [pytest.mark.asyncio(loop_scope="session"), pytest.mark.quiet]
+pytestmark = pytest.mark.asyncio(loop_scope="session")
 
 SIZES = ((1366, 768), (1920, 1080), (1024, 768), (768, 1024), (390, 844), (844, 390), (320, 568))
 TWICE = ((640, 400), (512, 384), (568, 320), (960, 540))  # at 200 %: 1280x800, 1024x768, 1920x1080; and a small phone
@@ -271,6 +271,7 @@ async def test_axe_finds_nothing_in_any_layout(
     assert found.violations_count == 0, found.generate_report()
 
 
+@pytest.mark.quiet
 async def test_a_robot_that_falls_silent_is_amber_within_half_a_second_and_red_when_gone(
     browser: Browser,
 ) -> None:
@@ -291,6 +292,7 @@ async def test_a_robot_that_falls_silent_is_amber_within_half_a_second_and_red_w
         await tab.shows("#drive-state", "no driver")
 
 
+@pytest.mark.quiet
 async def test_a_robot_without_odometry_is_silent_by_its_usual_rate(browser: Browser) -> None:
     async with page_server() as server, visit(browser, server.url) as tab:
         server.show(fleet(3, odometry=None))
@@ -636,6 +638,7 @@ async def test_a_layout_and_where_its_panels_are_is_remembered(browser: Browser)
         assert await tab.page.locator(".right > #log").count() == 1
 
 
+@pytest.mark.quiet
 async def test_page_is_small_and_soon_ready_on_a_slow_processor(browser: Browser) -> None:
     size = sum(path.stat().st_size for path in BUILT.rglob("*") if path.is_file())
     assert size < MOST_BYTES

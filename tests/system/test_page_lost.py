@@ -22,7 +22,7 @@ from tests.support.proxy import Line, Proxy, proxy
 from tests.support.simulated import simulated_robot
 from tests.support.waiting import expect
 
-pytestmark = [pytest.mark.asyncio(loop_scope="session"), pytest.mark.quiet]
+pytestmark = pytest.mark.asyncio(loop_scope="session")
 
 PICTURES = Path("build/screenshots")
 UNKNOWN_MS = 5000  # the page knows after 0.7 s; a busy machine takes longer

@@ -20,7 +20,7 @@ from tests.support.proxy import proxy
 from tests.support.simulated import simulated_robot
 from tests.support.waiting import expect
 
-pytestmark = [pytest.mark.asyncio(loop_scope="session"), pytest.mark.quiet]
+pytestmark = pytest.mark.asyncio(loop_scope="session")
 
 WATCH = "localStorage.setItem('hostlink.layout', 'Watch')"
 READ = "a-token-of-a-watcher"

@@ -19,7 +19,7 @@ from tests.support.fake_device import fake_device, pose, robot_topics, topic
 from tests.support.simulated import simulated_robot
 from tests.support.waiting import expect, is_soon
 
-pytestmark = [pytest.mark.asyncio(loop_scope="session"), pytest.mark.quiet]
+pytestmark = pytest.mark.asyncio(loop_scope="session")
 
 DRIVE, READ = "a-token-of-a-driver", "a-token-of-a-watcher"
 AMBER_S = 0.5

@@ -16,7 +16,7 @@ from tests.support.rosbridge import client
 from tests.support.simulated import simulated_robot
 from tests.support.waiting import expect
 
-pytestmark = [pytest.mark.asyncio(loop_scope="session"), pytest.mark.quiet]
+pytestmark = pytest.mark.asyncio(loop_scope="session")
 
 WATCH = "localStorage.setItem('hostlink.layout', 'Watch')"
 HOSTILE = '<img src=x onerror="window.hit = 1">'

@@ -15,10 +15,13 @@ import pytest
 import hostlink.recording
 from hostlink.client import Host, connect
 from hostlink.recording.reader import McapReader, StoredMessage
+from tests.support.background import meanwhile
 from tests.support.fork_server import start
 from tests.support.process import TIMEOUT_S, Process, run, serve, simulated
+from tests.support.stopwatch import Stopwatch
 
 KILLS = int(os.environ.get("HOSTLINK_RECORDING_KILLS", "3"))
+WAKE_INTERVAL_S = 0.01
 SPEED_M_S = 0.1
 SOAK = str(Path(__file__).parents[2] / "tools" / "soak_recording.py")
 
@@ -57,6 +60,15 @@ def find(part: list[tuple[str, bytes]], whole: list[tuple[str, bytes]]) -> int:
     return next(at for at in range(len(whole)) if whole[at : at + len(part)] == part)
 
 
+async def note_lateness(late_s: list[float]) -> None:
+    """Measure until cancelled how late this machine wakes a process."""
+    now_s = asyncio.get_running_loop().time
+    while True:
+        due_s = now_s() + WAKE_INTERVAL_S
+        await asyncio.sleep(WAKE_INTERVAL_S)
+        late_s.append(now_s() - due_s)
+
+
 async def test_played_messages_are_recorded_again_byte_for_byte_at_their_times(tmp_path: Path) -> None:
     first = tmp_path / "first.mcap"
     async with serve(*settings(tmp_path)) as daemon, simulated(daemon.tcp):
@@ -68,7 +80,9 @@ async def test_played_messages_are_recorded_again_byte_for_byte_at_their_times(t
     async with serve(*settings(tmp_path / "again")) as daemon:
         async with connect(daemon.url) as host:
             recording = await host.post("/api/recordings", {"name": "second"})
-            status, _, err = await run("play", str(first), "--connect", "{}:{}".format(*daemon.tcp))
+            timers_late_s: list[float] = []
+            async with meanwhile(note_lateness(timers_late_s)):
+                status, _, err = await run("play", str(first), "--connect", "{}:{}".format(*daemon.tcp))
             assert status == 0, err
             await host.post("/api/recordings/second/stop")
         second = Path((await _folder(daemon)) + "/" + recording["files"][0])
@@ -79,7 +93,8 @@ async def test_played_messages_are_recorded_again_byte_for_byte_at_their_times(t
     assert shown(after) == shown(before)
     shift_s = np.array([(new.stamp_ns - old.stamp_ns) / 1e9 for old, new in zip(before, after, strict=True)])
     late_s = np.abs(shift_s - np.median(shift_s))
-    assert np.percentile(late_s, 75) < 0.010, late_s  # for the rest the machine may have been busy
+    of_machine_s = np.percentile(timers_late_s, 75)  # the player, the daemon and the recorder wait for a core each
+    assert np.percentile(late_s, 75) < 0.010 + 3 * of_machine_s, late_s
     assert len({message.channel.topic for message in before}) >= 4
     moved = hostlink.recording.read(second)["/robot_0/odometry"]
     assert moved["x"].max() > SPEED_M_S
@@ -150,8 +165,9 @@ async def test_a_daemon_that_is_killed_leaves_all_but_the_last_second(tmp_path: 
     for number in range(KILLS):
         folder = tmp_path / str(number)
         folder.mkdir()
-        async with serve(*settings(folder)) as daemon, simulated(daemon.tcp):
+        async with serve(*settings(folder)) as daemon, simulated(daemon.tcp) as robot:
             await until_connected(daemon.url)
+            watch = Stopwatch(daemon.pid, robot.pid)
             async with connect(daemon.url, reconnect=False) as host:
                 await host.post("/api/recordings", {"name": "run"})
             async with connect(daemon.url) as host, host.subscribe("/robot_0/odometry") as poses:
@@ -159,10 +175,11 @@ async def test_a_daemon_that_is_killed_leaves_all_but_the_last_second(tmp_path: 
                     break
             await asyncio.sleep(random_.uniform(1.2, 2.5))
             now_ns = await _now_ns(daemon)
+            allowed_s = 1.0 + watch.kept_s
             daemon.child.kill()
         path = folder / "recordings" / "run.mcap"
         last_ns = max(message.stamp_ns for message in McapReader(path).messages())
-        assert now_ns - last_ns < 1_000_000_000, number
+        assert now_ns - last_ns < allowed_s * 1e9, number
         status, out, _ = await run("record", "--repair", str(path))
         assert (status, "the file is repaired" in out) == (0, True)
 

@@ -17,8 +17,10 @@ import pytest
 from hostlink.protocol.frame import Id
 from hostlink.sim.robot import SimulatedRobot
 from hostlink.sim.run import run_over_streams
+from tests.support.background import meanwhile
 from tests.support.fake_device import fake_device, robot_topics
 from tests.support.process import run, serve, simulated
+from tests.support.rest_velocity import put_velocity
 from tests.support.stopwatch import Stopwatch
 
 ZERO = (0.0, 0.0)
@@ -26,27 +28,27 @@ STOP_S = 0.6  # a robot's own watchdog is 0.5 s, looked at each thirtieth of a s
 PROGRAM = Path(__file__).parent.parent / "support" / "program.py"
 
 
-async def put_velocity(url: str, linear: float, angular: float) -> None:
-    async with (
-        aiohttp.ClientSession() as session,
-        session.put(f"{url}/api/robots/robot_0/velocity", json={"linear": linear, "angular": angular}) as response,
-    ):
-        assert response.status == 200, await response.text()
+async def drive(url: str, linear: float, angular: float) -> None:
+    """Send a velocity to robot_0 until it is obeyed."""
+    async with aiohttp.ClientSession() as session:
+        body = json.dumps({"linear": linear, "angular": angular}).encode()
+        await put_velocity(session, f"{url}/api/robots/robot_0", body)
 
 
 @pytest.mark.quiet
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
 async def test_a_signal_while_driving_stops_the_robot_then_silences_it_within_a_second(number: signal.Signals) -> None:
     async with serve() as daemon, fake_device(daemon.tcp, robot_topics()) as device:
-        await put_velocity(daemon.url, 0.2, 0.5)
+        await drive(daemon.url, 0.2, 0.5)
         assert await device.velocity_other_than(ZERO) == (0.2, 0.5)
         watch = Stopwatch(daemon.pid)
-        daemon.child.send_signal(number)
-        assert await device.velocity_other_than((0.2, 0.5)) == ZERO
-        after = []
-        while not after or after[-1].topic_id != Id.STOP:
-            after.append(await device.next())
-        assert await daemon.child.wait() == 0
+        async with meanwhile(watch.sampling()):
+            daemon.child.send_signal(number)
+            assert await device.velocity_other_than((0.2, 0.5)) == ZERO
+            after = []
+            while not after or after[-1].topic_id != Id.STOP:
+                after.append(await device.next())
+            assert await daemon.child.wait() == 0
         assert watch.seconds < 1.0
     assert {frame.payload for frame in after if frame.topic_id == 100} <= {bytes(48)}
 
@@ -60,7 +62,7 @@ async def test_a_killed_daemon_leaves_a_simulated_robot_standing() -> None:
         running = tasks.create_task(run_over_streams(robot, reader, writer))
         await daemon.read_log("robot.appeared")
         while robot.speed_m_s < 0.05:
-            await put_velocity(daemon.url, 0.3, 0.0)
+            await drive(daemon.url, 0.3, 0.0)
             await asyncio.sleep(0.1)
         killed_s = asyncio.get_running_loop().time()
         daemon.child.kill()
@@ -108,7 +110,7 @@ async def test_a_serial_device_does_the_same() -> None:
         appeared = await daemon.read_log("robot.appeared")
         assert appeared["peer"] == path
         while robot.pose.x_m < 0.05:
-            await put_velocity(daemon.url, 0.3, 0.0)
+            await drive(daemon.url, 0.3, 0.0)
             await asyncio.sleep(0.1)
         url = f"{daemon.url}/api/robots/robot_0/odometry"
         async with aiohttp.ClientSession() as session, session.get(url) as found:

@@ -17,6 +17,7 @@ from hostlink.cli.serve import Notifier
 from hostlink.cli.serve_command import read_example
 from tests.support.fake_device import fake_device, robot_topics
 from tests.support.process import free_port, run, serve
+from tests.support.stopwatch import Stopwatch
 from tests.support.waiting import TIMEOUT_S
 
 WATCHDOG_S = 0.4
@@ -62,10 +63,10 @@ async def test_systemd_is_notified_of_the_start_of_each_heartbeat_and_of_the_sto
         assert "STATUS=0 devices; robots: none" in await listener.received("WATCHDOG=1")
         async with fake_device(daemon.tcp, robot_topics()):
             await daemon.read_log("robot.appeared")
-            began_s = asyncio.get_running_loop().time()
+            watch = Stopwatch(daemon.pid)
             for _ in range(4):
                 await listener.received("WATCHDOG=1")
-            assert asyncio.get_running_loop().time() - began_s < 4 * WATCHDOG_S  # it is sent before it is due
+            assert watch.seconds < 4 * WATCHDOG_S  # it is sent before it is due
             await listener.received("STATUS=1 devices; robots: robot_0")
             daemon.child.send_signal(signal.SIGTERM)
             await listener.received("STOPPING=1")

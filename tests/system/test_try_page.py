@@ -12,7 +12,7 @@ from playwright.async_api import Browser
 from tests.support.browser import Visit, visit
 from tools import try_page
 
-pytestmark = [pytest.mark.asyncio(loop_scope="session"), pytest.mark.quiet]
+pytestmark = pytest.mark.asyncio(loop_scope="session")
 
 LONGEST_S = 20.0
 PLACE = re.compile(r"x (-?[\d.]+) m, y (-?[\d.]+) m, (-?\d+)°")

@@ -19,12 +19,14 @@ from tests.support.fake_device import FakeDevice, robot_topics, topic
 from tests.support.precedence import GOES_LAST
 from tests.support.process import Process
 from tests.support.ros1.debian import Graph, Node, call, graph, living_device
+from tests.support.stopwatch import Stopwatch
 from tests.support.waiting import TIMEOUT_S, expect, expect_never
 
 pytestmark = pytest.mark.quiet
 
 VELOCITY = "/robot_0/velocity_commands"
 LEASE_S = 0.5
+STEADY = 10  # velocities of half a second
 LATE_S = 0.15  # a tick of the gates, and what a busy machine adds
 AT_ONCE_S = 0.25  # an end that TCP reports; the daemon shares two cores with the flood
 FLOOD = "/neighbour/blob"
@@ -50,15 +52,19 @@ class Driven:
         return self.heard[-1][1]
 
     async def stands_after(self, end: Callable[[], Awaitable[None]], limit_s: float) -> None:
-        """Check that the robot moves until `end`, gets its zero within the limit, and no other velocity afterwards."""
-        await expect(lambda: self.speed == 0.25)
-        await expect_never(lambda: self.speed != 0.25, for_s=0.5)
-        began_s = time.monotonic()
-        await end()
-        await expect(lambda: self.speed == 0.0)
+        """Check that the robot moves until `end`, gets its zero within the limit, and no other velocity afterwards.
+
+        The time in which the test, the daemon or the driver waited for a core is left out.
+        """
+        await expect(lambda: {speed for _, speed in self.heard[-STEADY:]} == {0.25})
+        began_s, watch = time.monotonic(), Stopwatch(self.daemon.pid, self.driver.child.pid)
+        async with meanwhile(watch.sampling()):
+            await end()
+            await expect(lambda: self.speed == 0.0)
         moving_s = max(at_s for at_s, speed in self.heard if speed)
         zero_s = min(at_s for at_s, speed in self.heard if not speed and at_s > moving_s)
-        assert zero_s - began_s < limit_s, f"the zero came after {zero_s - began_s:.3f} s"
+        after_s = zero_s - began_s - watch.kept_s
+        assert after_s < limit_s, f"the zero came after {after_s:.3f} s"
         await expect_never(lambda: self.speed != 0.0, for_s=0.8)
 
 
