@@ -17,7 +17,7 @@ async def recorded(folder: Path) -> AsyncIterator[tuple[RestMemory, Recordings]]
     async with rest_memory(settle_s=0.05) as api:
         made = Recordings(api.hub)
         made.folder.path, made.folder.min_free_disk_mb = folder, 0.0
-        api.add(RecordingRoutes(made).routes())
+        api.add(RecordingRoutes(made, 1).routes())
         try:
             yield api, made
         finally:
