@@ -110,6 +110,14 @@ $(ROS_MCP_VENV)/.installed:
 
 ros-mcp-venv: $(ROS_MCP_VENV)/.installed
 
+# promtool out of Debian's package, which when installed would start a server on port 9090.
+PROMTOOL := build/promtool/usr/bin/promtool
+
+$(PROMTOOL):
+	@mkdir -p build/promtool
+	@cd build/promtool && { apt-get -qq download prometheus || { apt-get -o DPkg::Lock::Timeout=300 -qq update && apt-get -qq download prometheus; }; }
+	@cd build/promtool && dpkg -x prometheus_*.deb . && rm prometheus_*.deb && touch usr/bin/promtool
+
 CLIENTS := tests/clients/node_modules/.package-lock.json
 
 $(CLIENTS): tests/clients/package.json tests/clients/package-lock.json
@@ -122,7 +130,7 @@ $(CLIENTS): tests/clients/package.json tests/clients/package-lock.json
 .PHONY: test-requirements
 test-requirements: $(VENV)/.dev
 	@tools/require.sh tmux zsh procps systemd chromium-headless-shell firefox-esr openssl $(FIRMWARE_PACKAGES) $(WORLD_PACKAGES) $(ROS1_PACKAGES) || true
-	@for each in $(CLIENTS) $(ROS2_VENV)/.installed $(ROS_MCP_VENV)/.installed; do \
+	@for each in $(CLIENTS) $(ROS2_VENV)/.installed $(ROS_MCP_VENV)/.installed $(PROMTOOL); do \
 	  $(MAKE) --no-print-directory $$each || echo "the tests that need $$each are not run"; done
 
 test: test-requirements

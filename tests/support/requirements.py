@@ -62,6 +62,7 @@ REQUIREMENTS = (
     )),
     Requirement(("node", "tests/clients/node_modules/.package-lock.json"), "apt-get install nodejs npm", _CLIENTS),
     Requirement(("build/ros2-venv/.installed",), "make ros2-venv", ("tests/system/ros2/*",)),
+    Requirement(("build/promtool/usr/bin/promtool",), "make build/promtool/usr/bin/promtool", (), ("promtool",)),
     Requirement(("build/ros-mcp-venv/.installed",), "make ros-mcp-venv", ("tests/system/test_ros_mcp.py",)),
 )  # fmt: skip
 
