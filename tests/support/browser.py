@@ -1,5 +1,6 @@
 """The page in a real browser: Debian's Chromium without windows, driven from the test."""
 
+import asyncio
 import contextlib
 import re
 from collections.abc import AsyncIterator
@@ -11,6 +12,8 @@ from urllib.parse import urlsplit
 from playwright.async_api import Browser, ConsoleMessage, Page, Request, async_playwright, expect
 
 from tests.support.waiting import TIMEOUT_S
+
+POLL_S = 0.05
 
 expect.set_options(timeout=1000 * TIMEOUT_S)
 
@@ -48,6 +51,12 @@ class Visit:
 
     async def shows(self, selector: str, text: str, *, timeout_s: float = TIMEOUT_S) -> None:
         await expect(self.page.locator(selector)).to_contain_text(text, timeout=1000 * timeout_s)
+
+    async def until(self, expression: str, arg: Any = None) -> None:
+        """Wait until an expression of the page is true. `wait_for_function` may not: the page forbids `eval`."""
+        async with asyncio.timeout(TIMEOUT_S):
+            while not await self.page.evaluate(expression, arg):  # noqa: ASYNC110 - the browser is another process
+                await asyncio.sleep(POLL_S)
 
     async def is_connected(self, *, timeout_s: float = TIMEOUT_S) -> None:
         await self.shows("#connection", "connected", timeout_s=timeout_s)

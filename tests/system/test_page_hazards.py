@@ -483,7 +483,7 @@ async def test_long_paths_of_many_robots_are_not_drawn_again_and_again(browser: 
         state.past = [{"age_s": 70.0 - at / 10, "pose": pose} for at, pose in enumerate(circle)]
         server.show(state)
         await tab.shows("#robots .robot:nth-child(12)", "robot_11")
-        await tab.page.wait_for_function("window.lines > 12 * 50")  # they were drawn
+        await tab.until("window.lines > 12 * 50")  # they were drawn
         lines: list[int] = []
         async with asyncio.timeout(TIMEOUT_S):
             while len(lines) < 2 or lines[-1] > 200 * len(state.robots):

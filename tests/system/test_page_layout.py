@@ -23,6 +23,7 @@ from tests.support.waiting import is_soon
 pytestmark = pytest.mark.asyncio(loop_scope="session")
 
 SIZES = ((1366, 768), (1920, 1080), (1024, 768), (768, 1024), (390, 844), (844, 390), (320, 568))
+SOME = ((1366, 768), (768, 1024), (390, 844))  # a computer, a tablet and a phone; `make test-long` measures all sizes
 TWICE = ((640, 400), (512, 384), (568, 320), (960, 540))  # at 200 %: 1280x800, 1024x768, 1920x1080; and a small phone
 Scheme = Literal["light", "dark"]
 LAYOUTS = ("Drive", "Tune", "Fleet", "Watch")
@@ -166,6 +167,16 @@ CASES = {
 BETWEEN = ("3-robots", "12-robots")  # have no room that others lack: locked, silent and lost have three, fifty a filter
 
 
+Sizes = tuple[tuple[int, int], ...]
+SOME_AND_ALL = pytest.mark.parametrize(
+    ("sizes", "schemes"),
+    [
+        pytest.param(SOME, ("light",), id="some"),
+        pytest.param(SIZES, ("light", "dark"), marks=pytest.mark.long, id="all"),
+    ],
+)
+
+
 @dataclass
 class Scene:
     server: PageServer
@@ -200,16 +211,16 @@ async def scene(browser: Browser) -> AsyncIterator[Scene]:
         yield Scene(server, tab)
 
 
-@pytest.mark.parametrize("schemes", [("light",), pytest.param(("dark",), marks=pytest.mark.long)])
+@SOME_AND_ALL
 @pytest.mark.parametrize(
     "name", [pytest.param(name, marks=pytest.mark.long) if name in BETWEEN else name for name in CASES]
 )
-async def test_every_state_fits_every_size(scene: Scene, name: str, schemes: tuple[Scheme, ...]) -> None:
+async def test_every_state_fits_every_size(scene: Scene, name: str, sizes: Sizes, schemes: tuple[Scheme, ...]) -> None:
     await scene.tab.layout("Drive")
     await scene.size(*SIZES[0])
     await scene.show(CASES[name])
     found = []
-    for scheme, (width, height) in product(schemes, SIZES):
+    for scheme, (width, height) in product(schemes, sizes):
         await scene.tab.page.emulate_media(color_scheme=scheme)
         await scene.size(width, height)
         found += [f"{scheme} {width}x{height}: {fault}" for fault in await scene.faults()]
@@ -218,16 +229,20 @@ async def test_every_state_fits_every_size(scene: Scene, name: str, schemes: tup
     assert not found, "\n".join(found)
 
 
+@SOME_AND_ALL
 @pytest.mark.parametrize("layout", LAYOUTS[1:])
-async def test_every_layout_fits_every_size(scene: Scene, layout: str) -> None:
+async def test_every_layout_fits_every_size(
+    scene: Scene, layout: str, sizes: Sizes, schemes: tuple[Scheme, ...]
+) -> None:
     found = []
     await scene.tab.layout(layout)
     for name in ("empty", "50-robots", "locked", *(["1-robot"] if TAKES_PICTURES else [])):
         await scene.show(CASES[name])
-        for width, height in SIZES:
+        for scheme, (width, height) in product(schemes, sizes):
+            await scene.tab.page.emulate_media(color_scheme=scheme)
             await scene.size(width, height)
-            found += [f"{name} {width}x{height}: {fault}" for fault in await scene.faults()]
-            if name != "empty":
+            found += [f"{name} {scheme} {width}x{height}: {fault}" for fault in await scene.faults()]
+            if name != "empty" and scheme == "light":
                 await scene.picture(f"{layout}-{name}-{width}x{height}")
     assert not found, "\n".join(found)
 
@@ -593,7 +608,7 @@ async def test_requested_velocity_is_drawn_with_the_measured_one(browser: Browse
         await tab.page.evaluate("window.dashes = 0; new Promise((done) => setTimeout(done, 300))")
         assert await tab.page.evaluate("window.dashes") == 0  # nothing is asked
         server.show(driven())
-        await tab.page.wait_for_function("window.dashes > 0")
+        await tab.until("window.dashes > 0")
         await tab.shows("#speeds", "commanded 0.30")
         await tab.shows("#speeds", "measured 0.14")
 

@@ -75,9 +75,9 @@ async def test_values_of_a_robot_are_blank_or_grow_old_while_the_daemon_is_gone(
         for blank in ("rate", "page", "device", "signal", "battery", "errors"):
             await expect_page(tab.page.locator(tile(tab, blank))).to_have_text("–", timeout=UNKNOWN_MS)
         first_s = await age_s(tab)
-        await tab.page.wait_for_function(
+        await tab.until(
             "([selector, least]) => parseFloat(document.querySelector(selector).textContent) > least",
-            arg=[tile(tab, "age"), first_s + 0.9],
+            [tile(tab, "age"), first_s + 0.9],
         )
         await tab.shows("#robots .what", "heard")
         for empty in (".speed", ".battery", ".signal"):

@@ -203,7 +203,7 @@ async def test_keys_and_gamepad_move_the_knob_of_the_stick(browser: Browser) -> 
 
         async def is_at(x: float, y: float) -> None:
             """Wait until the knob is so far from the middle of the stick."""
-            await tab.page.wait_for_function(
+            await tab.until(
                 """([x, y]) => {
                   const [ground, knob] = ["#joystick svg", "#joystick .front"].map((each) => {
                     const { left, top, width, height } = document.querySelector(each).getBoundingClientRect();
@@ -211,7 +211,7 @@ async def test_keys_and_gamepad_move_the_knob_of_the_stick(browser: Browser) -> 
                   });
                   return Math.hypot(knob[0] - ground[0] - x, knob[1] - ground[1] - y) < 2;
                 }""",
-                arg=[x, y],
+                [x, y],
             )
 
         await is_at(0, 0)

@@ -37,13 +37,13 @@ async def test_every_page_shows_thirty_robots_of_three_daemons_and_drives_one_of
         for host in hosts:
             async with visit(browser, host.url) as page:
                 await page.is_connected()
-                await page.page.wait_for_function("document.querySelectorAll('#robots label.robot').length === 30")
+                await page.until("document.querySelectorAll('#robots .robot label').length === 30")
                 assert page.complaints == []
         page = await stack.enter_async_context(visit(browser, hosts[2].url))
         await stack.enter_async_context(repeating(devices["robot_7"], pose(1.0)))  # a silent one is not driven
         await page.is_connected()
-        await page.page.locator("#robots label.robot", has_text="robot_7").first.click()
-        await page.shows("#robots label.robot:has(input:checked)", " · at a")
+        await page.page.locator("#robots .robot label", has_text="robot_7").first.click()
+        await page.shows("#robots .robot:has(input:checked)", " · at a")
         await page.page.evaluate("document.activeElement.blur()")  # keys in a field are letters
         await page.page.keyboard.down("KeyW")
         linear, _ = await devices["robot_7"].velocity_other_than(STILL)
