@@ -27,7 +27,7 @@ MUTANTS ?= 8
 MUTANTS_SEED ?= 1
 
 CORES := $(shell nproc)
-WORKERS ?= $(shell echo $$((5 * $(CORES))))# of make test: most of its time is waiting
+WORKERS ?= $(shell echo $$((4 * $(CORES))))# of make test: three quarters of its time is waiting
 QUIET_WORKERS ?= $(shell echo $$((2 * $(CORES))))# of the tests that a busy machine disturbs: three fifths of their time is waiting
 unexport PYTHONDONTWRITEBYTECODE # the tests start hostlink some hundred times
 
