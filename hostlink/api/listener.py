@@ -248,8 +248,7 @@ class PacedReading(ForwardingProtocol, asyncio.BufferedProtocol):
         self._is_lost, self._held = True, b""
         self.give_room()
         self._connections.leave(self._connection)
-        # A turn later: aiohttp forgets its handler, and a request that arrived in this turn has not called it yet.
-        self._loop.call_soon(super().connection_lost, exc)
+        super().connection_lost(exc)
 
     def pause_writing(self) -> None:
         self.is_writing_paused = True

@@ -37,7 +37,7 @@ async def come_and_vanish(host: Daemon, turn: int) -> None:
 async def drive(host: Daemon, device: FakeDevice, turn: int) -> None:
     """A robot that vanishes while it is driven."""
     if turn % 5:
-        await host.drive("robot_0", b'{"linear": 0.1, "angular": 0.0}')
+        await host.rest("PUT", "/api/robots/robot_0/velocity", b'{"linear": 0.1, "angular": 0.0}')
         await device.velocity()
 
 

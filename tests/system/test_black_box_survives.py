@@ -140,7 +140,7 @@ async def test_a_daemon_that_ends_with_many_pending_incidents_is_quick_and_loses
             tasks.create_task(flood(daemon, name, begin))
         for _ in names:
             await daemon.read_log("robot.appeared")
-        await get(session, daemon, "/api/robots")  # by its answer the black box has subscribed
+        await expect_subscribed(session, daemon, names)
         begin.set()
         await expect_messages(session, daemon, names)
         for name in names:
@@ -171,6 +171,17 @@ async def flood(daemon: Process, name: str, begin: asyncio.Event) -> None:
         for _ in range(POSES // 100):
             await device.send(pose(1.0, 2.0, 0.5) * 100)
         await device.closed()
+
+
+async def expect_subscribed(session: aiohttp.ClientSession, daemon: Process, names: list[str]) -> None:
+    """Until the black box has subscribed to the poses of all, beside the robots themselves."""
+    async with asyncio.timeout(60):
+        while True:
+            listed = (await get(session, daemon, "/api/topics"))["topics"]
+            counts = {each["name"]: each["subscribers"] for each in listed}
+            if all(counts.get(f"/{name}/odometry", 0) >= 2 for name in names):
+                return
+            await asyncio.sleep(0.01)
 
 
 async def expect_messages(session: aiohttp.ClientSession, daemon: Process, names: list[str]) -> None:

@@ -324,17 +324,3 @@ def test_recordings_are_listed_newest_first(check: Callable[..., None], tmp_path
 )
 def test_url_has_scheme_and_bracketed_address(host: str, has_tls: bool, url: str) -> None:
     assert url_of(host, 9090, has_tls=has_tls) == url
-
-
-def test_connection_lost_in_the_turn_of_its_request_logs_no_error(check: Callable[..., None]) -> None:
-    async def test(api: ApiMemory) -> None:
-        errors: list[object] = []
-        asyncio.get_running_loop().set_exception_handler(lambda _, context: errors.append(context))
-        peer = api.connect()
-        await asyncio.sleep(0.05)
-        peer.send_head("GET", "/api/robots", {"Host": "localhost"})
-        peer.reading.connection_lost(ConnectionResetError())
-        await asyncio.sleep(0.05)
-        assert errors == []
-
-    check(test)
