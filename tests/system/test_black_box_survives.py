@@ -174,7 +174,7 @@ async def flood(daemon: Process, name: str, begin: asyncio.Event) -> None:
 
 
 async def expect_subscribed(session: aiohttp.ClientSession, daemon: Process, names: list[str]) -> None:
-    """Until the black box has subscribed to the poses of all, beside the robots themselves."""
+    """Wait until the black box has subscribed to the poses of all. The robots are subscribers too."""
     async with asyncio.timeout(60):
         while True:
             listed = (await get(session, daemon, "/api/topics"))["topics"]
