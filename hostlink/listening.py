@@ -69,6 +69,11 @@ def close_all(listening: Iterable[socket.socket]) -> None:
         each.close()
 
 
+def spelled(host: str, port: int) -> str:
+    """Format an address for people; IPv6 in brackets."""
+    return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
+
+
 def own_address() -> str | None:
     """Return this computer's address in its network; None without one. Connecting a UDP socket sends no packet."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:

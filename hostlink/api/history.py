@@ -8,7 +8,6 @@ import heapq
 import time
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
-from datetime import UTC, datetime
 from http import HTTPStatus
 from pathlib import Path
 from typing import Annotated, Any, NotRequired, TypedDict, cast
@@ -19,7 +18,7 @@ from aiohttp import web
 from hostlink.api.bodies import decode_body
 from hostlink.api.recordings import send_file
 from hostlink.api.routes import BODY, FILE, Route, reply, reply_encoded
-from hostlink.api.views import velocity_view
+from hostlink.api.views import utc_text, velocity_view
 from hostlink.errors import BadRequest, RecordingFailed, UnknownTopic
 from hostlink.hub.hub import Hub
 from hostlink.hub.node import Role
@@ -447,14 +446,13 @@ def recording_history(catalog: Catalog, path: Path, robot: str, *, read_s: float
         history.add(Entry(message.channel, message.stamp_ns, message.payload, at_s))
     view = history_view(catalog, history, OdometryEstimator(), None, 0.0, rest)
     view["events"] = [each for each in view["events"] if each["msg"].get("robot", "") in ("", robot)]
-    begin = datetime.fromtimestamp(stamp_ns / NS_PER_S, UTC).isoformat(timespec="milliseconds")
     head = msgspec.json.encode(
         {
             "file": path.name,
             "bytes": reader.size_bytes,
             "robot": robot,
             "robots": robots,
-            "begin": begin,
+            "begin": utc_text(stamp_ns),
             "seconds": max(0, last_ns - first_ns) / NS_PER_S,
             "damage": [*reader.damage, *limit],
         }

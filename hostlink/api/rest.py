@@ -4,7 +4,6 @@ import asyncio
 import ipaddress
 from collections import OrderedDict
 from collections.abc import Iterable
-from datetime import UTC, datetime
 from http import HTTPStatus
 from typing import Annotated, TypedDict, TypeVar
 
@@ -28,6 +27,7 @@ from hostlink.api.views import (
     robot_view,
     stopped_view,
     topic_views,
+    utc_text,
     velocity_answer,
 )
 from hostlink.config import Config, TcpConfig, UdpConfig
@@ -39,7 +39,7 @@ from hostlink.hub.participant import Participant
 from hostlink.hub.reloader import Reloader
 from hostlink.hub.robot import LOCK_REASON, Robot
 from hostlink.hub.standstills import MAX_WAIT_S, WAIT_S
-from hostlink.listening import own_address
+from hostlink.listening import own_address, spelled
 from hostlink.recording.drives import Drive, DriveLog
 from hostlink.robot.state import MAX_PRIORITY
 from hostlink.robot.velocity import PlanarVelocity
@@ -198,13 +198,9 @@ def daemon_diagnosis_view(hub: Hub) -> DaemonDiagnosisView:
 def listening_text(listening: Listening, config: Config) -> str:
     """Describe where devices connect: `listening on TCP 0.0.0.0:11411, /dev/ttyACM0`."""
     addresses = (("TCP", listening.tcp), ("UDP", listening.udp))
-    places = [f"{name} {_spelled(*address)}" for name, address in addresses if address is not None]
+    places = [f"{name} {spelled(*address)}" for name, address in addresses if address is not None]
     places += [port.name for port in config.serial]
     return f"listening on {', '.join(places)}" if places else "listening on no port"
-
-
-def _spelled(host: str, port: int) -> str:
-    return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
 
 
 def listening_view(listening: Listening, config: Config, address: str | None = None) -> ListeningView:
@@ -232,7 +228,7 @@ def _simulate(address: tuple[str, int] | None, config: TcpConfig | UdpConfig | N
         return None
     if (host, address[1]) == SIM_CONNECTS_TO:
         return SIM + option
-    return f"{SIM}{option} --connect {_spelled(host, address[1])}"
+    return f"{SIM}{option} --connect {spelled(host, address[1])}"
 
 
 def _is_in(host: str, networks: Iterable[str]) -> bool:
@@ -339,8 +335,8 @@ def _view(drive: Drive) -> DriveView:
         "owner": drive.owner,
         "address": drive.address,
         "priority": drive.priority,
-        "began": _utc(drive.began_ns),
-        "ended": _utc(drive.ended_ns),
+        "began": utc_text(drive.began_ns),
+        "ended": utc_text(drive.ended_ns),
         "seconds": round(_seconds(drive), 3),
         "commands": drive.commands,
         "fastest_m_s": round(drive.fastest_m_s, 4),
@@ -351,10 +347,6 @@ def _view(drive: Drive) -> DriveView:
 
 def _seconds(drive: Drive) -> float:
     return max(drive.ended_ns - drive.began_ns, 0) / 1e9 if drive.seconds is None else drive.seconds
-
-
-def _utc(stamp_ns: int) -> str:
-    return datetime.fromtimestamp(stamp_ns / 1e9, UTC).isoformat(timespec="milliseconds")
 
 
 Body = TypeVar("Body", bound=msgspec.Struct)

@@ -3,6 +3,7 @@
 import asyncio
 import functools
 from collections.abc import Callable, Hashable, Iterable, Iterator
+from datetime import UTC, datetime
 from typing import TypedDict, TypeVar, cast
 
 import msgspec
@@ -207,17 +208,22 @@ class TopicView(TypedDict):
     messages: int
 
 
+def utc_text(stamp_ns: int) -> str:
+    """Format a wall time: `2026-11-22T07:43:29.123+00:00`."""
+    return datetime.fromtimestamp(stamp_ns / 1e9, UTC).isoformat(timespec="milliseconds")
+
+
 def robot_view(robot: Robot) -> RobotView:
     """Return the present state of one robot."""
     state = robot.state(asyncio.get_running_loop().time())
     fields = msgspec.structs.asdict(state)
-    del fields["odometry_type"], fields["reset_topic"]
+    del fields["odometry_type"], fields["reset_topic"], fields["is_played"]
     view = {
         "name": state.name,
         "connected": state.link is not None,
         **fields,
         "also_at": list(state.also_at),
-        "played": fields.pop("is_played"),
+        "played": state.is_played,
         "locked": state.lock_reason is not None,
         "velocity": velocity_view(state.velocity),
         "odometry": None if state.odometry is None else odometry_view(state.odometry),

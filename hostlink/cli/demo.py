@@ -19,11 +19,11 @@ from hostlink.errors import HostlinkError
 from hostlink.hub.hub import Hub
 from hostlink.hub.participant import Participant
 from hostlink.hub.robot import LocalRobot
+from hostlink.listening import spelled
 from hostlink.robot.velocity import PlanarVelocity
 from hostlink.sim.firmware_module import require_wasmtime
 from hostlink.sim.firmware_world import RobotKind
 from hostlink.sim.run import SocketAddress, run_fleet
-from hostlink.transport.tcp import spelled
 
 OWNER = "demo"
 DEMO_PRIORITY = 0  # every other driver takes precedence
@@ -86,12 +86,16 @@ async def _demo(config: Config, robots: int, kind: RobotKind) -> None:
         output = Output(ending)
         async with running(config) as (hub, addresses), asyncio.TaskGroup() as tasks:
             host, port = addresses.tcp
-            own: dict[str, SocketAddress] = {}  # addresses of the simulated robots, by name
+            own: dict[str, str] = {}  # addresses of the simulated robots, by name
+
+            def note_own(name: str, address: SocketAddress) -> None:
+                own[name] = spelled(*address[:2])
+
             fleet = tasks.create_task(
-                run_fleet(host, port, robots=robots, kind=kind, on_connected=own.__setitem__), name="simulated robots"
+                run_fleet(host, port, robots=robots, kind=kind, on_connected=note_own), name="simulated robots"
             )
             participant = hub.join(OWNER, priority=DEMO_PRIORITY)
-            demo = DemoDriver(hub, participant, lambda peer: peer in {spelled(*each[:2]) for each in own.values()})
+            demo = DemoDriver(hub, participant, lambda peer: peer in own.values())
             driver = tasks.create_task(demo.run(), name="demo driver")
             line = tasks.create_task(_show(hub, demo, output), name="live line")
             output.show(write, *_welcome(addresses.api))

@@ -15,12 +15,12 @@ from hostlink.config import LinkConfig, SerialConfig, TcpConfig, UdpConfig
 from hostlink.hub.hub import Hub
 from hostlink.link.link import INVITATION, Link, has_frame
 from hostlink.link.serving import Authenticate, LinkEnd, trust
+from hostlink.listening import spelled
 from hostlink.log_budget import Budget
 from hostlink.logs import printable
 from hostlink.transport.base import Transport
 from hostlink.transport.keyed import HELLO, KeyProof, read_key
 from hostlink.transport.serial import SerialTransport, open_serial
-from hostlink.transport.tcp import spelled
 from hostlink.transport.udp import Datagram, UdpPort, UdpTransport
 
 # -- refusals ---------------------------------------------------------------------------------------------------------

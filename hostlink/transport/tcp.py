@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from hostlink.acceptor import Acceptor, bind, why
 from hostlink.config import TcpConfig
 from hostlink.errors import ConfigError, LibraryMissing
+from hostlink.listening import spelled
 from hostlink.transport.base import Transport
 from hostlink.transport.connection import StreamTransport, set_options
 
@@ -199,11 +200,6 @@ async def serve_tcp(
             yield Listener(address)
         finally:
             acceptor.close()
-
-
-def spelled(host: str, port: int) -> str:
-    """Format an address for people; IPv6 in brackets."""
-    return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
 
 
 def explain(error: OSError | OverflowError | UnicodeError, option: str) -> str:

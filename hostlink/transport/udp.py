@@ -16,8 +16,9 @@ from typing import Any, NamedTuple
 
 from hostlink.config import UdpConfig
 from hostlink.errors import ConfigError
+from hostlink.listening import spelled
 from hostlink.transport.base import READ_BYTES
-from hostlink.transport.tcp import explain, spelled
+from hostlink.transport.tcp import explain
 
 # -- allowance --------------------------------------------------------------------------------------------------------
 

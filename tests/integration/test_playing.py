@@ -15,13 +15,13 @@ from hostlink.cli.demo import DemoDriver
 from hostlink.cli.names import driver
 from hostlink.client import connect
 from hostlink.errors import BadRequest, ConfigError, HostlinkError
+from hostlink.listening import spelled
 from hostlink.messages.catalog import Catalog
 from hostlink.protocol.frame import Id, encode
 from hostlink.recording.channel import DEVICE, VELOCITY, Channel, ros_channel
 from hostlink.recording.mcap_writer import McapWriter
 from hostlink.robot.velocity import ZERO, PlanarVelocity
 from hostlink.sim.run import SocketAddress, run_fleet
-from hostlink.transport.tcp import spelled
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import FakeDevice, fake_device, pose, robot_topics, topic
 from tests.support.virtual_loop import run_virtual

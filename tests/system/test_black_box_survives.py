@@ -5,6 +5,7 @@ import json
 import os
 import signal
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -140,9 +141,9 @@ async def test_a_daemon_that_ends_with_many_pending_incidents_is_quick_and_loses
             tasks.create_task(flood(daemon, name, begin))
         for _ in names:
             await daemon.read_log("robot.appeared")
-        await expect_subscribed(session, daemon, names)
+        await expect_topics(session, daemon, names, lambda each: each["subscribers"] >= 2)  # robot, black box
         begin.set()
-        await expect_messages(session, daemon, names)
+        await expect_topics(session, daemon, names, lambda each: each["messages"] == POSES)
         for name in names:
             await post(session, daemon, f"/api/robots/{name}/lock", {"reason": "all at once"})
         for number in range(MAX_REQUESTED):
@@ -173,26 +174,17 @@ async def flood(daemon: Process, name: str, begin: asyncio.Event) -> None:
         await device.closed()
 
 
-async def expect_subscribed(session: aiohttp.ClientSession, daemon: Process, names: list[str]) -> None:
-    """Wait until the black box has subscribed to the poses of all. The robots are subscribers too."""
+async def expect_topics(
+    session: aiohttp.ClientSession, daemon: Process, names: list[str], is_so: Callable[[dict[str, Any]], bool]
+) -> None:
+    """Wait until the topics of all robots' poses are as wanted."""
     async with asyncio.timeout(60):
         while True:
-            listed = (await get(session, daemon, "/api/topics"))["topics"]
-            counts = {each["name"]: each["subscribers"] for each in listed}
-            if all(counts.get(f"/{name}/odometry", 0) >= 2 for name in names):
+            listed = {each["name"]: each for each in (await get(session, daemon, "/api/topics"))["topics"]}
+            poses = [listed.get(f"/{name}/odometry") for name in names]
+            if all(each is not None and is_so(each) for each in poses):
                 return
-            await asyncio.sleep(0.01)
-
-
-async def expect_messages(session: aiohttp.ClientSession, daemon: Process, names: list[str]) -> None:
-    """Until every pose of all has come."""
-    async with asyncio.timeout(60):
-        while True:
-            listed = (await get(session, daemon, "/api/topics"))["topics"]
-            counts = {each["name"]: each["messages"] for each in listed}
-            if all(counts.get(f"/{name}/odometry") == POSES for name in names):
-                return
-            await asyncio.sleep(0.1)
+            await asyncio.sleep(0.02)
 
 
 async def get(session: aiohttp.ClientSession, daemon: Process, path: str) -> Any:

@@ -13,6 +13,7 @@ from hostlink.config import Config
 from hostlink.errors import BadRequest
 from hostlink.hub.hub import Hub
 from hostlink.hub.node import Role
+from hostlink.robot.views import RobotView
 from tests.support.fake_device import CATALOG
 from tests.support.participants import VELOCITY_ID
 from tests.support.rest_memory import RestMemory, rest_memory
@@ -42,6 +43,7 @@ def test_robots_are_listed_with_their_state() -> None:
         status, body = await api.call("GET", "/api/robots")
         (robot,) = body["robots"]
         assert (status, robot["name"], robot["connected"]) == (200, "robot_0", True)
+        assert robot.keys() == RobotView.__annotations__.keys()
         assert robot == (await api.call("GET", "/api/robots/robot_0"))[1]
 
     check(test)

@@ -10,9 +10,10 @@ import pytest
 
 from hostlink.config import SerialConfig
 from hostlink.errors import ConfigError
+from hostlink.listening import spelled
 from hostlink.transport.keyed import proof, read_key
 from hostlink.transport.serial import choose_by_serial, find_port
-from hostlink.transport.tcp import explain, spelled
+from hostlink.transport.tcp import explain
 from hostlink.transport.udp import local_address
 
 PORTS = {"/dev/ttyUSB1": "B", "/dev/ttyUSB0": "A", "/dev/ttyACM0": "A"}
