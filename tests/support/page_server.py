@@ -37,6 +37,7 @@ class State:
     refusal: str = ""  # of every request that changes something
     drive_answer: dict[str, Any] = field(default_factory=dict)  # what else the answer to a command has
     drive_refusal: dict[str, Any] = field(default_factory=dict)  # of every command: kind, reason
+    answering: asyncio.Event | None = None  # commands are read and answered once it is set
     refusal_status: HTTPStatus = HTTPStatus.FORBIDDEN
     is_lost: bool = False  # nothing answers
     late_s: float = 0.0  # how long the events are on their way
@@ -141,6 +142,8 @@ class PageServer:
             if asked["op"] == "drive":
                 refusal = self._state.drive_refusal
                 answer = {"op": "drive_result", "id": asked["id"], "result": not refusal}
+                if self._state.answering is not None:
+                    await self._state.answering.wait()
                 await socket.send_json({**answer, **self._state.drive_answer, **refusal})
             if asked["op"] == "call_service":
                 answer = {"op": "service_response", "id": asked.get("id"), "service": asked["service"]}

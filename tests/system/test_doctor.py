@@ -67,11 +67,12 @@ async def test_a_healthy_daemon_is_status_0() -> None:
 
 
 async def test_two_robots_of_one_address_are_told_apart() -> None:
-    async with serve() as daemon, simulated(daemon.tcp), simulated(daemon.tcp, "--first", "1", "--fault", "text"):
-        for _ in range(2):
-            await daemon.read_log("robot.appeared")
+    async with serve() as daemon, simulated(daemon.tcp, "--first", "1", "--fault", "text"):
         await daemon.read_log("link.diagnosed")
-        report = json.loads((await run("doctor", "--json", "--url", daemon.url))[1])
+        async with simulated(daemon.tcp):
+            await daemon.read_log("robot.appeared")  # robot_0: robot_1 appeared before its diagnosis
+            await asyncio.sleep(0.5)
+            report = json.loads((await run("doctor", "--json", "--url", daemon.url))[1])
     diagnosed = {link["robot"]: [each["code"] for each in link["diagnosis"]] for link in report["links"]}
     assert diagnosed == {"robot_0": [], "robot_1": ["text_on_line"]}
     assert all(link["odometry"]["rate_hz"] > 5 for link in report["links"])

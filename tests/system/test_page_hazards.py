@@ -37,6 +37,7 @@ TAP = """async (ms) => {
 SHORTEST_MS, PRESSES = 30, 8  # a finger that hits a button lets it go no sooner
 DISPATCH = "([name, selector]) => document.querySelector(selector).dispatchEvent(new Event(name, { bubbles: true }))"
 FREEZE = "(ms) => { const end = performance.now() + ms; while (performance.now() < end); }"
+LASTING_COMMANDS = 10  # more than the zeros after a motion
 SENT_AGAIN_S = 0.12  # what is held is sent every 80 ms
 FROZEN_MS = 700
 BEHIND_S = """(time) => {
@@ -396,6 +397,23 @@ async def test_a_refused_motion_must_let_go(scene: Scene, kind: str) -> None:
     await scene.stands()
     await page.keyboard.up("KeyW")
     await page.keyboard.down("KeyW")
+    await scene.drives()
+    await page.keyboard.up("KeyW")
+
+
+async def test_a_late_refusal_of_an_earlier_motion_does_not_end_this_one(scene: Scene) -> None:
+    page, state, answering = scene.tab.page, fleet("robot_0"), asyncio.Event()
+    state.drive_refusal, state.answering = {"kind": "disarmed", "reason": "robot_0: disarmed"}, answering
+    scene.server.show(state)
+    await page.keyboard.down("KeyW")
+    await scene.drives()
+    await page.keyboard.up("KeyW")
+    await page.keyboard.down("KeyW")
+    scene.server.show(fleet("robot_0"))
+    answering.set()
+    await scene.tab.shows("#drive-state", "robot_0: disarmed")
+    sent = len(scene.commands())
+    await expect(lambda: len(scene.commands()) > sent + LASTING_COMMANDS)
     await scene.drives()
     await page.keyboard.up("KeyW")
 

@@ -18,6 +18,7 @@ from playwright.async_api import Browser, expect
 
 from tests.support.browser import Visit, visit
 from tests.support.page_server import BUILT, PageServer, State, link, odometry, page_server, robot
+from tests.support.waiting import expect as expect_soon
 from tests.support.waiting import is_soon
 
 pytestmark = pytest.mark.asyncio(loop_scope="session")
@@ -445,21 +446,17 @@ async def test_fleet_of_fifty_is_sorted_by_trouble_counted_and_readable_at_every
             server.requests.clear()
             await last.get_by_role("button", name=f"Stop {WAREHOUSE}49").click()
             await tab.shows("#notice", f"{WAREHOUSE}49 is stopped.")
-            assert server.requests == [("POST", f"/api/robots/{WAREHOUSE}49/stop")]
-            await expect(page.locator("#robots input:checked")).to_have_value(
-                f"{WAREHOUSE}0"
-            )  # nothing is chosen by it
+            await expect_soon(lambda: server.requests == [("POST", f"/api/robots/{WAREHOUSE}49/stop")])
+            await expect(page.locator("#robots input:checked")).to_have_value(f"{WAREHOUSE}0")  # it chooses nothing
         await counts.get_by_text("2 locked").click()
-        assert await page.locator("#robots .robot:visible b").all_text_contents() == [
-            f"{WAREHOUSE}12",
-            f"{WAREHOUSE}47",
-        ]
+        locked = page.locator("#robots .robot:visible b")
+        await expect(locked).to_have_text([f"{WAREHOUSE}12", f"{WAREHOUSE}47"])
         await tab.layout("Drive")  # a phone has no counts there, and shows all robots
         await expect(page.locator("#robots .robot:visible")).to_have_count(50)
         await tab.layout("Fleet")
         await expect(page.locator("#robots .robot:visible")).to_have_count(2)
         await counts.get_by_text("2 locked").click()
-        assert await page.locator("#robots .robot:visible").count() == 50
+        await expect(page.locator("#robots .robot:visible")).to_have_count(50)
         assert tab.complaints == []
 
 

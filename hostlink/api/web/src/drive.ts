@@ -60,14 +60,18 @@ export class Drive {
     return isMine && !this.isRefused ? "you" : named(robot.holder, robot.holder_address);
   }
 
-  /** Keep the stick active while a source with a higher priority drives; after other refusals it must be released first. */
+  /**
+   * Keep the stick active while a source with a higher priority drives; after other refusals it must be released first.
+   * The refusal of a command of an earlier motion does not end this motion: its own commands are answered too.
+   */
   answered(answer: DriveAnswer): void {
     const command = this.unanswered.shift();
     if (answer.result) {
       if (command?.motion === this.motion) this.epoch ??= answer.epoch ?? null;
       return;
     }
-    if (answer.kind !== HELD) this.driving.releaseAll();
+    const isEarlier = command !== undefined && command.motion !== this.motion;
+    if (answer.kind !== HELD && !isEarlier) this.driving.releaseAll();
     this.refusal = answer.reason ?? "";
     this.refusedAt = performance.now();
     this.show();
