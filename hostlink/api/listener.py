@@ -174,6 +174,7 @@ class PacedReading(ForwardingProtocol, asyncio.BufferedProtocol):
         self._is_behind = behind_since_s is not None  # whether more bytes may wait behind those read last
         self._next_request_came_s: float | None = None
         self._is_web_socket = self._is_refusing = self._is_lost = False
+        self._is_last_request = False  # whether bytes were passed on while the transport was closing
         self._on_read = self._on_writable = _call_nothing  # callbacks of the WebSocket's owner
         self._deadline: asyncio.TimerHandle | None = None
 
@@ -248,7 +249,10 @@ class PacedReading(ForwardingProtocol, asyncio.BufferedProtocol):
         self._is_lost, self._held = True, b""
         self.give_room()
         self._connections.leave(self._connection)
-        super().connection_lost(exc)
+        if self._is_last_request:  # a turn later, because aiohttp has not called its handler yet and would forget it
+            self._loop.call_soon(super().connection_lost, exc)
+        else:
+            super().connection_lost(exc)
 
     def pause_writing(self) -> None:
         self.is_writing_paused = True
@@ -271,7 +275,8 @@ class PacedReading(ForwardingProtocol, asyncio.BufferedProtocol):
         data, self._held = self._held, b""
         if self._is_lost or self._is_refusing:
             return
-        if not self._transport.is_closing():
+        self._is_last_request = self._transport.is_closing()
+        if not self._is_last_request:
             self._transport.resume_reading()
         self._pass_on(data)
 

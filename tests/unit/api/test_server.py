@@ -11,6 +11,7 @@ import pytest
 
 from hostlink.api.server import url_of
 from hostlink.config import ApiConfig, Config, TokenConfig
+from hostlink.transport.base import READ_BYTES
 from tests.support.api_memory import Answer, ApiMemory, api_memory
 from tests.support.participants import VELOCITY_ID
 from tests.support.virtual_loop import run_virtual
@@ -324,3 +325,20 @@ def test_recordings_are_listed_newest_first(check: Callable[..., None], tmp_path
 )
 def test_url_has_scheme_and_bracketed_address(host: str, has_tls: bool, url: str) -> None:
     assert url_of(host, 9090, has_tls=has_tls) == url
+
+
+def test_request_held_back_on_a_closing_connection_logs_no_error(check: Callable[..., None]) -> None:
+    """Its handler is called before aiohttp hears that the connection is lost."""
+
+    async def test(api: ApiMemory) -> None:
+        errors: list[object] = []
+        asyncio.get_running_loop().set_exception_handler(lambda _, context: errors.append(context))
+        peer = api.connect()
+        await asyncio.sleep(0.05)
+        peer.send(b"GET /api/robots HTTP/1.1\r\nHost: localhost\r\n\r\n" * (READ_BYTES // 40))
+        assert peer.transport.is_paused  # the bytes are held back
+        peer.transport.abort()
+        await asyncio.sleep(0.05)
+        assert errors == []
+
+    check(test)
