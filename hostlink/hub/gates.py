@@ -365,6 +365,8 @@ class Gates:
         if since_s is not None:
             for admission in tuple(self._admissions):  # also of a robot at rest: its sources may be disarmed
                 admission.interrupt(now_s, since_s=since_s, by="a pause of hostlink")
+            for drivable in [each for each in self._active if each.gate.may_move]:
+                self._step(drivable, now_s)  # its zero replaces a velocity that is not written yet
 
     def _overrule(self, beside: list[Drivable], drivable: Drivable, owner: Hashable, priority: int) -> None:
         """Stop velocity topics of the robot that a source of lower priority drives. Its next command is refused."""
@@ -447,7 +449,8 @@ class Gates:
             admission.unlock(_now_s(), by=by)
 
     def pauses(self, now_s: float) -> HostPauses:
-        """Return the pauses of this process."""
+        """Return the pauses of this process. One that has just ended interrupts every robot first."""
+        self._notice_pause(now_s)
         return self._stalls.pauses(now_s)
 
     def refuse_all(self) -> None:

@@ -165,7 +165,8 @@ class Link:
     ) -> None:
         """`share` divides the event loop among all links. `wall_ns` is the time that devices get.
 
-        `pauses` returns when the host itself did not run, up to its argument.
+        `pauses` returns when the host itself did not run, up to its argument. It is called before frames are written,
+        because the host replaces a velocity that waited through a pause.
         """
         self.number = number
         self.kind, self.peer = transport.kind, transport.peer
@@ -427,6 +428,8 @@ class Link:
         session = self.session
         outbox = session.outbox
         outbox.begin_waiting(now_s)
+        if outbox.has_waiting:
+            self._pauses(now_s)  # a pause that has just ended replaces velocities by zero
         while outbox.has_waiting and not self._is_behind.is_set():
             wall_ns = self._wall_ns() if outbox.is_time_due else 0
             outgoing = session.pop_frame(now_s=now_s, wall_ns=wall_ns)

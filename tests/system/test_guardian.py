@@ -26,7 +26,7 @@ pytestmark = pytest.mark.quiet
 
 WITHOUT = "guardian = false\n"
 HANG_LIMIT_S = 1.5  # one second without a beat, and what a busy machine adds
-IDLE = "[link]\nidle_timeout_s = 0.6\nsilence_timeout_s = 0.6\n"
+IDLE = "[link]\nidle_timeout_s = 2.0\nsilence_timeout_s = 2.0\n"
 
 
 def guardian_of(daemon: Process) -> int:

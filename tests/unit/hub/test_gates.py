@@ -19,7 +19,7 @@ from tests.support.fake_device import robot_topics, topic
 from tests.support.gates import drive_gate
 from tests.support.memory_hub import MemoryHub, in_hub, velocities
 from tests.support.remote_robots import remote_robot
-from tests.support.virtual_loop import run_virtual
+from tests.support.virtual_loop import VirtualLoop, run_virtual
 
 SLOW, FAST = PlanarVelocity(0.1), PlanarVelocity(0.4)
 
@@ -97,6 +97,32 @@ def test_velocities_of_one_batch_are_written_at_its_end_and_only_the_newest() ->
         assert device.link.session.counts.frames_to_device == written + 1
         await asyncio.sleep(0.01)
         assert velocities(device)[-1] == (0.1, 0.0)
+
+    in_hub(test)
+
+
+@pytest.mark.parametrize("is_batch", [True, False])
+def test_velocity_that_waits_through_a_pause_is_not_written(is_batch: bool) -> None:
+    """SIGSTOP between its admission and its write."""
+
+    async def test(made: MemoryHub) -> None:
+        device = await made.connect()
+        await asyncio.sleep(0.5)
+        device.heard.clear()
+        if is_batch:
+            made.hub.gates.hold()
+        drive_gate(made.robot(), SLOW, owner="ann")
+        loop = asyncio.get_running_loop()
+        assert isinstance(loop, VirtualLoop)
+        loop.burn(1.0)
+        if is_batch:
+            made.hub.gates.write()
+        for _ in range(6):
+            await asyncio.sleep(0.1)
+            with pytest.raises(CommandRefused) as refused:
+                drive_gate(made.robot(), SLOW, owner="ann")
+        assert refused.value.kind is RefusalKind.DISARMED
+        assert set(velocities(device)) == {(0.0, 0.0)}
 
     in_hub(test)
 
