@@ -18,6 +18,7 @@ from structlog.testing import capture_logs
 from hostlink.guardian.frames import STOP_REQUEST, stop_sequence, zero_frame
 from hostlink.guardian.guardian import CODE, Guardian, _spawn
 from hostlink.guardian.records import encode_goodbye, encode_ping, encode_watch
+from tests.support.killing import guarded_by
 from tests.support.process import is_running
 from tests.support.pty_pair import pty_pair
 from tests.support.stopwatch import Stopwatch
@@ -103,11 +104,6 @@ def parsed_kib(rollup: str) -> dict[str, int]:
 def guarded(ours: Guardian) -> int:
     """Return the number of connections that the guardian holds; -1 while it starts."""
     return guarded_by(pid(ours))
-
-
-def guarded_by(number: int) -> int:
-    is_ready = Path(f"/proc/{number}/comm").read_text() == "guardian\n"
-    return len(list(Path(f"/proc/{number}/fd").iterdir())) - 4 if is_ready else -1
 
 
 async def test_a_daemon_that_is_gone_leaves_zeros_then_id_11_then_the_end() -> None:

@@ -8,6 +8,7 @@ import os
 import time
 from collections.abc import AsyncIterator, Callable
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import aiohttp
 
@@ -98,6 +99,12 @@ async def end_at(drive: Drive, after_s: float, end: Callable[[int], None]) -> fl
 def guardians_of(daemon: Process) -> list[int]:
     """Return the pid of the guardian that was started last, if there is one."""
     return [int(line["pid"]) for line in daemon.lines("guardian.started")[-1:]]
+
+
+def guarded_by(guardian: int) -> int:
+    """Return how many connections the guardian holds, apart from stdio and that to the daemon; -1 while it starts."""
+    is_ready = Path(f"/proc/{guardian}/comm").read_text() == "guardian\n"
+    return len(list(Path(f"/proc/{guardian}/fd").iterdir())) - 4 if is_ready else -1
 
 
 def killer(number: int) -> Callable[[int], None]:

@@ -16,11 +16,11 @@ import pytest
 
 from hostlink.robot.admission import LEASE_S
 from tests.support.background import meanwhile
-from tests.support.killing import LIMIT_S, Drive, driving, end_at, guardians_of, killer
+from tests.support.killing import LIMIT_S, Drive, driving, end_at, guarded_by, guardians_of, killer
 from tests.support.process import HOSTLINK, Process, is_running, serve
 from tests.support.stopwatch import Stopwatch
 from tests.support.unwatched_robot import ZERO, Reading, robot_on_tcp
-from tests.support.waiting import expect, is_true_within
+from tests.support.waiting import expect
 
 pytestmark = pytest.mark.quiet
 
@@ -32,11 +32,6 @@ IDLE = "[link]\nidle_timeout_s = 2.0\nsilence_timeout_s = 2.0\n"
 def guardian_of(daemon: Process) -> int:
     """Return the pid of the guardian that was started last."""
     return guardians_of(daemon)[0]
-
-
-def guarded_by(guardian: int) -> int:
-    """Return how many connections the guardian holds, apart from stdio and its connection to the daemon."""
-    return len(list(Path(f"/proc/{guardian}/fd").iterdir())) - 4
 
 
 def children_of(pid: int) -> str:
@@ -93,10 +88,15 @@ async def test_robots_of_a_daemon_that_hangs_are_stopped_and_driven_again_afterw
         for robot in drive.robots:
             await expect(lambda robot=robot: robot.velocities[-1][1] == ZERO)
         assert drive.stood_after_s(began_s) - watch.kept_s <= HANG_LIMIT_S
+        ended_s = time.monotonic()
         drive.longest_gap_s = 0.0
         os.kill(drive.daemon.pid, signal.SIGCONT)
-        is_driven_on = await is_true_within(lambda: any(robot.is_moving for robot in drive.robots), 0.5)
-        assert not is_driven_on or drive.longest_gap_s >= LEASE_S  # a pause interrupts, until its source pauses, too
+        await asyncio.sleep(0.5)
+        if drive.longest_gap_s < LEASE_S:  # a pause interrupts, until its source pauses, too
+            for robot in drive.robots:
+                assert not robot.is_moving
+                # The daemon may have stopped inside the system call that writes a velocity.
+                assert len([at_s for at_s, velocity in robot.velocities if velocity != ZERO and at_s > ended_s]) <= 1
         await drive.let_go()
         await drive.moves()
         for robot in drive.robots:
