@@ -11,7 +11,7 @@ import typer
 
 from hostlink import logs
 from hostlink.cli.ending import Ending, stop_signals
-from hostlink.cli.output import write, write_over
+from hostlink.cli.output import write, write_above, write_over
 from hostlink.cli.serve import running
 from hostlink.cli.serve_command import Origins, allow_origins, merge
 from hostlink.config import Config, RobotConfig
@@ -32,7 +32,7 @@ COMMAND_INTERVAL_S = 0.2  # well within the lease
 PAUSE_S = 5.0  # a person who has driven may want to watch before the demo continues
 LINE_INTERVAL_S = 0.2
 DRIVE = "/demo/drive"
-START_AGAIN = f"; the demo's driver was interrupted, to start it again: hostlink call {DRIVE}"
+START_AGAIN = f"the demo's driver was interrupted; to start it again: hostlink call {DRIVE}"
 # docs/paper-robot.md#numbers
 PAPER_ROBOT = RobotConfig(kinematics="differential", wheel_separation_m=0.210, max_wheel_m_s=0.3436)
 
@@ -66,7 +66,7 @@ class Output:
         self._error: OSError | None = None
 
     def show(self, show: Callable[..., None], *lines: str) -> None:
-        """Write lines by `show`, which is `write` or `write_over`."""
+        """Write lines by `show`, which is a function that writes one."""
         try:
             show(*lines)
         except OSError as error:
@@ -167,15 +167,19 @@ class DemoDriver:
 async def _show(hub: Hub, demo: DemoDriver, output: Output) -> None:
     """Show the robots in one line that is written over on a terminal, or in a line a second in a file or a pipe."""
     is_terminal = sys.stdout.isatty()
+    told = set[str]()  # the names of stopped robots for which a line was written
     while True:
         robots = hub.robots.here()
+        for name in sorted(demo.stopped - told):
+            output.show(write_above, f"{name}: {START_AGAIN}")
+        told = set(demo.stopped)
         if robots:
-            text = "   ".join(_describe(robot, is_stopped=robot.name in demo.stopped) for robot in robots[:2])
+            text = "   ".join(map(_describe, robots[:2]))
             output.show(write_over, text)
         await asyncio.sleep(LINE_INTERVAL_S if is_terminal else 1.0)
 
 
-def _describe(robot: LocalRobot, *, is_stopped: bool) -> str:
+def _describe(robot: LocalRobot) -> str:
     estimate = robot.odometry.snapshot(asyncio.get_running_loop().time())
     if estimate is None or robot.link is None:
         return f"{robot.name} waits for its odometry"
@@ -184,5 +188,4 @@ def _describe(robot: LocalRobot, *, is_stopped: bool) -> str:
         f"{robot.name}  x {pose.x_m:+6.2f} m  y {pose.y_m:+6.2f} m  "
         f"heading {math.degrees(pose.theta_rad):+6.1f}°  {twist.x_m_s:+5.2f} m/s  "
         f"driven by {robot.gate.owner_name or 'nobody'}"
-        f"{START_AGAIN if is_stopped and robot.gate.owner is None else ''}"
     )

@@ -32,15 +32,19 @@ async def fetch(host: Host, path: str, target: Path) -> None:
     """Download a file, with progress.
 
     Raises:
-        HostlinkError: the daemon refuses, the connection is lost, or the file cannot be written.
+        HostlinkError: the daemon refuses, the connection is lost, or the file cannot be written. What was received stays.
     """
     size = 0
     try:
         with target.open("xb") as out:
-            async for piece in host.download(path):
-                out.write(piece)
-                size += len(piece)
-                show_progress(f"fetching: {megabytes(size)}")
+            try:
+                async for piece in host.download(path):
+                    out.write(piece)
+                    size += len(piece)
+                    show_progress(f"fetching: {megabytes(size)}")
+            finally:
+                if not size:
+                    target.unlink()
     except OSError as error:
         raise HostlinkError(
             f"{target} cannot be written: {error.strerror}; the daemon still has the recording"

@@ -52,7 +52,15 @@ def write_error(*lines: str) -> None:
 
 def write_over(line: str) -> None:
     """Write a line over the previous one on a terminal; write a new line to a file or a pipe."""
-    _write(sys.stdout, f"{_CLEAR_LINE}{plain(line)}" if sys.stdout.isatty() else f"{plain(line)}\n")
+    if sys.stdout.isatty():
+        _write(sys.stdout, f"{_CLEAR_LINE}{_fitting(plain(line), sys.stdout)}")
+    else:
+        write(line)
+
+
+def write_above(line: str) -> None:
+    """Write a line that stays above the one of `write_over`."""
+    _write(sys.stdout, f"{_CLEAR_LINE if sys.stdout.isatty() else ''}{plain(line)}\n")
 
 
 def show_question(text: str) -> None:

@@ -24,6 +24,7 @@ from hostlink.recording.folder import is_name
 # -- record -----------------------------------------------------------------------------------------------------------
 
 POLL_S = 0.5
+BAGS = (".bag", ".db3")  # names of files of ROS
 _PATH = "/api/recordings"
 
 
@@ -66,6 +67,9 @@ def record(
     """
     if everything and topics:
         raise ConfigError("--all", f"means every topic, but {topics[0]!r} is named too; leave one of them out")
+    for topic in topics or []:
+        if topic.endswith((".mcap", *BAGS)):
+            raise ConfigError("TOPICS", f"{topic} is the name of a file; write -o before it: hostlink record -o {topic}")
     if repair is not None:
         _repair(repair, as_json=as_json)
         return
@@ -93,7 +97,7 @@ def _check_format(output: Path) -> None:
     Raises:
         ConfigError: the name is that of another format.
     """
-    if output.suffix in (".bag", ".db3"):
+    if output.suffix in BAGS:
         raise ConfigError(
             "--output",
             f"{output} would be a bag of ROS, but the file is MCAP; name it {output.with_suffix('.mcap')}, and "

@@ -71,8 +71,10 @@ def read_lines(source: RecordingSource, names: Iterable[str]) -> dict[str, list[
     wanted = {field.topic for field in fields.values()}
     lines: dict[str, list[PlotLine]] = {name: [] for name in fields}
     numeric: dict[str, dict[str, None]] = {topic: {} for topic in wanted}
+    found_topics = set[str]()
     decoders = Decoders()
     for message in source.messages(lambda channel: channel.topic in wanted):
+        found_topics.add(message.channel.topic)
         found = decoders.decode(message)
         if found is None:
             continue
@@ -88,6 +90,8 @@ def read_lines(source: RecordingSource, names: Iterable[str]) -> dict[str, list[
                     lines[name][number].add(time_s, value)
     for name, (topic, path) in fields.items():
         if not lines[name]:
+            if topic not in found_topics:
+                raise RecordingFailed(f"{topic} has no message in this recording; name another topic")
             raise RecordingFailed(
                 f"{topic} has no numeric field {path!r}; available: {', '.join(numeric[topic]) or 'none'}"
             )

@@ -205,6 +205,8 @@ async def test_incidents_are_listed_and_fetched(tmp_path: Path) -> None:
         (incident,) = json.loads((await run("incidents", "--json", "--url", daemon.url))[1])["incidents"]
         assert "it squeaks" in (await run("incidents", "--url", daemon.url))[1]
         file = tmp_path / "incident.mcap"
+        assert (await run("incidents", "none.mcap", "-o", str(file), "--url", daemon.url))[0] == 1
+        assert not file.exists()
         status, out, err = await run("incidents", incident["file"], "-o", str(file), "--url", daemon.url)
         assert (status, out) == (0, f"{file}\n"), err
     assert "/robot_0/odometry" in hostlink.recording.read(file)
@@ -220,6 +222,7 @@ async def test_incidents_are_listed_and_fetched(tmp_path: Path) -> None:
         (("play", "none.mcap", "/chat"), "--as-program"),
         (("play", "none.mcap", "--as-program"), "name the topics"),
         (("incidents", "one"), "-o FILE"),
+        (("record", "run.mcap", "--seconds", "1"), "hostlink record -o run.mcap"),
     ],
 )
 async def test_play_with_impossible_words_fails_with_one_line(words: tuple[str, ...], complaint: str) -> None:

@@ -328,7 +328,7 @@ def test_url_has_scheme_and_bracketed_address(host: str, has_tls: bool, url: str
 
 
 def test_request_held_back_on_a_closing_connection_logs_no_error(check: Callable[..., None]) -> None:
-    """Its handler is called before aiohttp hears that the connection is lost."""
+    """The handler is called before aiohttp is told that the connection is lost."""
 
     async def test(api: ApiMemory) -> None:
         errors: list[object] = []

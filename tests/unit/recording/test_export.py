@@ -182,6 +182,8 @@ def test_pictures_are_drawn_and_a_wrong_field_names_those_that_are_there(recordi
     assert (tmp_path / "map.png").read_bytes().startswith(b"\x89PNG")
     with pytest.raises(RecordingFailed, match="available: x, y, theta"):
         read_lines(McapReader(recording), ["/robot_0/odometry.z"])
+    with pytest.raises(RecordingFailed, match="has no message in this recording"):
+        read_lines(McapReader(recording), ["/robot_0/silent.x"])
     with pytest.raises(RecordingFailed, match=r"available: .*/robot_0/odometry"):
         read_lines(McapReader(recording), ["/robot_1/odometry.x"])
 
