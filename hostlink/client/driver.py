@@ -96,6 +96,7 @@ class VelocitySender:
         self._told: dict[str, _Told] = {}  # by robot
         self._streams: dict[str, _Stream] = {}
         self._sent_s: dict[str, float] = {}  # by robot: the newest command that was sent
+        self._ran_s = -math.inf  # the newest time at which this program is known to have run
         connection.handlers["drive_result"].append(self._receive_answer)
         connection.handlers["status"].append(self._receive_status)
 
@@ -147,6 +148,7 @@ class VelocitySender:
         try:
             answer = await self._command(repeated, before)
             driven = _driven(answer)
+            self.notice_sleep()  # the lease may have ended before the answer was read
             repeated.epoch, repeated.sent_s = int(answer["epoch"]), self._now_s()
         except KeyError as missing:
             self.stop_repeating(robot)
@@ -286,9 +288,19 @@ class VelocitySender:
         """Keep the commands alive, until cancelled."""
         while True:
             await asyncio.sleep(REPEAT_INTERVAL_S)
+            self.notice_sleep()
             for robot, repeated in list(self._repeated.items()):
                 if repeated.epoch is not None:
                     await self._repeat(robot, repeated)
+
+    def notice_sleep(self) -> None:
+        """Break off what was commanded before this program did not run for longer than a lease."""
+        now_s = self._now_s()
+        for robot, repeated in list(self._repeated.items()):
+            slept_s = now_s - max(self._ran_s, repeated.sent_s)
+            if slept_s > LEASE_S:
+                self._break(robot, Broken(MotionKind.ASLEEP, f"this program did not run for {slept_s:.1f} s"))
+        self._ran_s = now_s
 
     async def _repeat(self, robot: str, repeated: _Repeated) -> None:
         now_s = self._now_s()

@@ -201,7 +201,8 @@ class _Held:
 
     @property
     def is_lost(self) -> bool:
-        """Whether another call of this program, or a refusal, has ended it."""
+        """Whether another call of this program, a refusal, or a sleep of this program has ended it."""
+        self._driver.notice_sleep()
         if self._driver.newest(self._robot) != self._newest:
             return True
         return self._has_driven and self._driver.number_of(self._robot) != self._newest

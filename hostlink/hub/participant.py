@@ -231,10 +231,12 @@ class Participant(Node):
         *,
         notify: Notify | None = None,
         is_reading: bool = False,
+        ignores_request: bool = False,
     ) -> None:
         """Provide a service. The newest provider of a name gets the calls.
 
         `notify` is called with a text when another provider gets the calls. `is_reading`: a call changes nothing.
+        `ignores_request`: a call with unknown fields is answered, too.
 
         Raises:
             BadRequest: the role does not allow it, there are too many services, or the name is the daemon's own.
@@ -243,7 +245,16 @@ class Participant(Node):
         name = resolve(service)
         if not self.is_daemon and len(self._services | {name}) > MAX_SERVICES:
             raise BadRequest(f"more than {MAX_SERVICES} services")
-        provider = Provider(name, type_name, self, answer, notify, fail=self.fail, is_reading=is_reading)
+        provider = Provider(
+            name,
+            type_name,
+            self,
+            answer,
+            notify,
+            fail=self.fail,
+            is_reading=is_reading,
+            ignores_request=ignores_request,
+        )
         self._hub.services.provide(provider)
         self._services.add(name)
 

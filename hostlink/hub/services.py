@@ -143,14 +143,15 @@ class Provider:
         *,
         fail: Callable[[Exception], None] = lambda _: None,
         is_reading: bool = False,
+        ignores_request: bool = False,
     ) -> None:
         """`notify` is called with a text when another provider gets the calls; `fail` with the error of a bug.
 
-        `is_reading`: a call changes nothing.
+        `is_reading`: a call changes nothing. `ignores_request`: a call with unknown fields is answered, too.
         """
         self.name, self.type_name, self.key, self.answer = name, type_name, key, answer
         self.notify: Notify = _ignore if notify is None else notify
-        self.fail, self.is_reading = fail, is_reading
+        self.fail, self.is_reading, self.ignores_request = fail, is_reading, ignores_request
         self._is_withdrawn = False
         self._calls: set[asyncio.Timeout] = set()
 
@@ -339,8 +340,10 @@ class Services:
         """
         service = self.find(name)
         if isinstance(service, Provider):
-            if service.is_daemon and (own := self._catalog.service(service.type_name)) is not None:
-                _check_fields(service.name, request, [field.name for field in own.request.fields])
+            if service.is_daemon and not service.ignores_request:
+                own = self._catalog.service(service.type_name)
+                if own is not None:
+                    _check_fields(service.name, request, [field.name for field in own.request.fields])
             return await service.call(name, request, timeout_s=PROGRAM_TIMEOUT_S if timeout_s is None else timeout_s)
         if service.type is None:
             raise WrongType(service.name, "a service type with a definition", service.type_name)

@@ -84,8 +84,9 @@ class LockServices:
             await self._gates.settled()
             return {"success": True, "message": f"{name} may be driven"}
 
-        for service, answer in zip(own_services(name), (lock, unlock), strict=True):
-            self._participant.provide(service, _TYPE, answer)
+        lock_name, unlock_name = own_services(name)
+        self._participant.provide(lock_name, _TYPE, lock, ignores_request=True)  # it stops, whatever was sent with it
+        self._participant.provide(unlock_name, _TYPE, unlock)
 
 
 def own_services(name: str) -> tuple[str, str]:

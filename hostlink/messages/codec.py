@@ -226,7 +226,9 @@ class _EncoderBody:
             self._lines.append(f"if {name} is not True and {name} is not False: raise UncommonLayout")
             self._add("?", name)
         elif field.type in FORMATS:
-            self._add(FORMATS[field.type], value)
+            name = self._local(value)
+            self._lines.append(f"if {name} is True or {name} is False: raise UncommonLayout")
+            self._add(FORMATS[field.type], name)
         else:
             self.write_message(layout.nested[field.type], self._local(value))
 
@@ -237,6 +239,8 @@ class _EncoderBody:
             self._lines.append(f"if len({name}) != {field.array_length}: raise UncommonLayout")
         if field.type == "bool":
             self._lines.append(f"if not bools.issuperset(map(type, {name})): raise UncommonLayout")
+        elif field.type in FORMATS and not field.is_octets:
+            self._lines.append(f"if bool in map(type, {name}): raise UncommonLayout")
         if field.array_length != VARIABLE and field.type in FORMATS:
             self._write_fixed_array(field, name)
         elif field.is_octets:

@@ -128,6 +128,8 @@ def _encode_one(layout: Layout, field: Field, value: object, path: str) -> bytes
 
 def _numbers(type_name: str, values: list[object], path: str) -> bytes:
     try:
+        if bool in map(type, values):
+            raise TypeError  # struct would pack it as a number
         return struct.pack(f"<{len(values)}{FORMATS[type_name]}", *values)
     except UNFIT:
         return b"".join(_number(type_name, value, f"{path}[{index}]") for index, value in enumerate(values))
@@ -136,6 +138,8 @@ def _numbers(type_name: str, values: list[object], path: str) -> bytes:
 def _number(type_name: str, value: object, path: str) -> bytes:
     if value is None and type_name in FLOATS:  # JSON has no NaN
         value = math.nan
+    if isinstance(value, bool):  # `true` in a velocity would drive at 1 m/s
+        _refuse(path, "a number" if type_name in FLOATS else "a whole number", value)
     try:
         return struct.pack(f"<{FORMATS[type_name]}", value)
     except UNFIT:

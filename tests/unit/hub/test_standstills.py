@@ -81,6 +81,16 @@ def test_measurements_at_one_time_are_bounded() -> None:
     in_hub(test)
 
 
+def test_lock_service_with_an_unknown_field_locks() -> None:
+    async def test(made: MemoryHub) -> None:
+        await made.connect()
+        answer = await made.hub.join("ann").call("robot_0/lock", {"reason": "smoke"})
+        assert answer["success"] is True
+        assert made.robot().gate.lock_reason == "emergency stop"
+
+    in_hub(test)
+
+
 def test_services_lock_and_unlock_a_robot_as_long_as_it_is_known() -> None:
     async def test(made: MemoryHub) -> None:
         device = await made.connect()

@@ -125,6 +125,10 @@ LEFT_TO_ENCODE = [
     (layout(Field("a", "t/Pair", 2)), {"a": [{"a": 1, "b": 2}]}),
     (layout(Field("a", "t/Empty", VARIABLE)), {"a": [{}] * (EMPTY_ELEMENTS_MAX + 1)}),
     (layout(Field("a", "uint8")), {"a": 256}),
+    (layout(Field("a", "uint8")), {"a": True}),
+    (layout(Field("a", "float64")), {"a": False}),
+    (layout(Field("a", "float64", VARIABLE)), {"a": [1.0, True]}),
+    (layout(Field("a", "float64", 2)), {"a": [1.0, True]}),
 ]
 
 
