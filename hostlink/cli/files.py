@@ -5,6 +5,7 @@ import os
 import stat
 from collections.abc import Iterator
 from pathlib import Path
+from typing import BinaryIO
 
 from hostlink.cli.output import megabytes, show_progress
 from hostlink.client import Host
@@ -29,27 +30,34 @@ def check_output(output: Path) -> None:
 
 
 async def fetch(host: Host, path: str, target: Path) -> None:
-    """Download a file, with progress.
+    """Download a file, with progress. What was received before an error stays.
 
     Raises:
-        HostlinkError: the daemon refuses, the connection is lost, or the file cannot be written. What was received stays.
+        HostlinkError: the daemon refuses, the connection is lost, or the file cannot be written.
     """
     size = 0
     try:
-        with target.open("xb") as out:
-            try:
-                async for piece in host.download(path):
-                    out.write(piece)
-                    size += len(piece)
-                    show_progress(f"fetching: {megabytes(size)}")
-            finally:
-                if not size:
-                    target.unlink()
+        with _removed_if_empty(target) as out:
+            async for piece in host.download(path):
+                out.write(piece)
+                size += len(piece)
+                show_progress(f"fetching: {megabytes(size)}")
     except OSError as error:
         raise HostlinkError(
             f"{target} cannot be written: {error.strerror}; the daemon still has the recording"
         ) from error
     show_progress("")
+
+
+@contextlib.contextmanager
+def _removed_if_empty(target: Path) -> Iterator[BinaryIO]:
+    """Create a file, and remove it if the block has written nothing."""
+    with target.open("xb") as out:
+        try:
+            yield out
+        finally:
+            if not out.tell():
+                target.unlink()
 
 
 # -- new file ---------------------------------------------------------------------------------------------------------

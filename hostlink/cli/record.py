@@ -69,7 +69,9 @@ def record(
         raise ConfigError("--all", f"means every topic, but {topics[0]!r} is named too; leave one of them out")
     for topic in topics or []:
         if topic.endswith((".mcap", *BAGS)):
-            raise ConfigError("TOPICS", f"{topic} is the name of a file; write -o before it: hostlink record -o {topic}")
+            raise ConfigError(
+                "TOPICS", f"{topic} is the name of a file; write -o before it: hostlink record -o {topic}"
+            )
     if repair is not None:
         _repair(repair, as_json=as_json)
         return

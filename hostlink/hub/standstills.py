@@ -85,7 +85,7 @@ class LockServices:
             return {"success": True, "message": f"{name} may be driven"}
 
         lock_name, unlock_name = own_services(name)
-        self._participant.provide(lock_name, _TYPE, lock, ignores_request=True)  # it stops, whatever was sent with it
+        self._participant.provide(lock_name, _TYPE, lock, ignores_request=True)  # a stop is refused for no field
         self._participant.provide(unlock_name, _TYPE, unlock)
 
 

@@ -13,7 +13,7 @@ from aiohttp import web
 from hostlink.client import Host, Refusal, connect
 from hostlink.client.connection import waits
 from hostlink.config import ApiConfig, Config, TokenConfig
-from hostlink.errors import HostlinkError
+from hostlink.errors import CommandRefused, HostlinkError, RefusalKind
 from hostlink.hub.gates import RemoteHosts
 from hostlink.protocol.control import Log
 from hostlink.protocol.frame import Id, encode
@@ -316,7 +316,12 @@ async def test_epoch_of_an_unlock_is_of_no_use_after_a_lease() -> None:
         await robot.unlock()
         await he.robot("robot_0").stop(wait_s=0)
         await asyncio.sleep(LEASE_S + 0.1)
-        await robot.drive(0.2, 0.0)
+        while not robot.is_driven:
+            try:
+                await robot.drive(0.2, 0.0)
+            except CommandRefused as refused:  # on a busy machine
+                if refused.kind != RefusalKind.LATE:
+                    raise
 
 
 async def test_script_drives_at_once_after_its_own_stop_of_all() -> None:

@@ -33,7 +33,8 @@ async def asked(daemon: Process, *words: str) -> str:
 
 async def test_settings_of_the_earlier_version_are_valid(state: Path) -> None:
     status, out, err = await run("serve", "--check-config", str(state / "hostlink.toml"))
-    assert (status, err) == (0, "")
+    warnings = [line for line in err.splitlines() if not line.endswith("is in use at this moment")]
+    assert (status, warnings) == (0, [])
     assert "robot_0" in out
 
 
