@@ -65,10 +65,16 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> object:
     return FilesThatShare(config, log)
 
 
+def pytest_sessionstart() -> None:
+    """Collect no garbage while tests are collected: it takes a fifth of that time and finds nothing."""
+    gc.disable()
+
+
 def pytest_collection_finish() -> None:
     """Exclude what the tests have imported from garbage collections: a full one would last as long as a lease."""
     gc.collect()
     gc.freeze()
+    gc.enable()
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:

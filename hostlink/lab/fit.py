@@ -1,6 +1,6 @@
 """Fit: the causes that bring the paper's software nearest to the paper's tables, by least squares; and its report.
 
-Needs scipy, which only this module imports.
+Needs scipy, which only `fit` imports.
 """
 
 from collections.abc import Callable, Mapping
@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 
 from hostlink.lab.experiment import (
     PAPER_CM,
@@ -129,6 +128,8 @@ def fit(
     model.fit_only(tables)
     scale = np.array([cause.step for cause in FITTED])
     bounds = (np.array([cause.low for cause in FITTED]), np.array([cause.high for cause in FITTED]))
+    from scipy.optimize import least_squares  # noqa: PLC0415 - takes half a second, which only a fit needs
+
     found = least_squares(
         model.deviations,
         np.array(start),
