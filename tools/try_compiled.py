@@ -16,7 +16,9 @@ def main() -> int:
     package = Path(str(hostlink.__file__)).parent
     extensions = sorted(package.rglob("*.so"))
     modules = [
-        importlib.import_module(".".join(("hostlink", *path.parent.relative_to(package).parts, path.name.split(".")[0])))
+        importlib.import_module(
+            ".".join(("hostlink", *path.parent.relative_to(package).parts, path.name.split(".")[0]))
+        )
         for path in extensions
     ]
     sources = [module.__name__ for module in modules if not str(module.__file__).endswith(".so")]
