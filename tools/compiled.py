@@ -79,6 +79,14 @@ def copy_sources(target: Path, names: Iterable[str] = SOURCES) -> None:
             shutil.copy(ROOT / name, target / name)
 
 
+def modules() -> set[Path]:
+    """Return the files of the modules that are compiled."""
+    settings = tomllib.loads((ROOT / "pyproject.toml").read_text())
+    patterns = settings["tool"]["hatch"]["build"]["targets"]["wheel"]["hooks"]["mypyc"]["include"]
+    files = (path for pattern in patterns for path in ROOT.glob(pattern.removeprefix("/")))
+    return {path for path in files if path.name != "__init__.py"}
+
+
 def tools_for(version: str) -> Path:
     """Return a Python of this version that has what the build needs, and what hostlink needs: mypyc reads its types.
 

@@ -3,9 +3,9 @@
 Builds them into build/release, checks what is in them, installs the wheel into an empty virtual environment for each
 Python that is found (and the source distribution for the first), and there runs the demo: a robot appears, drives,
 and is stopped when the daemon ends. A compiled wheel of this computer's architecture is installed, driven and
-uninstalled too; pip must choose it where it fits, and the pure wheel for everyone else. The Debian package of this computer's architecture is unpacked, and its virtual
-environment runs the demo with the system's Python; `make piuparts` and `make arm64` install the packages. Prints a
-table; ends with status 1 when something is wrong.
+uninstalled too; pip must choose it where it fits, and the pure wheel for everyone else. The Debian package of this
+computer's architecture is unpacked, and its virtual environment runs the demo with the system's Python; `make
+piuparts` and `make arm64` install the packages. Prints a table; ends with status 1 when something is wrong.
 """
 
 import argparse
@@ -19,6 +19,7 @@ import signal
 import subprocess
 import sys
 import tarfile
+import tempfile
 import time
 import zipfile
 from collections.abc import Iterable, Iterator
@@ -82,7 +83,7 @@ def main() -> int:
     rows = [tried(version, path, wheel) for version, path in found.items()]
     rows += [tried(version, path, sources) for version, path in list(found.items())[:1]]
     if not arguments.no_compiled:
-        done, wrong = try_compiled(arguments.python, wheel)
+        done, wrong = try_compiled(found, wheel)
         rows += done
         problems += wrong
     if not arguments.no_deb:
@@ -105,10 +106,12 @@ def main() -> int:
     return 1 if problems or any(row.problem for row in rows) else 0
 
 
-def try_compiled(versions: list[str] | None, pure: Path) -> tuple[list[Row], list[str]]:
-    """Build the compiled wheels, check them, and try those for this computer; return what was tried and what is wrong."""
-    rows, problems, wheels = [], [], {}
-    for version, arch in compiled.wanted(versions):
+def try_compiled(pythons: dict[str, Path], pure: Path) -> tuple[list[Row], list[str]]:
+    """Build and check the compiled wheels, try those for this computer, and check that pip chooses the right one."""
+    rows: list[Row] = []
+    problems: list[str] = []
+    wheels: dict[tuple[str, str], Path] = {}
+    for version, arch in compiled.wanted(pythons):
         print(f"compiling the wheel for Python {version}, {arch} ...", flush=True)
         try:
             wheel = compiled.build(FOLDER, version, arch)
@@ -119,7 +122,7 @@ def try_compiled(versions: list[str] | None, pure: Path) -> tuple[list[Row], lis
         problems += problems_of_compiled(wheel)
         wheels[version, f"manylinux2014_{PLATFORMS[arch]}"] = wheel
         if PLATFORMS[arch] == platform.machine():
-            rows.append(tried_compiled(version, wheel))
+            rows.append(tried(version, pythons[version], wheel, is_compiled=True))
     for version, where in (*wheels, *PURE_ONLY):
         wanted, found = wheels.get((version, where), pure).name, choice(FOLDER, version, where)
         problems += [] if found == wanted else [f"Python {version}, {where}: pip chooses {found}, not {wanted}"]
@@ -176,10 +179,10 @@ def _copies(names: Iterable[str]) -> list[str]:
 # -- what a user does with them ---------------------------------------------------------------------------------------
 
 
-def tried(version: str, python: Path, package: Path) -> Row:
+def tried(version: str, python: Path, package: Path, *, is_compiled: bool = False) -> Row:
     """Install it into an empty environment, and run the demo there."""
     print(f"Python {version}: {package.name} ...", flush=True)
-    venv = FOLDER / f"venv-{version}-{package.suffix.strip('.')}"
+    venv = FOLDER / f"venv-{version}-{'compiled' if is_compiled else package.suffix.strip('.')}"
     try:
         subprocess.run([python, "-m", "venv", "--clear", venv], check=True, capture_output=True)
         install = [
@@ -192,18 +195,41 @@ def tried(version: str, python: Path, package: Path) -> Row:
             f"{package}[sim]",
         ]
         subprocess.run(install, check=True, capture_output=True)
-        start_s = demonstrated(venv / "bin" / "hostlink", cwd=venv)
+        start_s, megabytes = demonstrated(venv / "bin" / "hostlink", cwd=venv), size_mb(venv)
+        if is_compiled:
+            check_compiled(venv, package)
     except subprocess.CalledProcessError as error:
-        return Row(version, package.name, 0.0, 0.0, error.stderr.decode().strip().rpartition("\n")[2])
+        said = (error.stderr or error.stdout).decode()
+        return Row(version, package.name, 0.0, 0.0, said.strip().rpartition("\n")[2])
     except (OSError, Unusable, subprocess.TimeoutExpired) as error:
         return Row(version, package.name, 0.0, 0.0, str(error) or type(error).__name__)
-    return Row(version, package.name, size_mb(venv), start_s, "")
+    return Row(version, package.name, megabytes, start_s, "")
 
 
-def tried_compiled(version: str, wheel: Path) -> Row:
-    """Install, check, drive and uninstall a compiled wheel; the demo drives it once more with the source's program."""
-    row = tried(version, wheel.python, wheel)
-    return row
+def check_compiled(venv: Path, wheel: Path) -> None:
+    """Check that the compiled modules are what runs, drive a robot over REST, and uninstall every file of the wheel."""
+    python, tools = venv / "bin" / "python", ROOT / "tools"
+    steps: tuple[tuple[str | Path, ...], ...] = (
+        (tools / "try_compiled.py",),
+        (tools / "try_drive.py", python.with_name("hostlink")),
+        ("-m", "pip", "uninstall", "--yes", "--quiet", "hostlink"),
+    )
+    for words in steps:
+        subprocess.run([python, "-I", *words], cwd=venv, check=True, capture_output=True)
+    (packages,) = venv.glob("lib/python*/site-packages")
+    with zipfile.ZipFile(wheel) as archive:
+        left = [name for name in archive.namelist() if (packages / name).exists()]
+    if left:
+        raise Unusable(f"pip uninstall leaves {', '.join(left)}")
+
+
+def choice(folder: Path, version: str, where: str) -> str:
+    """Return the name of the file that pip chooses of a folder, for a version of Python and a platform."""
+    pip = (sys.executable, "-m", "pip", "download", "--quiet", "--disable-pip-version-check")
+    only = ("--only-binary=:all:", "--python-version", version, "--platform", where)
+    with tempfile.TemporaryDirectory() as into:
+        build_deb.run(*pip, *only, "--no-deps", "--no-index", "--find-links", folder, "--dest", into, "hostlink")
+        return next(Path(into).iterdir()).name
 
 
 def tried_deb(deb: Path) -> Row:

@@ -5,12 +5,12 @@ import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parents[3]
+from tools import compiled
+from tools.build_deb import ROOT
+
 SETTINGS = tomllib.loads((ROOT / "pyproject.toml").read_text())
 HOOK = SETTINGS["tool"]["hatch"]["build"]["targets"]["wheel"]["hooks"]["mypyc"]
-COMPILED = {
-    path for each in HOOK["include"] for path in ROOT.glob(each.removeprefix("/")) if path.name != "__init__.py"
-}
+COMPILED = compiled.modules()
 
 
 def classes() -> Iterator[tuple[Path, ast.ClassDef]]:
@@ -58,3 +58,13 @@ def test_no_compiled_function_names_one_within_it() -> None:
         for node in ast.walk(ast.parse(path.read_text())):
             inner = [each for each in ast.walk(node) if isinstance(each, functions) and each is not node]
             assert not (isinstance(node, functions) and inner), f"{path}:{inner[0].lineno}"
+
+
+def test_each_wheel_for_another_architecture_is_built_with_the_headers_of_a_debian() -> None:
+    others = {version for version, arch in compiled.WHEELS if arch != compiled.NATIVE}
+    assert others == set(compiled.SUITES)
+
+
+def test_wheels_are_chosen_by_version_and_architecture() -> None:
+    assert list(compiled.wanted()) == list(compiled.WHEELS)
+    assert list(compiled.wanted(["3.11"], ["arm64"])) == [("3.11", "arm64")]
