@@ -215,7 +215,8 @@ def check_compiled(venv: Path, wheel: Path) -> None:
         ("-m", "pip", "uninstall", "--yes", "--quiet", "hostlink"),
     )
     for words in steps:
-        subprocess.run([python, "-I", *words], cwd=venv, check=True, capture_output=True)
+        command: list[str | Path] = [python, "-I", *words]
+        subprocess.run(command, cwd=venv, check=True, capture_output=True)
     (packages,) = venv.glob("lib/python*/site-packages")
     with zipfile.ZipFile(wheel) as archive:
         left = [name for name in archive.namelist() if (packages / name).exists()]

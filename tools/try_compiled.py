@@ -1,7 +1,7 @@
 """Import each compiled module of the hostlink that this Python finds, and tell whether the extension is what runs.
 
 python3 tools/try_compiled.py, with the Python of an installation. Ends with status 1 for the pure wheel, or when a
-module comes from its source although its extension is there. It needs only Python, like try_drive.py.
+module is imported from its source although its extension exists. It needs only Python, like try_drive.py.
 """
 
 import importlib
