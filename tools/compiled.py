@@ -2,12 +2,13 @@
 
 Builds in copies of the sources: the extension modules that the build leaves next to them would hide later changes from
 everything that runs from the source tree. mypyc writes C for the Python that runs it, and Debian's cross compiler
-compiles that C for arm64, with the headers of Debian's python3 for arm64. auditwheel checks which C library the wheel
-needs and names the wheel after it: PyPI accepts no other name.
+compiles that C for the other architecture, with the headers of Debian's python3 for it. auditwheel checks which C
+library the wheel needs and names the wheel after it: PyPI accepts no other name.
 """
 
 import argparse
 import os
+import platform
 import shutil
 import sys
 import tempfile
@@ -25,7 +26,7 @@ WHEELS = (("3.11", "amd64"), ("3.12", "amd64"), ("3.13", "amd64"), ("3.11", "arm
 SUITES = {"3.11": "bookworm", "3.13": "trixie"}  # the Debian that has the headers
 MIRROR = os.environ.get("MIRROR", "http://deb.debian.org/debian")
 KEYS = "/usr/share/keyrings/debian-archive-keyring.gpg"
-NATIVE = "amd64"  # of the computer that builds
+NATIVE = next((arch for arch, machine in PLATFORMS.items() if machine == platform.machine()), "")
 
 
 def main() -> int:
@@ -34,9 +35,13 @@ def main() -> int:
     parser.add_argument("--python", action="append", help="only this version; may be repeated")
     parser.add_argument("--arch", action="append", choices=PLATFORMS, help="only this one; may be repeated")
     chosen = parser.parse_args()
-    for version, arch in wanted(chosen.python, chosen.arch):
-        wheel = build(chosen.into, version, arch)
-        print(f"{wheel}: {wheel.stat().st_size / 1e6:.2f} MB", flush=True)
+    try:
+        for version, arch in wanted(chosen.python, chosen.arch):
+            wheel = build(chosen.into, version, arch)
+            print(f"{wheel}: {wheel.stat().st_size / 1e6:.2f} MB", flush=True)
+    except BuildFailed as error:
+        print(f"compiled: {error}", file=sys.stderr)
+        return 1
     return 0
 
 
@@ -127,7 +132,13 @@ def cross(version: str, arch: str) -> dict[str, str]:
 
 
 def headers(version: str, arch: str) -> Path:
-    """Return the folder `include` of Debian's Python for another architecture; this computer's packages stay."""
+    """Return the folder `include` of Debian's Python for another architecture; this computer's packages stay.
+
+    Raises:
+        BuildFailed: no Debian has this Python, or the package cannot be downloaded.
+    """
+    if version not in SUITES:
+        raise BuildFailed(f"no Debian has Python {version}, so its headers for {arch} are missing")
     folder = FOLDER / f"headers-{version}-{arch}"
     include = folder / "tree" / "usr" / "include"
     if include.is_dir():

@@ -99,8 +99,9 @@ def main() -> int:
             if PLATFORMS[arch] == platform.machine():
                 rows.append(tried_deb(deb))
     for row in rows:
+        of = row.of.partition(".manylinux_")[0]  # a compiled wheel's name has two tags that mean the same
         what = row.problem or f"{row.megabytes:.0f} MB with what it needs, a robot after {row.start_s:.1f} s"
-        print(f"Python {row.python:<6} {row.of:<48} {'FAILED' if row.problem else 'works':<7} {what}")
+        print(f"Python {row.python:<6} {of:<48} {'FAILED' if row.problem else 'works':<7} {what}")
     print(f"{wheel.name}: {wheel.stat().st_size / 1e6:.2f} MB; {sources.name}: {sources.stat().st_size / 1e6:.2f} MB")
     print(*problems, sep="\n", end="\n" if problems else "")
     return 1 if problems or any(row.problem for row in rows) else 0

@@ -9,7 +9,7 @@ tree=$root/build/mypyc/tree
 version=$(.venv/bin/python -c 'import sys; print("%d.%d" % sys.version_info[:2])')
 packages=lib/python$version/site-packages
 rm -rf "$tree" "$root/build/mypyc/wheel" && mkdir -p "$tree"
-.venv/bin/python -m tools.compiled --into build/mypyc/wheel --python "$version" --arch amd64
+.venv/bin/python -m tools.compiled --into build/mypyc/wheel --python "$version" --arch "$(dpkg --print-architecture)"
 git ls-files -z --cached --others --exclude-standard | tar --null --files-from=- --create | tar --extract --directory "$tree"
 .venv/bin/python -m zipfile -e build/mypyc/wheel/*.whl build/mypyc/wheel
 (cd build/mypyc/wheel && cp --parents -- *.so $(find hostlink -name '*.so') "$tree")

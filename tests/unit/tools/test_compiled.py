@@ -5,8 +5,10 @@ import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 
+import pytest
+
 from tools import compiled
-from tools.build_deb import ROOT
+from tools.build_deb import ROOT, BuildFailed
 
 SETTINGS = tomllib.loads((ROOT / "pyproject.toml").read_text())
 HOOK = SETTINGS["tool"]["hatch"]["build"]["targets"]["wheel"]["hooks"]["mypyc"]
@@ -60,9 +62,13 @@ def test_no_compiled_function_names_one_within_it() -> None:
             assert not (isinstance(node, functions) and inner), f"{path}:{inner[0].lineno}"
 
 
-def test_each_wheel_for_another_architecture_is_built_with_the_headers_of_a_debian() -> None:
-    others = {version for version, arch in compiled.WHEELS if arch != compiled.NATIVE}
-    assert others == set(compiled.SUITES)
+def test_cross_compiling_without_headers_is_refused() -> None:
+    with pytest.raises(BuildFailed, match=r"^no Debian has Python 3\.12, so its headers for arm64 are missing$"):
+        compiled.headers("3.12", "arm64")
+
+
+def test_each_python_with_a_wheel_for_arm64_is_one_of_a_debian() -> None:
+    assert {version for version, arch in compiled.WHEELS if arch == "arm64"} == set(compiled.SUITES)
 
 
 def test_wheels_are_chosen_by_version_and_architecture() -> None:
