@@ -19,7 +19,7 @@ cd "$tree"
 "$root/.venv/bin/python" -m venv .venv
 .venv/bin/python -m pip install --quiet --disable-pip-version-check --no-deps -e .
 echo "$root/.venv/$packages" >".venv/$packages/zz_tests.pth" # after hostlink's own
-cp --no-clobber --symbolic-link "$root"/.venv/bin/* .venv/bin/ # ruff and other programs that tests run
+cp --recursive --no-clobber --symbolic-link "$root"/.venv/bin/* .venv/bin/ # ruff and other programs that tests run
 .venv/bin/python tools/try_compiled.py
 run() { .venv/bin/python -m pytest -q -p no:cacheprovider "$@"; }
 status=0
