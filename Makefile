@@ -16,6 +16,8 @@ XTENSA_PACKAGES := gcc-xtensa-lx106 picolibc-xtensa-lx106-elf
 
 DEB_PACKAGES := debhelper lintian binutils man-db
 
+COMPILED_PACKAGES := gcc python3-dev gcc-aarch64-linux-gnu libc6-dev-arm64-cross debian-archive-keyring
+
 ROS1_PACKAGES := python3-catkin-pkg python3-roslaunch python3-rospy python3-rosbag python3-rostopic python3-rosservice python3-rosnode python3-rosparam python3-geometry-msgs \
   python3-nav-msgs python3-rosgraph-msgs python3-sensor-msgs python3-std-msgs python3-std-srvs python3-tf2-msgs
 
@@ -31,7 +33,7 @@ WORKERS ?= $(shell echo $$((4 * $(CORES))))# of make test: three quarters of its
 QUIET_WORKERS ?= $(shell echo $$((2 * $(CORES))))# of the tests that a busy machine disturbs: three fifths of their time is waiting
 unexport PYTHONDONTWRITEBYTECODE # the tests start hostlink some hundred times
 
-.PHONY: help demo docs test test-long quick test-pythons coverage mutants check bench fuzz web screenshots firmware world lab chain soak netns ros2-venv ros-mcp-venv release weight piuparts arm64 format clean
+.PHONY: help demo docs test test-long quick test-pythons coverage mutants check bench fuzz web screenshots firmware world lab chain soak netns ros2-venv ros-mcp-venv release compiled test-compiled weight piuparts arm64 format clean
 
 help:
 	@echo "make demo    start the daemon with a simulated robot"
@@ -42,11 +44,12 @@ help:
 	@echo "make test-pythons  unit, property and integration tests on each Python from 3.11 that is found (PYTHONS=3.13)"
 	@echo "make coverage  which branches of the core no test takes; the pure packages must have none"
 	@echo "make mutants  change the core at places that a seed draws: what no test notices (MUTANTS=20 MUTANTS_SEED=7)"
-	@echo "make release  wheel, source distribution and Debian packages, tried in empty environments of Python 3.11, 3.12 and 3.13"
+	@echo "make release  wheels, source distribution and Debian packages, tried in empty environments of Python 3.11, 3.12 and 3.13"
 	@echo "make piuparts  install, upgrade, remove and purge the Debian package for amd64 (as root)"
 	@echo "make arm64   install the Debian package and the wheel in an emulated arm64, drive there and run unit tests (an hour)"
 	@echo "make weight  measure what the base, each extra, the packages and other programs weigh (docs/weight.md)"
-	@echo "make compiled  the wheel of the same sources compiled with mypyc, for this machine, into build/release"
+	@echo "make compiled  wheels of the same sources compiled with mypyc, for amd64 and arm64, into build/release"
+	@echo "make test-compiled  tests on the compiled modules (TESTS=tests/unit/hub)"
 	@echo "make check   format, lint, types, import rules"
 	@echo "make bench   measure, write the figures to build/bench*.json"
 	@echo "make ros2-venv  rclpy from PyPI and hostlink, into build/ros2-venv"
@@ -149,22 +152,28 @@ coverage: $(VENV)/.dev
 	$(BIN)/python tools/run_tests.py --branches
 
 release: $(VENV)/.dev
-	@tools/require.sh $(DEB_PACKAGES)
-	$(BIN)/python tools/release.py
+	@tools/require.sh $(DEB_PACKAGES) $(COMPILED_PACKAGES)
+	$(BIN)/python -m tools.release
 
 piuparts: $(VENV)/.dev
 	@tools/require.sh $(DEB_PACKAGES) piuparts debootstrap
 	tools/try_piuparts.sh
 
 arm64: $(VENV)/.dev
-	@tools/require.sh $(DEB_PACKAGES) debootstrap proot qemu-user-static
+	@tools/require.sh $(DEB_PACKAGES) $(COMPILED_PACKAGES) debootstrap proot qemu-user-static
 	tools/try_arm64.sh
 
 weight: $(VENV)/.dev
 	$(BIN)/python -m tools.measure_weight
 
 compiled: $(VENV)/.dev
-	$(BIN)/python tools/compiled.py --into build/release
+	@tools/require.sh $(COMPILED_PACKAGES)
+	$(BIN)/python -m tools.compiled --into build/release
+
+TESTS ?= tests/unit tests/property tests/integration tests/system
+test-compiled: $(VENV)/.dev
+	@tools/require.sh $(COMPILED_PACKAGES)
+	tools/test_compiled.sh $(TESTS)
 
 mutants: $(VENV)/.dev
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[mutants]'

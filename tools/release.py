@@ -1,10 +1,11 @@
-"""`make release`: wheel, source distribution and Debian packages, and whether a user who has only them can work.
+"""`make release`: wheels, source distribution and Debian packages, and whether a user who has only them can work.
 
 Builds them into build/release, checks what is in them, installs the wheel into an empty virtual environment for each
 Python that is found (and the source distribution for the first), and there runs the demo: a robot appears, drives,
-and is stopped when the daemon ends. The Debian package of this computer's architecture is unpacked, and its virtual
-environment runs the demo with the system's Python; `make piuparts` and `make arm64` install the packages. Prints a
-table; ends with status 1 when something is wrong.
+and is stopped when the daemon ends. A compiled wheel of this computer's architecture is installed, driven and
+uninstalled too; pip must choose it where it fits, and the pure wheel for everyone else. The Debian package of this
+computer's architecture is unpacked, and its virtual environment runs the demo with the system's Python; `make
+piuparts` and `make arm64` install the packages. Prints a table; ends with status 1 when something is wrong.
 """
 
 import argparse
@@ -18,6 +19,7 @@ import signal
 import subprocess
 import sys
 import tarfile
+import tempfile
 import time
 import zipfile
 from collections.abc import Iterable, Iterator
@@ -25,12 +27,13 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from tests.support.process import free_port
-from tools import build_deb
-from tools.build_deb import ROOT, interpreter
+from tools import build_deb, compiled
+from tools.build_deb import PLATFORMS, ROOT, interpreter
 
 FOLDER = ROOT / "build" / "release"
 PYTHONS = ("3.11", "3.12", "3.13")
 MAX_WHEEL_BYTES = 2_000_000
+MAX_COMPILED_BYTES = 3_000_000
 TIMEOUT_S = 60.0
 MIN_WAY_M = 0.2  # of a robot that is driven
 NEEDED = (
@@ -42,6 +45,9 @@ NEEDED = (
     "hostlink/sim/firmware.wasm",
 )
 UNWANTED = re.compile(r"(^|/)(tests|node_modules|__pycache__|\.git|build)/|\.(ts|pyc|so|toml\.bak)$")
+LIBRARY = re.compile(r"(?P<module>[^.]+)\.cpython-[^/]+\.so$")
+# Pythons and platforms for which no compiled wheel is built: a newer Python, Alpine, and a Raspberry Pi with 32 bits.
+PURE_ONLY = (("3.14", "manylinux2014_x86_64"), ("3.11", "musllinux_1_2_x86_64"), ("3.11", "linux_armv7l"))
 OF_SOURCES = ("pyproject.toml", "README.md", "LICENSE", "CHANGELOG.md", "Makefile", "firmware/README.md", "docs/api.md")
 
 
@@ -63,6 +69,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--python", action="append", help="only this version; may be repeated")
     parser.add_argument("--no-deb", action="store_true", help="without the Debian packages")
+    parser.add_argument("--no-compiled", action="store_true", help="without the compiled wheels")
     arguments = parser.parse_args()
     shutil.rmtree(FOLDER, ignore_errors=True)
     FOLDER.mkdir(parents=True)
@@ -75,8 +82,12 @@ def main() -> int:
     problems += [f"Python {version} is not found: nothing is known of it" for version in missing]
     rows = [tried(version, path, wheel) for version, path in found.items()]
     rows += [tried(version, path, sources) for version, path in list(found.items())[:1]]
+    if not arguments.no_compiled:
+        done, wrong = try_compiled(found, wheel)
+        rows += done
+        problems += wrong
     if not arguments.no_deb:
-        for arch in build_deb.PLATFORMS:
+        for arch in PLATFORMS:
             print(f"building the Debian package for {arch} ...", flush=True)
             try:
                 deb = Path(shutil.copy(build_deb.build(arch), FOLDER))
@@ -85,14 +96,38 @@ def main() -> int:
                 continue
             print(f"{deb.name}: {deb.stat().st_size / 1e6:.1f} MB")
             problems += [] if build_deb.lintian(deb) else [f"{deb.name}: lintian finds errors"]
-            if build_deb.PLATFORMS[arch] == platform.machine():
+            if PLATFORMS[arch] == platform.machine():
                 rows.append(tried_deb(deb))
     for row in rows:
+        of = row.of.partition(".manylinux_")[0]  # a compiled wheel's name has two tags that mean the same
         what = row.problem or f"{row.megabytes:.0f} MB with what it needs, a robot after {row.start_s:.1f} s"
-        print(f"Python {row.python:<6} {row.of:<28} {'FAILED' if row.problem else 'works':<7} {what}")
+        print(f"Python {row.python:<6} {of:<48} {'FAILED' if row.problem else 'works':<7} {what}")
     print(f"{wheel.name}: {wheel.stat().st_size / 1e6:.2f} MB; {sources.name}: {sources.stat().st_size / 1e6:.2f} MB")
     print(*problems, sep="\n", end="\n" if problems else "")
     return 1 if problems or any(row.problem for row in rows) else 0
+
+
+def try_compiled(pythons: dict[str, Path], pure: Path) -> tuple[list[Row], list[str]]:
+    """Build and check the compiled wheels, try those for this computer, and check that pip chooses the right one."""
+    rows: list[Row] = []
+    problems: list[str] = []
+    wheels: dict[tuple[str, str], Path] = {}
+    for version, arch in compiled.wanted(pythons):
+        print(f"compiling the wheel for Python {version}, {arch} ...", flush=True)
+        try:
+            wheel = compiled.build(FOLDER, version, arch)
+        except build_deb.BuildFailed as error:
+            problems.append(str(error))
+            continue
+        print(f"{wheel.name}: {wheel.stat().st_size / 1e6:.2f} MB", flush=True)
+        problems += problems_of_compiled(wheel)
+        wheels[version, f"manylinux2014_{PLATFORMS[arch]}"] = wheel
+        if PLATFORMS[arch] == platform.machine():
+            rows.append(tried(version, pythons[version], wheel, is_compiled=True))
+    for version, where in (*wheels, *PURE_ONLY):
+        wanted, found = wheels.get((version, where), pure).name, choice(FOLDER, version, where)
+        problems += [] if found == wanted else [f"Python {version}, {where}: pip chooses {found}, not {wanted}"]
+    return rows, problems
 
 
 # -- what is in them --------------------------------------------------------------------------------------------------
@@ -105,6 +140,21 @@ def problems_of_wheel(wheel: Path) -> list[str]:
     size = wheel.stat().st_size
     too_large = [f"the wheel has {size} bytes, more than {MAX_WHEEL_BYTES}"] if size > MAX_WHEEL_BYTES else []
     return [*_missing(NEEDED, names, "the wheel"), *_unwanted(names, "the wheel"), *too_large]
+
+
+def problems_of_compiled(wheel: Path) -> list[str]:
+    """Return missing files and modules of a compiled wheel, and an excessive size. It has the sources too."""
+    with zipfile.ZipFile(wheel) as archive:
+        names = archive.namelist()
+    libraries = {found["module"] for name in names if (found := LIBRARY.fullmatch(name))}
+    modules = {str(path.relative_to(ROOT).with_suffix("")) for path in compiled.modules()}
+    size = wheel.stat().st_size
+    return [
+        *_missing(NEEDED, names, wheel.name),
+        *(f"{name} is not compiled in {wheel.name}" for name in sorted(modules - libraries)),
+        *_unwanted((name for name in names if not name.endswith(".so")), wheel.name),
+        *([f"{wheel.name} has {size} bytes, more than {MAX_COMPILED_BYTES}"] if size > MAX_COMPILED_BYTES else []),
+    ]
 
 
 def problems_of_sources(sources: Path) -> list[str]:
@@ -130,10 +180,10 @@ def _copies(names: Iterable[str]) -> list[str]:
 # -- what a user does with them ---------------------------------------------------------------------------------------
 
 
-def tried(version: str, python: Path, package: Path) -> Row:
+def tried(version: str, python: Path, package: Path, *, is_compiled: bool = False) -> Row:
     """Install it into an empty environment, and run the demo there."""
     print(f"Python {version}: {package.name} ...", flush=True)
-    venv = FOLDER / f"venv-{version}-{package.suffix.strip('.')}"
+    venv = FOLDER / f"venv-{version}-{'compiled' if is_compiled else package.suffix.strip('.')}"
     try:
         subprocess.run([python, "-m", "venv", "--clear", venv], check=True, capture_output=True)
         install = [
@@ -146,12 +196,42 @@ def tried(version: str, python: Path, package: Path) -> Row:
             f"{package}[sim]",
         ]
         subprocess.run(install, check=True, capture_output=True)
-        start_s = demonstrated(venv / "bin" / "hostlink", cwd=venv)
+        start_s, megabytes = demonstrated(venv / "bin" / "hostlink", cwd=venv), size_mb(venv)
+        if is_compiled:
+            check_compiled(venv, package)
     except subprocess.CalledProcessError as error:
-        return Row(version, package.name, 0.0, 0.0, error.stderr.decode().strip().rpartition("\n")[2])
+        said = (error.stderr or error.stdout).decode()
+        return Row(version, package.name, 0.0, 0.0, said.strip().rpartition("\n")[2])
     except (OSError, Unusable, subprocess.TimeoutExpired) as error:
         return Row(version, package.name, 0.0, 0.0, str(error) or type(error).__name__)
-    return Row(version, package.name, size_mb(venv), start_s, "")
+    return Row(version, package.name, megabytes, start_s, "")
+
+
+def check_compiled(venv: Path, wheel: Path) -> None:
+    """Check that the compiled modules are what runs, drive a robot over REST, and uninstall every file of the wheel."""
+    python, tools = venv / "bin" / "python", ROOT / "tools"
+    steps: tuple[tuple[str | Path, ...], ...] = (
+        (tools / "try_compiled.py",),
+        (tools / "try_drive.py", python.with_name("hostlink")),
+        ("-m", "pip", "uninstall", "--yes", "--quiet", "hostlink"),
+    )
+    for words in steps:
+        command: list[str | Path] = [python, "-I", *words]
+        subprocess.run(command, cwd=venv, check=True, capture_output=True)
+    (packages,) = venv.glob("lib/python*/site-packages")
+    with zipfile.ZipFile(wheel) as archive:
+        left = [name for name in archive.namelist() if (packages / name).exists()]
+    if left:
+        raise Unusable(f"pip uninstall leaves {', '.join(left)}")
+
+
+def choice(folder: Path, version: str, where: str) -> str:
+    """Return the name of the file that pip chooses of a folder, for a version of Python and a platform."""
+    pip = (sys.executable, "-m", "pip", "download", "--quiet", "--disable-pip-version-check")
+    only = ("--only-binary=:all:", "--python-version", version, "--platform", where)
+    with tempfile.TemporaryDirectory() as into:
+        build_deb.run(*pip, *only, "--no-deps", "--no-index", "--find-links", folder, "--dest", into, "hostlink")
+        return next(Path(into).iterdir()).name
 
 
 def tried_deb(deb: Path) -> Row:

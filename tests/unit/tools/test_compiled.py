@@ -5,12 +5,14 @@ import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parents[3]
+import pytest
+
+from tools import compiled
+from tools.build_deb import ROOT, BuildFailed
+
 SETTINGS = tomllib.loads((ROOT / "pyproject.toml").read_text())
 HOOK = SETTINGS["tool"]["hatch"]["build"]["targets"]["wheel"]["hooks"]["mypyc"]
-COMPILED = {
-    path for each in HOOK["include"] for path in ROOT.glob(each.removeprefix("/")) if path.name != "__init__.py"
-}
+COMPILED = compiled.modules()
 
 
 def classes() -> Iterator[tuple[Path, ast.ClassDef]]:
@@ -58,3 +60,17 @@ def test_no_compiled_function_names_one_within_it() -> None:
         for node in ast.walk(ast.parse(path.read_text())):
             inner = [each for each in ast.walk(node) if isinstance(each, functions) and each is not node]
             assert not (isinstance(node, functions) and inner), f"{path}:{inner[0].lineno}"
+
+
+def test_cross_compiling_without_headers_is_refused() -> None:
+    with pytest.raises(BuildFailed, match=r"^no Debian has Python 3\.12, so its headers for arm64 are missing$"):
+        compiled.headers("3.12", "arm64")
+
+
+def test_each_python_with_a_wheel_for_arm64_is_one_of_a_debian() -> None:
+    assert {version for version, arch in compiled.WHEELS if arch == "arm64"} == set(compiled.SUITES)
+
+
+def test_wheels_are_chosen_by_version_and_architecture() -> None:
+    assert list(compiled.wanted()) == list(compiled.WHEELS)
+    assert list(compiled.wanted(["3.11"], ["arm64"])) == [("3.11", "arm64")]

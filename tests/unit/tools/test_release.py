@@ -7,14 +7,17 @@ from pathlib import Path
 
 import pytest
 
-from tools import release
+from tools import compiled, release
+from tools.build_deb import ROOT
 
 
-def wheel(folder: Path, *names: str) -> Path:
-    file = folder / "hostlink-1-py3-none-any.whl"
+def wheel(folder: Path, *names: str, tags: str = "py3-none-any") -> Path:
+    file = folder / f"hostlink-1-{tags}.whl"
     with zipfile.ZipFile(file, "w") as archive:
         for name in names:
             archive.writestr(name, "x")
+        archive.writestr("hostlink-1.dist-info/METADATA", "Metadata-Version: 2.1\nName: hostlink\nVersion: 1\n")
+        archive.writestr("hostlink-1.dist-info/WHEEL", "Wheel-Version: 1.0\n")
     return file
 
 
@@ -56,3 +59,18 @@ def test_a_wheel_that_is_too_large(tmp_path: Path, monkeypatch: pytest.MonkeyPat
 
 def test_a_python_that_is_not_there_is_none() -> None:
     assert release.interpreter("3.99") is None
+
+
+def test_compiled_wheel_without_one_of_its_modules(tmp_path: Path) -> None:
+    modules = sorted(str(path.relative_to(ROOT).with_suffix("")) for path in compiled.modules())
+    libraries = [f"{name}.cpython-311-x86_64-linux-gnu.so" for name in modules]
+    assert release.problems_of_compiled(wheel(tmp_path, *release.NEEDED, *libraries)) == []
+    (problem,) = release.problems_of_compiled(wheel(tmp_path, *release.NEEDED, *libraries[1:]))
+    assert problem.startswith(f"{modules[0]} is not compiled in ")
+
+
+def test_pip_chooses_the_compiled_wheel_where_it_fits_and_else_the_pure_one(tmp_path: Path) -> None:
+    pure = wheel(tmp_path)
+    compiled_wheel = wheel(tmp_path, tags="cp311-cp311-manylinux2014_x86_64.manylinux_2_17_x86_64")
+    assert release.choice(tmp_path, "3.11", "manylinux2014_x86_64") == compiled_wheel.name
+    assert {release.choice(tmp_path, *other) for other in release.PURE_ONLY} == {pure.name}
