@@ -10,6 +10,7 @@ from collections.abc import AsyncGenerator, AsyncIterator, Generator, Mapping
 from types import TracebackType
 from typing import Any, NoReturn, cast
 
+from hostlink.cancellation import raise_if_cancelled
 from hostlink.client.cells import Names, forget, watch_cells
 from hostlink.client.connection import HostConnection
 from hostlink.client.driver import VelocitySender
@@ -67,6 +68,7 @@ class Host:
                     await self._leave()
                     reader.cancel()
         except BaseExceptionGroup as group:  # what went wrong in the caller's block is the caller's own error
+            raise_if_cancelled()  # TaskGroup drops a cancellation if there is an error, too
             raise group.exceptions[0] from None
         self._topics.raise_refusals()
 

@@ -23,6 +23,7 @@ from collections.abc import AsyncIterator, Callable
 from dataclasses import replace
 from typing import NamedTuple
 
+from hostlink.cancellation import raise_if_cancelled
 from hostlink.client.driver import REPEAT_INTERVAL_S, VelocitySender
 from hostlink.client.mailbox import Mailbox
 from hostlink.client.views import Driven, Motion, MotionKind, MotionOutcome, Odometry, Progress
@@ -286,6 +287,7 @@ async def follow(
             finally:
                 reading.cancel()
     except BaseExceptionGroup as group:  # an error of the caller's function is the caller's own
+        raise_if_cancelled()  # TaskGroup drops a cancellation if there is an error, too
         raise group.exceptions[0] from None
 
 

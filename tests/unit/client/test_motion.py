@@ -4,11 +4,13 @@ import asyncio
 import contextlib
 import math
 from collections.abc import AsyncIterator, Awaitable, Callable
+from typing import Any, cast
 
 import pytest
 
 from hostlink.client import Motion, MotionOutcome, Progress, Robot
-from hostlink.client.motion import CoursePilot, Fix, line, turn
+from hostlink.client.driver import VelocitySender
+from hostlink.client.motion import CoursePilot, Fix, follow, line, turn
 from hostlink.errors import CommandRefused, HostlinkError
 from hostlink.robot.kinematics import Pose
 from hostlink.robot.velocity import PlanarVelocity, Twist
@@ -480,6 +482,48 @@ def test_error_of_the_progress_function_ends_the_motion_and_is_raised() -> None:
         assert here.is_zero
 
     in_world(test)
+
+
+class _RefusedSender:
+    """Sender whose commands are refused."""
+
+    def newest(self, _: str) -> int:
+        return 0
+
+    number_of = newest
+
+    def next_number(self) -> int:
+        return 0
+
+    def notice_sleep(self) -> None:
+        """Do nothing."""
+
+    async def drive(self, *_: object, **__: object) -> None:
+        raise HostlinkError("locked")
+
+
+def test_motion_that_is_cancelled_while_its_refusal_ends_it_is_cancelled() -> None:
+    """A program that suppresses the refusal would drive on otherwise."""
+    is_closing = asyncio.Event()
+
+    async def odometry() -> AsyncIterator[Any]:
+        try:
+            while True:
+                yield {"age_s": 0.0, "pose": {"x_m": 0.0, "y_m": 0.0, "theta_rad": 0.0}}
+                await asyncio.sleep(0.01)
+        finally:
+            is_closing.set()
+            await asyncio.sleep(0.1)
+
+    async def test() -> None:
+        sender = cast(VelocitySender, _RefusedSender())
+        async with asyncio.TaskGroup() as tasks:
+            moving = tasks.create_task(follow(sender, "robot_0", 0, line(1.0, 0.3, None), odometry(), None))
+            await is_closing.wait()
+            moving.cancel()
+        assert moving.cancelled()
+
+    run_virtual(test())
 
 
 def test_motion_without_any_odometry_does_not_begin() -> None:
