@@ -4,6 +4,7 @@ import asyncio
 import contextlib
 from collections.abc import AsyncIterator, Awaitable, Callable
 
+ACCEPTING_TURNS = 5  # more than asyncio needs from the accepted socket to its handler
 Serve = Callable[[asyncio.StreamReader, asyncio.StreamWriter], Awaitable[None]]
 
 
@@ -27,7 +28,8 @@ async def tcp_server(serve: Serve) -> AsyncIterator[tuple[str, int]]:
         yield server.sockets[0].getsockname()[:2]
     finally:
         server.close()
-        await asyncio.sleep(0)  # a connection that was just accepted is served
+        for _ in range(ACCEPTING_TURNS):
+            await asyncio.sleep(0)
         for task in list(serving):
             task.cancel()
             await asyncio.wait([task])

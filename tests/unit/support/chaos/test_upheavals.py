@@ -1,6 +1,7 @@
 """The tools of upheavals: a wall clock that jumps in a process, a fleet's port that answers whom it must not."""
 
 import asyncio
+import contextlib
 import os
 import random
 import struct
@@ -14,6 +15,7 @@ from tests.support.chaos.children import Daemon
 from tests.support.chaos.plan import Action
 from tests.support.chaos.stage import Stage
 from tests.support.chaos.tls_strangers import strangers
+from tests.support.tcp_server import tcp_server
 
 DAY_S = 86400
 CLOCKS = "import time; print(time.time(), time.monotonic())"
@@ -45,18 +47,12 @@ async def reports_of(way: str, answer: bytes) -> list[dict[str, Any]]:
     async def serve(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         await reader.read(1)
         writer.write(answer)
-        writer.close()
 
-    server = await asyncio.start_server(serve, "127.0.0.1", 0)
-    stage = Stage(("", 0), ("", 0), reports.append, fleet=server.sockets[0].getsockname()[:2])
-    try:
-        async with asyncio.timeout(0.3):
-            await strangers(stage, Action(1, "tls", seed, 1.0))
-    except TimeoutError:
-        pass
-    finally:
-        server.close()
-        await server.wait_closed()
+    async with tcp_server(serve) as address:
+        stage = Stage(("", 0), ("", 0), reports.append, fleet=address)
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(0.3):
+                await strangers(stage, Action(1, "tls", seed, 1.0))
     return [each for each in reports if "broken" in each]
 
 
