@@ -52,6 +52,7 @@ def headers(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("board", COMPILERS)
 def test_every_header_compiles_without_a_warning(headers: Path, tmp_path: Path, board: str) -> None:
     for source in (FIRMWARE / "tests" / "message_headers.cpp", SOURCES / "ros" / "wire.cpp"):
@@ -137,6 +138,7 @@ def test_a_program_with_the_library_fits_an_uno(unpacked: Path, tmp_path: Path) 
 ARDUINO = Path("/usr/share/arduino/hardware/arduino/avr")
 
 
+@pytest.mark.long
 def test_a_zip_of_few_types_has_what_its_examples_include(unpacked: Path, tmp_path: Path) -> None:
     examples = sorted((unpacked / "examples").glob("*/*.ino"))
     assert len(examples) >= 10

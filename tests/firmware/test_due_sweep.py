@@ -119,6 +119,7 @@ def test_each_kind_of_wrong_drive_is_found(name: str, change: Callable[[np.ndarr
             check(script, changed(rows, name, change))
 
 
+@pytest.mark.long
 def test_module_and_emulated_firmware_after_a_minute_are_at_the_same_place(tmp_path: Path) -> None:
     module, emulated = run_module(MINUTE.text, MINUTE.rows), run_m3(MINUTE.text, tmp_path)
     assert len(module) == len(emulated) >= 6000

@@ -89,6 +89,7 @@ def test_wheel_turned_by_hand_is_driven_as_before_after_release(
             check_speed(made.trace, np.concatenate(made.commanded))
 
 
+@pytest.mark.long
 @WORLDS
 @given(drawn=worlds(), linear=st.floats(0.08, 0.28), sense=st.sampled_from([1, -1]))
 def test_steady_speed_with_drawn_motors_is_the_requested_one(drawn: WorldParameters, linear: float, sense: int) -> None:

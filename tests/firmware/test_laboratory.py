@@ -63,6 +63,7 @@ def column(table: ErrorTable, title: str) -> np.ndarray:
     return found
 
 
+@pytest.mark.long
 def test_tables_have_the_paper_s_values_and_calibration_gains_threefold() -> None:
     driven = {table.pattern: table for table in tables(CASTER_WORLD, LABORATORY, runs=RUNS, report=lambda _: None)}
     assert [table.pattern.table for table in driven.values()] == [2, 3, 4, 5]
@@ -105,6 +106,7 @@ def test_calibration_without_noise_finds_wheels_and_track() -> None:
         assert left_cm < error_cm / 100
 
 
+@pytest.mark.long
 def test_a_fit_finds_the_radius_that_made_the_lines() -> None:
     made = [0.8, 0.0, 0.0, 0.0, 0.0]
     lines = measure(Experiment(Setup(software=Software.PAPER, world=world_of(np.array(made))), LINE, 5))
@@ -129,6 +131,7 @@ def test_the_command_prints_json_and_the_world(tmp_path: Path, capsys: pytest.Ca
     assert view["world"]["left.radius_m"] == 0.0452
 
 
+@pytest.mark.long
 def test_pictures_are_drawn(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     picture = tmp_path / "paths.png"
     build_app("lab")(["lab", "pictures", "--runs", "2", "-o", str(picture)], standalone_mode=False)

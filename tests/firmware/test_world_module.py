@@ -35,6 +35,7 @@ def test_change_of_a_source_or_of_what_was_made_is_found(tmp_path: Path, changed
     assert built.is_stale()
 
 
+@pytest.mark.long
 def test_module_built_again_has_the_same_bytes(tmp_path: Path) -> None:
     if clang_version() != CLANG:
         pytest.skip(f"clang {clang_version()} makes other bytes than clang {CLANG}, which the module is built with")

@@ -119,6 +119,7 @@ def promtool() -> str:
     return "build/promtool/usr/bin/promtool"
 
 
+@pytest.mark.long
 def test_each_rule_fires_on_its_trouble_only(promtool: str, tmp_path: Path) -> None:
     tests = [scenario("no trouble", [], {})]
     tests += [scenario(name, [name], trouble) for name, trouble in TROUBLE.items()]

@@ -2,6 +2,7 @@
 
 import asyncio
 
+import pytest
 from structlog.testing import capture_logs
 
 from tests.support.link_report import Account
@@ -34,6 +35,7 @@ async def drive(loop_s: float) -> Account:
     return account
 
 
+@pytest.mark.long
 def test_lossy_link_loses_no_message_outside_the_cuts() -> None:
     """The device's loop drains the UART before its ring is full, as the robot's own firmware does."""
     account = run_virtual(drive(1 / 60))

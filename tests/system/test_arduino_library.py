@@ -9,6 +9,8 @@ import tarfile
 import zipfile
 from pathlib import Path
 
+import pytest
+
 from tests.support.process import run
 
 ROOT = Path(__file__).parents[2]
@@ -70,6 +72,7 @@ async def test_an_error_is_one_line_with_the_next_step(tmp_path: Path) -> None:
     assert names_in(tmp_path) == ["mine"]
 
 
+@pytest.mark.long
 def test_a_wheel_built_from_the_sources_that_are_published_has_the_library(tmp_path: Path) -> None:
     build = [sys.executable, "-m", "hatchling", "build", "-d", tmp_path]
     subprocess.run([*build, "-t", "sdist"], cwd=ROOT, check=True, capture_output=True)

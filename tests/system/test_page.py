@@ -313,6 +313,7 @@ async def test_stop_works_without_the_websocket(scene: Scene) -> None:
         assert scene.host.hub.robots.find("robot_0").gate.lock_reason == "the stop on the page"
 
 
+@pytest.mark.long
 async def test_every_tab_of_a_browser_can_stop(scene: Scene) -> None:
     """A browser has six connections to one address: the tabs' streams of events must not use up those of a stop."""
     async with connected(scene) as first:
@@ -409,6 +410,7 @@ async def test_page_shows_which_client_drives_and_which_has_priority(scene: Scen
         await tab.shows("#drive-state", "no driver")
 
 
+@pytest.mark.long
 async def test_page_shows_the_battery_the_signal_and_the_errors_in_words(scene: Scene) -> None:
     async with connected(scene) as tab:
         await tab.shows("#link", "Battery12.0 V")

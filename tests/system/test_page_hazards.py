@@ -493,6 +493,7 @@ async def test_wild_values_of_a_device_stay_readable(scene: Scene) -> None:
     await page.get_by_role("button", name="All topics").click()
 
 
+@pytest.mark.long
 async def test_long_paths_of_many_robots_are_not_drawn_again_and_again(browser: Browser) -> None:
     """Fifty of them held the page, and with it its stop, for half a second at a time."""
     async with page_server() as server, visit(browser, server.url, script=LINES) as tab:
@@ -526,6 +527,7 @@ async def test_late_values_of_a_slow_line_are_dimmed_with_their_age(scene: Scene
     await expect_page(page.locator("body.lost")).to_have_count(0)
 
 
+@pytest.mark.long
 async def test_a_pose_far_away_freezes_neither_the_page_nor_its_stop(browser: Browser) -> None:
     async with page_server() as server, visit(browser, server.url) as tab:
         state = fleet("robot_0", "robot_1", "robot_2", "robot_3")

@@ -248,6 +248,7 @@ async def test_every_layout_fits_every_size(
     assert not found, "\n".join(found)
 
 
+@pytest.mark.long
 async def test_a_window_at_twice_its_size_and_a_small_phone_on_its_side_have_room_to_drive(scene: Scene) -> None:
     found = []
     for name in ("50-robots", "locked", "lost"):
@@ -361,6 +362,7 @@ AMBER = """canvas => {
 }"""
 
 
+@pytest.mark.long
 async def test_fifty_robots_are_in_natural_order_filtered_and_locked_at_once(browser: Browser) -> None:
     async with page_server() as server, visit(browser, server.url) as tab:
         state = fleet(50)
@@ -421,6 +423,7 @@ BAR = """cell => {
 }"""
 
 
+@pytest.mark.long
 async def test_fleet_of_fifty_is_sorted_by_trouble_counted_and_readable_at_every_size(browser: Browser) -> None:
     async with page_server() as server, visit(browser, server.url) as tab:
         page, rows = tab.page, tab.page.locator("#robots .robot")
@@ -460,6 +463,7 @@ async def test_fleet_of_fifty_is_sorted_by_trouble_counted_and_readable_at_every
         assert tab.complaints == []
 
 
+@pytest.mark.long
 async def test_rows_move_only_while_the_user_does_not_aim_at_them(browser: Browser) -> None:
     async with page_server() as server, visit(browser, server.url) as tab:
         first = tab.page.locator("#robots .robot").first
@@ -485,6 +489,7 @@ async def test_rows_move_only_while_the_user_does_not_aim_at_them(browser: Brows
 IS_CUT = "text => text.scrollHeight > text.clientHeight + 1 || text.scrollWidth > text.clientWidth + 1"
 
 
+@pytest.mark.long
 async def test_reasons_of_locks_and_refusals_can_be_read_whole(browser: Browser) -> None:
     async with page_server() as server, visit(browser, server.url) as tab:
         page = tab.page
@@ -524,6 +529,7 @@ async def reads_whole(tab: Visit, selector: str, text: str) -> None:
     assert not await place.evaluate(IS_CUT)
 
 
+@pytest.mark.long
 async def test_all_locked_robots_are_unlocked_at_the_second_press(browser: Browser) -> None:
     async with page_server() as server, visit(browser, server.url) as tab:
         state = fleet(3)
@@ -631,6 +637,7 @@ async def test_a_refusal_is_shown_in_the_words_for_a_person(browser: Browser) ->
         assert "/api" not in await tab.page.locator("body").inner_text()
 
 
+@pytest.mark.long
 async def test_a_layout_and_where_its_panels_are_is_remembered(browser: Browser) -> None:
     async with page_server() as server, visit(browser, server.url) as tab:
         server.show(fleet(1))

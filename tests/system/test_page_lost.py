@@ -63,6 +63,7 @@ async def age_s(tab: Visit) -> float:
     return float(text.removesuffix(" s"))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("how", HOW_IT_GOES)
 async def test_values_of_a_robot_are_blank_or_grow_old_while_the_daemon_is_gone(browser: Browser, how: str) -> None:
     async with shown(browser, Config()) as (_, line, tab):
@@ -93,6 +94,7 @@ async def test_values_of_a_robot_are_blank_or_grow_old_while_the_daemon_is_gone(
         await tab.shows("#robots .what", "drives")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("how", HOW_IT_GOES)
 async def test_lists_of_activity_are_empty_while_the_daemon_is_gone(browser: Browser, how: str, tmp_path: Path) -> None:
     config = Config(recording=RecordingConfig(folder=tmp_path, min_free_disk_mb=0.0))

@@ -125,6 +125,7 @@ async def test_a_token_is_requested_and_kept_out_of_the_address(browser: Browser
         assert host.hub.robots.find("robot_0").gate.counts.commands == 0
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("size", SIZES)
 async def test_page_of_a_driving_robot_has_the_right_layout_and_text(browser: Browser, size: str) -> None:
     """Pictures are kept; nothing hangs over the side, and axe finds nothing that keeps anybody out."""

@@ -82,6 +82,7 @@ async def publish_a_velocity(host: Daemon, tab: Visit) -> None:
     await tab.shows("#topics form", "locked")
 
 
+@pytest.mark.long
 async def test_lists_are_bounded_and_texts_stay_text(browser: Browser) -> None:
     async with daemon() as host, visit(browser, host.url, script=WATCH) as tab, client(host) as program:
         for number in range(MANY):

@@ -7,6 +7,8 @@ from asyncio.subprocess import PIPE
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 from hostlink.config import ApiConfig, Config, TokenConfig
 from tests.support.daemon import Daemon, daemon
 from tests.support.once import BUILD
@@ -52,6 +54,7 @@ def snippet(text: str) -> str:
     return found
 
 
+@pytest.mark.long
 async def test_velocity_for_a_locked_robot_is_a_failure_except_in_a_stream() -> None:
     async with daemon() as host, simulated_robot(host.tcp):
         await expect(host.hub.robots.all)
@@ -80,6 +83,7 @@ async def test_assistant_lists_topics_reads_poses_and_drives_under_a_lease() -> 
     assert (each["published_count"], each["errors"]) == (1, [])
 
 
+@pytest.mark.long
 async def test_assistant_with_a_token_that_only_reads_lists_and_does_not_drive(tmp_path: Path) -> None:
     token = TokenConfig(name="assistant", role="read", token=TOKEN)
     async with daemon(Config(api=ApiConfig(tokens=(token,)))) as host, simulated_robot(host.tcp):

@@ -170,6 +170,7 @@ LAUNCH = """<launch>
 """
 
 
+@pytest.mark.long
 async def test_roslaunch_starts_the_package_that_the_command_writes(ros: Graph, tmp_path: Path) -> None:
     child = await asyncio.create_subprocess_exec(HOSTLINK, "ros1", "--write-package", str(tmp_path), stdout=PIPE)
     out, _ = await child.communicate()
