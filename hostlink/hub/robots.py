@@ -265,7 +265,7 @@ class Robots:
             return None
         robot.battery = None
         log.warning("robot.gone", robot=robot.name)
-        self._gates.events.note(EventKind.GONE, robot.name, was_moving=was_moving)
+        self._gates.events.note(EventKind.GONE, robot.name, link=device.link.number, was_moving=was_moving)
         self._put_away(robot)
         self._on_change(robot.name)
         return robot
