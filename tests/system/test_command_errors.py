@@ -30,6 +30,11 @@ runpy.run_module("hostlink", run_name="__main__")
     [
         ("topics nonsense", "topics: there is an argument too many: nonsense; `hostlink topics --help` lists the opt"),
         ("hz /x --seconds -1", "hz: the value of --seconds is wrong: "),
+        (
+            "teleop --linear fast",
+            "teleop: the value of --linear is wrong: 'fast' is not a number from 0.01 to 1; `host",
+        ),
+        ("echo /x --count 0", "echo: the value of --count is wrong: 0 is not a whole number of at least 1; `host"),
         ("hz /x --seconds", "hz: the option --seconds needs a value; `hostlink hz --help` lists the options"),
         ("sim --robot fast", "sim: the value of --robot is wrong: 'fast' is not one of 'nimble', 'paper'; `hostlink s"),
         ("echo", "echo: the argument topic is missing; `hostlink echo --help` lists the options"),
