@@ -3,6 +3,7 @@
 import asyncio
 import os
 import signal
+import socket
 import subprocess
 import sys
 
@@ -104,3 +105,11 @@ async def test_ctrl_c_while_the_program_is_loaded_shows_no_traceback() -> None:
     async with asyncio.timeout(TIMEOUT_S):
         _, errors = await child.communicate()
     assert (child.returncode, errors) == (-signal.SIGINT, b"")
+
+
+async def test_demo_whose_port_is_in_use_says_how_make_takes_another() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        api = f"127.0.0.1:{taken.getsockname()[1]}"
+        status, _, errors = await run("demo", "--api", api, "--listen", "127.0.0.1:0")
+    assert (status, errors.count("\n")) == (2, 1)
+    assert "choose another port with --api HOST:PORT; make passes options on: make demo ARGS='--api " in errors
