@@ -36,7 +36,7 @@ unexport PYTHONDONTWRITEBYTECODE # the tests start hostlink some hundred times
 .PHONY: help demo docs test test-long quick test-pythons coverage mutants check bench fuzz web screenshots firmware world lab chain soak netns ros2-venv ros-mcp-venv release compiled test-compiled weight piuparts arm64 format clean
 
 help:
-	@echo "make demo    start the daemon with a simulated robot"
+	@echo "make demo    start the daemon with a simulated robot (ARGS='--api 127.0.0.1:9091 --listen 127.0.0.1:11412': other ports)"
 	@echo "make quick   run the tests that need nothing but Python, in about a minute"
 	@echo "make test    run all tests except those marked long, in about five minutes"
 	@echo "make test-long  run the tests marked long: whole tables, hundred robots, minutes of driving; CI runs them too"
@@ -82,7 +82,7 @@ $(VENV)/.dev: pyproject.toml | $(BIN)/python
 	@touch $@ $(VENV)/.hostlink
 
 demo: $(VENV)/.hostlink
-	@exec $(BIN)/hostlink demo
+	@exec $(BIN)/hostlink demo $(ARGS)
 
 # rclpy and its messages from PyPI, 240 MB, in a venv of their own: no other test may depend on them.
 ROS2_VENV := build/ros2-venv

@@ -11,12 +11,12 @@ from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 from typing import Any, Protocol
 
 from hostlink.cli.calibration_plan import UNITS_M, Step, UnitMissing, parse_angle, parse_length
-from hostlink.cli.names import driver
+from hostlink.cli.names import driver, unknown_robot
 from hostlink.cli.output import show_progress, show_question, write, write_error
 from hostlink.client import Host, RobotState, connect
 from hostlink.client.robot import Robot
 from hostlink.client.topics import Subscription
-from hostlink.errors import HostlinkError, RefusalKind, UnknownTopic
+from hostlink.errors import HostlinkError, RefusalKind
 from hostlink.robot.calibration import Measurement, RunKind, WheelGeometry
 from hostlink.robot.course import STUCK_S, CourseFollower, Leg, Speed
 from hostlink.robot.kinematics import Pose, wrap_angle
@@ -182,9 +182,9 @@ async def _stopping(robot: Robot) -> AsyncIterator[None]:
 
 
 async def _state(host: Host, name: str) -> RobotState:
-    names = tuple(robot["name"] for robot in await host.robots())
+    names = [robot["name"] for robot in await host.robots()]
     if name not in names:
-        raise UnknownTopic("robot", name, names)
+        raise unknown_robot(name, names)
     state = await host.robot(name).state()
     if not state["connected"]:
         raise HostlinkError(f"{name} is not connected; `hostlink doctor` finds out why")

@@ -15,7 +15,7 @@ from hostlink.cli.output import write, write_above, write_over
 from hostlink.cli.serve import running
 from hostlink.cli.serve_command import Origins, allow_origins, merge
 from hostlink.config import Config, RobotConfig
-from hostlink.errors import HostlinkError
+from hostlink.errors import ConfigError, HostlinkError
 from hostlink.hub.hub import Hub
 from hostlink.hub.participant import Participant
 from hostlink.hub.robot import LocalRobot
@@ -32,6 +32,7 @@ COMMAND_INTERVAL_S = 0.2  # well within the lease
 PAUSE_S = 5.0  # a person who has driven may want to watch before the demo continues
 LINE_INTERVAL_S = 0.2
 DRIVE = "/demo/drive"
+AS_MAKE = "make passes options on: make demo ARGS='--api 127.0.0.1:9091 --listen 127.0.0.1:11412'"
 START_AGAIN = f"the demo's driver was interrupted; to start it again: hostlink call {DRIVE}"
 # docs/paper-robot.md#numbers
 PAPER_ROBOT = RobotConfig(kinematics="differential", wheel_separation_m=0.210, max_wheel_m_s=0.3436)
@@ -55,7 +56,13 @@ def command(
     require_wasmtime("hostlink demo")
     logs.configure(level="error")
     names = {f"robot_{number}": PAPER_ROBOT for number in range(robots)}
-    asyncio.run(_demo(allow_origins(merge(Config(robots=names), listen=listen, api=api), origin), robots, robot))
+    config = allow_origins(merge(Config(robots=names), listen=listen, api=api), origin)
+    try:
+        asyncio.run(_demo(config, robots, robot))
+    except ConfigError as error:
+        if "HOST:PORT" not in error.problem:
+            raise
+        raise ConfigError(error.where, f"{error.problem}; {AS_MAKE}") from error
 
 
 class Output:

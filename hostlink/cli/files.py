@@ -81,7 +81,7 @@ def check_new_file(option: str, file: Path, *, is_forced: bool, example: str) ->
         kind = "a folder" if stat.S_ISDIR(mode) else "not a plain file"
         raise ConfigError(option, f"{file} is {kind}; name a file, for example {example}")
     if not is_forced:
-        raise ConfigError(option, f"{file} exists already; name another, or add --force")
+        raise ConfigError(option, f"{file} exists already; name another file, or replace it with --force")
 
 
 @contextlib.contextmanager

@@ -395,7 +395,29 @@ def _run(arguments: list[str]) -> int:
 def _complaint(error: Any, words: Sequence[str]) -> tuple[str, str]:
     """Return what is wrong, the command or its word, and a sentence with the next step."""
     path = (wanted_command(words) or "") if error.ctx is None else error.ctx.command_path
-    return complaint(path.removeprefix("hostlink").strip(), " ".join(error.format_message().split()))
+    text = in_words(" ".join(error.format_message().split()), getattr(getattr(error, "param", None), "type", None))
+    return complaint(path.removeprefix("hostlink").strip(), text)
+
+
+_NOT_A_NUMBER = re.compile(r"(.*) is not (?:a valid (?:int|integer|float)(?: range)?|in the range [^ ]*)\.?")
+
+
+def in_words(text: str, kind: Any) -> str:
+    """Return the parser's error of a number with what is allowed in words. `kind`: type of the option, of click."""
+    found = _NOT_A_NUMBER.fullmatch(text)
+    if found is None:
+        return text
+    number = "a whole number" if "int" in getattr(kind, "name", "") else "a number"
+    least, most = (f"{bound:.15g}" if bound is not None else "" for bound in (_bound(kind, "min"), _bound(kind, "max")))
+    if least and most:
+        number += f" from {least} to {most}"
+    elif least or most:
+        number += f" of at least {least}" if least else f" of at most {most}"
+    return f"{found[1]} is not {number}"
+
+
+def _bound(kind: Any, name: str) -> float | None:
+    return getattr(kind, name, None)
 
 
 _TEXTS = (  # of click, and the sentence of hostlink

@@ -41,6 +41,34 @@ def unknown(kind: str, name: str, known: Iterable[str], *, command: str) -> Host
     return HostlinkError(f"there is no {kind} named {name}; {hint}; `hostlink {command}` lists them")
 
 
+def unknown_robot(name: str | None, known: Iterable[str]) -> HostlinkError:
+    """Error of a robot's name that is unknown, or if no robot is known, of any name or none."""
+    names = list(known)
+    if name is None or not names:
+        return HostlinkError("no robot has connected yet; `hostlink doctor` finds out why")
+    return unknown("robot", name, names, command="robots")
+
+
+def only_connected(robots: Mapping[str, bool], *, command: str) -> str:
+    """Return the only robot that is connected. `robots`: name -> whether it is connected.
+
+    Raises:
+        HostlinkError: several are connected, or none.
+    """
+    if not robots:
+        raise unknown_robot(None, ())
+    connected = sorted((name for name, is_connected in robots.items() if is_connected), key=natural)
+    if len(connected) == 1:
+        return connected[0]
+    if connected:
+        listed = f"{', '.join(connected[:LISTED])}{', ...' if len(connected) > LISTED else ''}"
+        raise HostlinkError(
+            f"{len(connected)} robots are connected: {listed}; name one, as in `hostlink {command} {connected[0]}`"
+        )
+    listed = f"{', '.join(sorted(robots, key=natural)[:LISTED])}{', ...' if len(robots) > LISTED else ''}"
+    raise HostlinkError(f"no robot is connected; known are: {listed}; `hostlink doctor` finds out why")
+
+
 # -- drivers ----------------------------------------------------------------------------------------------------------
 
 

@@ -9,7 +9,7 @@ import typer
 from hostlink.cli.arguments import Json, RobotName, Token, Url
 from hostlink.cli.connecting import connected
 from hostlink.cli.figures import robot_table
-from hostlink.cli.names import natural, unknown
+from hostlink.cli.names import natural, unknown_robot
 from hostlink.cli.output import write, write_error, write_table
 from hostlink.client import DEFAULT_URL, Host, RobotState, Standstill, StandstillState
 from hostlink.errors import ConfigError, HostlinkError
@@ -26,12 +26,12 @@ async def chosen(host: Host, name: str | None) -> list[RobotState]:
     """
     robots = await host.robots()
     if not robots:
-        raise HostlinkError("no robot has connected yet; `hostlink doctor` finds out why")
+        raise unknown_robot(name, ())
     if name is None:
         return sorted(robots, key=lambda robot: natural(robot["name"]))
     found = [robot for robot in robots if robot["name"] == name.strip("/")]
     if not found:
-        raise unknown("robot", name, (robot["name"] for robot in robots), command="robots")
+        raise unknown_robot(name, (robot["name"] for robot in robots))
     return found
 
 

@@ -233,7 +233,7 @@ def setup(
     force: Annotated[bool, typer.Option("--force", help="Replace an existing file.")] = False,
 ) -> None:
     """Ask ten questions and write a configuration. An empty answer means the default. Ctrl-C writes no file."""
-    check_new_file("FILE", file, is_forced=force, example="hostlink.toml")
+    check_new_file("setup", file, is_forced=force, example="hostlink.toml")
     answers: dict[str, str] = {}
     asked = questions(list(_serial_ports()))
     for number, question in enumerate(asked, 1):
@@ -280,7 +280,7 @@ def _write(file: Path, text: str) -> None:
     Raises:
         ConfigError: the file cannot be written.
     """
-    with replacing("FILE", file) as beside:
+    with replacing("setup", file) as beside:
         descriptor = os.open(beside, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, OWNER_ONLY)
         with os.fdopen(descriptor, "w", encoding="utf-8") as out:
             out.write(text)

@@ -16,7 +16,7 @@ import typer
 
 from hostlink.cli.arguments import Token, Url
 from hostlink.cli.connecting import connected
-from hostlink.cli.names import driver
+from hostlink.cli.names import driver, unknown_robot
 from hostlink.cli.output import show_progress, table, write, write_error
 from hostlink.client import DEFAULT_URL, PRIORITY, Host, Mailbox, Robot, RobotState
 from hostlink.errors import (
@@ -27,7 +27,6 @@ from hostlink.errors import (
     LibraryMissing,
     RefusalKind,
     Refused,
-    UnknownTopic,
 )
 from hostlink.robot.motor_model import MotorModel, PidGains, identify_motor, simc_gains
 from hostlink.robot.step_response import FULL_PWM, Record, Sample, StepFigures, make_record, step_figures
@@ -369,11 +368,11 @@ async def require_robot(host: Host, name: str) -> Robot:
     """Return a robot that the daemon knows.
 
     Raises:
-        UnknownTopic: the robot is unknown; the error lists the known ones.
+        HostlinkError: the robot is unknown; the error lists the known ones.
     """
-    known = tuple(state["name"] for state in await host.robots())
+    known = [state["name"] for state in await host.robots()]
     if name.strip("/") not in known:
-        raise UnknownTopic("robot", name.strip("/"), known)
+        raise unknown_robot(name, known)
     return host.robot(name)
 
 

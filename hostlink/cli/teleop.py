@@ -17,6 +17,7 @@ import typer
 from hostlink.cli.arguments import Token, Url, robot_names
 from hostlink.cli.connecting import connected
 from hostlink.cli.driving import LAYOUTS, Driving, Key, KeyReader
+from hostlink.cli.names import only_connected, unknown_robot
 from hostlink.cli.output import draw, terminal_size, write_control
 from hostlink.cli.teleop_screen import UNLOCK_KEY, OwnState, lost_screen, screen
 from hostlink.client import DEFAULT_URL, Event, Host, Refusal, Robot, RobotState, connect
@@ -233,17 +234,11 @@ async def _teleop(url: str, token: str | None, name: str | None, driving: Drivin
 
 async def _choose(host: Host, name: str | None) -> str:
     robots = await host.robots()
-    names = tuple(robot["name"] for robot in robots)
     if name is None:
-        connected = [robot["name"] for robot in robots if robot["connected"]]
-        if len(connected) != 1:
-            listed = ", ".join(names) or "none yet"
-            raise HostlinkError(
-                f"{len(connected)} robots are connected; name one, as in `hostlink teleop NAME`: {listed}"
-            )
-        return str(connected[0])
+        return only_connected({robot["name"]: robot["connected"] for robot in robots}, command="teleop")
+    names = [robot["name"] for robot in robots]
     if name.strip("/") not in names:
-        raise UnknownTopic("robot", name, names)
+        raise unknown_robot(name, names)
     return name.strip("/")
 
 

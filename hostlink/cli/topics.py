@@ -349,8 +349,11 @@ def echo(
     ] = "",
     *,
     count: Annotated[
-        int, typer.Option("--count", "-n", min=0, help="End after so many messages, for scripts; 0: never.")
-    ] = 0,
+        int | None,
+        typer.Option(
+            "--count", "-n", min=1, help="End after so many messages, for scripts.", show_default="until Ctrl-C"
+        ),
+    ] = None,
     once: Annotated[bool, typer.Option("--once", help="End after the first message.")] = False,
     field: Annotated[
         str, typer.Option(help="Print only this field, for example pose.position.x or ranges[0].", show_default=False)
@@ -383,7 +386,7 @@ def echo(
     echo = Echo(
         topic=topic,
         field=field,
-        count=1 if once else count,
+        count=1 if once else count or 0,
         throttle_ms=throttle_ms,
         timeout_s=timeout,
         as_json=json,

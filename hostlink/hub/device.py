@@ -135,8 +135,10 @@ class Device:
         self.leave()
         self.shown = shown
         self.is_played = is_played([(info.name, info.type, info.is_to_device) for info in infos])
+        self.diagnosis.is_played = self.is_played
         if robot is not None:
             robot.is_played = self.is_played
+            robot.has_had_device |= not self.is_played
             robot.velocities = {shown.of(info.name): info.name for info in infos if is_velocity(info)}
             robot.velocities[robot.shown.velocity] = robot.topics.velocity
         self.names = frozenset(shown.of(info.name) for info in infos if info.kind in (Id.PUBLISHER, Id.SUBSCRIBER))

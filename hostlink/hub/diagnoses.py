@@ -52,6 +52,7 @@ class Diagnosis:
     last_evidence: Evidence | None = None  # of an ended link, until it is evaluated
     robot: str = ""  # name of the robot here; kept after the end
     own_name: str = ""  # announced name, if the robot's name got a number
+    is_played: bool = False  # a recording, which is not diagnosed: its bytes say nothing about a device
     _announced: list[tuple[int, Announced]] = field(default_factory=list)
 
     @property
@@ -225,6 +226,9 @@ class Diagnoses:
 
     async def _evaluate(self, diagnosis: Diagnosis, evidence: Evidence) -> None:
         """Evaluate evidence, in a thread if bytes must be examined: the first model of a baud rate is slow."""
+        if diagnosis.is_played:
+            diagnosis.findings = []
+            return
         is_slow = evidence.recent.skipped_bytes > 0
         found = await asyncio.to_thread(diagnose, evidence) if is_slow else diagnose(evidence)
         news = {each.code for each in found} - {each.code for each in diagnosis.findings}

@@ -114,7 +114,10 @@ class Links:
                 raise
             finally:
                 with hub.isolation.around("link"):
+                    played = self._played_robot(link)
                     self._forget(link)
+                    if played is not None:
+                        hub.robots.forget_played(played)
                     self.calls.leave(link)
                     hub.diagnoses.finish(link, end)
                 hub.events.note(EventKind.LINK_CLOSED, "", link=link.number, peer=link.peer, reason=end.value)
@@ -255,6 +258,11 @@ class Links:
             self._leave_graph(device)
             self._hub.gates.release(link)  # the device may have driven another one
             self._directory.leave(link.number)
+
+    def _played_robot(self, link: Link) -> LocalRobot | None:
+        """Return the robot of a link on which a recording is played; None for a device, or after a replacement."""
+        device = self._devices.get(link.number)
+        return device.robot if device is not None and device.is_played else None
 
     def _identify(self, device: Device) -> None:
         """Identify a device: accept it, refuse it, or wait for the Directory to decide."""

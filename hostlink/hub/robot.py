@@ -185,6 +185,7 @@ class LocalRobot(Drivable, Robot):
     on_lock: "Callable[[LocalRobot], None]"  # called after a lock or unlock: a locked robot is never forgotten
     locked_link: Link | None = None  # link at the time of the lock
     is_played: bool = False
+    has_had_device: bool = False  # one that is not a recording
     host: None = None
     also_at: tuple[str, ...] = ()
     unreadable: int = 0  # messages of its odometry that could not be decoded

@@ -23,7 +23,7 @@ class EventKind(Enum):
     LOCKED = "locked"  # reason
     UNLOCKED = "unlocked"
     APPEARED = "appeared"  # its device connected: link, peer
-    GONE = "gone"  # its device disconnected: was_moving
+    GONE = "gone"  # its device disconnected: link, was_moving
     FORGOTTEN = "forgotten"  # it was disconnected for long
     DIAGNOSED = "diagnosed"  # a finding of the diagnosis: link, code, cause, next_step, detail
     LOGGED = "logged"  # its device logged a line: link, level (0 debug to 4 fatal), text

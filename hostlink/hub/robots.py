@@ -79,7 +79,7 @@ class Robots:
     part has a table of links or robots.
 
     A robot is forgotten after `forget_after_s` without a connection, or when MAX_AWAY others disconnected after it. A
-    configured or locked robot is never forgotten.
+    configured or locked robot is never forgotten. A robot that only a recording has played is forgotten when that ends.
     """
 
     def __init__(
@@ -265,7 +265,7 @@ class Robots:
             return None
         robot.battery = None
         log.warning("robot.gone", robot=robot.name)
-        self._gates.events.note(EventKind.GONE, robot.name, was_moving=was_moving)
+        self._gates.events.note(EventKind.GONE, robot.name, link=device.link.number, was_moving=was_moving)
         self._put_away(robot)
         self._on_change(robot.name)
         return robot
@@ -309,6 +309,12 @@ class Robots:
         if robot is not None and robot.link is None and name not in self._configs:
             self._away.remove(name)
             self._forget(name)
+
+    def forget_played(self, robot: LocalRobot) -> None:
+        """Forget a robot whose recording has ended, unless a device has had its name, or it is locked."""
+        robot.is_played = False
+        if not robot.has_had_device and robot.gate.lock_reason is None:
+            self.forget(robot.name)
 
     def _note_lock(self, robot: LocalRobot) -> None:
         """Update the retention of a robot after a lock or unlock: a locked one is not forgotten."""

@@ -143,6 +143,9 @@ class BlackBox:
         if event.kind is EventKind.FORGOTTEN:
             self._rules.forget(event.robot)
             self._forget(event.robot)
+        robot = self._hub.robots.get_here(event.robot)
+        if robot is not None and robot.is_played:  # nothing happens to a recording
+            return
         incident = self._rules.observe(event)
         if incident is not None and not self._begin(incident):
             self.missed += 1

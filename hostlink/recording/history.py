@@ -73,6 +73,7 @@ class RobotHistory:
 
         `commands` is the topic; None any.
         """
+        self._robot = robot
         self._plot_topic = f"/{robot}/{PLOT_LEAF}"
         self._odometry, self._commands = odometry, commands
         self._parts: dict[int, tuple[Channel, Part | None]] = {}
@@ -122,12 +123,18 @@ class RobotHistory:
         return self._messages("plot", self._plot_topic, decode, rest)
 
     def events(self, rest: Rest) -> list[tuple[float, dict[str, Any]]]:
-        """Return (at_s, event) of the events, without single commands."""
+        """Return (at_s, event) of the robot's events, without single commands.
+
+        An event of a link before it is known whose it is has no robot. The number of the link says whose it is, also
+        where several devices have one address. Events of other links are omitted.
+        """
         found = []
         for (part, _, _), kept in self._kept.items():
             if part == "events":
                 found += past_messages(kept.samples(), decode_event, rest)
-        return thinned(found)
+        links = {_link_of(event) for _, event in found if event.get("robot") == self._robot} - {None}
+        own = [each for each in found if each[1].get("robot") != "" or _link_of(each[1]) in links]
+        return thinned(own)
 
     def _messages(self, part: Part, topic: str, decode: Decode, rest: Rest) -> list[tuple[float, dict[str, Any]]]:
         kept = self._kept.get((part, topic, TWIST_TYPE))
@@ -194,6 +201,13 @@ def decode_event(entry: Entry) -> dict[str, Any]:
         return msgspec.json.decode(json_of(entry.channel, entry.payload), type=dict[str, Any])
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise BadPayload(EVENT, str(error)) from None
+
+
+def _link_of(event: dict[str, Any]) -> int | None:
+    """Return the number of the link of a decoded event, whose fields may have any types; None without one."""
+    facts = event.get("facts")
+    link = facts.get("link") if isinstance(facts, dict) else None
+    return link if isinstance(link, int) else None
 
 
 def _kind_of(entry: Entry) -> str:

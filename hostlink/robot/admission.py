@@ -24,8 +24,8 @@ command is not the current one: that disarms it all the same.
 | event                                                               | decision             |
 |---------------------------------------------------------------------|----------------------|
 | a component is NaN or infinite                                      | refused: not_finite  |
-| a component is not zero that a robot of these `kinematics` lacks    | refused: unsupported |
 | non-zero command while the robot is locked                          | refused: locked      |
+| a component is not zero that a robot of these `kinematics` lacks    | refused: unsupported |
 | command while the device is not connected                           | refused: not_connected |
 | non-zero command that was sent or received a lease ago, or earlier  | refused: late        |
 | non-zero command whose stamp is older than `max_stamp_age_s`        | refused: late        |
@@ -249,12 +249,12 @@ class Admission:
             source.is_armed = False  # also if this command is refused: the next one continues its motion
         if not velocity.is_finite:
             return self._refuse(RefusalKind.NOT_FINITE, "a velocity must consist of finite numbers")
+        if self.lock_reason is not None:
+            return self._refuse(RefusalKind.LOCKED, self._locked_text(), by=self.locked_by)
         if not command.is_planar:
             return self._refuse(RefusalKind.UNSUPPORTED, NOT_PLANAR)
         if self.kinematics is Kinematics.DIFFERENTIAL and velocity.y_m_s != 0:
             return self._refuse(RefusalKind.UNSUPPORTED, NOT_SIDEWAYS)
-        if self.lock_reason is not None:
-            return self._refuse(RefusalKind.LOCKED, self._locked_text(), by=self.locked_by)
         if not self.is_connected:
             return self._refuse(RefusalKind.NOT_CONNECTED, "its device is not connected")
         waited_s = source.waited_s(command, now_s)

@@ -176,8 +176,11 @@ class RobotNames:
         return len(self._names_of(origin)) > 1
 
     def is_numbered(self, name: str, origin: Origin) -> bool:
-        """Whether a device was given a number, because nothing distinguished it from another."""
-        return name != origin.own and name not in self._places.at(origin)
+        """Whether a device was given a number, because nothing distinguished it from another.
+
+        A recording is not a device.
+        """
+        return origin.address != PLAYED and name != origin.own and name not in self._places.at(origin)
 
     def _names_of(self, origin: Origin) -> list[str]:
         return list(self._of_origin.get((origin.own, origin.address), ()))
@@ -250,7 +253,8 @@ class Accepted:
     """The device may stay; `replaces` is the number of an older link of the same one.
 
     `own_name`: what the device calls its robot; `robot.name` is what it is called here. `is_certain`: no other device
-    can have meant that name. `is_numbered`: nothing but the order distinguishes it from another.
+    can have meant that name. `is_numbered`: nothing but the order distinguishes it from another device; false for a
+    recording.
     """
 
     robot: RobotTopicNames | None

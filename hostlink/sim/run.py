@@ -5,6 +5,8 @@ Over UDP, a datagram has the bytes that left the UART together, as a passthrough
 
 import asyncio
 import contextlib
+import functools
+import itertools
 import os
 import socket
 from collections.abc import AsyncIterator, Callable, Iterator
@@ -24,6 +26,7 @@ SEND_BYTES = 1 << 16  # that may wait for a host; further bytes are lost
 CHECK_S = 0.05
 TIME_REQUEST = encode(Id.TIME, bytes(8))
 GREETING_S = 1.0  # interval of the first datagrams: a host over UDP does not know a silent device
+UNANSWERED = 2  # datagrams without an answer, after which the user is told
 USER_TIMEOUT_MS = 5000  # the host is gone when sent data stays unacknowledged for longer
 
 
@@ -44,13 +47,18 @@ async def run_fleet(
 
     Over TCP, `on_connected` is called with the robot's name and its own end of each new connection.
     """
+    waiting = (
+        f"no answer from {host}:{port} over UDP for {UNANSWERED * GREETING_S:g} s, waiting; "
+        f"`hostlink serve --udp {port}` starts a host with UDP"
+    )
+    say_waiting = functools.cache(functools.partial(log, waiting))  # once for all robots
     async with asyncio.TaskGroup() as tasks:
         for number in range(first, first + robots):
             robot = SimulatedRobot(
                 f"robot_{number}", world=world_of(number, world), kind=kind, clock_rate=fault.clock_rate
             )
             if is_udp:
-                running = run_over_udp(robot, host, port, fault=fault, log=log)
+                running = run_over_udp(robot, host, port, fault=fault, log=log, on_unanswered=say_waiting)
             else:
                 running = run_over_tcp(robot, host, port, fault=fault, log=log, on_connected=on_connected)
             tasks.create_task(running, name=robot.name)
@@ -105,14 +113,18 @@ async def run_over_udp(
     *,
     fault: Fault = HEALTHY,
     log: Callable[[str], None] = lambda _: None,
+    on_unanswered: Callable[[], None] = lambda: None,
 ) -> None:
-    """Keep the robot sending to the host until cancelled, also while the host does not answer."""
+    """Keep the robot sending to the host until cancelled, also while the host does not answer.
+
+    `on_unanswered` is called after the first UNANSWERED datagrams of a socket without an answer.
+    """
     last_error = ""
     async with _switched_on(robot, fault) as board:
         while True:
             try:
                 async with asyncio.timeout(fault.runs_s):
-                    await _talk_over_udp(board, host, port, log=log)
+                    await _talk_over_udp(board, host, port, log=log, on_unanswered=on_unanswered)
             except TimeoutError:
                 robot.firmware.reboot()
             except OSError as error:  # the address does not exist, or cannot be reached
@@ -222,7 +234,9 @@ async def _talk(board: _Board, reader: asyncio.StreamReader, writer: asyncio.Str
             await writer.wait_closed()
 
 
-async def _talk_over_udp(board: _Board, host: str, port: int, *, log: Callable[[str], None]) -> None:
+async def _talk_over_udp(
+    board: _Board, host: str, port: int, *, log: Callable[[str], None], on_unanswered: Callable[[], None]
+) -> None:
     """Exchange datagrams from an own socket until the robot has lost its host by silence."""
     robot = board.robot
     transport, _ = await asyncio.get_running_loop().create_datagram_endpoint(
@@ -235,7 +249,11 @@ async def _talk_over_udp(board: _Board, host: str, port: int, *, log: Callable[[
 
     try:
         with board.connected(send):
-            while not robot.is_configured:
+            for sent in itertools.count():
+                if robot.is_configured:
+                    break
+                if sent == UNANSWERED:
+                    on_unanswered()
                 send(FaultyLine(board.fault).pass_on(TIME_REQUEST))
                 with contextlib.suppress(TimeoutError):
                     async with asyncio.timeout(GREETING_S):

@@ -26,7 +26,7 @@ from hostlink.cli.step import (
 )
 from hostlink.client import Host, connect
 from hostlink.config import Config, ParameterValue, RobotConfig
-from hostlink.errors import CommandRefused, DeviceGone, HostlinkError, RefusalKind, Refused, UnknownTopic
+from hostlink.errors import CommandRefused, DeviceGone, HostlinkError, RefusalKind, Refused
 from hostlink.protocol.frame import Id, encode
 from hostlink.robot.motor_model import PidGains, identify_motor, simc_gains
 from hostlink.robot.step_response import Record, step_figures
@@ -195,7 +195,9 @@ async def test_driven_robot_is_refused() -> None:
 
 async def test_unknown_robot_is_refused_with_the_known_names() -> None:
     async with bench() as (_, _, me):
-        with pytest.raises(UnknownTopic, match="no robot named robot_7; known: robot_0"):
+        with pytest.raises(
+            HostlinkError, match="there is no robot named robot_7; similar names: robot_0; `hostlink robots`"
+        ):
             await require_robot(me, "robot_7")
 
 

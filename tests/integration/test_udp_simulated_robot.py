@@ -9,7 +9,7 @@ import pytest
 from hostlink.config import Config, UdpConfig
 from hostlink.hub.hub import Hub
 from hostlink.robot.velocity import PlanarVelocity
-from hostlink.sim.run import run_fleet
+from hostlink.sim.run import GREETING_S, run_fleet
 from tests.support.background import meanwhile
 from tests.support.daemon import daemon
 from tests.support.waiting import expect
@@ -61,3 +61,16 @@ async def test_a_daemon_that_starts_again_finds_the_robots_again() -> None:
             async with daemon(config) as host:
                 await expect(lambda: len(host.hub.robots.all()) == 3)
                 await drive_until(host.hub, x_m(host.hub) + 0.05)
+
+
+async def test_robots_without_an_answer_say_once_what_they_wait_for_and_what_to_do() -> None:
+    said: list[str] = []
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as silent:
+        silent.bind((HOST, 0))
+        port = silent.getsockname()[1]
+        async with meanwhile(run_fleet(HOST, port, robots=2, is_udp=True, log=said.append)):
+            await expect(lambda: said)
+            await asyncio.sleep(2 * GREETING_S)  # the other robot has waited as long, and both wait on
+    assert said == [
+        f"no answer from {HOST}:{port} over UDP for 2 s, waiting; `hostlink serve --udp {port}` starts a host with UDP"
+    ]

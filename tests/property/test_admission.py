@@ -104,10 +104,10 @@ class History(RuleBasedStateMachine):
         if seen == 0:
             heard.has_missed = True
         expected = None
-        if not is_supported:
-            expected = RefusalKind.UNSUPPORTED
-        elif self.is_locked:
+        if self.is_locked:
             expected = RefusalKind.LOCKED
+        elif not is_supported:
+            expected = RefusalKind.UNSUPPORTED
         elif not self.is_connected:
             expected = RefusalKind.NOT_CONNECTED
         elif waited_s >= LEASE_S or (stamp_age_s is not None and stamp_age_s > MAX_STAMP_AGE_S):

@@ -50,7 +50,7 @@ async def test_a_file_that_is_there_stays_without_force(tmp_path: Path) -> None:
     output.write_text("mine")
     status, _, err = await run("arduino-library", "-o", str(output), "--only", "std_msgs")
     assert (status, output.read_text()) == (2, "mine")
-    assert err == f"hostlink: --output: {output} exists already; name another, or add --force\n"
+    assert err == f"hostlink: --output: {output} exists already; name another file, or replace it with --force\n"
     status, out, _ = await run("arduino-library", "-o", str(output), "--only", "std_msgs", "--force")
     assert status == 0
     assert zipfile.is_zipfile(output)

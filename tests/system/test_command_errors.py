@@ -3,6 +3,7 @@
 import asyncio
 import os
 import signal
+import socket
 import subprocess
 import sys
 
@@ -30,6 +31,11 @@ runpy.run_module("hostlink", run_name="__main__")
     [
         ("topics nonsense", "topics: there is an argument too many: nonsense; `hostlink topics --help` lists the opt"),
         ("hz /x --seconds -1", "hz: the value of --seconds is wrong: "),
+        (
+            "teleop --linear fast",
+            "teleop: the value of --linear is wrong: 'fast' is not a number from 0.01 to 1; `host",
+        ),
+        ("echo /x --count 0", "echo: the value of --count is wrong: 0 is not a whole number of at least 1; `host"),
         ("hz /x --seconds", "hz: the option --seconds needs a value; `hostlink hz --help` lists the options"),
         ("sim --robot fast", "sim: the value of --robot is wrong: 'fast' is not one of 'nimble', 'paper'; `hostlink s"),
         ("echo", "echo: the argument topic is missing; `hostlink echo --help` lists the options"),
@@ -99,3 +105,11 @@ async def test_ctrl_c_while_the_program_is_loaded_shows_no_traceback() -> None:
     async with asyncio.timeout(TIMEOUT_S):
         _, errors = await child.communicate()
     assert (child.returncode, errors) == (-signal.SIGINT, b"")
+
+
+async def test_demo_whose_port_is_in_use_says_how_make_takes_another() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        api = f"127.0.0.1:{taken.getsockname()[1]}"
+        status, _, errors = await run("demo", "--api", api, "--listen", "127.0.0.1:0")
+    assert (status, errors.count("\n")) == (2, 1)
+    assert "choose another port with --api HOST:PORT; make passes options on: make demo ARGS='--api " in errors

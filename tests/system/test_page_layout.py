@@ -463,6 +463,24 @@ async def test_fleet_of_fifty_is_sorted_by_trouble_counted_and_readable_at_every
         assert tab.complaints == []
 
 
+GAPS_PX = """names => names.flatMap((name) => [...name.children].map((part) => {
+  const text = document.createRange();
+  text.selectNodeContents(part);
+  return part.getBoundingClientRect().width - text.getBoundingClientRect().width;
+}))"""
+
+
+@pytest.mark.parametrize("others", [["robot_0_2"], ["robot_1", "robot_1_2"]])
+async def test_name_of_a_robot_has_no_gap_between_its_parts(browser: Browser, others: list[str]) -> None:
+    async with page_server() as server, visit(browser, server.url) as tab:
+        names = ["robot_0", *others]
+        server.show(State([robot(name) for name in names], [link(name) for name in names]))
+        await expect(tab.page.locator("#robots .robot b")).to_have_text(names)
+        gaps_px = await tab.page.locator("#robots .robot b, #stop .label").evaluate_all(GAPS_PX)
+        assert len(gaps_px) > len(names)
+        assert gaps_px == [pytest.approx(0.0, abs=0.5)] * len(gaps_px)
+
+
 @pytest.mark.long
 async def test_rows_move_only_while_the_user_does_not_aim_at_them(browser: Browser) -> None:
     async with page_server() as server, visit(browser, server.url) as tab:

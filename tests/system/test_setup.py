@@ -28,7 +28,7 @@ async def test_a_file_that_is_there_stays(tmp_path: Path) -> None:
     file.write_text("mine")
     status, _, err = await run("setup", str(file), "--yes")
     assert (status, file.read_text()) == (2, "mine")
-    assert err == f"hostlink: FILE: {file} exists already; name another, or add --force\n"
+    assert err == f"hostlink: setup: {file} exists already; name another file, or replace it with --force\n"
     assert (await run("setup", str(file), "--yes", "--force"))[0] == 0
 
 

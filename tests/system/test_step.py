@@ -97,7 +97,7 @@ async def test_an_error_begins_a_line_of_its_own() -> None:
 @pytest.mark.parametrize(
     ("arguments", "status", "complaint"),
     [
-        (("nobody", "--yes"), 1, "hostlink: no robot named nobody"),
+        (("nobody", "--yes"), 1, "hostlink: no robot has connected yet"),
         (("robot_0",), 2, "hostlink: --yes: the robot will move, and this command cannot ask"),
         (("robot_0", "--json"), 2, "hostlink: --yes: the robot will move"),
         (("robot_0", "--yes", "--speed", "0"), 2, "hostlink: --speed: 0 m/s is outside 0.02 to 2 m/s"),

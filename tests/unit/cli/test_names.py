@@ -2,7 +2,8 @@
 
 import pytest
 
-from hostlink.cli.names import natural, near, unknown
+from hostlink.cli.names import natural, near, only_connected, unknown, unknown_robot
+from hostlink.errors import HostlinkError
 
 TOPICS = ["/robot_0/odometry", "/robot_0/odom", "/robot_0/velocity_commands", "/robot_1/odometry", "/rosout", "/tf"]
 
@@ -38,3 +39,41 @@ def test_error_names_similar_names_else_known_ones() -> None:
     assert str(unknown("robot", "xyz", [], command="robots")) == (
         "there is no robot named xyz; there are none yet; `hostlink robots` lists them"
     )
+
+
+@pytest.mark.parametrize("name", ["robot_0", None])
+def test_error_of_a_robot_without_any_robot_says_how_to_find_the_cause(name: str | None) -> None:
+    assert str(unknown_robot(name, [])) == "no robot has connected yet; `hostlink doctor` finds out why"
+
+
+def test_error_of_an_unknown_robot_lists_the_known_ones() -> None:
+    assert str(unknown_robot("xyz", ["mule"])) == str(unknown("robot", "xyz", ["mule"], command="robots"))
+
+
+def test_the_only_robot_that_is_connected_needs_no_name() -> None:
+    assert only_connected({"robot_0": False, "mule": True}, command="teleop") == "mule"
+
+
+@pytest.mark.parametrize(
+    ("robots", "text"),
+    [
+        ({}, "no robot has connected yet; `hostlink doctor` finds out why"),
+        (
+            {"robot_10": False, "robot_2": False},
+            "no robot is connected; known are: robot_2, robot_10; `hostlink doctor` finds out why",
+        ),
+        (
+            {"robot_10": True, "robot_2": True, "mule": False},
+            "2 robots are connected: robot_2, robot_10; name one, as in `hostlink teleop robot_2`",
+        ),
+        (
+            {f"robot_{number}": True for number in range(9)},
+            "9 robots are connected: robot_0, robot_1, robot_2, robot_3, robot_4, robot_5, robot_6, robot_7, ...; "
+            "name one, as in `hostlink teleop robot_0`",
+        ),
+    ],
+)
+def test_without_one_connected_robot_the_error_says_what_to_do(robots: dict[str, bool], text: str) -> None:
+    with pytest.raises(HostlinkError) as caught:
+        only_connected(robots, command="teleop")
+    assert str(caught.value) == text

@@ -17,9 +17,9 @@ def test_a_configuration_replaces_no_pipe_no_folder_and_no_link(
     monkeypatch.chdir(tmp_path)
     os.mkfifo("pipe")
     for name, problem in (
-        ("pipe", "FILE: pipe is not a plain file; name a file, for example hostlink.toml"),
-        (".", "FILE: . is a folder"),
-        ("-", "FILE: '-' is not a file"),
+        ("pipe", "setup: pipe is not a plain file; name a file, for example hostlink.toml"),
+        (".", "setup: . is a folder"),
+        ("-", "setup: '-' is not a file"),
         ("x" * 300, "File name too long"),
     ):
         with pytest.raises(ConfigError, match=problem):

@@ -1,9 +1,11 @@
 """Words of ROS and other programs, and the command line that they are translated to."""
 
+from dataclasses import dataclass
+
 import pytest
 
 from hostlink.cli import main
-from hostlink.cli.main import COMMANDS, FIRST_DAY, LACKING, ROS_GROUPS, complaint, translated
+from hostlink.cli.main import COMMANDS, FIRST_DAY, LACKING, ROS_GROUPS, complaint, in_words, translated
 from hostlink.errors import ConfigError
 from tests.support.documented import Documented
 
@@ -162,3 +164,42 @@ def test_first_screen_fits_a_terminal_and_names_ten_commands() -> None:
         line.split()[1] for line in lines if line.startswith("  hostlink ") and not line.split()[1].startswith("-")
     ]
     assert len([name for name in named if name in COMMANDS]) == 10
+
+
+@dataclass(frozen=True)
+class Kind:
+    """Type of an option, as each version of the parser has it."""
+
+    name: str
+    min: float | None = None
+    max: float | None = None
+
+
+@pytest.mark.parametrize(
+    ("text", "kind", "wanted"),
+    [
+        (
+            "--x: 'fast' is not a valid float range.",
+            Kind("float range", 0.01, 1.0),
+            "--x: 'fast' is not a number from 0.01 to 1",
+        ),
+        (
+            "--x: 0.0 is not in the range 0.01<=x<=1.0.",
+            Kind("float range", 0.01, 1.0),
+            "--x: 0.0 is not a number from 0.01 to 1",
+        ),
+        (
+            "--x: 'a' is not a valid integer range.",
+            Kind("integer range", min=1),
+            "--x: 'a' is not a whole number of at least 1",
+        ),
+        ("--x: 9 is not in the range x<=5.", Kind("int range", max=5), "--x: 9 is not a whole number of at most 5"),
+        ("--x: 'a' is not a valid int.", Kind("integer"), "--x: 'a' is not a whole number"),
+        ("--x: 'a' is not a valid float.", Kind("float"), "--x: 'a' is not a number"),
+        ("No such option: --x", None, "No such option: --x"),
+    ],
+)
+def test_numbers_that_are_not_accepted_are_complained_of_with_their_range_in_words(
+    text: str, kind: Kind | None, wanted: str
+) -> None:
+    assert in_words(text, kind) == wanted

@@ -22,6 +22,7 @@ from tests.support.memory_hub import MemoryHub, in_hub, velocities
 from tests.support.scripted_device import ScriptedDevice
 
 SLOW = PlanarVelocity(0.1)
+MARK = topic(Id.PUBLISHER, 130, "/robot_0/played", "std_msgs/String")
 SENSOR = [topic(Id.PUBLISHER, 125, "/imu", "std_msgs/Bool")]
 
 
@@ -51,6 +52,68 @@ def test_second_device_of_a_name_gets_a_number_and_a_warning() -> None:
         assert 'address = "10.0.0.3"' in warning["advice"]
         assert made.hub.robots.devices[second.link.number].diagnosis.own_name == "robot_0"
         assert made.hub.robots.devices[first.link.number].diagnosis.own_name == ""
+
+    in_hub(test)
+
+
+def names(made: MemoryHub) -> list[str]:
+    return [robot.name for robot in made.hub.robots.here()]
+
+
+def test_recording_that_is_played_beside_its_robot_has_no_findings_and_leaves_with_its_link() -> None:
+    async def test(made: MemoryHub) -> None:
+        await made.connect()
+        played = await made.connect([*robot_topics(), MARK], address="10.0.0.3")
+        await asyncio.sleep(4.0)
+        assert made.robot("robot_0_2").is_played
+        assert made.hub.diagnoses.of(played.link) == []
+        assert made.logged("robot.numbered") == []
+        played.write(bytes(range(256)) * 40)  # damage, which a device would be told
+        await asyncio.sleep(4.0)
+        assert made.hub.diagnoses.of(played.link) == []
+        await played.aclose()
+        await asyncio.sleep(1.5)
+        assert names(made) == ["robot_0"]
+        assert made.hub.diagnoses.ended[-1].findings == []
+
+    in_hub(test)
+
+
+def test_robot_that_was_connected_before_its_recording_stays_known_after_the_playing() -> None:
+    async def test(made: MemoryHub) -> None:
+        device = await made.connect()
+        await device.aclose()
+        await asyncio.sleep(0.05)
+        played = await made.connect([*robot_topics(), MARK], address="10.0.0.3")
+        assert made.robot().is_played
+        await played.aclose()
+        await asyncio.sleep(0.05)
+        assert names(made) == ["robot_0"]
+        assert not made.robot().is_played
+
+    in_hub(test)
+
+
+def test_locked_robot_of_a_recording_stays_known_after_the_playing() -> None:
+    async def test(made: MemoryHub) -> None:
+        played = await made.connect([*robot_topics(), MARK])
+        made.robot().lock("a test")
+        await played.aclose()
+        await asyncio.sleep(0.05)
+        assert names(made) == ["robot_0"]
+
+    in_hub(test)
+
+
+def test_robot_that_replaces_its_recording_keeps_the_epoch_against_earlier_commands() -> None:
+    async def test(made: MemoryHub) -> None:
+        await made.connect([*robot_topics(), MARK])
+        before = made.robot()
+        device = await made.connect(address="10.0.0.3")
+        await asyncio.sleep(0.05)
+        assert made.robot() is before
+        assert before.link is device.link
+        assert not before.is_played
 
     in_hub(test)
 

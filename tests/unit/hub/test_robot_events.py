@@ -90,7 +90,7 @@ def test_robot_that_appears_and_leaves_is_reported_with_whether_it_moved(*, was_
         assert kinds[:2] == [EventKind.LINK_OPENED, EventKind.APPEARED]
         assert set(kinds[2:]) >= {EventKind.GONE, EventKind.LINK_CLOSED}
         (gone,) = (event for event in events if event.kind is EventKind.GONE)
-        assert gone.facts == {"was_moving": was_moving}
+        assert gone.facts == {"link": device.link.number, "was_moving": was_moving}
 
     play(test)
 

@@ -12,6 +12,7 @@ from structlog.testing import capture_logs
 from hostlink.config import BlackBoxConfig, Config
 from hostlink.errors import RecordingBusy, UnknownTopic
 from hostlink.hub.hub import Hub
+from hostlink.protocol.frame import Id
 from hostlink.recording import black_box as module
 from hostlink.recording.black_box import MAX_DETAIL, MAX_REQUESTED, BlackBox
 from hostlink.recording.drives import LastCommand
@@ -19,7 +20,7 @@ from hostlink.recording.incident import read_incident
 from hostlink.recording.reader import McapReader
 from hostlink.recording.ring import RingMemory
 from hostlink.robot.velocity import PlanarVelocity
-from tests.support.fake_device import CATALOG
+from tests.support.fake_device import CATALOG, topic
 from tests.support.participants import ODOMETRY_ID, POSE, ROBOT, ScriptedDevice, robot_topics
 from tests.support.waiting import TIMEOUT_S, expect
 
@@ -172,3 +173,13 @@ async def test_incident_of_a_killed_daemon_is_saved_by_the_next_with_its_last_co
     assert [(each.robot, each.detail) for each in found if each and each.cause == "requested"] == [(ROBOT, "why")]
     assert box.missed == 0
     assert [(each.robot, each.owner) for each in commands] == [(ROBOT, "ann")]
+
+
+async def test_locking_a_played_robot_makes_no_incident(tmp_path: Path) -> None:
+    async with running(tmp_path, BlackBoxConfig()) as (hub, box):
+        mark = topic(Id.PUBLISHER, 130, "/robot_7/played", "std_msgs/String")
+        ScriptedDevice(hub, [*robot_topics("robot_7"), mark], address="10.0.0.7")
+        await expect(lambda: hub.robots.get_here("robot_7"))
+        hub.robots.find_here("robot_7").lock("why")
+        hub.robots.find_here(ROBOT).lock("why")
+        assert [each.robot for each in box.pending] == [ROBOT]

@@ -4,6 +4,7 @@ import math
 import struct
 from typing import Any
 
+import msgspec
 import pytest
 
 from hostlink.messages.catalog import Catalog
@@ -90,6 +91,28 @@ def test_events_are_those_of_hostlink_without_single_commands_also_of_old_files(
     kept = [event("locked", 1.0, of), event("commanded", 2.0, of), Entry(programs, 0, as_text(b'{"kind": "x"}'), 3.0)]
     kept += [Entry(of, 0, b"[]", 4.0), event("gone", 5.0, of)]
     assert history(kept).events(no_rest) == [(1.0, {"kind": "locked"}), (5.0, {"kind": "gone"})]
+
+
+def link_event(kind: str, link: object, at_s: float, robot: str = "") -> Entry:
+    text = msgspec.json.encode({"kind": kind, "robot": robot, "facts": {"link": link}})
+    return Entry(EVENTS, 0, as_text(text), at_s)
+
+
+def test_events_of_a_link_are_the_robots_only_by_the_number_of_its_link() -> None:
+    """Every device of one computer has the same address."""
+    opened = [link_event("link_opened", 1, 1.0), link_event("link_opened", 2, 2.0), link_event("link_opened", [], 3.0)]
+    ended = [link_event("link_closed", 2, 5.0), link_event("link_closed", 1, 6.0)]
+    found = history([*opened, link_event("appeared", 1, 4.0, "robot_0"), *ended]).events(no_rest)
+    assert [(at_s, event["kind"]) for at_s, event in found] == [
+        (1.0, "link_opened"),
+        (4.0, "appeared"),
+        (6.0, "link_closed"),
+    ]
+
+
+def test_end_of_a_link_is_the_robots_after_its_beginning_is_forgotten() -> None:
+    ended = [link_event("gone", 1, 1.0, "robot_0"), link_event("link_closed", 1, 2.0)]
+    assert [event["kind"] for _, event in history(ended).events(no_rest)] == ["gone", "link_closed"]
 
 
 def test_more_entries_than_are_shown_are_not_decoded() -> None:

@@ -220,6 +220,19 @@ def test_sideways_velocity_is_refused_for_a_differential_drive_alone(robot: Time
     assert robot.driver() == "ann"
 
 
+@pytest.mark.parametrize(
+    ("velocity", "is_planar"), [(PlanarVelocity(0.2, -0.1), True), (FORWARD, False), (ZERO, False)]
+)
+def test_locked_robot_answers_with_its_lock_also_what_it_could_not_do(
+    robot: Timeline, velocity: PlanarVelocity, *, is_planar: bool
+) -> None:
+    robot.admission.kinematics = Kinematics.DIFFERENTIAL
+    robot.admission.lock("smoke", robot.now_s)
+    refusal = robot.command(velocity, is_planar=is_planar)
+    assert refusal.kind is RefusalKind.LOCKED
+    assert "locked: smoke" in refusal.reason
+
+
 @pytest.mark.parametrize("velocity", [ZERO, FORWARD])
 def test_twist_with_components_that_no_robot_has_is_refused_and_is_not_a_zero(
     driven: Timeline, velocity: PlanarVelocity

@@ -598,3 +598,12 @@ def test_two_played_recordings_take_no_name_from_a_robot_that_connects_later() -
     ours.leave(1)
     ours.leave(2)
     assert accepted(ours, 3, HOME, paper_robot()) == ("robot_0", None)
+
+
+def test_a_recording_beside_its_robot_is_not_one_of_several_devices_of_a_name() -> None:
+    ours = directory()
+    accepted(ours, 1, HOME, paper_robot())
+    claim = ours.claim(2, HOME, played())
+    assert isinstance(claim, Accepted)
+    assert claim.robot is not None
+    assert (claim.robot.name, claim.own_name, claim.is_numbered) == ("robot_0_2", "robot_0", False)

@@ -3,6 +3,7 @@
 import { make } from "./dom";
 
 const SEPARATOR = "_\\-./: ";
+const SHORT = 4; // characters: shortening so few saves nothing, and their least width would be a gap in the name
 const TAIL = new RegExp(`[${SEPARATOR}]?[^${SEPARATOR}]{1,12}$`); // the last word of a name
 const AFTER_SEPARATOR = new RegExp(`[^${SEPARATOR}]*$`);
 
@@ -35,10 +36,14 @@ export function showName(element: HTMLElement, name: string, prefix: string, bef
   const [head, middle, tail] = parts;
   element.replaceChildren(
     ...(before ? [make("span", { class: "name-before" }, before)] : []),
-    ...(head ? [make("span", { class: "name-shared" }, head)] : []),
-    ...(middle ? [make("span", { class: "name-middle" }, middle)] : []),
+    ...(head ? [make("span", { class: classOf(head, "name-shared") }, head)] : []),
+    ...(middle ? [make("span", { class: classOf(middle, "name-middle") }, middle)] : []),
     make("span", { class: "name-last" }, tail),
   );
+}
+
+function classOf(part: string, shortened: string): string {
+  return part.length > SHORT ? shortened : "name-short";
 }
 
 /** Show a text that is not a name where a name may have been. */
