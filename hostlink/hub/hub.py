@@ -113,7 +113,8 @@ class Hub:
         """Run work at most as long as the hub. A crash ends only this work."""
         if self._tasks is None:
             raise RuntimeError("the hub does not run yet")
-        self._tasks.create_task(self._isolated(work, name), name=name)
+        task = self._tasks.create_task(self._isolated(work, name), name=name)
+        task.add_done_callback(lambda _: work.close())  # a task that is cancelled before its first turn never awaits it
 
     async def _isolated(self, work: Coroutine[Any, Any, object], name: str) -> None:
         with self.isolation.around("task", task=name):

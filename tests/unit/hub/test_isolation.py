@@ -1,6 +1,8 @@
 """Isolation: a crash is counted, logged and kept from those around it."""
 
 import asyncio
+import inspect
+from functools import partial
 from typing import Any
 
 import pytest
@@ -60,3 +62,16 @@ def test_task_that_crashes_ends_nothing_else() -> None:
         assert [each["task"] for each in made.logged("task.crashed")] == ["broken"]
 
     in_hub(test, reraises=False)
+
+
+def test_work_that_is_spawned_in_the_last_turn_of_the_hub_is_closed() -> None:
+    async def never() -> None:
+        raise AssertionError("the hub has ended")
+
+    work = never()
+
+    async def test(made: MemoryHub) -> None:
+        asyncio.get_running_loop().call_soon(partial(made.hub.spawn, work, name="too late"))
+
+    in_hub(test)
+    assert inspect.getcoroutinestate(work) == inspect.CORO_CLOSED
