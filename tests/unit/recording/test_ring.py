@@ -97,7 +97,9 @@ def test_rings_keep_the_newest_of_each_robot_in_order_within_the_room(
         assert rings.size_bytes <= blocks * BLOCK_BYTES
     left = left_of(rings)
     for robot, entries in added.items():
-        kept = list((rings.copies(robot) or [iter(())])[0])
+        copies = rings.copies(robot)
+        has_own = len(copies) > (robot != "") * len(rings.copies(""))  # else its only message was too large
+        kept = list(copies[0]) if has_own else []
         assert left.get(robot, []) == kept
         assert kept == entries[len(entries) - len(kept) :]
 
