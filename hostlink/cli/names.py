@@ -2,7 +2,7 @@
 
 import difflib
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 
 from hostlink.errors import HostlinkError
 
@@ -61,12 +61,17 @@ def only_connected(robots: Mapping[str, bool], *, command: str) -> str:
     if len(connected) == 1:
         return connected[0]
     if connected:
-        listed = f"{', '.join(connected[:LISTED])}{', ...' if len(connected) > LISTED else ''}"
         raise HostlinkError(
-            f"{len(connected)} robots are connected: {listed}; name one, as in `hostlink {command} {connected[0]}`"
+            f"{len(connected)} robots are connected: {_listed(connected)}; "
+            f"name one, as in `hostlink {command} {connected[0]}`"
         )
-    listed = f"{', '.join(sorted(robots, key=natural)[:LISTED])}{', ...' if len(robots) > LISTED else ''}"
-    raise HostlinkError(f"no robot is connected; known are: {listed}; `hostlink doctor` finds out why")
+    known = _listed(sorted(robots, key=natural))
+    raise HostlinkError(f"no robot is connected; known are: {known}; `hostlink doctor` finds out why")
+
+
+def _listed(names: Sequence[str]) -> str:
+    """Return the first names, with dots if there are more."""
+    return f"{', '.join(names[:LISTED])}{', ...' if len(names) > LISTED else ''}"
 
 
 # -- drivers ----------------------------------------------------------------------------------------------------------

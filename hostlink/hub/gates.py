@@ -451,7 +451,7 @@ class Gates:
     def pauses(self, now_s: float) -> HostPauses:
         """Return the pauses of this process. One that has just ended interrupts every robot first."""
         self._notice_pause(now_s)
-        return self._stalls.pauses(now_s)
+        return self._stalls.noticed
 
     def refuse_all(self) -> None:
         """Refuse every command from now on, because the daemon ends."""

@@ -85,6 +85,11 @@ class StallWatch:
             log.warning("daemon.stalled", seconds=round(self._paused_s, 3))
         return slept_s
 
+    @property
+    def noticed(self) -> HostPauses:
+        """Pauses that were noticed so far, without reading the clocks again."""
+        return self._pauses
+
     def pauses(self, now_s: float) -> HostPauses:
         """Return the pauses until now, including one that has just ended."""
         self._notice(now_s)

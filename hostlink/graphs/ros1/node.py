@@ -20,6 +20,7 @@ from hostlink.graphs.ros1.member import CRASHED, Member, SlaveApi
 from hostlink.graphs.ros1.names import NameResolver
 from hostlink.graphs.ros1.xml_rpc import MASTER_PORT
 from hostlink.hub.hub import Hub
+from hostlink.listening import spelled
 
 log = structlog.get_logger()
 
@@ -58,8 +59,8 @@ class Ros1Node:
         try:
             api_port = await _bound(api, listen, config.port, "ros1.port")
             tcpros_port = await _bound(tcpros, listen, config.tcpros_port, "ros1.tcpros_port")
-            node.uri = f"http://{_spelled(host)}:{api_port}/"
-            member = Member(node, self._names, f"rosrpc://{_spelled(host)}:{tcpros_port}")
+            node.uri = f"http://{spelled(host, api_port)}/"
+            member = Member(node, self._names, f"rosrpc://{spelled(host, tcpros_port)}")
             slave_api = SlaveApi(member, node, (host, tcpros_port))
             async with member.taking_part(), slave_api.serving() as connect:
                 api.accept(connect, node.spawn)
@@ -144,7 +145,3 @@ def _listening_address(host: str) -> str:
         return host if ipaddress.ip_address(host).is_loopback else everywhere
     except ValueError:
         return "127.0.0.1" if host == "localhost" else everywhere
-
-
-def _spelled(host: str) -> str:
-    return f"[{host}]" if ":" in host else host

@@ -35,7 +35,7 @@ CONFIG = Ros1Config(master="http://master:11311/")
     ],
 )
 def test_node_listens_on_loopback_only_for_a_loopback_host(host: str, listens_on: str, spelled: str) -> None:
-    assert (module._listening_address(host), module._spelled(host)) == (listens_on, spelled)
+    assert (module._listening_address(host), module.spelled(host, 1)) == (listens_on, f"{spelled}:1")
 
 
 def test_configured_host_is_not_looked_up() -> None:
