@@ -471,12 +471,14 @@ class Gates:
                 if number % MAX_STEPS == 0:
                     await asyncio.sleep(0)
                     now_s = loop.time()
-                connection = drivable.connection
-                if drivable.gate.may_move or (drivable.gate.is_active and connection is not None):
-                    self._step(drivable, now_s)
-                elif not drivable.gate.admission.is_held(now_s):
-                    self._active.pop(drivable, None)
-                if connection is not None and drivable.gate.may_move:
+                connection, gate = drivable.connection, drivable.gate
+                is_fed = now_s < drivable.sent_at_s + FEED_INTERVAL_S
+                if not (is_fed and gate.stays(now_s)):
+                    if gate.may_move or (gate.is_active and connection is not None):
+                        self._step(drivable, now_s)
+                    elif not gate.admission.is_held(now_s):
+                        self._active.pop(drivable, None)
+                if connection is not None and gate.may_move:
                     driven.add(connection.link.number)
             self._beat(driven)
             if self._active:

@@ -263,6 +263,13 @@ class VelocityGate(Generic[V]):
         self.current = self.limits.step(self.current, self.target, min(step_s, LONGEST_STEP_S))
         return self.current
 
+    def stays(self, now_s: float) -> bool:
+        """Whether the robot is driven at its target already. A `step` is then done; it would give `current` again."""
+        if self._zeros > 0 or self.current != self.target or self.admission.driver(self, now_s) is None:
+            return False
+        self._stepped_at_s = now_s
+        return True
+
     def _stand(self, now_s: float) -> V | None:
         """Zeros that are still to be sent to a robot without a driver."""
         if self._zeros > 0:
