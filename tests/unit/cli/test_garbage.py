@@ -1,0 +1,91 @@
+"""When the daemon collects garbage, and which objects it looks at."""
+
+import asyncio
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from hostlink.cli import serve
+from hostlink.cli.serve import CHECK_INTERVAL_S, ENOUGH, WHOLE_INTERVAL_S, WORTH, collect_while_idle
+from tests.support.virtual_loop import run_virtual
+
+USED = 400_000  # objects that are in use
+
+
+class Collector:
+    """The garbage collector of a process: counts the objects that it looks at."""
+
+    def __init__(self) -> None:
+        self.garbage = self.frozen_garbage = self.frozen = 0
+        self.alive = USED
+        self.looked_at = list[int]()  # by each collection
+        self.count = ENOUGH
+
+    def get_count(self) -> tuple[int, int, int]:
+        return 0, 0, self.count
+
+    def collect(self) -> int:
+        self.looked_at.append(self.alive - self.frozen)
+        found, self.garbage = self.garbage, 0
+        return found
+
+    def freeze(self) -> None:
+        self.frozen, self.frozen_garbage = self.alive, self.frozen_garbage + self.garbage
+        self.garbage = 0
+
+    def unfreeze(self) -> None:
+        self.garbage += self.frozen_garbage
+        self.frozen = self.frozen_garbage = 0
+
+
+async def run(collector: Collector, seconds: float, *, is_moving: bool = False) -> None:
+    robot: Any = SimpleNamespace(gate=SimpleNamespace(may_move=is_moving))
+    robots: Any = SimpleNamespace(here=lambda: [robot])
+    async with asyncio.timeout(seconds + CHECK_INTERVAL_S / 2):
+        await collect_while_idle(robots)
+
+
+def collected(monkeypatch: pytest.MonkeyPatch, collector: Collector, seconds: float, *, is_moving: bool = False) -> int:
+    """Run for so long; returns the number of collections."""
+    monkeypatch.setattr(serve, "gc", collector)
+    with pytest.raises(TimeoutError):
+        run_virtual(run(collector, seconds, is_moving=is_moving))
+    return len(collector.looked_at)
+
+
+def test_robots_that_leave_no_garbage_are_looked_at_once_in_an_interval(monkeypatch: pytest.MonkeyPatch) -> None:
+    collector = Collector()
+    seconds = 3 * WHOLE_INTERVAL_S
+    assert collected(monkeypatch, collector, seconds) == seconds / CHECK_INTERVAL_S
+    assert collector.looked_at.count(USED) == 3
+    assert sum(collector.looked_at) == 3 * USED
+
+
+def test_garbage_of_connections_is_collected_each_second(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Storm(Collector):
+        def collect(self) -> int:
+            found = super().collect()
+            self.garbage += WORTH  # until the next collection
+            return found
+
+    collector = Storm()
+    collector.garbage = WORTH
+    collected(monkeypatch, collector, 30.0)
+    assert (collector.garbage, collector.frozen_garbage) == (WORTH, 0)
+    assert collector.looked_at == [USED] * 30
+
+
+def test_garbage_of_objects_that_were_in_use_is_collected_after_an_interval(monkeypatch: pytest.MonkeyPatch) -> None:
+    collector = Collector()
+    collected(monkeypatch, collector, 5.0)
+    collector.frozen_garbage = WORTH // 2
+    collected(monkeypatch, collector, WHOLE_INTERVAL_S)
+    assert (collector.garbage, collector.frozen_garbage) == (0, 0)
+
+
+def test_nothing_is_collected_while_a_robot_moves_or_too_few_objects_are_new(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert collected(monkeypatch, Collector(), 30.0, is_moving=True) == 0
+    collector = Collector()
+    collector.count = ENOUGH - 1
+    assert collected(monkeypatch, collector, 30.0) == 0
