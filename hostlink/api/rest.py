@@ -37,7 +37,7 @@ from hostlink.hub.message import PROGRAM_PRIORITY
 from hostlink.hub.node import Role
 from hostlink.hub.participant import Participant
 from hostlink.hub.reloader import Reloader
-from hostlink.hub.robot import LOCK_REASON, Robot
+from hostlink.hub.robot import LOCK_REASON, AnyRobot
 from hostlink.hub.standstills import MAX_WAIT_S, WAIT_S
 from hostlink.listening import own_address, spelled
 from hostlink.recording.drives import Drive, DriveLog
@@ -522,7 +522,7 @@ class Rest:
             ),
         ]
 
-    def _find(self, request: web.Request) -> Robot:
+    def _find(self, request: web.Request) -> AnyRobot:
         """Return the robot that the path names.
 
         Raises:
@@ -530,7 +530,7 @@ class Rest:
         """
         return self._hub.robots.find(request.match_info["name"])
 
-    def _find_to_drive(self, request: web.Request) -> Robot:
+    def _find_to_drive(self, request: web.Request) -> AnyRobot:
         """Return the robot that the path names, for a request that drives it. Raises as `_find`."""
         return self._hub.robots.find(request.match_info["name"], driver=lambda: self._owner(request))
 
@@ -579,7 +579,7 @@ class Rest:
     async def _standstills(self, request: web.Request) -> web.Response:
         return await self._all_measured(request, _now_s())
 
-    async def _measured(self, request: web.Request, robot: Robot, since_s: float) -> web.Response:
+    async def _measured(self, request: web.Request, robot: AnyRobot, since_s: float) -> web.Response:
         """Measure whether the robots are stopped. Every stop has been sent before this waits."""
         measured = await self._hub.standstills.measure([robot], since_s, wait_s=_wait_s(request))
         return reply(stopped_view(robot, measured[0]))

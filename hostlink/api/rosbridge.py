@@ -29,7 +29,7 @@ from hostlink.hub.hub import Hub
 from hostlink.hub.message import PROGRAM_PRIORITY, Message
 from hostlink.hub.node import Role
 from hostlink.hub.participant import MAX_ADVERTISED, MAX_CALLS, MAX_SUBSCRIPTIONS, Participant
-from hostlink.hub.robot import LocalRobot, Robot
+from hostlink.hub.robot import AnyRobot, LocalRobot
 from hostlink.hub.robot_topic_publisher import command_topics
 from hostlink.hub.robots import Robots
 from hostlink.hub.subscription import Subscription
@@ -718,7 +718,7 @@ class DriveCommands:
             self._spawn(self._wait(request, robot, velocity, answer))
 
     async def _wait(
-        self, request: Request, robot: Robot, velocity: PlanarVelocity, answer: Awaitable[PlanarVelocity]
+        self, request: Request, robot: AnyRobot, velocity: PlanarVelocity, answer: Awaitable[PlanarVelocity]
     ) -> None:
         try:
             self._accept(request, robot, velocity, await answer)
@@ -727,7 +727,7 @@ class DriveCommands:
         finally:
             self._waiting -= 1
 
-    def _accept(self, request: Request, robot: Robot, velocity: PlanarVelocity, limited: PlanarVelocity) -> None:
+    def _accept(self, request: Request, robot: AnyRobot, velocity: PlanarVelocity, limited: PlanarVelocity) -> None:
         answer: dict[str, object] = {
             "op": "drive_result",
             "result": True,

@@ -11,7 +11,7 @@ import msgspec
 from hostlink.diagnosis.finding import Finding
 from hostlink.hub.diagnoses import Diagnosis
 from hostlink.hub.hub import Hub
-from hostlink.hub.robot import Robot
+from hostlink.hub.robot import AnyRobot
 from hostlink.hub.topic import Topic
 from hostlink.robot.odometry import OdometrySnapshot
 from hostlink.robot.standstill import Standstill
@@ -213,7 +213,7 @@ def utc_text(stamp_ns: int) -> str:
     return datetime.fromtimestamp(stamp_ns / 1e9, UTC).isoformat(timespec="milliseconds")
 
 
-def robot_view(robot: Robot) -> RobotView:
+def robot_view(robot: AnyRobot) -> RobotView:
     """Return the present state of one robot."""
     state = robot.state(asyncio.get_running_loop().time())
     fields = msgspec.structs.asdict(state)
@@ -232,7 +232,7 @@ def robot_view(robot: Robot) -> RobotView:
     return cast(RobotView, view)
 
 
-def stopped_view(robot: Robot, measured: Standstill) -> StoppedRobotView:
+def stopped_view(robot: AnyRobot, measured: Standstill) -> StoppedRobotView:
     """Return the present state of one robot, and what was measured after a stop."""
     return {
         **robot_view(robot),
@@ -255,7 +255,7 @@ def velocity_view(velocity: PlanarVelocity) -> VelocityView:
     }
 
 
-def velocity_answer(robot: Robot, requested: PlanarVelocity, limited: PlanarVelocity) -> VelocityAnswer:
+def velocity_answer(robot: AnyRobot, requested: PlanarVelocity, limited: PlanarVelocity) -> VelocityAnswer:
     """Return the velocity after the limits, with what reduced it."""
     return {
         "velocity": {

@@ -15,7 +15,7 @@ from hostlink.hub.gates import ENDING
 from hostlink.hub.graph_view import Graph
 from hostlink.hub.message import PROGRAM_PRIORITY
 from hostlink.hub.node import Node, Role
-from hostlink.hub.robot import Robot
+from hostlink.hub.robot import AnyRobot
 from hostlink.hub.robot_events import RobotEvent
 from hostlink.hub.services import Answer, Notify, Provider
 from hostlink.hub.subscription import Subscription, nothing_to_close
@@ -66,7 +66,7 @@ class Participant(Node):
         self._advertised: dict[str, bool] = {}  # topic -> whether it is latched
         self._subscriptions: dict[Subscription, None] = {}
         self._services: set[str] = set()
-        self._followed: set[Robot] = set()
+        self._followed: set[AnyRobot] = set()
         self._calls: set[asyncio.Timeout] = set()
 
     # -- topics -------------------------------------------------------------------------------------------------------
@@ -287,7 +287,7 @@ class Participant(Node):
 
     def drive(
         self,
-        robot: Robot,
+        robot: AnyRobot,
         velocity: PlanarVelocity,
         *,
         priority: int | None = None,
@@ -321,7 +321,7 @@ class Participant(Node):
         finally:
             deliveries.senders = senders
 
-    async def driven(self, robot: Robot, limited: PlanarVelocity) -> PlanarVelocity:
+    async def driven(self, robot: AnyRobot, limited: PlanarVelocity) -> PlanarVelocity:
         """Return the answer to the newest `drive`: `limited` for a robot of this daemon.
 
         Raises:
@@ -331,7 +331,7 @@ class Participant(Node):
         answer = robot.answer(self)
         return limited if answer is None else await answer
 
-    def follow(self, robot: Robot, receive: Callable[[], None]) -> None:
+    def follow(self, robot: AnyRobot, receive: Callable[[], None]) -> None:
         """Call `receive` after each new pose of the robot, until the participant leaves.
 
         Raises:

@@ -1,4 +1,4 @@
-"""Robot: interface of a robot. `LocalRobot` is connected to this daemon, `RemoteRobot` to another one."""
+"""AnyRobot: interface of a robot. `LocalRobot` is connected to this daemon, `RemoteRobot` to another one."""
 
 import asyncio
 import dataclasses
@@ -93,7 +93,7 @@ def shown_reason(reason: str) -> str:
     return printable(reason[: MAX_LOCK_REASON - 1].rstrip(), MAX_LOCK_REASON) + "…"
 
 
-class Robot(VelocityTarget):
+class AnyRobot(VelocityTarget):
     """Robot, connected or not. Methods are synchronous; another daemon answers later."""
 
     host: str | None  # name of its daemon; None for this one
@@ -174,7 +174,7 @@ class Robot(VelocityTarget):
 
 
 @dataclass(eq=False, kw_only=True)
-class LocalRobot(Drivable, Robot):
+class LocalRobot(Drivable, AnyRobot):
     """Robot of this daemon. It outlives its link: after a reconnection it continues with the same gate, at zero."""
 
     gate: VelocityGate[PlanarVelocity]
@@ -371,7 +371,7 @@ class RemoteOdometry:
 
 
 @dataclass(eq=False, kw_only=True)
-class RemoteRobot(Robot):
+class RemoteRobot(AnyRobot):
     """Robot of another daemon, which has its gate and its lease, and describes its state.
 
     Messages on its velocity topics here are commands, as for a robot of this daemon.

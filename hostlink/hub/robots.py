@@ -14,7 +14,7 @@ from hostlink.config import RobotConfig
 from hostlink.errors import UnknownTopic
 from hostlink.hub.device import Device
 from hostlink.hub.gates import Drivable, Gates
-from hostlink.hub.robot import LocalRobot, RemoteRobot, Robot, correction_of, limits_of, of_namesake
+from hostlink.hub.robot import AnyRobot, LocalRobot, RemoteRobot, correction_of, limits_of, of_namesake
 from hostlink.hub.robot_events import EventKind
 from hostlink.link.link import Link
 from hostlink.robot.admission import EPOCH_BITS, Admission, EarlierCommands
@@ -135,11 +135,11 @@ class Robots:
         """Return the robots of this daemon by name, connected or not yet forgotten."""
         return [self._robots[name] for name in sorted(self._robots)]
 
-    def all(self) -> list[Robot]:
+    def all(self) -> list[AnyRobot]:
         """Return all robots by name, including those of other daemons. Of one name, the robot that `find` returns."""
         return list(filter(None, map(self._find, sorted(self._robots.keys() | self.remote.keys()))))
 
-    def find(self, name: str, *, driver: Callable[[], Hashable] | None = None) -> Robot:
+    def find(self, name: str, *, driver: Callable[[], Hashable] | None = None) -> AnyRobot:
         """Return the robot of this name, connected or not.
 
         Raises:
@@ -159,7 +159,7 @@ class Robots:
         if driver is not None:
             self._earlier.note(name, driver(), _now_s())
 
-    def _join_early(self, robot: Robot) -> None:
+    def _join_early(self, robot: AnyRobot) -> None:
         """Note sources that commanded this name before the robot existed: they are in the middle of a motion."""
         now_s = _now_s()
         robot.admission.join(self._earlier.sources(robot.name, now_s), now_s)
@@ -168,7 +168,7 @@ class Robots:
         """Whether a robot of this name exists, here or at another daemon."""
         return self._find(name) is not None
 
-    def _find(self, name: str) -> Robot | None:
+    def _find(self, name: str) -> AnyRobot | None:
         """Find a robot. One of this daemon precedes, unless it is disconnected and another daemon has it."""
         robot, remote = self._robots.get(name), self.remote.get(name)
         is_elsewhere = robot is not None and robot.link is None and remote is not None and remote.link is not None
@@ -190,7 +190,7 @@ class Robots:
         """Return the robot of this daemon with this name; None if it does not exist."""
         return self._robots.get(name)
 
-    def is_known(self, robot: Robot) -> bool:
+    def is_known(self, robot: AnyRobot) -> bool:
         """Whether a robot is not forgotten."""
         return robot in (self._robots.get(robot.name), self.remote.get(robot.name))
 

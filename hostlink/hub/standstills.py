@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 
 from hostlink.hub.gates import Gates
 from hostlink.hub.participant import Participant
-from hostlink.hub.robot import Robot
+from hostlink.hub.robot import AnyRobot
 from hostlink.hub.robots import Robots
 from hostlink.robot.standstill import Speeds, Standstill, StandstillState, StopWatch, sentence
 
@@ -26,7 +26,7 @@ class Standstills:
     def __init__(self) -> None:
         self._watched = 0
 
-    async def measure(self, robots: Sequence[Robot], since_s: float, *, wait_s: float = WAIT_S) -> list[Standstill]:
+    async def measure(self, robots: Sequence[AnyRobot], since_s: float, *, wait_s: float = WAIT_S) -> list[Standstill]:
         """Return the state of each robot after a stop at `since_s`, when all are stopped, or after `wait_s`."""
         if self._watched > 0 and self._watched + len(robots) > MAX_WATCHED:
             reason = "too many stops are measured at once"

@@ -55,7 +55,7 @@ class PidGains:
 
 
 @dataclass(frozen=True, slots=True)
-class _Fit:
+class _MotorFit:
     error: float  # sum of squares
     time_constant_s: float
     dead_time_s: float
@@ -125,7 +125,7 @@ def _longest_run(flags: Flags) -> tuple[int, int]:
     return max(runs, key=lambda run: run[1] - run[0], default=(0, 0))
 
 
-def _search(record: Record) -> _Fit:
+def _search(record: Record) -> _MotorFit:
     """A grid of time constants and dead times, then finer ones around the best; the rest is linear."""
     constants_s = np.geomspace(LEAST_TIME_CONSTANT_S, MOST_TIME_CONSTANT_S, _TIME_CONSTANTS)
     dead_times_s = np.linspace(0, MOST_DEAD_TIME_S, _DEAD_TIMES)
@@ -138,11 +138,11 @@ def _search(record: Record) -> _Fit:
     return best
 
 
-def _error(fit: _Fit) -> float:
+def _error(fit: _MotorFit) -> float:
     return fit.error
 
 
-def _fits(record: Record, constants_s: Floats, dead_time_s: float) -> list[_Fit]:
+def _fits(record: Record, constants_s: Floats, dead_time_s: float) -> list[_MotorFit]:
     """For each time constant the gain, offset and initial speed that fit best."""
     compared = _compared(record.t_s)
     responses = _responses(record, constants_s, dead_time_s)
@@ -152,13 +152,13 @@ def _fits(record: Record, constants_s: Floats, dead_time_s: float) -> list[_Fit]
     ]
 
 
-def _fit_linear(record: Record, response: Floats, constant_s: float, dead_time_s: float, compared: Flags) -> _Fit:
+def _fit_linear(record: Record, response: Floats, constant_s: float, dead_time_s: float, compared: Flags) -> _MotorFit:
     left = np.exp(-(record.t_s - record.t_s[0]) / constant_s)  # of the state at the beginning
     columns = np.column_stack((response, left - 1, left))[compared]
     measured = record.measured[compared]
     (gain, gain_offset, start), *_ = np.linalg.lstsq(columns, measured, rcond=None)
     error = float(((columns @ (gain, gain_offset, start) - measured) ** 2).sum())
-    return _Fit(error, constant_s, dead_time_s, float(gain), float(gain_offset / gain) if gain else 0.0)
+    return _MotorFit(error, constant_s, dead_time_s, float(gain), float(gain_offset / gain) if gain else 0.0)
 
 
 def _compared(t_s: Floats) -> Flags:

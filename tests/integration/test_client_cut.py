@@ -10,7 +10,7 @@ import pytest
 from hostlink.client import ConnectionChange, Host, Robot, connect
 from hostlink.client.mailbox import Mailbox
 from hostlink.errors import HostlinkError
-from hostlink.hub.robot import Robot as RobotOfHub
+from hostlink.hub.robot import AnyRobot
 from hostlink.robot.admission import LEASE_S
 from hostlink.sim.robot import SimulatedRobot
 from tests.support.daemon import Daemon, daemon
@@ -36,7 +36,7 @@ class World:
     changes: Mailbox[ConnectionChange]
 
     @property
-    def known(self) -> RobotOfHub:
+    def known(self) -> AnyRobot:
         """The robot in the daemon."""
         return self.host.hub.robots.find("robot_0")
 

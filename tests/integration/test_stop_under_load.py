@@ -19,7 +19,7 @@ from hostlink.errors import CommandRefused, RefusalKind
 from hostlink.hub.gates import MAX_STEPS, TICK_S
 from hostlink.hub.hub import Hub
 from hostlink.hub.message import PROGRAM_PRIORITY
-from hostlink.hub.robot import RemoteRobot, Robot
+from hostlink.hub.robot import AnyRobot, RemoteRobot
 from hostlink.protocol.control import encode_topic_info
 from hostlink.protocol.frame import Frame, Id, encode
 from hostlink.protocol.stream import FrameStream
@@ -49,7 +49,7 @@ def loop() -> VirtualLoop:
     return running
 
 
-async def ready(made: World) -> Robot:
+async def ready(made: World) -> AnyRobot:
     await expect(made.is_working)
     return made.hub.robots.find("robot_0")
 

@@ -43,7 +43,7 @@ from hostlink.graphs.zenoh.session import ZenohSample, ZenohSession
 from hostlink.hub.hub import Hub
 from hostlink.hub.node import Role
 from hostlink.hub.participant import Participant
-from hostlink.hub.robot import Robot
+from hostlink.hub.robot import AnyRobot
 from hostlink.mirror.log_once import LogOnce, RefusalLog
 from hostlink.robot.velocity import TWIST_TYPE, PlanarVelocity
 from tests.support.fake_device import CATALOG
@@ -189,7 +189,7 @@ class FleetSender:
         self.participant = self.hub.join("client 3")
 
     @property
-    def robot(self) -> Robot:
+    def robot(self) -> AnyRobot:
         return self.hub.robots.find(ROBOT)
 
     async def drive(self, velocity: PlanarVelocity, *, late_s: float = 0.0, epoch: int | None = None) -> None:

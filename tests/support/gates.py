@@ -4,7 +4,7 @@ import asyncio
 import dataclasses
 from collections.abc import Hashable
 
-from hostlink.hub.robot import Robot
+from hostlink.hub.robot import AnyRobot
 from hostlink.robot.admission import LEASE_S, Admission, Command
 from hostlink.robot.velocity import ZERO, PlanarVelocity
 from hostlink.robot.velocity_gate import Limits, V, VelocityGate
@@ -17,7 +17,7 @@ TURN = PlanarVelocity(0.2, yaw_rad_s=1.0)
 
 
 def drive_gate(
-    robot: Robot,
+    robot: AnyRobot,
     velocity: PlanarVelocity,
     *,
     owner: Hashable = "test",

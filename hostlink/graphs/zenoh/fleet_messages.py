@@ -157,7 +157,7 @@ class State(msgspec.Struct, frozen=True, kw_only=True):
     robots: Annotated[tuple[RobotMessage, ...], msgspec.Meta(max_length=MAX_ROBOTS)]
 
 
-class Motion(msgspec.Struct, frozen=True, array_like=True):
+class RobotMotion(msgspec.Struct, frozen=True, array_like=True):
     """Motion of a robot, which changes all the time."""
 
     name: RobotName
@@ -169,7 +169,7 @@ class Motion(msgspec.Struct, frozen=True, array_like=True):
 class Live(msgspec.Struct, frozen=True, kw_only=True):
     """Motions of a daemon's robots, sent while another daemon subscribes."""
 
-    robots: Annotated[tuple[Motion, ...], msgspec.Meta(max_length=MAX_ROBOTS)]
+    robots: Annotated[tuple[RobotMotion, ...], msgspec.Meta(max_length=MAX_ROBOTS)]
 
 
 class FleetTopic(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):

@@ -15,8 +15,8 @@ from hostlink.graphs.zenoh.fleet_messages import (
     MAX_STATE_BYTES,
     FleetTransport,
     Live,
-    Motion,
     RobotMessage,
+    RobotMotion,
     Sender,
     State,
     encode,
@@ -72,7 +72,9 @@ class FleetStates:
 
     def _send_motions(self, states: tuple[RobotMessage, ...]) -> None:
         """Send the motions of robots that moved or have another velocity."""
-        motions = {state.name: Motion(state.name, state.velocity, state.pose, state.linear_y_m_s) for state in states}
+        motions = {
+            state.name: RobotMotion(state.name, state.velocity, state.pose, state.linear_y_m_s) for state in states
+        }
         marks: dict[str, object] = {
             name: (each.velocity, each.linear_y_m_s, each.pose and each.pose.count) for name, each in motions.items()
         }

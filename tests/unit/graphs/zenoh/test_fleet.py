@@ -29,7 +29,7 @@ from hostlink.graphs.zenoh.fleet_messages import (
 from hostlink.graphs.zenoh.roster import SILENT_S, FleetRoster
 from hostlink.graphs.zenoh.session import ZenohSample, ZenohSession
 from hostlink.hub.hub import Hub
-from hostlink.hub.robot import Robot
+from hostlink.hub.robot import AnyRobot
 from hostlink.robot.velocity import ZERO, PlanarVelocity
 from tests.support.fake_device import CATALOG
 from tests.support.memory_zenoh import MemoryNetwork, MemorySession
@@ -64,7 +64,7 @@ class World:
         assert self.desk.isolation.crashes == {}
         self.running.cancel()
 
-    def robot(self) -> Robot:
+    def robot(self) -> AnyRobot:
         return self.desk.robots.find(ROBOT)
 
     async def drive(self, velocity: PlanarVelocity = DRIVE) -> PlanarVelocity:

@@ -4,7 +4,7 @@ from collections import Counter
 
 import msgspec
 
-from hostlink.graphs.zenoh.fleet_messages import Live, Motion, PoseState, RobotMessage, Sender, State
+from hostlink.graphs.zenoh.fleet_messages import Live, PoseState, RobotMessage, RobotMotion, Sender, State
 from hostlink.graphs.zenoh.roster import MAX_DAEMONS, MAX_GONE, MAX_NAMESAKES, MAX_REMOTE_ROBOTS, SILENT_S, FleetRoster
 
 A, B = Sender("a", "1"), Sender("b", "2")
@@ -116,7 +116,7 @@ def test_a_motion_changes_only_robots_that_are_listed() -> None:
     known, _ = roster(A)
     known.receive(A, state("r"), 0.0)
     pose = PoseState(x_m=1, y_m=2, theta_rad=0, linear_m_s=0, angular_rad_s=0, stamp_ns=0, age_s=0, rate_hz=10, count=7)
-    live = Live(robots=(Motion("r", (0.1, 0.0), pose), Motion("s", (0.1, 0.0), None)))
+    live = Live(robots=(RobotMotion("r", (0.1, 0.0), pose), RobotMotion("s", (0.1, 0.0), None)))
     assert known.receive_motions(A, live, 0.0) == {"r"}
     place = known.place("r")
     assert place is not None
