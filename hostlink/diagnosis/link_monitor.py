@@ -3,6 +3,7 @@
 import math
 import re
 from array import array
+from bisect import bisect_left
 
 from hostlink.diagnosis.evidence import RECENT_S, Complaint, EarlierLink, Evidence, Tally
 from hostlink.host_pauses import HostPauses
@@ -51,7 +52,7 @@ class _Samples:
     def since(self, at_s: float) -> Tally:
         """Return the first sample that is not older than `at_s`, or the last one of all."""
         times_s = self._rows[::_COLUMNS]
-        row = next((row for row, time_s in enumerate(times_s) if time_s >= at_s), len(times_s) - 1)
+        row = min(bisect_left(times_s, at_s), len(times_s) - 1)
         return Tally(*map(int, self._rows[row * _COLUMNS + 1 : (row + 1) * _COLUMNS]))
 
 
