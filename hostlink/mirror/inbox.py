@@ -4,9 +4,9 @@ import asyncio
 import contextlib
 import threading
 from collections import Counter, OrderedDict, deque
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from contextlib import AbstractContextManager
-from typing import Generic, TypeVar
+from typing import Any, Final, Generic, TypeVar
 
 Item = TypeVar("Item")
 
@@ -14,10 +14,14 @@ MAX_WAITING = 256  # items of one source; the oldest is dropped
 MAX_SOURCES = 512  # with items that wait; an item of one more is dropped
 MAX_WAITING_BYTES = 16 * 1024 * 1024  # of all sources; an item that would be more is dropped
 SLICE_S = 0.0005  # of one turn of the loop; a stop that arrives otherwise waits no longer
+SHARED: Final = None  # the key of the queue of all sources that are not known
 
 
 class ThreadInbox(Generic[Item]):
-    """A bounded queue for each source, emptied in turns: a source that floods loses its own items only.
+    """A bounded queue for each known source, and one for all others, emptied in turns.
+
+    A source that floods loses its own items only. The items of a source are delivered in the order of their `put`, also
+    while it becomes known or unknown: all that wait are in one queue.
 
     `put` may be called in any thread, and raises nothing. The loop calls `deliver`, for a slice in each of its turns;
     without `deliver` the items are read with `async for`.
@@ -30,25 +34,32 @@ class ThreadInbox(Generic[Item]):
         guarded: Callable[[], AbstractContextManager[None]] = contextlib.nullcontext,
         counts: Counter[str] | None = None,
         max_waiting: int = MAX_WAITING,
+        is_known: Callable[[Any], bool] = lambda _: True,
     ) -> None:
-        """`guarded`: a block around each delivery, which keeps what it raises; `counts`: `dropped` did not fit."""
+        """`guarded`: a block around each delivery, which keeps what it raises; `counts`: `dropped` did not fit.
+
+        `is_known`: whether a source has a queue of its own, called in the thread of `put`. It may change at any time.
+        """
         self.counts: Counter[str] = Counter() if counts is None else counts
-        self._deliver, self._guarded, self._max_waiting = deliver, guarded, max_waiting
+        self._deliver, self._guarded, self._max_waiting, self._is_known = deliver, guarded, max_waiting, is_known
         self._loop = asyncio.get_running_loop()
         self._lock = threading.Lock()  # other threads put
-        self._waiting: OrderedDict[str, deque[Item]] = OrderedDict()
+        self._waiting: OrderedDict[Hashable, deque[tuple[Hashable, Item]]] = OrderedDict()  # sources and their items
         self._bytes = 0
         self._is_due = False  # the loop's own queue has no bound, so it holds one call of each inbox
         self._is_closed = False
         self._news = asyncio.Event()
 
-    def put(self, source: str, item: Item) -> None:
+    def put(self, source: Hashable, item: Item) -> None:
         """Queue an item of this source."""
         with self._lock:
-            if self._is_closed or not self._has_room(source, _size_bytes(item)):
+            if self._is_closed:
+                return
+            key = self._key_of(source)
+            if not self._has_room(key, _size_bytes(item)):
                 return
             self._bytes += _size_bytes(item)
-            self._waiting.setdefault(source, deque()).append(item)
+            self._waiting.setdefault(key, deque()).append((source, item))
             if self._is_due:
                 return
             self._is_due = True
@@ -62,11 +73,34 @@ class ThreadInbox(Generic[Item]):
             self._waiting.clear()
             self._bytes = 0
 
-    def _has_room(self, source: str, size_bytes: int) -> bool:
-        queue = self._waiting.get(source)
+    def _key_of(self, source: Hashable) -> Hashable:
+        """Return the key of the queue for the next item of a source; those of it that wait are in that queue.
+
+        A source that has become known takes them along from the shared queue. One that is unknown again keeps its
+        queue until that is empty.
+        """
+        if source in self._waiting:
+            return source
+        if not self._is_known(source):
+            return SHARED
+        shared = self._waiting.get(SHARED, ())
+        own = [each for each in shared if each[0] == source]
+        if not own:
+            return source
+        if len(own) == len(shared):
+            del self._waiting[SHARED]
+        elif len(self._waiting) < MAX_SOURCES:
+            self._waiting[SHARED] = deque(each for each in shared if each[0] != source)
+        else:
+            return SHARED
+        self._waiting[source] = deque(own)
+        return source
+
+    def _has_room(self, key: Hashable, size_bytes: int) -> bool:
+        queue = self._waiting.get(key)
         is_excess = queue is None and len(self._waiting) >= MAX_SOURCES
         is_full = queue is not None and len(queue) >= self._max_waiting
-        replaced_bytes = _size_bytes(queue[0]) if queue is not None and is_full else 0
+        replaced_bytes = _size_bytes(queue[0][1]) if queue is not None and is_full else 0
         has_room = not is_excess and self._bytes - replaced_bytes + size_bytes <= MAX_WAITING_BYTES
         if not has_room or is_full:
             self.counts["dropped"] += 1
@@ -82,7 +116,7 @@ class ThreadInbox(Generic[Item]):
         while True:
             item = self._pop()
             if item is not None:
-                return item[0]
+                return item[1]
             self._news.clear()
             await self._news.wait()
 
@@ -91,23 +125,23 @@ class ThreadInbox(Generic[Item]):
         ends_s = self._loop.time() + SLICE_S
         while (item := self._pop()) is not None:
             with self._guarded():
-                self._deliver(item[0])
+                self._deliver(item[1])
             if self._loop.time() >= ends_s:
                 self._loop.call_soon(self._drain)
                 return
 
-    def _pop(self) -> tuple[Item] | None:
-        """The next item, of the source that has waited the longest."""
+    def _pop(self) -> tuple[Hashable, Item] | None:
+        """The next item with its source, of the queue that has waited the longest."""
         with self._lock:
             if not self._waiting:
                 self._is_due = False
                 return None
-            source, queue = self._waiting.popitem(last=False)
-            item = queue.popleft()
+            key, queue = self._waiting.popitem(last=False)
+            source, item = queue.popleft()
             self._bytes -= _size_bytes(item)
             if queue:
-                self._waiting[source] = queue
-            return (item,)
+                self._waiting[key] = queue
+            return source, item
 
 
 def _size_bytes(item: object) -> int:

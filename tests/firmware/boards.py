@@ -12,10 +12,10 @@ from pathlib import Path
 import aiohttp
 
 from tests.firmware import esp8266
+from tests.support.driving import put_velocity
 from tests.support.once import once
 from tests.support.precedence import GOES_FIRST
 from tests.support.process import Process, serve
-from tests.support.rest_velocity import put_velocity
 
 FIRMWARE = Path(__file__).resolve().parents[2] / "firmware"
 BUILD = FIRMWARE.parent / "build" / "firmware"

@@ -13,8 +13,8 @@ import aiohttp
 import pytest
 
 from tests.firmware.boards import Board, chain
+from tests.support.driving import put_velocity
 from tests.support.process import Process
-from tests.support.rest_velocity import put_velocity
 
 pytestmark = pytest.mark.usefixtures("esp8266_built")
 

@@ -12,9 +12,7 @@ import msgspec
 from hostlink.cli.serve import running
 from hostlink.config import BlackBoxConfig, Config
 from hostlink.hub.hub import Hub
-from hostlink.robot.velocity import PlanarVelocity
-from tests.support.background import meanwhile
-from tests.support.rest_velocity import put_velocity
+from tests.support.driving import put_velocity
 from tests.support.waiting import expect
 
 IN_TIME_S = 0.1  # of the event loop: later commands have most of their lease
@@ -69,20 +67,3 @@ async def daemon(
         now_s = asyncio.get_running_loop().time
         await expect(lambda: now_s() - hub.gates.came_s(now_s()) < IN_TIME_S)  # a slow start counts as a pause
         yield Daemon(hub, addresses.tcp, addresses.api, session, addresses.udp)
-
-
-@contextlib.asynccontextmanager
-async def driven(host: Daemon, name: str, linear: float) -> AsyncIterator[None]:
-    """Commands ten times a second by one participant, for the length of the block."""
-    participant = host.hub.join("driver")
-
-    async def repeat() -> None:
-        while True:
-            participant.drive(host.hub.robots.find(name), PlanarVelocity(x_m_s=linear))
-            await asyncio.sleep(0.1)
-
-    try:
-        async with meanwhile(repeat()):
-            yield
-    finally:
-        participant.leave()

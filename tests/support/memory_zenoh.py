@@ -3,10 +3,11 @@
 import asyncio
 import re
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from typing import Any
 
 from hostlink.graphs.zenoh.session import Declaration, Query, Token, ZenohSample
+from hostlink.mirror.inbox import MAX_WAITING, ThreadInbox
 
 
 class MemoryNetwork:
@@ -51,7 +52,7 @@ class MemorySession:
         del is_urgent
         for session, pattern, receive in list(self._network.subscribers):
             if session is not self and session.zid not in self._network.deaf and pattern.fullmatch(key):
-                asyncio.get_running_loop().call_soon(receive, ZenohSample(key, payload, attachment or b""))
+                receive(ZenohSample(key, payload, attachment or b""))
 
     def declare_publisher(self, key: str, *, kept: int = 0, **_: Any) -> "MemoryPublisher":
         return MemoryPublisher(self, self._network, key, kept)
@@ -61,15 +62,28 @@ class MemorySession:
         return Declaration(lambda: self._network.note_token(key, is_alive=False))
 
     def subscribe(
-        self, keys: str, receive: Callable[[ZenohSample], None], *, has_history: bool = False, **_: Any
+        self,
+        keys: str,
+        receive: Callable[[ZenohSample], None],
+        *,
+        source_of: Callable[[ZenohSample], Hashable] = lambda _: "",
+        is_known: Callable[[Any], bool] = lambda _: True,
+        max_waiting: int = MAX_WAITING,
+        has_history: bool = False,
+        **_: Any,
     ) -> Declaration:
+        inbox = ThreadInbox(receive, max_waiting=max_waiting, is_known=is_known)
+
+        def put(sample: ZenohSample) -> None:
+            inbox.put(source_of(sample), sample)
+
         pattern = _pattern(keys)
         for publisher in self._network.publishers if has_history else ():
             if publisher.kept is not None and pattern.fullmatch(publisher.key):
-                asyncio.get_running_loop().call_soon(receive, publisher.kept)
-        declaration = _listed(self._network.subscribers, (self, pattern, receive))
+                put(publisher.kept)
+        declaration = _listed(self._network.subscribers, (self, pattern, put))
         self._network.note_subscribers()
-        return Declaration(declaration.close, self._network.note_subscribers)
+        return Declaration(inbox.close, declaration.close, self._network.note_subscribers)
 
     def subscribe_tokens(self, keys: str, receive: Callable[[Token], None]) -> Declaration:
         pattern = _pattern(keys)

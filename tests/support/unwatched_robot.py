@@ -64,10 +64,6 @@ class UnwatchedRobot:
         """Whether its last velocity is not zero."""
         return bool(self.velocities) and self.velocities[-1][1] != ZERO
 
-    async def driven(self) -> None:
-        """Wait until it moves."""
-        await expect(lambda: self.is_moving, timeout_s=TIMEOUT_S)
-
     async def stood(self, timeout_s: float = TIMEOUT_S) -> None:
         """Wait until id 11 has come, or the connection has ended."""
         await expect(lambda: self.stops or self.ended_at_s is not None, timeout_s=timeout_s)

@@ -9,6 +9,7 @@ from typing import Any
 from hostlink.config import Config, ZenohConfig
 from hostlink.hub.robot import RemoteRobot
 from tests.support.daemon import Daemon, daemon
+from tests.support.driving import answered
 from tests.support.process import free_port
 from tests.support.waiting import expect
 
@@ -49,8 +50,9 @@ async def robot(host: Daemon, name: str) -> Any:
 
 
 async def drive(host: Daemon, name: str, linear: float, angular: float = 0.0) -> tuple[int, Any]:
-    """One command over REST."""
-    return await host.rest("PUT", f"/api/robots/{name}/velocity", b'{"linear":%f,"angular":%f}' % (linear, angular))
+    """One command over REST, which is repeated after a pause of the daemon."""
+    body = b'{"linear":%f,"angular":%f}' % (linear, angular)
+    return await answered(lambda: host.rest("PUT", f"/api/robots/{name}/velocity", body))
 
 
 async def subscriber_count(host: Daemon, topic: str) -> int:

@@ -16,7 +16,8 @@ from playwright.async_api import expect as expect_page
 from hostlink.config import Config, RecordingConfig, TcpConfig, UdpConfig
 from hostlink.diagnosis.finding import finding
 from tests.support.browser import PHONE, Visit, visit
-from tests.support.daemon import Daemon, daemon, driven
+from tests.support.daemon import Daemon, daemon
+from tests.support.driving import driven
 from tests.support.page_server import State, page_server
 from tests.support.proxy import Line, Proxy, proxy
 from tests.support.simulated import simulated_robot
@@ -36,7 +37,7 @@ async def shown(browser: Browser, config: Config) -> AsyncIterator[tuple[Daemon,
         name, _, port = host.url.removeprefix("http://").partition(":")
         async with proxy((name, int(port))) as line, simulated_robot(host.tcp), visit(browser, line.url) as tab:
             await tab.shows("#robots", "robot_0")
-            async with driven(host, "robot_0", 0.2):
+            async with driven(host.hub, "robot_0", 0.2):
                 yield host, line, tab
 
 

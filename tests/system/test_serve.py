@@ -18,9 +18,9 @@ from hostlink.protocol.frame import Id
 from hostlink.sim.robot import SimulatedRobot
 from hostlink.sim.run import run_over_streams
 from tests.support.background import meanwhile
+from tests.support.driving import put_velocity
 from tests.support.fake_device import fake_device, robot_topics
 from tests.support.process import run, serve, simulated
-from tests.support.rest_velocity import put_velocity
 from tests.support.stopwatch import Stopwatch
 
 ZERO = (0.0, 0.0)

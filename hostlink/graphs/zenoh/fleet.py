@@ -95,13 +95,14 @@ class Fleet:
         self, keys: str, receive: Callable[[ZenohSample], None], max_bytes: int, max_waiting: int
     ) -> Declaration:
         """Subscribe to messages for this daemon (its id is in the key), or for all, with a queue for each daemon."""
-
-        def source(key: str) -> str:
-            neighbour = self._roster.find(self._transport.keys.sender(key))
-            return "" if neighbour is None else neighbour.sender.zid
-
-        session = self._transport.session
-        return session.subscribe(keys, receive, source_of=source, max_bytes=max_bytes, max_waiting=max_waiting)
+        return self._transport.session.subscribe(
+            keys,
+            receive,
+            source_of=lambda sample: self._transport.keys.sender(sample.key),
+            is_known=lambda sender: self._roster.find(sender) is not None,
+            max_bytes=max_bytes,
+            max_waiting=max_waiting,
+        )
 
     def _tick(self) -> None:
         now_s, transport = _now_s(), self._transport

@@ -388,8 +388,8 @@ class Publishers:
             if (each.token.name, each.token.type_name) == subject:
                 self._expect_earlier(each)
 
-    def has_signed(self, gid: bytes) -> bool:
-        """Whether a publisher has signed by it; in any thread."""
+    def is_known(self, gid: bytes) -> bool:
+        """Whether it is that of a publisher; in any thread."""
         return self._remote.is_known(gid)
 
     def clear(self) -> None:
@@ -470,7 +470,8 @@ class RmwSubscription:
         self._subscription = node.session.subscribe(
             self._endpoint.key,
             self._receive,
-            signer_of=self._signer_of,
+            source_of=lambda sample: sample.attachment[-GID_BYTES:],
+            is_known=publishers.is_known,
             max_bytes=MAX_FLAT_BYTES if type_.is_flat else MAX_NESTED_BYTES,
             max_waiting=1 if wanted.is_velocity else MAX_WAITING,
             has_history=wanted.has_history,
@@ -480,11 +481,6 @@ class RmwSubscription:
         """Withdraw the subscription."""
         self._endpoint.close()
         self._subscription.close()
-
-    def _signer_of(self, attachment: bytes) -> str:
-        """In a thread of Zenoh's: those who are not known share one queue."""
-        gid = attachment[-GID_BYTES:]
-        return gid.hex() if self._publishers.has_signed(gid) else ""
 
     def _receive(self, sample: ZenohSample) -> None:
         attachment = Attachment.decode(sample.attachment)

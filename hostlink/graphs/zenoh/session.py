@@ -4,7 +4,7 @@ import asyncio
 import contextlib
 import functools
 from collections import Counter
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Hashable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
@@ -185,28 +185,29 @@ class ZenohSession:
         key_expr: str,
         receive: Callable[[ZenohSample], None],
         *,
-        source_of: Callable[[str], str] = lambda _: "",
-        signer_of: Callable[[bytes], str] = lambda _: "",
+        source_of: Callable[[ZenohSample], Hashable] = lambda _: "",
+        is_known: Callable[[Any], bool] = lambda _: True,
         max_bytes: int = MAX_PAYLOAD_BYTES,
         max_waiting: int = MAX_WAITING,
         has_history: bool = False,
     ) -> Declaration:
         """Call `receive` for each sample of others that fits in `max_bytes`; not for those of this session.
 
-        `source_of`: of a key, and `signer_of`: of an attachment, whose queue its sample waits in, called in a thread;
-        `max_waiting`: samples in each queue, the oldest is dropped; `has_history`: kept messages arrive first.
+        `source_of`: in whose queue a sample waits, and `is_known`: whether that source has one of its own, both called
+        in a thread; `max_waiting`: samples in each queue, the oldest is dropped; `has_history`: kept messages arrive
+        first.
 
         Raises:
             ConfigError: the session is closed, or the key expression is invalid.
         """
-        inbox = self.inbox(receive, max_waiting=max_waiting)
+        inbox = self.inbox(receive, max_waiting=max_waiting, is_known=is_known)
 
         def put(sample: Any) -> None:
             with self.guarded("receive"):
                 key = str(sample.key_expr)
                 if self._fits(key, len(sample.payload), max_bytes) and sample.kind == self._zenoh.SampleKind.PUT:
                     received = ZenohSample(key, sample.payload.to_bytes(), _bytes(sample.attachment))
-                    inbox.put(source_of(key) + signer_of(received.attachment), received)
+                    inbox.put(source_of(received), received)
 
         declare = self._session.declare_subscriber
         if has_history:
@@ -317,13 +318,20 @@ class ZenohSession:
             if not self._is_closed:
                 log.debug("zenoh.failed", what=what, cause=printable(str(error), 200))
 
-    def inbox(self, deliver: Callable[[Any], None], *, max_waiting: int = MAX_WAITING) -> ThreadInbox[Any]:
+    def inbox(
+        self,
+        deliver: Callable[[Any], None],
+        *,
+        max_waiting: int = MAX_WAITING,
+        is_known: Callable[[Any], bool] = lambda _: True,
+    ) -> ThreadInbox[Any]:
         """A queue from Zenoh's threads to the loop."""
         return ThreadInbox(
             deliver,
             guarded=lambda: self._isolation.around("graph", graph="zenoh"),
             counts=self.counts,
             max_waiting=max_waiting,
+            is_known=is_known,
         )
 
     def _fits(self, key: str, payload_bytes: int, max_bytes: int) -> bool:

@@ -168,7 +168,7 @@ async def test_only_drivers_send_what_moves_a_robot_in_the_fleet_and_in_ros_2(tm
         session(certified(tmp_path, "wall", connect=listen)) as wall,
     ):
         asked, last = list[str](), keys[-1]
-        here.subscribe("**", receive, source_of=lambda _: "")
+        here.subscribe("**", receive)
         here.serve("**", lambda query: (asked.append(query.key), query.close()))
         for name, each in ((b"desk", desk), (b"wall", wall)):
             # a message from before the links know of the subscription is lost, so the last is repeated

@@ -20,7 +20,8 @@ from hostlink.graphs.zenoh.fleet_messages import (
     encode,
 )
 from hostlink.robot.velocity import PlanarVelocity
-from tests.support.daemon import Daemon, daemon, driven
+from tests.support.daemon import Daemon, daemon
+from tests.support.driving import driven
 from tests.support.fake_device import fake_device, pose, robot_topics
 from tests.support.participants import subscribe
 from tests.support.process import free_port
@@ -47,7 +48,7 @@ async def test_cut_network_ends_the_lease_and_remote_daemons_show_it() -> None:
     async with apart() as (a, b, line), fake_device(a.tcp, robot_topics("robot_7")) as device:
         before = (await shown(b, "robot_7")).link
         with contextlib.suppress(ExceptionGroup):  # the driver is told that it can no longer drive
-            async with driven(b, "robot_7", 0.2):
+            async with driven(b.hub, "robot_7", 0.2):
                 assert await device.velocity_other_than(STILL) == MOVING
                 line.set_line(Line.SWALLOWS)
                 watch = Stopwatch()

@@ -1,10 +1,13 @@
 """From other threads to the loop: bounded for each source, in turns, and a failure affects no other item."""
 
 import asyncio
+import itertools
 import threading
 from collections import Counter
 
 import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
 
 from hostlink.graphs.zenoh.session import ZenohSample
 from hostlink.hub.isolation import Isolation
@@ -47,6 +50,102 @@ async def test_sources_take_turns() -> None:
         inbox.put(source, source)
     await settled()
     assert received == ["a", "b", "a", "a"]
+
+
+class Interleaving:
+    """Steps of threads, in one order with the deliveries of the loop: None is the next one.
+
+    `put a` queues the next number of source a; `know a` and `forget a` change whether that source is known.
+    """
+
+    def __init__(self, steps: list[str | None], *, max_waiting: int) -> None:
+        self.delivered: dict[str, list[int]] = {source: [] for source in SOURCES}
+        self.meant: dict[str, int] = {}  # the newest number of each source that was known when it was put
+        self._known: set[str] = set()
+        self._steps, self._numbers = iter(steps), itertools.count()
+        self._inbox = ThreadInbox(self._deliver, max_waiting=max_waiting, is_known=self._known.__contains__)
+
+    async def run(self) -> None:
+        while self._step():
+            await settled()
+        await settled()
+
+    def _deliver(self, item: tuple[str, int]) -> None:
+        self.delivered[item[0]].append(item[1])
+        self._step()
+
+    def _step(self) -> bool:
+        """Take the steps until the next delivery; return whether there may be more."""
+        for step in self._steps:
+            if step is None:
+                return True
+            what, source = step.split()
+            match what:
+                case "put":
+                    number = next(self._numbers)
+                    self.meant.pop(source, None)
+                    if source in self._known:
+                        self.meant[source] = number
+                    self._inbox.put(source, (source, number))
+                case "know":
+                    self._known.add(source)
+                case _:
+                    self._known.discard(source)
+        return False
+
+
+SOURCES = "abc"
+STEPS = [None, *(f"{what} {source}" for source in SOURCES for what in ("put", "know", "forget"))]
+
+
+@given(steps=st.lists(st.sampled_from(STEPS), max_size=80), max_waiting=st.sampled_from([1, 2, 64]))
+@example(steps=["put a", "put a", "put a", None, "know a", "put a"], max_waiting=64)
+@example(steps=["put b", "know a", "put a", "forget a", "put a"], max_waiting=1)
+@example(steps=["put a", "know a", "put a", "put b"], max_waiting=1)
+def test_items_of_a_source_keep_their_order_while_it_becomes_known_or_unknown(
+    steps: list[str | None], max_waiting: int
+) -> None:
+    async def run() -> Interleaving:
+        made = Interleaving(steps, max_waiting=max_waiting)
+        await made.run()
+        return made
+
+    made = asyncio.run(run())
+    for source, numbers in made.delivered.items():
+        assert numbers == sorted(numbers)
+        assert source not in made.meant or numbers[-1] == made.meant[source]
+
+
+async def test_sources_that_are_not_known_share_one_queue_and_displace_no_known_one() -> None:
+    received: list[str] = []
+    counts: Counter[str] = Counter()
+    inbox = ThreadInbox(received.append, counts=counts, max_waiting=10, is_known=lambda source: source == "known")
+    inbox.put("known", "first")
+    for number in range(2 * MAX_SOURCES):
+        inbox.put(number, "flood")
+    inbox.put("known", "second")
+    await settled()
+    assert (received[0], received[2]) == ("first", "second")
+    assert received.count("flood") == 10
+    assert counts["dropped"] == 2 * MAX_SOURCES - 10
+
+
+@pytest.mark.parametrize("others", [0, 1])
+async def test_source_that_becomes_known_adds_no_queue_to_the_greatest_number(others: int) -> None:
+    """Without room for one more queue its items stay in the shared one, which is full of them."""
+    received: list[str] = []
+    known: set[object] = set()
+    inbox = ThreadInbox(received.append, max_waiting=2, is_known=known.__contains__)
+    for each in ["other"] * others + ["a"]:
+        inbox.put(each, f"{each} 1")
+    known |= {*range(MAX_SOURCES), "a"}
+    for number in range(MAX_SOURCES - 1):
+        inbox.put(number, "filler")
+    inbox.put("a", "a 2")
+    inbox.put(MAX_SOURCES - 1, "one more")
+    await settled()
+    assert [each for each in received if each != "filler"] == ["a 1", "a 2"]
+    assert received.count("filler") == MAX_SOURCES - 1
 
 
 async def test_the_number_of_sources_is_bounded() -> None:

@@ -106,6 +106,34 @@ def test_robot_of_another_daemon_is_shown_with_its_host_and_topics() -> None:
     with_fleet(test)
 
 
+def test_commands_are_answered_in_order_while_their_daemon_becomes_known() -> None:
+    """Three commands arrive before its token was read, and one between the token and their delivery."""
+
+    async def test(world: World) -> None:
+        wall, keys, answers = MemorySession(world.network, "3c"), Keys(ZenohConfig().fleet_name), list[int]()
+        here, there = Sender("lab", "1a"), Sender("wall", "3c")
+
+        def drive(number: int) -> None:
+            command = FleetCommand(
+                number=number, epoch=None, sent_s=0.0, robot=ROBOT, owner=1, owner_name="client 1",
+                velocity=(0.0,) * 6, priority=50,
+            )  # fmt: skip
+            wall.put(keys.key("drive", there, to=here.zid), encode(command))
+
+        def receive(sample: ZenohSample) -> None:
+            answers.append(decode(sample.payload, ANSWER).number)
+
+        wall.subscribe(keys.key("answer", here, to=there.zid), receive)
+        wall.declare_token(keys.key("alive", there))
+        asyncio.get_running_loop().call_soon(drive, 4)
+        for number in (1, 2, 3):
+            drive(number)
+        await asyncio.sleep(0.1)
+        assert answers == [1, 2, 3, 4]
+
+    with_fleet(test)
+
+
 def test_program_drives_a_robot_of_another_daemon_and_its_leave_stops_it() -> None:
     async def test(world: World) -> None:
         assert (await world.drive()).x_m_s == 0.2

@@ -28,6 +28,8 @@ from hostlink.graphs.zenoh.rmw_protocol import (
     parse_token,
 )
 from hostlink.graphs.zenoh.session import Declaration, Query, ZenohSample, ZenohSession
+from hostlink.hub.message import Message
+from hostlink.mirror.inbox import MAX_SOURCES
 from tests.support.fake_device import CATALOG
 from tests.support.memory_zenoh import MemoryNetwork, MemorySession
 from tests.support.participants import ROBOT, TEXT, TEXT_TYPE, Scene, play
@@ -188,6 +190,46 @@ def test_latched_topic_of_ros_2_reaches_a_later_program() -> None:
     with_bridge(test)
 
 
+def test_messages_arrive_in_order_while_their_publisher_becomes_known_by_the_gid_that_it_drew() -> None:
+    """The first message binds the gid. The last one arrives after that delivery, while two others still wait."""
+
+    async def test(world: World) -> None:
+        world.declare(TokenKind.PUBLISHER, "/chatter", STRING, hash_of(TEXT_TYPE))
+        heard: list[bytes] = []
+
+        def receive(message: Message) -> None:
+            heard.append(message.payload)
+            if len(heard) == 1:
+                world.send("/chatter", "drawn", cdr("4"), 4)
+
+        world.scene.hub.join("program").subscribe("/chatter", receive)
+        await asyncio.sleep(0.3)
+        for number in (1, 2, 3):
+            world.send("/chatter", "drawn", cdr(str(number)), number)
+        await asyncio.sleep(0.1)
+        assert heard == [text(each) for each in "1234"]
+
+    with_bridge(test)
+
+
+def test_publishers_that_are_not_known_share_one_queue_and_cannot_displace_a_known_one() -> None:
+    async def test(world: World) -> None:
+        _, token = world.declare(TokenKind.PUBLISHER, "/chatter", STRING, hash_of(TEXT_TYPE))
+        heard: list[bytes] = []
+        world.scene.hub.join("program").subscribe("/chatter", lambda message: heard.append(message.payload))
+        await asyncio.sleep(0.3)
+        world.send("/chatter", token, cdr("1"), 1)
+        await asyncio.sleep(0.1)
+        for number in range(2 * MAX_SOURCES):
+            world.send("/chatter", f"drawn {number}", cdr("flood"), 1)
+        world.send("/chatter", token, cdr("2"), 2)
+        await asyncio.sleep(0.1)
+        assert heard == [text("1"), text("2")]
+        assert world.counts["unidentified"] == rmw_bridge.MAX_WAITING
+
+    with_bridge(test)
+
+
 def test_message_that_is_unsigned_malformed_or_of_an_unknown_publisher_is_counted() -> None:
     async def test(world: World) -> None:
         _, token = world.declare(TokenKind.PUBLISHER, "/chatter", STRING, hash_of(TEXT_TYPE))
@@ -197,6 +239,7 @@ def test_message_that_is_unsigned_malformed_or_of_an_unknown_publisher_is_counte
         world.ros2.put(data_key(0, "/chatter", STRING, hash_of(TEXT_TYPE)), cdr("x"), attachment=b"short")
         world.send("/chatter", token, b"\x00\x01\x00\x00\xff", 1)
         world.send("/chatter", token, cdr("x"), 2)
+        await asyncio.sleep(0.1)
         world.send("/chatter", "another token", cdr("x"), 1)
         await asyncio.sleep(0.1)
         assert heard == [text("x")]

@@ -200,8 +200,7 @@ def test_source_that_floods_loses_its_own_samples_only() -> None:
         session.subscribe(
             "**",
             lambda each: received.append(each.payload),
-            source_of=lambda key: key,
-            signer_of=lambda attachment: attachment.decode(),
+            source_of=lambda each: (each.key, each.attachment),
             max_waiting=1,
         )
         for number in b"12":
@@ -210,6 +209,24 @@ def test_source_that_floods_loses_its_own_samples_only() -> None:
         zenoh.received["**"](sample("b", b"3"))
         await asyncio.sleep(0.1)
         assert (received, session.counts) == ([b"2", b"2", b"3"], {"dropped": 2})
+
+    with_session(test)
+
+
+def test_sources_that_are_not_known_share_one_queue() -> None:
+    async def test(session: ZenohSession, zenoh: FakeZenoh) -> None:
+        received: list[str] = []
+        session.subscribe(
+            "**",
+            lambda each: received.append(each.key),
+            source_of=lambda each: each.key,
+            is_known=lambda source: source == "known",
+            max_waiting=1,
+        )
+        for key in ("known", "a", "b"):
+            zenoh.received["**"](sample(key))
+        await asyncio.sleep(0.1)
+        assert (received, session.counts) == (["known", "b"], {"dropped": 1})
 
     with_session(test)
 

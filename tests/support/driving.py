@@ -1,0 +1,105 @@
+"""Drivers that go on after the machine stood still: the daemon refuses what it read late, and disarms its sources."""
+
+import asyncio
+import contextlib
+import json
+from collections.abc import AsyncIterator, Awaitable, Callable
+from dataclasses import dataclass
+from typing import Any
+
+import aiohttp
+
+from hostlink.errors import CommandRefused, RefusalKind
+from hostlink.hub.hub import Hub
+from hostlink.robot.admission import LEASE_S
+from hostlink.robot.velocity import ZERO, PlanarVelocity
+from tests.support.background import meanwhile
+
+REFUSED = 409
+COMMAND_INTERVAL_S = 0.1
+
+
+@dataclass
+class Pause:
+    """Whether a pause of the daemon is why a source is refused: from a late command until one is obeyed."""
+
+    is_on: bool = False
+
+    def explains(self, kind: str) -> bool:
+        """Note a refusal of this kind, and return whether the pause is its cause."""
+        self.is_on = self.is_on or kind == RefusalKind.LATE
+        return self.is_on and kind in (RefusalKind.LATE, RefusalKind.DISARMED)
+
+
+@dataclass
+class Driver:
+    """A participant that commands every COMMAND_INTERVAL_S."""
+
+    longest_gap_s: float = 0.0  # between two commands
+
+    @property
+    def is_steady(self) -> bool:
+        """Whether no command was so late that the machine may have stopped the robot."""
+        return self.longest_gap_s < LEASE_S / 2
+
+
+@contextlib.asynccontextmanager
+async def driven(hub: Hub, name: str, linear: float) -> AsyncIterator[Driver]:
+    """Drive a robot for the length of the block. After a pause of the daemon a zero arms the driver again.
+
+    Any other refusal ends the block.
+    """
+    participant, driver = hub.join("driver"), Driver()
+
+    async def repeat() -> None:
+        now_s = asyncio.get_running_loop().time
+        pause, wanted, sent_s = Pause(), PlanarVelocity(linear), now_s()
+        while True:
+            sent_s, before_s = now_s(), sent_s
+            driver.longest_gap_s = max(driver.longest_gap_s, sent_s - before_s)
+            try:
+                participant.drive(hub.robots.find(name), wanted)
+                if not wanted.is_zero:
+                    pause = Pause()
+                wanted = PlanarVelocity(linear)
+            except CommandRefused as refused:
+                if not pause.explains(refused.kind):
+                    raise
+                wanted = ZERO
+            await asyncio.sleep(COMMAND_INTERVAL_S)
+
+    try:
+        async with meanwhile(repeat()):
+            yield driver
+    finally:
+        participant.leave()
+
+
+async def answered(send: Callable[[], Awaitable[tuple[int, Any]]]) -> tuple[int, Any]:
+    """Send a velocity over REST until the daemon does not refuse it because of a pause.
+
+    `send` returns the status and the JSON, and so does this. After a late command, a lease without one arms the source.
+    """
+    pause = Pause()
+    while True:
+        status, answer = await send()
+        kind = answer["error"]["kind"] if status == REFUSED else ""
+        if not pause.explains(kind):
+            return status, answer
+        if kind == RefusalKind.DISARMED:
+            await asyncio.sleep(LEASE_S)
+
+
+async def put_velocity(session: aiohttp.ClientSession, robot_url: str, body: bytes) -> None:
+    """Send a velocity until the daemon obeys it.
+
+    Raises:
+        AssertionError: the daemon refused it for another reason than a pause.
+    """
+
+    async def send() -> tuple[int, Any]:
+        async with session.put(f"{robot_url}/velocity", data=body) as response:
+            return response.status, json.loads(await response.read())
+
+    status, answer = await answered(send)
+    assert status == 200, answer
