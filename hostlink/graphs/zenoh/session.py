@@ -24,6 +24,7 @@ log = structlog.get_logger()
 CLOSE_TIMEOUT_S = 1.0
 MAX_PAYLOAD_BYTES = 1024 * 1024
 MAX_KEY_CHARS = 512
+MAX_ATTACHMENT_BYTES = 1024  # 33 in ROS 2: number, time and sender
 MAX_ANSWERS = 1024  # to one query
 HEARTBEAT_S = 0.5  # while something is kept for later subscribers: a subscriber notices that it has missed it
 
@@ -205,7 +206,8 @@ class ZenohSession:
         def put(sample: Any) -> None:
             with self.guarded("receive"):
                 key = str(sample.key_expr)
-                if self._fits(key, len(sample.payload), max_bytes) and sample.kind == self._zenoh.SampleKind.PUT:
+                is_put = sample.kind == self._zenoh.SampleKind.PUT
+                if self._fits(key, len(sample.payload), max_bytes, sample.attachment) and is_put:
                     received = ZenohSample(key, sample.payload.to_bytes(), _bytes(sample.attachment))
                     inbox.put(source_of(received), received)
 
@@ -245,7 +247,7 @@ class ZenohSession:
         def put(query: Any) -> None:
             with self.guarded("receive"):
                 key, payload = str(query.key_expr), _bytes(query.payload)
-                if self._fits(key, len(payload), MAX_PAYLOAD_BYTES):
+                if self._fits(key, len(payload), MAX_PAYLOAD_BYTES, query.attachment):
                     reply, close = self._background.replies(query)
                     inbox.put("", Query(key, payload, _bytes(query.attachment), reply, close))
 
@@ -334,8 +336,9 @@ class ZenohSession:
             is_known=is_known,
         )
 
-    def _fits(self, key: str, payload_bytes: int, max_bytes: int) -> bool:
-        if payload_bytes <= max_bytes and len(key) <= MAX_KEY_CHARS:
+    def _fits(self, key: str, payload_bytes: int, max_bytes: int, attachment: Any = None) -> bool:
+        attached_bytes = 0 if attachment is None else len(attachment)
+        if payload_bytes <= max_bytes and len(key) <= MAX_KEY_CHARS and attached_bytes <= MAX_ATTACHMENT_BYTES:
             return True
         self.counts["oversized"] += 1
         return False

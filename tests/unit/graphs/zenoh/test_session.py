@@ -15,6 +15,7 @@ from hostlink.errors import ConfigError, LibraryMissing
 from hostlink.graphs.zenoh import session as module
 from hostlink.graphs.zenoh.session import (
     MAX_ANSWERS,
+    MAX_ATTACHMENT_BYTES,
     MAX_KEY_CHARS,
     MAX_PAYLOAD_BYTES,
     Query,
@@ -181,9 +182,10 @@ def test_samples_within_the_bounds_arrive_and_others_are_counted() -> None:
         put(sample("a/b", b"123", kind=DELETE))
         put(sample("k" * MAX_KEY_CHARS))
         put(sample("k" * (MAX_KEY_CHARS + 1)))
+        put(sample("a/b", b"123", attachment=bytes(MAX_ATTACHMENT_BYTES + 1)))
         await asyncio.sleep(0.1)
         assert received == [ZenohSample("a/b", b"123", b"x"), ZenohSample("k" * MAX_KEY_CHARS, b"")]
-        assert session.counts == {"oversized": 2}
+        assert session.counts == {"oversized": 3}
         assert zenoh.options["a/**"] == {"allowed_origin": "remote"}
         declared.close()
         declared.close()
@@ -333,14 +335,15 @@ def test_query_is_answered_in_order_on_its_key_or_another_and_ended() -> None:
         declared = session.serve("a/**", queries.append)
         assert zenoh.options["a/**"] == {"complete": True}
         asked = FakeQuery("a/b", b"1", b"x")
-        for query in (asked, FakeQuery("a/b", bytes(MAX_PAYLOAD_BYTES + 1)), FakeQuery("a/c")):
+        large = FakeQuery("a/b", bytes(MAX_PAYLOAD_BYTES + 1)), FakeQuery("a/b", b"", bytes(MAX_ATTACHMENT_BYTES + 1))
+        for query in (asked, *large, FakeQuery("a/c")):
             zenoh.received["a/**"](query)
         await asyncio.sleep(0.01)
         assert [(each.key, each.payload, each.attachment) for each in queries] == [
             ("a/b", b"1", b"x"),
             ("a/c", b"", b""),
         ]
-        assert session.counts == {"oversized": 1}
+        assert session.counts == {"oversized": 2}
         queries[0].reply(b"2")
         queries[0].reply(b"3", key="a/d", attachment=b"y")
         queries[0].close()
