@@ -262,7 +262,7 @@ class Links:
     def _played_robot(self, link: Link) -> LocalRobot | None:
         """Return the robot of a link on which a recording is played; None for a device, or after a replacement."""
         device = self._devices.get(link.number)
-        return device.robot if device is not None and device.is_played else None
+        return device.robot if device is not None and device.diagnosis.is_played else None
 
     def _identify(self, device: Device) -> None:
         """Identify a device: accept it, refuse it, or wait for the Directory to decide."""
