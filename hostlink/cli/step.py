@@ -16,8 +16,9 @@ import typer
 
 from hostlink.cli.arguments import Token, Url
 from hostlink.cli.connecting import connected
-from hostlink.cli.names import driver, unknown_robot
+from hostlink.cli.names import driver
 from hostlink.cli.output import show_progress, table, write, write_error
+from hostlink.cli.robots import require_robot
 from hostlink.client import DEFAULT_URL, PRIORITY, Host, Mailbox, Robot, RobotState
 from hostlink.errors import (
     CommandRefused,
@@ -362,18 +363,6 @@ async def separation_of(host: Host, robot: str) -> float:
     if parameter and LEAST_SEPARATION_M <= parameter[0] <= MOST_SEPARATION_M:
         return parameter[0]
     return (await host.robot(robot).state()).get("wheel_separation_m") or SEPARATION_M
-
-
-async def require_robot(host: Host, name: str) -> Robot:
-    """Return a robot that the daemon knows.
-
-    Raises:
-        HostlinkError: the robot is unknown; the error lists the known ones.
-    """
-    known = [state["name"] for state in await host.robots()]
-    if name.strip("/") not in known:
-        raise unknown_robot(name, known)
-    return host.robot(name)
 
 
 def _now_s() -> float:
