@@ -20,6 +20,7 @@ from hostlink.errors import (
     DeviceGone,
     FrameTooLarge,
     HostlinkError,
+    NoRole,
     RecordingBusy,
     RecordingFailed,
     RefusalKind,
@@ -149,6 +150,7 @@ def _schema(type_: type) -> dict[str, str]:
 
 STATUS = {
     BadRequest: HTTPStatus.BAD_REQUEST,
+    NoRole: HTTPStatus.FORBIDDEN,
     WrongType: HTTPStatus.BAD_REQUEST,
     UnknownTopic: HTTPStatus.NOT_FOUND,
     FrameTooLarge: HTTPStatus.REQUEST_ENTITY_TOO_LARGE,

@@ -98,7 +98,6 @@ class VelocitySender:
         self._sent_s: dict[str, float] = {}  # by robot: the newest command that was sent
         self._ran_s = -math.inf  # the newest time at which this program is known to have run
         connection.handlers["drive_result"].append(self._receive_answer)
-        connection.handlers["status"].append(self._receive_status)
 
     @property
     def robots(self) -> tuple[str, ...]:
@@ -327,12 +326,6 @@ class VelocitySender:
                 if key == f"repeat:{repeated.number}":
                     self._note_told(robot, answer)
                     self._break(robot, broken)
-
-    def _receive_status(self, status: dict[str, Any]) -> None:
-        """A token that may only read gets no other answer."""
-        key = str(status.get("id"))
-        if key.startswith(_COMMAND):
-            self.refusals[key.partition(":")[2].partition(":")[2]] = Refusal("NoRole", str(status["msg"]))
 
     def _remember_name(self, answer: Message) -> None:
         self.client_name = answer.get("client", self.client_name)  # a refusal has none, an older daemon neither
