@@ -220,7 +220,7 @@ async def explain_errors(request: web.Request, handler: Handler) -> web.StreamRe
 
 
 FOXGLOVE = ("foxglove.sdk.v1", "foxglove.websocket.v1")  # subprotocols: two names of one protocol
-_READ_AS_TEXT = ("Host", "Origin", "Expect", "Sec-WebSocket-Key")
+_READ_AS_TEXT = ("Host", "Origin", "Expect", "Connection", "Sec-WebSocket-Key", "Sec-WebSocket-Version")
 
 Answer = Callable[[web.BaseRequest], Awaitable[web.StreamResponse]]
 
