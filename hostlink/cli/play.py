@@ -15,7 +15,7 @@ import typer
 
 from hostlink.cancellation import raise_if_cancelled
 from hostlink.cli.addresses import parse_address
-from hostlink.cli.arguments import Token, Url
+from hostlink.cli.arguments import Token, Url, not_empty
 from hostlink.cli.connecting import connected
 from hostlink.cli.output import show_progress, show_question, write_error
 from hostlink.cli.robots import require_robot
@@ -84,7 +84,11 @@ def command(
     ] = False,
     drive: Annotated[
         str | None,
-        typer.Option(metavar="ROBOT", help="Drive this robot as the recorded one was driven. The robot moves!"),
+        typer.Option(
+            metavar="ROBOT",
+            help="Drive this robot as the recorded one was driven. The robot moves!",
+            callback=not_empty,
+        ),
     ] = None,
     url: Url = DEFAULT_URL,
     token: Token = None,

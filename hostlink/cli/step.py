@@ -14,7 +14,7 @@ from typing import Annotated, Any
 
 import typer
 
-from hostlink.cli.arguments import Token, Url
+from hostlink.cli.arguments import Token, Url, not_empty
 from hostlink.cli.connecting import connected
 from hostlink.cli.names import driver
 from hostlink.cli.output import show_progress, table, write, write_error
@@ -618,7 +618,7 @@ class _Request:
 
 
 def command(
-    robot: Annotated[str, typer.Argument(help="Name of the robot.", show_default=False)],
+    robot: Annotated[str, typer.Argument(help="Name of the robot.", show_default=False, callback=not_empty)],
     *,
     speed: Annotated[
         float, typer.Option(help="Speed of the wheels, m/s, for the range in which you drive; below zero: backwards.")

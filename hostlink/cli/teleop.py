@@ -14,7 +14,7 @@ from typing import Annotated
 
 import typer
 
-from hostlink.cli.arguments import Token, Url, robot_names
+from hostlink.cli.arguments import Token, Url, not_empty, robot_names
 from hostlink.cli.connecting import connected
 from hostlink.cli.driving import LAYOUTS, Driving, Key, KeyReader
 from hostlink.cli.names import only_connected
@@ -195,7 +195,10 @@ def command(
     robot: Annotated[
         str | None,
         typer.Argument(
-            help="Name of the robot; optional if only one is connected.", show_default=False, autocompletion=robot_names
+            help="Name of the robot; optional if only one is connected.",
+            show_default=False,
+            callback=not_empty,
+            autocompletion=robot_names,
         ),
     ] = None,
     *,
