@@ -199,10 +199,11 @@ class Links:
             device.announced_again()
 
     def _log_line(self, link: Link, event: events.DeviceLogged) -> None:
-        drivables = self._devices[link.number].drivables
+        device = self._devices[link.number]
+        drivables = device.drivables
         facts = {"link": link.number, "level": event.level, "text": event.text}
         self._hub.events.note(EventKind.LOGGED, drivables[0].name if drivables else "", **facts)
-        self._hub.rosout.log(link, event)
+        self._hub.rosout.log(link.peer if device.robot is None else device.robot.name, event)
 
     def _answer_parameter(self, link: Link, event: events.ParameterRequested) -> None:
         device = self._devices[link.number]
