@@ -151,6 +151,10 @@ class BadRequest(HostlinkError):
         self.problem = problem
 
 
+class NoRole(BadRequest):
+    """The role of a client's token does not allow the request."""
+
+
 class ReloadRefused(HostlinkError):
     """The configuration cannot be reloaded, or not now."""
 

@@ -695,6 +695,7 @@ class DriveCommands:
     def receive(self, request: Request) -> None:
         """Execute a `drive`. The answer is also sent for each operation that it replaced."""
         try:
+            self._participant.check(Role.DRIVE, "drive")
             wanted = convert_fields(request.fields, DriveOperation, "drive")
             if not 0 <= wanted.priority <= MAX_PRIORITY:
                 raise BadRequest(f"drive: priority must be a number from 0 to {MAX_PRIORITY}")
@@ -839,7 +840,10 @@ def _velocity_topics(robot: LocalRobot, gated: set[str]) -> dict[str, str]:
 log = structlog.get_logger()
 
 MAX_UNKNOWN_OPS = 8  # logged for each client; the number of invalid operations is unbounded
-_ONLY_READS = frozenset({"subscribe", "unsubscribe", "call_service", "set_level", "auth", "fragment", "watch_graph"})
+# `drive` checks the role itself: it is always answered
+_FOR_READERS = frozenset(
+    {"subscribe", "unsubscribe", "call_service", "set_level", "auth", "fragment", "watch_graph", "drive"}
+)
 _LEVELS = ("info", "warning", "error", "none")  # of `set_level`: the client receives `status` of this level and above
 _WARNING, _ERROR = 1, 2
 
@@ -918,7 +922,7 @@ class RosbridgeClient:
             if act is None:
                 self._log_unknown(request.op)
                 raise BadRequest(f"unknown op {printable(request.op)!r}")
-            self.participant.check(Role.READ if request.op in _ONLY_READS else Role.DRIVE, request.op)
+            self.participant.check(Role.READ if request.op in _FOR_READERS else Role.DRIVE, request.op)
             act(request)
         except HostlinkError as error:
             self._put_error(error, request)

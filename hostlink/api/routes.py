@@ -20,6 +20,7 @@ from hostlink.errors import (
     DeviceGone,
     FrameTooLarge,
     HostlinkError,
+    NoRole,
     RecordingBusy,
     RecordingFailed,
     RefusalKind,
@@ -149,6 +150,7 @@ def _schema(type_: type) -> dict[str, str]:
 
 STATUS = {
     BadRequest: HTTPStatus.BAD_REQUEST,
+    NoRole: HTTPStatus.FORBIDDEN,
     WrongType: HTTPStatus.BAD_REQUEST,
     UnknownTopic: HTTPStatus.NOT_FOUND,
     FrameTooLarge: HTTPStatus.REQUEST_ENTITY_TOO_LARGE,
@@ -218,7 +220,7 @@ async def explain_errors(request: web.Request, handler: Handler) -> web.StreamRe
 
 
 FOXGLOVE = ("foxglove.sdk.v1", "foxglove.websocket.v1")  # subprotocols: two names of one protocol
-_READ_AS_TEXT = ("Host", "Origin", "Expect", "Sec-WebSocket-Key")
+_READ_AS_TEXT = ("Host", "Origin", "Expect", "Connection", "Sec-WebSocket-Key", "Sec-WebSocket-Version")
 
 Answer = Callable[[web.BaseRequest], Awaitable[web.StreamResponse]]
 

@@ -277,7 +277,7 @@ class ApiServer:
         )
         with bound_contextvars(client=client.name, peer=request.remote):
             try:
-                await socket.prepare(request)
+                await _open(socket, request)
                 reading, transport = reading_of(request), request.transport
                 if reading is None or transport is None:
                     raise ConnectionResetError("the connection was closed during the handshake")
@@ -325,6 +325,22 @@ class ApiServer:
         async with asyncio.TaskGroup() as tasks:  # all at once: many stuck clients take no longer than one
             for socket in self._sockets:
                 tasks.create_task(close_going_away(socket, SHUTDOWN_TIMEOUT_S))
+
+
+async def _open(socket: web.WebSocketResponse, request: web.Request) -> None:
+    """Answer the handshake.
+
+    Raises:
+        web.HTTPBadRequest: it is invalid.
+    """
+    try:
+        await socket.prepare(request)
+    except web.HTTPBadRequest as error:
+        reason = (
+            f"the WebSocket handshake is invalid: {printable(error.text or '', 120)}; use a client for WebSockets, and "
+            "let a proxy pass the headers Upgrade and Connection"
+        )
+        raise web.HTTPBadRequest(reason=reason) from None
 
 
 def _bound_buffers(transport: asyncio.Transport) -> None:

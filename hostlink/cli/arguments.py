@@ -90,6 +90,18 @@ def _complete(context: typer.Context, incomplete: str, read: Callable[[Host], Aw
 
 # -- arguments --------------------------------------------------------------------------------------------------------
 
+
+def not_empty(name: str | None) -> str | None:
+    """Return the name that a command was given; None without one. A variable of a shell may be unset.
+
+    Raises:
+        typer.BadParameter: it is empty.
+    """
+    if name == "":
+        raise typer.BadParameter("the name is empty; give one, or leave the argument out if it is optional")
+    return name
+
+
 Url = Annotated[
     str,
     typer.Option(help="Address of the daemon's API: for a daemon on another computer or port.", envvar="HOSTLINK_URL"),
@@ -105,12 +117,18 @@ Token = Annotated[
 Json = Annotated[bool, typer.Option("--json", help="Print JSON, for programs.")]
 JsonLines = Annotated[bool, typer.Option("--json", help="Print one JSON object a line, for programs.")]
 Seconds = Annotated[float, typer.Option(min=0.0, help="End after this time, for scripts; 0: run until Ctrl-C.")]
-TopicName = Annotated[str, typer.Argument(show_default=False, autocompletion=topic_names)]
-ServiceName = Annotated[str, typer.Argument(show_default=False, autocompletion=service_names)]
-RobotName = Annotated[str | None, typer.Argument(show_default=False, autocompletion=robot_names)]
-ParameterName = Annotated[str, typer.Argument(show_default=False, autocompletion=parameter_names)]
+TopicName = Annotated[str, typer.Argument(show_default=False, callback=not_empty, autocompletion=topic_names)]
+ServiceName = Annotated[str, typer.Argument(show_default=False, callback=not_empty, autocompletion=service_names)]
+RobotName = Annotated[str | None, typer.Argument(show_default=False, callback=not_empty, autocompletion=robot_names)]
+ParameterName = Annotated[str, typer.Argument(show_default=False, callback=not_empty, autocompletion=parameter_names)]
 TypeName = Annotated[
-    str, typer.Argument(help="A type, for example geometry_msgs/Twist.", show_default=False, autocompletion=type_names)
+    str,
+    typer.Argument(
+        help="A type, for example geometry_msgs/Twist.",
+        show_default=False,
+        callback=not_empty,
+        autocompletion=type_names,
+    ),
 ]
 
 

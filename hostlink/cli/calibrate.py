@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from hostlink.cli.arguments import Token, Url
+from hostlink.cli.arguments import Token, Url, not_empty
 from hostlink.cli.calibration_picture import picture as draw
 from hostlink.cli.calibration_plan import (
     SavedCalibration,
@@ -46,7 +46,7 @@ _BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")
 
 
 def command(
-    robot: Annotated[str, typer.Argument(help="Name of the robot.", show_default=False)],
+    robot: Annotated[str, typer.Argument(help="Name of the robot.", show_default=False, callback=not_empty)],
     *,
     url: Url = DEFAULT_URL,
     token: Token = None,

@@ -11,8 +11,9 @@ from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 from typing import Any, Protocol
 
 from hostlink.cli.calibration_plan import UNITS_M, Step, UnitMissing, parse_angle, parse_length
-from hostlink.cli.names import driver, unknown_robot
+from hostlink.cli.names import driver
 from hostlink.cli.output import show_progress, show_question, write, write_error
+from hostlink.cli.robots import chosen
 from hostlink.client import Host, RobotState, connect
 from hostlink.client.robot import Robot
 from hostlink.client.topics import Subscription
@@ -182,10 +183,7 @@ async def _stopping(robot: Robot) -> AsyncIterator[None]:
 
 
 async def _state(host: Host, name: str) -> RobotState:
-    names = [robot["name"] for robot in await host.robots()]
-    if name not in names:
-        raise unknown_robot(name, names)
-    state = await host.robot(name).state()
+    (state,) = await chosen(host, name)
     if not state["connected"]:
         raise HostlinkError(f"{name} is not connected; `hostlink doctor` finds out why")
     if state.get("locked"):

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, TypedDict
 import msgspec
 import typer
 
+from hostlink.cli.files import check_absent
 from hostlink.cli.output import megabytes, show_progress, write, write_error, write_table
 from hostlink.errors import ConfigError, HostlinkError, LibraryMissing
 from hostlink.recording.channel import NS_PER_S
@@ -66,8 +67,7 @@ def export(
 ) -> None:
     """Write a recording in a format that other programs read: spreadsheets, `ros2 bag play`, `rosbag play`."""
     target = output or file.with_name(f"{file.stem}{'.bag' if format_ is Format.ROS1 else f'_{format_.value}'}")
-    if target.exists():
-        raise ConfigError("--output", f"{target} exists already; choose another name, or remove it")
+    check_absent(target)
     show_progress(f"writing {target}")
     try:
         done = _export(file, target, format_, topics or [], skips_unknown=skip_unknown)
@@ -128,6 +128,7 @@ def plot(
         raise ConfigError("plot", "name fields, for example /robot_0/odometry.x, or use --map, not both")
     if target.suffix not in SUFFIXES:
         raise ConfigError("--output", f"{target} must end in one of {', '.join(SUFFIXES)}")
+    check_absent(target)
     if importlib.util.find_spec("matplotlib") is None:
         raise LibraryMissing("plot", "matplotlib", "plot")
     # matplotlib and the codec are imported after the checks that need neither

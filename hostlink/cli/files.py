@@ -5,11 +5,13 @@ import os
 import stat
 from collections.abc import Iterator
 from pathlib import Path
-from typing import BinaryIO
+from typing import TYPE_CHECKING, BinaryIO
 
 from hostlink.cli.output import megabytes, show_progress
-from hostlink.client import Host
 from hostlink.errors import ConfigError, HostlinkError
+
+if TYPE_CHECKING:
+    from hostlink.client import Host  # slow to import, and no part of a command that only writes files
 
 # -- fetching ---------------------------------------------------------------------------------------------------------
 
@@ -20,16 +22,15 @@ def check_output(output: Path) -> None:
     Raises:
         ConfigError: the file exists, or its folder cannot be written.
     """
+    check_absent(output)
     try:
-        if output.exists():
-            raise ConfigError("--output", f"{output} exists already; choose another name, or remove it")
         output.touch()
         output.unlink()
     except OSError as error:
         raise ConfigError("--output", f"{output} cannot be written: {error.strerror}; name another file") from error
 
 
-async def fetch(host: Host, path: str, target: Path) -> None:
+async def fetch(host: "Host", path: str, target: Path) -> None:
     """Download a file, with progress. What was received before an error stays.
 
     Raises:
@@ -61,6 +62,16 @@ def _removed_if_empty(target: Path) -> Iterator[BinaryIO]:
 
 
 # -- new file ---------------------------------------------------------------------------------------------------------
+
+
+def check_absent(output: Path) -> None:
+    """Refuse a file or folder that exists already, before the work begins: commands without --force replace none.
+
+    Raises:
+        ConfigError: it exists.
+    """
+    if os.path.lexists(output):
+        raise ConfigError("--output", f"{output} exists already; choose another name, or remove it")
 
 
 def check_new_file(option: str, file: Path, *, is_forced: bool, example: str) -> None:

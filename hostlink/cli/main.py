@@ -135,7 +135,7 @@ def translated(words: Sequence[str]) -> list[str]:
 def _own_command(words: Sequence[str]) -> list[str]:
     first, *rest = words or [""]
     if first == "help":
-        about = [word for word in rest if word != "--"]  # behind it --help would be an argument
+        about = [word for word in rest if not word.startswith("-")]  # --help behind them would be a value
         return [*_own_command(about), "--help"] if about else ["--help"]
     if first in HABITS:
         return [*HABITS[first].split(), *rest]

@@ -15,8 +15,10 @@ import typer
 
 from hostlink.cancellation import raise_if_cancelled
 from hostlink.cli.addresses import parse_address
-from hostlink.cli.arguments import Token, Url
+from hostlink.cli.arguments import Token, Url, not_empty
+from hostlink.cli.connecting import connected
 from hostlink.cli.output import show_progress, show_question, write_error
+from hostlink.cli.robots import require_robot
 from hostlink.client import DEFAULT_URL, Robot, connect
 from hostlink.errors import BadRequest, ConfigError, HostlinkError
 from hostlink.recording.channel import DEVICE, ROS1, VELOCITY, Channel
@@ -82,7 +84,11 @@ def command(
     ] = False,
     drive: Annotated[
         str | None,
-        typer.Option(metavar="ROBOT", help="Drive this robot as the recorded one was driven. The robot moves!"),
+        typer.Option(
+            metavar="ROBOT",
+            help="Drive this robot as the recorded one was driven. The robot moves!",
+            callback=not_empty,
+        ),
     ] = None,
     url: Url = DEFAULT_URL,
     token: Token = None,
@@ -230,6 +236,8 @@ async def drive_robot(
     url: str, token: str | None, file: Path, playback: Playback, robot: str, recorded: list[str]
 ) -> None:
     """Drive a robot through its gate as the recorded one was driven; the robot stops at the end."""
+    async with connected(url, token) as host:  # ends before the file is read, which blocks
+        await require_robot(host, robot)
     velocities = [channel for channel in _channels_of(file) if is_drive(channel)]
     names = sorted({channel.robot for channel in velocities if not recorded or channel.robot in recorded})
     if len(names) != 1:

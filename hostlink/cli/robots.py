@@ -11,7 +11,7 @@ from hostlink.cli.connecting import connected
 from hostlink.cli.figures import robot_table
 from hostlink.cli.names import natural, unknown_robot
 from hostlink.cli.output import write, write_error, write_table
-from hostlink.client import DEFAULT_URL, Host, RobotState, Standstill, StandstillState
+from hostlink.client import DEFAULT_URL, Host, Robot, RobotState, Standstill, StandstillState
 from hostlink.errors import ConfigError, HostlinkError
 from hostlink.robot.standstill import sentence
 
@@ -33,6 +33,16 @@ async def chosen(host: Host, name: str | None) -> list[RobotState]:
     if not found:
         raise unknown_robot(name, (robot["name"] for robot in robots))
     return found
+
+
+async def require_robot(host: Host, name: str) -> Robot:
+    """Return the robot of that name.
+
+    Raises:
+        HostlinkError: no robot has that name; the error lists the known ones.
+    """
+    (found,) = await chosen(host, name)
+    return host.robot(found["name"])
 
 
 # -- robots -----------------------------------------------------------------------------------------------------------

@@ -71,14 +71,16 @@ async def running(
     *,
     guard: Guard | None = None,
     on_graph_end: OnGraphEnd = lambda _: None,
+    on_listening: Callable[[], None] = lambda: None,
     read: Read | None = None,
     listening: Sequence[socket.socket] = (),
 ) -> AsyncIterator[tuple[Hub, Addresses]]:
     """Run the whole daemon for the length of a block.
 
     However the block is left, first every robot is stopped and every device is sent its stop; then the rest ends.
-    `on_graph_end` is called with the reason when this node of a ROS graph was shut down by ROS. `read` reads the
-    configuration again, as a new start would. `listening` are the sockets for devices, if they are open already.
+    `on_graph_end` is called with the reason when this node of a ROS graph was shut down by ROS. `on_listening` is
+    called when every port is open. `read` reads the configuration again, as a new start would. `listening` are the
+    sockets for devices, if they are open already.
     """
     folders = (
         config.message_folders
@@ -92,7 +94,7 @@ async def running(
             _hub_running(hub),
             _recordings(hub) as recordings,
             _graphs(hub, config, on_graph_end),
-            _listening(hub, config, recordings, reloader, listening) as addresses,
+            _listening(hub, config, recordings, reloader, listening, on_listening) as addresses,
         ):
             udp = {} if addresses.udp is None else {"udp": "{}:{}".format(*addresses.udp)}
             loop = getattr(asyncio.get_running_loop(), "name", "asyncio")
@@ -141,7 +143,12 @@ async def _recordings(hub: Hub) -> AsyncIterator[Recordings]:
 
 @contextlib.asynccontextmanager
 async def _listening(
-    hub: Hub, config: Config, recordings: Recordings, reloader: Reloader, listening: Sequence[socket.socket]
+    hub: Hub,
+    config: Config,
+    recordings: Recordings,
+    reloader: Reloader,
+    listening: Sequence[socket.socket],
+    on_listening: Callable[[], None],
 ) -> AsyncIterator[Addresses]:
     """Open the listeners for devices and programs, and the serial ports."""
     async with (
@@ -156,6 +163,7 @@ async def _listening(
             _datagrams(hub, config.udp) as udp,
             _serial_ports(hub, config),
         ):
+            on_listening()
             await last.enter_async_context(advertised(config.tcp, listener.address))
             last.enter_context(reload_signal(reloader))
             hub.listening = Listening(listener.address, udp)
@@ -276,10 +284,14 @@ async def serve(
             if ends_with_graph:
                 ending.request(reason)
 
-        async with running(config, guard=guardian, on_graph_end=graph_ended, read=read, listening=listening) as (
-            hub,
-            _,
-        ):
+        async with running(
+            config,
+            guard=guardian,
+            on_graph_end=graph_ended,
+            on_listening=lambda: None if guardian is None else guardian.start(),  # not if a port is in use
+            read=read,
+            listening=listening,
+        ) as (hub, _):
             hub.spawn(notifier.beat(lambda: _status(hub)), name="heartbeat")
             shorten_pauses()
             hub.spawn(collect_while_idle(hub.robots), name="garbage collector")

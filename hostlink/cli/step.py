@@ -14,10 +14,11 @@ from typing import Annotated, Any
 
 import typer
 
-from hostlink.cli.arguments import Token, Url
+from hostlink.cli.arguments import Token, Url, not_empty
 from hostlink.cli.connecting import connected
-from hostlink.cli.names import driver, unknown_robot
+from hostlink.cli.names import driver
 from hostlink.cli.output import show_progress, table, write, write_error
+from hostlink.cli.robots import require_robot
 from hostlink.client import DEFAULT_URL, PRIORITY, Host, Mailbox, Robot, RobotState
 from hostlink.errors import (
     CommandRefused,
@@ -364,18 +365,6 @@ async def separation_of(host: Host, robot: str) -> float:
     return (await host.robot(robot).state()).get("wheel_separation_m") or SEPARATION_M
 
 
-async def require_robot(host: Host, name: str) -> Robot:
-    """Return a robot that the daemon knows.
-
-    Raises:
-        HostlinkError: the robot is unknown; the error lists the known ones.
-    """
-    known = [state["name"] for state in await host.robots()]
-    if name.strip("/") not in known:
-        raise unknown_robot(name, known)
-    return host.robot(name)
-
-
 def _now_s() -> float:
     return asyncio.get_running_loop().time()
 
@@ -629,7 +618,7 @@ class _Request:
 
 
 def command(
-    robot: Annotated[str, typer.Argument(help="Name of the robot.", show_default=False)],
+    robot: Annotated[str, typer.Argument(help="Name of the robot.", show_default=False, callback=not_empty)],
     *,
     speed: Annotated[
         float, typer.Option(help="Speed of the wheels, m/s, for the range in which you drive; below zero: backwards.")

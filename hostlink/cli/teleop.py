@@ -14,11 +14,12 @@ from typing import Annotated
 
 import typer
 
-from hostlink.cli.arguments import Token, Url, robot_names
+from hostlink.cli.arguments import Token, Url, not_empty, robot_names
 from hostlink.cli.connecting import connected
 from hostlink.cli.driving import LAYOUTS, Driving, Key, KeyReader
-from hostlink.cli.names import only_connected, unknown_robot
+from hostlink.cli.names import only_connected
 from hostlink.cli.output import draw, terminal_size, write_control
+from hostlink.cli.robots import chosen
 from hostlink.cli.teleop_screen import UNLOCK_KEY, OwnState, lost_screen, screen
 from hostlink.client import DEFAULT_URL, Event, Host, Refusal, Robot, RobotState, connect
 from hostlink.client.views import Twist
@@ -194,7 +195,10 @@ def command(
     robot: Annotated[
         str | None,
         typer.Argument(
-            help="Name of the robot; optional if only one is connected.", show_default=False, autocompletion=robot_names
+            help="Name of the robot; optional if only one is connected.",
+            show_default=False,
+            callback=not_empty,
+            autocompletion=robot_names,
         ),
     ] = None,
     *,
@@ -233,13 +237,10 @@ async def _teleop(url: str, token: str | None, name: str | None, driving: Drivin
 
 
 async def _choose(host: Host, name: str | None) -> str:
-    robots = await host.robots()
     if name is None:
-        return only_connected({robot["name"]: robot["connected"] for robot in robots}, command="teleop")
-    names = [robot["name"] for robot in robots]
-    if name.strip("/") not in names:
-        raise unknown_robot(name, names)
-    return name.strip("/")
+        return only_connected({robot["name"]: robot["connected"] for robot in await host.robots()}, command="teleop")
+    (found,) = await chosen(host, name)
+    return found["name"]
 
 
 async def _drive(host: Host, name: str, keyboard: "_Keyboard", layout: str) -> None:

@@ -32,6 +32,7 @@ from hostlink.cli.arguments import (
     field_value,
     graph_names,
     json_object,
+    not_empty,
 )
 from hostlink.cli.connecting import PATIENCE_S, connected, run_until_interrupted, waiting, write_hint
 from hostlink.cli.names import natural, unknown
@@ -191,6 +192,7 @@ def info(
             metavar="NAME|FILE",
             help="A topic, a node or a service; or a recording of `hostlink record`.",
             show_default=False,
+            callback=not_empty,
             autocompletion=graph_names,
         ),
     ],
@@ -223,7 +225,7 @@ def is_recording(name: str) -> bool:
 
 NameOrType = Annotated[
     str,
-    typer.Argument(help="A topic or a service; or a type.", autocompletion=graph_names),
+    typer.Argument(help="A topic or a service; or a type.", callback=not_empty, autocompletion=graph_names),
 ]
 
 

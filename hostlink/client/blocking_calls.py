@@ -108,8 +108,8 @@ class BlockingRobot:
             HostlinkError: and the robot is not driven: no robot of that name, its device is not connected, a source
                 with a higher priority drives it or it is locked, the numbers are not finite, it cannot move sideways,
                 there is no connection to hostlink. Also once after the velocity that was held before was dropped: by a
-                cut of the connection, by such a refusal, by a stop, because the robot's device connected again or this
-                program did not run for half a second. The `drive()` after that one drives again.
+                cut of the connection, by such a refusal, by a stop, because the robot's device connected again, or this
+                program did not run, or could not send, for half a second. The `drive()` after that one drives again.
             CommandRefused: one of these, with `kind` for programs.
         """
         return self._loop.run(self._robot.drive(linear_m_s, angular_rad_s, linear_y_m_s, for_s=for_s, keep=keep))

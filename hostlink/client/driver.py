@@ -79,8 +79,8 @@ class VelocitySender:
     """Velocities that this client commands.
 
     A repeated command ends by the next `drive` or `stop`; it is broken off by a refusal, by the loss of the connection,
-    by a new connection of the robot's device, and when this program did not run for longer than a command holds. Then
-    the robot stops, and the next `drive` raises why, once, instead of driving.
+    by a new connection of the robot's device, and when this program did not run, or could not send, for longer than a
+    command holds. Then the robot stops, and the next `drive` raises why, once, instead of driving.
     """
 
     def __init__(self, connection: HostConnection, clock: Callable[[], float] = boot_s) -> None:
@@ -98,7 +98,6 @@ class VelocitySender:
         self._sent_s: dict[str, float] = {}  # by robot: the newest command that was sent
         self._ran_s = -math.inf  # the newest time at which this program is known to have run
         connection.handlers["drive_result"].append(self._receive_answer)
-        connection.handlers["status"].append(self._receive_status)
 
     @property
     def robots(self) -> tuple[str, ...]:
@@ -290,25 +289,23 @@ class VelocitySender:
             await asyncio.sleep(REPEAT_INTERVAL_S)
             self.notice_sleep()
             for robot, repeated in list(self._repeated.items()):
-                if repeated.epoch is not None:
+                if repeated.epoch is not None and self._repeated.get(robot) is repeated:
                     await self._repeat(robot, repeated)
+                    self.notice_sleep()  # it may have blocked
 
     def notice_sleep(self) -> None:
-        """Break off what was commanded before this program did not run for longer than a lease."""
+        """Break off what was commanded before this program did not run, or could not send, for longer than a lease."""
         now_s = self._now_s()
         for robot, repeated in list(self._repeated.items()):
-            slept_s = now_s - max(self._ran_s, repeated.sent_s)
-            if slept_s > LEASE_S:
-                self._break(robot, Broken(MotionKind.ASLEEP, f"this program did not run for {slept_s:.1f} s"))
+            is_answered = repeated.epoch is not None  # or the program may be waiting for a slow answer
+            quiet_s = now_s - (repeated.sent_s if is_answered else max(self._ran_s, repeated.sent_s))
+            if quiet_s > LEASE_S:
+                reason = f"this program did not run, or could not send, for {quiet_s:.1f} s"
+                self._break(robot, Broken(MotionKind.ASLEEP, reason))
         self._ran_s = now_s
 
     async def _repeat(self, robot: str, repeated: _Repeated) -> None:
-        now_s = self._now_s()
-        if now_s > repeated.sent_s + LEASE_S:
-            reason = f"this program did not run for {now_s - repeated.sent_s:.1f} s"
-            self._break(robot, Broken(MotionKind.ASLEEP, reason))
-            return
-        repeated.sent_s = self._sent_s[robot] = now_s
+        now_s = repeated.sent_s = self._sent_s[robot] = self._now_s()
         request = {"id": f"repeat:{repeated.number}", "sent_s": now_s, "epoch": repeated.epoch}
         with contextlib.suppress(HostlinkError):  # the connection reports its loss to everybody
             await self._connection.send({**repeated.request, **request})
@@ -329,12 +326,6 @@ class VelocitySender:
                 if key == f"repeat:{repeated.number}":
                     self._note_told(robot, answer)
                     self._break(robot, broken)
-
-    def _receive_status(self, status: dict[str, Any]) -> None:
-        """A token that may only read gets no other answer."""
-        key = str(status.get("id"))
-        if key.startswith(_COMMAND):
-            self.refusals[key.partition(":")[2].partition(":")[2]] = Refusal("NoRole", str(status["msg"]))
 
     def _remember_name(self, answer: Message) -> None:
         self.client_name = answer.get("client", self.client_name)  # a refusal has none, an older daemon neither

@@ -88,7 +88,7 @@ class MotionKind(StrEnum):
 
     PROGRAM = "program"  # this program stopped the robot, or drove it otherwise
     CONNECTION = "connection"  # lost
-    ASLEEP = "asleep"  # this program did not run for longer than a command holds
+    ASLEEP = "asleep"  # this program did not run, or could not send, for longer than a command holds
     NO_ODOMETRY = "no_odometry"
     ODOMETRY_RESET = "odometry_reset"  # the robot's board restarted, or a program made its place the origin
     OFF_COURSE = "off_course"  # the odometry jumped, or the robot left the line

@@ -39,13 +39,12 @@ CODE = (  # -I and -S allow no other import path; appended after the standard li
 
 @contextlib.contextmanager
 def guarded(*, is_wanted: bool) -> Iterator["Guardian | None"]:
-    """Run a guardian during a block in the event loop. It stops the robots if an exception leaves the block."""
+    """Yield a guardian, which the block starts. It stops the robots if an exception leaves the block."""
     if not is_wanted:
         yield None
         return
     forbid_core_dumps()
     guardian = Guardian()
-    guardian.start()
     try:
         yield guardian
     except BaseException:

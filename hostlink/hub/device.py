@@ -25,7 +25,7 @@ from hostlink.protocol.control import Parameter, TopicInfo
 from hostlink.protocol.events import MessageReceived
 from hostlink.protocol.frame import Id
 from hostlink.robot.admission import Admission
-from hostlink.robot.names import Presence, RobotTopicNames, is_played
+from hostlink.robot.names import Presence, RobotTopicNames
 from hostlink.robot.state import BATTERY_TYPE
 from hostlink.robot.velocity import TWIST_TYPE, ZERO, Kinematics, Twist
 from hostlink.robot.velocity_gate import Unlimited, VelocityGate
@@ -105,7 +105,7 @@ class Device:
 
     __slots__ = (
         "_awaited", "_hub", "_observers", "_odometry", "diagnosis", "drivables", "early", "guarded_ids",
-        "infos", "is_played", "is_undecided", "link", "names", "parameters", "presence", "robot", "routes",
+        "infos", "is_undecided", "link", "names", "parameters", "presence", "robot", "routes",
         "services", "shown",
     )  # fmt: skip
 
@@ -123,7 +123,6 @@ class Device:
         self.early = EarlyMessages()
         self.is_undecided = False  # its identity is not known yet
         self.infos: tuple[TopicInfo, ...] = ()  # endpoints of the last announcement
-        self.is_played = False  # it plays a recording
         self.parameters: dict[str, Parameter] = {}  # answers to its requests, by name in the graph
         self._observers: dict[int, Callable[[bytes], None]] = {}  # readers of the hub itself, by id
         self._awaited: set[str] = set()  # services that may still answer a call from before the last `leave`
@@ -134,11 +133,8 @@ class Device:
         """Replace the device's endpoints in the graph."""
         self.leave()
         self.shown = shown
-        self.is_played = is_played([(info.name, info.type, info.is_to_device) for info in infos])
-        self.diagnosis.is_played = self.is_played
         if robot is not None:
-            robot.is_played = self.is_played
-            robot.has_had_device |= not self.is_played
+            robot.has_had_device |= not self.diagnosis.is_played
             robot.velocities = {shown.of(info.name): info.name for info in infos if is_velocity(info)}
             robot.velocities[robot.shown.velocity] = robot.topics.velocity
         self.names = frozenset(shown.of(info.name) for info in infos if info.kind in (Id.PUBLISHER, Id.SUBSCRIBER))
@@ -177,7 +173,7 @@ class Device:
         if observe is not None:
             observe(message.payload)
         topic = self.routes.get(topic_id)
-        if topic is not None and not (self.is_played and topic.is_gated):
+        if topic is not None and not (topic.is_gated and self.diagnosis.is_played):
             try:
                 topic.publish(message.payload, source=self.link, at_s=now_s if at_s is None else at_s)
             except HostlinkError as error:

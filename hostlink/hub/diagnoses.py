@@ -26,6 +26,7 @@ from hostlink.logs import printable
 from hostlink.protocol import events
 from hostlink.protocol.control import TopicInfo, encode_topic_info
 from hostlink.protocol.frame import encode
+from hostlink.robot.names import is_played
 
 log = structlog.get_logger()
 
@@ -52,7 +53,7 @@ class Diagnosis:
     last_evidence: Evidence | None = None  # of an ended link, until it is evaluated
     robot: str = ""  # name of the robot here; kept after the end
     own_name: str = ""  # announced name, if the robot's name got a number
-    is_played: bool = False  # a recording, which is not diagnosed: its bytes say nothing about a device
+    is_played: bool = False  # a recording by its topics, not diagnosed: its bytes say nothing about a device
     _announced: list[tuple[int, Announced]] = field(default_factory=list)
 
     @property
@@ -74,6 +75,7 @@ class Diagnosis:
     def note_topics(self) -> None:
         """Note an announcement of topics, including refused ones."""
         session = self.link.session
+        self.is_played = is_played([(info.name, info.type, info.is_to_device) for info in session.topics])
         topics = (*session.topics, *(info for info, _ in session.refusals))
         if not self._announced or self._announced[-1][1] != topics:
             self._announced.append((session.counts.bytes_from_device, topics))

@@ -34,6 +34,7 @@ from hostlink.hub.stall_watch import BEAT_S, StallWatch
 from hostlink.hub.topic import Topic
 from hostlink.link.link import Link
 from hostlink.link.serving import LinkEnd
+from hostlink.log_budget import Budget
 from hostlink.protocol.control import TopicInfo
 from hostlink.protocol.frame import Id
 from hostlink.robot.admission import LEASE_S, Admission, Command, named
@@ -77,26 +78,20 @@ class Guard(Protocol):
         ...
 
 
-LOG_INTERVAL_S = 10.0  # between log lines about repeated refusals: a driver repeats a command ten times a second
-
-
 @dataclass(slots=True)
 class Refusals:
     """Velocities that did not fit a robot's device."""
 
     count: int = 0
     cause: str | None = None  # for the last velocity; None if it was sent
-    log_at_s: float = float("-inf")
-    logged: int = 0
+    lines: Budget = field(default_factory=Budget)
 
     def add(self, robot: str, error: HostlinkError) -> None:
-        """Count a refusal. Log the first, then one line in LOG_INTERVAL_S with their number."""
+        """Count a refusal. A driver repeats a command ten times a second."""
         self.count += 1
         self.cause = str(error)
-        now_s = asyncio.get_running_loop().time()
-        if now_s >= self.log_at_s:
-            log.warning("robot.unreachable", robot=robot, cause=self.cause, count=self.count - self.logged)
-            self.log_at_s, self.logged = now_s + LOG_INTERVAL_S, self.count
+        if counts := self.lines.due("refused", asyncio.get_running_loop().time()):
+            log.warning("robot.unreachable", robot=robot, cause=self.cause, **counts)
 
 
 TICK_S = 0.05  # between two steps of a ramp; the end of a lease is a step, too

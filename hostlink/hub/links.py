@@ -199,10 +199,11 @@ class Links:
             device.announced_again()
 
     def _log_line(self, link: Link, event: events.DeviceLogged) -> None:
-        drivables = self._devices[link.number].drivables
+        device = self._devices[link.number]
+        drivables = device.drivables
         facts = {"link": link.number, "level": event.level, "text": event.text}
         self._hub.events.note(EventKind.LOGGED, drivables[0].name if drivables else "", **facts)
-        self._hub.rosout.log(link, event)
+        self._hub.rosout.log(link.peer if device.robot is None else device.robot.name, event)
 
     def _answer_parameter(self, link: Link, event: events.ParameterRequested) -> None:
         device = self._devices[link.number]
@@ -262,7 +263,7 @@ class Links:
     def _played_robot(self, link: Link) -> LocalRobot | None:
         """Return the robot of a link on which a recording is played; None for a device, or after a replacement."""
         device = self._devices.get(link.number)
-        return device.robot if device is not None and device.is_played else None
+        return device.robot if device is not None and device.diagnosis.is_played else None
 
     def _identify(self, device: Device) -> None:
         """Identify a device: accept it, refuse it, or wait for the Directory to decide."""

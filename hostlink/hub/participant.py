@@ -9,7 +9,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from hostlink.cancellation import expire, within
-from hostlink.errors import BadRequest, DeviceGone, ServiceFailed, UnknownTopic, WrongType
+from hostlink.errors import BadRequest, DeviceGone, NoRole, ServiceFailed, UnknownTopic, WrongType
 from hostlink.hub.byte_budget import OWN_LATCHED_BYTES, SHARES
 from hostlink.hub.gates import ENDING
 from hostlink.hub.graph_view import Graph
@@ -275,7 +275,7 @@ class Participant(Node):
         """
         self.check(Role.READ, "call_service")
         if self.role < Role.DRIVE and not self._hub.services.is_reading(service):
-            raise BadRequest("the token may only read: it may call no service but those of rosapi")
+            raise NoRole("the token may only read: it may call no service but those of rosapi")
         if len(self._calls) >= MAX_CALLS:
             raise BadRequest(f"more than {MAX_CALLS} calls under way")
         try:
@@ -300,7 +300,7 @@ class Participant(Node):
         `received_s`, `sent_s` and `epoch` are those of a `Command`; `received_s` is now if it is None.
 
         Raises:
-            BadRequest: this participant may not drive.
+            NoRole: this participant may not drive.
             CommandRefused: the robot's admission has refused the command.
             FrameTooLarge, WrongType, UnknownTopic: the command does not fit the device, which is stopped.
             DeviceGone: the daemon of the robot does not answer.
@@ -383,12 +383,13 @@ class Participant(Node):
         """Check that the participant has this role.
 
         Raises:
-            BadRequest: the participant has left, or its role is lower.
+            BadRequest: the participant has left.
+            NoRole: its role is lower.
         """
         if self.has_left:
             raise BadRequest(f"{what}: {self.name} has left")
         if self.role < role:
-            raise BadRequest(f"{what}: the token may only read")
+            raise NoRole(f"{what}: the token may only read; use one with the role drive")
 
     def fail(self, error: Exception) -> None:
         """Count a failure of a callback, and end the participant."""

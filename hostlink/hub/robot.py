@@ -184,7 +184,6 @@ class LocalRobot(Drivable, AnyRobot):
     shown: RobotTopicNames  # names in the graph
     on_lock: "Callable[[LocalRobot], None]"  # called after a lock or unlock: a locked robot is never forgotten
     locked_link: Link | None = None  # link at the time of the lock
-    is_played: bool = False
     has_had_device: bool = False  # one that is not a recording
     host: None = None
     also_at: tuple[str, ...] = ()
@@ -193,6 +192,11 @@ class LocalRobot(Drivable, AnyRobot):
     heard: frozenset[str] = frozenset()  # topics of its gate, also while its device is not connected
     battery: BatteryReading | None = None  # newest reading on this link
     followers: dict[Hashable, Follow] = field(default_factory=dict)
+
+    @property
+    def is_played(self) -> bool:
+        """Whether its device is a recording."""
+        return self.connection is not None and self.connection.diagnosis.is_played
 
     def state(self, now_s: float) -> RobotState:
         """Return the robot's state for all APIs."""

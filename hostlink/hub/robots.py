@@ -259,7 +259,7 @@ class Robots:
     def vanish(self, device: Device) -> LocalRobot | None:
         """Disconnect the robot of a device, after a last zero. Return the robot; None if the device had none."""
         robot, device.robot = device.robot, None
-        was_moving = robot is not None and robot.gate.is_driven
+        was_moving = robot is not None and robot.gate.is_driven and not robot.is_played
         self._gates.detach(device)
         if robot is None:
             return None
@@ -312,7 +312,6 @@ class Robots:
 
     def forget_played(self, robot: LocalRobot) -> None:
         """Forget a robot whose recording has ended, unless a device has had its name, or it is locked."""
-        robot.is_played = False
         if not robot.has_had_device and robot.gate.lock_reason is None:
             self.forget(robot.name)
 

@@ -7,7 +7,6 @@ import structlog
 
 from hostlink.errors import HostlinkError
 from hostlink.hub.participant import Participant
-from hostlink.link.link import Link
 from hostlink.logs import printable
 from hostlink.protocol.control import LOG_LEVELS
 from hostlink.protocol.events import DeviceLogged
@@ -27,11 +26,11 @@ class Rosout:
         self._participant = participant
         self._topic = participant.advertise(TOPIC, TYPE)
 
-    def log(self, link: Link, event: DeviceLogged) -> None:
-        """Log a line of a device."""
+    def log(self, name: str, event: DeviceLogged) -> None:
+        """Log a line of a device. `name` is that of its robot, or the device's address."""
         level, text = event.level, printable(event.text)
         getattr(log, _METHODS[level])("device.logged", level_name=LOG_LEVELS[level], text=text)
-        self._publish(level, link.peer, event.text)
+        self._publish(level, name, event.text)
 
     def warn(self, name: str, text: str) -> None:
         """Publish a warning as node `name`. The caller writes the daemon's own log."""

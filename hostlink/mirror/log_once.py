@@ -1,4 +1,4 @@
-"""LogOnce and RefusalLog: bounds of the log lines that peers cause again and again."""
+"""LogOnce: bound of the log lines that peers cause again and again."""
 
 from collections import Counter
 from collections.abc import Collection
@@ -9,7 +9,6 @@ from hostlink.logs import printable
 
 MAX_LINES = 512
 MAX_CHARS = 200  # of one fact
-INTERVAL_S = 10.0  # between two lines of a RefusalLog
 
 log = structlog.get_logger()
 
@@ -41,19 +40,3 @@ class LogOnce:
             return False
         self._logged.add(key)
         return True
-
-
-class RefusalLog:
-    """Refusals of one source. The first of each kind is logged at once, later ones as one line in INTERVAL_S."""
-
-    def __init__(self) -> None:
-        self._counts: dict[str, int] = {}  # by kind, since its last line
-        self._due_s: dict[str, float] = {}
-
-    def count(self, kind: str, now_s: float) -> int:
-        """Count a refusal. Return the number that the line due now reports, 0 if no line is due."""
-        count = self._counts[kind] = self._counts.get(kind, 0) + 1
-        if now_s < self._due_s.get(kind, float("-inf")):
-            return 0
-        self._counts[kind], self._due_s[kind] = 0, now_s + INTERVAL_S
-        return count

@@ -75,9 +75,13 @@ async def test_roles_on_the_websocket() -> None:
         async with host.session.ws_connect(f"{host.url}/?token={READ}") as socket:
             watcher = Client(socket)
             await watcher.send(op="set_level", level="error")
-            for op in ("publish", "drive", "advertise", "advertise_service", "unadvertise", "service_response"):
+            for op in ("publish", "advertise", "advertise_service", "unadvertise", "service_response"):
                 await watcher.send(op=op, topic="/robot_0/velocity_commands", type="geometry_msgs/Twist", msg={})
-                assert (await watcher.receive())["msg"] == f"{op}: the token may only read"
+                wanted = f"{op}: the token may only read; use one with the role drive"
+                assert (await watcher.receive())["msg"] == wanted
+            await watcher.send(op="drive", id=7, robot="robot_0", linear=0.1, angular=0.0)
+            answer = await watcher.receive()
+            assert [answer[key] for key in ("op", "id", "result", "kind")] == ["drive_result", 7, False, "NoRole"]
             await watcher.send(op="call_service", service="/rosapi/set_param", args={"name": "a", "value": "1"})
             assert (await watcher.receive())["result"] is False
             assert "/robot_0/odometry" in (await watcher.call("/rosapi/topics"))["topics"]

@@ -48,7 +48,9 @@ async def open_connections(host: Daemon) -> float:
         return float((await response.text()).partition("\nhostlink_api_connections ")[2].split()[0])
 
 
-@pytest.mark.parametrize("name", ["Host", "Origin", "Expect", "Sec-WebSocket-Key"])
+@pytest.mark.parametrize(
+    "name", ["Host", "Origin", "Expect", "Connection", "Sec-WebSocket-Key", "Sec-WebSocket-Version"]
+)
 async def test_header_that_is_not_utf_8_is_refused(name: str) -> None:
     host_line = b"" if name == "Host" else b"Host: 127.0.0.1\r\n"
     async with daemon() as host:

@@ -124,7 +124,8 @@ async def test_tokens_and_their_roles_hold_in_the_url_and_in_the_header() -> Non
             assert "clientPublish" in (await one.until("serverInfo"))["capabilities"]
             assert "clientPublish" not in (await two.until("serverInfo"))["capabilities"]
             await two.begin_to_drive("/robot_0/cmd_vel")
-            assert (await two.until("status"))["message"] == "advertise: the token may only read"
+            refused = "advertise: the token may only read; use one with the role drive"
+            assert (await two.until("status"))["message"] == refused
         with pytest.raises(aiohttp.WSServerHandshakeError) as refusal:
             await host.session.ws_connect(
                 f"{host.url}/?token={DRIVE}", protocols=(FOXGLOVE,), headers={"Origin": "https://app.foxglove.dev"}

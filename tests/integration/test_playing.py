@@ -121,6 +121,13 @@ async def test_a_text_that_is_said_to_be_a_velocity_drives_nothing(tmp_path: Pat
         assert "no velocities of any robot" in await refusal(host, recording(tmp_path, [(0.0, text, bytes(48))]))
 
 
+async def test_unknown_robot_is_reported_before_the_recording_is_read(tmp_path: Path) -> None:
+    async with robot("robot_7") as (host, _):
+        assert await refusal(host, tmp_path / "none.mcap") == (
+            "there is no robot named robot_0; similar names: robot_7; `hostlink robots` lists them"
+        )
+
+
 async def test_a_robot_that_nothing_drove_is_named_as_the_cause(tmp_path: Path) -> None:
     announced = recording(tmp_path, [(0.0, ODOMETRY, POSE)], [COMMANDS])
     async with robot() as (host, _):

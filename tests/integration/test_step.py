@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from hostlink.cli.demo import DemoDriver
+from hostlink.cli.robots import require_robot
 from hostlink.cli.step import (
     PAPER_GAINS,
     Stage,
@@ -19,7 +20,6 @@ from hostlink.cli.step import (
     connected_state,
     find_source,
     make_stage,
-    require_robot,
     separation_of,
     tune,
     wheel_parameter,

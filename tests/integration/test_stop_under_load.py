@@ -24,13 +24,13 @@ from hostlink.protocol.control import encode_topic_info
 from hostlink.protocol.frame import Frame, Id, encode
 from hostlink.protocol.stream import FrameStream
 from hostlink.robot.admission import LEASE_S
-from hostlink.robot.velocity import TWIST_TYPE, ZERO, PlanarVelocity
+from hostlink.robot.velocity import ZERO, PlanarVelocity
 from tests.support.fake_device import robot_topics
 from tests.support.gates import drive_gate
 from tests.support.memory_hub import MemoryHub, in_hub
 from tests.support.memory_transport import MemoryTransport, memory_pair
 from tests.support.participants import publish
-from tests.support.remote_robots import remote_robot
+from tests.support.remote_robots import connected_robot
 from tests.support.ros_lib_device import running_hub
 from tests.support.virtual_device import LOOP_S, FirmwareProgram, NumberedRobot
 from tests.support.virtual_loop import VirtualLoop, run_virtual
@@ -231,10 +231,7 @@ async def with_other_daemon() -> AsyncIterator[tuple[Hub, OtherDaemon]]:
             await asyncio.sleep(60.0)
             hosts: Any = other
             hub.gates.reach(hosts)
-            robot = remote_robot(hub, "far", hosts)
-            hub.robots.put_remote(robot)
-            robot.connect(1, None, hub.robots.new_number)
-            robot.offer([("/far/cmd_vel", TWIST_TYPE)])
+            connected_robot(hub, "far", hosts)
             await asyncio.sleep(60.0)
             yield hub, other
             running.cancel()

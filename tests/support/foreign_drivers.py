@@ -44,7 +44,8 @@ from hostlink.hub.hub import Hub
 from hostlink.hub.node import Role
 from hostlink.hub.participant import Participant
 from hostlink.hub.robot import AnyRobot
-from hostlink.mirror.log_once import LogOnce, RefusalLog
+from hostlink.log_budget import Budget
+from hostlink.mirror.log_once import LogOnce
 from hostlink.robot.velocity import TWIST_TYPE, PlanarVelocity
 from tests.support.fake_device import CATALOG
 from tests.support.memory_zenoh import MemoryNetwork, MemorySession
@@ -83,7 +84,7 @@ class Ros1Driver:
         self._node = LocalNode(scene.hub, Ros1Config(master="http://master:1/"), "/hostlink", scene.tasks)
         name = scene.hub.robots.find_here(ROBOT).shown.velocity
         topic = next(each for each in scene.neighbour.graph().topics if each.name == name)
-        self._connection = _PublisherConnection(self._node, topic, RefusalLog(), is_new=True)
+        self._connection = _PublisherConnection(self._node, topic, Budget(), is_new=True)
         with socket.socket() as connection:
             self._connection.wire.connection_made(_Wireless(connection))
         fields = {"callerid": "/joystick", "type": TWIST_TYPE, "md5sum": twist.md5, "topic": name}

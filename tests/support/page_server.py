@@ -33,6 +33,8 @@ class State:
     silent: frozenset[str] = frozenset()  # robots that send nothing
     drives: list[dict[str, Any]] = field(default_factory=list)
     past: list[dict[str, Any]] = field(default_factory=list)  # where each robot drove before the page was opened
+    past_events: list[dict[str, Any]] = field(default_factory=list)  # of each robot, before the page was opened
+    log: list[dict[str, Any]] = field(default_factory=list)  # lines that each page receives
     role: str = "drive"
     refusal: str = ""  # of every request that changes something
     drive_answer: dict[str, Any] = field(default_factory=dict)  # what else the answer to a command has
@@ -115,8 +117,10 @@ class PageServer:
                 if version != self._version:
                     version = self._version
                     for name in ("links", "clients"):
-                        await _send(response, name, getattr(self._state, name))
-                await _send(response, "robots", self._fresh_robots())
+                        await _send(response, name, {name: getattr(self._state, name)})
+                    for line in self._state.log:
+                        await _send(response, "log", line)
+                await _send(response, "robots", {"robots": self._fresh_robots()})
                 sent_s = asyncio.get_running_loop().time() - self._state.late_s
                 await response.write(b": sent %.3f\n\n" % sent_s)
                 with contextlib.suppress(TimeoutError):
@@ -171,11 +175,13 @@ class PageServer:
         return web.json_response(robots[0] if "name" in request.match_info else {"robots": robots})
 
     async def _history(self, _: web.Request) -> web.Response:
-        return web.json_response({"poses": self._state.past, "plot_data": [], "events": []})
+        return web.json_response(self._past())
 
     async def _histories(self, _: web.Request) -> web.Response:
-        past = {"poses": self._state.past, "plot_data": [], "events": []}
-        return web.json_response({"robots": [{"name": view["name"], **past} for view in self._state.robots]})
+        return web.json_response({"robots": [{"name": view["name"], **self._past()} for view in self._state.robots]})
+
+    def _past(self) -> dict[str, Any]:
+        return {"poses": self._state.past, "plot_data": [], "events": self._state.past_events}
 
     async def _drives(self, request: web.Request) -> web.Response:
         shown = self._state.drives[: int(request.query["limit"])]
@@ -224,7 +230,7 @@ async def _topics(_: web.Request) -> web.Response:
 
 
 async def _send(response: web.StreamResponse, name: str, value: object) -> None:
-    await response.write(b"event: %b\ndata: %b\n\n" % (name.encode(), msgspec.json.encode({name: value})))
+    await response.write(b"event: %b\ndata: %b\n\n" % (name.encode(), msgspec.json.encode(value)))
 
 
 @contextlib.asynccontextmanager

@@ -17,7 +17,7 @@ from hostlink.api.foxglove import FoxgloveClient, FoxgloveDirectory
 from hostlink.api.rest import Owners
 from hostlink.api.rosbridge import RosbridgeClient
 from hostlink.config import Config
-from hostlink.errors import BadRequest, CommandRefused, HostlinkError, RefusalKind, Refused
+from hostlink.errors import BadRequest, CommandRefused, HostlinkError, NoRole, RefusalKind, Refused
 from hostlink.hub.hub import Hub
 from hostlink.hub.message import PROGRAM_PRIORITY, Message
 from hostlink.hub.node import Role
@@ -343,7 +343,8 @@ def _error(kind: str, reason: str) -> HostlinkError:
     """Return the error as it was raised at the other end."""
     if kind in set(RefusalKind):
         return CommandRefused("robot", RefusalKind(kind), reason)
-    return BadRequest(reason) if kind == BadRequest.kind else Refused(kind, reason)
+    of_kind = {each.kind: each for each in (BadRequest, NoRole)}.get(kind)
+    return Refused(kind, reason) if of_kind is None else of_kind(reason)
 
 
 Make = Callable[["Scene", Role], Any]

@@ -5,6 +5,7 @@ from typing import Any
 from hostlink.hub.hub import Hub
 from hostlink.hub.robot import RemoteRobot
 from hostlink.robot.state import RobotState
+from hostlink.robot.velocity import TWIST_TYPE
 
 
 def remote_robot(hub: Hub, name: str, hosts: Any = None) -> RemoteRobot:
@@ -18,3 +19,12 @@ def remote_robot(hub: Hub, name: str, hosts: Any = None) -> RemoteRobot:
     return RemoteRobot(
         name=name, host="other", place="other", known=known, hosts=hosts, gates=hub.gates, graph=hub.topics
     )
+
+
+def connected_robot(hub: Hub, name: str, hosts: Any) -> RemoteRobot:
+    """A robot of the registry, connected to the daemon `other` and offering its velocity topic."""
+    robot = remote_robot(hub, name, hosts)
+    hub.robots.put_remote(robot)
+    robot.connect(12, 100, hub.robots.new_number)
+    robot.offer([(f"/{name}/cmd_vel", TWIST_TYPE)])
+    return robot

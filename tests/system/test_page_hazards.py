@@ -541,3 +541,19 @@ async def test_a_pose_far_away_freezes_neither_the_page_nor_its_stop(browser: Br
             await tab.page.keyboard.press("Escape")
             await expect(lambda number=number: ("POST", f"/api/robots/robot_{number}/lock") in server.requests)
         assert tab.complaints == []
+
+
+async def test_line_received_live_and_in_the_history_is_shown_once_for_each_robot(browser: Browser) -> None:
+    async with page_server() as server:
+        state = fleet("robot_0", "robot_1")
+        state.log = [{"header": {"stamp": {"secs": 0}}, "level": 4, "name": "robot_0", "msg": "battery low"}]
+        state.past_events = [
+            {"age_s": 0.2, "msg": {"kind": "logged", "facts": {"level": 2, "text": "battery low"}}},
+            {"age_s": 0.1, "msg": {"kind": "unlocked", "facts": {}}},
+        ]
+        server.show(state)
+        async with visit(browser, server.url) as tab:
+            shown = tab.page.locator("#log li span")
+            await expect_page(shown.filter(has_text="unlocked")).to_have_text(["robot_0 unlocked", "robot_1 unlocked"])
+            lows = ["robot_0 battery low", "robot_1 battery low"]
+            assert sorted(await shown.filter(has_text="battery low").all_text_contents()) == lows

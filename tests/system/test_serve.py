@@ -147,16 +147,16 @@ async def test_ten_robots_at_once() -> None:
     assert all(robot["connected"] for robot in robots)
 
 
-async def test_a_port_in_use_is_one_line_and_status_2() -> None:
+async def test_a_port_in_use_is_one_line_and_status_2_and_starts_no_guardian() -> None:
     async with serve() as daemon:
         address = "{}:{}".format(*daemon.tcp)
         status, _, complaint = await run("serve", "--listen", address, "--api", "127.0.0.1:0")
-        assert status == 2
+        assert (status, "guardian.started" in complaint) == (2, False)
         assert complaint.splitlines()[-1].startswith(f"hostlink: TCP {address}: is in use")
         status, _, complaint = await run(
             "serve", "--listen", "127.0.0.1:0", "--api", daemon.url.removeprefix("http://")
         )
-        assert status == 2
+        assert (status, "guardian.started" in complaint) == (2, False)
         assert "choose another port with --api" in complaint
 
 

@@ -13,9 +13,9 @@ from hostlink.graphs.ros1.tcpros import ANY, BadHeader, Header, decode_header, e
 from hostlink.hub.graph_view import GraphTopic
 from hostlink.hub.message import Message
 from hostlink.hub.participant import Participant
+from hostlink.log_budget import Budget
 from hostlink.logs import printable
 from hostlink.messages.message_type import MessageType
-from hostlink.mirror.log_once import RefusalLog
 from hostlink.robot.admission import EarlierMotion
 
 MAX_SUBSCRIBERS = 64  # of one topic
@@ -112,7 +112,7 @@ class RosPublisher:
         self.uri = uri
         self._node, self._topic, self._name = node, topic, name
         self._new_until_s = asyncio.get_running_loop().time() + NEW_S if is_new else 0.0
-        self._refusals = RefusalLog()
+        self._refusals = Budget()
         self._connection: _PublisherConnection | None = None
 
     @property
@@ -150,7 +150,7 @@ class RosPublisher:
 class _PublisherConnection:
     """Connection to a publisher: first its header, then its messages, which a participant publishes in the hub."""
 
-    def __init__(self, node: LocalNode, topic: GraphTopic, refusals: RefusalLog, *, is_new: bool) -> None:
+    def __init__(self, node: LocalNode, topic: GraphTopic, refusals: Budget, *, is_new: bool) -> None:
         self.wire = Wire(node.hub, self._begin, self._end)
         self.accepted: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         self.ended: asyncio.Future[None] = asyncio.get_running_loop().create_future()
@@ -256,9 +256,8 @@ class _PublisherConnection:
     def _log_refusal(self, error: HostlinkError, node: str) -> None:
         """Log a refusal in the daemon's log and on /rosout."""
         topic, kind, reason = printable(self._topic.name), error.kind, printable(str(error), MAX_REASON)
-        count = self._refusals.count(kind, asyncio.get_running_loop().time())
-        if count:
-            log.warning("ros1.message_refused", topic=topic, node=node, kind=kind, reason=reason, count=count)
+        if counts := self._refusals.due(kind, asyncio.get_running_loop().time()):
+            log.warning("ros1.message_refused", topic=topic, node=node, kind=kind, reason=reason, **counts)
             self._node.hub.rosout.warn(self._node.name, f"{topic} of {node} is refused ({kind}): {reason}")
 
 

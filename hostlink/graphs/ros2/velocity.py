@@ -12,7 +12,7 @@ from hostlink.client import Host
 from hostlink.client.connection import waits
 from hostlink.errors import HostlinkError, RefusalKind
 from hostlink.graphs.ros2.plan import VelocityInput
-from hostlink.mirror.log_once import RefusalLog
+from hostlink.log_budget import Budget
 from hostlink.robot.admission import LEASE_S, NOT_PLANAR, EarlierMotion
 from hostlink.robot.velocity import ZERO, PlanarVelocity, Twist
 
@@ -131,7 +131,7 @@ class _Owner:
         self._motions: dict[VelocityInput, EarlierMotion] = {}
         self._waiting: dict[VelocityInput, _WaitingVelocity] = {}
         self._news = asyncio.Event()
-        self._refusals: defaultdict[str, RefusalLog] = defaultdict(RefusalLog)  # by robot
+        self._refusals: defaultdict[str, Budget] = defaultdict(Budget)  # by robot
         self._since_s = asyncio.get_running_loop().time()
         self._was_there = False
         self._free_at_s = 0.0
@@ -222,6 +222,6 @@ class _Owner:
                 self._explain(waiting.robot, robot.refusal.kind, robot.refusal.reason)
 
     def _explain(self, robot: str, kind: str, reason: str) -> None:
-        if self._refusals[robot].count(kind, asyncio.get_running_loop().time()):
+        if self._refusals[robot].due(kind, asyncio.get_running_loop().time()):
             what = reason if reason.startswith(robot) else f"{robot}: {reason}"
             self._warn(f"{what} (velocity refused: {kind})")

@@ -44,9 +44,10 @@ from hostlink.hub.graph_view import GraphService, GraphTopic
 from hostlink.hub.hub import Hub
 from hostlink.hub.message import Message
 from hostlink.hub.participant import Participant
+from hostlink.log_budget import Budget
 from hostlink.logs import printable
 from hostlink.messages.message_type import ServiceType
-from hostlink.mirror.log_once import LogOnce, RefusalLog
+from hostlink.mirror.log_once import LogOnce
 from hostlink.mirror.mirror import Mirror
 from hostlink.robot.admission import EarlierMotion
 from hostlink.robot.velocity import TWIST_STAMPED_TYPE, TWIST_TYPE
@@ -301,7 +302,7 @@ class RmwPublisher:
         self.participant: Participant = node.hub.join(f"ros2 {token.node.full_name}", group=GROUP, on_end=leave)
         self._node = node
         self._is_advertised = False
-        self._refusals = RefusalLog()
+        self._refusals = Budget()
 
     def advertise(self) -> None:
         """Show its topic in the hub.
@@ -327,10 +328,9 @@ class RmwPublisher:
         except HostlinkError as error:
             is_late = isinstance(error, CommandRefused) and error.kind is RefusalKind.LATE
             self._node.counts["late" if is_late else "refused"] += 1
-            count = self._refusals.count(error.kind, asyncio.get_running_loop().time())
-            if count:
+            if counts := self._refusals.due(error.kind, asyncio.get_running_loop().time()):
                 by, reason = printable(self.participant.name), printable(str(error), 200)
-                log.warning("ros2.refused", topic=topic, by=by, kind=error.kind, reason=reason, count=count)
+                log.warning("ros2.refused", topic=topic, by=by, kind=error.kind, reason=reason, **counts)
                 node = self._node.token.full_name
                 self._node.hub.rosout.warn(node, f"{topic} of {by} is refused ({error.kind}): {reason}")
 

@@ -390,7 +390,8 @@ def test_client_with_role_read_changes_nothing() -> None:
         peer = here.client(Role.READ)
         peer.send(op="advertise", channels=[channel(1, "/chat")])
         peer.send(op="setParameters", parameters=[{"name": "/gain", "value": 1}], id="x")
-        assert [status.partition(": ")[2] for status in peer.statuses()] == ["the token may only read"] * 2
+        refused = "the token may only read; use one with the role drive"
+        assert [status.partition(": ")[2] for status in peer.statuses()] == [refused] * 2
         assert here.hub.parameters == {}
         assert here.hub.topics.find_or_none("/chat") is None
 

@@ -190,7 +190,7 @@ def test_error_has_status_kind_and_reason(method: str, path: str, body: bytes, s
 def test_token_with_role_read_does_not_drive() -> None:
     async def test(api: RestMemory) -> None:
         status, body = await api.call("PUT", VELOCITY, {"linear": 0.2, "angular": 0.0}, role=Role.READ)
-        assert (status, body["error"]["kind"]) == (400, "BadRequest")
+        assert (status, body["error"]["kind"]) == (403, "NoRole")
 
     check(test)
 

@@ -107,10 +107,19 @@ async def test_reading_client_may_only_read() -> None:
     async with world() as here:
         peer = here.client()
         peer.client.participant.role = Role.READ
-        for op in ("advertise", "publish", "advertise_service", "drive"):
+        for op in ("advertise", "publish", "advertise_service"):
             peer.send(op=op, **CHAT, msg={}, service="/s")
             (status,) = peer.received()
-            assert (status["level"], op in status["msg"]) == ("error", True)
+            assert (status["level"], status["kind"], op in status["msg"]) == ("error", "NoRole", True)
+        peer.send(op="drive", id="1", robot="robot_0", linear=0.1, angular=0.0)
+        (answer,) = peer.received()
+        assert answer == {
+            "op": "drive_result",
+            "id": "1",
+            "result": False,
+            "kind": "NoRole",
+            "reason": "drive: the token may only read; use one with the role drive",
+        }
         peer.send(op="subscribe", topic="/chat")
         peer.send(op="unsubscribe", topic="/chat")
         peer.send(op="call_service", service="/rosapi/get_time")

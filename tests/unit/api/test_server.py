@@ -286,6 +286,32 @@ def test_web_socket_with_an_unknown_subprotocol_is_refused(check: Callable[..., 
     check(test)
 
 
+@pytest.mark.parametrize(
+    ("changed", "wrong"),
+    [
+        ({"Connection": "close"}, "No CONNECTION upgrade hdr: close"),
+        ({"Sec-WebSocket-Version": "12"}, "Unsupported version: 12"),
+        ({"Sec-WebSocket-Key": "short"}, "Handshake error: 'short'"),
+    ],
+)
+def test_failed_handshake_says_what_is_wrong_and_what_to_do(
+    check: Callable[..., None], changed: dict[str, str], wrong: str
+) -> None:
+    async def test(api: ApiMemory) -> None:
+        peer = api.connect()
+        headers = {"Host": "localhost", "Upgrade": "websocket", "Connection": "Upgrade"}
+        valid = {"Sec-WebSocket-Version": "13", "Sec-WebSocket-Key": "MDEyMzQ1Njc4OWFiY2RlZg=="}
+        peer.send_head("GET", "/", headers | valid | changed)
+        answer = await api.answer(peer)
+        assert (answer.status, json.loads(answer.body)["error"]["reason"]) == (
+            400,
+            f"the WebSocket handshake is invalid: {wrong}; use a client for WebSockets, and let a proxy pass the "
+            "headers Upgrade and Connection",
+        )
+
+    check(test)
+
+
 def test_metrics_have_robots_links_and_graphs(check: Callable[..., None]) -> None:
     async def test(api: ApiMemory) -> None:
         api.hub.counts.graphs["ros1"] = lambda: {"opened": 3}

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from hostlink.cli.main import COMMANDS, completed_words, module_of, own_completion, wanted_command, with_next_step
+from hostlink.cli.main import COMMANDS, _run, completed_words, module_of, own_completion, wanted_command, with_next_step
+from hostlink.errors import ConfigError
 
 
 @pytest.mark.parametrize(
@@ -132,3 +133,26 @@ def test_errors_of_the_daemon_get_the_command_that_helps(kind: str, text: str, w
 )
 def test_other_errors_stay_as_they_are(text: str) -> None:
     assert with_next_step("HostlinkError", text) == text
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "play x.mcap --drive",
+        "stop",
+        "lock",
+        "unlock",
+        "drive",
+        "step",
+        "calibrate",
+        "drives",
+        "echo",
+        "hz",
+        "info",
+        "params get",
+        "type",
+    ],
+)
+def test_empty_name_is_refused_before_anything_is_connected(words: str) -> None:
+    with pytest.raises(ConfigError, match="the name is empty; give one, "):
+        _run([*words.split(), "", "--url", "http://127.0.0.1:9"])

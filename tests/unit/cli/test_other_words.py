@@ -26,6 +26,8 @@ from tests.support.documented import Documented
         ("help drive -- x", "teleop x --help"),
         ("help -- robots", "robots --help"),
         ("help --", "--help"),
+        ("help teleop --linear", "teleop --help"),
+        ("help --linear", "--help"),
         ("topic list", "topics"),
         ("ros2 bag record --topics=/a", "record /a"),
         ("ros2 bag record --topics /a /b", "record /a /b"),

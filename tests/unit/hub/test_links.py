@@ -1,6 +1,7 @@
 """Links: identification, replacement, parameters and ends of connections, with devices in memory."""
 
 import asyncio
+from typing import Any
 
 import pytest
 
@@ -207,16 +208,19 @@ def test_parameter_request_is_answered_by_the_name_and_remembered() -> None:
 
 def test_line_of_a_device_s_log_is_logged_and_published() -> None:
     async def test(made: MemoryHub) -> None:
-        lines: list[object] = []
+        lines: list[Any] = []
         made.hub.join("reader").subscribe("/rosout", lambda message: lines.append(message.decoded))
         device = await made.connect(peer="10.0.0.2:7")
+        sensor = await made.connect(SENSOR, peer="10.0.0.3:7")
         await device.send(Id.LOG, encode_log(Log(2, "low battery")))
         await asyncio.sleep(0.05)
-        (line,) = made.logged("device.logged")
+        await sensor.send(Id.LOG, encode_log(Log(1, "calibrated")))
+        await asyncio.sleep(0.05)
+        line, _ = made.logged("device.logged")
         assert (line["log_level"], line["level_name"], line["text"]) == ("warning", "warn", "low battery")
-        (published,) = lines
-        assert isinstance(published, dict)
-        assert (published["level"], published["name"], published["msg"]) == (4, "10.0.0.2:7", "low battery")
+        published, other = lines
+        assert (published["level"], published["name"], published["msg"]) == (4, "robot_0", "low battery")
+        assert (other["name"], other["msg"]) == ("10.0.0.3:7", "calibrated")  # it is not a robot
         assert published["header"]["stamp"]["secs"] > 1_000_000_000
 
     in_hub(test)

@@ -10,7 +10,7 @@ from hostlink.robot.odometry import OdometrySnapshot
 from hostlink.robot.velocity import TWIST_TYPE, ZERO, PlanarVelocity
 from tests.support.memory_hub import MemoryHub, in_hub
 from tests.support.participants import publish
-from tests.support.remote_robots import remote_robot
+from tests.support.remote_robots import connected_robot, remote_robot
 
 TOPIC = "/robot_7/cmd_vel"
 SLOW = PlanarVelocity(0.1)
@@ -51,10 +51,7 @@ def move(made: MemoryHub, speed_m_s: float = 0.1) -> None:
 def test_velocity_published_here_is_sent_to_the_robots_daemon_while_it_offers_the_topic() -> None:
     async def test(made: MemoryHub) -> None:
         hosts = Hosts()
-        robot = remote_robot(made.hub, "robot_7", hosts)
-        made.hub.robots.put_remote(robot)
-        robot.connect(12, 100, made.hub.robots.new_number)
-        robot.offer([(TOPIC, TWIST_TYPE)])
+        robot = connected_robot(made.hub, "robot_7", hosts)
         move(made)
         assert speeds(hosts) == [0.1]
         topic = made.hub.topics.find(TOPIC)
@@ -72,10 +69,7 @@ def test_velocity_published_here_is_sent_to_the_robots_daemon_while_it_offers_th
 def test_topic_of_a_device_here_and_of_a_robot_there_drives_neither_robot_there() -> None:
     async def test(made: MemoryHub) -> None:
         hosts = Hosts()
-        robot = remote_robot(made.hub, "robot_7", hosts)
-        made.hub.robots.put_remote(robot)
-        robot.connect(12, 100, made.hub.robots.new_number)
-        robot.offer([(TOPIC, TWIST_TYPE)])
+        connected_robot(made.hub, "robot_7", hosts)
         made.hub.topics.subscribe_device(
             TOPIC, "device here", DeviceSubscription(lambda _: None, is_gate=True), type_name=TWIST_TYPE
         )

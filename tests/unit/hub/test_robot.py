@@ -115,10 +115,17 @@ def test_reason_why_a_robot_moves_names_the_driver_then_the_ramp() -> None:
         assert robot.why_moving() == "driven by ann"
         robot.stop()
         assert robot.why_moving() == "it slows down within its deceleration limits"
-        robot.is_played = True
-        assert robot.why_moving() == "it is a recording, which obeys nobody"
 
     in_hub(test, Config(robots={"robot_0": RobotConfig(max_linear_deceleration_m_s2=0.5)}))
+
+
+def test_reason_why_a_moving_robot_ignores_a_stop_is_its_recording() -> None:
+    async def test(made: MemoryHub) -> None:
+        await made.connect([*robot_topics(), topic(Id.PUBLISHER, 130, "/robot_0/played", "std_msgs/String")])
+        drive_gate(made.robot(), PlanarVelocity(0.5), owner="ann")
+        assert made.robot().why_moving() == "it is a recording, which obeys nobody"
+
+    in_hub(test)
 
 
 def test_reason_why_the_motion_is_unknown_says_what_is_missing() -> None:

@@ -1,11 +1,11 @@
-"""Repeated failures are logged once, refusals at a limited rate, and the number of lines is bounded."""
+"""Repeated failures are logged once, and the number of lines is bounded."""
 
 from hypothesis import given
 from hypothesis import strategies as st
 from structlog.testing import capture_logs
 
 from hostlink.mirror import log_once
-from hostlink.mirror.log_once import INTERVAL_S, MAX_LINES, LogOnce, RefusalLog
+from hostlink.mirror.log_once import MAX_LINES, LogOnce
 
 
 @given(st.lists(st.tuples(st.sampled_from(["a", "b"]), st.integers(0, 3).map(str))))
@@ -43,14 +43,3 @@ def test_levels_and_texts_of_peers() -> None:
     assert [line["log_level"] for line in lines] == ["info", "warning"]
     assert "\x1b" not in lines[1]["name"]
     assert len(lines[1]["name"]) <= log_once.MAX_CHARS + 1
-
-
-def test_first_refusal_of_each_kind_is_a_line_at_once() -> None:
-    log = RefusalLog()
-    assert [log.count(kind, 0.0) for kind in ("locked", "late", "locked", "late")] == [1, 1, 0, 0]
-
-
-def test_refusals_of_an_interval_are_one_line_with_their_number() -> None:
-    log = RefusalLog()
-    lines = [log.count("locked", number * 0.5) for number in range(int(2 * INTERVAL_S / 0.5) + 1)]
-    assert [count for count in lines if count] == [1, INTERVAL_S / 0.5, INTERVAL_S / 0.5]

@@ -175,11 +175,16 @@ async def test_incident_of_a_killed_daemon_is_saved_by_the_next_with_its_last_co
     assert [(each.robot, each.owner) for each in commands] == [(ROBOT, "ann")]
 
 
-async def test_locking_a_played_robot_makes_no_incident(tmp_path: Path) -> None:
+async def test_locking_driving_and_ending_a_played_robot_makes_no_incident(tmp_path: Path) -> None:
     async with running(tmp_path, BlackBoxConfig()) as (hub, box):
         mark = topic(Id.PUBLISHER, 130, "/robot_7/played", "std_msgs/String")
-        ScriptedDevice(hub, [*robot_topics("robot_7"), mark], address="10.0.0.7")
+        played = ScriptedDevice(hub, [*robot_topics("robot_7"), mark], address="10.0.0.7")
         await expect(lambda: hub.robots.get_here("robot_7"))
-        hub.robots.find_here("robot_7").lock("why")
+        robot = hub.robots.find_here("robot_7")
+        robot.lock("why")
         hub.robots.find_here(ROBOT).lock("why")
+        robot.unlock()
+        hub.join("ann").drive(robot, PlanarVelocity(0.1))
+        await played.aclose()
+        await expect(lambda: robot.link is None)
         assert [each.robot for each in box.pending] == [ROBOT]

@@ -198,8 +198,6 @@ export class Connection {
       this.answered(message.id ?? "", message.result !== false, message.values);
     } else if (message.op === "status" && message.id?.startsWith(PUBLISH_ID)) {
       this.onRefusal(String(message.msg ?? ""), message.id.slice(PUBLISH_ID.length));
-    } else if (message.op === "status" && message.id === DRIVE_ID) {
-      this.onDriven({ result: false, kind: "NoRole", reason: String(message.msg ?? "") });
     }
   }
 

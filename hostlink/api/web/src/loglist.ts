@@ -102,5 +102,5 @@ export class LogList {
 
 /** Whether two lines are one event: a device's line is received live and is part of its history. */
 function isSame(one: PastLine, other: PastLine): boolean {
-  return one.text === other.text && Math.abs(one.time_s - other.time_s) < SAME_S;
+  return one.robot === other.robot && one.text === other.text && Math.abs(one.time_s - other.time_s) < SAME_S;
 }

@@ -126,7 +126,7 @@ class Driver:
     def __init__(self, scene: Scene, *, is_new: bool) -> None:
         self.node, _ = local_node(scene.hub, scene.tasks)
         self.topic = velocity_topic(scene)
-        self.connection = topics._PublisherConnection(self.node, self.topic, topics.RefusalLog(), is_new=is_new)
+        self.connection = topics._PublisherConnection(self.node, self.topic, topics.Budget(), is_new=is_new)
 
     def begin(self, *payloads: bytes, **fields: str) -> None:
         assert TWIST is not None

@@ -11,7 +11,7 @@ from hostlink.client import Refusal
 from hostlink.errors import HostlinkError
 from hostlink.graphs.ros2.plan import TWIST, VelocityInput
 from hostlink.graphs.ros2.velocity import MATCH_S, MAX_COMMANDS_S, MAX_OWNERS, STALL_S, VelocityDriver
-from hostlink.mirror.log_once import INTERVAL_S
+from hostlink.log_budget import LOG_INTERVAL_S
 from hostlink.robot.admission import EARLIER_EPOCH
 from hostlink.robot.velocity import Twist
 from tests.support.virtual_loop import VirtualLoop, run_virtual
@@ -320,7 +320,7 @@ def test_refusals_of_a_kind_are_one_warning_at_once_and_one_in_an_interval() -> 
             await world.stream(FORWARD)
             assert world.warnings == ["robot_0: velocity is 0.8 s old (velocity refused: late)"]
             world.daemon.refusal = Refusal("locked", "locked: smoke")
-            await world.stream(FORWARD, for_s=INTERVAL_S + 1.0)
+            await world.stream(FORWARD, for_s=LOG_INTERVAL_S + 1.0)
             assert world.warnings[1:] == ["robot_0: locked: smoke (velocity refused: locked)"] * 2
 
     run_virtual(check())
