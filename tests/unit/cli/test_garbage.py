@@ -1,4 +1,4 @@
-"""When the daemon collects garbage, and which objects it looks at."""
+"""Garbage collection of the daemon: its times, and the objects that it looks at."""
 
 import asyncio
 from types import SimpleNamespace
@@ -84,7 +84,7 @@ def test_garbage_of_objects_that_were_in_use_is_collected_after_an_interval(monk
     assert (collector.garbage, collector.frozen_garbage) == (0, 0)
 
 
-def test_nothing_is_collected_while_a_robot_moves_or_too_few_objects_are_new(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_collection_runs_while_a_robot_moves_or_too_few_objects_are_new(monkeypatch: pytest.MonkeyPatch) -> None:
     assert collected(monkeypatch, Collector(), 30.0, is_moving=True) == 0
     collector = Collector()
     collector.count = ENOUGH - 1
