@@ -229,7 +229,7 @@ class GateHistory(RuleBasedStateMachine):
     def step(self) -> PlanarVelocity | None:
         self.notice_the_end()
         before, dt_s = self.given, self.now_s - self.stepped_at_s
-        given_ = self.gate.step(self.now_s)
+        given_ = self.gate.current if self.gate.stays(self.now_s) else self.gate.step(self.now_s)
         self.stepped_at_s = self.now_s
         assert self.gate.owner_name == self.owner
         assert not self.is_locked or given_ in (ZERO, None)

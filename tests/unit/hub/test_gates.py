@@ -58,6 +58,29 @@ def test_command_is_sent_repeated_at_the_feed_interval_and_ended_by_three_zeros(
     in_hub(test)
 
 
+@replaces_a_method
+def test_clock_steps_no_gate_that_keeps_its_velocity_and_is_commanded_often(monkeypatch: pytest.MonkeyPatch) -> None:
+    async def test(made: MemoryHub) -> None:
+        device = await made.connect()
+        await asyncio.sleep(1.0)
+        device.heard.clear()
+        gate, steps = made.robot().gate, 0
+        step = gate.step
+
+        def counted(now_s: float) -> PlanarVelocity | None:
+            nonlocal steps
+            steps += 1
+            return step(now_s)
+
+        monkeypatch.setattr(gate, "step", counted)
+        for _ in range(20):
+            drive_gate(made.robot(), SLOW, owner="ann")
+            await asyncio.sleep(0.1)
+        assert (steps, len(velocities(device))) == (20, 20)
+
+    in_hub(test)
+
+
 def test_stop_sends_zero_at_once_and_records_its_source() -> None:
     async def test(made: MemoryHub) -> None:
         device = await made.connect()

@@ -31,6 +31,31 @@ def test_a_command_is_given_on_every_step_until_the_lease_ends() -> None:
     assert ours.counts == GateCounts(commands=1, expired=1)
 
 
+def test_velocity_stays_while_the_robot_is_driven_at_its_target() -> None:
+    ours = gate(HEAVY)
+    ours.drive("ann", FORWARD, now_s=0.0)
+    assert not ours.stays(0.05)  # it accelerates
+    ours = moving(HEAVY)
+    assert ours.stays(1.05)
+    assert ours.step(1.05) == FORWARD
+    ours.change_limits(dataclasses.replace(HEAVY, max_linear_m_s=0.1))
+    assert not ours.stays(1.1)
+
+
+def test_velocity_does_not_stay_after_the_lease_or_an_interruption() -> None:
+    ours = driven()
+    assert ours.stays(0.49)
+    assert not ours.stays(0.5)
+    ours = driven()
+    ours.admission.interrupt(0.1)
+    assert not ours.stays(0.1)
+    assert not gate().stays(0.0)
+    restarted = driven()
+    restarted.connect(now_s=0.1)
+    restarted.drive("bob", FORWARD, now_s=0.1)
+    assert not restarted.stays(0.1)  # its first velocity is zero
+
+
 def test_a_robot_may_move_until_its_last_zero_was_sent() -> None:
     ours = driven()
     sent = [(ours.step(0.5 + 0.03 * number), ours.may_move, ours.is_active) for number in range(3)]
