@@ -346,6 +346,15 @@ def load(path: Path) -> Config:
     return typing.cast("Config", _with_absolute_paths(config, path.parent))
 
 
+def is_address(text: str) -> bool:
+    """Whether `text` is a whole IP address."""
+    try:
+        ipaddress.ip_address(text)
+    except ValueError:
+        return False
+    return True
+
+
 def _device_address(text: str) -> tuple[str, int]:
     host, _, port = text.rpartition(":")
     if not port.isdecimal() or not 0 < int(port) <= MAX_PORT:

@@ -146,10 +146,6 @@ MAX_FIELD_NAME: Final = 64  # characters that are compared: a client may send an
 class BadRequest(HostlinkError):
     """A client's request is invalid."""
 
-    def __init__(self, problem: str) -> None:
-        super().__init__(problem)
-        self.problem = problem
-
 
 class NoRole(BadRequest):
     """The role of a client's token does not allow the request."""

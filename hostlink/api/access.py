@@ -19,7 +19,7 @@ import structlog
 from aiohttp import web
 
 from hostlink.api.listener import KEPT_FOR_REQUESTS
-from hostlink.config import ApiConfig, TokenConfig
+from hostlink.config import ApiConfig, TokenConfig, is_address
 from hostlink.errors import ConfigError
 from hostlink.hub.node import Role
 from hostlink.logs import printable
@@ -198,13 +198,7 @@ def is_loopback(host: str) -> bool:
 def _is_plain_address(host: str) -> bool:
     """Whether a Host header names this computer without DNS."""
     name = _parts(f"//{host}").hostname or ""
-    if name == "localhost" or name.endswith(".localhost"):
-        return True
-    try:
-        ipaddress.ip_address(name)
-    except ValueError:
-        return False
-    return True
+    return name == "localhost" or name.endswith(".localhost") or is_address(name)
 
 
 def _parts(url: str) -> SplitResult:

@@ -278,11 +278,7 @@ class Clients:
         self._clients.remove(client)
         self.gone_dropped += 0 if client.backlog is None else client.backlog.dropped
 
-    def all(self) -> list[Client]:
-        """Return all clients, the oldest first."""
-        return list(self._clients)
-
     def views(self) -> list[ClientView]:
-        """Return all clients as the API shows them."""
+        """Return all clients as the API shows them, the oldest first."""
         now_s = asyncio.get_running_loop().time()
         return [client.view(now_s) for client in self._clients]

@@ -1,6 +1,5 @@
 """Addresses on the command line: HOST:PORT, origins of web pages and serial ports."""
 
-import ipaddress
 from urllib.parse import urlsplit
 
 from hostlink.config import SerialConfig
@@ -42,15 +41,6 @@ def parse_serial(text: str) -> SerialConfig:
     if not path or not all(_is_number(baud) and int(baud) for baud in bauds):
         raise ConfigError("--serial", f"{text!r} is not PORT or PORT@BAUD; an example: /dev/ttyACM0@57600")
     return SerialConfig(path=path, baud=tuple(map(int, bauds))) if at else SerialConfig(path=path)
-
-
-def is_address(text: str) -> bool:
-    """Whether `text` is a whole IP address."""
-    try:
-        ipaddress.ip_address(text)
-    except ValueError:
-        return False
-    return True
 
 
 def _is_number(text: str) -> bool:

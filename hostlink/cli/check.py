@@ -17,8 +17,8 @@ from collections.abc import Iterator
 from hostlink.acceptor import bind, why
 from hostlink.api.access import Access, is_loopback, tls_context
 from hostlink.api.listener import KEPT_FOR_REQUESTS
-from hostlink.cli.addresses import MAX_PORT, is_address, is_origin
-from hostlink.config import Config, SerialConfig, TcpConfig, UdpConfig, ZenohConfig
+from hostlink.cli.addresses import MAX_PORT, is_origin
+from hostlink.config import Config, SerialConfig, TcpConfig, UdpConfig, ZenohConfig, is_address
 from hostlink.errors import ConfigError, HostlinkError, LibraryMissing
 from hostlink.hub.hub import Hub
 from hostlink.hub.parameters import to_parameter

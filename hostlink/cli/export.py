@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, TypedDict
 import msgspec
 import typer
 
-from hostlink.cli.files import check_absent
+from hostlink.cli.files import check_absent, check_picture
 from hostlink.cli.output import megabytes, show_progress, write, write_error, write_table
 from hostlink.errors import ConfigError, HostlinkError, LibraryMissing
 from hostlink.recording.channel import NS_PER_S
@@ -107,8 +107,6 @@ def _export(file: Path, target: Path, format_: Format, topics: list[str], *, ski
 
 # -- plot -------------------------------------------------------------------------------------------------------------
 
-SUFFIXES = (".pdf", ".png", ".svg")
-
 
 def plot(
     file: Annotated[Path, typer.Argument(help="Recording of `hostlink record`.", show_default=False)],
@@ -126,8 +124,7 @@ def plot(
     target = output or file.with_suffix(".png")
     if bool(fields) == map_:
         raise ConfigError("plot", "name fields, for example /robot_0/odometry.x, or use --map, not both")
-    if target.suffix not in SUFFIXES:
-        raise ConfigError("--output", f"{target} must end in one of {', '.join(SUFFIXES)}")
+    check_picture("--output", target)
     check_absent(target)
     if importlib.util.find_spec("matplotlib") is None:
         raise LibraryMissing("plot", "matplotlib", "plot")

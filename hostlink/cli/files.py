@@ -64,6 +64,19 @@ def _removed_if_empty(target: Path) -> Iterator[BinaryIO]:
 # -- new file ---------------------------------------------------------------------------------------------------------
 
 
+PICTURES = (".pdf", ".png", ".svg")
+
+
+def check_picture(option: str, file: Path) -> None:
+    """Accept the name of a picture.
+
+    Raises:
+        ConfigError: it does not end as that of a picture.
+    """
+    if file.suffix not in PICTURES:
+        raise ConfigError(option, f"{file} must end in one of {', '.join(PICTURES)}")
+
+
 def check_absent(output: Path) -> None:
     """Refuse a file or folder that exists already, before the work begins: commands without --force replace none.
 

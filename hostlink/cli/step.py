@@ -16,6 +16,7 @@ import typer
 
 from hostlink.cli.arguments import Token, Url, not_empty
 from hostlink.cli.connecting import connected
+from hostlink.cli.files import check_picture
 from hostlink.cli.names import driver
 from hostlink.cli.output import show_progress, table, write, write_error
 from hostlink.cli.robots import require_robot
@@ -371,7 +372,6 @@ def _now_s() -> float:
 
 # -- step picture -----------------------------------------------------------------------------------------------------
 
-SUFFIXES = (".pdf", ".png", ".svg")
 LIBRARY = "matplotlib"
 _WIDTH_IN, _HEIGHT_IN = 9.0, 5.5
 _SET_POINT, _MEASURED, _PWM = "#888888", "#0b6bcb", "#c25e00"
@@ -384,8 +384,7 @@ def require_picture(path: Path) -> None:
         ConfigError: the suffix or the folder is wrong.
         LibraryMissing: matplotlib is not installed.
     """
-    if path.suffix not in SUFFIXES:
-        raise ConfigError("--picture", f"{path} must end in one of {', '.join(SUFFIXES)}")
+    check_picture("--picture", path)
     if not path.parent.is_dir():
         raise ConfigError("--picture", f"the folder {path.parent} does not exist; create it, or name another")
     if importlib.util.find_spec(LIBRARY) is None:

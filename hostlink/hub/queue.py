@@ -45,8 +45,7 @@ class Queue(Generic[Item]):
         self._result_bytes = 0
         self._topics: dict[str, deque[Waiting[Item]]] = {}
         self._results: deque[Waiting[Item]] = deque()
-        self._news = asyncio.Event()
-        self.on_news: Callable[[], None] = self._news.set  # replaced by an owner that does not `wait`
+        self.on_news: Callable[[], None] = lambda: None  # set by the owner, who then pops
         self._room = asyncio.Event()
         self._room.set()
 
@@ -129,12 +128,11 @@ class Queue(Generic[Item]):
                 self._room.set()
             return result
         if topic is None:
-            self._news.clear()
             return None
         return self._pop(topic)
 
     def close(self) -> None:
-        """Mark the queue as closed, and let `wait` return."""
+        """Mark the queue as closed, and tell its owner."""
         self.is_closed = True
         self.on_news()
 
@@ -144,12 +142,8 @@ class Queue(Generic[Item]):
             continue
 
     def wake(self) -> None:
-        """Let `wait` return: a time limit has changed."""
+        """Tell the owner that a time limit has changed."""
         self.on_news()
-
-    async def wait(self) -> None:
-        """Wait until something was put."""
-        await self._news.wait()
 
     @property
     def has_room(self) -> bool:

@@ -275,10 +275,6 @@ class Services:
         """Return the newest service of this name of a device."""
         return _newest(self._devices, resolve(name))
 
-    def of_link(self, name: str, key: Hashable) -> DeviceService | None:
-        """Return the service of this name of one device."""
-        return self._devices.get(resolve(name), {}).get(key)
-
     def provider(self, name: str) -> Provider | None:
         """Return the newest service of this name of a program or of the daemon."""
         return _newest(self._providers, resolve(name))

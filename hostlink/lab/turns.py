@@ -86,7 +86,6 @@ class BestTurns:
 
     turns: TurnErrors
     means_cm: _Array  # |x| and |y| of tables 2, 3, 5
-    paper_cm: _Array
     p_value: float  # share of drawn laboratories whose means deviate more than the paper's
 
 
@@ -103,7 +102,7 @@ def best_turns(*, has_loss: bool, draws: int = 4000) -> BestTurns:
     likely = max(grid, key=lambda turns: _log_likelihood(paper, _means(turns, normal[:, : 400 * RUNS])))
     means = _means(likely, normal)
     distances, distance = _distances(means, means), _distances(means, paper[np.newaxis])[0]
-    return BestTurns(likely, means.mean(axis=0), paper, float((distances >= distance).mean()))
+    return BestTurns(likely, means.mean(axis=0), float((distances >= distance).mean()))
 
 
 def chance_of_table_2(draws: int = 20000) -> tuple[float, TurnErrors]:

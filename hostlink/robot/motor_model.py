@@ -32,7 +32,6 @@ class MotorModel:
     offset_pwm: float  # u0: what friction and load cost; none in a motor whose dead zone ends with a jump
     time_constant_s: float  # T
     dead_time_s: float  # L
-    residual: float  # root of the mean square of what it does not explain, in the record's unit
     explained: float  # share of the variance
 
     def __str__(self) -> str:
@@ -93,7 +92,6 @@ def identify_motor(record: Record) -> MotorModel:
         offset_pwm=fit.offset_pwm,
         time_constant_s=fit.time_constant_s,
         dead_time_s=fit.dead_time_s,
-        residual=float(np.sqrt(fit.error / len(measured))),
         explained=explained,
     )
 

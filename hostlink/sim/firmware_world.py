@@ -185,11 +185,6 @@ class World:
         """Distance that the centre of the robot has moved, forwards and backwards."""
         return self.now("rolled_m")
 
-    @property
-    def battery_v(self) -> float:
-        """Voltage at the motors."""
-        return self.now("battery_v")
-
     def change(self, parameters: WorldParameters) -> None:
         """Replace the parameters of the world. Pose and edges stay.
 

@@ -156,7 +156,6 @@ def _with_small_buffers(frame: Frame) -> bytes:
 class Fault:
     """Fault of a robot. The default is a healthy robot."""
 
-    text: str
     transform: Callable[[Frame], bytes] = _as_it_is  # changes each frame to the host
     at_power_up: bytes = b""  # bytes before the first frame
     clock_rate: float = 1.0  # seconds of the device's clock per second
@@ -164,21 +163,21 @@ class Fault:
     break_wheel: Callable[[SimulatedWheel], None] = lambda _: None  # fault of its left wheel
 
 
-HEALTHY = Fault(text="none")
+HEALTHY = Fault()
 FAULTS = {
-    "silence": Fault(text="the device sends nothing", transform=_nothing),
-    "wrong_baud": Fault(text="its UART is slower than its reader", transform=_at_another_speed),
-    "protocol_1": Fault(text="a library of before 2013", transform=_in_protocol_1),
-    "text": Fault(text="Serial.print between the frames", transform=_with_text),
-    "no_topics": Fault(text="TopicInfos never come", transform=_without_topics),
-    "wrong_md5": Fault(text="an old definition of a message", transform=_with_other_md5),
-    "time_stops": Fault(text="requests for the time never come", transform=_without_time_requests),
-    "small_buffer": Fault(text="an input buffer smaller than a Twist", transform=_with_small_buffers),
-    "reboots": Fault(text=f"starts anew every {RUN_S:g} s", runs_s=RUN_S),
-    "boot_noise": Fault(text="an ESP8266's boot message", at_power_up=resample(_BOOT_TEXT, ratio=_BOOT_RATIO)),
-    "clock": Fault(text="its clock is a quarter too fast", clock_rate=1.25),
-    "stalled_wheel": Fault(text="its left wheel is blocked", break_wheel=lambda wheel: wheel.grip(0.0)),
-    "runaway_wheel": Fault(text="its left motor's driver is broken", break_wheel=lambda wheel: wheel.break_driver()),
+    "silence": Fault(transform=_nothing),  # the device sends nothing
+    "wrong_baud": Fault(transform=_at_another_speed),  # its UART is slower than its reader
+    "protocol_1": Fault(transform=_in_protocol_1),  # a library of before 2013
+    "text": Fault(transform=_with_text),  # Serial.print between the frames
+    "no_topics": Fault(transform=_without_topics),  # TopicInfos never come
+    "wrong_md5": Fault(transform=_with_other_md5),  # an old definition of a message
+    "time_stops": Fault(transform=_without_time_requests),  # requests for the time never come
+    "small_buffer": Fault(transform=_with_small_buffers),  # an input buffer smaller than a Twist
+    "reboots": Fault(runs_s=RUN_S),  # starts anew every RUN_S seconds
+    "boot_noise": Fault(at_power_up=resample(_BOOT_TEXT, ratio=_BOOT_RATIO)),  # an ESP8266's boot message
+    "clock": Fault(clock_rate=1.25),  # its clock is a quarter too fast
+    "stalled_wheel": Fault(break_wheel=lambda wheel: wheel.grip(0.0)),  # its left wheel is blocked
+    "runaway_wheel": Fault(break_wheel=lambda wheel: wheel.break_driver()),  # its left motor's driver is broken
 }
 
 

@@ -72,6 +72,17 @@ async def serving(answer: Callable[[web.Request], Awaitable[web.StreamResponse]]
         await runner.cleanup()
 
 
+@contextlib.asynccontextmanager
+async def two_scripts() -> AsyncIterator[tuple[Daemon, Host, Host]]:
+    async with (
+        daemon() as host,
+        fake_device(host.tcp, robot_topics()),
+        connect(host.url) as me,
+        connect(host.url) as he,
+    ):
+        yield host, me, he
+
+
 # -- driving ----------------------------------------------------------------------------------------------------------
 
 
@@ -250,12 +261,7 @@ async def test_a_command_with_the_epoch_of_its_decision_is_refused_when_the_devi
 
 
 async def test_a_stop_by_another_script_ends_a_drive_and_the_next_raises_once() -> None:
-    async with (
-        daemon() as host,
-        fake_device(host.tcp, robot_topics()),
-        connect(host.url) as me,
-        connect(host.url) as he,
-    ):
+    async with two_scripts() as (host, me, he):
         robot = me.robot("robot_0")
         await robot.drive(0.2, 0.0)
         await he.robot("robot_0").stop()
@@ -266,12 +272,7 @@ async def test_a_stop_by_another_script_ends_a_drive_and_the_next_raises_once() 
 
 
 async def test_a_lock_drops_what_another_script_repeats_and_the_unlock_moves_nothing() -> None:
-    async with (
-        daemon() as host,
-        fake_device(host.tcp, robot_topics()),
-        connect(host.url) as me,
-        connect(host.url) as he,
-    ):
+    async with two_scripts() as (host, me, he):
         robot = me.robot("robot_0")
         await robot.drive(0.2, 0.0)
         await he.robot("robot_0").lock("somebody stands there")
@@ -283,12 +284,7 @@ async def test_a_lock_drops_what_another_script_repeats_and_the_unlock_moves_not
 
 
 async def test_script_drives_at_once_after_its_own_unlock() -> None:
-    async with (
-        daemon() as host,
-        fake_device(host.tcp, robot_topics()),
-        connect(host.url) as me,
-        connect(host.url) as he,
-    ):
+    async with two_scripts() as (host, me, he):
         robot = me.robot("robot_0")
         for locker in (robot, he.robot("robot_0")):
             await robot.drive(0.2, 0.0)
@@ -305,12 +301,7 @@ async def test_script_drives_at_once_after_its_own_unlock() -> None:
 
 async def test_epoch_of_an_unlock_is_of_no_use_after_a_lease() -> None:
     """The script has stopped driving by then, and later interruptions do not concern it."""
-    async with (
-        daemon() as host,
-        fake_device(host.tcp, robot_topics()),
-        connect(host.url) as me,
-        connect(host.url) as he,
-    ):
+    async with two_scripts() as (_, me, he):
         robot = me.robot("robot_0")
         await robot.lock("somebody stands there", wait_s=0)
         await robot.unlock()

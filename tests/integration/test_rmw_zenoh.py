@@ -6,7 +6,7 @@ import struct
 import subprocess
 import sys
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import AsyncIterator, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -77,6 +77,20 @@ async def driven(device: FakeDevice, talker: Talker) -> None:
                 async with asyncio.timeout(2 * LEASE_S):  # without a velocity for a lease the talker is armed again
                     assert await device.velocity_other_than((0.0, 0.0)) == (0.2, 0.0)
                     return
+
+
+@contextlib.asynccontextmanager
+async def driving() -> AsyncIterator[tuple[Bridged, FakeDevice, Talker]]:
+    """A robot that a publisher of ROS 2 drives."""
+    async with (
+        bridged() as world,
+        fake_device(world.daemon.tcp, robot_topics()) as device,
+        zenoh_session(world.address) as session,
+    ):
+        talker = Talker(session, "/robot_0/cmd_vel", TWIST_KEY)
+        await known(world.daemon.hub, talker)
+        await driven(device, talker)
+        yield world, device, talker
 
 
 async def zero(device: FakeDevice) -> float:
@@ -321,14 +335,7 @@ async def test_latched_topic_of_ros_2_each_device_receives_last_message() -> Non
 
 
 async def test_a_velocity_that_waited_on_its_way_moves_nothing() -> None:
-    async with (
-        bridged() as world,
-        fake_device(world.daemon.tcp, robot_topics()) as device,
-        zenoh_session(world.address) as session,
-    ):
-        talker = Talker(session, "/robot_0/cmd_vel", TWIST_KEY)
-        await known(world.daemon.hub, talker)
-        await driven(device, talker)
+    async with driving() as (world, device, talker):
         await zero(device)
         await asyncio.sleep(0.5)
         talker.drive(0.3, age_s=0.8)
@@ -349,14 +356,7 @@ async def test_a_publisher_that_is_killed_stops_its_robot_at_once() -> None:
 
 
 async def test_publisher_that_withdraws_its_token_stops_its_robot_at_once() -> None:
-    async with (
-        bridged() as world,
-        fake_device(world.daemon.tcp, robot_topics()) as device,
-        zenoh_session(world.address) as session,
-    ):
-        talker = Talker(session, "/robot_0/cmd_vel", TWIST_KEY)
-        await known(world.daemon.hub, talker)
-        await driven(device, talker)
+    async with driving() as (world, device, talker):
         talker.close()
         assert await zero(device) < LEASE_S / 2
         talker.drive(0.2)
@@ -384,14 +384,7 @@ async def test_of_two_publishers_the_one_that_is_killed_stops_its_own_robot_alon
 
 
 async def test_a_publisher_that_falls_silent_ends_with_its_lease() -> None:
-    async with (
-        bridged() as world,
-        fake_device(world.daemon.tcp, robot_topics()) as device,
-        zenoh_session(world.address) as session,
-    ):
-        talker = Talker(session, "/robot_0/cmd_vel", TWIST_KEY)
-        await known(world.daemon.hub, talker)
-        await driven(device, talker)
+    async with driving() as (_, device, _):
         began_s = time.monotonic()
         assert await zero(device) < STOP_S
         assert time.monotonic() - began_s > LEASE_S - 0.1
@@ -465,14 +458,7 @@ async def test_hostlink_can_be_the_router_of_ros_2() -> None:
 
 
 async def test_the_end_of_the_bridge_stops_what_ros_2_drives() -> None:
-    async with (
-        bridged() as world,
-        fake_device(world.daemon.tcp, robot_topics()) as device,
-        zenoh_session(world.address) as session,
-    ):
-        talker = Talker(session, "/robot_0/cmd_vel", TWIST_KEY)
-        await known(world.daemon.hub, talker)
-        await driven(device, talker)
+    async with driving() as (world, device, _):
         world.bridge.close()
         assert await zero(device) < LEASE_S / 2
 

@@ -25,6 +25,7 @@ from hostlink.protocol.frame import Frame, Id, encode
 from hostlink.protocol.stream import FrameStream
 from hostlink.robot.admission import LEASE_S
 from hostlink.robot.velocity import ZERO, PlanarVelocity
+from hostlink.sim.robot import SimulatedRobot
 from tests.support.fake_device import robot_topics
 from tests.support.gates import drive_gate
 from tests.support.memory_hub import MemoryHub, in_hub
@@ -84,6 +85,18 @@ def numbered(test: Callable[[World, NumberedRobot], Awaitable[None]]) -> None:
     run_virtual(run())
 
 
+def simulated(test: Callable[[World, SimulatedRobot], Awaitable[None]]) -> None:
+    async def run() -> None:
+        program = FirmwareProgram()
+        with capture_logs():
+            async with world(Script(), program, loop_s=program.loop_s) as made:
+                await ready(made)
+                await driven(made)
+                await test(made, program.robot)
+
+    run_virtual(run())
+
+
 def test_a_stop_reaches_an_idle_robot_within_a_turn_and_a_line() -> None:
     async def check(made: World, robot: NumberedRobot) -> None:
         since_s = loop().time()
@@ -128,48 +141,36 @@ def test_thousand_commands_at_once_are_sent_as_one_before_the_stop() -> None:
 
 
 def test_a_thousand_messages_of_other_topics_do_not_delay_a_stop() -> None:
-    async def run() -> None:
-        program = FirmwareProgram()
-        robot = program.robot
-        with capture_logs():
-            async with world(Script(), program, loop_s=program.loop_s) as made:
-                await ready(made)
-                await driven(made)
-                assert robot.controls[0].target_ticks_s > 0
-                for number in range(500):
-                    for wheel in "lr":
-                        publish(made.hub, f"/robot_0/pid_tune_{wheel}", {"x": 20.0 + number / 1000}, source="test")
-                since_s = loop().time()
-                (await ready(made)).stop()
-                await expect(lambda: robot.controls[0].target_ticks_s == 0)
-                # a turn for what was on the line already, and the 5 ms between two looks of `expect`
-                assert loop().time() - since_s <= LINE_S + LOOP_S + LOOP_S + 0.005
-                await asyncio.sleep(1.0)
-                assert robot.controls[0].kp == pytest.approx(20.499)  # the newest came, after the stop
+    async def check(made: World, robot: SimulatedRobot) -> None:
+        assert robot.controls[0].target_ticks_s > 0
+        for number in range(500):
+            for wheel in "lr":
+                publish(made.hub, f"/robot_0/pid_tune_{wheel}", {"x": 20.0 + number / 1000}, source="test")
+        since_s = loop().time()
+        (await ready(made)).stop()
+        await expect(lambda: robot.controls[0].target_ticks_s == 0)
+        # a turn for what was on the line already, and the 5 ms between two looks of `expect`
+        assert loop().time() - since_s <= LINE_S + LOOP_S + LOOP_S + 0.005
+        await asyncio.sleep(1.0)
+        assert robot.controls[0].kp == pytest.approx(20.499)  # the newest came, after the stop
 
-    run_virtual(run())
+    simulated(check)
 
 
 def test_stalled_daemon_sends_only_zero_afterwards() -> None:
     """Only the robot's own watchdog can stop it during the stall. Earlier commands must not move it afterwards."""
 
-    async def run() -> None:
-        program = FirmwareProgram()
-        robot = program.robot
-        with capture_logs():
-            async with world(Script(), program, loop_s=program.loop_s) as made:
-                await ready(made)
-                await driven(made)
-                sent = len(made.taps[-1].written)
-                loop().burn(3.0)
-                robot.advance(loop().time())
-                assert robot.controls[0].target_ticks_s == 0
-                await asyncio.sleep(1.0)
-                later = [frame for frame in made.taps[-1].written[sent:] if frame[5:7] == b"\x64\x00"]
-                assert {frame[7:-1] for frame in later} == {STOP}
-                assert robot.speed_m_s == pytest.approx(0.0, abs=0.01)
+    async def check(made: World, robot: SimulatedRobot) -> None:
+        sent = len(made.taps[-1].written)
+        loop().burn(3.0)
+        robot.advance(loop().time())
+        assert robot.controls[0].target_ticks_s == 0
+        await asyncio.sleep(1.0)
+        later = [frame for frame in made.taps[-1].written[sent:] if frame[5:7] == b"\x64\x00"]
+        assert {frame[7:-1] for frame in later} == {STOP}
+        assert robot.speed_m_s == pytest.approx(0.0, abs=0.01)
 
-    run_virtual(run())
+    simulated(check)
 
 
 def test_commands_that_waited_during_a_stall_are_refused_and_zeros_are_sent() -> None:

@@ -112,7 +112,7 @@ class MemorySession:
                     if not done.done():
                         done.set_result(None)
 
-                answer(Query(key, payload or b"", attachment or b"", reply, close))
+                answer(Query(payload or b"", attachment or b"", reply, close))
         if waiting:
             await asyncio.wait(waiting, timeout=timeout_s)
         return answers

@@ -85,6 +85,15 @@ class Defect(Exception):
     """Failure of a callback."""
 
 
+def _provide(program: "Program | FoxgloveProgram", answer: Answer) -> None:
+    async def serving(request: Mapping[str, object]) -> Mapping[str, object]:
+        if program.is_failing:
+            raise Defect
+        return await answer(request)
+
+    program.participant.provide(SERVICE, SERVICE_TYPE, serving)
+
+
 @dataclass
 class Program:
     """A participant of any kind that uses the seam itself; its queue holds what it was sent."""
@@ -112,12 +121,7 @@ class Program:
         return [waiting.item.payload for waiting in iter(self.queue.pop, None)]
 
     def serve(self, answer: Answer) -> None:
-        async def serving(request: Mapping[str, object]) -> Mapping[str, object]:
-            if self.is_failing:
-                raise Defect
-            return await answer(request)
-
-        self.participant.provide(SERVICE, SERVICE_TYPE, serving)
+        _provide(self, answer)
 
     async def call(self, service: str, request: Mapping[str, object]) -> Mapping[str, object]:
         return await self.participant.call(service, request)
@@ -269,12 +273,7 @@ class FoxgloveProgram:
         return received
 
     def serve(self, answer: Answer) -> None:
-        async def serving(request: Mapping[str, object]) -> Mapping[str, object]:
-            if self.is_failing:
-                raise Defect
-            return await answer(request)
-
-        self.participant.provide(SERVICE, SERVICE_TYPE, serving)
+        _provide(self, answer)
 
     async def call(self, service: str, request: Mapping[str, object]) -> Mapping[str, object]:
         while service not in self._services:

@@ -40,7 +40,7 @@ async def simulated_robot(
     """Runs for the length of the block, and connects again whenever its host is gone."""
     robot = DisturbedRobot(name, kind)
     async with asyncio.TaskGroup() as tasks:
-        fault = Fault(text="as the test wants it", transform=robot.transform)
+        fault = Fault(transform=robot.transform)
         running = tasks.create_task(run_over_tcp(robot, *address, fault=fault))
         try:
             yield robot

@@ -112,6 +112,16 @@ class UnwatchedRobot:
 
 
 @contextlib.asynccontextmanager
+async def _reading(robot: UnwatchedRobot, descriptor: int) -> AsyncIterator[None]:
+    async with asyncio.TaskGroup() as tasks:
+        task = tasks.create_task(robot.read(descriptor))
+        try:
+            yield
+        finally:
+            task.cancel()
+
+
+@contextlib.asynccontextmanager
 async def robot_on_tcp(
     address: tuple[str, int], name: str, reading: Reading | None = None
 ) -> AsyncIterator[UnwatchedRobot]:
@@ -123,12 +133,8 @@ async def robot_on_tcp(
             connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
         connection.connect(address)
         connection.setblocking(False)
-        async with asyncio.TaskGroup() as tasks:
-            task = tasks.create_task(robot.read(connection.fileno()))
-            try:
-                yield robot
-            finally:
-                task.cancel()
+        async with _reading(robot, connection.fileno()):
+            yield robot
 
 
 @contextlib.asynccontextmanager
@@ -139,12 +145,8 @@ async def robot_on_udp(address: tuple[str, int], name: str) -> AsyncIterator[Unw
         connection.connect(address)
         connection.setblocking(False)
         connection.send(encode(Id.TIME, bytes(8)))
-        async with asyncio.TaskGroup() as tasks:
-            task = tasks.create_task(robot.read(connection.fileno()))
-            try:
-                yield robot
-            finally:
-                task.cancel()
+        async with _reading(robot, connection.fileno()):
+            yield robot
 
 
 @contextlib.asynccontextmanager
@@ -157,12 +159,8 @@ async def robot_on_pty(name: str, reading: Reading | None = None) -> AsyncIterat
     os.set_blocking(ours, False)
     path = os.ttyname(theirs)
     try:
-        async with asyncio.TaskGroup() as tasks:
-            task = tasks.create_task(robot.read(ours))
-            try:
-                yield robot, path
-            finally:
-                task.cancel()
+        async with _reading(robot, ours):
+            yield robot, path
     finally:
         os.close(ours)
         os.close(theirs)

@@ -48,10 +48,6 @@ class ParameterCache:
         self._values.move_to_end(key)
         return self._values.popitem(last=False)[0] if len(self._values) > MAX_KEYS else None
 
-    def clear(self) -> None:
-        """Forget all subscriptions, as the master has."""
-        self._values.clear()
-
     def update(self, key: str, value: Any) -> None:
         """Apply a change that the master reports, of a key or below it; {} is a deleted parameter."""
         key = key.rstrip("/")

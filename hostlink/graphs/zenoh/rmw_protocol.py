@@ -359,10 +359,6 @@ class RemoteGraph:
         """Return all publishers of a subject."""
         return list(self._of_subject.get(subject, {}).values())
 
-    def endpoints(self, kind: TokenKind) -> list[EndpointToken]:
-        """Return all endpoints of a kind."""
-        return [each for each in self._tokens.values() if isinstance(each, EndpointToken) and each.kind is kind]
-
     def __len__(self) -> int:
         return len(self._tokens)
 

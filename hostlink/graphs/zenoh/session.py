@@ -48,7 +48,6 @@ class Token(NamedTuple):
 class Query:
     """Query; `reply` may be called later, and at most once for each key. `close` ends it."""
 
-    key: str
     payload: bytes
     attachment: bytes
     reply: Callable[..., None]
@@ -249,7 +248,7 @@ class ZenohSession:
                 key, payload = str(query.key_expr), _bytes(query.payload)
                 if self._fits(key, len(payload), MAX_PAYLOAD_BYTES, query.attachment):
                     reply, close = self._background.replies(query)
-                    inbox.put("", Query(key, payload, _bytes(query.attachment), reply, close))
+                    inbox.put("", Query(payload, _bytes(query.attachment), reply, close))
 
         queryable = self._declare(self._session.declare_queryable, key_expr, self.callback(put), complete=True)
         return Declaration(inbox.close, lambda: self._undeclare(queryable))

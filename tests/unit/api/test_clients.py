@@ -167,9 +167,9 @@ async def test_clients_count_dropped_messages_of_disconnected_clients() -> None:
     queue = ClientQueue()
     queue.dropped = 3
     slow, stream = clients.enter("rosbridge", request, grant, queue), clients.enter("events", request, grant)
-    assert clients.all() == [slow, stream]
+    assert [view["kind"] for view in clients.views()] == ["rosbridge", "events"]
     with pytest.raises(web.HTTPServiceUnavailable):
         clients.enter("events", request, grant)
     clients.leave(slow)
     clients.leave(stream)
-    assert (clients.gone_dropped, clients.refused, clients.all()) == (3, 1, [])
+    assert (clients.gone_dropped, clients.refused, clients.views()) == (3, 1, [])

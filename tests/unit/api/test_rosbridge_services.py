@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from hostlink.hub.services import Provider
-from tests.support.rosbridge_memory import call, offered, world
+from tests.support.rosbridge_memory import Peer, World, call, offered, world
 from tests.support.virtual_loop import run_virtual
 
 CHAT = {"topic": "/chat", "type": "std_msgs/String"}
@@ -49,6 +49,15 @@ async def test_call_and_answer_are_completed_and_delivered_once() -> None:
         ]  # fmt: skip
 
 
+async def answered(here: World, answer: dict[str, Any]) -> tuple[Peer, str, list[dict[str, Any]]]:
+    """Call a service that a program offers, and answer; returns the program, the id of its request, what is heard."""
+    server, caller = await offered(here), here.client()
+    caller.send(op="call_service", id=7, service="/switch")
+    (request,) = await server.answers()
+    server.send(op="service_response", id=request["id"], service="switch", **answer)
+    return server, request["id"], await caller.answers()
+
+
 @pytest.mark.parametrize(
     ("answer", "reason"),
     [
@@ -60,11 +69,7 @@ async def test_call_and_answer_are_completed_and_delivered_once() -> None:
 )
 async def test_failed_call_has_its_reason_in_values(answer: dict[str, Any], reason: str) -> None:
     async with world() as here:
-        server, caller = await offered(here), here.client()
-        caller.send(op="call_service", id=7, service="/switch")
-        (request,) = await server.answers()
-        server.send(op="service_response", id=request["id"], service="switch", **answer)
-        (heard,) = await caller.answers()
+        _, _, (heard,) = await answered(here, answer)
         assert heard["result"] is False
         assert reason in heard["values"]
 
@@ -73,12 +78,8 @@ async def test_failed_call_has_its_reason_in_values(answer: dict[str, Any], reas
 async def test_service_answer_is_delivered_for_any_result(result: bool | None) -> None:
     """Success of a service is a field of its answer, as in rosbridge."""
     async with world() as here:
-        server, caller = await offered(here), here.client()
-        caller.send(op="call_service", id=7, service="/switch")
-        (request,) = await server.answers()
         values = {"success": False, "message": "the door is open"}
-        server.send(op="service_response", id=request["id"], service="switch", values=values, result=result)
-        (heard,) = await caller.answers()
+        server, _, (heard,) = await answered(here, {"values": values, "result": result})
         assert (heard["values"], heard["result"]) == (values, True)
         assert server.received() == []
 
@@ -96,13 +97,9 @@ async def test_service_answer_is_delivered_for_any_result(result: bool | None) -
 )
 async def test_invalid_answer_fails_the_call_and_is_reported_to_its_sender(answer: dict[str, Any], reason: str) -> None:
     async with world() as here:
-        server, caller = await offered(here), here.client()
-        caller.send(op="call_service", id=7, service="/switch")
-        (request,) = await server.answers()
-        server.send(op="service_response", id=request["id"], service="switch", **answer)
-        (heard,) = await caller.answers()
+        server, request_id, (heard,) = await answered(here, answer)
         (status,) = server.received()
-        assert (heard["result"], status["level"], status["id"]) == (False, "error", request["id"])
+        assert (heard["result"], status["level"], status["id"]) == (False, "error", request_id)
         assert reason in heard["values"]
         assert reason in status["msg"]
 

@@ -99,13 +99,14 @@ def test_a_forgotten_topic_leaves_nothing_behind() -> None:
     assert drain(queue) == [b"2"]
 
 
-async def test_wait_returns_when_something_was_put() -> None:
-    queue = made()
+def test_owner_is_told_what_is_put_and_that_the_queue_is_closed() -> None:
+    queue, news = made(), list[int]()
+    queue.on_news = lambda: news.append(queue.waiting_messages)
     queue.put_message("/a", b"1")
-    await queue.wait()
-    assert drain(queue) == [b"1"]
+    queue.put_result(b"2")
     queue.wake()
-    await queue.wait()
+    queue.close()
+    assert news == [1, 2, 2, 2]
 
 
 @given(st.lists(st.tuples(st.sampled_from(["/a", "/b", "/c", ""]), st.integers(1, MAX_BYTES // 3)), max_size=60))

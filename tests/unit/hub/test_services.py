@@ -163,8 +163,6 @@ def test_services_are_listed_by_name_with_type_and_link() -> None:
     services.add_device_service(device)
     services.provide(provider("/a"))
     assert services.all() == [("/a", TRIGGER), ("/b", TRIGGER)]
-    assert services.of_link("b", "link 1") is device
-    assert services.of_link("b", "link 2") is None
     found = services.type_of("/a")
     assert found is not None
     assert found.name == TRIGGER

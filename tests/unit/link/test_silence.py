@@ -17,16 +17,21 @@ from tests.support.virtual_loop import VirtualLoop, run_virtual
 ANNOUNCEMENT = TIME + wire(ODOMETRY, LED) + TIME
 
 
+async def live(device: MemoryTransport, *, time_requests: int) -> None:
+    """Announce topics, and request the time every 2.5 s."""
+    await device.send(ANNOUNCEMENT)
+    for _ in range(time_requests):
+        await asyncio.sleep(2.5)
+        await device.send(TIME)
+
+
 async def silence_until_the_end(config: LinkConfig, *, time_requests: int) -> tuple[LinkEnd, float]:
     """Announce topics, request the time at that period, then fall silent. Return how long the link lasts."""
     transport, device = memory_pair()
     link = Link(transport, Session(check=check), config, number=1, on_event=lambda _link, _event: None)
     async with asyncio.TaskGroup() as tasks:
         running = tasks.create_task(link.run())
-        await device.send(ANNOUNCEMENT)
-        for _ in range(time_requests):
-            await asyncio.sleep(2.5)
-            await device.send(TIME)
+        await live(device, time_requests=time_requests)
         vanished_at_s = asyncio.get_running_loop().time()
         end = await running
     return end, asyncio.get_running_loop().time() - vanished_at_s
@@ -83,10 +88,7 @@ async def pause_while(config: LinkConfig, *, sent: bytes, lasts_s: float, rest: 
     link = Link(transport, session, config, number=1, on_event=lambda _link, _event: None, pauses=watch.pauses)
     async with asyncio.TaskGroup() as tasks:
         running = tasks.create_task(link.run())
-        await device.send(ANNOUNCEMENT)
-        for _ in range(2):
-            await asyncio.sleep(2.5)
-            await device.send(TIME)
+        await live(device, time_requests=2)
         await asyncio.sleep(0.5)
         watch.beat(loop.time())
         loop.burn(lasts_s)
@@ -123,10 +125,7 @@ def test_silence_of_a_dead_device_ends_its_link_after_the_pause() -> None:
         link = Link(transport, Session(check=check), LinkConfig(), number=1, on_event=_ignore, pauses=watch.pauses)
         async with asyncio.TaskGroup() as tasks:
             running = tasks.create_task(link.run())
-            await device.send(ANNOUNCEMENT)
-            for _ in range(2):
-                await asyncio.sleep(2.5)
-                await device.send(TIME)
+            await live(device, time_requests=2)
             await asyncio.sleep(0.5)
             watch.beat(loop.time())
             loop.burn(20.0)

@@ -77,19 +77,19 @@ def test_without_noise_every_number_is_exact_but_for_the_rate_of_the_messages() 
     assert model.offset_pwm == pytest.approx(300.0, abs=10)
     assert model.time_constant_s == pytest.approx(0.4, rel=0.03)
     assert model.dead_time_s == pytest.approx(3.5 * LOOP_S, abs=0.015)
-    assert model.residual < 0.2
+    assert model.explained > 0.9999
 
 
 def test_the_gains_are_those_of_the_paper_that_is_named() -> None:
     """Skogestad's rule for k = 2, tau1 = 8, theta = 0.5, tau_c = 0.5: Kc = 4, tauI = min(8, 4)."""
-    model = MotorModel(gain=2.0, offset_pwm=0, time_constant_s=8.0, dead_time_s=0.5, residual=0, explained=1)
+    model = MotorModel(gain=2.0, offset_pwm=0, time_constant_s=8.0, dead_time_s=0.5, explained=1)
     assert simc_gains(model).kp == pytest.approx(4.0)
     assert simc_gains(model).ki == pytest.approx(1.0)
     assert simc_gains(model).kd == 0
 
 
 def test_a_motor_without_dead_time_gets_no_endless_gains() -> None:
-    model = MotorModel(gain=0.07, offset_pwm=0, time_constant_s=0.35, dead_time_s=0.0, residual=0, explained=1)
+    model = MotorModel(gain=0.07, offset_pwm=0, time_constant_s=0.35, dead_time_s=0.0, explained=1)
     assert simc_gains(model).kp == pytest.approx(50.0)
 
 

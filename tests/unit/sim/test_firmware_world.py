@@ -164,4 +164,4 @@ def test_a_hand_at_the_wheels_and_at_the_robot() -> None:
 def test_world_is_valid_as_long_as_it_is_referenced() -> None:
     world = connected(WorldParameters({"battery_v": 11.0})).world
     gc.collect()
-    assert world.battery_v == 11.0
+    assert world.now("battery_v") == 11.0
