@@ -37,8 +37,8 @@ async def running(folder: Path, config: BlackBoxConfig) -> AsyncIterator[tuple[H
         box.start()
         ScriptedDevice(hub, robot_topics(ROBOT), address="10.0.0.1")
         program = hub.join("program")
+        await expect(lambda: hub.robots.get_here(ROBOT))  # a topic that is subscribed earlier has no robot
         program.advertise(TEXT, "std_msgs/String")
-        await expect(lambda: hub.robots.get_here(ROBOT))
         await expect(lambda: hub.topics.find(TEXT).subscribers or not config.enabled)
         program.publish(TEXT, b"\2\0\0\0hi")
         try:
