@@ -143,10 +143,10 @@ test-long: test-requirements
 	$(BIN)/python tools/run_tests.py --long --quiet-workers $(CORES)
 
 quick: $(VENV)/.dev
-	$(BIN)/python -m pytest -q -n $(CORES) -m "not quiet and not alone and not long" tests/unit
+	$(BIN)/python -m pytest -q --workers $(CORES) -m "not quiet and not alone and not long" tests/unit
 
 coverage: $(VENV)/.dev
-	HYPOTHESIS_PROFILE=ci $(BIN)/coverage run -m pytest -n $(CORES) tests/unit tests/property tests/integration
+	HYPOTHESIS_PROFILE=ci $(BIN)/coverage run -m pytest --workers $(CORES) tests/unit tests/property tests/integration
 	$(BIN)/coverage combine --quiet
 	$(BIN)/coverage report
 	$(BIN)/python tools/run_tests.py --branches
@@ -207,8 +207,8 @@ bench: $(VENV)/.dev $(ROS2_VENV)/.installed
 FUZZ_TEST_S := 3600
 fuzz: $(VENV)/.dev
 	@tools/require.sh $(FIRMWARE_PACKAGES)
-	HYPOTHESIS_PROFILE=fuzz $(BIN)/python -m pytest -n auto --timeout $(FUZZ_TEST_S) tests/property
-	HYPOTHESIS_PROFILE=fuzz $(BIN)/python -m pytest -n auto --timeout $(FUZZ_TEST_S) tests/unit tests/firmware -m hypothesis
+	HYPOTHESIS_PROFILE=fuzz $(BIN)/python -m pytest --workers $(CORES) --timeout $(FUZZ_TEST_S) tests/property
+	HYPOTHESIS_PROFILE=fuzz $(BIN)/python -m pytest --workers $(CORES) --timeout $(FUZZ_TEST_S) tests/unit tests/firmware -m hypothesis
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[fuzz]'
 	@tools/require.sh clang libclang-rt-14-dev
 	$(BIN)/python tools/fuzz.py --seconds 60

@@ -16,6 +16,8 @@ from hypothesis import HealthCheck, settings
 
 from tests.support import requirements
 
+pytest_plugins = ["tests.support.workers"]
+
 _EXAMPLES, _CI_EXAMPLES, _FUZZ_EXAMPLES, _FEWER_EXAMPLES = 50, 100, 5000, 20
 _COMMON: dict[str, Any] = {"deadline": None, "suppress_health_check": [HealthCheck.too_slow]}
 _FUZZ = settings(max_examples=_FUZZ_EXAMPLES, **_COMMON)
@@ -57,14 +59,6 @@ def _ignore(number: int, frame: object) -> None:
     """Do nothing. A program that is started inherits SIG_IGN, but no function."""
 
 
-@pytest.hookimpl(optionalhook=True)
-def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> object:
-    """Distribute the tests to the workers of pytest-xdist by `FilesThatShare`."""
-    from tests.support.sharing import FilesThatShare  # noqa: PLC0415 - without workers pytest-xdist is not needed
-
-    return FilesThatShare(config, log)
-
-
 def pytest_sessionstart() -> None:
     """Collect no garbage while tests are collected: it takes a fifth of that time and finds nothing."""
     gc.disable()
@@ -87,7 +81,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     for item in items:
         for reason in requirements.reasons(_file(item), getattr(item, "fixturenames", ()), absent):
             item.add_marker(pytest.mark.skip(reason=reason))
-    if hasattr(config, "workerinput"):
+    if config.option.workers:
         items.sort(key=_place)
 
 

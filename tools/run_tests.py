@@ -18,7 +18,6 @@ import xml.etree.ElementTree as ET
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from importlib.metadata import version
 from pathlib import Path
 
 REPORTS = Path("build/tests")
@@ -92,9 +91,13 @@ def groups(workers: int, quiet_workers: int) -> list[tuple[str, list[str], list[
     pure_tests = [f"tests/unit/{package}" for package in PURE]
     others = [f"--ignore={each}" for each in pure_tests]
     return [
-        ("pure", ["-m", "coverage", "run", *pytest], ["-n", str(quiet_workers), *pure_tests]),
-        ("others", pytest, ["-n", str(workers), "-m", "not quiet and not alone and not long", *others]),
-        ("quiet", pytest, ["-n", str(quiet_workers), "-m", "quiet and not alone and not long", *marked("quiet")]),
+        ("pure", ["-m", "coverage", "run", *pytest], ["--workers", str(quiet_workers), *pure_tests]),
+        ("others", pytest, ["--workers", str(workers), "-m", "not quiet and not alone and not long", *others]),
+        (
+            "quiet",
+            pytest,
+            ["--workers", str(quiet_workers), "-m", "quiet and not alone and not long", *marked("quiet")],
+        ),
         ("alone", pytest, ["-m", "alone and not long", *marked("alone")]),
     ]
 
@@ -103,27 +106,9 @@ def long_groups(workers: int) -> list[tuple[str, list[str], list[str]]]:
     """Return the name, the command and the arguments of each group of `make test-long`."""
     files = marked("long")
     return [
-        ("long", ["-m", "pytest"], ["-n", str(workers), "-m", "long and not alone", *files]),
+        ("long", ["-m", "pytest"], ["--workers", str(workers), "-m", "long and not alone", *files]),
         ("long alone", ["-m", "pytest"], ["-m", "long and alone", *files]),
     ]
-
-
-def not_compiled(folder: Path) -> list[str]:
-    """Return the files of tests that have changed since pytest compiled them."""
-    suffix = f".{sys.implementation.cache_tag}-pytest-{version('pytest')}.pyc"
-
-    def is_older(file: Path) -> bool:
-        compiled = file.parent / "__pycache__" / f"{file.stem}{suffix}"
-        return not compiled.exists() or compiled.stat().st_mtime < file.stat().st_mtime
-
-    return sorted(str(file) for file in folder.rglob("test_*.py") if is_older(file))
-
-
-def compile_tests() -> None:
-    """Let pytest compile changed tests here: otherwise each worker would do it."""
-    if changed := not_compiled(Path("tests")):
-        command = [sys.executable, "-m", "pytest", "--collect-only", "--quiet", *changed]
-        subprocess.run(command, check=False, stdout=subprocess.DEVNULL)
 
 
 def marked(mark: str) -> list[str]:
@@ -157,7 +142,6 @@ def main() -> int:
     if arguments.branches:
         return covered().code
     REPORTS.mkdir(parents=True, exist_ok=True)
-    compile_tests()
     run(["-m", "tests.firmware.build_all"])
     results: list[Result] = []
     selections = (

@@ -23,6 +23,6 @@ cp --recursive --no-clobber --symbolic-link "$root"/.venv/bin/* .venv/bin/ # ruf
 .venv/bin/python tools/try_compiled.py
 run() { .venv/bin/python -m pytest -q -p no:cacheprovider "$@"; }
 status=0
-run -n "$(nproc)" -m "not quiet and not alone and not long" "$@" || status=$?
+run --workers "$(nproc)" -m "not quiet and not alone and not long" "$@" || status=$?
 run -m "(quiet or alone) and not long" "$@" || [ $? -eq 5 ] || status=1 # 5: none of these tests is so marked
 exit "$status"

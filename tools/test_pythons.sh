@@ -52,7 +52,7 @@ test_with() {
     return 1
   fi
   local failed=0
-  run_tests "$venv.log" "$venv/bin/python" -m pytest -q -n "$(nproc)" -m "not quiet" || failed=1
+  run_tests "$venv.log" "$venv/bin/python" -m pytest -q --workers "$(nproc)" -m "not quiet" || failed=1
   plain=$result
   run_tests "$venv.quiet.log" "$venv/bin/python" -m pytest -q -m quiet || failed=1
   result="$plain; quiet: $result"

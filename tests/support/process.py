@@ -16,12 +16,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from tests.support import workers
 from tests.support.fork_server import Child, start
 from tests.support.waiting import TIMEOUT_S, expect
 
 HOSTLINK = str(Path(sys.executable).parent / "hostlink")
 POLL_S = 0.005
-FIRST_PORT, PORTS = 20_000, 1200  # for each of ten workers
+FIRST_PORT, PORTS = 20_000, 600  # for each of twenty workers
 _given: set[int] = set()
 
 
@@ -30,7 +31,7 @@ def free_port() -> int:
 
     Each worker of the tests has a range of its own, and gives no port twice.
     """
-    worker = int(os.environ.get("PYTEST_XDIST_WORKER", "gw9").removeprefix("gw")) % 10
+    worker = int(os.environ.get(workers.NUMBER, "19")) % 20
     for _ in range(PORTS):
         port = FIRST_PORT + worker * PORTS + random.SystemRandom().randrange(PORTS)
         if port in _given:

@@ -1,7 +1,5 @@
 """tools/run_tests.py: each group runs once, and the table names what failed and what could not run."""
 
-import os
-import sys
 from pathlib import Path
 
 import pytest
@@ -35,8 +33,8 @@ def test_group_with_failed_tests_runs_once_and_names_them() -> None:
         Path(command[-1].partition("=")[2]).write_text(REPORT)
         return 1
 
-    result = run_tests.run_group("some", ["-m", "pytest"], ["-n", "6"], run)
-    assert commands == [["-m", "pytest", "-n", "6", "--junit-xml=build/tests/some.xml"]]
+    result = run_tests.run_group("some", ["-m", "pytest"], ["--workers", "6"], run)
+    assert commands == [["-m", "pytest", "--workers", "6", "--junit-xml=build/tests/some.xml"]]
     assert (result.code, result.passed, result.skipped.total()) == (1, 1, 2)
     lines = run_tests.table([result]).splitlines()
     assert lines[1].split() == ["some", "1", "2", "2", "0"]
@@ -77,18 +75,6 @@ def test_groups_of_both_targets_take_every_test_once() -> None:
         "long and alone",
     ]
     assert "tests/system/test_chaos.py" in selections["long alone"]
-
-
-def test_only_changed_tests_are_compiled_before_the_workers_start(tmp_path: Path) -> None:
-    test = tmp_path / "test_one.py"
-    test.write_text("")
-    assert run_tests.not_compiled(tmp_path) == [str(test)]
-    compiled = tmp_path / "__pycache__" / f"test_one.{sys.implementation.cache_tag}-pytest-{pytest.__version__}.pyc"
-    compiled.parent.mkdir()
-    compiled.touch()
-    assert run_tests.not_compiled(tmp_path) == []
-    os.utime(test, (compiled.stat().st_mtime + 1,) * 2)
-    assert run_tests.not_compiled(tmp_path) == [str(test)]
 
 
 @pytest.mark.parametrize("mark", ["quiet", "alone", "long"])
