@@ -167,9 +167,9 @@ async def test_only_drivers_send_what_moves_a_robot_in_the_fleet_and_in_ros_2(tm
         session(certified(tmp_path, "desk", connect=listen)) as desk,
         session(certified(tmp_path, "wall", connect=listen)) as wall,
     ):
-        asked, last = list[str](), keys[-1]
+        asked, last = list[bytes](), keys[-1]  # what each query carries: its own key
         here.subscribe("**", receive)
-        here.serve("**", lambda query: (asked.append(query.key), query.close()))
+        here.serve("**", lambda query: (asked.append(query.payload), query.close()))
         for name, each in ((b"desk", desk), (b"wall", wall)):
             # a message from before the links know of the subscription is lost, so the last is repeated
             while not received[name]:
@@ -179,12 +179,15 @@ async def test_only_drivers_send_what_moves_a_robot_in_the_fleet_and_in_ros_2(tm
             for key in keys:
                 each.put(key, name)
             await expect(functools.partial(is_in, last, received[name], before))
-            await each.get("0/robot_7/unlock/std_srvs::srv::dds_::Trigger_/RIHS01_1", b"", timeout_s=1.0)
-            await each.get(f"hostlink/topics/{name.decode()}/2b", b"", timeout_s=1.0)
+            for key in (
+                "0/robot_7/unlock/std_srvs::srv::dds_::Trigger_/RIHS01_1",
+                f"hostlink/topics/{name.decode()}/2b",
+            ):
+                await each.get(key, key.encode(), timeout_s=1.0)
     assert set(received[b"desk"]) == {keys[0], keys[2], keys[4], keys[5], keys[7]}
     assert set(received[b"wall"]) == {keys[4], keys[7]}
     assert sorted(asked) == [
-        "0/robot_7/unlock/std_srvs::srv::dds_::Trigger_/RIHS01_1",
-        "hostlink/topics/desk/2b",
-        "hostlink/topics/wall/2b",
+        b"0/robot_7/unlock/std_srvs::srv::dds_::Trigger_/RIHS01_1",
+        b"hostlink/topics/desk/2b",
+        b"hostlink/topics/wall/2b",
     ]
