@@ -2,8 +2,9 @@
 
 import asyncio
 import contextlib
+import math
 import re
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,8 @@ from playwright.async_api import Browser, ConsoleMessage, Page, Request, async_p
 from tests.support.waiting import TIMEOUT_S
 
 POLL_S = 0.05
+PAUSE_S = 0.3  # between two polls: the page may have taken it for a suspended computer
+EFFECT_S = 3.0  # for the effect of a key on a busy machine
 
 expect.set_options(timeout=1000 * TIMEOUT_S)
 
@@ -60,6 +63,26 @@ class Visit:
 
     async def is_connected(self, *, timeout_s: float = TIMEOUT_S) -> None:
         await self.shows("#connection", "connected", timeout_s=timeout_s)
+
+    async def hold(self, key: str, is_so: Callable[[], object]) -> None:
+        """Hold a key until a condition is true.
+
+        The page ends a motion when it has stood still for long. After a pause of the machine without the effect, the
+        key is therefore pressed again.
+        """
+        now_s = asyncio.get_running_loop().time
+        await self.page.keyboard.down(key)
+        deadline_s, again_at_s = now_s() + TIMEOUT_S, math.inf
+        while not is_so():
+            polled_s = now_s()
+            assert polled_s < deadline_s, f"{key} had no effect within {TIMEOUT_S:g} s"
+            if polled_s >= again_at_s:
+                await self.page.keyboard.up(key)
+                await self.page.keyboard.down(key)
+                again_at_s = math.inf
+            await asyncio.sleep(POLL_S)
+            if now_s() - polled_s > PAUSE_S:
+                again_at_s = now_s() + EFFECT_S
 
     async def layout(self, name: str) -> None:
         """Choose a layout: Drive, Tune, Fleet, Watch."""

@@ -70,6 +70,10 @@ class Scene:
     async def drives(self) -> None:
         await expect(lambda: self.wanted != (0, 0))
 
+    async def holds(self, tab: Visit, key: str) -> None:
+        """Drive with a key."""
+        await tab.hold(key, lambda: self.wanted != (0, 0))
+
     async def stands(self, *, within_s: float = 5.0) -> None:
         """Wait until the command is zero and the robot has no driver. Time without a free core is left out."""
         watch = Stopwatch()
@@ -192,15 +196,13 @@ async def test_a_key_in_a_field_is_a_letter_and_a_slider_moves_nothing(scene: Sc
 async def test_key_that_is_held_when_the_window_is_left_must_be_pressed_again(scene: Scene) -> None:
     async with connected(scene) as tab:
         for event in ("blur", "pagehide"):
-            await tab.page.keyboard.down("KeyW")
-            await scene.drives()
+            await scene.holds(tab, "KeyW")
             await tab.page.evaluate("name => dispatchEvent(new Event(name))", event)
             await scene.stands(within_s=1.0)
             await tab.page.keyboard.down("KeyW")  # a repeat
             await scene.stays_still(0.3)
             await tab.page.keyboard.up("KeyW")
-        await tab.page.keyboard.down("KeyW")
-        await scene.drives()
+        await scene.holds(tab, "KeyW")
 
 
 async def test_a_gamepad_drives_with_its_shoulder_pressed_and_not_when_it_is_lost(scene: Scene) -> None:
@@ -217,8 +219,7 @@ async def test_a_gamepad_drives_with_its_shoulder_pressed_and_not_when_it_is_los
 @pytest.mark.parametrize("way", ["closed", "crashed"])
 async def test_page_that_is_closed_while_driving_stops_the_robot(scene: Scene, way: str) -> None:
     async with connected(scene) as tab:
-        await tab.page.keyboard.down("KeyW")
-        await scene.drives()
+        await scene.holds(tab, "KeyW")
         if way == "closed":
             await tab.page.close()
         else:
@@ -366,8 +367,7 @@ async def test_a_dead_network_is_noticed_within_a_second_and_nothing_old_is_driv
 ) -> None:
     host, port = scene.host.url.removeprefix("http://").split(":")
     async with proxy((host, int(port))) as network, connected(scene, network.url) as tab:
-        await tab.page.keyboard.down("KeyW")
-        await scene.drives()
+        await scene.holds(tab, "KeyW")
         network.set_line(line)
         await tab.shows("#connection", "no answer", timeout_s=NOTICED_S)
         await tab.shows("#notice", "does not answer")
@@ -378,8 +378,7 @@ async def test_a_dead_network_is_noticed_within_a_second_and_nothing_old_is_driv
         await tab.is_connected()
         await scene.stays_still(0.3)  # though the key is still held
         await tab.page.keyboard.up("KeyW")
-        await tab.page.keyboard.down("KeyW")
-        await scene.drives()
+        await scene.holds(tab, "KeyW")
 
 
 async def test_a_daemon_that_is_gone_is_waited_for(scene: Scene) -> None:

@@ -82,8 +82,15 @@ class Scene:
         sent = [each for each in self.server.published if each["op"] == "drive"]
         return [each["epoch"] for each in sent if (each["linear"], each["angular"]) != (0, 0)]
 
+    def is_driven(self, name: str) -> bool:
+        return any(each[0] == name and each[1:] != (0, 0) for each in self.commands()[-1:])
+
     async def drives(self, name: str = "robot_0") -> None:
-        await expect(lambda: any(each[0] == name and each[1:] != (0, 0) for each in self.commands()[-1:]))
+        await expect(lambda: self.is_driven(name))
+
+    async def holds(self, key: str, name: str = "robot_0") -> None:
+        """Drive with a key."""
+        await self.tab.hold(key, lambda: self.is_driven(name))
 
     async def stands(self) -> None:
         """Check that zeros were sent last, and that nothing follows while keys stay held."""
@@ -116,22 +123,19 @@ async def scene(opened: Scene) -> Scene:
 
 @pytest.mark.parametrize("name", ["contextmenu", "dragstart"])
 async def test_a_menu_or_a_drag_that_swallows_the_release_of_a_key_stops(scene: Scene, name: str) -> None:
-    await scene.tab.page.keyboard.down("KeyW")
-    await scene.drives()
+    await scene.holds("KeyW")
     await scene.tab.page.evaluate(DISPATCH, [name, "#link"])
     await scene.stands()
 
 
 @pytest.mark.parametrize("key", ["Meta", "Alt", "Control"])
 async def test_a_key_of_the_system_stops_because_a_release_beside_it_is_not_reported(scene: Scene, key: str) -> None:
-    await scene.tab.page.keyboard.down("KeyW")
-    await scene.drives()
+    await scene.holds("KeyW")
     await scene.tab.page.keyboard.down(key)
     await scene.stands()
     await scene.tab.page.keyboard.up(key)
     await scene.tab.page.keyboard.up("KeyW")
-    await scene.tab.page.keyboard.down("KeyW")
-    await scene.drives()
+    await scene.holds("KeyW")
 
 
 async def test_another_button_of_the_mouse_drives_nothing(scene: Scene) -> None:
@@ -166,20 +170,17 @@ async def test_a_mouse_whose_release_was_lost_lets_go_as_soon_as_it_moves(scene:
 async def test_a_page_that_did_not_run_drives_on_only_when_it_is_pressed_again(scene: Scene) -> None:
     """A laptop that slept, a debugger or a dialog does the same: releases meanwhile are not known."""
     page = scene.tab.page
-    await page.keyboard.down("KeyW")
-    await scene.drives()
+    await scene.holds("KeyW")
     await page.evaluate(FREEZE, FROZEN_MS)
     await scene.stands()
     await page.keyboard.up("KeyW")
-    await page.keyboard.down("KeyW")
-    await scene.drives()
+    await scene.holds("KeyW")
 
 
 async def test_a_computer_that_slept_while_a_key_was_held_drives_no_more(scene: Scene) -> None:
     """The page's clock may stand meanwhile, as it does on Linux; the time of day does not."""
     page = scene.tab.page
-    await page.keyboard.down("KeyW")
-    await scene.drives()
+    await scene.holds("KeyW")
     await page.evaluate("const now = Date.now; Date.now = () => now() + 7_200_000")
     await scene.stands()
     scene.server.show(fleet("robot_0", locked=True))
@@ -246,14 +247,12 @@ async def test_a_robot_that_was_chosen_by_mouse_is_driven_by_keys_at_once(scene:
     await page.evaluate(FOCUSED)
     await page.locator("#robots .robot", has_text="robot_1").click()
     assert await page.evaluate("window.focused") == []  # not for a moment, in which an arrow would choose another one
-    await page.keyboard.down("ArrowDown")
-    await scene.drives("robot_1")
+    await scene.holds("ArrowDown", "robot_1")
     await page.keyboard.up("ArrowDown")
     await page.locator("#robots input:checked").focus()
     await page.keyboard.press("ArrowUp")  # as in every group of radio buttons
     await expect_page(page.locator("#robots .robot:has(:checked)")).to_contain_text("robot_0")
-    await page.keyboard.down("KeyW")
-    await scene.drives("robot_0")
+    await scene.holds("KeyW", "robot_0")
 
 
 async def test_robot_that_connects_takes_neither_the_stick_nor_the_stop(browser: Browser) -> None:
@@ -261,8 +260,7 @@ async def test_robot_that_connects_takes_neither_the_stick_nor_the_stop(browser:
         scene = Scene(server, tab)
         server.show(fleet("robot_5"))
         await tab.shows("#drive-state", "no driver")
-        await tab.page.keyboard.down("KeyW")
-        await scene.drives("robot_5")
+        await scene.holds("KeyW", "robot_5")
         server.show(fleet("robot_0", "robot_5"))
         await tab.shows("#robots", "robot_0")
         await tab.page.keyboard.press("Escape")
@@ -277,8 +275,7 @@ async def test_robot_that_connects_takes_neither_the_stick_nor_the_stop(browser:
         await tab.page.keyboard.press("Escape")
         await expect(lambda: server.requests == [("POST", "/api/stop")])
         await tab.page.locator("#robots .robot", has_text="robot_1").click()
-        await tab.page.keyboard.down("KeyW")
-        await scene.drives("robot_1")
+        await scene.holds("KeyW", "robot_1")
 
 
 async def test_a_later_stop_takes_nothing_from_an_earlier_one(scene: Scene) -> None:
@@ -388,16 +385,14 @@ async def test_a_motion_carries_the_epoch_of_its_first_answer(scene: Scene) -> N
 @pytest.mark.parametrize("kind", ["disarmed", "locked", "late"])
 async def test_a_refused_motion_must_let_go(scene: Scene, kind: str) -> None:
     page, state = scene.tab.page, fleet("robot_0")
-    await page.keyboard.down("KeyW")
-    await scene.drives()
+    await scene.holds("KeyW")
     state.drive_refusal = {"kind": kind, "reason": f"robot_0: {kind}"}
     scene.server.show(state)
     await scene.stands()
     scene.server.show(fleet("robot_0"))
     await scene.stands()
     await page.keyboard.up("KeyW")
-    await page.keyboard.down("KeyW")
-    await scene.drives()
+    await scene.holds("KeyW")
     await page.keyboard.up("KeyW")
 
 
@@ -405,8 +400,7 @@ async def test_a_late_refusal_of_an_earlier_motion_does_not_end_this_one(scene: 
     page, state, answering = scene.tab.page, fleet("robot_0"), asyncio.Event()
     state.drive_refusal, state.answering = {"kind": "disarmed", "reason": "robot_0: disarmed"}, answering
     scene.server.show(state)
-    await page.keyboard.down("KeyW")
-    await scene.drives()
+    await scene.holds("KeyW")
     await page.keyboard.up("KeyW")
     await page.keyboard.down("KeyW")
     scene.server.show(fleet("robot_0"))
@@ -420,8 +414,7 @@ async def test_a_late_refusal_of_an_earlier_motion_does_not_end_this_one(scene: 
 
 async def test_a_stick_waits_for_a_source_with_a_higher_priority(scene: Scene) -> None:
     page, state = scene.tab.page, fleet("robot_0")
-    await page.keyboard.down("KeyW")
-    await scene.drives()
+    await scene.holds("KeyW")
     state.drive_refusal = {"kind": "held", "reason": "robot_0: client 3 drives it with a higher priority"}
     scene.server.show(state)
     await scene.tab.shows("#drive-state", "with a higher priority")
@@ -451,8 +444,7 @@ async def test_a_robot_whose_device_cannot_receive_says_so(scene: Scene) -> None
 async def test_a_lock_of_which_no_event_tells_must_be_followed_by_another_press(scene: Scene) -> None:
     """Events may be late or lost; the answer to a command is not."""
     page, state = scene.tab.page, fleet("robot_0")
-    await page.keyboard.down("KeyW")
-    await scene.drives()
+    await scene.holds("KeyW")
     state.drive_refusal = {"kind": "locked", "reason": "robot_0: locked"}
     scene.server.show(state)
     await scene.stands()
@@ -460,15 +452,13 @@ async def test_a_lock_of_which_no_event_tells_must_be_followed_by_another_press(
     await asyncio.sleep(SENT_AGAIN_S)
     await scene.stands()
     await page.keyboard.up("KeyW")
-    await page.keyboard.down("KeyW")
-    await scene.drives()
+    await scene.holds("KeyW")
     await page.keyboard.up("KeyW")
 
 
 async def test_two_who_hold_the_stick_at_once_are_told_so(scene: Scene) -> None:
     """The daemon obeys the newest command of one priority: each of two tabs would show that it drives."""
-    await scene.tab.page.keyboard.down("KeyW")
-    await scene.drives()
+    await scene.holds("KeyW")
     scene.server.show(fleet("robot_0", holder="client 1", priority=60))
     await scene.tab.shows("#drive-state", "You drive")
     scene.server.show(fleet("robot_0", holder="client 2", priority=60))
