@@ -65,7 +65,7 @@ async def settled(made: Board) -> dict[str, float]:
     return made.facts
 
 
-@pytest.mark.quiet
+@pytest.mark.long
 @pytest.mark.timeout(SOAK_S + 90)
 async def test_squares_without_a_lost_message_and_with_true_odometry() -> None:
     async with chain("cortex-m3", with_esp=True) as (daemon, made), aiohttp.ClientSession() as session:

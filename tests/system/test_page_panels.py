@@ -12,7 +12,7 @@ from tests.support.browser import PHONE, Visit, visit
 from tests.support.page_server import PageServer, State, link, page_server, robot
 from tests.support.waiting import expect, expect_never
 
-pytestmark = [pytest.mark.asyncio(loop_scope="session"), pytest.mark.quiet]
+pytestmark = [pytest.mark.asyncio(loop_scope="session"), pytest.mark.long]
 
 LAPTOP = {"width": 1366, "height": 768}
 WIDE = {"width": 1920, "height": 1080}

@@ -20,7 +20,7 @@ from tests.support.proxy import proxy
 from tests.support.simulated import simulated_robot
 from tests.support.waiting import expect
 
-pytestmark = pytest.mark.asyncio(loop_scope="session")
+pytestmark = [pytest.mark.asyncio(loop_scope="session"), pytest.mark.long]
 
 WATCH = "localStorage.setItem('hostlink.layout', 'Watch')"
 READ = "a-token-of-a-watcher"
@@ -66,7 +66,6 @@ async def drive(tab: Visit, host: Daemon) -> None:
                 await expect(lambda: odometry.snapshot(0.0).pose.x_m > DRIVEN_M, timeout_s=TIMEOUT_S / 5)
 
 
-@pytest.mark.long
 async def test_an_incident_from_the_cut_link_to_its_plots_and_its_file(browser: Browser, tmp_path: Path) -> None:
     async with (
         daemon(config(tmp_path / "kept"), has_black_box=True) as host,
@@ -215,7 +214,6 @@ async def is_opened(tab: Visit, button: Locator | None, file: str) -> None:
     await opened.get_by_role("button", name="Close").click()
 
 
-@pytest.mark.long
 async def test_a_remove_that_is_to_be_confirmed_outlives_another_recording(browser: Browser, tmp_path: Path) -> None:
     async with (
         daemon(config(tmp_path), has_black_box=True) as host,

@@ -19,7 +19,7 @@ from tests.support.fake_device import fake_device, pose, robot_topics, topic
 from tests.support.simulated import simulated_robot
 from tests.support.waiting import expect, is_soon
 
-pytestmark = pytest.mark.asyncio(loop_scope="session")
+pytestmark = [pytest.mark.asyncio(loop_scope="session"), pytest.mark.long]
 
 DRIVE, READ = "a-token-of-a-driver", "a-token-of-a-watcher"
 AMBER_S = 0.5
@@ -62,7 +62,6 @@ async def test_played_robot_is_named_a_recording_instead_of_its_driver(browser: 
 
 
 @pytest.mark.alone
-@pytest.mark.long  # test_page_layout.py measures the same of the page alone
 async def test_a_robot_that_falls_silent_is_amber_within_half_a_second(browser: Browser) -> None:
     async with daemon() as host, visit(browser, host.url) as tab, fake_device(host.tcp, robot_topics()) as device:
 
@@ -125,7 +124,6 @@ async def test_a_token_is_requested_and_kept_out_of_the_address(browser: Browser
         assert host.hub.robots.find("robot_0").gate.counts.commands == 0
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("size", SIZES)
 async def test_page_of_a_driving_robot_has_the_right_layout_and_text(browser: Browser, size: str) -> None:
     """Pictures are kept; nothing hangs over the side, and axe finds nothing that keeps anybody out."""

@@ -17,7 +17,7 @@ from tests.support.fake_device import fake_device, pose, robot_topics
 from tests.support.simulated import DisturbedRobot, simulated_robot
 from tests.support.waiting import expect, expect_never
 
-pytestmark = [pytest.mark.asyncio(loop_scope="session"), pytest.mark.quiet]  # a page that does not run for 0.4 s stops
+pytestmark = [pytest.mark.asyncio(loop_scope="session"), pytest.mark.long]
 
 PAPER = Config(robots={"robot_0": RobotConfig(wheel_separation_m=0.210, max_wheel_m_s=0.3436)})
 HOSTILE = "<img src=x onerror='window.hit = 1'>"

@@ -16,7 +16,7 @@ from tests.support.rosbridge import client
 from tests.support.simulated import simulated_robot
 from tests.support.waiting import expect
 
-pytestmark = pytest.mark.asyncio(loop_scope="session")
+pytestmark = [pytest.mark.asyncio(loop_scope="session"), pytest.mark.long]
 
 WATCH = "localStorage.setItem('hostlink.layout', 'Watch')"
 HOSTILE = '<img src=x onerror="window.hit = 1">'
@@ -82,7 +82,6 @@ async def publish_a_velocity(host: Daemon, tab: Visit) -> None:
     await tab.shows("#topics form", "locked")
 
 
-@pytest.mark.long
 async def test_lists_are_bounded_and_texts_stay_text(browser: Browser) -> None:
     async with daemon() as host, visit(browser, host.url, script=WATCH) as tab, client(host) as program:
         for number in range(MANY):
