@@ -326,9 +326,7 @@ def reload_signal(reloader: Reloader) -> Iterator[None]:
 # -- garbage ----------------------------------------------------------------------------------------------------------
 
 CHECK_INTERVAL_S = 1.0
-WHOLE_INTERVAL_S = (
-    60.0  # between two looks at all objects while a collection frees little: 0.25 s for a thousand robots
-)
+WHOLE_INTERVAL_S = 60.0  # between two looks at all objects while little is freed: 0.25 s with a thousand robots
 ENOUGH = 20  # collections of the younger generation: about a hundred connections since the last full one
 WORTH = 1000  # collected objects: those of a dozen connections
 

@@ -467,12 +467,10 @@ class Gates:
                     await asyncio.sleep(0)
                     now_s = loop.time()
                 connection, gate = drivable.connection, drivable.gate
-                is_fed = now_s < drivable.sent_at_s + FEED_INTERVAL_S
-                if not (is_fed and gate.stays(now_s)):
-                    if gate.may_move or (gate.is_active and connection is not None):
-                        self._step(drivable, now_s)
-                    elif not gate.admission.is_held(now_s):
-                        self._active.pop(drivable, None)
+                if gate.may_move or (gate.is_active and connection is not None):
+                    self._step(drivable, now_s)
+                elif not gate.admission.is_held(now_s):
+                    self._active.pop(drivable, None)
                 if connection is not None and gate.may_move:
                     driven.add(connection.link.number)
             self._beat(driven)
@@ -508,7 +506,10 @@ class Gates:
             self._active[drivable] = None
             self._wake.set()
         gate, connection = drivable.gate, drivable.connection
+        is_fed = not is_news and now_s < drivable.sent_at_s + FEED_INTERVAL_S
         try:
+            if is_fed and gate.stays(now_s):
+                return None
             previous, is_first, previous_target = gate.driver, gate.is_new_device, gate.target
             velocity = gate.step(now_s)
             if previous is not None and gate.driver is None:
@@ -520,8 +521,7 @@ class Gates:
             link = connection.link
             if not velocity.is_zero and link.number not in self._driven:
                 self._beat(self._driven | {link.number})  # before it moves
-            is_repeat = velocity == drivable.sent and not velocity.is_zero and not is_news
-            if is_repeat and now_s < drivable.sent_at_s + FEED_INTERVAL_S:
+            if is_fed and velocity == drivable.sent and not velocity.is_zero:
                 return None
             payload = velocity.encode()
             try:

@@ -12,6 +12,9 @@ import shlex
 import shutil
 from collections import deque
 from collections.abc import AsyncIterator
+from contextlib import AbstractAsyncContextManager
+
+from tests.support.background import meanwhile
 
 PATIENCE_S = 40.0  # bound of a wait for an event; a busy machine takes long
 AGAIN_S = 3.0  # until Ctrl-C is pressed again
@@ -86,15 +89,9 @@ class Screen:
     async def keys(self, *names: str) -> None:
         await self.tmux("send-keys", "-t", "main", *names)
 
-    @contextlib.asynccontextmanager
-    async def holding(self, key: str) -> AsyncIterator[None]:
+    def holding(self, key: str) -> AbstractAsyncContextManager[None]:
         """Hold a key for the length of the block: press it again and again, as a keyboard does."""
-        async with asyncio.TaskGroup() as tasks:
-            holding = tasks.create_task(self._hold(key))
-            try:
-                yield
-            finally:
-                holding.cancel()
+        return meanwhile(self._hold(key))
 
     async def _hold(self, key: str) -> None:
         while True:

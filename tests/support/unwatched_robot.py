@@ -17,6 +17,7 @@ from dataclasses import dataclass, field
 
 from hostlink.protocol.control import TopicInfo, encode_topic_info
 from hostlink.protocol.frame import Id, encode
+from tests.support.background import meanwhile
 from tests.support.fake_device import robot_topics, topic
 from tests.support.ros_lib_reader import RosLibReader
 from tests.support.waiting import TIMEOUT_S, expect
@@ -112,16 +113,6 @@ class UnwatchedRobot:
 
 
 @contextlib.asynccontextmanager
-async def _reading(robot: UnwatchedRobot, descriptor: int) -> AsyncIterator[None]:
-    async with asyncio.TaskGroup() as tasks:
-        task = tasks.create_task(robot.read(descriptor))
-        try:
-            yield
-        finally:
-            task.cancel()
-
-
-@contextlib.asynccontextmanager
 async def robot_on_tcp(
     address: tuple[str, int], name: str, reading: Reading | None = None
 ) -> AsyncIterator[UnwatchedRobot]:
@@ -133,7 +124,7 @@ async def robot_on_tcp(
             connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
         connection.connect(address)
         connection.setblocking(False)
-        async with _reading(robot, connection.fileno()):
+        async with meanwhile(robot.read(connection.fileno())):
             yield robot
 
 
@@ -145,7 +136,7 @@ async def robot_on_udp(address: tuple[str, int], name: str) -> AsyncIterator[Unw
         connection.connect(address)
         connection.setblocking(False)
         connection.send(encode(Id.TIME, bytes(8)))
-        async with _reading(robot, connection.fileno()):
+        async with meanwhile(robot.read(connection.fileno())):
             yield robot
 
 
@@ -159,7 +150,7 @@ async def robot_on_pty(name: str, reading: Reading | None = None) -> AsyncIterat
     os.set_blocking(ours, False)
     path = os.ttyname(theirs)
     try:
-        async with _reading(robot, ours):
+        async with meanwhile(robot.read(ours)):
             yield robot, path
     finally:
         os.close(ours)

@@ -88,6 +88,13 @@ class World:
         token = EndpointToken(kind, node, self._numbers, name, type_name, type_hash, qos).encode()
         return self.ros2.declare_token(token), token
 
+    async def hear(self, topic: str) -> list[bytes]:
+        """Return the list of messages that a program receives on a topic from now on."""
+        heard: list[bytes] = []
+        self.scene.hub.join("program").subscribe(topic, lambda message: heard.append(message.payload))
+        await asyncio.sleep(0.3)  # until the bridge has subscribed
+        return heard
+
     def read(self, topic: str) -> list[ZenohSample]:
         received: list[ZenohSample] = []
         self.ros2.subscribe(data_key(0, topic, STRING, hash_of(TEXT_TYPE)), received.append, has_history=True)
@@ -161,9 +168,7 @@ def test_latched_message_of_the_hub_reaches_later_subscribers() -> None:
 def test_topic_of_ros_2_reaches_a_program_and_ends_with_its_token() -> None:
     async def test(world: World) -> None:
         declaration, token = world.declare(TokenKind.PUBLISHER, "/chatter", STRING, hash_of(TEXT_TYPE))
-        heard: list[bytes] = []
-        world.scene.hub.join("program").subscribe("/chatter", lambda message: heard.append(message.payload))
-        await asyncio.sleep(0.3)
+        heard = await world.hear("/chatter")
         assert world.scene.hub.topics.find("/chatter").type_name == TEXT_TYPE
         world.send("/chatter", token, cdr("hello"), 1)
         await expect(lambda: heard)
@@ -182,9 +187,7 @@ def test_latched_topic_of_ros_2_reaches_a_later_program() -> None:
         kept = world.ros2.declare_publisher(data_key(0, "/map", STRING, hash_of(TEXT_TYPE)), kept=1)
         kept.put(cdr("map"), attachment=Attachment(1, 5, gid_of(token)).encode())
         await asyncio.sleep(0.3)
-        heard: list[bytes] = []
-        world.scene.hub.join("program").subscribe("/map", lambda message: heard.append(message.payload))
-        await asyncio.sleep(0.3)
+        heard = await world.hear("/map")
         assert heard == [text("map")]
 
     with_bridge(test)
@@ -215,9 +218,7 @@ def test_messages_arrive_in_order_while_their_publisher_becomes_known_by_the_gid
 def test_publishers_that_are_not_known_share_one_queue_and_cannot_displace_a_known_one() -> None:
     async def test(world: World) -> None:
         _, token = world.declare(TokenKind.PUBLISHER, "/chatter", STRING, hash_of(TEXT_TYPE))
-        heard: list[bytes] = []
-        world.scene.hub.join("program").subscribe("/chatter", lambda message: heard.append(message.payload))
-        await asyncio.sleep(0.3)
+        heard = await world.hear("/chatter")
         world.send("/chatter", token, cdr("1"), 1)
         await asyncio.sleep(0.1)
         for number in range(2 * MAX_SOURCES):
@@ -233,9 +234,7 @@ def test_publishers_that_are_not_known_share_one_queue_and_cannot_displace_a_kno
 def test_message_that_is_unsigned_malformed_or_of_an_unknown_publisher_is_counted() -> None:
     async def test(world: World) -> None:
         _, token = world.declare(TokenKind.PUBLISHER, "/chatter", STRING, hash_of(TEXT_TYPE))
-        heard: list[bytes] = []
-        world.scene.hub.join("program").subscribe("/chatter", lambda message: heard.append(message.payload))
-        await asyncio.sleep(0.3)
+        heard = await world.hear("/chatter")
         world.ros2.put(data_key(0, "/chatter", STRING, hash_of(TEXT_TYPE)), cdr("x"), attachment=b"short")
         world.send("/chatter", token, b"\x00\x01\x00\x00\xff", 1)
         world.send("/chatter", token, cdr("x"), 2)
