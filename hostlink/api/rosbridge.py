@@ -696,7 +696,7 @@ class DriveCommands:
         """Execute a `drive`. The answer is also sent for each operation that it replaced."""
         try:
             self._participant.check(Role.DRIVE, "drive")
-            wanted = convert_fields(request.fields, DriveOperation, "drive")
+            wanted = convert_fields(_continued(request), DriveOperation, "drive")
             if not 0 <= wanted.priority <= MAX_PRIORITY:
                 raise BadRequest(f"drive: priority must be a number from 0 to {MAX_PRIORITY}")
             velocity = PlanarVelocity(wanted.linear, wanted.linear_y, wanted.angular)
@@ -751,6 +751,16 @@ class DriveCommands:
             put_json(self._queue, answer | {"id": replaced.fields.get("id"), "is_replaced": True})
         answer["id"] = request.fields.get("id")
         self._queue.put_result(Outgoing(msgspec.json.encode(answer)))
+
+
+def _continued(request: Request) -> dict[str, Any]:
+    """Return the fields of a `drive`. It has the epoch and the link of what it replaces, unless it has its own."""
+    fields = request.fields
+    for replaced in reversed(request.replaced):  # of one motion, whose first command may be the only one with them
+        for names in (("epoch", "stops"), ("link",)):
+            if all(fields.get(name) is None for name in names):
+                fields = fields | {name: replaced.fields.get(name) for name in names}
+    return fields
 
 
 class GraphTopicView(TypedDict):

@@ -338,14 +338,16 @@ async def collect_while_idle(robots: Robots) -> None:
     collection leaves are therefore not looked at again before WHOLE_INTERVAL_S, or before a collection frees much.
     """
     now_s = asyncio.get_running_loop().time
-    whole_at_s = now_s()
+    whole_at_s, is_left = now_s(), False  # is_left: what was frozen while it was in use may be garbage by now
     while True:
         await asyncio.sleep(CHECK_INTERVAL_S)
-        if gc.get_count()[2] < ENOUGH or any(robot.gate.may_move for robot in robots.here()):
+        has_worked, is_whole = gc.get_count()[2] >= ENOUGH, now_s() >= whole_at_s
+        if not (has_worked or (is_left and is_whole)) or any(robot.gate.may_move for robot in robots.here()):
             continue
-        if now_s() >= whole_at_s:
+        if is_whole:
             gc.unfreeze()
             whole_at_s = now_s() + WHOLE_INTERVAL_S
+        is_left = has_worked
         if gc.collect() >= WORTH:
             whole_at_s = now_s()
         else:

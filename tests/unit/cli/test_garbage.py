@@ -84,6 +84,21 @@ def test_garbage_of_objects_that_were_in_use_is_collected_after_an_interval(monk
     assert (collector.garbage, collector.frozen_garbage) == (0, 0)
 
 
+def test_garbage_of_the_last_connections_is_collected_in_a_daemon_that_does_nothing_more(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    class Busy(Collector):
+        def get_count(self) -> tuple[int, int, int]:
+            return 0, 0, ENOUGH if len(self.looked_at) < 5 else 0
+
+    collector = Busy()
+    collector.frozen_garbage = WORTH // 2  # found by the first collection; the fifth leaves some more
+    monkeypatch.setattr(collector, "freeze", lambda: setattr(collector, "frozen_garbage", WORTH // 2))
+    collected(monkeypatch, collector, 3 * WHOLE_INTERVAL_S)
+    assert len(collector.looked_at) == 5 + 1  # the last one looks at all objects, and no other follows
+    assert collector.garbage == 0
+
+
 def test_no_collection_runs_while_a_robot_moves_or_too_few_objects_are_new(monkeypatch: pytest.MonkeyPatch) -> None:
     assert collected(monkeypatch, Collector(), 30.0, is_moving=True) == 0
     collector = Collector()
