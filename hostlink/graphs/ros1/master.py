@@ -181,7 +181,8 @@ log = structlog.get_logger()
 
 CHECK_INTERVAL_S = 1.0  # how late a master that is back, or another node of this name, may be noticed
 STATE_INTERVAL_S = 3.0  # how late a service of another node may be; the master makes a list of all for it
-END_TIMEOUT_S = 1.0  # to unregister everything
+END_TIMEOUT_S = 1.0  # for one call to unregister
+LONGEST_END_S = 10.0  # to unregister everything
 
 
 class Registrar:
@@ -227,12 +228,18 @@ class Registrar:
                     await self._changed.wait()
 
     async def end(self) -> None:
-        """Unregister all names, within END_TIMEOUT_S."""
+        """Unregister all names, within LONGEST_END_S. A master that does not answer a call in time is given up."""
+        now_s = asyncio.get_running_loop().time
+        keys, last = dict.fromkeys(self._registrations.open), self._registrations.next(now_s())
+        if last is not None:
+            keys[last.key] = None  # `run` may have been cancelled after the call, before the answer
         with contextlib.suppress(TimeoutError, Unreachable):
-            async with asyncio.timeout(END_TIMEOUT_S):
-                for key in self._registrations.open:
-                    await self._unregister(*key)
-                await self._parameters.end()
+            async with asyncio.timeout(LONGEST_END_S):
+                for key in keys:
+                    async with asyncio.timeout(END_TIMEOUT_S):
+                        await self._unregister(*key)
+                async with asyncio.timeout(END_TIMEOUT_S):
+                    await self._parameters.end()
 
     async def _check_node(self) -> None:
         """Check the address that the master has: none after its restart, another one after a name collision."""

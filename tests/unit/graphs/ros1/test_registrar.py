@@ -11,7 +11,14 @@ from structlog.testing import capture_logs
 
 from hostlink.graphs.ros1.graph_sync import GraphSync
 from hostlink.graphs.ros1.local_node import LocalNode, RegistrationKind, Ros1Counts
-from hostlink.graphs.ros1.master import CHECK_INTERVAL_S, STATE_INTERVAL_S, MasterParameters, Registrar, _nodes_by_name
+from hostlink.graphs.ros1.master import (
+    CHECK_INTERVAL_S,
+    END_TIMEOUT_S,
+    STATE_INTERVAL_S,
+    MasterParameters,
+    Registrar,
+    _nodes_by_name,
+)
 from hostlink.graphs.ros1.xml_rpc import CallRefused, Unreachable
 from hostlink.mirror.log_once import LogOnce
 from tests.support.virtual_loop import run_virtual
@@ -40,6 +47,7 @@ class FakeNode:
     calls: list[str] = field(default_factory=list)
     is_reachable: bool = True
     dies_after: int = 1000  # calls
+    way_s: float = 0.0005  # of a call to the master, and of its answer
 
     async def find_own_uri(self) -> str | None:
         self._check()
@@ -47,7 +55,13 @@ class FakeNode:
 
     async def call_master(self, method: str, *arguments: Any) -> object:
         self._check()
-        await asyncio.sleep(0.001)
+        await asyncio.sleep(self.way_s)
+        try:
+            return self._answer(method, *arguments)
+        finally:
+            await asyncio.sleep(self.way_s)
+
+    def _answer(self, method: str, *arguments: Any) -> object:
         if method == "getSystemState":
             return [[[name, [NODE]] for kind, name in self.known if kind is each] for each in KINDS]
         self.calls.append(method)
@@ -163,6 +177,40 @@ def test_services_are_registered_before_topics_and_another_type_over_the_one_bef
         await world.registrar.end()
         assert world.master.known == {}
         running.cancel()
+
+    run_virtual(test())
+
+
+@given(st.floats(0.0, 0.1))
+def test_end_at_any_moment_leaves_nothing_at_the_master(registering_s: float) -> None:
+    async def test() -> None:
+        world = World()
+        world.master.way_s = 0.01
+        world.want({(kind, name): "x/X" for kind in KINDS for name in ("/a", "/b")})
+        running = asyncio.get_running_loop().create_task(world.registrar.run())
+        await asyncio.sleep(registering_s)
+        running.cancel()
+        await world.registrar.end()
+        assert world.master.known == {}
+
+    run_virtual(test())
+
+
+def test_end_waits_for_a_slow_master_and_gives_up_one_that_does_not_answer() -> None:
+    async def test() -> None:
+        world = World()
+        world.want({(kind, name): "x/X" for kind in KINDS for name in ("/a", "/b")})
+        running = asyncio.get_running_loop().create_task(world.registrar.run())
+        await asyncio.sleep(1.0)
+        running.cancel()
+        now_s = asyncio.get_running_loop().time
+        world.master.way_s, began_s = 100.0, now_s()
+        await world.registrar.end()
+        assert now_s() == pytest.approx(began_s + END_TIMEOUT_S)
+        assert len(world.master.known) == 6
+        world.master.way_s = 0.3
+        await world.registrar.end()
+        assert world.master.known == {}
 
     run_virtual(test())
 
