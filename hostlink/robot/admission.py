@@ -265,9 +265,10 @@ class Admission:
         if command.epoch == self.epoch:
             source.is_armed = True
         if not source.is_armed:
+            cause = "" if self.interrupted_by is None else f" ({self.interrupted_by})"
             reason = (
-                f"it was stopped, locked or reconnected while this source was driving; to drive again, send a zero, "
-                f"pause for {self.lease_s:g} s, or send epoch {self.epoch}"
+                f"it was stopped, locked or reconnected while this source was driving{cause}; to drive again, "
+                f"send a zero, pause for {self.lease_s:g} s, or send epoch {self.epoch}"
             )
             return self._refuse(RefusalKind.DISARMED, reason, by=self.interrupted_by)
         holder = self._other_holder(owner, now_s) if len(self._sources) > 1 else None

@@ -266,6 +266,7 @@ def test_refusal_names_who_locked_or_what_disarmed_the_source(driven: Timeline) 
     admission = driven.admission
     admission.interrupt(driven.now_s, by=named("a stop", "the page"))
     assert driven.command().by == "a stop by the page"
+    assert "was driving (a stop by the page); to drive again" in driven.command().reason
     admission.lock("smoke", driven.now_s, by="bob")
     assert driven.command().by == "bob"
     admission.unlock(driven.now_s)
