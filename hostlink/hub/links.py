@@ -199,11 +199,10 @@ class Links:
             device.announced_again()
 
     def _log_line(self, link: Link, event: events.DeviceLogged) -> None:
-        device = self._devices[link.number]
-        drivables = device.drivables
-        facts = {"link": link.number, "level": event.level, "text": event.text}
-        self._hub.events.note(EventKind.LOGGED, drivables[0].name if drivables else "", **facts)
-        self._hub.rosout.log(link.peer if device.robot is None else device.robot.name, event)
+        robot = self._devices[link.number].robot
+        name = "" if robot is None else robot.name
+        self._hub.events.note(EventKind.LOGGED, name, link=link.number, level=event.level, text=event.text)
+        self._hub.rosout.log(name or link.peer, event)
 
     def _answer_parameter(self, link: Link, event: events.ParameterRequested) -> None:
         device = self._devices[link.number]
