@@ -133,7 +133,7 @@ async def visit(browser: Browser, url: str, *, script: str = "", **context: Any)
 
 @contextlib.asynccontextmanager
 async def revisit(tab: Visit, url: str) -> AsyncIterator[Visit]:
-    """Open the page in a tab that is used again, at a third of the CPU of `visit`. Nothing is kept, held or open after it."""
+    """Open the page in a tab that is used again, at half of the CPU of `visit`. Nothing is kept or held after it."""
     tab.host = urlsplit(url).netloc
     tab.complaints.clear()
     tab.other_hosts.clear()

@@ -19,6 +19,8 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
+from tests.support import workers
+
 HERE = Path(__file__).resolve().parent
 LINE_BYTES = 1 << 22
 ANSWER_BYTES = 64
@@ -37,18 +39,26 @@ HOSTLINK = Program("hostlink", "forked_hostlink.py")
 
 
 class ForkServer:
-    """The parent of the processes; it ends with the process that made it."""
+    """The parent of the processes, or a copy of `original`; it ends with the process that made it."""
 
-    def __init__(self, program: Program) -> None:
+    def __init__(self, program: Program, original: "ForkServer | None" = None) -> None:
         self.program = program
         self._is_ready, self._lock = False, threading.Lock()
         self._requests, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         with theirs:
+            if original is not None:
+                original.copy(theirs)
+                return
             command = [program.python, str(HERE / "fork_parent.py"), str(HERE / program.file), str(theirs.fileno())]
             # Its own output is nothing; what it imports first decides whether the output of its children is buffered.
             self._process = subprocess.Popen(
                 command, pass_fds=[theirs.fileno()], stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL
             )
+
+    def copy(self, end: socket.socket) -> None:
+        """Let a copy of the process serve the other end of this socket. Workers may do it at the same time."""
+        rights = [(socket.SOL_SOCKET, socket.SCM_RIGHTS, array.array("i", [end.fileno()]))]
+        self._requests.sendmsg([json.dumps({"copy": True}).encode()], rights)
 
     def await_ready(self) -> None:
         """Wait for its imports: a second, in which no loop may stand still. In any thread."""
@@ -71,10 +81,20 @@ class ForkServer:
         return int(self._requests.recv(ANSWER_BYTES))
 
 
+_originals: dict[Program, ForkServer] = {}  # those that the workers copy: the imports of each would take a second
+
+
+def _start_original() -> None:
+    _originals[HOSTLINK] = ForkServer(HOSTLINK)
+
+
+workers.before_fork.append(_start_original)
+
+
 @cache
 def fork_server(program: Program) -> ForkServer:
     """The one of this process."""
-    return ForkServer(program)
+    return ForkServer(program, _originals.get(program))
 
 
 class Child:
