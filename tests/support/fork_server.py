@@ -35,7 +35,16 @@ class Program:
     python: str = sys.executable
 
 
-HOSTLINK = Program("hostlink", "forked_hostlink.py")
+_shared: list[Program] = []
+
+
+def shared(program: Program) -> Program:
+    """Let the workers copy one parent of this program. The imports of each worker would take a second of CPU."""
+    _shared.append(program)
+    return program
+
+
+HOSTLINK = shared(Program("hostlink", "forked_hostlink.py"))
 
 
 class ForkServer:
@@ -81,14 +90,14 @@ class ForkServer:
         return int(self._requests.recv(ANSWER_BYTES))
 
 
-_originals: dict[Program, ForkServer] = {}  # those that the workers copy: the imports of each would take a second
+_originals: dict[Program, ForkServer] = {}  # started before the workers, which copy them
 
 
-def _start_original() -> None:
-    _originals[HOSTLINK] = ForkServer(HOSTLINK)
+def _start_originals() -> None:
+    _originals.update({program: ForkServer(program) for program in _shared if Path(program.python).exists()})
 
 
-workers.before_fork.append(_start_original)
+workers.before_fork.append(_start_originals)
 
 
 @cache

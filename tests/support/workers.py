@@ -25,6 +25,8 @@ SHARING = (  # their tests share what is slow to make: a daemon, a page, a compi
     "test_page_firefox.py",
     "test_page_hazards.py",
     "test_page_layout.py",
+    "test_page_lost.py",
+    "test_try_page.py",
     "test_words.py",
 )
 NUMBER = "PYTEST_WORKER"  # environment variable with the number of the worker

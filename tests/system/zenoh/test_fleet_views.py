@@ -54,6 +54,7 @@ async def test_every_page_shows_thirty_robots_of_three_daemons_and_drives_one_of
         assert page.complaints == []
 
 
+@pytest.mark.long
 async def test_a_script_drives_and_reads_a_robot_of_another_daemon() -> None:
     async with fleet("a", "b") as (a, b), fake_device(b.tcp, robot_topics("robot_7")) as device:
         await shown(a, "robot_7")
