@@ -22,7 +22,7 @@ from pathlib import Path
 from tests.support import workers
 
 HERE = Path(__file__).resolve().parent
-LINE_BYTES = 1 << 22
+LINE_BYTES = 1 << 24
 ANSWER_BYTES = 64
 
 
@@ -38,9 +38,15 @@ class Program:
 _shared: list[Program] = []
 
 
-def shared(program: Program) -> Program:
-    """Let the workers copy one parent of this program. The imports of each worker would take a second of CPU."""
-    _shared.append(program)
+def shared(program: Program, needs: str = "") -> Program:
+    """Let the workers copy one parent of this program. The imports of each worker would take a second of CPU.
+
+    Args:
+        program: program that is forked
+        needs: file without which the program is not installed; none: its Python
+    """
+    if Path(needs or program.python).exists():
+        _shared.append(program)
     return program
 
 
@@ -94,7 +100,7 @@ _originals: dict[Program, ForkServer] = {}  # started before the workers, which 
 
 
 def _start_originals() -> None:
-    _originals.update({program: ForkServer(program) for program in _shared if Path(program.python).exists()})
+    _originals.update({program: ForkServer(program) for program in _shared})
 
 
 workers.before_fork.append(_start_originals)

@@ -209,7 +209,7 @@ async def test_a_daemon_that_is_killed_while_a_program_of_ros_drives(tmp_path: P
         async def end() -> None:
             os.kill(made.daemon.child.pid, signal.SIGKILL)
 
-        await expect(lambda: made.speed == 0.25)
+        await made.drives(0.25)
         await end()
         with contextlib.suppress(EOFError, ConnectionError):
             await expect(lambda: made.speed == 0.0)
