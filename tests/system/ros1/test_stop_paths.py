@@ -131,10 +131,7 @@ BESIDE_A_FLOOD = pytest.param(True, marks=pytest.mark.long, id="beside a flood")
 flooded = pytest.mark.parametrize("is_flooded", [pytest.param(False, id="alone"), BESIDE_A_FLOOD])
 
 
-@pytest.mark.parametrize(
-    "is_flooded",
-    [pytest.param(False, marks=pytest.mark.long, id="alone"), pytest.param(True, id="beside a flood")],
-)
+@flooded
 async def test_a_driver_that_is_killed(tmp_path: Path, is_flooded: bool) -> None:
     async with driven(tmp_path, is_flooded=is_flooded) as made:
 
