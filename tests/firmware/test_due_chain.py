@@ -36,7 +36,6 @@ async def expect_stop(made: Board) -> None:
     [
         pytest.param("native", False, marks=pytest.mark.long),
         ("cortex-m3", True),
-        pytest.param("native", True, marks=pytest.mark.long),
         pytest.param("cortex-m3", False, marks=pytest.mark.long),
     ],
 )
