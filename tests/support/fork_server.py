@@ -59,6 +59,7 @@ class ForkServer:
     def __init__(self, program: Program, original: "ForkServer | None" = None) -> None:
         self.program = program
         self._is_ready, self._lock = False, threading.Lock()
+        self._process: subprocess.Popen[bytes] | None = None
         self._requests, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         with theirs:
             if original is not None:
@@ -74,6 +75,12 @@ class ForkServer:
         """Let a copy of the process serve the other end of this socket. Workers may do it at the same time."""
         rights = [(socket.SOL_SOCKET, socket.SCM_RIGHTS, array.array("i", [end.fileno()]))]
         self._requests.sendmsg([json.dumps({"copy": True}).encode()], rights)
+
+    def close(self) -> None:
+        """End the process and all that it runs."""
+        self._requests.close()
+        if self._process is not None:
+            self._process.wait()
 
     def await_ready(self) -> None:
         """Wait for its imports: a second, in which no loop may stand still. In any thread."""
