@@ -65,7 +65,7 @@ help:
 	@echo "             message counted, and ten of chaos against the daemon (CHAOS_S=3600: an hour, CHAOS_SEED=7: the steps of"
 	@echo "             that seed again)"
 	@echo "make netns   host and robot in two network namespaces: loss, delay, a black-out, another address (as root)"
-	@echo "make fuzz    the property tests with 50 times the examples, then a minute of atheris or libFuzzer on each reader of bytes"
+	@echo "make fuzz    the property tests with 5,000 examples each, then a minute of atheris or libFuzzer on each reader of bytes"
 
 $(BIN)/python:
 	@test -n "$(PYTHON)" || { echo "hostlink needs Python 3.11 or newer: install python3.11, or run make PYTHON=/path/to/python3"; exit 1; }
@@ -203,7 +203,7 @@ bench: $(VENV)/.dev $(ROS2_VENV)/.installed
 	@status=0; for part in link api crowd messages black_box recording ros2 ros1; do \
 	  echo "== $$part"; $(BIN)/python tools/bench_$$part.py || status=1; done; exit $$status
 
-# Fifty times the examples last longer than the two minutes that other tests have.
+# So many examples last longer than the two minutes that other tests have.
 FUZZ_TEST_S := 3600
 fuzz: $(VENV)/.dev
 	@tools/require.sh $(FIRMWARE_PACKAGES)

@@ -66,9 +66,10 @@ def _folders(*, purpose: str | None = None, pid: int | None = None) -> list[str]
     except OSError:
         return []
     found = []
-    for name in sorted(names):
+    prefix = f"{_PREFIX}{os.geteuid()}-"
+    for name in sorted(each for each in names if each.startswith(prefix)):
         parts = name.split("-")
-        if len(parts) != _PARTS or not name.startswith(f"{_PREFIX}{os.geteuid()}-"):
+        if len(parts) != _PARTS:
             continue
         is_wanted = purpose in (None, parts[2]) and (pid is None or parts[3] == str(pid))
         if is_wanted and _is_own(f"{PLACE}/{name}"):

@@ -1,6 +1,6 @@
 """Number of hypothesis examples, order of the tests, tests that cannot run here, and signals of the tests' programs.
 
-A test of tests/property draws 50 examples, any other test 20. HYPOTHESIS_PROFILE=ci draws 100 and 20, the same ones
+A test of tests/property draws 30 examples, any other test 20. HYPOTHESIS_PROFILE=ci draws 100 and 20, the same ones
 each time, and fuzz 5000 for each test.
 """
 
@@ -18,7 +18,7 @@ from tests.support import requirements
 
 pytest_plugins = ["tests.support.workers"]
 
-_EXAMPLES, _CI_EXAMPLES, _FUZZ_EXAMPLES, _FEWER_EXAMPLES = 50, 100, 5000, 20
+_EXAMPLES, _CI_EXAMPLES, _FUZZ_EXAMPLES, _FEWER_EXAMPLES = 30, 100, 5000, 20
 _COMMON: dict[str, Any] = {"deadline": None, "suppress_health_check": [HealthCheck.too_slow]}
 _FUZZ = settings(max_examples=_FUZZ_EXAMPLES, **_COMMON)
 _PROFILE = os.environ.get("HYPOTHESIS_PROFILE", "default")

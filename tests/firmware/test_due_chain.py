@@ -34,9 +34,8 @@ async def expect_stop(made: Board) -> None:
 @pytest.mark.parametrize(
     ("kind", "with_esp"),
     [
-        ("native", False),
+        pytest.param("native", False, marks=pytest.mark.long),
         ("cortex-m3", True),
-        pytest.param("native", True, marks=pytest.mark.long),
         pytest.param("cortex-m3", False, marks=pytest.mark.long),
     ],
 )
@@ -57,6 +56,7 @@ async def test_the_chain_negotiates_drives_reads_back_and_stops(kind: str, with_
     assert closed == []
 
 
+@pytest.mark.long
 @KINDS
 async def test_the_board_runs_in_the_world_that_it_is_given(kind: str, tmp_path: Path) -> None:
     """With a left wheel that is a tenth larger, straight by the odometry is a curve to the right."""

@@ -62,7 +62,7 @@ def test_reversal_in_the_default_world_rolls_on_for_a_tenth_of_a_second_and_a_ce
     assert metres < 0.011
 
 
-@pytest.mark.parametrize("wanted_m_s", [-0.3, -0.05])
+@pytest.mark.parametrize("wanted_m_s", [-0.3, pytest.param(-0.05, marks=pytest.mark.long)])
 def test_reversal_in_drawn_worlds_rolls_on_no_farther_than_after_a_zero(wanted_m_s: float) -> None:
     for seed in SEEDS:
         trace = change(draw(seed).world, (0.3, 0.0), (wanted_m_s, 0.0))
@@ -88,7 +88,10 @@ def test_slower_command_in_the_default_world_is_reached_in_a_fifth_of_the_paper_
     assert reached_s(change(WorldParameters(), (0.3, 0.0), (slower_m_s, 0.0)), "left", slower_m_s) <= paper_s / 5.0
 
 
-@pytest.mark.parametrize(("first_m_s", "slower_m_s"), [(0.3, 0.05), (0.3, 0.1), (0.3, 0.2), (0.2, 0.1)])
+@pytest.mark.parametrize(
+    ("first_m_s", "slower_m_s"),
+    [(0.3, 0.1), *(pytest.param(*each, marks=pytest.mark.long) for each in ((0.3, 0.05), (0.3, 0.2), (0.2, 0.1)))],
+)
 def test_slower_command_in_nine_of_ten_drawn_worlds_is_reached_in_a_third_of_the_paper_s_time(
     first_m_s: float, slower_m_s: float
 ) -> None:
@@ -103,7 +106,9 @@ def test_slower_command_in_nine_of_ten_drawn_worlds_is_reached_in_a_third_of_the
     assert np.quantile(found, 0.9) <= paper_s / 3.0
 
 
-@pytest.mark.parametrize("slower_m_s", [0.25, 0.2, 0.15, 0.1])
+@pytest.mark.parametrize(
+    "slower_m_s", [0.1, *(pytest.param(each, marks=pytest.mark.long) for each in (0.25, 0.2, 0.15))]
+)
 def test_slower_command_in_drawn_worlds_makes_no_wheel_swing(slower_m_s: float) -> None:
     for seed in range(100):
         script = Script(draw(seed).world, ((0.3, 0.0, 6000), (slower_m_s, 0.0, 5000)))
@@ -113,9 +118,12 @@ def test_slower_command_in_drawn_worlds_makes_no_wheel_swing(slower_m_s: float) 
             assert np.sqrt(np.mean(error_ticks_s**2)) < 0.125 * abs(column(rows, f"{side}_set_ticks_s")[-1]), seed
 
 
-def test_stick_pulled_through_zero_in_drawn_worlds_never_drives_a_wheel_the_old_way() -> None:
+@pytest.mark.parametrize(
+    "seeds", [pytest.param(range(100), id="some"), pytest.param(range(100, 300), marks=pytest.mark.long, id="more")]
+)
+def test_stick_pulled_through_zero_in_drawn_worlds_never_drives_a_wheel_the_old_way(seeds: range) -> None:
     """From the row after each command on: the first pass after a command obeys it."""
-    for seed in range(300):
+    for seed in seeds:
         script = draw_reversals(seed)
         rows = run_module(script.text, script.rows)[CONNECT_MS // ROW_MS :]
         commanded = script.commanded[CONNECT_MS // ROW_MS :]

@@ -96,6 +96,7 @@ def test_firmware_with_the_true_numbers_ends_where_its_odometry_says(
     assert np.hypot(*errors.xy_cm.T).max() < 0.002 * 800  # 0.2 % of the distance
 
 
+@pytest.mark.long
 def test_calibration_without_noise_finds_wheels_and_track() -> None:
     wheels = {"left.radius_m": 0.0452, "right.radius_m": 0.0447, "track_m": 0.215}
     before = Setup(software=Software.FIRMWARE, world=PAPER_WORLD.changed(wheels))

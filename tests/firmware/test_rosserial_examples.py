@@ -45,6 +45,7 @@ async def test_pubsub(daemon: Process) -> None:
         await board.expect("digital 13 1")
 
 
+@pytest.mark.long
 async def test_hello_world(daemon: Process) -> None:
     async with client.connect(daemon.url) as host, running("hello_world", daemon.tcp):
         assert await received(host, "/chatter", "std_msgs/String") == {"data": "hello world!"}
@@ -57,7 +58,7 @@ async def test_blink(daemon: Process) -> None:
             await publish_until(host, "/led", message, "std_msgs/Bool", done)
 
 
-@pytest.mark.parametrize("name", ["motors_l298", "motors_tb6612"])
+@pytest.mark.parametrize("name", ["motors_l298", pytest.param("motors_tb6612", marks=pytest.mark.long)])
 async def test_motors_roll_as_commanded_and_stop_without_commands(daemon: Process, name: str) -> None:
     async with client.connect(daemon.url) as host, running(name, daemon.tcp) as board:
         message = {"linear": {"x": 0.25}, "angular": {"z": 1.0}}
@@ -81,6 +82,7 @@ async def test_motors_stop_when_the_host_is_gone(daemon: Process) -> None:
         await board.expect("analog 5 0")
 
 
+@pytest.mark.long
 async def test_servo(daemon: Process) -> None:
     async with client.connect(daemon.url) as host, running("servo", daemon.tcp) as board:
         for angle, turned in ((45, 45), (1000, 180)):
@@ -107,6 +109,7 @@ async def test_odometry_of_two_encoders_and_its_transform(daemon: Process) -> No
         assert abs(transform["transform"]["translation"]["x"]) > 0.04
 
 
+@pytest.mark.long
 async def test_imu_with_diagnostics(daemon: Process) -> None:
     async with client.connect(daemon.url) as host, running("imu", daemon.tcp) as board:
         for number, value in enumerate((0x40, 0x00, 0xC0, 0x00, 0, 0, 0, 0, 0, 131)):
@@ -124,6 +127,7 @@ async def test_imu_with_diagnostics(daemon: Process) -> None:
         assert int(status["values"][0]["value"]) % 50 == 0
 
 
+@pytest.mark.long
 async def test_sonar(daemon: Process) -> None:
     async with client.connect(daemon.url) as host, running("sonar", daemon.tcp) as board:
         assert (await received(host, "/ultrasound", "sensor_msgs/Range"))["range"] in NOTHING
@@ -134,6 +138,7 @@ async def test_sonar(daemon: Process) -> None:
         assert message["range"] == pytest.approx(1.0, abs=0.001)
 
 
+@pytest.mark.long
 async def test_sensors_and_a_transform() -> None:
     """At the same time, as four boards of one host."""
     async with contextlib.AsyncExitStack() as stack:
@@ -198,6 +203,7 @@ async def test_wifi(daemon: Process) -> None:
         assert await received(host, "/chatter", "std_msgs/String") == {"data": "hello over the air"}
 
 
+@pytest.mark.long
 async def test_ethernet(daemon: Process) -> None:
     async with client.connect(daemon.url) as host, running("ethernet", daemon.tcp):
         assert await received(host, "/chatter", "std_msgs/String") == {"data": "hello over a cable"}
@@ -292,6 +298,7 @@ async def test_time_and_log(daemon: Process) -> None:
         assert (line["level_name"], line["text"]) == ("info", "connected")
 
 
+@pytest.mark.long
 async def test_button_and_analog_inputs(daemon: Process) -> None:
     async with client.connect(daemon.url) as host, running("button", daemon.tcp) as board:
         board.set("analog 101 512")

@@ -18,6 +18,8 @@ LATE_S = 0.1  # the most that the turns of its loop add
 COASTS = 0.2  # share of the time with a PWM below the one for the wheel's speed: it coasts then, more slowly
 SPEEDS_M_S = (0.1, 0.2, 0.3)
 
+FEW_SEEDS = [1, 2, 3]  # of drawn worlds; `make test-long` has more
+
 
 def true_gain(world: WorldParameters, side: str) -> float:
     """Ticks/s for each count of PWM, above the dead zone."""
@@ -26,7 +28,7 @@ def true_gain(world: WorldParameters, side: str) -> float:
     return full_speed_ticks_s / driven_pwm * world["battery_v"] / world["rated_v"]
 
 
-@pytest.mark.parametrize("seed", range(1, 13))
+@pytest.mark.parametrize("seed", FEW_SEEDS + [pytest.param(seed, marks=pytest.mark.long) for seed in range(4, 13)])
 def test_motors_of_drawn_worlds_are_found(seed: int) -> None:
     world = drawn_world(seed)
     for side, model in identify(world).items():
@@ -36,7 +38,7 @@ def test_motors_of_drawn_worlds_are_found(seed: int) -> None:
         assert model.explained > 0.995, side
 
 
-@pytest.mark.parametrize("seed", range(1, 7))
+@pytest.mark.parametrize("seed", FEW_SEEDS + [pytest.param(seed, marks=pytest.mark.long) for seed in range(4, 7)])
 def test_tuned_gains_follow_the_set_point_better_than_table_1_and_do_not_swing(seed: int) -> None:
     world = drawn_world(seed)
     tuned = {side: simc_gains(model) for side, model in identify(world).items()}

@@ -15,6 +15,7 @@ from tests.support.simulated import simulated_robot
 from tests.support.waiting import expect
 
 
+@pytest.mark.long
 async def test_move_and_turn_arrive_beside_a_neighbour_that_misbehaves() -> None:
     """The neighbour floods the daemon, locks and drives its own robot, and names robots that are not there."""
 

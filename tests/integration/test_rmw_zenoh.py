@@ -390,7 +390,7 @@ async def test_a_publisher_that_falls_silent_ends_with_its_lease() -> None:
         assert time.monotonic() - began_s > LEASE_S - 0.1
 
 
-@pytest.mark.parametrize("line", [Line.SWALLOWS, Line.STALLS])
+@pytest.mark.parametrize("line", [pytest.param(Line.SWALLOWS, marks=pytest.mark.long), Line.STALLS])
 async def test_a_cut_network_ends_the_lease(line: Line) -> None:
     async with bridged() as world, fake_device(world.daemon.tcp, robot_topics()) as device:
         host, _, port = world.address.rpartition(":")
@@ -473,7 +473,7 @@ def as_served() -> Iterator[None]:
 
 
 @pytest.mark.quiet
-@pytest.mark.parametrize("flooded", ["/chatter", "/robot_0/cmd_vel"])
+@pytest.mark.parametrize("flooded", [pytest.param("/chatter", marks=pytest.mark.long), "/robot_0/cmd_vel"])
 async def test_stop_during_a_flood_of_ros_2_arrives_in_time(flooded: str, as_served: None) -> None:
     type_name, fields = (STRING, {"data": "x" * 100}) if flooded == "/chatter" else (TWIST, {})
     async with (

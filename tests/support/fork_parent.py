@@ -2,8 +2,8 @@
 
 `python fork_parent.py FILE DESCRIPTOR`: FILE imports all that it needs, and has `main`. On the socket, it sends READY
 when that is imported; `{"arguments": [...], ...}` with the descriptors 0, 1 and 2 is answered with a pid,
-`{"wait": pid}` with the exit status of that process. The standard library is enough: FILE may need another
-Python than the tests'.
+`{"wait": pid}` with the exit status of that process. `{"copy": true}` with a socket is not answered: a copy of this
+process serves that socket. The standard library is enough: FILE may need another Python than the tests'.
 """
 
 import gc
@@ -30,7 +30,7 @@ def main() -> None:
     gc.freeze()  # a collection in a child would write into each object, and so copy every page that it shares
     running: set[int] = set()
     while True:
-        data, files, _, _ = socket.recv_fds(requests, REQUEST_BYTES, 3)
+        data, files = _receive(requests)
         if not data:
             for pid in running:
                 os.kill(pid, signal.SIGKILL)
@@ -40,6 +40,14 @@ def main() -> None:
             status = os.waitstatus_to_exitcode(os.waitpid(request["wait"], 0)[1])
             running.discard(request["wait"])
             requests.send(str(status).encode())
+            continue
+        if "copy" in request:
+            if os.fork() == 0:
+                requests.close()
+                requests, running = socket.socket(fileno=files[0]), set()
+                requests.send(READY)
+            else:
+                os.close(files[0])
             continue
         pid = os.fork()
         if pid == 0:
@@ -51,6 +59,15 @@ def main() -> None:
         requests.send(str(pid).encode())
         for file in files:
             os.close(file)
+
+
+def _receive(requests: socket.socket) -> tuple[bytes, list[int]]:
+    """Return a request and its descriptors; an empty one when the other end is closed."""
+    try:
+        data, files, _, _ = socket.recv_fds(requests, REQUEST_BYTES, 3)
+    except ConnectionResetError:  # it was closed with an answer that was not read
+        return b"", []
+    return data, files
 
 
 def _load(file: Path) -> ModuleType:

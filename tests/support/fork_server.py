@@ -19,8 +19,10 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
+from tests.support import workers
+
 HERE = Path(__file__).resolve().parent
-LINE_BYTES = 1 << 22
+LINE_BYTES = 1 << 24
 ANSWER_BYTES = 64
 
 
@@ -33,22 +35,52 @@ class Program:
     python: str = sys.executable
 
 
-HOSTLINK = Program("hostlink", "forked_hostlink.py")
+_shared: list[Program] = []
+
+
+def shared(program: Program, needs: str = "") -> Program:
+    """Let the workers copy one parent of this program. The imports of each worker would take a second of CPU.
+
+    Args:
+        program: program that is forked
+        needs: file without which the program is not installed; none: its Python
+    """
+    if Path(needs or program.python).exists():
+        _shared.append(program)
+    return program
+
+
+HOSTLINK = shared(Program("hostlink", "forked_hostlink.py"))
 
 
 class ForkServer:
-    """The parent of the processes; it ends with the process that made it."""
+    """The parent of the processes, or a copy of `original`; it ends with the process that made it."""
 
-    def __init__(self, program: Program) -> None:
+    def __init__(self, program: Program, original: "ForkServer | None" = None) -> None:
         self.program = program
         self._is_ready, self._lock = False, threading.Lock()
+        self._process: subprocess.Popen[bytes] | None = None
         self._requests, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         with theirs:
+            if original is not None:
+                original.copy(theirs)
+                return
             command = [program.python, str(HERE / "fork_parent.py"), str(HERE / program.file), str(theirs.fileno())]
             # Its own output is nothing; what it imports first decides whether the output of its children is buffered.
             self._process = subprocess.Popen(
                 command, pass_fds=[theirs.fileno()], stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL
             )
+
+    def copy(self, end: socket.socket) -> None:
+        """Let a copy of the process serve the other end of this socket. Workers may do it at the same time."""
+        rights = [(socket.SOL_SOCKET, socket.SCM_RIGHTS, array.array("i", [end.fileno()]))]
+        self._requests.sendmsg([json.dumps({"copy": True}).encode()], rights)
+
+    def close(self) -> None:
+        """End the process and all that it runs."""
+        self._requests.close()
+        if self._process is not None:
+            self._process.wait()
 
     def await_ready(self) -> None:
         """Wait for its imports: a second, in which no loop may stand still. In any thread."""
@@ -71,10 +103,20 @@ class ForkServer:
         return int(self._requests.recv(ANSWER_BYTES))
 
 
+_originals: dict[Program, ForkServer] = {}  # started before the workers, which copy them
+
+
+def _start_originals() -> None:
+    _originals.update({program: ForkServer(program) for program in _shared})
+
+
+workers.before_fork.append(_start_originals)
+
+
 @cache
 def fork_server(program: Program) -> ForkServer:
     """The one of this process."""
-    return ForkServer(program)
+    return ForkServer(program, _originals.get(program))
 
 
 class Child:

@@ -13,6 +13,7 @@ from typing import NoReturn
 
 from hostlink.cli import main as command_line
 from hostlink.messages.catalog import Catalog
+from hostlink.sim import firmware_module
 
 
 def main() -> NoReturn:
@@ -42,6 +43,7 @@ def _import_everything() -> None:
     for late in ("serve", "ros1_parameters"):  # which commands import when they run
         importlib.import_module(f"hostlink.cli.{late}")
     Catalog()
+    firmware_module._compiled()  # for simulated robots
     sys.argv = ["hostlink", "serve", "--example", "config"]
     with contextlib.redirect_stdout(io.StringIO()), contextlib.suppress(SystemExit):
         command_line.main()

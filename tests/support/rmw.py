@@ -22,11 +22,11 @@ from hostlink.config import Config, LinkConfig, ZenohConfig
 from hostlink.graphs.zenoh.rmw_bridge import RmwBridge, ros2_bridged
 from hostlink.graphs.zenoh.session import ZenohSession, opened
 from tests.support.daemon import Daemon, daemon
-from tests.support.fork_server import Child, Program, start
+from tests.support.fork_server import Child, Program, shared, start
 from tests.support.process import free_port
 from tests.support.waiting import TIMEOUT_S
 
-PEER = Program("rmw_peer", "../clients/rmw_peer.py")
+PEER = shared(Program("rmw_peer", "../clients/rmw_peer.py"))
 TWIST = "geometry_msgs/msg/Twist"
 TWIST_KEY = "geometry_msgs::msg::dds_::Twist_/RIHS01_9c45bf16fe0983d80e3cfe750d6835843d265a9a6c46bd2e609fcddde6fb8d2a"
 STRING = "std_msgs/msg/String"

@@ -11,14 +11,14 @@ from collections.abc import AsyncIterator, Callable, Iterator
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
-from tests.support.fork_server import Child, Program, start
+from tests.support.fork_server import Child, Program, shared, start
 from tests.support.once import BUILD
 from tests.support.waiting import expect
 
 VENV = BUILD / "ros2-venv"
 PYTHON, HOSTLINK = str(VENV / "bin" / "python"), str(VENV / "bin" / "hostlink")
-BRIDGE = Program("hostlink", "forked_bridge.py", PYTHON)
-PEER = Program("ros2_peer", "ros2_peer.py", PYTHON)
+BRIDGE = shared(Program("hostlink", "forked_bridge.py", PYTHON))
+PEER = shared(Program("ros2_peer", "ros2_peer.py", PYTHON))
 DISCOVERY_S = 20.0  # how long a busy machine may need until two nodes know each other
 MAX_DOMAIN = 100
 

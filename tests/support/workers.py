@@ -9,23 +9,28 @@ import signal
 import sys
 import traceback
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection, wait
 
 import pytest
 
-SHARING = (  # their tests share what is slow to make: a daemon, a compiled program, a large file, all parsed sources
+SHARING = (  # their tests share what is slow to make: a daemon, a page, a compiled program, a large file, all sources
     "test_board_headers.py",
     "test_board_library.py",
     "test_diagnoses.py",
     "test_large_recordings.py",
     "test_page.py",
     "test_page_firefox.py",
+    "test_page_hazards.py",
+    "test_page_layout.py",
+    "test_page_lost.py",
+    "test_try_page.py",
     "test_words.py",
 )
 NUMBER = "PYTEST_WORKER"  # environment variable with the number of the worker
+before_fork: list[Callable[[], None]] = []  # called before the workers start: what they share
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -39,6 +44,8 @@ def pytest_runtestloop(session: pytest.Session) -> bool | None:
     option = session.config.option
     if option.workers < 2 or option.collectonly or (session.testsfailed and not option.continue_on_collection_errors):
         return None
+    for prepare in before_fork:
+        prepare()
     pool = Pool(session)
     try:
         pool.run(option.workers)

@@ -34,7 +34,12 @@ async def until(daemon: Process, *, driven: bool) -> float:
 
 
 @pytest.mark.parametrize(
-    ("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 130), (signal.SIGKILL, -signal.SIGKILL)]
+    ("number", "status"),
+    [
+        (signal.SIGINT, 130),
+        pytest.param(signal.SIGTERM, 130, marks=pytest.mark.long),
+        (signal.SIGKILL, -signal.SIGKILL),
+    ],
 )
 async def test_a_signal_in_a_drive_stops_the_robot(number: signal.Signals, status: int, tmp_path: Path) -> None:
     state = tmp_path / "state.json"

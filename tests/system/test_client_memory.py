@@ -76,7 +76,9 @@ def resident_kib(host: Process) -> int:
     return int(re.findall(r"VmRSS:\s+(\d+)", status)[0])
 
 
-@pytest.mark.parametrize("visit", [web_socket, web_socket_that_breaks_off, request])
+@pytest.mark.parametrize(
+    "visit", [web_socket, pytest.param(web_socket_that_breaks_off, marks=pytest.mark.long), request]
+)
 async def test_daemon_keeps_nothing_of_a_disconnected_client(visit: Visit) -> None:
     async with daemon() as host:
         port = int(host.url.rpartition(":")[2])

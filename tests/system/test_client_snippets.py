@@ -2,7 +2,6 @@
 
 import asyncio
 import re
-import sys
 from asyncio.subprocess import PIPE
 from pathlib import Path
 
@@ -10,6 +9,7 @@ import pytest
 
 from hostlink.sim.firmware_world import RobotKind
 from tests.support.daemon import daemon
+from tests.support.fork_server import Program, shared, start
 from tests.support.proxy import proxy
 from tests.support.simulated import simulated_robot
 from tests.support.waiting import expect
@@ -18,6 +18,7 @@ DOCUMENTS = [Path(__file__).parents[2] / "docs" / name for name in ("client.md",
 FENCED = re.compile(r"^```python\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 CONNECT = re.compile(r"\b(connect(?:_blocking)?)\(\)")
 TIMEOUT_S = 30.0
+PYTHON = shared(Program("python", "forked_python.py"))
 STANDING = {"print(error.kind, error)": "locked robot_0: locked: a visitor is near", "/switch": "'message': 'on'"}
 
 
@@ -39,9 +40,7 @@ def program(snippet: str, url: str) -> str:
 
 async def run(snippet: str, url: str) -> str:
     """Run a snippet to its end; return what it prints."""
-    child = await asyncio.create_subprocess_exec(
-        sys.executable, "-W", "error", "-c", program(snippet, url), stdout=PIPE, stderr=PIPE
-    )
+    child = await start(program(snippet, url), program=PYTHON, stdout=PIPE, stderr=PIPE)
     async with asyncio.timeout(TIMEOUT_S):
         out, err = await child.communicate()
     assert (child.returncode, err) == (0, b""), f"{snippet}\n{err.decode()}"

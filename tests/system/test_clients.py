@@ -186,7 +186,7 @@ async def test_foxglove_reads_a_recording_over_ranges_and_decodes_every_channel(
     assert 3 <= observed["requests"] < 100
 
 
-@pytest.mark.parametrize("line_is", [Line.WORKS, Line.GATHERS])
+@pytest.mark.parametrize("line_is", [Line.WORKS, pytest.param(Line.GATHERS, marks=pytest.mark.long)])
 async def test_foxglove_mcap_record_records_every_channel(line_is: Line, tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     async with (

@@ -16,7 +16,12 @@ MOST_MIB = 200.0
 
 
 @pytest.mark.parametrize(
-    ("crowd", "count"), [("devices", 50), ("vanish", 50), ("silent", 500)], ids=["devices", "vanish", "silent"]
+    ("crowd", "count"),
+    [
+        pytest.param("devices", 50, id="devices"),
+        pytest.param("vanish", 50, marks=pytest.mark.long, id="vanish"),
+        pytest.param("silent", 500, marks=pytest.mark.long, id="silent"),
+    ],
 )
 def test_crowd_does_not_displace_the_driver(crowd: str, count: int) -> None:
     observed = asyncio.run(measure(Load(crowd, crowd, count, DRIVE_S)))

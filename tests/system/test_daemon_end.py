@@ -61,9 +61,9 @@ async def velocities_to_the_end(device: FakeDevice) -> list[tuple[float, float]]
 @pytest.mark.parametrize(
     ("number", "rate_hz"),
     [
-        (signal.SIGTERM, 10),
+        pytest.param(signal.SIGTERM, 10, marks=pytest.mark.long),
         (signal.SIGTERM, 50),
-        (signal.SIGTERM, 200),
+        pytest.param(signal.SIGTERM, 200, marks=pytest.mark.long),
         (signal.SIGINT, 50),
         (signal.SIGHUP, 50),
         (signal.SIGQUIT, 50),
@@ -228,12 +228,15 @@ async def drives_and_ends_well(daemon: Process) -> None:
             assert await daemon.child.wait() == 0
 
 
-@pytest.mark.parametrize("shell", ["2>/dev/full", "2>&-", "0<&- 1>&- 2>&-"])
+@pytest.mark.parametrize(
+    "shell", ["2>/dev/full", *(pytest.param(each, marks=pytest.mark.long) for each in ("2>&-", "0<&- 1>&- 2>&-"))]
+)
 async def test_a_log_that_cannot_be_written_harms_nothing(shell: str, tmp_path: Path) -> None:
     async with serve_with_stderr(None, tmp_path, shell=shell) as daemon:
         await drives_and_ends_well(daemon)
 
 
+@pytest.mark.long
 async def test_a_reader_of_the_log_that_is_gone_harms_nothing(tmp_path: Path) -> None:
     reading, writing = os.pipe()
     async with serve_with_stderr(writing, tmp_path) as daemon:

@@ -50,13 +50,22 @@ async def world() -> AsyncIterator[tuple[str, SimulatedRobot]]:
         yield daemon.url, robot
 
 
-@pytest.mark.parametrize("name", sorted(path.name for path in EXAMPLES.glob("*.py")))
+each_example = pytest.mark.parametrize(
+    "name",
+    [
+        name if name == "square.py" else pytest.param(name, marks=pytest.mark.long)
+        for name in sorted(path.name for path in EXAMPLES.glob("*.py"))
+    ],
+)
+
+
+@each_example
 async def test_help_says_how_to_start_the_example_without_arguments(name: str) -> None:
     printed = " ".join((await printed_by(name, "--help")).split())
     assert f"start `hostlink demo`, then run `python {name}`" in printed
 
 
-@pytest.mark.parametrize("name", sorted(path.name for path in EXAMPLES.glob("*.py")))
+@each_example
 async def test_example_without_a_daemon_names_the_next_step_in_one_line(name: str, tmp_path: Path) -> None:
     arguments = {"circle.py": ["5"], "square.py": ["0.1"], "record_odometry.py": [str(tmp_path / "a.csv"), "5"]}
     line = r"no hostlink at http://127.0.0.1:1: [^\n]*`hostlink demo` runs one with a robot\n"

@@ -16,7 +16,13 @@ def names_in(folder: Path) -> list[str]:
     return [each.name for each in folder.iterdir()]
 
 
-@pytest.mark.parametrize("unknown", UNKNOWN)
+@pytest.mark.parametrize(
+    "unknown",
+    [
+        each if each in ("cbor", "cdr with a part missing") else pytest.param(each, marks=pytest.mark.long)
+        for each in UNKNOWN
+    ],
+)
 async def test_export_of_a_channel_that_is_unknown_fails_with_its_name_and_writes_nothing(
     tmp_path: Path, unknown: str
 ) -> None:
@@ -24,7 +30,9 @@ async def test_export_of_a_channel_that_is_unknown_fails_with_its_name_and_write
     await check_refusal(path, UNKNOWN[unknown][2], "csv")
 
 
-@pytest.mark.parametrize("format_", FORMATS)
+@pytest.mark.parametrize(
+    "format_", [each if each in ("csv", "rosbag2") else pytest.param(each, marks=pytest.mark.long) for each in FORMATS]
+)
 async def test_export_to_each_format_fails_at_an_unknown_channel_unless_it_is_left_out(
     tmp_path: Path, format_: str
 ) -> None:
@@ -64,7 +72,10 @@ async def test_info_shows_a_folder_of_rosbag2(tmp_path: Path) -> None:
     assert f"{COUNT} messages" in out
 
 
-@pytest.mark.parametrize("name", ["theirs.mcap", "theirs.bag", "theirs.db3", "theirs"])
+@pytest.mark.parametrize(
+    "name",
+    ["theirs.mcap", "theirs", *(pytest.param(each, marks=pytest.mark.long) for each in ("theirs.bag", "theirs.db3"))],
+)
 async def test_export_of_what_is_not_a_recording_is_one_line_and_leaves_nothing(tmp_path: Path, name: str) -> None:
     path = tmp_path / name
     if name == "theirs":

@@ -53,7 +53,14 @@ async def test_without_a_guardian_a_killed_daemons_robot_moves_on(tmp_path: Path
         assert await end_at(drive, 0.0, killer(signal.SIGKILL)) == float("inf")
 
 
-@pytest.mark.parametrize("number", [signal.SIGSEGV, signal.SIGBUS, signal.SIGABRT, signal.SIGFPE])
+@pytest.mark.parametrize(
+    "number",
+    [
+        signal.SIGSEGV,
+        signal.SIGABRT,
+        *(pytest.param(each, marks=pytest.mark.long) for each in (signal.SIGBUS, signal.SIGFPE)),
+    ],
+)
 async def test_a_crash_in_c_code_stops_the_robots_and_writes_no_core_before(number: signal.Signals) -> None:
     async with driving(Reading()) as drive:
         assert resource.prlimit(drive.daemon.pid, resource.RLIMIT_CORE)[0] == 1
@@ -78,7 +85,11 @@ async def test_a_daemon_that_runs_out_of_address_space_leaves_no_robot_moving() 
         assert drive.stood_after_s(ended_s) - watch.kept_s <= LIMIT_S
 
 
-@pytest.mark.parametrize("reading", [Reading(), Reading(bytes_a_turn=2048, with_blobs=True)], ids=["", "long frames"])
+@pytest.mark.parametrize(
+    "reading",
+    [Reading(), pytest.param(Reading(bytes_a_turn=2048, with_blobs=True), marks=pytest.mark.long)],
+    ids=["", "long frames"],
+)
 async def test_robots_of_a_daemon_that_hangs_are_stopped_and_driven_again_afterwards(reading: Reading) -> None:
     """SIGSTOP: as a loop that is blocked, also inside a long frame. Its guardian sends zeros, and no id 11."""
     async with driving(reading) as drive:

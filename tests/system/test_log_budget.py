@@ -16,7 +16,7 @@ from tests.support.process import serve
 from tools.crowd import parameters, topic_infos
 
 Flood = Callable[[tuple[str, int], bytes], Awaitable[None]]
-FLOOD_S = 1.5
+FLOOD_S = 0.7
 CONNECTIONS = 400
 LINE_BYTES = 1000  # more than any line here has
 
@@ -45,8 +45,12 @@ async def reconnect(address: tuple[str, int], _: bytes) -> None:
 
 @pytest.mark.parametrize(
     ("work", "block"),
-    [(flood, logs(500)), (flood, topic_infos(500)), (flood, parameters(2000)), (reconnect, b"")],
-    ids=["logs", "refused topics", "unknown parameters", "connections"],
+    [
+        pytest.param(flood, logs(500), id="logs"),
+        pytest.param(flood, topic_infos(500), marks=pytest.mark.long, id="refused topics"),
+        pytest.param(flood, parameters(2000), marks=pytest.mark.long, id="unknown parameters"),
+        pytest.param(reconnect, b"", id="connections"),
+    ],
 )
 async def test_a_flood_of_lines_is_cut_and_counted(work: Flood, block: bytes, tmp_path: Path) -> None:
     log, now_s = tmp_path / "log", asyncio.get_running_loop().time

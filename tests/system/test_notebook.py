@@ -122,6 +122,7 @@ async def test_a_cell_stops_its_robot_unless_it_is_kept_and_an_error_an_interrup
         await robot.stands()
 
 
+@pytest.mark.long
 async def test_a_cell_of_the_asyncio_client_stops_its_robot_unless_it_is_kept_or_a_task_drives_it() -> None:
     async with robot_to_drive() as robot, notebook() as cells:
         await cells.run("import asyncio, contextlib, hostlink.client")

@@ -16,7 +16,7 @@ from hostlink.protocol.frame import Id, encode
 from hostlink.robot.admission import LEASE_S
 from hostlink.robot.kinematics import Pose
 from hostlink.sim.firmware_module import WorldParameters
-from tests.support.browser import PHONE, Visit, visit
+from tests.support.browser import PHONE, Visit, revisit, visit
 from tests.support.daemon import Daemon, daemon
 from tests.support.device_codec import encode_log
 from tests.support.proxy import Line, proxy
@@ -31,11 +31,11 @@ LOW_S = 7.0  # smoothed over a second, low for five
 SHOWN_S = 10.0  # for which the firmware shows an error
 NOTICED_S = 1.0  # within this time the page shows that the daemon does not answer
 MOST_STREAMS = 6  # that a browser opens to one address
-GAMEPAD = """
+GAMEPAD = """() => {
   const pad = { connected: true, axes: [0, 0, 0, 0], buttons: Array.from({ length: 16 }, () => ({ pressed: false })) };
   window.pad = pad;
   navigator.getGamepads = () => (pad.connected ? [pad] : []);
-"""
+}"""
 INSECURE = """
   delete Crypto.prototype.randomUUID;
   delete Navigator.prototype.getGamepads;
@@ -57,6 +57,7 @@ class Scene:
     host: Daemon
     robot: DisturbedRobot
     browser: Browser
+    tab: Visit  # used again by most tests
 
     @property
     def wanted(self) -> tuple[float, ...]:
@@ -87,9 +88,13 @@ class Scene:
 @pytest_asyncio.fixture(scope="module", loop_scope="session")
 async def everything(browser: Browser) -> AsyncIterator[Scene]:
     robots = {"robot_0": RobotConfig(wheel_separation_m=0.210, max_wheel_m_s=0.3436)}
-    async with daemon(Config(robots=robots)) as host, simulated_robot(host.tcp) as robot:
+    async with (
+        daemon(Config(robots=robots)) as host,
+        simulated_robot(host.tcp) as robot,
+        visit(browser, "about:blank") as tab,
+    ):
         await expect(lambda: host.hub.robots.find("robot_0").odometry.count > 0)
-        yield Scene(host, robot, browser)
+        yield Scene(host, robot, browser, tab)
 
 
 @pytest_asyncio.fixture(loop_scope="session")
@@ -101,8 +106,10 @@ async def scene(everything: Scene) -> Scene:
 
 
 @contextlib.asynccontextmanager
-async def connected(scene: Scene, url: str = "", **options: object) -> AsyncIterator[Visit]:
-    async with visit(scene.browser, url or scene.host.url, **options) as tab:
+async def connected(scene: Scene, url: str = "", *, is_new: bool = False, **options: object) -> AsyncIterator[Visit]:
+    """Open the page. A tab that the test closes, or that differs from a computer's, is a new one."""
+    url = url or scene.host.url
+    async with visit(scene.browser, url, **options) if is_new or options else revisit(scene.tab, url) as tab:
         await tab.is_connected()
         await tab.shows("#robots", "robot_0")
         yield tab
@@ -124,9 +131,8 @@ async def driven_by_a_program(scene: Scene, *, priority: int) -> AsyncIterator[N
         driving.cancel()
 
 
-@pytest.mark.parametrize("script", ["", INSECURE], ids=["secure", "insecure"])
-async def test_page_shows_the_robot_and_sends_no_request_to_other_hosts(scene: Scene, script: str) -> None:
-    async with connected(scene, script=script) as tab:
+async def test_page_of_an_insecure_origin_shows_the_robot_and_sends_no_request_to_other_hosts(scene: Scene) -> None:
+    async with connected(scene, script=INSECURE) as tab:
         await tab.shows("#drive-state", "no driver")
         await tab.shows("#link", "Hz")
         await tab.shows("#clients", "client")
@@ -144,16 +150,16 @@ async def test_the_mouse_on_the_joystick_drives_draws_and_plots(scene: Scene) ->
         await tab.shows("#drive-state", "You drive")
         await tab.shows("#robots", "you drive")
         begun = scene.robot.pose.x_m
-        await expect(lambda: abs(scene.robot.pose.x_m - begun) > 0.5)  # a shorter path hides under the robot's picture
+        await expect(lambda: abs(scene.robot.pose.x_m - begun) > 0.3)  # a shorter path hides under the robot's picture
         await tab.page.mouse.up()
         await scene.stands(within_s=1.0)
-        await tab.map_has("length", r"^0\.[4-9]|^[1-9]")
+        await tab.map_has("length", r"^0\.[2-9]|^[1-9]")
         drawn = await tab.page.locator("#map-canvas").evaluate(ACCENT)
         await tab.page.get_by_role("button", name="Clear the path").click()
         await tab.map_has("length", r"^0\.0")
         assert 100 < await tab.page.locator("#map-canvas").evaluate(ACCENT) < drawn
         assert int(await tab.page.locator("#plot-forward .uplot").get_attribute("data-count") or 0) > 5
-        assert tab.complaints == []
+        assert (tab.complaints, tab.other_hosts) == ([], [])
 
 
 async def test_a_finger_drives_until_it_is_gone(scene: Scene) -> None:
@@ -206,7 +212,8 @@ async def test_key_that_is_held_when_the_window_is_left_must_be_pressed_again(sc
 
 
 async def test_a_gamepad_drives_with_its_shoulder_pressed_and_not_when_it_is_lost(scene: Scene) -> None:
-    async with connected(scene, script=GAMEPAD) as tab:
+    async with connected(scene) as tab:
+        await tab.page.evaluate(GAMEPAD)
         await tab.page.evaluate("pad.axes[1] = -1")
         await tab.shows("#gamepad", "hold a shoulder button")
         await scene.stays_still(0.3)
@@ -218,7 +225,7 @@ async def test_a_gamepad_drives_with_its_shoulder_pressed_and_not_when_it_is_los
 
 @pytest.mark.parametrize("way", ["closed", "crashed"])
 async def test_page_that_is_closed_while_driving_stops_the_robot(scene: Scene, way: str) -> None:
-    async with connected(scene) as tab:
+    async with connected(scene, is_new=True) as tab:
         await scene.holds(tab, "KeyW")
         if way == "closed":
             await tab.page.close()
@@ -269,14 +276,15 @@ async def test_stop_locks_until_unlocked(scene: Scene) -> None:
             await scene.stays_still(0.2)
             await keys.up("KeyW")
             await tab.page.get_by_role("button", name="Unlock").click()
-            await tab.shows("#drive-state", "no driver")
+            await tab.page.locator("#lock-reason").wait_for(state="hidden")
         await keys.down("KeyW")
         await scene.drives()
 
 
-@pytest.mark.parametrize("way", ["space", "gamepad"])
+@pytest.mark.parametrize("way", ["space", pytest.param("gamepad", marks=pytest.mark.long)])
 async def test_stop_without_a_lock_must_be_let_go_and_drives_again(scene: Scene, way: str) -> None:
-    async with connected(scene, script=GAMEPAD) as tab:
+    async with connected(scene) as tab:
+        await tab.page.evaluate(GAMEPAD)
         keys = tab.page.keyboard
         await keys.down("KeyW")
         await scene.drives()
@@ -317,7 +325,7 @@ async def test_stop_works_without_the_websocket(scene: Scene) -> None:
 @pytest.mark.long
 async def test_every_tab_of_a_browser_can_stop(scene: Scene) -> None:
     """A browser has six connections to one address: the tabs' streams of events must not use up those of a stop."""
-    async with connected(scene) as first:
+    async with connected(scene, is_new=True) as first:
         robot = scene.host.hub.robots.find("robot_0")
         async with driven_by_a_program(scene, priority=90):
             tabs = [await first.page.context.new_page() for _ in range(MOST_STREAMS)]
@@ -337,6 +345,7 @@ async def test_every_tab_of_a_browser_can_stop(scene: Scene) -> None:
             await expect(lambda: robot.gate.counts.stops > 0, timeout_s=1.0)
 
 
+@pytest.mark.long
 async def test_a_network_that_dies_is_noticed_within_a_second_without_the_websocket(scene: Scene) -> None:
     host, port = scene.host.url.removeprefix("http://").split(":")
     async with proxy((host, int(port))) as network, visit(scene.browser, "about:blank") as tab:
@@ -353,6 +362,7 @@ async def test_a_network_that_dies_is_noticed_within_a_second_without_the_websoc
         await tab.shows("#lock-reason", "somebody stands there", timeout_s=2 * NOTICED_S)
 
 
+@pytest.mark.long
 async def test_page_watches_by_one_stream_and_does_not_poll(scene: Scene) -> None:
     async with connected(scene) as tab:
         await tab.shows("#clients", "client")
@@ -361,7 +371,7 @@ async def test_page_watches_by_one_stream_and_does_not_poll(scene: Scene) -> Non
         await expect_never(lambda: requests, for_s=1.5)
 
 
-@pytest.mark.parametrize("line", [Line.STALLS, Line.SWALLOWS])
+@pytest.mark.parametrize("line", [Line.STALLS, pytest.param(Line.SWALLOWS, marks=pytest.mark.long)])
 async def test_a_dead_network_is_noticed_within_a_second_and_nothing_old_is_driven_after_it(
     scene: Scene, line: Line
 ) -> None:
@@ -394,6 +404,7 @@ async def test_a_daemon_that_is_gone_is_waited_for(scene: Scene) -> None:
         await tab.page.locator("#notice").wait_for(state="hidden")
 
 
+@pytest.mark.long
 async def test_page_shows_which_client_drives_and_which_has_priority(scene: Scene) -> None:
     async with connected(scene) as tab:
         async with driven_by_a_program(scene, priority=50):

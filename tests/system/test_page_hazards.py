@@ -121,14 +121,14 @@ async def scene(opened: Scene) -> Scene:
     return opened
 
 
-@pytest.mark.parametrize("name", ["contextmenu", "dragstart"])
+@pytest.mark.parametrize("name", ["contextmenu", pytest.param("dragstart", marks=pytest.mark.long)])
 async def test_a_menu_or_a_drag_that_swallows_the_release_of_a_key_stops(scene: Scene, name: str) -> None:
     await scene.holds("KeyW")
     await scene.tab.page.evaluate(DISPATCH, [name, "#link"])
     await scene.stands()
 
 
-@pytest.mark.parametrize("key", ["Meta", "Alt", "Control"])
+@pytest.mark.parametrize("key", ["Meta", *(pytest.param(each, marks=pytest.mark.long) for each in ("Alt", "Control"))])
 async def test_a_key_of_the_system_stops_because_a_release_beside_it_is_not_reported(scene: Scene, key: str) -> None:
     await scene.holds("KeyW")
     await scene.tab.page.keyboard.down(key)
@@ -219,6 +219,7 @@ async def test_no_short_press_of_the_stop_on_a_gamepad_is_missed(scene: Scene) -
         await expect(lambda press=press: len(scene.server.requests) == press + 1)  # type: ignore[misc]
 
 
+@pytest.mark.long
 async def test_arrows_in_the_menu_of_a_panel_and_in_a_list_drive_nothing(scene: Scene) -> None:
     page = scene.tab.page
     await page.get_by_role("button", name="Log: move, fold").press("Enter")
@@ -382,7 +383,9 @@ async def test_a_motion_carries_the_epoch_of_its_first_answer(scene: Scene) -> N
         await scene.stands()
 
 
-@pytest.mark.parametrize("kind", ["disarmed", "locked", "late"])
+@pytest.mark.parametrize(
+    "kind", ["disarmed", *(pytest.param(each, marks=pytest.mark.long) for each in ("locked", "late"))]
+)
 async def test_a_refused_motion_must_let_go(scene: Scene, kind: str) -> None:
     page, state = scene.tab.page, fleet("robot_0")
     await scene.holds("KeyW")
@@ -423,6 +426,7 @@ async def test_a_stick_waits_for_a_source_with_a_higher_priority(scene: Scene) -
     await page.keyboard.up("KeyW")
 
 
+@pytest.mark.long
 async def test_a_browser_that_keeps_nothing_shows_and_stops(browser: Browser) -> None:
     """A browser may block the data of all pages: the token is kept until the page is left."""
     async with page_server() as server, visit(browser, f"{server.url}/?token=secret", script=KEEPS_NOTHING) as tab:
@@ -434,6 +438,7 @@ async def test_a_browser_that_keeps_nothing_shows_and_stops(browser: Browser) ->
         assert tab.complaints == []
 
 
+@pytest.mark.long
 async def test_a_robot_whose_device_cannot_receive_says_so(scene: Scene) -> None:
     cause = "the frame of 60 bytes does not fit into the 40 of the device"
     scene.server.show(fleet("robot_0", unreachable=cause, holder="client 1"))
@@ -441,6 +446,7 @@ async def test_a_robot_whose_device_cannot_receive_says_so(scene: Scene) -> None
     await expect_page(scene.tab.page.locator("#drive[data-state=refused]")).to_be_visible()
 
 
+@pytest.mark.long
 async def test_a_lock_of_which_no_event_tells_must_be_followed_by_another_press(scene: Scene) -> None:
     """Events may be late or lost; the answer to a command is not."""
     page, state = scene.tab.page, fleet("robot_0")
@@ -456,6 +462,7 @@ async def test_a_lock_of_which_no_event_tells_must_be_followed_by_another_press(
     await page.keyboard.up("KeyW")
 
 
+@pytest.mark.long
 async def test_two_who_hold_the_stick_at_once_are_told_so(scene: Scene) -> None:
     """The daemon obeys the newest command of one priority: each of two tabs would show that it drives."""
     await scene.holds("KeyW")
@@ -467,6 +474,7 @@ async def test_two_who_hold_the_stick_at_once_are_told_so(scene: Scene) -> None:
     await scene.tab.page.keyboard.up("KeyW")
 
 
+@pytest.mark.long
 async def test_wild_values_of_a_device_stay_readable(scene: Scene) -> None:
     page, state = scene.tab.page, fleet("robot_0")
     known = state.links[0]["topics"][0]
@@ -533,6 +541,7 @@ async def test_a_pose_far_away_freezes_neither_the_page_nor_its_stop(browser: Br
         assert tab.complaints == []
 
 
+@pytest.mark.long
 async def test_line_received_live_and_in_the_history_is_shown_once_for_each_robot(browser: Browser) -> None:
     async with page_server() as server:
         state = fleet("robot_0", "robot_1")

@@ -5,7 +5,7 @@ A script in the page measures it. With HOSTLINK_PICTURES=1 the pictures lie in b
 
 import math
 import os
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Sequence
 from dataclasses import dataclass
 from itertools import combinations, product
 from pathlib import Path
@@ -24,7 +24,7 @@ from tests.support.waiting import is_soon
 pytestmark = pytest.mark.asyncio(loop_scope="session")
 
 SIZES = ((1366, 768), (1920, 1080), (1024, 768), (768, 1024), (390, 844), (844, 390), (320, 568))
-SOME = ((1366, 768), (768, 1024), (390, 844))  # a computer, a tablet and a phone; `make test-long` measures all sizes
+SOME = ((1366, 768), (390, 844))  # a computer and a phone; `make test-long` measures all sizes
 TWICE = ((640, 400), (512, 384), (568, 320), (960, 540))  # at 200 %: 1280x800, 1024x768, 1920x1080; and a small phone
 Scheme = Literal["light", "dark"]
 LAYOUTS = ("Drive", "Tune", "Fleet", "Watch")
@@ -165,17 +165,10 @@ CASES = {
 }
 
 
-BETWEEN = ("3-robots", "12-robots")  # have no room that others lack: locked, silent and lost have three, fifty a filter
+FULLEST = ("50-robots", "locked", "sick", "empty")  # with the most rows, the longest texts, and other panels
 
 
 Sizes = tuple[tuple[int, int], ...]
-SOME_AND_ALL = pytest.mark.parametrize(
-    ("sizes", "schemes"),
-    [
-        pytest.param(SOME, ("light",), id="some"),
-        pytest.param(SIZES, ("light", "dark"), marks=pytest.mark.long, id="all"),
-    ],
-)
 
 
 @dataclass
@@ -212,9 +205,12 @@ async def scene(browser: Browser) -> AsyncIterator[Scene]:
         yield Scene(server, tab)
 
 
-@SOME_AND_ALL
 @pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=pytest.mark.long) if name in BETWEEN else name for name in CASES]
+    ("name", "sizes", "schemes"),
+    [
+        *(pytest.param(name, SOME, ("light",), id=f"{name}-some") for name in FULLEST),
+        *(pytest.param(name, SIZES, ("light", "dark"), marks=pytest.mark.long, id=f"{name}-all") for name in CASES),
+    ],
 )
 async def test_every_state_fits_every_size(scene: Scene, name: str, sizes: Sizes, schemes: tuple[Scheme, ...]) -> None:
     await scene.tab.layout("Drive")
@@ -230,14 +226,27 @@ async def test_every_state_fits_every_size(scene: Scene, name: str, sizes: Sizes
     assert not found, "\n".join(found)
 
 
-@SOME_AND_ALL
-@pytest.mark.parametrize("layout", LAYOUTS[1:])
+ALL_NAMES = ("empty", "50-robots", "locked", *(["1-robot"] if TAKES_PICTURES else []))
+
+
+@pytest.mark.parametrize(
+    ("layout", "names", "sizes", "schemes"),
+    [
+        pytest.param("Tune", ["locked"], SOME, ("light",), id="Tune-some"),
+        pytest.param("Fleet", ["50-robots"], SOME, ("light",), id="Fleet-some"),
+        pytest.param("Watch", ["locked"], SOME, ("light",), id="Watch-some"),
+        *(
+            pytest.param(layout, ALL_NAMES, SIZES, ("light", "dark"), marks=pytest.mark.long, id=f"{layout}-all")
+            for layout in LAYOUTS[1:]
+        ),
+    ],
+)
 async def test_every_layout_fits_every_size(
-    scene: Scene, layout: str, sizes: Sizes, schemes: tuple[Scheme, ...]
+    scene: Scene, layout: str, names: Sequence[str], sizes: Sizes, schemes: tuple[Scheme, ...]
 ) -> None:
     found = []
     await scene.tab.layout(layout)
-    for name in ("empty", "50-robots", "locked", *(["1-robot"] if TAKES_PICTURES else [])):
+    for name in names:
         await scene.show(CASES[name])
         for scheme, (width, height) in product(schemes, sizes):
             await scene.tab.page.emulate_media(color_scheme=scheme)
@@ -269,13 +278,13 @@ AXE_RUNS: tuple[tuple[str, Scheme, dict[str, Any] | None], ...] = (
     ("read-only", "light", None),
     ("read-only", "dark", COLOURS),
 )
-AXE_RUN, *MORE_AXE_RUNS = AXE_RUNS
+AXE_RUN, *MORE_AXE_RUNS = [(layout, *run) for run, layout in product(AXE_RUNS, LAYOUTS)]
 
 
 @pytest.mark.parametrize(
-    ("name", "scheme", "options"), [AXE_RUN, *(pytest.param(*each, marks=pytest.mark.long) for each in MORE_AXE_RUNS)]
+    ("layout", "name", "scheme", "options"),
+    [AXE_RUN, *(pytest.param(*each, marks=pytest.mark.long) for each in MORE_AXE_RUNS)],
 )
-@pytest.mark.parametrize("layout", LAYOUTS)
 async def test_axe_finds_nothing_in_any_layout(
     scene: Scene, layout: str, name: str, scheme: Scheme, options: dict[str, Any] | None
 ) -> None:
@@ -470,15 +479,16 @@ GAPS_PX = """names => names.flatMap((name) => [...name.children].map((part) => {
 }))"""
 
 
-@pytest.mark.parametrize("others", [["robot_0_2"], ["robot_1", "robot_1_2"]])
-async def test_name_of_a_robot_has_no_gap_between_its_parts(browser: Browser, others: list[str]) -> None:
-    async with page_server() as server, visit(browser, server.url) as tab:
-        names = ["robot_0", *others]
-        server.show(State([robot(name) for name in names], [link(name) for name in names]))
-        await expect(tab.page.locator("#robots .robot b")).to_have_text(names)
-        gaps_px = await tab.page.locator("#robots .robot b, #stop .label").evaluate_all(GAPS_PX)
-        assert len(gaps_px) > len(names)
-        assert gaps_px == [pytest.approx(0.0, abs=0.5)] * len(gaps_px)
+@pytest.mark.parametrize("others", [["robot_0_2"], pytest.param(["robot_1", "robot_1_2"], marks=pytest.mark.long)])
+async def test_name_of_a_robot_has_no_gap_between_its_parts(scene: Scene, others: list[str]) -> None:
+    names = ["robot_0", *others]
+    await scene.tab.layout("Drive")
+    await scene.size(*SIZES[0])
+    scene.server.show(State([robot(name) for name in names], [link(name) for name in names]))
+    await expect(scene.tab.page.locator("#robots .robot b")).to_have_text(names)
+    gaps_px = await scene.tab.page.locator("#robots .robot b, #stop .label").evaluate_all(GAPS_PX)
+    assert len(gaps_px) > len(names)
+    assert gaps_px == [pytest.approx(0.0, abs=0.5)] * len(gaps_px)
 
 
 @pytest.mark.long
@@ -573,6 +583,7 @@ async def test_all_locked_robots_are_unlocked_at_the_second_press(browser: Brows
         await expect(button).to_be_disabled()
 
 
+@pytest.mark.long
 async def test_present_and_past_drivers_are_shown_with_their_address(browser: Browser) -> None:
     async with page_server() as server, visit(browser, server.url) as tab:
         server.show(fleet(1, holder="client 12 (phone)", holder_address="10.0.0.5", priority=90))
@@ -591,6 +602,7 @@ async def test_present_and_past_drivers_are_shown_with_their_address(browser: Br
         await tab.shows("#drives li", "drives now")
 
 
+@pytest.mark.long
 async def test_names_on_the_map_do_not_overprint(browser: Browser) -> None:
     async with page_server() as server, visit(browser, server.url, script=PRINTED) as tab:
         state = fleet(12)
@@ -623,6 +635,7 @@ PRINTED = """
 """
 
 
+@pytest.mark.long
 async def test_requested_velocity_is_drawn_with_the_measured_one(browser: Browser) -> None:
     async with page_server() as server, visit(browser, server.url, script=DASHES) as tab:
         server.show(fleet(1))
@@ -645,14 +658,15 @@ DASHES = """
 """
 
 
-async def test_a_refusal_is_shown_in_the_words_for_a_person(browser: Browser) -> None:
-    async with page_server() as server, visit(browser, server.url) as tab:
-        state = fleet(1, locked=True, lock_reason="somebody stands there")
-        state.refusal = "POST /api/robots/robot_0/unlock: the token may only read"
-        server.show(state)
-        await tab.page.get_by_role("button", name="Unlock").click()
-        await tab.shows("#notice", "Not unlocked: the token may only read")
-        assert "/api" not in await tab.page.locator("body").inner_text()
+async def test_a_refusal_is_shown_in_the_words_for_a_person(scene: Scene) -> None:
+    state = fleet(1, locked=True, lock_reason="somebody stands there")
+    state.refusal = "POST /api/robots/robot_0/unlock: the token may only read"
+    await scene.tab.layout("Drive")
+    await scene.size(*SIZES[0])
+    await scene.show(Case(lambda: state, "#lock-reason", "somebody stands there"))
+    await scene.tab.page.locator("#unlock").click()
+    await scene.tab.shows("#notice", "Not unlocked: the token may only read")
+    assert "/api" not in await scene.tab.page.locator("body").inner_text()
 
 
 @pytest.mark.long

@@ -3,7 +3,6 @@
 import asyncio
 import re
 import shlex
-import sys
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from dataclasses import asdict
@@ -18,6 +17,7 @@ from hostlink.diagnosis.finding import finding
 from tests.support.browser import PHONE, Visit, visit
 from tests.support.daemon import Daemon, daemon
 from tests.support.driving import driven
+from tests.support.fork_server import start
 from tests.support.page_server import State, page_server
 from tests.support.proxy import Line, Proxy, proxy
 from tests.support.simulated import simulated_robot
@@ -146,17 +146,16 @@ async def test_without_a_robot_the_page_names_the_ports_of_this_daemon(browser: 
         shown_command = await tab.page.locator("#robots .ways code").last.inner_text()
         command = shlex.split(shown_command)
         assert command[:2] == ["hostlink", "sim"]
-        program = await asyncio.create_subprocess_exec(
-            sys.executable, "-m", *command, stdout=asyncio.subprocess.DEVNULL, stderr=asyncio.subprocess.DEVNULL
-        )
+        program = await start(*command[1:])
         try:
             await tab.shows("#robots", "robot_0", timeout_s=20.0)
         finally:
             program.terminate()
-            await program.wait()
+            await program.communicate()
         assert tab.complaints == []
 
 
+@pytest.mark.long
 async def test_without_a_robot_that_may_connect_from_here_the_page_names_no_simulator(browser: Browser) -> None:
     config = Config(tcp=TcpConfig(allow=("10.0.0.0/8",)))
     async with daemon(config) as host, visit(browser, host.url) as tab:

@@ -24,7 +24,7 @@ PAUSE_S = 0.6
         ("pass", 0),
         pytest.param("sys.exit(3)", 3, marks=pytest.mark.long),
         ("1 / 0", 1),
-        ("raise KeyboardInterrupt", 130),
+        pytest.param("raise KeyboardInterrupt", 130, marks=pytest.mark.long),
         ("os._exit(4)", 4),
         ("os.kill(os.getpid(), signal.SIGTERM)", -signal.SIGTERM),
         pytest.param("del robot, host; time.sleep(1)", 0, marks=pytest.mark.long),
@@ -61,7 +61,7 @@ async def test_a_signal_that_ends_a_program_stops_what_it_drives(number: signal.
         await robot.stands()
 
 
-@pytest.mark.parametrize("line", ["1 / 0", "sys.exit()"])
+@pytest.mark.parametrize("line", ["1 / 0", pytest.param("sys.exit()", marks=pytest.mark.long)])
 async def test_an_error_in_a_thread_stops_what_is_driven_though_the_program_lives_on(line: str) -> None:
     thread = f"def control():\n    time.sleep(0.5)\n    {line}\nthreading.Thread(target=control).start()"
     async with robot_to_drive() as robot, script(robot, thread, "time.sleep(60)") as child:

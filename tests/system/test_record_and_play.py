@@ -241,6 +241,7 @@ async def test_a_play_without_a_host_says_so(tmp_path: Path) -> None:
     assert (status, "start one with `hostlink serve`" in err) == (1, True), err
 
 
+@pytest.mark.long
 async def test_thirty_robots_are_recorded_with_flat_memory(tmp_path: Path) -> None:
     """Two minutes of them as fast as the disk takes it; `make soak` does an hour."""
     process = await asyncio.create_subprocess_exec(

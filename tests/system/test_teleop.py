@@ -94,7 +94,7 @@ async def _moves(daemon: Process) -> bool:
     return True
 
 
-@pytest.mark.parametrize(("layout", "key"), [("original", "w"), ("twist", "i")])
+@pytest.mark.parametrize(("layout", "key"), [("original", "w"), pytest.param("twist", "i", marks=pytest.mark.long)])
 async def test_teleop_with_a_held_key_drives_and_lets_go_at_its_release(layout: str, key: str) -> None:
     async with driving(layout) as (daemon, terminal):
         async with moving(terminal, daemon, key):
@@ -121,9 +121,13 @@ async def test_teleop_with_another_key_stops_the_robot_though_a_driving_key_is_h
                 if key != "p":
                     await expect(daemon, lambda observed, epoch=epoch: observed["epoch"] > epoch)  # type: ignore[misc]
                 await expect(daemon, is_stopped)
+            await asyncio.sleep(RELEASED_S)  # the stop barred the key that was held
 
 
-@pytest.mark.parametrize("way", ["C-c", "TERM", "HUP", "KILL", "close"])
+@pytest.mark.parametrize(
+    "way",
+    ["C-c", pytest.param("TERM", marks=pytest.mark.long), pytest.param("HUP", marks=pytest.mark.long), "KILL", "close"],
+)
 async def test_teleop_that_ends_in_any_way_stops_the_robot(way: str) -> None:
     """After an end in order, the terminal is as it was before."""
     async with driving() as (daemon, terminal):

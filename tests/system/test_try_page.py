@@ -57,6 +57,7 @@ async def test_robot_drives_by_keys_and_stands_when_they_are_let_go(browser: Bro
         assert (tab.complaints, tab.other_hosts) == ([], [])
 
 
+@pytest.mark.long
 async def test_robot_drives_by_a_drag_to_the_left_and_stands_when_it_ends(browser: Browser, tmp_path: Path) -> None:
     async with opened(browser, tmp_path) as tab:
         mouse, box = tab.page.mouse, await tab.page.locator("#floor").bounding_box()
@@ -79,6 +80,7 @@ async def test_held_wheel_stops_the_robot_with_a_line_in_its_log(browser: Browse
         await stands(tab)
 
 
+@pytest.mark.long
 async def test_other_world_begins_again_and_odometry_errs_in_it(browser: Browser, tmp_path: Path) -> None:
     async with opened(browser, tmp_path) as tab:
         await tab.page.get_by_label("World").select_option(label="the left wheel is 2 % larger")

@@ -16,11 +16,13 @@ from typing import Any
 from hostlink.protocol.control import TopicInfo
 from hostlink.protocol.frame import Id, encode
 from tests.support.fake_device import FakeDevice, fake_device
+from tests.support.fork_server import LINE_BYTES, Child, Program, shared, start
 from tests.support.process import Process, free_port, serve
 from tests.support.waiting import TIMEOUT_S, expect
 
 PYTHON = "/usr/bin/python3"
 PROGRAM = str(Path(__file__).with_name("program.py"))
+NODE = shared(Program("program.py", "ros1/program.py", PYTHON), needs="/usr/bin/rosmaster")
 TIME_INTERVAL_S = 1.0
 
 
@@ -99,10 +101,14 @@ class Graph:
 
     @contextlib.asynccontextmanager
     async def node(self, *words: str, precedence: tuple[str, ...] = ()) -> AsyncIterator["Node"]:
-        """`program.py` with these words, killed at the end of the block."""
-        child = await asyncio.create_subprocess_exec(
-            *precedence, PYTHON, PROGRAM, *words, env=self.environment, stdin=PIPE, stdout=PIPE, limit=1 << 24
-        )
+        """`program.py` with these words, killed at the end of the block; forked without a `precedence`."""
+        child: Child | asyncio.subprocess.Process
+        if precedence:
+            child = await asyncio.create_subprocess_exec(
+                *precedence, PYTHON, PROGRAM, *words, env=self.environment, stdin=PIPE, stdout=PIPE, limit=LINE_BYTES
+            )
+        else:
+            child = await start(*words, program=NODE, given=None, stdout=PIPE, environment=self.environment)
         node = Node(child)
         try:
             await node.read("ready")
@@ -124,7 +130,7 @@ class Graph:
 class Node:
     """A rospy program; it prints one JSON object a line."""
 
-    child: asyncio.subprocess.Process
+    child: Child | asyncio.subprocess.Process
     read_lines: list[dict[str, Any]] = field(default_factory=list)
 
     async def read(self, event: str, timeout_s: float = TIMEOUT_S) -> dict[str, Any]:

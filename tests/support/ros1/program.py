@@ -141,8 +141,12 @@ def idle():
     rospy.spin()
 
 
-if __name__ == "__main__":
+def main():
     word, *arguments = sys.argv[1:]
     name = arguments.pop() if arguments and arguments[-1].startswith("name=") else "name=" + word
     rospy.init_node(name[5:], anonymous=name == "name=" + word, disable_signals=False)
     {f.__name__: f for f in (listen, talk, drive, serve, call, send, receive, idle)}[word](*arguments)
+
+
+if __name__ == "__main__":
+    main()

@@ -58,6 +58,7 @@ async def topics(ros: Graph, wanted: str) -> list[str]:
     raise AssertionError(f"no {wanted} in {found}")
 
 
+@pytest.mark.long
 async def test_node_of_a_launch_file_has_its_namespace_name_remapping_and_parameters(ros: Graph) -> None:
     """Start the node like roslaunch: in a namespace, with a name, a remapping, and parameters at the master."""
     port = free_port()
@@ -236,6 +237,7 @@ async def test_ros1_opens_the_serial_port_that_a_parameter_names(ros: Graph, tmp
         assert f"{tmp_path}/ttyACM0" in str(waiting)
 
 
+@pytest.mark.long
 async def test_rosnode_kill_ends_the_ros1_command(ros: Graph) -> None:
     async with ros1(ros, "--tcp", str(free_port())) as daemon:
         await daemon.read_log("ros1.master_found")

@@ -71,6 +71,7 @@ async def test_a_device_receives_what_a_program_publishes(ros: Graph) -> None:
             pass
 
 
+@pytest.mark.long
 async def test_latched_topic_of_rospy_second_and_rebooted_device_receive_last_message(ros: Graph) -> None:
     text = [topic(Id.SUBSCRIBER, 102, "/text", STRING)]
     async with (
@@ -234,6 +235,7 @@ async def becomes(robot: FakeDevice, name: str, wanted: tuple[list[int], list[fl
     assert found == wanted
 
 
+@pytest.mark.long
 async def test_a_device_reads_parameters_of_the_master_as_rosserial_python_resolves_them(ros: Graph) -> None:
     for name, value in (
         ("/hostlink/kp", "2.5"),
@@ -352,6 +354,7 @@ async def test_another_node_of_the_same_name_takes_its_place(ros: Graph) -> None
         assert daemon.child.returncode is None
 
 
+@pytest.mark.long
 async def test_the_end_of_the_daemon_leaves_nothing_in_the_graph(ros: Graph) -> None:
     async with ros.daemon() as daemon, living_device(daemon.tcp, robot_topics()):
         await listed(ros, ODOMETRY)

@@ -131,7 +131,7 @@ BESIDE_A_FLOOD = pytest.param(True, marks=pytest.mark.long, id="beside a flood")
 flooded = pytest.mark.parametrize("is_flooded", [pytest.param(False, id="alone"), BESIDE_A_FLOOD])
 
 
-@pytest.mark.parametrize("is_flooded", [False, True], ids=["alone", "beside a flood"])
+@flooded
 async def test_a_driver_that_is_killed(tmp_path: Path, is_flooded: bool) -> None:
     async with driven(tmp_path, is_flooded=is_flooded) as made:
 
@@ -206,7 +206,7 @@ async def test_a_daemon_that_is_killed_while_a_program_of_ros_drives(tmp_path: P
         async def end() -> None:
             os.kill(made.daemon.child.pid, signal.SIGKILL)
 
-        await expect(lambda: made.speed == 0.25)
+        await made.drives(0.25)
         await end()
         with contextlib.suppress(EOFError, ConnectionError):
             await expect(lambda: made.speed == 0.0)

@@ -49,6 +49,7 @@ async def registered(ros: Graph, topic: str) -> None:
     raise AssertionError(f"no {topic} in {(await ros.run('rostopic', 'list'))[1]}")
 
 
+@pytest.mark.long
 async def test_rostopic_lists_types_and_describes(scene: Scene) -> None:
     topics = await scene.ros.lines("rostopic", "list")
     assert {ODOMETRY, VELOCITY, "/robot_0/odom", "/robot_0/cmd_vel", "/tf", "/rosout"} <= set(topics)
@@ -73,6 +74,7 @@ async def test_rostopic_drives_a_robot(scene: Scene) -> None:
     assert await scene.robot.velocity_other_than((0.25, 0.0)) == (0.0, 0.0)
 
 
+@pytest.mark.long
 async def test_rosnode_lists_describes_and_pings(scene: Scene) -> None:
     assert "/hostlink" in await scene.ros.lines("rosnode", "list")
     info = "\n".join(await scene.ros.lines("rosnode", "info", "/hostlink"))
@@ -83,6 +85,7 @@ async def test_rosnode_lists_describes_and_pings(scene: Scene) -> None:
     assert "xmlrpc reply from" in "\n".join(await scene.ros.lines("rosnode", "ping", "-c", "2", "/hostlink"))
 
 
+@pytest.mark.long
 async def test_rosnode_kill_ends_the_graph_part_and_not_the_daemon(scene: Scene) -> None:
     assert "killed" in "\n".join(await scene.ros.lines("rosnode", "kill", "/hostlink"))
     ended = await scene.daemon.read_log("ros1.ended")

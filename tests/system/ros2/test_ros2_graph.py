@@ -128,6 +128,7 @@ async def test_message_of_rclpy_reaches_the_device_and_programs(environment: dic
             assert await anext(chat) == {"data": "hä"}
 
 
+@pytest.mark.long
 async def test_latched_topic_reaches_later_subscribers_both_ways(environment: dict[str, str]) -> None:
     async with (
         daemon() as server,
@@ -346,6 +347,7 @@ async def test_two_domains_know_nothing_of_each_other(environment: dict[str, str
             assert "/a/odom" not in second["topics"]
 
 
+@pytest.mark.long
 async def test_a_namespace_and_a_remap_are_those_of_rclpy(environment: dict[str, str]) -> None:
     arguments = ("--ros-args", "-r", "__ns:=/site", "-r", "robot_0/odom:=/odom")
     async with (

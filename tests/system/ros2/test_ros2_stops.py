@@ -84,6 +84,7 @@ async def driven(environment: dict[str, str]) -> AsyncIterator[World]:
         yield world
 
 
+@pytest.mark.long
 async def test_a_publisher_that_leaves_stops_the_robot(environment: dict[str, str]) -> None:
     async with driven(environment) as world:
         await world.driver.do("unpublish", topic=CMD_VEL)
@@ -193,7 +194,7 @@ async def test_a_daemon_that_is_killed_and_started_again_is_found_again_and_move
             await expect(lambda: body.speed_m_s > 0.02, timeout_s=DISCOVERY_S)
 
 
-@pytest.mark.parametrize("line", [Line.SWALLOWS, Line.STALLS])
+@pytest.mark.parametrize("line", [pytest.param(Line.SWALLOWS, marks=pytest.mark.long), Line.STALLS])
 async def test_a_network_that_is_cut_stops_the_robot(environment: dict[str, str], line: Line) -> None:
     async with daemon(Config()) as server:
         host, _, port = server.url.removeprefix("http://").rpartition(":")

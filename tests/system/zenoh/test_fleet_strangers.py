@@ -12,7 +12,7 @@ NAMESPACE = ("unshare", "--user", "--map-root-user", "--net")
 TIMEOUT_S = 90.0
 
 
-@pytest.mark.parametrize("way", ["multicast", "gossip"])
+@pytest.mark.parametrize("way", ["multicast", pytest.param("gossip", marks=pytest.mark.long)])
 def test_a_daemon_without_a_certificate_neither_finds_the_fleet_nor_is_found(way: str, tmp_path: Path) -> None:
     program = (sys.executable, "-m", "tests.support.zenoh_strangers", way, str(tmp_path))
     ended = subprocess.run(

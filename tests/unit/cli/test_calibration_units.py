@@ -4,6 +4,7 @@ import math
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -127,7 +128,9 @@ def is_right(found: Calibration, true: WheelGeometry) -> bool:
     return found.geometry == pytest.approx(true, rel=0.012)
 
 
-@pytest.mark.parametrize("unit", UNITS_M)
+@pytest.mark.parametrize(
+    "unit", [each if each in ("cm", "in") else pytest.param(each, marks=pytest.mark.long) for each in UNITS_M]
+)
 def test_lengths_with_their_unit_are_never_doubted(unit: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     kept, first = 0, 1000 * list(UNITS_M).index(unit)
     for seed in range(first, first + ROBOTS):
@@ -138,8 +141,15 @@ def test_lengths_with_their_unit_are_never_doubted(unit: str, tmp_path: Path, mo
     assert kept >= 0.8 * ROBOTS
 
 
-@pytest.mark.parametrize("questions", QUESTIONS)
-@pytest.mark.parametrize("unit", WRONG_UNITS)
+@pytest.mark.parametrize(
+    ("unit", "questions"),
+    [
+        (unit, questions)
+        if unit == "m" or questions == "everything"
+        else pytest.param(unit, questions, marks=pytest.mark.long)
+        for unit, questions in product(WRONG_UNITS, QUESTIONS)
+    ],
+)
 def test_a_number_alone_in_another_unit_is_asked_about_or_refused(
     unit: str, questions: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -92,7 +92,7 @@ def test_limits_and_a_drive_that_was_too_short_are_noted() -> None:
     assert "more --seconds" in notes_of(stage, (0.2, 0.0), {"left": record(rising=True)})[0]
 
 
-@pytest.mark.parametrize("suffix", [".png", ".svg", ".pdf"])
+@pytest.mark.parametrize("suffix", [".svg", *(pytest.param(each, marks=pytest.mark.long) for each in (".png", ".pdf"))])
 def test_a_picture_is_drawn(suffix: str, tmp_path: Path) -> None:
     path = tmp_path / f"step{suffix}"
     require_picture(path)

@@ -69,6 +69,7 @@ def test_compiled_wheel_without_one_of_its_modules(tmp_path: Path) -> None:
     assert problem.startswith(f"{modules[0]} is not compiled in ")
 
 
+@pytest.mark.long
 def test_pip_chooses_the_compiled_wheel_where_it_fits_and_else_the_pure_one(tmp_path: Path) -> None:
     pure = wheel(tmp_path)
     compiled_wheel = wheel(tmp_path, tags="cp311-cp311-manylinux2014_x86_64.manylinux_2_17_x86_64")
