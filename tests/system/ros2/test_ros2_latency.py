@@ -6,7 +6,7 @@ import pytest
 
 from tools.bench_ros2 import MOST, measured
 
-COUNT, LOST = 60, 2
+COUNT, LOST = 120, 3
 
 
 @pytest.mark.alone
