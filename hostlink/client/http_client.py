@@ -264,8 +264,8 @@ def _parts(url: str) -> SplitResult:
     """
     try:
         parts = urlsplit(url if "://" in url else f"http://{url}")
-        is_address = parts.scheme in _SCHEMES and bool(parts.hostname) and parts.port != 0
-    except ValueError:  # the port is not a number, or brackets do not match
+        is_address = parts.scheme in _SCHEMES and bool((parts.hostname or "").encode("idna")) and parts.port != 0
+    except ValueError:  # the port is not a number, brackets do not match, or a label of the name is empty or too long
         is_address = False
     if not is_address:
         raise HostlinkError(f"{url!r} is not an address of a hostlink: write it as http://HOST:{DEFAULT_PORT}")

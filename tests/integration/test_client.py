@@ -627,6 +627,7 @@ async def test_a_token_with_the_end_of_a_line_is_told_so() -> None:
         ("http://", "'http://' is not an address of a hostlink"),
         ("127.0.0.1:909o", "'127.0.0.1:909o' is not an address of a hostlink"),
         ("http://[::1", "'http://[::1' is not an address of a hostlink"),
+        ("http://robot..local", "'http://robot..local' is not an address of a hostlink"),
         ("127.0.0.77", "no hostlink at http://127.0.0.77:9090: "),
         ("http://127.0.0.1:1/", "no hostlink at http://127.0.0.1:1: "),
     ],
