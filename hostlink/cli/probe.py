@@ -1,4 +1,4 @@
-"""Diagnosis by `hostlink doctor` without a daemon: of a TCP port, a serial port or a recording."""
+"""Diagnosis by `hostlink doctor` without a daemon: of a TCP port, a serial port or a capture."""
 
 import asyncio
 import contextlib
@@ -134,7 +134,7 @@ async def probe_port(port: SerialConfig, folders: tuple[Path, ...], show: Show) 
 
 
 def probe_capture(path: Path, folders: tuple[Path, ...]) -> Report:
-    """Diagnose the connections of a recording."""
+    """Diagnose the connections of a capture."""
     catalog = Catalog(folders)
     connections = replay(counted(load_reads(path), "lines"), lambda info: check_type(catalog, info))
     links = [_recorded(number, str(path), connection) for number, connection in connections.items()]

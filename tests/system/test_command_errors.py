@@ -54,6 +54,9 @@ runpy.run_module("hostlink", run_name="__main__")
         ("echo /x --filter y", "echo: there is no option --filter; `hostlink echo TOPIC --json` gives every message"),
         ("ros2 topic echo /x --qos-profile y", "echo: there is no option --qos-profile; rosserial has no quality"),
         ("ros2 param get /robot_0 gain", "params get: a parameter belongs to no node; leave the node out"),
+        ("robots --url ftp://x", "url: 'ftp://x' is not an address of a hostlink: write it as http://HOST:9090"),
+        ("plot x.mcap", "plot: name fields, for example /robot_0/odometry.x, or use --map\n"),
+        ("plot x.mcap /x.y --map", "plot: --map draws paths instead of fields; leave the fields or --map out\n"),
         (
             "--url http://x robots",
             "--url: there is no such option; write options behind the command, as in `hostlink r",
