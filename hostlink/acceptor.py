@@ -5,11 +5,11 @@ asyncio's own server does neither: without descriptors it logs a traceback at ea
 
 import asyncio
 import errno
-import os
 import select
 import socket
 from collections.abc import Callable
 
+from hostlink.errors import system_text
 from hostlink.listening import close_all, listen_on
 
 RETRY_S = 0.25  # a descriptor may be free by then
@@ -37,10 +37,7 @@ def why(error: OSError | OverflowError | UnicodeError) -> str:
         return "invalid port; choose 0 (any free port) to 65535"
     if isinstance(error, UnicodeError):
         return "invalid host name"
-    # getaddrinfo has its own error numbers; Python 3.13 has only a text for an address of no interface.
-    if isinstance(error, socket.gaierror) or error.errno is None:
-        return error.strerror or str(error)
-    return os.strerror(error.errno)
+    return system_text(error)
 
 
 class Acceptor:

@@ -1,12 +1,23 @@
 """Errors that hostlink raises on purpose, with their numbers as attributes."""
 
 import itertools
+import os
 import shlex
 import sys
 from collections.abc import Hashable, Iterable
 from enum import StrEnum
 from pathlib import Path
 from typing import Final, Self
+
+
+def system_text(error: OSError) -> str:
+    """Return the system's text of an error, without the words that asyncio adds."""
+    import socket  # noqa: PLC0415 - most commands need no network to fail
+
+    # getaddrinfo has its own error numbers; Python 3.13 has only a text for an address of no interface.
+    if isinstance(error, socket.gaierror) or error.errno is None:
+        return error.strerror or str(error)
+    return os.strerror(error.errno)
 
 
 class HostlinkError(Exception):

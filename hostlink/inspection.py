@@ -1,6 +1,6 @@
-"""Inspection: content of a recording of a link's bytes in both directions, independent of how the reads were cut.
+"""Inspection: content of a capture of a link's bytes in both directions, independent of how the reads were cut.
 
-A recording is JSON lines: {"t": seconds, "dir": "device" | "host", "hex": bytes, "conn": n, "event": "open" | "close"}.
+A capture is JSON lines: {"t": seconds, "dir": "device" | "host", "hex": bytes, "conn": n, "event": "open" | "close"}.
 `dir` is the sender; `conn` counts connections; only a line without bytes has an `event`. Lines are ordered by time. The
 event `topics` marks that the beginning is lost; its bytes announce the topics of that time.
 """
@@ -32,7 +32,7 @@ _REQUESTS = (Id.SERVICE_SERVER_SUBSCRIBER, Id.SERVICE_CLIENT_PUBLISHER)
 
 
 class Read(msgspec.Struct):
-    """One line of a recording."""
+    """One line of a capture."""
 
     dir: Literal["device", "host"]
     hex: str = ""
@@ -77,7 +77,7 @@ class ParameterRequest:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class InspectionReport:
-    """Content of a whole recording."""
+    """Content of a whole capture."""
 
     topics: tuple[TopicInfo, ...]
     messages: dict[str, Series]  # from the device
@@ -91,10 +91,10 @@ class InspectionReport:
 
 
 def load_reads(path: Path) -> Iterator[Read]:
-    """Read the lines of a recording.
+    """Read the lines of a capture.
 
     Raises:
-        BadRequest: the file cannot be read, or a line is not one of a recording; the text names the line.
+        BadRequest: the file cannot be read, or a line is not one of a capture; the text names the line.
     """
     decoder = msgspec.json.Decoder(Read)
     try:
@@ -111,12 +111,15 @@ def _read_line(decoder: "msgspec.json.Decoder[Read]", line: bytes, where: str) -
         read = decoder.decode(line)
         bytes.fromhex(read.hex)
     except (msgspec.DecodeError, UnicodeDecodeError, ValueError) as error:
-        raise BadRequest(f"{where}: not a line of a recording: {error}") from error
+        raise BadRequest(
+            f"{where}: not a line of a capture ({error}); `hostlink capture` writes captures, "
+            "and `hostlink info` shows recordings"
+        ) from error
     return read
 
 
 class Inspection:
-    """Sums over the reads of a recording. `report` returns them."""
+    """Sums over the reads of a capture. `report` returns them."""
 
     def __init__(self, catalog: Catalog) -> None:
         self._catalog = catalog
@@ -177,7 +180,7 @@ class Inspection:
             self._add_items(connection, connection.from_device.give_up(), self._from_device)
         while connection.to_device.pending:
             self._add_items(connection, connection.to_device.give_up(), self._from_host)
-        for frame in connection.early:  # sent to the device before the recording shows the meaning of its id
+        for frame in connection.early:  # sent to the device before the capture shows the meaning of its id
             self._add_message(connection, frame, is_to_device=True)
 
     def _from_device(self, connection: "_InspectedConnection", frame: Frame) -> None:

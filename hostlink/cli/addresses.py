@@ -17,8 +17,16 @@ def parse_address(option: str, text: str, default_host: str) -> tuple[str, int]:
     """
     host, colon, port = text.rpartition(":")
     if not colon or not _is_number(port) or int(port) > MAX_PORT:
-        raise ConfigError(option, f"{text!r} is not HOST:PORT; an example: 192.168.4.1:11411")
+        raise _not_an_address(option, text)
+    try:
+        host.encode("idna")
+    except UnicodeError as error:  # an empty label, or one of more than 63 characters
+        raise _not_an_address(option, text) from error
     return host.strip("[]") or default_host, int(port)
+
+
+def _not_an_address(option: str, text: str) -> ConfigError:
+    return ConfigError(option, f"{text!r} is not HOST:PORT; an example: 192.168.4.1:11411")
 
 
 def is_origin(text: str) -> bool:

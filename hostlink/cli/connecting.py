@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import signal
 import sys
 import time
 from collections.abc import AsyncIterator, Callable, Coroutine, Iterable, Iterator
@@ -89,12 +90,20 @@ def counted(
 
 
 def run_until_interrupted(work: Coroutine[Any, Any, None]) -> None:
-    """Run a coroutine until its end, or until Ctrl-C."""
+    """Run a coroutine until its end, or until Ctrl-C. A second Ctrl-C cancels what the coroutine does at its end."""
     try:
-        asyncio.run(work)
-    except KeyboardInterrupt:
+        asyncio.run(_cancelled_by_ctrl_c(work))
+    except (KeyboardInterrupt, asyncio.CancelledError):
         if sys.stderr.isatty():  # the terminal has written ^C
             write_error("")
+
+
+async def _cancelled_by_ctrl_c(work: Coroutine[Any, Any, None]) -> None:
+    """Await the coroutine. asyncio's own handler raises a second Ctrl-C in any callback, which ends in a traceback."""
+    running = asyncio.current_task()
+    assert running is not None  # noqa: S101 - this is a coroutine of a task
+    asyncio.get_running_loop().add_signal_handler(signal.SIGINT, running.cancel)
+    await work
 
 
 async def write_hint(host: Host, topic: str) -> None:

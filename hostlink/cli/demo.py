@@ -164,11 +164,15 @@ class DemoDriver:
                 self._participant.drive(robot, CURVE, epoch=epoch)
 
     async def _start_again(self, _: Mapping[str, object]) -> Mapping[str, object]:
-        names = ", ".join(sorted(self.stopped))
-        for name in self.stopped:
+        """Drive the stopped robots again, except those that are locked: their unlocking is an interruption too."""
+        locked = {robot.name for robot in self._hub.robots.here() if robot.gate.admission.lock_reason is not None}
+        driven, left = sorted(self.stopped - locked), sorted(self.stopped & locked)
+        for name in driven:
             self._epochs.pop(name, None)
-        self.stopped.clear()
-        return {"success": True, "message": f"the demo drives again: {names}" if names else "no robot was stopped"}
+        self.stopped.intersection_update(left)
+        told = [f"the demo drives again: {', '.join(driven)}"] if driven else []
+        told += [f"locked: {', '.join(left)}; run `hostlink unlock`, then call {DRIVE} again"] if left else []
+        return {"success": bool(driven) or not left, "message": "; ".join(told) or "no robot was stopped"}
 
 
 async def _show(hub: Hub, demo: DemoDriver, output: Output) -> None:

@@ -122,8 +122,10 @@ def plot(
 ) -> None:
     """Draw fields of a recording over time, or with --map the paths of the robots."""
     target = output or file.with_suffix(".png")
-    if bool(fields) == map_:
-        raise ConfigError("plot", "name fields, for example /robot_0/odometry.x, or use --map, not both")
+    if fields and map_:
+        raise ConfigError("plot", "--map draws paths instead of fields; leave the fields or --map out")
+    if not fields and not map_:
+        raise ConfigError("plot", "name fields, for example /robot_0/odometry.x, or use --map")
     check_picture("--output", target)
     check_absent(target)
     if importlib.util.find_spec("matplotlib") is None:

@@ -29,7 +29,7 @@ _KINDS = {
 def command(
     file: Annotated[
         Path,
-        typer.Argument(help="Recording of `hostlink capture`: JSON lines with t, dir, hex, conn.", show_default=False),
+        typer.Argument(help="Capture of `hostlink capture`: JSON lines with t, dir, hex, conn.", show_default=False),
     ],
     *,
     messages: Annotated[
@@ -37,7 +37,7 @@ def command(
     ] = None,
     json: Annotated[bool, typer.Option("--json", help="Print one JSON object, for programs.")] = False,
 ) -> None:
-    """Decode a recording of a link in both directions, also when reads split the frames."""
+    """Decode a capture of a link in both directions, also when reads split the frames."""
     inspection = Inspection(Catalog(messages or ()))
     inspection.add_all(counted(load_reads(file), "lines"))
     view = report_view(inspection.report())
@@ -51,7 +51,7 @@ def command(
 
 
 def report_view(report: InspectionReport) -> dict[str, Any]:
-    """Return the whole recording as one JSON object."""
+    """Return the whole capture as one JSON object."""
     return {
         "topics": [_topic_view(info) for info in report.topics],
         "messages": {name: _series_view(series) for name, series in report.messages.items()},

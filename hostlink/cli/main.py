@@ -115,9 +115,12 @@ LACKING = {  # commands and options of ROS that hostlink lacks, and the next ste
     ("play", "-u"): "Ctrl-C ends the playback",
     ("play", "-d"): "the robots' topics are announced a second before the first message; leave the option out",
 }  # fmt: skip
-_NO_NODE = "a parameter belongs to no node; leave the node out, as in `hostlink params get gain`"
+_NO_NODE = "a parameter belongs to no node; leave the node out, as in `hostlink params {}`"
 SURPLUS = {  # commands that take fewer arguments than those of ROS, and what to do
-    **dict.fromkeys(("params get", "params set", "params delete", "params load"), _NO_NODE),
+    **{
+        f"params {example.partition(' ')[0]}": _NO_NODE.format(example)
+        for example in ("get gain", "set gain 0.4", "delete gain", "load FILE")
+    },
     **dict.fromkeys(("hz", "bw", "delay"), "one topic is measured at a time; run the command once for each topic"),
 }
 
@@ -142,7 +145,7 @@ def _own_command(words: Sequence[str]) -> list[str]:
     if first == "ros2" and rest and rest[0] in ROS2_WORDS:
         return [ROS2_WORDS[rest[0]], *rest[1:]]
     if first == "ros2" and rest[:2] == ["param", "dump"] and any(not word.startswith("-") for word in rest[2:]):
-        raise ConfigError("ros2 param dump", _NO_NODE)  # the node would be taken for a file
+        raise ConfigError("ros2 param dump", _NO_NODE.format("dump FILE"))  # the node would be taken for a file
     if first == "ros2" and rest and rest[0] in ROS_GROUPS:
         return _of_group(rest[0], f"ros2 {rest[0]}", rest[1:])
     if first in ("rosrun", "roslaunch") or (first == "ros2" and rest and not rest[0].startswith("-")):
@@ -267,7 +270,7 @@ PANELS = {
         "links": "List the connections of devices.",
         "clients": "List the programs that are connected.",
         "capture": "Save the raw bytes of a link.",
-        "inspect": "Decode a recording of a link.",
+        "inspect": "Decode a capture of a link.",
     },
 }
 MODULES = {  # modules whose name is not that of the command

@@ -4,7 +4,6 @@ import asyncio
 import contextlib
 import fnmatch
 import math
-import os
 import sys
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
 from dataclasses import dataclass
@@ -20,7 +19,7 @@ from hostlink.cli.connecting import connected
 from hostlink.cli.output import show_progress, show_question, write_error
 from hostlink.cli.robots import require_robot
 from hostlink.client import DEFAULT_URL, Robot, connect
-from hostlink.errors import BadRequest, ConfigError, HostlinkError
+from hostlink.errors import BadRequest, ConfigError, HostlinkError, system_text
 from hostlink.recording.channel import DEVICE, ROS1, VELOCITY, Channel
 from hostlink.recording.playing import Due, drives, is_drive, may_move, robots_of, schedule
 from hostlink.recording.reader import McapReader, StoredMessage, Wanted
@@ -193,7 +192,7 @@ async def _connected(devices: dict[str, PlayedDevice], address: tuple[str, int])
 def _why(error: ExceptionGroup[OSError]) -> str:
     """Text of the first error, without the words that asyncio adds."""
     first = error.exceptions[0]
-    return os.strerror(first.errno) if isinstance(first, OSError) and first.errno else str(first)
+    return system_text(first) if isinstance(first, OSError) else str(first)
 
 
 def _device(name: str, file: Path, channels: list[Channel]) -> PlayedDevice:

@@ -1,4 +1,4 @@
-"""Diagnosis by `hostlink doctor` without a daemon: of a TCP port, a serial port or a recording."""
+"""Diagnosis by `hostlink doctor` without a daemon: of a TCP port, a serial port or a capture."""
 
 import asyncio
 import contextlib
@@ -79,6 +79,7 @@ COMMON_BAUDS = (57600, 115200, 38400, 9600, 250000, 500000, 1000000, 230400, 192
 BAUD_TRY_S = 4.5  # a device answers in 2 s, and a board that is reset when the port opens boots in 2 s
 SETTLE_S = 9.0  # after the topics, for three time requests
 _POLL_S = 1.0
+_ANY = ("0.0.0.0", "::")  # noqa: S104 - compared only
 _LOOPBACK = TcpConfig(host="127.0.0.1", port=0)
 _NO_API = ApiConfig(port=0)
 
@@ -96,8 +97,9 @@ async def probe_network(host: str, port: int, seconds: float, folders: tuple[Pat
             await asyncio.sleep(_POLL_S)
         report = await _report_of(hub, source)
     if not report["links"]:
-        here = own_address() or "in no network"
-        report["findings"] += finding_views([finding("no_device", f"this computer is {here}, port {port}")])
+        is_any = host in _ANY  # else devices reach this port at one address only
+        here = f"this computer is {own_address() or 'in no network'}" if is_any else f"listening on {host}"
+        report["findings"] += finding_views([finding("no_device", f"{here}, port {port}")])
     return report
 
 
@@ -134,7 +136,7 @@ async def probe_port(port: SerialConfig, folders: tuple[Path, ...], show: Show) 
 
 
 def probe_capture(path: Path, folders: tuple[Path, ...]) -> Report:
-    """Diagnose the connections of a recording."""
+    """Diagnose the connections of a capture."""
     catalog = Catalog(folders)
     connections = replay(counted(load_reads(path), "lines"), lambda info: check_type(catalog, info))
     links = [_recorded(number, str(path), connection) for number, connection in connections.items()]

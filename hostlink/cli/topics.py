@@ -263,9 +263,11 @@ async def _find_type(url: str, token: str | None, name: str, *, with_fields: boo
             type_name = (await host.call("/rosapi/service_type", {"service": name}))["type"]
             details = "service_request_details"
         else:
-            of_type = await _of_type(host, name.removeprefix("/").replace("/msg/", "/"))
+            type_name = name.removeprefix("/").replace("/msg/", "/").replace("/srv/", "/")
+            of_type = await _of_type(host, type_name)
             if of_type is None:
-                raise unknown("topic or service", name, [*topics, *services], command="topics")
+                asked = type_name if type_name.count("/") == 1 else name
+                raise unknown("topic, service or type", asked, [*topics, *services], command="topics")
             return of_type
         if not type_name:
             raise HostlinkError(

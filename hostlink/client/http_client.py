@@ -12,7 +12,7 @@ import aiohttp
 import msgspec
 
 from hostlink.client.views import Event
-from hostlink.errors import HostlinkError, Refused
+from hostlink.errors import ConfigError, HostlinkError, Refused
 from hostlink.robot.standstill import Standstill, StandstillState
 
 # -- JSON -------------------------------------------------------------------------------------------------------------
@@ -260,13 +260,13 @@ def measured(robot: Mapping[str, Any]) -> Standstill:
 
 def _parts(url: str) -> SplitResult:
     """Raises:
-    HostlinkError: it is not an address.
+    ConfigError: it is not an address.
     """
     try:
         parts = urlsplit(url if "://" in url else f"http://{url}")
-        is_address = parts.scheme in _SCHEMES and bool(parts.hostname) and parts.port != 0
-    except ValueError:  # the port is not a number, or brackets do not match
+        is_address = parts.scheme in _SCHEMES and bool((parts.hostname or "").encode("idna")) and parts.port != 0
+    except ValueError:  # the port is not a number, brackets do not match, or a label of the name is empty or too long
         is_address = False
     if not is_address:
-        raise HostlinkError(f"{url!r} is not an address of a hostlink: write it as http://HOST:{DEFAULT_PORT}")
+        raise ConfigError("url", f"{url!r} is not an address of a hostlink: write it as http://HOST:{DEFAULT_PORT}")
     return parts

@@ -7,11 +7,11 @@ import asyncio
 import contextlib
 import functools
 import itertools
-import os
 import socket
 from collections.abc import AsyncIterator, Callable, Iterator
 from typing import Any
 
+from hostlink.errors import system_text
 from hostlink.protocol.frame import Id, encode
 from hostlink.sim.firmware_module import WorldParameters
 from hostlink.sim.firmware_world import RobotKind
@@ -90,8 +90,7 @@ async def run_over_tcp(
             except OSError as error:
                 if last_error != str(error):
                     last_error = str(error)
-                    why = os.strerror(error.errno) if error.errno else error
-                    log(f"{robot.name}: waiting for a host at {host}:{port}: {why}")
+                    log(f"{robot.name}: waiting for a host at {host}:{port}: {system_text(error)}")
             else:
                 last_error = ""
                 _give_up_soon(writer)
@@ -130,7 +129,7 @@ async def run_over_udp(
             except OSError as error:  # the address does not exist, or cannot be reached
                 if last_error != str(error):
                     last_error = str(error)
-                    log(f"{robot.name}: cannot send to {host}:{port}: {error.strerror or error}")
+                    log(f"{robot.name}: cannot send to {host}:{port}: {system_text(error)}")
             await asyncio.sleep(RECONNECT_S)
 
 

@@ -515,6 +515,18 @@ def test_the_demo_drives_no_robot_again_after_a_stop_until_it_is_told() -> None:
         robot.stop()
         await asyncio.sleep(10.0)
         assert robot.gate.owner is None
+        robot.lock()
+        refused = await program.call(DRIVE, {})
+        assert refused == {
+            "success": False,
+            "message": f"locked: {ROBOT}; run `hostlink unlock`, then call {DRIVE} again",
+        }
+        robot.unlock()
+        await asyncio.sleep(0.5)
+        assert robot.gate.owner is None
+        assert (await program.call(DRIVE, {}))["success"] is True
+        await asyncio.sleep(0.5)
+        assert robot.gate.owner is participant
         driving.cancel()
         participant.leave()
         program.leave()

@@ -25,6 +25,23 @@ sys.argv = ["hostlink", "robots"]
 runpy.run_module("hostlink", run_name="__main__")
 """
 
+INTERRUPTED_END = """
+import asyncio, os, signal
+from hostlink.cli.connecting import run_until_interrupted
+def interrupt():
+    os.kill(os.getpid(), signal.SIGINT)
+async def connection():
+    try:
+        await asyncio.sleep(60.0)
+    finally:
+        interrupt()
+async def work():
+    asyncio.get_running_loop().call_soon(interrupt)
+    async with asyncio.TaskGroup() as tasks:
+        tasks.create_task(connection())
+run_until_interrupted(work())
+"""
+
 
 @pytest.mark.parametrize(
     ("line", "complaint"),
@@ -54,6 +71,9 @@ runpy.run_module("hostlink", run_name="__main__")
         ("echo /x --filter y", "echo: there is no option --filter; `hostlink echo TOPIC --json` gives every message"),
         ("ros2 topic echo /x --qos-profile y", "echo: there is no option --qos-profile; rosserial has no quality"),
         ("ros2 param get /robot_0 gain", "params get: a parameter belongs to no node; leave the node out"),
+        ("robots --url ftp://x", "url: 'ftp://x' is not an address of a hostlink: write it as http://HOST:9090"),
+        ("plot x.mcap", "plot: name fields, for example /robot_0/odometry.x, or use --map\n"),
+        ("plot x.mcap /x.y --map", "plot: --map draws paths instead of fields; leave the fields or --map out\n"),
         (
             "--url http://x robots",
             "--url: there is no such option; write options behind the command, as in `hostlink r",
@@ -105,6 +125,13 @@ async def test_ctrl_c_while_the_program_is_loaded_shows_no_traceback() -> None:
     async with asyncio.timeout(TIMEOUT_S):
         _, errors = await child.communicate()
     assert (child.returncode, errors) == (-signal.SIGINT, b"")
+
+
+async def test_ctrl_c_twice_ends_a_measurement_without_a_traceback() -> None:
+    child = await asyncio.create_subprocess_exec(sys.executable, "-c", INTERRUPTED_END, stderr=subprocess.PIPE)
+    async with asyncio.timeout(TIMEOUT_S):
+        _, errors = await child.communicate()
+    assert (child.returncode, errors.decode()) == (0, "")
 
 
 async def test_demo_whose_port_is_in_use_says_how_make_takes_another() -> None:

@@ -118,8 +118,10 @@ async def test_doctor_listens_by_itself() -> None:
 
 
 async def test_doctor_without_a_device_reports_no_device() -> None:
-    status, out, _ = await run("doctor", "--json", "--listen", f"127.0.0.1:{free_port()}", "--seconds", "1")
+    port = free_port()
+    status, out, _ = await run("doctor", "--json", "--listen", f"127.0.0.1:{port}", "--seconds", "1")
     assert (status, codes(out)) == (1, ["no_device"])
+    assert json.loads(out)["findings"][0]["detail"] == f"listening on 127.0.0.1, port {port}"
 
 
 async def test_doctor_probes_a_serial_port() -> None:

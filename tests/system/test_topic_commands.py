@@ -99,6 +99,10 @@ async def test_info_type_and_find() -> None:
         assert out.splitlines()[:3] == ["geometry_msgs/Twist", "  geometry_msgs/Vector3 linear", "  float64 linear.x"]
         _, out, _ = await run("type", "std_msgs/msg/ColorRGBA", "--url", host.url)  # it has no publisher
         assert out.splitlines() == ["std_msgs/ColorRGBA", *(f"  float32 {name}" for name in "rgba")]
+        assert (await run("type", "std_srvs/srv/Trigger", "--url", host.url))[1].startswith("std_srvs/Trigger\n")
+        assert (await run("type", "geometry_msgs/Pose3D", *at))[2].startswith(
+            "hostlink: there is no topic, service or type named geometry_msgs/Pose3D; "
+        )
         assert (await run("find", "geometry_msgs/msg/Pose2D", "--url", host.url))[1] == "/robot_0/odometry\n"
         assert (await run("find", "geometry_msgs/Pose3D", *at))[2].startswith(
             "hostlink: there is no topic or service of a type named geometry_msgs/Pose3D; similar names: geometry_msgs"

@@ -37,7 +37,10 @@ def test_invalid_line_is_named(tmp_path: Path, line: str, problem: str) -> None:
     path.write_text('{"dir": "host"}\n\n' + line + "\n")
     with pytest.raises(BadRequest) as caught:
         list(load_reads(path))
-    assert str(caught.value) == f"{path}:3: not a line of a recording: {problem}"
+    assert str(caught.value) == (
+        f"{path}:3: not a line of a capture ({problem}); `hostlink capture` writes captures, "
+        "and `hostlink info` shows recordings"
+    )
 
 
 def test_missing_recording_is_refused(tmp_path: Path) -> None:

@@ -1,8 +1,6 @@
 """LocalNode: the daemon as a node of ROS 1, with its calls of other nodes, its tasks and its counts."""
 
 import asyncio
-import os
-import socket
 from collections.abc import Callable, Coroutine
 from dataclasses import dataclass
 from enum import StrEnum
@@ -11,6 +9,7 @@ from typing import Any, TypeVar
 import aiohttp
 
 from hostlink.config import Ros1Config
+from hostlink.errors import system_text
 from hostlink.graphs.ros1.xml_rpc import (
     HEADERS,
     MAX_ANSWER_BYTES,
@@ -123,9 +122,8 @@ class Rpc:
 
 def _why(error: Exception) -> str:
     """Return a reason that a person can read."""
-    if isinstance(error, aiohttp.ClientConnectorError) and error.os_error.errno is not None:
-        is_lookup = isinstance(error.os_error, socket.gaierror)  # its numbers are not the system's
-        return error.os_error.strerror or str(error) if is_lookup else os.strerror(error.os_error.errno)
+    if isinstance(error, aiohttp.ClientConnectorError):
+        return system_text(error.os_error)
     return str(error) or f"no answer within {CALL_TIMEOUT_S:g} s"
 
 

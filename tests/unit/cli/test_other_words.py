@@ -144,7 +144,16 @@ def test_options_that_hostlink_lacks_do_not_exist() -> None:
         ),
         ("hz", "No such option: --filter", "hz: there is no option --filter; `hostlink echo TOPIC --json` gives every"),
         ("", "No such option: --url", "--url: there is no such option; write options behind the command, as in"),
-        ("params get", "Got unexpected extra argument (b)", "params get: a parameter belongs to no node; leave the no"),
+        (
+            "params set",
+            "Got unexpected extra argument (0.4)",
+            "params set: a parameter belongs to no node; leave the node out, as in `hostlink params set gain 0.4`",
+        ),
+        (
+            "params load",
+            "Got unexpected extra argument (b)",
+            "params load: a parameter belongs to no node; leave the node out, as in `hostlink params load FILE`",
+        ),
         (
             "topics",
             "Got unexpected extra argument(s) (a b)",

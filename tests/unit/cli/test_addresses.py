@@ -1,0 +1,24 @@
+"""HOST:PORT on the command line."""
+
+import pytest
+
+from hostlink.cli.addresses import parse_address
+from hostlink.errors import ConfigError
+
+
+@pytest.mark.parametrize(
+    ("text", "address"),
+    [
+        ("robot.local:11411", ("robot.local", 11411)),
+        (":80", ("127.0.0.1", 80)),
+        ("[fe80::1%eth0]:80", ("fe80::1%eth0", 80)),
+    ],
+)
+def test_address_is_a_host_and_a_port(text: str, address: tuple[str, int]) -> None:
+    assert parse_address("--connect", text, "127.0.0.1") == address
+
+
+@pytest.mark.parametrize("text", ["robot..local:11411", f"{'x' * 64}:11411", "robot.local", "robot.local:99999"])
+def test_text_that_is_not_an_address_is_refused_with_an_example(text: str) -> None:
+    with pytest.raises(ConfigError, match=r"--connect: '.*' is not HOST:PORT; an example: 192\.168\.4\.1:11411"):
+        parse_address("--connect", text, "127.0.0.1")
