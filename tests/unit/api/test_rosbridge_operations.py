@@ -289,7 +289,7 @@ def test_drive_for_another_connection_of_the_device_has_an_earlier_epoch(
 
 
 @pytest.mark.parametrize("motion", [{"epoch": -1}, {"stops": -1}, {"link": 0}])
-def test_drive_that_replaces_a_waiting_one_continues_its_motion(
+def test_drive_that_waits_behind_one_of_another_epoch_continues_its_motion(
     check: Callable[..., None], motion: dict[str, int]
 ) -> None:
     async def test(api: ApiMemory) -> None:
@@ -302,18 +302,6 @@ def test_drive_that_replaces_a_waiting_one_continues_its_motion(
         answers = peer.texts()
         assert [each["kind"] for each in answers] == ["disarmed"] * 3
         assert robot.gate.owner is None
-
-    check(test)
-
-
-def test_drive_with_an_epoch_of_its_own_keeps_it_when_it_replaces_another(check: Callable[..., None]) -> None:
-    async def test(api: ApiMemory) -> None:
-        peer, robot = await api.web_socket(), api.hub.robots.find("robot_0")
-        velocity = {"op": "drive", "robot": "robot_0", "linear": 0.1, "angular": 0.0}
-        peer.send_text(**velocity, epoch=-1)
-        peer.send_text(**velocity, epoch=robot.admission.epoch)
-        await asyncio.sleep(0.05)
-        assert [each["result"] for each in peer.texts()] == [True, True]
 
     check(test)
 

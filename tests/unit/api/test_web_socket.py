@@ -10,7 +10,7 @@ import pytest
 from aiohttp import WSMessage, WSMsgType, web
 from structlog.testing import capture_logs
 
-from hostlink.api.clients import Client, ClientQueue, Operation, Outgoing
+from hostlink.api.clients import Client, ClientQueue, Operation, Outgoing, VelocityOf
 from hostlink.api.listener import PacedReading
 from hostlink.api.web_socket import READY_TIMEOUT_S, SEND_BATCH, SEND_TIMEOUT_S, WRITE_BYTES, ClientSocket, frame_head
 from hostlink.hub.gates import Gates
@@ -79,7 +79,7 @@ class Echo:
 
     def read(self, data: str | bytes, came_s: float) -> Operation[str]:
         robot, is_velocity, value = str(data).partition("=")
-        return Operation(str(data), came_s, robot if is_velocity else None, value == "0")
+        return Operation(str(data), came_s, VelocityOf("drive", robot) if is_velocity else None, value == "0")
 
     def do(self, operation: Operation[str]) -> None:
         if operation.content == "fail":
