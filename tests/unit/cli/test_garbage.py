@@ -40,8 +40,7 @@ class Collector:
 
 
 async def run(collector: Collector, seconds: float, *, is_moving: bool = False) -> None:
-    robot: Any = SimpleNamespace(gate=SimpleNamespace(may_move=is_moving))
-    robots: Any = SimpleNamespace(here=lambda: [robot])
+    robots: Any = SimpleNamespace(may_move=lambda _: is_moving)
     async with asyncio.timeout(seconds + CHECK_INTERVAL_S / 2):
         await collect_while_idle(robots)
 
