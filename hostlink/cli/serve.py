@@ -350,8 +350,7 @@ async def collect_while_idle(robots: Robots) -> None:
         is_left = has_worked
         if gc.collect() >= WORTH:
             whole_at_s = now_s()
-        else:
-            gc.freeze()
+        gc.freeze()  # Python collects by itself, too, also while a robot moves
 
 
 # -- systemd ----------------------------------------------------------------------------------------------------------
