@@ -708,6 +708,7 @@ class DriveCommands:
 
     def receive(self, request: Request) -> None:
         """Execute a `drive`. The answer is also sent for each operation that it replaced."""
+        robot: AnyRobot | None = None
         try:
             self._participant.check(Role.DRIVE, "drive")
             wanted = request.drive_operation()
@@ -723,7 +724,7 @@ class DriveCommands:
                 robot, velocity, priority=wanted.priority, received_s=request.came_s, sent_s=wanted.sent_s, epoch=epoch
             )
         except HostlinkError as error:
-            self._refuse(request, error)
+            self._refuse(request, robot, error)
             return
         answer = robot.answer(self._participant) if self._waiting < MAX_ANSWERS else None
         if answer is None:
@@ -738,7 +739,7 @@ class DriveCommands:
         try:
             self._accept(request, robot, velocity, await answer)
         except HostlinkError as error:
-            self._refuse(request, error)
+            self._refuse(request, robot, error)
         finally:
             self._waiting -= 1
 
@@ -752,10 +753,10 @@ class DriveCommands:
         }
         self._put(request, answer | velocity_answer(robot, velocity, limited))
 
-    def _refuse(self, request: Request, error: HostlinkError) -> None:
+    def _refuse(self, request: Request, robot: AnyRobot | None, error: HostlinkError) -> None:
         answer: dict[str, object] = {"op": "drive_result", "result": False, "kind": error.kind, "reason": str(error)}
-        if isinstance(error, CommandRefused):
-            answer["epoch"] = self._robots.find(error.robot).admission.epoch
+        if isinstance(error, CommandRefused) and robot is not None:
+            answer["epoch"] = robot.admission.epoch
             answer["holder"] = None if error.holder is None else str(error.holder)
             answer["by"] = error.by
         self._put(request, answer)
