@@ -231,6 +231,24 @@ def test_messages_wait_while_the_transport_is_full() -> None:
     run_virtual(run())
 
 
+@pytest.mark.parametrize("is_full", [False, True])
+@pytest.mark.parametrize("read_s", [0.0, 1.0])
+def test_client_that_leaves_before_it_has_read_its_answers_is_let_go(is_full: bool, read_s: float) -> None:
+    async def run() -> None:
+        async with connected() as client:
+            words = [str(number) for number in range(MAX_RESULTS)]
+            client.socket.is_writing_paused = is_full
+            client.socket.put(*words)
+            await asyncio.sleep(read_s)
+            client.socket.closed = True
+            client.socket.messages.put_nowait(WSMessage(WSMsgType.CLOSE, None, None))
+            await asyncio.sleep(0.1)
+            assert client.program.done == words
+            assert client.program.is_closed
+
+    run_virtual(run())
+
+
 def test_client_that_does_not_read_is_disconnected() -> None:
     async def run() -> None:
         async with connected() as client:
