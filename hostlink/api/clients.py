@@ -25,13 +25,21 @@ MAX_BYTES = 64 * 1024  # or one larger message
 Content = TypeVar("Content")
 
 
+class VelocityOf(NamedTuple):
+    """Facts of an operation with a velocity, besides the velocity."""
+
+    operation: str
+    target: str  # robot or topic
+    terms: Hashable = None  # all else that decides about it, such as priority and epoch
+
+
 @dataclass(slots=True)
 class Operation(Generic[Content]):
     """One decoded message of a client."""
 
     content: Content
     came_s: float  # earliest time of arrival by the loop's clock
-    velocity_of: Hashable = None  # robot or topic, and priority; None: not a velocity
+    velocity_of: VelocityOf | None = None  # None: not a velocity
     is_zero: bool = False
     replaced: list[Content] = field(default_factory=list)  # velocities that this one replaces
 
@@ -59,8 +67,9 @@ class ClientProgram(Protocol[Content]):
 class OperationQueue(Generic[Content]):
     """Received operations of one client, executed in their order of arrival.
 
-    A velocity replaces a pending one of the same robot and priority. It is executed at the newer one's place, so that
-    it does not overtake a stop. A zero replaces other velocities and is never replaced.
+    A velocity replaces the pending one of its robot or topic if they differ in the velocity alone, and only velocities
+    for others, by the same operation, came between them: anything else may change what is decided about the newer one.
+    A zero replaces likewise, and is never replaced.
     """
 
     def __init__(self, program: ClientProgram[Content], on_replaced: Callable[[], None], messages_s: float) -> None:
@@ -69,7 +78,8 @@ class OperationQueue(Generic[Content]):
         self._messages: deque[tuple[str | bytes, float]] = deque()  # in order of arrival, not decoded
         self._bytes = 0
         self._operations: dict[int, Operation[Content]] = {}  # by number, in order of arrival
-        self._velocities: dict[Hashable, int] = {}  # numbers of velocities that may be replaced
+        self._velocities: dict[str, int] = {}  # numbers of velocities that may be replaced, by robot or topic
+        self._velocities_by = ""  # the operation of all of them
         self._last_number = 0
         self.waiting = 0  # messages and operations
         self.is_flooding = False  # more than MANY wait: executed after other clients' turns until none waits
@@ -101,20 +111,26 @@ class OperationQueue(Generic[Content]):
         while self._messages:
             new = self._program.read(*self._messages.popleft())
             self._last_number += 1
-            if new.velocity_of is not None:
-                older = velocities.pop(new.velocity_of, None)
-                if older is not None:
+            velocity_of = new.velocity_of
+            if velocity_of is None:
+                velocities.clear()
+            else:
+                if velocity_of.operation != self._velocities_by:
+                    velocities.clear()
+                    self._velocities_by = velocity_of.operation
+                older = velocities.pop(velocity_of.target, None)
+                if older is not None and operations[older].velocity_of == velocity_of:
                     replaced = operations.pop(older)
                     new.replaced = [*replaced.replaced, replaced.content]
                     self.waiting -= 1
                     self._on_replaced()
                 if not new.is_zero:
-                    velocities[new.velocity_of] = self._last_number
+                    velocities[velocity_of.target] = self._last_number
             operations[self._last_number] = new
         number = next(iter(operations))
         operation = operations.pop(number)
-        if operation.velocity_of is not None and velocities.get(operation.velocity_of) == number:
-            del velocities[operation.velocity_of]
+        if operation.velocity_of is not None and velocities.get(operation.velocity_of.target) == number:
+            del velocities[operation.velocity_of.target]
         self.waiting -= 1
         try:
             self._program.do(operation)
@@ -128,11 +144,11 @@ class OperationQueue(Generic[Content]):
 _NONE = (None, False)
 
 
-def velocity_of_payload(topic_name: str, payload: bytes, topics: TopicGraph) -> tuple[Hashable, bool]:
-    """Return the same for a serialised message: the key of a velocity, and whether it is zero."""
+def velocity_of_payload(topic_name: str, payload: bytes, topics: TopicGraph) -> tuple[VelocityOf | None, bool]:
+    """Return the same for a serialised message: what a velocity is of, and whether it is zero."""
     topic = topics.find_or_none(topic_name)
     is_zero = is_zero_payload(payload) if topic is not None and topic.is_gated else None
-    return _NONE if is_zero is None else (("publish", topic_name), is_zero)
+    return _NONE if is_zero is None else (VelocityOf("publish", topic_name), is_zero)
 
 
 def is_zero_payload(payload: bytes) -> bool | None:

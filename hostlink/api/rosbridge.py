@@ -10,7 +10,7 @@ import reprlib
 import struct
 import time
 from collections import defaultdict
-from collections.abc import Awaitable, Callable, Coroutine, Hashable, Mapping
+from collections.abc import Awaitable, Callable, Coroutine, Mapping
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple, TypedDict
 
@@ -19,7 +19,7 @@ import msgspec
 import structlog
 
 from hostlink.api.bodies import convert_fields
-from hostlink.api.clients import ClientQueue, Operation, Outgoing, is_zero_payload, put_json
+from hostlink.api.clients import ClientQueue, Operation, Outgoing, VelocityOf, is_zero_payload, put_json
 from hostlink.api.rate_limit import REFUSED_VELOCITIES_S, RateLimit
 from hostlink.api.views import velocity_answer
 from hostlink.errors import BadPayload, BadRequest, CommandRefused, HostlinkError, ServiceFailed
@@ -45,6 +45,25 @@ from hostlink.robot.velocity import TWIST_TYPE, PlanarVelocity
 MAX_TEXT = 1024  # characters of a name or an id; roslib's longest ids are a name and 50 more
 
 
+class DriveOperation(msgspec.Struct, forbid_unknown_fields=True):
+    """Fields of the operation `drive`: m/s and rad/s, counter-clockwise positive; `linear_y` is to the left.
+
+    Only programs that send commands by themselves need the fields from `sent_s` on.
+    """
+
+    robot: str
+    linear: float
+    angular: float
+    linear_y: float = 0.0
+    priority: int = PROGRAM_PRIORITY
+    sent_s: float | None = None  # time of sending by the client's own clock
+    epoch: int | None = None  # of the robot, from the previous answer
+    stops: int | None = None  # synonym of `epoch`
+    link: int | None = None  # number of the device's connection; for another number the epoch counts as an earlier one
+    op: str = "drive"
+    id: object = None
+
+
 class Request:
     """A JSON object with an `op`. Methods raise a BadRequest that names the invalid field."""
 
@@ -53,6 +72,7 @@ class Request:
         self.fields, self.size_bytes = fields, size_bytes
         self.came_s: float | None = None  # earliest time of arrival; None: now
         self.replaced: list[Request] = []  # velocities that this one replaces
+        self._drive: DriveOperation | None = None
         op = fields["op"]
         if not isinstance(op, str) or not op:
             raise BadRequest(f"{reprlib.repr(op)}: op must be a text")
@@ -74,6 +94,16 @@ class Request:
         if not isinstance(fields, dict) or "op" not in fields:
             raise BadRequest('a message is a JSON object with an "op"')
         return cls(fields, len(text))
+
+    def drive_operation(self) -> DriveOperation:
+        """Return the fields of a `drive`.
+
+        Raises:
+            BadRequest: a field is unknown, missing or has another type.
+        """
+        if self._drive is None:
+            self._drive = convert_fields(self.fields, DriveOperation, "drive")
+        return self._drive
 
     @property
     def id(self) -> object:
@@ -296,24 +326,27 @@ _NUMBERS = frozenset((int, float))  # exact types: JSON's true and false are not
 _NONE = (None, False)  # not a velocity, or an invalid one, which is refused and not replaced
 
 
-def velocity_of_request(request: Request, topics: TopicGraph) -> tuple[Hashable, bool]:
-    """Return the key of a velocity (None: not a velocity) and whether it is zero. The key has robot and priority."""
-    fields = request.fields
-    priority = fields.get("priority")
-    if not isinstance(priority, int | None):
-        return _NONE
+def velocity_of_request(request: Request, topics: TopicGraph) -> tuple[VelocityOf | None, bool]:
+    """Return what a velocity is of (None: not a velocity) and whether it is zero."""
     if request.op == "drive":
-        robot = fields.get("robot")
-        x, y, yaw = fields.get("linear"), fields.get("linear_y", 0), fields.get("angular")
-        if not (type(robot) is str and type(x) in _NUMBERS and type(y) in _NUMBERS and type(yaw) in _NUMBERS):
+        try:
+            wanted = request.drive_operation()
+        except BadRequest:
             return _NONE
-        return ("drive", robot, priority), not (x or y or yaw)
+        is_timed = wanted.sent_s is not None
+        terms = (wanted.priority, wanted.epoch, wanted.stops, wanted.link, is_timed)
+        is_zero = not (wanted.linear or wanted.linear_y or wanted.angular)
+        return VelocityOf("drive", wanted.robot.strip("/"), terms), is_zero
+    fields = request.fields
     name = fields.get("topic")
     topic = topics.find_or_none(name) if request.op == "publish" and isinstance(name, str) else None
-    if topic is None or not topic.is_gated:
+    priority, type_name = fields.get("priority"), fields.get("type")
+    is_valid = type(priority) in (int, type(None)) and isinstance(type_name, str | None)
+    if topic is None or not topic.is_gated or not is_valid:
         return _NONE
-    is_zero = _is_zero_message(fields)
-    return _NONE if is_zero is None else (("publish", topic.name, priority), is_zero)
+    is_still = _is_zero_message(fields)
+    of = VelocityOf("publish", topic.name, (priority, type_name, request.is_set("latch")))
+    return _NONE if is_still is None else (of, is_still)
 
 
 def _is_zero_message(fields: dict[str, Any]) -> bool | None:
@@ -654,25 +687,6 @@ class ClientServices:
 MAX_ANSWERS = 64  # calls of one client that wait for another daemon
 
 
-class DriveOperation(msgspec.Struct, forbid_unknown_fields=True):
-    """Fields of the operation `drive`: m/s and rad/s, counter-clockwise positive; `linear_y` is to the left.
-
-    Only programs that send commands by themselves need the fields from `sent_s` on.
-    """
-
-    robot: str
-    linear: float
-    angular: float
-    linear_y: float = 0.0
-    priority: int = PROGRAM_PRIORITY
-    sent_s: float | None = None  # time of sending by the client's own clock
-    epoch: int | None = None  # of the robot, from the previous answer
-    stops: int | None = None  # synonym of `epoch`
-    link: int | None = None  # number of the device's connection; for another number the epoch counts as an earlier one
-    op: str = "drive"
-    id: object = None
-
-
 class DriveCommands:
     """Velocity commands of one client. Each is answered, so that the client learns of a refusal at once.
 
@@ -694,9 +708,10 @@ class DriveCommands:
 
     def receive(self, request: Request) -> None:
         """Execute a `drive`. The answer is also sent for each operation that it replaced."""
+        robot: AnyRobot | None = None
         try:
             self._participant.check(Role.DRIVE, "drive")
-            wanted = convert_fields(_continued(request), DriveOperation, "drive")
+            wanted = request.drive_operation()
             if not 0 <= wanted.priority <= MAX_PRIORITY:
                 raise BadRequest(f"drive: priority must be a number from 0 to {MAX_PRIORITY}")
             velocity = PlanarVelocity(wanted.linear, wanted.linear_y, wanted.angular)
@@ -709,7 +724,7 @@ class DriveCommands:
                 robot, velocity, priority=wanted.priority, received_s=request.came_s, sent_s=wanted.sent_s, epoch=epoch
             )
         except HostlinkError as error:
-            self._refuse(request, error)
+            self._refuse(request, robot, error)
             return
         answer = robot.answer(self._participant) if self._waiting < MAX_ANSWERS else None
         if answer is None:
@@ -724,7 +739,7 @@ class DriveCommands:
         try:
             self._accept(request, robot, velocity, await answer)
         except HostlinkError as error:
-            self._refuse(request, error)
+            self._refuse(request, robot, error)
         finally:
             self._waiting -= 1
 
@@ -738,10 +753,10 @@ class DriveCommands:
         }
         self._put(request, answer | velocity_answer(robot, velocity, limited))
 
-    def _refuse(self, request: Request, error: HostlinkError) -> None:
+    def _refuse(self, request: Request, robot: AnyRobot | None, error: HostlinkError) -> None:
         answer: dict[str, object] = {"op": "drive_result", "result": False, "kind": error.kind, "reason": str(error)}
-        if isinstance(error, CommandRefused):
-            answer["epoch"] = self._robots.find(error.robot).admission.epoch
+        if isinstance(error, CommandRefused) and robot is not None:
+            answer["epoch"] = robot.admission.epoch
             answer["holder"] = None if error.holder is None else str(error.holder)
             answer["by"] = error.by
         self._put(request, answer)
@@ -751,16 +766,6 @@ class DriveCommands:
             put_json(self._queue, answer | {"id": replaced.fields.get("id"), "is_replaced": True})
         answer["id"] = request.fields.get("id")
         self._queue.put_result(Outgoing(msgspec.json.encode(answer)))
-
-
-def _continued(request: Request) -> dict[str, Any]:
-    """Return the fields of a `drive`. It has the epoch and the link of what it replaces, unless it has its own."""
-    fields = request.fields
-    for replaced in reversed(request.replaced):  # of one motion, whose first command may be the only one with them
-        for names in (("epoch", "stops"), ("link",)):
-            if all(fields.get(name) is None for name in names):
-                fields = fields | {name: replaced.fields.get(name) for name in names}
-    return fields
 
 
 class GraphTopicView(TypedDict):

@@ -93,6 +93,7 @@ class ClientSocket:
                 reads = reading.reads
                 message = await self._socket.receive()
                 if message.type in CLOSING:
+                    self._note_news()  # answers that wait are dropped
                     await self._until(lambda: not operations.waiting)
                     return
                 if message.type not in (WSMsgType.TEXT, WSMsgType.BINARY):
@@ -194,13 +195,14 @@ class ClientSocket:
     def _send(self) -> None:
         """Write what is queued, up to a bound, and schedule the rest."""
         self._is_send_due = False
+        queue = self._queue
+        if self._socket.closed or self._transport.is_closing():
+            queue.clear()  # its last operations are executed, and wait for room for their answers
+            return
         if self._is_ended or not self._is_ready or self._reading.is_writing_paused:
             return
-        queue = self._queue
         if queue.is_too_slow or queue.is_closed:
             self._tasks.create_task(self._end(), context=self._context)
-            return
-        if self._socket.closed or self._transport.is_closing():
             return
         now_s = self._loop.time()
         try:

@@ -332,7 +332,7 @@ WORTH = 1000  # collected objects: those of a dozen connections
 
 
 async def collect_while_idle(robots: Robots) -> None:
-    """Collect garbage while no robot moves, until cancelled.
+    """Collect garbage while nothing moves, until cancelled.
 
     Many robots make enough objects for a collection each second, but leave no cycles behind. The objects that such a
     collection leaves are therefore not looked at again before WHOLE_INTERVAL_S, or before a collection frees much.
@@ -342,7 +342,7 @@ async def collect_while_idle(robots: Robots) -> None:
     while True:
         await asyncio.sleep(CHECK_INTERVAL_S)
         has_worked, is_whole = gc.get_count()[2] >= ENOUGH, now_s() >= whole_at_s
-        if not (has_worked or (is_left and is_whole)) or any(robot.gate.may_move for robot in robots.here()):
+        if not (has_worked or (is_left and is_whole)) or robots.may_move(now_s()):
             continue
         if is_whole:
             gc.unfreeze()
@@ -350,8 +350,7 @@ async def collect_while_idle(robots: Robots) -> None:
         is_left = has_worked
         if gc.collect() >= WORTH:
             whole_at_s = now_s()
-        else:
-            gc.freeze()
+        gc.freeze()  # Python collects by itself, too, also while a robot moves
 
 
 # -- systemd ----------------------------------------------------------------------------------------------------------

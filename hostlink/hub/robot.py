@@ -335,8 +335,8 @@ class RobotHosts(RemoteHosts, Protocol):
         """Send a command of a source. Its refusal is raised by the next command, or by `answer`."""
         ...
 
-    async def answer(self, robot: "RemoteRobot", owner: Hashable) -> PlanarVelocity:
-        """Return the answer to the newest command of a source: the velocity after the limits."""
+    def answer(self, robot: "RemoteRobot", owner: Hashable) -> Awaitable[PlanarVelocity]:
+        """Return the later answer to the newest command of a source until now: the velocity after the limits."""
         ...
 
     def unlock(self, robot: "RemoteRobot") -> None:

@@ -129,6 +129,11 @@ class Robots:
         """Return all velocity topics of connected devices."""
         return [drivable for device in self.devices.values() for drivable in device.drivables]
 
+    def may_move(self, now_s: float) -> bool:
+        """Whether a device with a velocity topic may move, or a source here drives a robot of another daemon."""
+        is_moving = any(drivable.gate.may_move for drivable in self.drivables())
+        return is_moving or any(robot.admission.is_held(now_s) for robot in self.remote.values())
+
     # -- robots -------------------------------------------------------------------------------------------------------
 
     def here(self) -> list[LocalRobot]:

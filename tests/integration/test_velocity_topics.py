@@ -9,6 +9,7 @@ from typing import NamedTuple
 import pytest
 from structlog.testing import capture_logs
 
+from hostlink.cli import serve
 from hostlink.config import Config, RobotConfig
 from hostlink.errors import CommandRefused, RefusalKind
 from hostlink.hub.hub import Hub
@@ -58,6 +59,23 @@ def play_arm(test: Callable[[Arm], Awaitable[None]]) -> None:
         await test(Arm(made.hub, made.robot))
 
     play(run)
+
+
+class Collector(NamedTuple):
+    """The garbage collector of a process that always has enough to collect."""
+
+    note: Callable[[], None]  # called for each collection
+
+    def get_count(self) -> tuple[int, int, int]:
+        return 0, 0, serve.ENOUGH
+
+    def collect(self) -> int:
+        self.note()
+        return 0
+
+    def freeze(self) -> None: ...
+
+    def unfreeze(self) -> None: ...
 
 
 class Twisted(NamedTuple):
@@ -127,6 +145,24 @@ class TestBoth:
                 await made.drive()
                 await asyncio.sleep(LEASE_S - 0.1)
             assert ZERO not in made.heard()[made.heard().index(twist(0.3)) :]
+
+        play_twisted(infos, test)
+
+    def test_garbage_is_not_collected_while_the_device_moves(
+        self, infos: list[TopicInfo], monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        async def test(made: Twisted) -> None:
+            collections = list[float]()
+            now_s = asyncio.get_running_loop().time
+            monkeypatch.setattr(serve, "gc", Collector(lambda: collections.append(now_s())))
+            collecting = asyncio.get_running_loop().create_task(serve.collect_while_idle(made.hub.robots))
+            for _ in range(10):
+                await made.drive()
+                await asyncio.sleep(LEASE_S - 0.1)
+            assert collections == []
+            await asyncio.sleep(3.0)
+            assert collections
+            collecting.cancel()
 
         play_twisted(infos, test)
 

@@ -383,6 +383,26 @@ async def test_a_motion_carries_the_epoch_of_its_first_answer(scene: Scene) -> N
         await scene.stands()
 
 
+async def test_a_motion_after_a_loss_of_the_device_carries_no_epoch_from_before(scene: Scene) -> None:
+    """The daemon would refuse it, though the stick was released."""
+    page, state = scene.tab.page, fleet("robot_0")
+    state.drive_answer = {"epoch": 7}
+    scene.server.show(state)
+    await page.keyboard.down("KeyW")
+    await expect(lambda: scene.moving_epochs()[-2:] == [7, 7])
+    scene.server.show(fleet("robot_0", connected=False))
+    await scene.tab.shows("#drive-state", "not connected")
+    await page.keyboard.up("KeyW")
+    state.drive_answer = {"epoch": 8}
+    scene.server.show(state)
+    await scene.tab.shows("#drive-state", "no driver")
+    scene.server.published.clear()
+    await page.keyboard.down("KeyW")
+    await expect(lambda: len(scene.moving_epochs()) > 0)
+    assert scene.moving_epochs()[0] is None
+    await page.keyboard.up("KeyW")
+
+
 @pytest.mark.parametrize(
     "kind", ["disarmed", *(pytest.param(each, marks=pytest.mark.long) for each in ("locked", "late"))]
 )

@@ -153,15 +153,19 @@ class MasterParameters:
             await self._subscribe(key)
         self._on_change()
 
-    async def end(self) -> None:
-        """Cancel all subscriptions: the master would keep the node for them.
+    @property
+    def keys(self) -> tuple[str, ...]:
+        """Keys that are subscribed to: the master keeps the node for them."""
+        return self._cache.keys
+
+    async def unsubscribe(self, key: str) -> None:
+        """Cancel one subscription, at the end.
 
         Raises:
             Unreachable: the master does not answer.
         """
-        for key in self._cache.keys:
-            with contextlib.suppress(CallRefused):
-                await self._node.call_master("unsubscribeParam", self._node.uri, key)
+        with contextlib.suppress(CallRefused):
+            await self._node.call_master("unsubscribeParam", self._node.uri, key)
 
     async def _subscribe(self, key: str) -> Any:
         value = await self._node.call_master("subscribeParam", self._node.uri, key)
@@ -182,7 +186,7 @@ log = structlog.get_logger()
 CHECK_INTERVAL_S = 1.0  # how late a master that is back, or another node of this name, may be noticed
 STATE_INTERVAL_S = 3.0  # how late a service of another node may be; the master makes a list of all for it
 END_TIMEOUT_S = 1.0  # for one call to unregister
-LONGEST_END_S = 10.0  # to unregister everything
+LONGEST_END_S = 3.0  # to unregister everything; the daemon's end is forced after eight seconds
 
 
 class Registrar:
@@ -238,8 +242,9 @@ class Registrar:
                 for key in keys:
                     async with asyncio.timeout(END_TIMEOUT_S):
                         await self._unregister(*key)
-                async with asyncio.timeout(END_TIMEOUT_S):
-                    await self._parameters.end()
+                for parameter in self._parameters.keys:
+                    async with asyncio.timeout(END_TIMEOUT_S):
+                        await self._parameters.unsubscribe(parameter)
 
     async def _check_node(self) -> None:
         """Check the address that the master has: none after its restart, another one after a name collision."""

@@ -5,7 +5,7 @@ import contextlib
 import fnmatch
 import functools
 import itertools
-from collections.abc import Callable, Hashable
+from collections.abc import Awaitable, Callable, Hashable
 from dataclasses import dataclass, field
 from typing import TypeVar, assert_never
 
@@ -297,13 +297,15 @@ class FleetRequests:
         )
         self._transport.put("drive", request, to=neighbour.sender.zid)
 
-    async def answer(self, robot: RemoteRobot, owner: Hashable) -> PlanarVelocity:
-        """Return the answer to the newest command of an owner: the velocity after the limits.
+    def answer(self, robot: RemoteRobot, owner: Hashable) -> Awaitable[PlanarVelocity]:
+        """Return the later answer to the newest command of an owner until now: the velocity after the limits.
 
-        Raises:
+        Raises (when it is awaited):
             HostlinkError: it was refused, or not answered.
         """
-        command = self._newest.get((owner, robot.name))
+        return self._answer(robot, owner, self._newest.get((owner, robot.name)))
+
+    async def _answer(self, robot: RemoteRobot, owner: Hashable, command: _Command | None) -> PlanarVelocity:
         if command is None:
             raise DeviceGone(robot.name, "the command was withdrawn")
         with contextlib.suppress(TimeoutError):

@@ -9,14 +9,23 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hostlink.api.access import Grant
-from hostlink.api.clients import MANY, MAX_BYTES, MAX_MESSAGES, ClientQueue, Clients, Operation, OperationQueue
+from hostlink.api.clients import (
+    MANY,
+    MAX_BYTES,
+    MAX_MESSAGES,
+    ClientQueue,
+    Clients,
+    Operation,
+    OperationQueue,
+    VelocityOf,
+)
 from hostlink.hub.node import Role
 from tests.support.virtual_loop import run_virtual
 
 
 @dataclass
 class Program:
-    """Messages are words; `robot=2` is a velocity."""
+    """Messages are words. `a=2` is a velocity of the robot a, `a=2 epoch` one with other terms, `a:=2` another way."""
 
     done: list[str] = field(default_factory=list)
     replaced: list[str] = field(default_factory=list)
@@ -28,8 +37,10 @@ class Program:
 
     def read(self, data: str | bytes, came_s: float) -> Operation[str]:
         word = str(data)
-        robot, is_velocity, value = word.partition("=")
-        return Operation(word, came_s, robot if is_velocity else None, value == "0")
+        robot, is_velocity, rest = word.partition("=")
+        value, _, terms = rest.partition(" ")
+        velocity_of = VelocityOf(robot[1:], robot[0], terms) if is_velocity else None
+        return Operation(word, came_s, velocity_of, value == "0")
 
     def do(self, operation: Operation[str]) -> None:
         self.done.append(operation.content)
@@ -67,17 +78,39 @@ def test_zero_is_never_replaced_and_replaces_velocities() -> None:
     assert outcome("a=0", "a=1").done == ["a=0", "a=1"]
 
 
-def test_velocity_overtakes_no_operation() -> None:
-    assert outcome("a=1", "stop", "a=2", "lock").done == ["stop", "a=2", "lock"]
+def test_velocity_before_another_operation_is_not_replaced() -> None:
+    assert outcome("a=1", "a=2", "stop", "a=3", "lock").done == ["a=2", "stop", "a=3", "lock"]
+    assert outcome("a=1", "a:=2", "a=3").done == ["a=1", "a:=2", "a=3"]
 
 
-@given(st.lists(st.sampled_from(["a=0", "a=1", "a=2", "b=0", "b=7", "stop", "call"]), max_size=20))
-def test_only_velocities_before_a_newer_one_of_their_robot_are_replaced(words: list[str]) -> None:
+def test_velocity_with_other_terms_is_not_replaced() -> None:
+    words = ["a=1 epoch", "a=2", "a=0 epoch", "a=3 epoch"]
+    assert outcome(*words).done == words
+    assert outcome("a=1 epoch", "b=1", "a=2 epoch", "a=3").done == ["b=1", "a=2 epoch", "a=3"]
+
+
+def is_replaced(word: str, later: list[str]) -> bool:
+    """Whether the first later word that may decide about a velocity is one of the same robot, operation and terms."""
+    way, _, terms = word.partition("=")
+    for other in later:
+        other_way, is_velocity, other_terms = other.partition("=")
+        if not is_velocity or len(other_way) != len(way):
+            return False
+        if other_way == way:
+            return other_terms[1:] == terms[1:]
+    return False
+
+
+WORDS = ["a=0", "a=1", "a=2", "a=3 epoch", "a=4 epoch", "a=0 epoch", "a:=1", "b=0", "b=7", "stop", "call"]
+
+
+@given(st.lists(st.sampled_from(WORDS), max_size=20))
+def test_only_velocities_before_a_newer_one_like_them_are_replaced(words: list[str]) -> None:
     program = outcome(*words)
     kept = [
         word
         for number, word in enumerate(words)
-        if "=" not in word or word.endswith("=0") or not any(later[:2] == word[:2] for later in words[number + 1 :])
+        if "=" not in word or "=0" in word or not is_replaced(word, words[number + 1 :])
     ]
     assert program.done == kept
     assert len(program.done) + len(program.replaced) == len(words)

@@ -12,10 +12,15 @@ import cbor2
 import pytest
 
 from hostlink.api.rosbridge import MAX_ADVERTISED, MAX_PARTS, MAX_SUBSCRIPTIONS, MAX_TEXT, MAX_UNKNOWN_OPS
+from hostlink.errors import CommandRefused, RefusalKind
 from hostlink.hub.node import Role
+from hostlink.hub.robot import AnyRobot
+from hostlink.hub.robots import Robots
 from hostlink.robot.state import MAX_PRIORITY
+from hostlink.robot.velocity import PlanarVelocity
 from tests.support.api_memory import ApiMemory, ApiPeer, api_memory
 from tests.support.participants import VELOCITY_ID
+from tests.support.remote_robots import connected_robot
 from tests.support.rosbridge_memory import Peer, world
 from tests.support.virtual_loop import run_virtual
 
@@ -289,7 +294,7 @@ def test_drive_for_another_connection_of_the_device_has_an_earlier_epoch(
 
 
 @pytest.mark.parametrize("motion", [{"epoch": -1}, {"stops": -1}, {"link": 0}])
-def test_drive_that_replaces_a_waiting_one_continues_its_motion(
+def test_drive_that_waits_behind_one_of_another_epoch_continues_its_motion(
     check: Callable[..., None], motion: dict[str, int]
 ) -> None:
     async def test(api: ApiMemory) -> None:
@@ -306,14 +311,28 @@ def test_drive_that_replaces_a_waiting_one_continues_its_motion(
     check(test)
 
 
-def test_drive_with_an_epoch_of_its_own_keeps_it_when_it_replaces_another(check: Callable[..., None]) -> None:
+class LeavingHosts:
+    """Another daemon, which refuses a command when its robot is not known any longer."""
+
+    def __init__(self, robots: Robots) -> None:
+        self._robots = robots
+
+    def drive(self, *_: object, **__: object) -> None: ...
+
+    def release(self, _: object) -> None: ...
+
+    async def answer(self, robot: AnyRobot, _: object) -> PlanarVelocity:
+        self._robots.pop_remote(robot.name)
+        raise CommandRefused(robot.name, RefusalKind.HELD, "another drives it")
+
+
+def test_drive_is_answered_also_when_its_robot_is_forgotten_before_its_refusal(check: Callable[..., None]) -> None:
     async def test(api: ApiMemory) -> None:
-        peer, robot = await api.web_socket(), api.hub.robots.find("robot_0")
-        velocity = {"op": "drive", "robot": "robot_0", "linear": 0.1, "angular": 0.0}
-        peer.send_text(**velocity, epoch=-1)
-        peer.send_text(**velocity, epoch=robot.admission.epoch)
-        await asyncio.sleep(0.05)
-        assert [each["result"] for each in peer.texts()] == [True, True]
+        peer = await api.web_socket()
+        robot = connected_robot(api.hub, "robot_7", LeavingHosts(api.hub.robots))
+        answer = await ask(peer, op="drive", robot="robot_7", linear=0.1, angular=0.0)
+        assert (answer["kind"], answer["epoch"]) == ("held", robot.admission.epoch)
+        assert (await ask(peer, op="drive", robot="robot_0", linear=0.1, angular=0.0))["result"]
 
     check(test)
 

@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from hostlink.api.clients import velocity_of_payload
+from hostlink.api.clients import VelocityOf, velocity_of_payload
 from hostlink.api.rosbridge import Request, velocity_of_request
 from hostlink.hub.topic import DeviceSubscription
 from hostlink.hub.topic_graph import TopicGraph
@@ -37,7 +37,7 @@ def topics() -> TopicGraph:
 )
 def test_message_on_a_velocity_topic_is_a_velocity(fields: dict[str, Any], is_zero: bool) -> None:
     request = Request({"op": "publish", "topic": TOPIC[1:], "priority": 60} | fields)
-    assert velocity_of_request(request, topics()) == (("publish", TOPIC, 60), is_zero)
+    assert velocity_of_request(request, topics()) == (VelocityOf("publish", TOPIC, (60, None, False)), is_zero)
 
 
 @pytest.mark.parametrize(
@@ -53,8 +53,13 @@ def test_message_on_a_velocity_topic_is_a_velocity(fields: dict[str, Any], is_ze
         {"op": "publish", "topic": TOPIC, "raw": "?"},
         {"op": "publish", "topic": TOPIC, "raw": "AAAA"},
         {"op": "publish", "topic": TOPIC, "msg": {}, "priority": [1]},
+        {"op": "publish", "topic": TOPIC, "msg": {}, "priority": True},
+        {"op": "publish", "topic": TOPIC, "msg": {}, "type": [1]},
         {"op": "drive", "robot": 7, "linear": 1, "angular": 1},
         {"op": "drive", "robot": "robot_0", "linear": "1", "angular": 1},
+        {"op": "drive", "robot": "robot_0", "linear": 1, "angular": 1, "priority": True},
+        {"op": "drive", "robot": "robot_0", "linear": 1, "angular": 1, "sent_s": "now"},
+        {"op": "drive", "robot": "robot_0", "linear": 1, "angular": 1, "speed": 1},
         {"op": "subscribe", "topic": TOPIC},
     ],
 )
@@ -62,14 +67,27 @@ def test_invalid_velocity_is_never_replaced(fields: dict[str, Any]) -> None:
     assert velocity_of_request(Request(fields), topics()) == (None, False)
 
 
-def test_drive_is_a_velocity_of_its_robot_and_priority() -> None:
-    drive = {"op": "drive", "robot": "robot_0", "linear": 0, "angular": 0.0}
-    assert velocity_of_request(Request(drive), topics()) == (("drive", "robot_0", None), True)
-    assert velocity_of_request(Request(drive | {"angular": 0.1}), topics()) == (("drive", "robot_0", None), False)
+def test_drive_is_a_velocity_of_its_robot() -> None:
+    drive = {"op": "drive", "robot": "/robot_0", "linear": 0, "angular": 0.0}
+    of = VelocityOf("drive", "robot_0", (50, None, None, None, False))
+    assert velocity_of_request(Request(drive), topics()) == (of, True)
+    assert velocity_of_request(Request(drive | {"linear_y": 0.1}), topics()) == (of, False)
+
+
+@pytest.mark.parametrize("terms", [{"priority": 60}, {"epoch": 1}, {"stops": 1}, {"link": 1}, {"sent_s": 0.0}])
+def test_drive_with_other_terms_is_another_velocity(terms: dict[str, Any]) -> None:
+    drive = {"op": "drive", "robot": "robot_0", "linear": 0.1, "angular": 0.0}
+    assert velocity_of_request(Request(drive | terms), topics()) != velocity_of_request(Request(drive), topics())
+
+
+@pytest.mark.parametrize("terms", [{"priority": 60}, {"type": TWIST_TYPE}, {"latch": True}])
+def test_message_with_other_terms_is_another_velocity(terms: dict[str, Any]) -> None:
+    message: dict[str, Any] = {"op": "publish", "topic": TOPIC, "msg": {}}
+    assert velocity_of_request(Request(message | terms), topics()) != velocity_of_request(Request(message), topics())
 
 
 def test_serialised_velocity_counts_only_on_a_velocity_topic() -> None:
-    assert velocity_of_payload(TOPIC, MOVING, topics()) == (("publish", TOPIC), False)
-    assert velocity_of_payload(TOPIC, ZERO.encode(), topics()) == (("publish", TOPIC), True)
+    assert velocity_of_payload(TOPIC, MOVING, topics()) == (VelocityOf("publish", TOPIC), False)
+    assert velocity_of_payload(TOPIC, ZERO.encode(), topics()) == (VelocityOf("publish", TOPIC), True)
     assert velocity_of_payload(TOPIC, b"short", topics()) == (None, False)
     assert velocity_of_payload("/plan", MOVING, topics()) == (None, False)

@@ -10,7 +10,7 @@ import pytest
 from aiohttp import WSMessage, WSMsgType, web
 from structlog.testing import capture_logs
 
-from hostlink.api.clients import Client, ClientQueue, Operation, Outgoing
+from hostlink.api.clients import Client, ClientQueue, Operation, Outgoing, VelocityOf
 from hostlink.api.listener import PacedReading
 from hostlink.api.web_socket import READY_TIMEOUT_S, SEND_BATCH, SEND_TIMEOUT_S, WRITE_BYTES, ClientSocket, frame_head
 from hostlink.hub.gates import Gates
@@ -79,7 +79,7 @@ class Echo:
 
     def read(self, data: str | bytes, came_s: float) -> Operation[str]:
         robot, is_velocity, value = str(data).partition("=")
-        return Operation(str(data), came_s, robot if is_velocity else None, value == "0")
+        return Operation(str(data), came_s, VelocityOf("drive", robot) if is_velocity else None, value == "0")
 
     def do(self, operation: Operation[str]) -> None:
         if operation.content == "fail":
@@ -227,6 +227,24 @@ def test_messages_wait_while_the_transport_is_full() -> None:
             client.socket.on_writable()
             await asyncio.sleep(0.01)
             assert client.written() == [b"x"]
+
+    run_virtual(run())
+
+
+@pytest.mark.parametrize("is_full", [False, True])
+@pytest.mark.parametrize("read_s", [0.0, 1.0])
+def test_client_that_leaves_before_it_has_read_its_answers_is_let_go(is_full: bool, read_s: float) -> None:
+    async def run() -> None:
+        async with connected() as client:
+            words = [str(number) for number in range(MAX_RESULTS)]
+            client.socket.is_writing_paused = is_full
+            client.socket.put(*words)
+            await asyncio.sleep(read_s)
+            client.socket.closed = True
+            client.socket.messages.put_nowait(WSMessage(WSMsgType.CLOSE, None, None))
+            await asyncio.sleep(0.1)
+            assert client.program.done == words
+            assert client.program.is_closed
 
     run_virtual(run())
 

@@ -1,10 +1,13 @@
 """Robot of another daemon: its velocity topics here, its connections and epochs there, and what is not known of it."""
 
+import asyncio
+
 import msgspec
 import pytest
 
 from hostlink.errors import DeviceGone
 from hostlink.hub.topic import DeviceSubscription
+from hostlink.robot.admission import LEASE_S
 from hostlink.robot.kinematics import Pose
 from hostlink.robot.odometry import OdometrySnapshot
 from hostlink.robot.velocity import TWIST_TYPE, ZERO, PlanarVelocity
@@ -62,6 +65,18 @@ def test_velocity_published_here_is_sent_to_the_robots_daemon_while_it_offers_th
         assert made.hub.topics.find_or_none(TOPIC) is None or not made.hub.topics.find(TOPIC).devices
         robot.leave()
         assert made.hub.topics.find_or_none("/robot_7/other") is None
+
+    in_hub(test)
+
+
+def test_robot_that_is_driven_from_here_may_move_for_a_lease() -> None:
+    async def test(made: MemoryHub) -> None:
+        connected_robot(made.hub, "robot_7", Hosts())
+        now_s = asyncio.get_running_loop().time
+        assert not made.hub.robots.may_move(now_s())
+        move(made)
+        assert made.hub.robots.may_move(now_s() + LEASE_S - 0.01)
+        assert not made.hub.robots.may_move(now_s() + LEASE_S)
 
     in_hub(test)
 

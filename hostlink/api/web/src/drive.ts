@@ -29,7 +29,7 @@ export class Drive {
   private refusal = "";
   private refusedAt = Number.NEGATIVE_INFINITY;
   private droveAt = Number.NEGATIVE_INFINITY;
-  private wasHeld = false; // at the previous command
+  private wasHeld = false; // at the previous command, sent or not
   private showCommand: (command: Deflection) => void = () => {}; // on the stick
   private readonly pause = new Pause();
   private readonly holders = new Map<string, number>(); // other drivers during this motion, and when they drove
@@ -146,15 +146,15 @@ export class Drive {
   }
 
   private send(velocity: Velocity): void {
-    if (!this.target?.connected || !this.canDrive()) return;
     const now = performance.now();
     const { isHeld } = this.driving;
-    if (isHeld && now - (this.unanswered[0]?.at ?? now) > UNANSWERED_MS) return;
     if (isHeld !== this.wasHeld) {
       this.wasHeld = isHeld;
       this.motion += 1;
       this.epoch = null;
     }
+    if (!this.target?.connected || !this.canDrive()) return;
+    if (isHeld && now - (this.unanswered[0]?.at ?? now) > UNANSWERED_MS) return;
     const isSent = this.connection.drive({
       robot: this.target.name,
       linear: velocity.linear_m_s,

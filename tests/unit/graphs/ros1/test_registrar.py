@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from structlog.testing import capture_logs
 
+from hostlink.cli.ending import LONGEST_END_S
 from hostlink.graphs.ros1.graph_sync import GraphSync
 from hostlink.graphs.ros1.local_node import LocalNode, RegistrationKind, Ros1Counts
 from hostlink.graphs.ros1.master import (
@@ -50,11 +51,11 @@ class FakeNode:
     way_s: float = 0.0005  # of a call to the master, and of its answer
 
     async def find_own_uri(self) -> str | None:
-        self._check()
+        self.check()
         return URI if self.known else None
 
     async def call_master(self, method: str, *arguments: Any) -> object:
-        self._check()
+        self.check()
         await asyncio.sleep(self.way_s)
         try:
             return self._answer(method, *arguments)
@@ -78,7 +79,7 @@ class FakeNode:
             self.known.pop((kind, arguments[0]), None)
         return []
 
-    def _check(self) -> None:
+    def check(self) -> None:
         self.dies_after -= 1
         if not self.is_reachable or self.dies_after < 0:
             raise Unreachable("dead")
@@ -98,19 +99,29 @@ class Sync:
         assert (uris, is_answer) == ([], True)
 
 
+@dataclass
 class Parameters:
+    """Parameters that the node has subscribed to at its master."""
+
+    master: FakeNode
+    keys: list[str] = field(default_factory=list)
+
     async def renew(self) -> None: ...
 
-    async def end(self) -> None: ...
+    async def unsubscribe(self, key: str) -> None:
+        self.master.check()
+        await asyncio.sleep(2 * self.master.way_s)
+        self.keys = [each for each in self.keys if each != key]
 
 
 class World:
     def __init__(self) -> None:
         self.master, self.sync = FakeNode(), Sync()
+        self.parameters = Parameters(self.master)
         self.registrar = Registrar(
             cast("LocalNode", self.master),
             cast("GraphSync", self.sync),
-            cast("MasterParameters", Parameters()),
+            cast("MasterParameters", self.parameters),
             SERVICE_URI,
             on_services=lambda _: None,
             on_collision=lambda _: None,
@@ -208,9 +219,25 @@ def test_end_waits_for_a_slow_master_and_gives_up_one_that_does_not_answer() -> 
         await world.registrar.end()
         assert now_s() == pytest.approx(began_s + END_TIMEOUT_S)
         assert len(world.master.known) == 6
-        world.master.way_s = 0.3
+        world.master.way_s = 0.15
+        world.parameters.keys = ["/a", "/b", "/c"]
         await world.registrar.end()
-        assert world.master.known == {}
+        assert (world.master.known, world.parameters.keys) == ({}, [])
+
+    run_virtual(test())
+
+
+def test_end_at_a_very_slow_master_leaves_the_daemon_most_of_the_time_for_its_end() -> None:
+    async def test() -> None:
+        world = World()
+        world.want({(kind, f"/{number}"): "x/X" for kind in KINDS for number in range(10)})
+        running = asyncio.get_running_loop().create_task(world.registrar.run())
+        await asyncio.sleep(1.0)
+        running.cancel()
+        now_s = asyncio.get_running_loop().time
+        world.master.way_s, began_s = 0.45, now_s()
+        await world.registrar.end()
+        assert now_s() < began_s + LONGEST_END_S / 2
 
     run_virtual(test())
 

@@ -106,6 +106,25 @@ def test_robot_of_another_daemon_is_shown_with_its_host_and_topics() -> None:
     with_fleet(test)
 
 
+def test_each_of_two_commands_that_are_sent_at_once_has_its_own_answer() -> None:
+    async def test(world: World) -> None:
+        def answer(velocity: PlanarVelocity) -> Awaitable[PlanarVelocity]:
+            world.program.drive(world.robot(), velocity)
+            found = world.robot().answer(world.program)
+            assert found is not None
+            return found
+
+        first, second = answer(DRIVE), answer(ZERO)
+        assert (await first, await second) == (DRIVE, ZERO)
+        world.scene.hub.robots.find(ROBOT).lock("test")
+        first, second = answer(DRIVE), answer(ZERO)
+        with pytest.raises(CommandRefused, match="locked"):
+            await first
+        assert await second == ZERO
+
+    with_fleet(test)
+
+
 def test_commands_are_answered_in_order_while_their_daemon_becomes_known() -> None:
     """Three commands arrive before its token was read, and one between the token and their delivery."""
 
