@@ -5,7 +5,7 @@ import itertools
 import time
 from collections import deque
 from collections.abc import Callable, Hashable
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple, Protocol, TypeVar
 
 import structlog
 
@@ -104,6 +104,20 @@ class Subscriber(NamedTuple):
     fail: Callable[[Exception], None]  # ends the owner of the callback
 
 
+class Listener(Protocol):
+    """Subscriber of a topic as the topic uses it: a `Subscriber`, or a participant's `Subscription`."""
+
+    @property
+    def key(self) -> Hashable: ...
+
+    @property
+    def type_name(self) -> str: ...
+
+    def receive(self, message: Message, /) -> None: ...
+
+    def fail(self, error: Exception, /) -> None: ...
+
+
 class DeviceSubscription(NamedTuple):
     """Subscription of a device: of its link, or of a velocity gate. `receive` raises the refusal of a message."""
 
@@ -126,7 +140,7 @@ class Topic:
     """
 
     __slots__ = (
-        "_budget", "_deliveries", "_expected", "_is_gated", "_numbers", "_snapshot", "_subscribers",
+        "_budget", "_deliveries", "_expected", "_is_gated", "_number", "_snapshot", "_subscribers",
         "devices", "earlier", "latched", "messages", "name", "publishers", "rank", "type", "type_name",
     )  # fmt: skip
 
@@ -141,24 +155,25 @@ class Topic:
         self.earlier: tuple[Hashable, ...] = ()  # publishers without `advertise` from before the newest device
         self.devices: dict[Hashable, DeviceSubscription] = {}
         self.latched: dict[Hashable, bytes | None] = {}  # last message of each publisher that latches; newest last
-        self._subscribers: dict[int, Subscriber] = {}
-        self._numbers = itertools.count()
+        self._subscribers: dict[int, Listener] = {}
+        self._number = 0  # of the next subscriber
         self._expected: dict[str, int] = {}  # number of subscribers that expect each type
-        self._snapshot: tuple[Subscriber, ...] | None = ()  # None: made again for the next message
+        self._snapshot: tuple[Listener, ...] | None = ()  # None: made again for the next message
         self._is_gated = False
         self._deliveries = Deliveries() if deliveries is None else deliveries
         self._budget = ByteBudget() if budget is None else budget
 
     @property
-    def subscribers(self) -> tuple[Subscriber, ...]:
+    def subscribers(self) -> tuple[Listener, ...]:
         """All subscribers except devices, oldest first. Adding and removing cost the same among many."""
         if self._snapshot is None:
             self._snapshot = tuple(self._subscribers.values())
         return self._snapshot
 
-    def add_subscriber(self, subscriber: Subscriber) -> int:
+    def add_subscriber(self, subscriber: Listener) -> int:
         """Add a subscriber. Return the number for `remove_subscriber`."""
-        number = next(self._numbers)
+        number = self._number
+        self._number += 1
         self._subscribers[number], self._snapshot = subscriber, None
         if subscriber.type_name:
             self._expected[subscriber.type_name] = self._expected.get(subscriber.type_name, 0) + 1
@@ -301,12 +316,12 @@ class Topic:
                 self._remove(subscriber)
                 subscriber.fail(error)
 
-    def _remove(self, subscriber: Subscriber) -> None:
+    def _remove(self, subscriber: Listener) -> None:
         for number, other in list(self._subscribers.items()):
             if other is subscriber:
                 self.remove_subscriber(number)
 
-    def deliver_latched(self, subscriber: Subscriber) -> None:
+    def deliver_latched(self, subscriber: Listener) -> None:
         """Pass all latched messages to a subscriber. An exception of its callback is raised."""
         at_s = asyncio.get_running_loop().time() if self.latched else 0.0
         for source, payload in list(self.latched.items()):  # the callback may let one of them leave
