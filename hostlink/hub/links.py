@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
 import structlog
-from structlog.contextvars import bound_contextvars
+from structlog.contextvars import bind_contextvars, unbind_contextvars
 
 from hostlink.config import Config, LinkConfig
 from hostlink.errors import HostlinkError, ReloadRefused
@@ -102,7 +102,9 @@ class Links:
     async def serve(self, link: Link, authenticate: Authenticate = trust) -> LinkEnd:
         """Serve a link to its end. rosserial begins when `authenticate` returns."""
         hub, end = self._hub, LinkEnd.CRASHED
-        with bound_contextvars(link=link.number, peer=printable(link.peer), **of_peer(link.address)):
+        bound = {"link": link.number, "peer": printable(link.peer), **of_peer(link.address)}
+        bind_contextvars(**bound)  # `bound_contextvars` would keep a generator for each link
+        try:
             log.info("link.opened")
             hub.events.note(EventKind.LINK_OPENED, "", link=link.number, peer=link.peer)
             try:
@@ -123,6 +125,8 @@ class Links:
                 hub.events.note(EventKind.LINK_CLOSED, "", link=link.number, peer=link.peer, reason=end.value)
                 facts = dataclasses.asdict(link.facts())
                 log.info("link.closed", reason=end.value, **facts.pop("counts"), **facts)
+        finally:
+            unbind_contextvars(*bound)
         return end
 
     def all(self) -> list[Link]:
