@@ -25,10 +25,10 @@ from hostlink.api.rate_limit import RateLimit
 from hostlink.api.rest import Owners
 from hostlink.api.routes import Route
 from hostlink.config import Config
+from hostlink.hub.device import Device
 from hostlink.hub.hub import Hub
 from hostlink.hub.robot import LocalRobot
 from hostlink.latency import Latency
-from hostlink.link.link import Link
 from hostlink.recording.folder import MEGABYTE, DiskUsage, Folder
 from hostlink.recording.recordings import Recordings
 
@@ -311,8 +311,8 @@ class _Graph(Collector):
             "Robots forgotten after a long disconnection, or because of too many",
             value=self._hub.robots.forgotten,
         )
-        for links in _slices(self._hub.links.all()):
-            yield from self._links(links)
+        for devices in _slices(list(self._hub.robots.devices.values())):
+            yield from self._links(devices)
         yield from self._to_clients()
         yield from self._kept()
         yield from self._to_port()
@@ -385,7 +385,7 @@ class _Graph(Collector):
                 measured.add_metric([robot.name, "angular"], odometry.twist.yaw_rad_s)
         yield from (locked, driven, commanded, measured, battery)
 
-    def _links(self, links: Sequence[Link]) -> Iterator[Metric]:
+    def _links(self, devices: Sequence[Device]) -> Iterator[Metric]:
         names = ["peer", "robot"]
         counters = {
             name: CounterMetricFamily(f"hostlink_link_{name}", help_, labels=names)
@@ -406,8 +406,8 @@ class _Graph(Collector):
         latency = HistogramMetricFamily(
             "hostlink_command_to_device_seconds", "Time from a velocity command to the device's socket", labels=names
         )
-        for link in links:
-            robot = self._hub.robots.of_link(link)
+        for device in devices:
+            link, robot = device.link, device.robot
             labels = [link.address, "" if robot is None else robot.name]
             facts = link.facts()
             for name, counter in counters.items():

@@ -62,6 +62,9 @@ class Links:
             name_of=self._service_name,
             turns=Turns(hub.share),
         )
+        # What every session and link gets, made once.
+        self._check = functools.partial(check_type, hub.catalog)
+        self._react, self._wall_ns, self._pauses = self.react, self._read_wall_ns, hub.gates.pauses
         self._parameters = ParameterAnswers(hub.parameters, lambda: self.parameter_source, hub.spawn)
         self._reactions: dict[type[Any], Callable[[Link, Any], None]] = {
             events.TopicsNegotiated: self._announce,
@@ -81,7 +84,7 @@ class Links:
         hub = self._hub
         config = hub.config.link if link_config is None else link_config
         session = Session(
-            check=lambda info: check_type(hub.catalog, info),
+            check=self._check,
             uart_bytes_s=self._uart_bytes_s(transport, config),
             max_topics=config.max_topics,
             is_lossy=transport.kind == "udp",
@@ -91,10 +94,10 @@ class Links:
             session,
             config,
             number=hub.robots.new_number(),
-            on_event=self.react,
+            on_event=self._react,
             share=hub.share,
-            wall_ns=self._read_wall_ns,
-            pauses=hub.gates.pauses,
+            wall_ns=self._wall_ns,
+            pauses=self._pauses,
         )
         self._devices[link.number] = Device(link, hub.diagnoses.begin(link), self._directory.presence(link.number), hub)
         return link

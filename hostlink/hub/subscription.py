@@ -1,7 +1,7 @@
 """Subscription: messages of one topic for a participant, at its chosen rate."""
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from typing import Protocol
 
 from hostlink.hub.byte_budget import SHARES, Share
@@ -10,7 +10,7 @@ from hostlink.hub.node import is_of
 from hostlink.hub.topic import Topic
 
 
-class Owner(Protocol):
+class Owner(Hashable, Protocol):
     """Participant that has a subscription."""
 
     def fail(self, error: Exception) -> None:

@@ -4,7 +4,7 @@ import asyncio
 import itertools
 import time
 from collections import deque
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Set
 from typing import NamedTuple, Protocol, TypeVar
 
 import structlog
@@ -132,6 +132,9 @@ class DeviceSubscription(NamedTuple):
         return not (self.is_gate or self.is_command)
 
 
+_NOBODY: frozenset[Hashable] = frozenset()  # shared by topics without a publisher: an empty set has 216 bytes
+
+
 class Topic:
     """Topic of the graph. Publishers and subscribers have a key: a link, or a Node.
 
@@ -151,7 +154,7 @@ class Topic:
         self.type: MessageType | None = None
         self.rank = PROGRAM_RANK  # of the user that named the type
         self.messages = 0
-        self.publishers: set[Hashable] = set()
+        self.publishers: Set[Hashable] = _NOBODY
         self.earlier: tuple[Hashable, ...] = ()  # publishers without `advertise` from before the newest device
         self.devices: dict[Hashable, DeviceSubscription] = {}
         self.latched: dict[Hashable, bytes | None] = {}  # last message of each publisher that latches; newest last
@@ -234,9 +237,17 @@ class Topic:
                 break
         return highest
 
+    def add_publisher(self, key: Hashable) -> None:
+        """Add a publisher. Do nothing if it publishes already."""
+        if isinstance(self.publishers, set):
+            self.publishers.add(key)
+        else:
+            self.publishers = {key}
+
     def forget_publisher(self, key: Hashable) -> None:
         """Remove a publisher and its latched message."""
-        self.publishers.discard(key)
+        if isinstance(self.publishers, set):
+            self.publishers.discard(key)
         self._budget.latch(key, self.latched.pop(key, None), None)
 
     def publish(

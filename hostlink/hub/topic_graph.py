@@ -79,7 +79,7 @@ class TopicGraph:
             WrongType: the topic is in use with another type.
         """
         topic = self._open(name, type_name, rank_of(key))
-        topic.publishers.add(key)
+        topic.add_publisher(key)
         self._note(key, topic)
         if is_latched:
             topic.latched.setdefault(key)
