@@ -68,9 +68,10 @@ class ShownNames:
     def of_robot(self, robot: RobotTopicNames) -> RobotTopicNames:
         """Return the robot's topics by their names in the graph."""
         reset = None if robot.reset is None else self.of(robot.reset)
-        return RobotTopicNames(
+        shown = RobotTopicNames(
             self._name or robot.name, self.of(robot.velocity), self.of(robot.odometry), robot.odometry_type, reset
         )
+        return robot if shown == robot else shown  # most have the same names: kept once
 
 
 _HEADER = Field("header", "std_msgs/Header")
@@ -127,7 +128,7 @@ class Device:
         self.infos: tuple[TopicInfo, ...] = ()  # endpoints of the last announcement
         self.parameters: dict[str, Parameter] = {}  # answers to its requests, by name in the graph
         self._observers: dict[int, Callable[[bytes], None]] = {}  # readers of the hub itself, by id
-        self._awaited: set[str] = set()  # services that may still answer a call from before the last `leave`
+        self._awaited: dict[str, None] = {}  # services that may still answer a call from before the last `leave`
         self._odometry: list[tuple[Topic, int]] = []  # where the robot reads its pose, and as which subscriber
         self._hub = hub
 
@@ -147,7 +148,7 @@ class Device:
             except (WrongType, BadRequest) as error:
                 log.warning("topic.refused", topic=printable(info.name), reason=str(error))
                 self._route_refused(info, robot)
-        for name in self.services.keys() & self._awaited:
+        for name in self.services.keys() & self._awaited.keys():
             self.services[name].expect_late()
         self._awaited.clear()
 
@@ -202,7 +203,7 @@ class Device:
         self._observers.clear()
         self.names = frozenset()
         self._hub.topics.leave(self.link)
-        self._awaited.update(name for name, service in self.services.items() if service.is_awaited)
+        self._awaited |= {name: None for name, service in self.services.items() if service.is_awaited}
         self._hub.services.leave(self.link)
         self.services.clear()
 

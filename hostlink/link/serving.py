@@ -74,8 +74,9 @@ class Helper:
             if not self._is_over():  # otherwise the task group would count this task as cancelled
                 raise
 
-    def _forget(self, _: "asyncio.Task[None]") -> None:
-        self._task = None
+    def _forget(self, ended: "asyncio.Task[None]") -> None:
+        if self._task is ended:  # otherwise another one was started in the same turn of the loop
+            self._task = None
 
 
 async def serve(

@@ -55,9 +55,10 @@ def test_others_have_their_turn_between_two_parts(monkeypatch: pytest.MonkeyPatc
             await asyncio.sleep(0)
 
     async def test() -> None:
-        counting = asyncio.create_task(count())
-        await text_of(parts())
-        counting.cancel()
+        async with asyncio.TaskGroup() as tasks:
+            counting = tasks.create_task(count())
+            await text_of(parts())
+            counting.cancel()
 
     asyncio.run(test())
     assert turns >= 2 * ROBOTS
