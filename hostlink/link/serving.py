@@ -45,7 +45,7 @@ async def trust() -> None:
 
 
 class Helper:
-    """Task of a link beside the one that waits for its end. There is one only while the link has something to await."""
+    """Second task of a link. Most links have it only while they open."""
 
     __slots__ = ("_is_over", "_name", "_task", "_tasks")
 
