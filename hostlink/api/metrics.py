@@ -3,8 +3,9 @@
 import asyncio
 import dataclasses
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from importlib.metadata import version
+from typing import TypeVar
 
 from aiohttp import web
 from prometheus_client import CONTENT_TYPE_LATEST, CollectorRegistry, ProcessCollector, generate_latest
@@ -24,13 +25,19 @@ from hostlink.api.rate_limit import RateLimit
 from hostlink.api.rest import Owners
 from hostlink.api.routes import Route
 from hostlink.config import Config
+from hostlink.hub.device import Device
 from hostlink.hub.hub import Hub
+from hostlink.hub.robot import LocalRobot
 from hostlink.latency import Latency
 from hostlink.recording.folder import MEGABYTE, DiskUsage, Folder
 from hostlink.recording.recordings import Recordings
 
 DISK_INTERVAL_S = 5.0  # between two measurements of the disk: a folder may have thousands of files
 DISK_TIMEOUT_S = 1.0  # without an answer of the disk its figures are omitted
+SLICE = 8  # robots or links whose metrics are made at once
+SLICE_S = 0.001  # of one turn of the event loop; a histogram of SLICE links takes twice as long
+
+Item = TypeVar("Item")
 
 
 class RecordingMetrics(Collector):
@@ -186,8 +193,54 @@ class Metrics:
 
     async def _show(self, _: web.Request) -> web.Response:
         await self._recording.observe_disk()
-        body = generate_latest(self._registry)
+        body = await text_of(self._registry.collect())
         return web.Response(body=body, headers={"Content-Type": CONTENT_TYPE_LATEST, "Cache-Control": "no-store"})
+
+
+async def text_of(parts: Iterable[Metric]) -> bytes:
+    """Return the text of families that come in parts.
+
+    The metrics of a thousand robots take half a second, in which no command may wait: others have their turn each
+    SLICE_S.
+    """
+    text, now_s = _Text(), asyncio.get_running_loop().time
+    ends_s = now_s() + SLICE_S
+    for part in parts:
+        text.add(part)
+        if now_s() >= ends_s:
+            await asyncio.sleep(0)
+            ends_s = now_s() + SLICE_S
+    return text.encoded()
+
+
+class _Text(Collector):
+    """Text of families that come in parts."""
+
+    def __init__(self) -> None:
+        self._texts: dict[str, bytearray] = {}  # by name of the family
+        self._part: tuple[Metric, ...] = ()
+
+    def add(self, part: Metric) -> None:
+        """Add a part. Only the first one of a family has its two lines of comment."""
+        self._part = (part,)
+        text = generate_latest(self)
+        if part.name in self._texts:
+            text = text.split(b"\n", 2)[2]
+        self._texts.setdefault(part.name, bytearray()).extend(text)
+
+    def collect(self) -> Sequence[Metric]:
+        """Return the last part."""
+        return self._part
+
+    def encoded(self) -> bytes:
+        """Return the text of all families."""
+        return b"".join(self._texts.values())
+
+
+def _slices(items: Sequence[Item]) -> Iterator[Sequence[Item]]:
+    """Yield SLICE items at a time; nothing once if there are none, so that each family has its comment."""
+    for start in range(0, max(len(items), 1), SLICE):
+        yield items[start : start + SLICE]
 
 
 class _Graph(Collector):
@@ -256,9 +309,16 @@ class _Graph(Collector):
             dropped.add_metric([cause], count)
         yield dropped
         yield from self._graphs()
-        yield from self._robots()
-        yield from self._driving()
-        yield from self._links()
+        for robots in _slices(self._hub.robots.here()):
+            yield from self._robots(robots)
+            yield from self._driving(robots)
+        yield CounterMetricFamily(
+            "hostlink_robots_forgotten",
+            "Robots forgotten after a long disconnection, or because of too many",
+            value=self._hub.robots.forgotten,
+        )
+        for devices in _slices(list(self._hub.robots.devices.values())):
+            yield from self._links(devices)
         yield from self._to_clients()
         yield from self._kept()
         yield from self._to_port()
@@ -275,7 +335,7 @@ class _Graph(Collector):
             elsewhere.add_metric([host], count)
         yield elsewhere
 
-    def _robots(self) -> Iterator[Metric]:
+    def _robots(self, robots: Sequence[LocalRobot]) -> Iterator[Metric]:
         now_s = asyncio.get_running_loop().time()
         connected = GaugeMetricFamily("hostlink_robot_connected", "1 while its device is connected", labels=["robot"])
         age = GaugeMetricFamily("hostlink_robot_odometry_age_seconds", "Age of the newest pose", labels=["robot"])
@@ -283,7 +343,7 @@ class _Graph(Collector):
         refused = CounterMetricFamily(
             "hostlink_robot_velocity_refused", "Velocities that the device could not receive", labels=["robot"]
         )
-        for robot in self._hub.robots.here():
+        for robot in robots:
             refused.add_metric([robot.name], robot.refusals.count)
             connected.add_metric([robot.name], robot.link is not None)
             odometry = robot.odometry.snapshot(now_s)
@@ -298,20 +358,15 @@ class _Graph(Collector):
         unreadable = CounterMetricFamily(
             "hostlink_robot_unreadable", "Odometry messages that could not be decoded", labels=["robot"]
         )
-        for robot in self._hub.robots.here():
+        for robot in robots:
             unreadable.add_metric([robot.name], robot.unreadable)
             for outcome, count in dataclasses.asdict(robot.gate.counts).items():
                 gates.add_metric([robot.name, outcome], count)
             for kind, count in robot.gate.admission.refused.items():
                 gates.add_metric([robot.name, f"refused_{kind}"], count)
-        forgotten = CounterMetricFamily(
-            "hostlink_robots_forgotten",
-            "Robots forgotten after a long disconnection, or because of too many",
-            value=self._hub.robots.forgotten,
-        )
-        yield from (connected, age, poses, refused, unreadable, gates, forgotten)
+        yield from (connected, age, poses, refused, unreadable, gates)
 
-    def _driving(self) -> Iterator[Metric]:
+    def _driving(self, robots: Sequence[LocalRobot]) -> Iterator[Metric]:
         now_s = asyncio.get_running_loop().time()
         locked = GaugeMetricFamily("hostlink_robot_locked", "1 while the robot is locked", labels=["robot"])
         driven = GaugeMetricFamily("hostlink_robot_driven", "1 while the robot is driven", labels=["robot"])
@@ -320,7 +375,7 @@ class _Graph(Collector):
         )
         measured = GaugeMetricFamily("hostlink_robot_speed", "Measured, m/s and rad/s", labels=["robot", "axis"])
         battery = GaugeMetricFamily("hostlink_robot_battery_volts", "Measured by the device", labels=["robot"])
-        for robot in self._hub.robots.here():
+        for robot in robots:
             locked.add_metric([robot.name], robot.gate.lock_reason is not None)
             driven.add_metric([robot.name], robot.gate.owner is not None)
             if robot.battery is not None and robot.battery.voltage_v is not None:
@@ -336,7 +391,7 @@ class _Graph(Collector):
                 measured.add_metric([robot.name, "angular"], odometry.twist.yaw_rad_s)
         yield from (locked, driven, commanded, measured, battery)
 
-    def _links(self) -> Iterator[Metric]:
+    def _links(self, devices: Sequence[Device]) -> Iterator[Metric]:
         names = ["peer", "robot"]
         counters = {
             name: CounterMetricFamily(f"hostlink_link_{name}", help_, labels=names)
@@ -357,8 +412,8 @@ class _Graph(Collector):
         latency = HistogramMetricFamily(
             "hostlink_command_to_device_seconds", "Time from a velocity command to the device's socket", labels=names
         )
-        for link in self._hub.links.all():
-            robot = self._hub.robots.of_link(link)
+        for device in devices:
+            link, robot = device.link, device.robot
             labels = [link.address, "" if robot is None else robot.name]
             facts = link.facts()
             for name, counter in counters.items():

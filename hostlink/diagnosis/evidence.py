@@ -87,7 +87,7 @@ class Tally(NamedTuple):
     wrong_sizes: int = 0
 
 
-_NO_COUNTS = Tally()
+NO_COUNTS = Tally()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -99,8 +99,8 @@ class Evidence:
 
     age_s: float
     silent_s: float
-    total: Tally = _NO_COUNTS
-    recent: Tally = _NO_COUNTS
+    total: Tally = NO_COUNTS
+    recent: Tally = NO_COUNTS
     baud: int | None = None  # of a serial port; None for TCP
     requests: int = 0  # number of topic requests
     negotiated_s: float | None = None  # since the first negotiation

@@ -5,7 +5,7 @@ import re
 from array import array
 from bisect import bisect_left
 
-from hostlink.diagnosis.evidence import RECENT_S, Complaint, EarlierLink, Evidence, Tally
+from hostlink.diagnosis.evidence import NO_COUNTS, RECENT_S, Complaint, EarlierLink, Evidence, Tally
 from hostlink.host_pauses import HostPauses
 from hostlink.protocol import events
 from hostlink.protocol.control import TopicInfo
@@ -62,17 +62,24 @@ class LinkMonitor:
     Observes every event but messages, and samples the counts each SAMPLE_INTERVAL_S.
     """
 
+    __slots__ = (
+        "_complaints", "_device_complaint", "_early_non_rosserial", "_excluded", "_fell_silent", "_intervals_s",
+        "_is_fresh", "_is_provoked", "_negotiated_at_s", "_opened_at_s", "_previous_at_s", "_revived_at_s", "_samples",
+        "_session", "_signal", "_stamps_behind_s", "_time_requested_at_s", "_unknown_before", "_was_host_away", "baud",
+        "firmware",
+    )  # fmt: skip
+
     def __init__(self, session: Session, *, now_s: float) -> None:
         self.baud: int | None = None  # of a serial port
         self._session = session
         self._opened_at_s = now_s
-        self._samples = _Samples(now_s, Tally())
+        self._samples = _Samples(now_s, NO_COUNTS)
         self._negotiated_at_s: float | None = None
         self._early_non_rosserial = b""
         self._unknown_before = 0  # unknown ids that the last negotiation explained
         self._is_provoked = False  # a device sends a time request with its topics
         self._is_fresh = False  # the last time request was read when it was sent
-        self._excluded = Tally()  # losses while the host was paused
+        self._excluded = NO_COUNTS  # losses while the host was paused
         self._stamps_behind_s: list[float] = []
         self._fell_silent = False
         self._was_host_away = False  # since the last time request: a device without answers falls silent
@@ -131,7 +138,7 @@ class LinkMonitor:
         self._was_host_away = True
 
     def _begin_anew(self, now_s: float) -> None:
-        self._exclude(since=Tally())
+        self._exclude(since=NO_COUNTS)
         self._samples = _Samples(now_s, self._total())
 
     def _exclude(self, since: Tally) -> None:

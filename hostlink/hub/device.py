@@ -44,14 +44,16 @@ class ShownNames:
     shared with other users of the name, as in ROS.
     """
 
+    __slots__ = ("_is_renamed", "_name", "_own", "_prefix")
+
     def __init__(self, robot: RobotTopicNames | None = None, name: str | None = None) -> None:
         """`name`: the robot's name here."""
         self._is_renamed = robot is not None and name not in (None, robot.name)
         self._name = name or ""
         namespace = () if robot is None else robot.namespace
         self._prefix = "/" + "".join(f"{part}/" for part in namespace)
-        own = () if robot is None else (robot.velocity, robot.odometry, robot.reset)
-        self._own = {resolve(topic) for topic in own if topic is not None}
+        own = () if robot is None or not self._is_renamed else (robot.velocity, robot.odometry, robot.reset)
+        self._own = tuple(resolve(topic) for topic in own if topic is not None)
 
     def of(self, name: str) -> str:
         """Return the full name in the graph of the device's topic or service."""
@@ -66,9 +68,10 @@ class ShownNames:
     def of_robot(self, robot: RobotTopicNames) -> RobotTopicNames:
         """Return the robot's topics by their names in the graph."""
         reset = None if robot.reset is None else self.of(robot.reset)
-        return RobotTopicNames(
+        shown = RobotTopicNames(
             self._name or robot.name, self.of(robot.velocity), self.of(robot.odometry), robot.odometry_type, reset
         )
+        return robot if shown == robot else shown  # most have the same names: kept once
 
 
 _HEADER = Field("header", "std_msgs/Header")
@@ -125,8 +128,8 @@ class Device:
         self.infos: tuple[TopicInfo, ...] = ()  # endpoints of the last announcement
         self.parameters: dict[str, Parameter] = {}  # answers to its requests, by name in the graph
         self._observers: dict[int, Callable[[bytes], None]] = {}  # readers of the hub itself, by id
-        self._awaited: set[str] = set()  # services that may still answer a call from before the last `leave`
-        self._odometry: list[Callable[[], None]] = []  # ends the robot's subscription
+        self._awaited: dict[str, None] = {}  # services that may still answer a call from before the last `leave`
+        self._odometry: list[tuple[Topic, int]] = []  # where the robot reads its pose, and as which subscriber
         self._hub = hub
 
     def announce(self, infos: tuple[TopicInfo, ...], shown: ShownNames, robot: LocalRobot | None = None) -> None:
@@ -145,7 +148,7 @@ class Device:
             except (WrongType, BadRequest) as error:
                 log.warning("topic.refused", topic=printable(info.name), reason=str(error))
                 self._route_refused(info, robot)
-        for name in self.services.keys() & self._awaited:
+        for name in self.services.keys() & self._awaited.keys():
             self.services[name].expect_late()
         self._awaited.clear()
 
@@ -200,7 +203,7 @@ class Device:
         self._observers.clear()
         self.names = frozenset()
         self._hub.topics.leave(self.link)
-        self._awaited.update(name for name, service in self.services.items() if service.is_awaited)
+        self._awaited |= {name: None for name, service in self.services.items() if service.is_awaited}
         self._hub.services.leave(self.link)
         self.services.clear()
 
@@ -240,7 +243,7 @@ class Device:
     def _subscribe_robot(self, topic: Topic, robot: LocalRobot) -> None:
         fail = partial(self._crash, robot)
         number = topic.add_subscriber(Subscriber(robot.receive_odometry, self._hub.node, "", fail))
-        self._odometry.append(lambda: topic.remove_subscriber(number))
+        self._odometry.append((topic, number))
 
     def _crash(self, robot: LocalRobot, error: Exception) -> None:
         """End the link after a crash of odometry. The robot then reconnects, at rest."""
@@ -264,8 +267,8 @@ class Device:
             self.link.session.device_clock.update(stamp_ns, at_ns=time.time_ns(), now_s=now_s)
 
     def _end_odometry(self) -> None:
-        for end in self._odometry:
-            end()
+        for topic, number in self._odometry:
+            topic.remove_subscriber(number)
         self._odometry.clear()
 
     # -- to the device ------------------------------------------------------------------------------------------------
@@ -320,6 +323,8 @@ class Device:
 
 class EarlyMessages:
     """Messages of a device that is not identified yet. Above a bound, the oldest is dropped."""
+
+    __slots__ = ("_bytes", "_waiting")
 
     def __init__(self) -> None:
         self._waiting: list[tuple[MessageReceived, float]] = []

@@ -76,7 +76,7 @@ class Diagnosis:
         """Note an announcement of topics, including refused ones."""
         session = self.link.session
         self.is_played = is_played([(info.name, info.type, info.is_to_device) for info in session.topics])
-        topics = (*session.topics, *(info for info, _ in session.refusals))
+        topics = session.topics + tuple(info for info, _ in session.refusals)  # the same object if none is refused
         if not self._announced or self._announced[-1][1] != topics:
             self._announced.append((session.counts.bytes_from_device, topics))
             del self._announced[:-MAX_ANNOUNCED]

@@ -84,12 +84,14 @@ class Refusals:
 
     count: int = 0
     cause: str | None = None  # for the last velocity; None if it was sent
-    lines: Budget = field(default_factory=Budget)
+    lines: Budget | None = None  # from the first refusal on
 
     def add(self, robot: str, error: HostlinkError) -> None:
         """Count a refusal. A driver repeats a command ten times a second."""
         self.count += 1
         self.cause = str(error)
+        if self.lines is None:
+            self.lines = Budget()
         if counts := self.lines.due("refused", asyncio.get_running_loop().time()):
             log.warning("robot.unreachable", robot=robot, cause=self.cause, **counts)
 

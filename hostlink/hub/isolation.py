@@ -2,7 +2,7 @@
 
 import contextlib
 from collections import Counter
-from collections.abc import Coroutine, Iterator
+from collections.abc import Coroutine
 from typing import Any, Protocol
 
 import structlog
@@ -18,13 +18,9 @@ class Isolation:
         self.crashes: Counter[str] = Counter()
         self._reraises = reraises
 
-    @contextlib.contextmanager
-    def around(self, what: str, **facts: object) -> Iterator[None]:
+    def around(self, what: str, **facts: object) -> "_Boundary":
         """Catch an exception of the block, and log it as `what`.crashed."""
-        try:
-            yield
-        except Exception as error:  # noqa: BLE001 - this is the boundary
-            self.crashed(what, error, **facts)
+        return _Boundary(self, what, facts)
 
     def crashed(self, what: str, error: Exception, **facts: object) -> None:
         """Count and log a crash. Without the traceback if that fails: it reads source files and needs memory."""
@@ -37,6 +33,25 @@ class Isolation:
                 log.error(event, cause=repr(error), **facts)  # noqa: TRY400 - without the traceback, which failed
         if self._reraises:
             raise error
+
+
+class _Boundary:
+    """Block of `Isolation.around`. Each link is in two of them: a generator would need five times the memory."""
+
+    __slots__ = ("_facts", "_isolation", "_what")
+
+    def __init__(self, isolation: Isolation, what: str, facts: dict[str, object]) -> None:
+        self._isolation, self._what, self._facts = isolation, what, facts
+
+    def __enter__(self) -> None:
+        """Begin the block."""
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: object) -> bool:
+        """Log an exception. Return whether the block ended with one that is not to be raised."""
+        if not isinstance(error, Exception):
+            return False
+        self._isolation.crashed(self._what, error, **self._facts)
+        return True
 
 
 class Spawn(Protocol):

@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
 import structlog
-from structlog.contextvars import bound_contextvars
+from structlog.contextvars import bind_contextvars, unbind_contextvars
 
 from hostlink.config import Config, LinkConfig
 from hostlink.errors import HostlinkError, ReloadRefused
@@ -62,6 +62,9 @@ class Links:
             name_of=self._service_name,
             turns=Turns(hub.share),
         )
+        # What every session and link gets, made once.
+        self._check = functools.partial(check_type, hub.catalog)
+        self._react, self._wall_ns, self._pauses = self.react, self._read_wall_ns, hub.gates.pauses
         self._parameters = ParameterAnswers(hub.parameters, lambda: self.parameter_source, hub.spawn)
         self._reactions: dict[type[Any], Callable[[Link, Any], None]] = {
             events.TopicsNegotiated: self._announce,
@@ -81,7 +84,7 @@ class Links:
         hub = self._hub
         config = hub.config.link if link_config is None else link_config
         session = Session(
-            check=lambda info: check_type(hub.catalog, info),
+            check=self._check,
             uart_bytes_s=self._uart_bytes_s(transport, config),
             max_topics=config.max_topics,
             is_lossy=transport.kind == "udp",
@@ -91,10 +94,10 @@ class Links:
             session,
             config,
             number=hub.robots.new_number(),
-            on_event=self.react,
+            on_event=self._react,
             share=hub.share,
-            wall_ns=self._read_wall_ns,
-            pauses=hub.gates.pauses,
+            wall_ns=self._wall_ns,
+            pauses=self._pauses,
         )
         self._devices[link.number] = Device(link, hub.diagnoses.begin(link), self._directory.presence(link.number), hub)
         return link
@@ -102,7 +105,9 @@ class Links:
     async def serve(self, link: Link, authenticate: Authenticate = trust) -> LinkEnd:
         """Serve a link to its end. rosserial begins when `authenticate` returns."""
         hub, end = self._hub, LinkEnd.CRASHED
-        with bound_contextvars(link=link.number, peer=printable(link.peer), **of_peer(link.address)):
+        bound = {"link": link.number, "peer": printable(link.peer), **of_peer(link.address)}
+        bind_contextvars(**bound)  # `bound_contextvars` would keep a generator for each link
+        try:
             log.info("link.opened")
             hub.events.note(EventKind.LINK_OPENED, "", link=link.number, peer=link.peer)
             try:
@@ -123,6 +128,8 @@ class Links:
                 hub.events.note(EventKind.LINK_CLOSED, "", link=link.number, peer=link.peer, reason=end.value)
                 facts = dataclasses.asdict(link.facts())
                 log.info("link.closed", reason=end.value, **facts.pop("counts"), **facts)
+        finally:
+            unbind_contextvars(*bound)
         return end
 
     def all(self) -> list[Link]:

@@ -18,8 +18,8 @@ from hostlink.hub.node import Node, Role
 from hostlink.hub.robot import AnyRobot
 from hostlink.hub.robot_events import RobotEvent
 from hostlink.hub.services import Answer, Notify, Provider
-from hostlink.hub.subscription import Subscription, nothing_to_close
-from hostlink.hub.topic import Receive, Subscriber, Topic
+from hostlink.hub.subscription import Subscription
+from hostlink.hub.topic import Receive, Topic
 from hostlink.hub.topic_graph import resolve
 from hostlink.messages.message_type import MessageType
 from hostlink.robot.admission import Command
@@ -189,23 +189,22 @@ class Participant(Node):
             queue_length=queue_length,
             group=self.group,
             share=self._hub.topics.budget["held_back"],
+            owner=self,
+            type_name=type_name,
         )
         self._subscriptions[subscription] = None
-        subscriber = Subscriber(subscription.receive, self, type_name, self.fail)
         try:
-            unsubscribe = self._hub.topics.subscribe(topic, subscriber)
+            subscription.enter(*self._hub.topics.subscribe(topic, subscription))
         except WrongType:
             del self._subscriptions[subscription]
             raise
-        subscription.close = partial(self._unsubscribe, subscription, unsubscribe)
         if self.has_left:  # a latched message ended it
             subscription.close()
         return subscription
 
-    def _unsubscribe(self, subscription: Subscription, unsubscribe: Callable[[], None]) -> None:
-        subscription.end()
-        subscription.close = nothing_to_close  # otherwise they form a reference cycle
-        unsubscribe()
+    def unsubscribe(self, subscription: Subscription, topic: Topic, number: int) -> None:
+        """Remove a closed subscription from the topic, where it has this number."""
+        self._hub.topics.unsubscribe(topic, number)
         self._subscriptions.pop(subscription, None)
 
     def flush(self, now_s: float) -> float | None:

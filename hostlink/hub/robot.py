@@ -2,6 +2,7 @@
 
 import asyncio
 import dataclasses
+import functools
 import math
 import secrets
 from abc import abstractmethod
@@ -33,10 +34,13 @@ from hostlink.robot.velocity_gate import Limits, VelocityGate
 log = structlog.get_logger()
 
 
+_DEFAULTS = RobotConfig()
+
+
 def of_namesake(config: RobotConfig | None) -> RobotConfig:
     """Return the settings of a robot that announces a configured name but is another one: only the limits apply."""
     if config is None:
-        return RobotConfig()
+        return _DEFAULTS
     return dataclasses.replace(
         config,
         address=None,
@@ -62,6 +66,7 @@ def correction_of(config: RobotConfig) -> OdometryCorrection | None:
     )
 
 
+@functools.lru_cache(maxsize=256)  # most robots have the same settings
 def limits_of(config: RobotConfig) -> Limits:
     """Return the limits of a robot's gate.
 

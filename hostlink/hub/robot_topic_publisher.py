@@ -1,7 +1,6 @@
 """RobotTopicPublisher: topics of robots under the usual names of ROS: odom, tf, cmd_vel."""
 
 import functools
-from collections import defaultdict
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
@@ -57,7 +56,7 @@ class RobotTopicPublisher:
         self._types = {name: _type(catalog, name) for name in (ODOMETRY_TYPE, TF_TYPE)}
         self._offers: dict[str, _Offer] = {}  # by name of the robot
         self._commands: set[str] = set()  # velocity topics of all offers
-        self._candidates: defaultdict[str, dict[str, None]] = defaultdict(dict)  # topic -> robots that would offer it
+        self._candidates: dict[str, tuple[str, ...]] = {}  # topic -> robots that would offer it
         self._tf: Topic | None = None  # while a robot publishes its transform
 
     def update(self, robots: Iterable[LocalRobot], touched: frozenset[str]) -> None:
@@ -117,7 +116,7 @@ class RobotTopicPublisher:
         commands = (dict.fromkeys(robot.velocities, TWIST_TYPE) if is_away else {}) | command_topics(robot)
         offer.wanted = frozenset(map(resolve, filter(None, commands if is_away else own_topics(robot))))
         for name in offer.wanted:
-            self._candidates[name][robot.name] = None
+            self._candidates[name] = (*self._candidates.get(name, ()), robot.name)
         if not is_away:
             self._advertise_poses(offer)
         for topic, type_name in commands.items():
@@ -149,9 +148,9 @@ class RobotTopicPublisher:
 
     def _close(self, offer: _Offer) -> None:
         for name in offer.wanted:
-            self._candidates[name].pop(offer.robot.name, None)
-            if not self._candidates[name]:
-                del self._candidates[name]
+            others = tuple(each for each in self._candidates.pop(name) if each != offer.robot.name)
+            if others:
+                self._candidates[name] = others
         offer.robot.followers.pop(self, None)
         if offer.odom is not None:
             self._graph.unadvertise(offer.odom.name, self._node)

@@ -133,6 +133,11 @@ class DeviceService:
 class Provider:
     """Provider of a service other than a device: a program, or the daemon itself."""
 
+    __slots__ = (
+        "_calls", "_is_withdrawn", "answer", "fail", "ignores_request", "is_reading", "key", "name", "notify",
+        "type_name",
+    )  # fmt: skip
+
     def __init__(
         self,
         name: str,
@@ -153,7 +158,7 @@ class Provider:
         self.notify: Notify = _ignore if notify is None else notify
         self.fail, self.is_reading, self.ignores_request = fail, is_reading, ignores_request
         self._is_withdrawn = False
-        self._calls: set[asyncio.Timeout] = set()
+        self._calls: set[asyncio.Timeout] | None = None  # none so far: most services are never called
 
     async def call(self, name: str, request: Mapping[str, object], *, timeout_s: float) -> Mapping[str, object]:
         """Call the service, and return the answer. `name` is the caller's spelling.
@@ -163,6 +168,8 @@ class Provider:
             ServiceFailed: no answer within timeout_s seconds, or a bug, which ends the provider.
             HostlinkError: the error that the provider answers.
         """
+        if self._calls is None:
+            self._calls = set()
         try:
             return await within(timeout_s, self.answer(request), self._calls)
         except TimeoutError:
@@ -179,7 +186,7 @@ class Provider:
     def withdraw(self) -> None:
         """Fail every waiting call at once, because the service is withdrawn."""
         self._is_withdrawn = True
-        for end in self._calls:
+        for end in self._calls or ():
             expire(end)
 
     @property

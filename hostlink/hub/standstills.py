@@ -5,6 +5,7 @@ Every API says `lock` for the emergency stop.
 
 import asyncio
 from collections.abc import Mapping, Sequence
+from functools import partial
 
 from hostlink.hub.gates import Gates
 from hostlink.hub.participant import Participant
@@ -64,29 +65,27 @@ class LockServices:
         is_known = self._robots.has(name)
         if is_known and name not in self._served:
             self._served.add(name)
-            self._serve(name)
+            lock, unlock = own_services(name)
+            # A stop is refused for no field.
+            self._participant.provide(lock, _TYPE, partial(self._lock, name), ignores_request=True)
+            self._participant.provide(unlock, _TYPE, partial(self._unlock, name))
         elif not is_known and name in self._served:
             self._served.discard(name)
             for service in own_services(name):
                 self._participant.withdraw(service)
 
-    def _serve(self, name: str) -> None:
-        async def lock(_: Mapping[str, object]) -> Mapping[str, object]:
-            robot, now_s = self._robots.find(name), asyncio.get_running_loop().time()
-            robot.lock(by=f"a call of {name}/{_LOCK}")
-            await self._gates.settled()
-            measured = (await self._standstills.measure([robot], now_s))[0]
-            text = f"{name} is locked until {name}/{_UNLOCK} is called; {sentence(name, measured)}"
-            return {"success": measured.state is not StandstillState.MOVING, "message": text}
+    async def _lock(self, name: str, _: Mapping[str, object]) -> Mapping[str, object]:
+        robot, now_s = self._robots.find(name), asyncio.get_running_loop().time()
+        robot.lock(by=f"a call of {name}/{_LOCK}")
+        await self._gates.settled()
+        measured = (await self._standstills.measure([robot], now_s))[0]
+        text = f"{name} is locked until {name}/{_UNLOCK} is called; {sentence(name, measured)}"
+        return {"success": measured.state is not StandstillState.MOVING, "message": text}
 
-        async def unlock(_: Mapping[str, object]) -> Mapping[str, object]:
-            self._robots.find(name).unlock(by=f"a call of {name}/{_UNLOCK}")
-            await self._gates.settled()
-            return {"success": True, "message": f"{name} may be driven"}
-
-        lock_name, unlock_name = own_services(name)
-        self._participant.provide(lock_name, _TYPE, lock, ignores_request=True)  # a stop is refused for no field
-        self._participant.provide(unlock_name, _TYPE, unlock)
+    async def _unlock(self, name: str, _: Mapping[str, object]) -> Mapping[str, object]:
+        self._robots.find(name).unlock(by=f"a call of {name}/{_UNLOCK}")
+        await self._gates.settled()
+        return {"success": True, "message": f"{name} may be driven"}
 
 
 def own_services(name: str) -> tuple[str, str]:

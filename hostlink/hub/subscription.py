@@ -1,22 +1,37 @@
 """Subscription: messages of one topic for a participant, at its chosen rate."""
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
+from typing import Protocol
 
 from hostlink.hub.byte_budget import SHARES, Share
 from hostlink.hub.message import Message
 from hostlink.hub.node import is_of
+from hostlink.hub.topic import Topic
+
+
+class Owner(Hashable, Protocol):
+    """Participant that has a subscription."""
+
+    def fail(self, error: Exception) -> None:
+        """End the owner, because `deliver` has failed."""
+        ...
+
+    def unsubscribe(self, subscription: "Subscription", topic: Topic, number: int) -> None:
+        """Remove a closed subscription from the topic, where it has this number."""
+        ...
 
 
 class Subscription:
     """Subscription with at most one message in `interval_s`, as rosbridge's `throttle_rate` and `queue_length`.
 
     Between two of them, messages are dropped, except the newest `queue_length`, which wait for `flush`. `close` ends
-    the subscription.
+    the subscription. It is the subscriber of its topic: a thousand robots have four thousand subscriptions.
     """
 
     __slots__ = (
-        "_deliver", "_free_at_s", "_group", "_interval_s", "_on_throttled", "_share", "close", "is_closed", "waiting",
+        "_deliver", "_free_at_s", "_group", "_interval_s", "_number", "_on_throttled", "_share", "_topic", "is_closed",
+        "key", "type_name", "waiting",
     )  # fmt: skip
 
     def __init__(
@@ -28,24 +43,40 @@ class Subscription:
         queue_length: int = 0,
         group: str = "",
         share: Share | None = None,
+        owner: Owner | None = None,
+        type_name: str = "",
     ) -> None:
         """`on_throttled` is called for each message that arrives while others wait.
 
         Messages of `group` are not received: messages to another graph must not return from it. `share` bounds the
-        waiting bytes of all subscriptions.
+        waiting bytes of all subscriptions. `owner` and `type_name` are those of a `Subscriber`.
         """
-        self.close: Callable[[], None] = nothing_to_close  # set when it is in the graph
+        self.key, self.type_name = owner, type_name
+        self._topic: Topic | None = None  # while it is in the graph, where it has this number
+        self._number = 0
         self.is_closed = False  # then no message is delivered, not even one on its way
         self.waiting = _queue(queue_length)
         self._deliver, self._on_throttled, self._group = deliver, on_throttled, group
         self._interval_s, self._free_at_s = interval_s, float("-inf")
         self._share = Share(SHARES["held_back"]) if share is None else share
 
-    def end(self) -> None:
-        """Deliver nothing from now on, and drop waiting messages."""
+    def enter(self, topic: Topic, number: int) -> None:
+        """Note that it is in the graph."""
+        self._topic, self._number = topic, number
+
+    def close(self) -> None:
+        """Deliver nothing from now on, drop waiting messages, and leave the graph."""
         self.is_closed = True
         while self.waiting:
             self._pop()
+        topic, self._topic = self._topic, None  # otherwise they form a reference cycle
+        if topic is not None and self.key is not None:
+            self.key.unsubscribe(self, topic, self._number)
+
+    def fail(self, error: Exception) -> None:
+        """End the owner, because `deliver` has failed."""
+        if self.key is not None:
+            self.key.fail(error)
 
     def change(self, *, interval_s: float, queue_length: int) -> None:
         """Set another rate. Waiting messages that fit the new queue length are kept."""
@@ -104,7 +135,3 @@ _NO_ROOM: deque[Message] = deque(maxlen=0)  # shared: it stays empty, and an emp
 
 def _queue(length: int) -> deque[Message]:
     return deque(maxlen=length) if length else _NO_ROOM
-
-
-def nothing_to_close() -> None:
-    """Do nothing: the subscription is not in the graph, or was removed from it."""

@@ -4,8 +4,8 @@ import asyncio
 import itertools
 import time
 from collections import deque
-from collections.abc import Callable, Hashable
-from typing import NamedTuple, TypeVar
+from collections.abc import Callable, Hashable, Set
+from typing import NamedTuple, Protocol, TypeVar
 
 import structlog
 
@@ -104,6 +104,20 @@ class Subscriber(NamedTuple):
     fail: Callable[[Exception], None]  # ends the owner of the callback
 
 
+class Listener(Protocol):
+    """Subscriber of a topic as the topic uses it: a `Subscriber`, or a participant's `Subscription`."""
+
+    @property
+    def key(self) -> Hashable: ...
+
+    @property
+    def type_name(self) -> str: ...
+
+    def receive(self, message: Message, /) -> None: ...
+
+    def fail(self, error: Exception, /) -> None: ...
+
+
 class DeviceSubscription(NamedTuple):
     """Subscription of a device: of its link, or of a velocity gate. `receive` raises the refusal of a message."""
 
@@ -118,6 +132,9 @@ class DeviceSubscription(NamedTuple):
         return not (self.is_gate or self.is_command)
 
 
+_NOBODY: frozenset[Hashable] = frozenset()  # shared by topics without a publisher: an empty set has 216 bytes
+
+
 class Topic:
     """Topic of the graph. Publishers and subscribers have a key: a link, or a Node.
 
@@ -126,7 +143,7 @@ class Topic:
     """
 
     __slots__ = (
-        "_budget", "_deliveries", "_expected", "_is_gated", "_numbers", "_snapshot", "_subscribers",
+        "_budget", "_deliveries", "_expected", "_is_gated", "_number", "_snapshot", "_subscribers",
         "devices", "earlier", "latched", "messages", "name", "publishers", "rank", "type", "type_name",
     )  # fmt: skip
 
@@ -137,28 +154,29 @@ class Topic:
         self.type: MessageType | None = None
         self.rank = PROGRAM_RANK  # of the user that named the type
         self.messages = 0
-        self.publishers: set[Hashable] = set()
+        self.publishers: Set[Hashable] = _NOBODY
         self.earlier: tuple[Hashable, ...] = ()  # publishers without `advertise` from before the newest device
         self.devices: dict[Hashable, DeviceSubscription] = {}
         self.latched: dict[Hashable, bytes | None] = {}  # last message of each publisher that latches; newest last
-        self._subscribers: dict[int, Subscriber] = {}
-        self._numbers = itertools.count()
+        self._subscribers: dict[int, Listener] = {}
+        self._number = 0  # of the next subscriber
         self._expected: dict[str, int] = {}  # number of subscribers that expect each type
-        self._snapshot: tuple[Subscriber, ...] | None = ()  # None: made again for the next message
+        self._snapshot: tuple[Listener, ...] | None = ()  # None: made again for the next message
         self._is_gated = False
         self._deliveries = Deliveries() if deliveries is None else deliveries
         self._budget = ByteBudget() if budget is None else budget
 
     @property
-    def subscribers(self) -> tuple[Subscriber, ...]:
+    def subscribers(self) -> tuple[Listener, ...]:
         """All subscribers except devices, oldest first. Adding and removing cost the same among many."""
         if self._snapshot is None:
             self._snapshot = tuple(self._subscribers.values())
         return self._snapshot
 
-    def add_subscriber(self, subscriber: Subscriber) -> int:
+    def add_subscriber(self, subscriber: Listener) -> int:
         """Add a subscriber. Return the number for `remove_subscriber`."""
-        number = next(self._numbers)
+        number = self._number
+        self._number += 1
         self._subscribers[number], self._snapshot = subscriber, None
         if subscriber.type_name:
             self._expected[subscriber.type_name] = self._expected.get(subscriber.type_name, 0) + 1
@@ -219,9 +237,17 @@ class Topic:
                 break
         return highest
 
+    def add_publisher(self, key: Hashable) -> None:
+        """Add a publisher. Do nothing if it publishes already."""
+        if isinstance(self.publishers, set):
+            self.publishers.add(key)
+        else:
+            self.publishers = {key}
+
     def forget_publisher(self, key: Hashable) -> None:
         """Remove a publisher and its latched message."""
-        self.publishers.discard(key)
+        if isinstance(self.publishers, set):
+            self.publishers.discard(key)
         self._budget.latch(key, self.latched.pop(key, None), None)
 
     def publish(
@@ -301,12 +327,12 @@ class Topic:
                 self._remove(subscriber)
                 subscriber.fail(error)
 
-    def _remove(self, subscriber: Subscriber) -> None:
+    def _remove(self, subscriber: Listener) -> None:
         for number, other in list(self._subscribers.items()):
             if other is subscriber:
                 self.remove_subscriber(number)
 
-    def deliver_latched(self, subscriber: Subscriber) -> None:
+    def deliver_latched(self, subscriber: Listener) -> None:
         """Pass all latched messages to a subscriber. An exception of its callback is raised."""
         at_s = asyncio.get_running_loop().time() if self.latched else 0.0
         for source, payload in list(self.latched.items()):  # the callback may let one of them leave

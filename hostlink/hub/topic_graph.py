@@ -1,17 +1,14 @@
 """TopicGraph: all topics by name. A topic exists as long as it has a publisher or subscriber."""
 
 import asyncio
-from collections.abc import Callable, Hashable, Iterable
-from functools import partial
+from collections.abc import Hashable, Iterable
 
 from hostlink.errors import UnknownTopic, WrongType
 from hostlink.hub.byte_budget import ByteBudget
 from hostlink.hub.graph_changes import GraphChanges, GraphKind
-from hostlink.hub.topic import DEVICE_RANK, PROGRAM_RANK, Deliveries, DeviceSubscription, Subscriber, Topic, rank_of
+from hostlink.hub.topic import DEVICE_RANK, PROGRAM_RANK, Deliveries, DeviceSubscription, Listener, Topic, rank_of
 from hostlink.messages.catalog import Catalog
 from hostlink.robot.admission import EarlierCommands
-
-Unsubscribe = Callable[[], None]
 
 
 def resolve(name: str) -> str:
@@ -56,8 +53,8 @@ class TopicGraph:
         """Return the topic of this name; None if it does not exist."""
         return self._topics.get(resolve(name))
 
-    def subscribe(self, name: str, subscriber: Subscriber) -> Unsubscribe:
-        """Add a subscriber, and deliver latched messages to it. Return the function that ends the subscription.
+    def subscribe(self, name: str, subscriber: Listener) -> tuple[Topic, int]:
+        """Add a subscriber, and deliver latched messages to it. Return the arguments for `unsubscribe`.
 
         Raises:
             WrongType: the topic is in use with another type.
@@ -68,9 +65,10 @@ class TopicGraph:
             topic.deliver_latched(subscriber)
         except Exception as error:  # noqa: BLE001 - as for every later message
             subscriber.fail(error)
-        return partial(self._unsubscribe, topic, number)
+        return topic, number
 
-    def _unsubscribe(self, topic: Topic, number: int) -> None:
+    def unsubscribe(self, topic: Topic, number: int) -> None:
+        """Remove the subscriber that has this number at the topic. Do nothing if it was removed already."""
         topic.remove_subscriber(number)
         self._settle(topic)
 
@@ -81,7 +79,7 @@ class TopicGraph:
             WrongType: the topic is in use with another type.
         """
         topic = self._open(name, type_name, rank_of(key))
-        topic.publishers.add(key)
+        topic.add_publisher(key)
         self._note(key, topic)
         if is_latched:
             topic.latched.setdefault(key)

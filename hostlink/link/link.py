@@ -7,6 +7,7 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import structlog
 
@@ -15,7 +16,7 @@ from hostlink.host_pauses import HostPauses, never_paused
 from hostlink.latency import Latency
 from hostlink.link.capture_buffer import CaptureBuffer, Captured, captured
 from hostlink.link.fair_share import FairShare, Turns
-from hostlink.link.serving import Authenticate, LinkEnd, drain, serve, trust
+from hostlink.link.serving import Authenticate, Helper, LinkEnd, drain, serve, trust
 from hostlink.protocol.clock import ClockReading
 from hostlink.protocol.control import TopicInfo
 from hostlink.protocol.events import Event
@@ -125,6 +126,7 @@ class Trouble:
 
 SOON_S = 0.001  # granularity of a timer: work due within it is done
 AGAIN_S = 0.1  # retry interval for work that was postponed
+_NO_CONTEXT = contextvars.Context()
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,7 +146,7 @@ class Link:
     """Owner of one connection's transport and session."""
 
     __slots__ = (
-        "_config", "_context", "_drained", "_end", "_failure", "_finished", "_from_device", "_idle_limit_s",
+        "_config", "_context", "_drained", "_end", "_failure", "_finished", "_from_device", "_helper", "_idle_limit_s",
         "_is_behind", "_is_write_due", "_now_s", "_on_event", "_pauses", "_piece", "_reader",
         "_regular_limit_s", "_timer", "_timer_s", "_to_device", "_transport", "_trouble", "_turns", "_wall_ns",
         "address", "command_latency", "kind", "last_frame", "number", "opened_at_s", "peer", "received_at_s",
@@ -186,13 +188,13 @@ class Link:
         self._piece = PieceSize()
         self._drained: asyncio.Event | None = None  # while a caller waits until every queued frame was sent
         # Nothing may be written: not open yet, the device is behind, or the link has ended.
-        self._is_behind = asyncio.Event()
-        self._is_behind.set()
+        self._is_behind = True
         self._is_write_due = False
         self._timer: asyncio.TimerHandle | None = None
         self._timer_s = math.inf
-        self._context = contextvars.copy_context()
+        self._context = _NO_CONTEXT  # set by `run`
         self._finished: asyncio.Future[LinkEnd] = asyncio.get_running_loop().create_future()
+        self._helper = Helper(f"link {number} writer", self._finished.done)
         self._failure: Exception | None = None
         self._end: LinkEnd | None = None
         self._trouble = Trouble(self.opened_at_s)
@@ -209,14 +211,8 @@ class Link:
         `authenticate` returns when rosserial may begin, or raises ConnectionRefusedError.
         """
         self._context = contextvars.copy_context()  # log lines have the caller's bound keys
-        end = await serve(
-            self._wait_for_end(),
-            self._catch_up(authenticate),
-            self._transport,
-            self._close,
-            is_over=self._finished.done,
-            name=f"link {self.number} writer",
-        )
+        opening = partial(self._open, authenticate)
+        end = await serve(self._wait_for_end(), self._helper, opening, self._transport, self._close)
         return self._end or end
 
     async def _wait_for_end(self) -> LinkEnd:
@@ -227,7 +223,7 @@ class Link:
 
     def _close(self) -> bytes:
         """Stop reading and writing. Return the final zero velocity; empty if none is to be sent."""
-        self._is_behind.set()
+        self._is_behind = True
         self._note_drained()
         self._reader.stop()
         if not self._finished.done():
@@ -391,15 +387,18 @@ class Link:
 
     # -- to the device ------------------------------------------------------------------------------------------------
 
-    async def _catch_up(self, authenticate: Authenticate) -> None:
-        """Authenticate the device. Then wait whenever the device is behind, and write again."""
+    async def _open(self, authenticate: Authenticate) -> None:
+        """Authenticate the device, and begin."""
         await authenticate()
-        self._is_behind.clear()
+        self._is_behind = False
         self._begin()
-        while True:
-            await self._is_behind.wait()
+        await self._catch_up()
+
+    async def _catch_up(self) -> None:
+        """Wait while the device is behind, and write again."""
+        while self._is_behind:
             await drain(self._transport, self._config.write_timeout_s, self._pauses)
-            self._is_behind.clear()
+            self._is_behind = False
             self._write(self._now_s())
 
     def _write_due(self) -> None:
@@ -414,7 +413,7 @@ class Link:
         self._is_write_due = False
         session = self.session
         self._write_frames(now_s)
-        while session.deadline_s() <= now_s + SOON_S and not self._is_behind.is_set() and self._is_settled(now_s):
+        while session.deadline_s() <= now_s + SOON_S and not self._is_behind and self._is_settled(now_s):
             for event in session.tick(now_s=now_s + SOON_S):
                 self._on_event(self, event)
             self._write_frames(now_s)
@@ -430,13 +429,14 @@ class Link:
         outbox.begin_waiting(now_s)
         if outbox.has_waiting:
             self._pauses(now_s)  # a pause that has just ended replaces velocities by zero
-        while outbox.has_waiting and not self._is_behind.is_set():
+        while outbox.has_waiting and not self._is_behind:
             wall_ns = self._wall_ns() if outbox.is_time_due else 0
             outgoing = session.pop_frame(now_s=now_s, wall_ns=wall_ns)
             if outgoing is None:  # the device's UART is busy
                 break
             if not self._transport.write(outgoing.frame):
-                self._is_behind.set()
+                self._is_behind = True
+                self._helper.start(self._catch_up, self._context.copy())
             if outgoing.waiting_since_s is not None:
                 self.command_latency.add(self._now_s() - outgoing.waiting_since_s)
             self._to_device.add(outgoing.frame, now_s)
@@ -458,7 +458,7 @@ class Link:
     def _expect(self, now_s: float) -> None:
         """Set the timer for the next `_write`."""
         next_s, wait_s = self._silent_at_s(), None
-        if not self._is_behind.is_set():
+        if not self._is_behind:
             wait_s = self.session.outbox.wait_s(now_s)
             next_s = min(next_s, self.session.deadline_s())
             if wait_s is None and self._drained is not None:

@@ -6,6 +6,7 @@ where every other coroutine finds it: after one link was cancelled, every later 
 
 import asyncio
 import contextlib
+import contextvars
 from collections.abc import Awaitable, Callable, Coroutine
 from enum import Enum
 from typing import Any
@@ -43,38 +44,64 @@ async def trust() -> None:
     """Accept a device that needs no key."""
 
 
+class Helper:
+    """Second task of a link. Most links have it only while they open."""
+
+    __slots__ = ("_is_over", "_name", "_task", "_tasks")
+
+    def __init__(self, name: str, is_over: Callable[[], bool]) -> None:
+        """`is_over` says that the reason of the end is known, so that an error of the connection changes nothing."""
+        self._name, self._is_over = name, is_over
+        self._tasks: asyncio.TaskGroup | None = None
+        self._task: asyncio.Task[None] | None = None
+
+    def enter(self, tasks: asyncio.TaskGroup | None) -> None:
+        """Set the parent of the task; None: no task is started from now on, and the last one is cancelled."""
+        self._tasks = tasks
+        if tasks is None and self._task is not None:
+            self._task.cancel()
+
+    def start(self, work: Callable[[], Coroutine[Any, Any, None]], context: contextvars.Context) -> None:
+        """Start the task, unless one is at work."""
+        if self._tasks is not None and (self._task is None or self._task.done()):
+            self._task = self._tasks.create_task(self._run(work), name=self._name, context=context)
+            self._task.add_done_callback(self._forget)
+
+    async def _run(self, work: Callable[[], Coroutine[Any, Any, None]]) -> None:
+        try:
+            await work()
+        except OSError:
+            if not self._is_over():  # otherwise the task group would count this task as cancelled
+                raise
+
+    def _forget(self, ended: "asyncio.Task[None]") -> None:
+        if self._task is ended:  # otherwise another one was started in the same turn of the loop
+            self._task = None
+
+
 async def serve(
     finished: Awaitable[LinkEnd],
-    writing: Coroutine[Any, Any, None],
+    helper: Helper,
+    opening: Callable[[], Coroutine[Any, Any, None]],
     transport: Transport,
     close: Callable[[], bytes],
-    *,
-    is_over: Callable[[], bool],
-    name: str,
 ) -> LinkEnd:
-    """Run `writing` until `finished` returns the reason of the end, then send the frame that `close` returns.
+    """Run `opening`, and what the link gives its helper, until `finished` returns the reason of the end.
 
-    `is_over` says that the reason is known, so that an error of the connection changes nothing.
+    Then send the frame that `close` returns.
 
     Raises:
         Exception: a callback of the link has failed, and `finished` raised its error.
     """
     end = LinkEnd.BROKEN
-
-    async def write() -> None:
-        try:
-            await writing
-        except OSError:
-            if not is_over():  # otherwise the task group would count this task as cancelled
-                raise
-
     try:
         async with asyncio.TaskGroup() as tasks:
-            writer = tasks.create_task(write(), name=name)
+            helper.enter(tasks)
+            helper.start(opening, contextvars.copy_context())
             try:
                 end = await finished
             finally:
-                writer.cancel()
+                helper.enter(None)
     except* ConnectionRefusedError:  # the device did not prove the key
         end = LinkEnd.UNAUTHENTICATED
     except* OSError as broken:

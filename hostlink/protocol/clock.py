@@ -38,6 +38,8 @@ class ClockReading:
 class DeviceClock:
     """Clock of one device, seen from the host. Wall times are in nanoseconds; `now_s` is monotonic."""
 
+    __slots__ = ("_away_since_s", "_buckets", "_requested_at_s", "answer_s")
+
     def __init__(self) -> None:
         self.answer_s: float | None = None  # from a topic request to the first TopicInfo: network, UART and device loop
         self._requested_at_s: float | None = None

@@ -62,6 +62,8 @@ class SessionCounts:
 class NonRosserialBytes:
     """The last skipped bytes, and whether they contained a frame of protocol version 1."""
 
+    __slots__ = ("is_protocol_1", "tail")
+
     def __init__(self) -> None:
         self.is_protocol_1 = False
         self.tail = b""

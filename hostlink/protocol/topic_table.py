@@ -34,7 +34,7 @@ class TopicTable:
         self.by_name: dict[tuple[str, int], TopicInfo] = {}  # the same endpoints, by name and kind
         self._announced: dict[int, TopicInfo] = {}  # by the current negotiation
         self._complete: dict[int, TopicInfo] = {}  # result of the negotiation before it
-        self._redefined: set[int] = set()  # ids to which the current negotiation gave another meaning
+        self._redefined: dict[int, None] = {}  # ids to which the current negotiation gave another meaning
         self._missed: Counter[int] = Counter()  # negotiations in a row that lacked the id
         self._missed_before = self._missed  # without the current negotiation, which may be finished in several parts
 
@@ -61,7 +61,10 @@ class TopicTable:
         self._announced[info.topic_id] = self.by_id[info.topic_id] = info
         known = self.by_name.get((info.name, info.kind))
         complete = self._complete.get(info.topic_id, info if known is None or known == info else known)
-        (self._redefined.discard if complete == info else self._redefined.add)(info.topic_id)
+        if complete == info:
+            self._redefined.pop(info.topic_id, None)
+        else:
+            self._redefined[info.topic_id] = None
         if known is None or self._announced.get(known.topic_id) != known:  # first endpoint gets the name
             self.by_name[info.name, info.kind] = info
         if fixed_bytes is None:

@@ -1,5 +1,6 @@
 """Channel: one topic of a recording, with the data that a reader needs for its messages."""
 
+import functools
 import struct
 from dataclasses import dataclass
 from typing import Protocol
@@ -67,6 +68,12 @@ class Sink(Protocol):
         ...
 
 
+@functools.lru_cache(maxsize=64)
+def _pair(name: str, value: str) -> tuple[str, str]:
+    """Return an entry of the metadata; the same one for all channels of a type or of a robot."""
+    return name, value
+
+
 def ros_channel(
     topic: str, type_name: str, type_: MessageType | None, *, is_latched: bool, robot: str = "", origin: str = ""
 ) -> Channel:
@@ -77,12 +84,12 @@ def ros_channel(
     """
     md5 = "*" if type_ is None else type_.md5
     metadata = (
-        ("callerid", "/hostlink"),
-        ("md5sum", md5),
-        ("latching", str(int(is_latched))),
+        _pair("callerid", "/hostlink"),
+        _pair("md5sum", md5),
+        _pair("latching", str(int(is_latched))),
         ("topic", topic),
-        ("robot", robot),
-        ("origin", origin),
+        _pair("robot", robot),
+        _pair("origin", origin),
     )
     return Channel(topic, ROS1, type_name, "" if type_ is None else type_.full_definition, metadata)
 

@@ -2,7 +2,6 @@
 
 import dataclasses
 import fnmatch
-import functools
 from collections import defaultdict
 from collections.abc import Hashable, Iterable, Mapping
 from operator import attrgetter
@@ -125,8 +124,9 @@ class Recorder:
             origin=self._origin_of(topic),
         )
         self._sink.announce(channel)
-        receive = functools.partial(self._receive, channel, robot)
-        return self._participant.subscribe(topic.name, receive, type_name=topic.type_name)
+        return self._participant.subscribe(
+            topic.name, _Track(self._sink, channel, robot).receive, type_name=topic.type_name
+        )
 
     def _fail(self, topic: str, error: Exception) -> None:
         """Ignore a WrongType: the type has changed meanwhile, and another change follows."""
@@ -156,9 +156,6 @@ class Recorder:
             return True
         return name in self._hub.robots.remote and self._hub.robots.get_here(name) is None
 
-    def _receive(self, channel: Channel, robot: str, message: Message) -> None:
-        self._sink.put(channel, message.stamp_ns, message.payload, robot)
-
     def _receive_event(self, event: RobotEvent) -> None:
         if event.robot and not self._selection.has_robot(event.robot):
             return
@@ -180,18 +177,30 @@ class Recorder:
         self._sink.put(channel, stamp_ns, as_text(_ENCODER.encode(value)), robot)
 
 
+class _Track:
+    """Receiver of one topic's messages."""
+
+    __slots__ = ("_channel", "_robot", "_sink")
+
+    def __init__(self, sink: Sink, channel: Channel, robot: str) -> None:
+        self._sink, self._channel, self._robot = sink, channel, robot
+
+    def receive(self, message: Message) -> None:
+        self._sink.put(self._channel, message.stamp_ns, message.payload, self._robot)
+
+
 class _NamesByRobot:
     """Names of topics by their first part, which may be a robot's name."""
 
     def __init__(self) -> None:
-        self._names: defaultdict[str, set[str]] = defaultdict(set)
+        self._names: defaultdict[str, dict[str, None]] = defaultdict(dict)  # a set of five has 700 bytes
 
     def put(self, name: str, *, is_there: bool) -> None:
         first = _first_part(name)
         if is_there:
-            self._names[first].add(name)
+            self._names[first][name] = None
         elif first in self._names:
-            self._names[first].discard(name)
+            self._names[first].pop(name, None)
             if not self._names[first]:
                 del self._names[first]
 

@@ -15,7 +15,6 @@ import os
 import shutil
 import struct
 import tempfile
-from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -33,6 +32,16 @@ FEWEST_BLOCKS = 4
 MAX_SCHEMAS = 4096
 MAX_SCHEMA_BYTES = 8 * 1024 * 1024
 RING, SCHEMAS = "ring", "schemas"
+
+
+class _Definition(msgspec.Struct, array_like=True):
+    """Channel definition in a block."""
+
+    topic: str
+    encoding: str
+    type_name: str
+    schema: int
+    metadata: tuple[tuple[str, str], ...]
 
 
 class RingMemory:
@@ -107,6 +116,12 @@ class RingMemory:
         number = self._schemas[schema] = len(self._schemas)
         return number
 
+    def definition_of(self, channel: Channel) -> bytes:
+        """Return the definition of a channel as a record contains it."""
+        schema = self.schema_number(channel.schema)
+        definition = _Definition(channel.topic, channel.encoding, channel.type_name, schema, channel.metadata)
+        return msgspec.msgpack.encode(definition)
+
     def schemas(self) -> list[str]:
         """Return the definitions in the order of their numbers."""
         return list(self._schemas)
@@ -167,7 +182,6 @@ _MARK_BYTES = struct.pack("<H", _MARK)
 HEADER_BYTES = _RECORD.size + len(_MARK_BYTES)  # of a message besides its payload
 _ZEROS = bytes(BLOCK_BYTES)
 _MAX_PACKERS = 4096
-MAX_DEFINITIONS = 4096
 MAX_MESSAGES = 150_000  # of one ring: a reader creates objects of 200 bytes for each
 _NO_NUMBER = 0
 _MAX_NUMBER = 0xFFFF
@@ -212,13 +226,13 @@ class Ring:
     """Newest messages of one robot. Only the last block is written to."""
 
     __slots__ = (
-        "_channels", "_definitions", "_memory", "_name", "block", "end", "full", "in_full", "last_s", "limit",
+        "_channels", "_memory", "_name", "block", "end", "full", "in_full", "last_s", "limit",
         "messages", "numbers",
     )  # fmt: skip
 
-    def __init__(self, name: bytes, memory: RingMemory, definitions: "_Definitions") -> None:
-        self._name, self._memory, self._definitions = name, memory, definitions
-        self.full: deque[_Kept] = deque()
+    def __init__(self, name: bytes, memory: RingMemory) -> None:
+        self._name, self._memory = name, memory
+        self.full: list[_Kept] = []  # oldest first; a deque would need 700 bytes for each robot
         self.last_s = float("-inf")
         self.block, self.messages, self.in_full = -1, 0, 0  # no block yet; messages in it, and in the full ones
         self.end = self.limit = 0  # end of the data and of the block, as offsets in the memory
@@ -249,7 +263,7 @@ class Ring:
         if number is not None:
             return number
         number = len(self._channels) + 1
-        encoded = self._definitions.of(channel)
+        encoded = self._memory.definition_of(channel)
         if number > _MAX_NUMBER or self.end + HEADER_BYTES + len(encoded) > self.limit:
             return None
         self.put(number, _CHANNEL, encoded)
@@ -272,7 +286,7 @@ class Ring:
     def drop_oldest(self) -> _Kept:
         """Remove and return the block of the oldest messages."""
         if self.full:
-            dropped = self.full.popleft()
+            dropped = self.full.pop(0)
             self.in_full -= dropped.messages
         else:
             dropped = _Kept(self.block, self.end, self.last_s, self.messages)
@@ -289,44 +303,13 @@ class Ring:
         return [self._memory.bytes[block * BLOCK_BYTES : end] for block, end in blocks]
 
 
-class _Definition(msgspec.Struct, array_like=True):
-    """Channel definition in a block."""
-
-    topic: str
-    encoding: str
-    type_name: str
-    schema: int
-    metadata: tuple[tuple[str, str], ...]
-
-
-class _Definitions:
-    """Encoded channel definitions, because a channel is in many blocks."""
-
-    def __init__(self, memory: RingMemory) -> None:
-        self._memory = memory
-        self._encoded: dict[int, tuple[Channel, bytes]] = {}  # by id()
-
-    def of(self, channel: Channel) -> bytes:
-        """Return the definition as a record contains it."""
-        found = self._encoded.get(id(channel))
-        if found is not None:
-            return found[1]
-        if len(self._encoded) >= MAX_DEFINITIONS:
-            self._encoded.clear()
-        schema = self._memory.schema_number(channel.schema)
-        definition = _Definition(channel.topic, channel.encoding, channel.type_name, schema, channel.metadata)
-        encoded = msgspec.msgpack.encode(definition)
-        self._encoded[id(channel)] = (channel, encoded)
-        return encoded
-
-
 class Rings:
     """One ring for each robot and one for messages without a robot. Each gets an equal number of blocks."""
 
     def __init__(self, memory: RingMemory, *, keep_s: float) -> None:
         self.dropped = 0  # messages dropped before they were too old
         self._memory, self._keep_s = memory, keep_s
-        self._bytes, self._definitions = memory.bytes, _Definitions(memory)
+        self._bytes = memory.bytes
         self._rings: dict[str, Ring] = {}
         self._free: list[int] = []  # reused before more are allocated
         self._taken = 0  # blocks that were ever used
@@ -354,7 +337,7 @@ class Rings:
         ring = self._rings.get(robot)
         if ring is None:
             self._drop_unused(at_s - self._keep_s)
-            ring = self._rings[robot] = Ring(robot.encode()[: BLOCK_BYTES // 4], self._memory, self._definitions)
+            ring = self._rings[robot] = Ring(robot.encode()[: BLOCK_BYTES // 4], self._memory)
         rest = payload
         if len(payload) > self._room() * (BLOCK_BYTES - _LEAST_ROOM) - _LEAST_ROOM:
             self.dropped += 1

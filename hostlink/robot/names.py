@@ -3,6 +3,7 @@
 import itertools
 import math
 import re
+from array import array
 from collections import defaultdict
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -24,7 +25,7 @@ class Presence:
 
     def __init__(self) -> None:
         self.received_at_s = -math.inf
-        self._gaps_s: list[float] = []
+        self._gaps_s = array("d")
 
     def note_read(self, now_s: float) -> None:
         """Note that the device sent something."""

@@ -27,6 +27,8 @@ STALL_S = 0.4  # longer than a peer may delay an acknowledgement (lwIP on an ESP
 class Stall:
     """Detector of a stalled peer, from the number of sent and of unacknowledged bytes."""
 
+    __slots__ = ("_acknowledged_bytes", "_is_waiting", "_since_s")
+
     def __init__(self) -> None:
         self._is_waiting = False
         self._acknowledged_bytes = 0

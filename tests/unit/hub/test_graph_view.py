@@ -86,7 +86,8 @@ def publish(world: World, ends: Ends, name: str, dice: random.Random) -> None:
 
 def subscribe(world: World, ends: Ends, name: str, dice: random.Random) -> None:
     subscriber = Subscriber(lambda _: None, dice.choice(KEYS), dice.choice(("", *TYPES)), lambda _: None)
-    ends.append(world.topics.subscribe(name, subscriber))
+    place = world.topics.subscribe(name, subscriber)
+    ends.append(lambda: world.topics.unsubscribe(*place))
 
 
 def subscribe_device(world: World, ends: Ends, name: str, dice: random.Random) -> None:

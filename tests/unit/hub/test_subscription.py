@@ -96,7 +96,7 @@ def test_waiting_messages_are_counted_in_the_share_until_they_are_delivered_or_d
     assert receiver.share.held_bytes == 20
     receiver.subscription.flush(1.0)
     assert receiver.share.held_bytes == 10
-    receiver.subscription.end()
+    receiver.subscription.close()
     assert receiver.share.held_bytes == 0
     receiver.receive(3, at_s=5.0)
     assert receiver.numbers == [0, 1]
@@ -109,7 +109,7 @@ def test_oldest_messages_are_dropped_when_the_share_is_over() -> None:
     assert receiver.share.refused == 6
     receiver.subscription.flush(60.0)
     assert receiver.numbers == [0, 7]
-    receiver.subscription.end()
+    receiver.subscription.close()
     assert receiver.share.held_bytes == 0
 
 

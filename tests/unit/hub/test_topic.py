@@ -120,7 +120,7 @@ def test_subscriber_whose_callback_fails_is_removed_alone() -> None:
 def test_latched_message_is_sent_to_devices_that_take_it() -> None:
     def test() -> None:
         topic, heard = Topic("/t"), list[str]()
-        topic.publishers.add("ann")
+        topic.add_publisher("ann")
         topic.latched["ann"] = None
         topic.publish(b"", source="ann")
         assert topic.messages == 1
@@ -143,7 +143,7 @@ def test_rank_of_a_device_is_above_the_daemon_s_and_a_program_s() -> None:
     topic.publishers |= {Node("program"), Node("hostlink", is_daemon=True)}
     assert PROGRAM_RANK < topic.highest_rank < DEVICE_RANK
     assert not topic.has_device_publisher
-    topic.publishers.add("link")
+    topic.add_publisher("link")
     assert topic.highest_rank == DEVICE_RANK == rank_of("link")
     assert topic.has_device_publisher
 

@@ -118,12 +118,12 @@ def test_a_topic_is_one_however_its_name_is_written() -> None:
 
 def test_topic_is_removed_with_its_last_user() -> None:
     graph, program = TopicGraph(CATALOG), Program()
-    unsubscribe = graph.subscribe("/a", program.subscriber)
+    place = graph.subscribe("/a", program.subscriber)
     graph.advertise("/a", LINK, type_name=BOOL)
     graph.leave(LINK)
     assert list(graph.names()) == ["/a"]
-    unsubscribe()
-    unsubscribe()  # once more changes nothing
+    graph.unsubscribe(*place)
+    graph.unsubscribe(*place)  # once more changes nothing
     with pytest.raises(UnknownTopic, match="/a"):
         graph.find("/a")
     graph.unadvertise("/a", LINK)
@@ -132,10 +132,10 @@ def test_topic_is_removed_with_its_last_user() -> None:
 
 def test_a_subscription_that_ended_late_leaves_the_new_topic_of_its_name_alone() -> None:
     graph, program = TopicGraph(CATALOG), Program()
-    unsubscribe = graph.subscribe("/a", program.subscriber)
-    unsubscribe()
+    place = graph.subscribe("/a", program.subscriber)
+    graph.unsubscribe(*place)
     topic = graph.advertise("/a", LINK, type_name=BOOL)
-    unsubscribe()
+    graph.unsubscribe(*place)
     assert graph.find("/a") is topic
 
 
