@@ -18,6 +18,7 @@ from hostlink.hub.device_calls import DeviceCalls
 from hostlink.hub.parameters import ParameterAnswers, ParameterSource
 from hostlink.hub.robot import LocalRobot
 from hostlink.hub.robot_events import EventKind
+from hostlink.link.capture_buffer import CaptureRoom
 from hostlink.link.fair_share import Turns
 from hostlink.link.link import Link
 from hostlink.link.serving import Authenticate, LinkEnd, trust
@@ -63,6 +64,7 @@ class Links:
             turns=Turns(hub.share),
         )
         # What every session and link gets, made once.
+        self._capture_room = CaptureRoom()
         self._check = functools.partial(check_type, hub.catalog)
         self._react, self._wall_ns, self._pauses = self.react, self._read_wall_ns, hub.gates.pauses
         self._parameters = ParameterAnswers(hub.parameters, lambda: self.parameter_source, hub.spawn)
@@ -96,10 +98,12 @@ class Links:
             number=hub.robots.new_number(),
             on_event=self._react,
             share=hub.share,
+            room=self._capture_room,
             wall_ns=self._wall_ns,
             pauses=self._pauses,
         )
         self._devices[link.number] = Device(link, hub.diagnoses.begin(link), self._directory.presence(link.number), hub)
+        self._capture_room.divide(len(self._devices))
         return link
 
     async def serve(self, link: Link, authenticate: Authenticate = trust) -> LinkEnd:
@@ -260,6 +264,7 @@ class Links:
     def _forget(self, link: Link) -> None:
         """Remove the device of a link that ended or was replaced."""
         device = self._devices.pop(link.number, None)
+        self._capture_room.divide(len(self._devices))
         if device is not None:
             self.undelivered += len(device.early)
             self._leave_graph(device)

@@ -14,7 +14,9 @@ from hostlink.protocol.frame import Frame
 from hostlink.protocol.stream import DEFAULT_LIMIT_BYTES, FrameStream
 
 CAPTURE_BYTES = 65536  # 17 s of a fully used 38400 baud line, minutes of a robot's usual traffic
-_SLACK_BYTES = CAPTURE_BYTES // 4  # trimmed in steps of this size, so that trimming costs little for each byte
+LEAST_BYTES = 4096  # of each buffer, however many there are
+ALL_BYTES = 16 * 1024 * 1024  # of all links in both directions: 128 links keep CAPTURE_BYTES each way
+_SLACK = 4  # trimmed in steps of this part, so that trimming costs little for each byte
 _MAX_PIECES = 4096  # their times need as much memory as the bytes
 _JOINED_BYTES = 64  # neighbours up to this size share one time, which leaves at most 2560 pieces
 
@@ -27,12 +29,26 @@ class Piece(NamedTuple):
     data: bytes
 
 
-class CaptureBuffer:
-    """Ring buffer of about CAPTURE_BYTES. Of very many pieces, small neighbours share the earlier time."""
+class CaptureRoom:
+    """Size of the buffers of all links: CAPTURE_BYTES each, or less where ALL_BYTES do not suffice for so many."""
 
-    __slots__ = ("_data", "_ends", "_times", "total_bytes")
+    __slots__ = ("bytes",)
 
     def __init__(self) -> None:
+        self.bytes = CAPTURE_BYTES
+
+    def divide(self, links: int) -> None:
+        """Divide the room among so many links. A larger buffer is trimmed when bytes are added to it."""
+        self.bytes = min(CAPTURE_BYTES, max(LEAST_BYTES, ALL_BYTES // (2 * max(1, links))))
+
+
+class CaptureBuffer:
+    """Ring buffer of about `room.bytes`. Of very many pieces, small neighbours share the earlier time."""
+
+    __slots__ = ("_data", "_ends", "_room", "_times", "total_bytes")
+
+    def __init__(self, room: CaptureRoom) -> None:
+        self._room = room
         self.total_bytes = 0
         self._data = bytearray()
         self._times = array("d")
@@ -46,8 +62,9 @@ class CaptureBuffer:
         self._data += data
         self._times.append(now_s)
         self._ends.append(self.total_bytes)
-        if len(self._data) > CAPTURE_BYTES + _SLACK_BYTES:
-            self._trim()
+        most_bytes = self._room.bytes
+        if len(self._data) > most_bytes + most_bytes // _SLACK:
+            self._trim(most_bytes)
         if len(self._times) >= _MAX_PIECES:
             self._join()
 
@@ -77,9 +94,9 @@ class CaptureBuffer:
             end_before = end
         self._times, self._ends = times, ends
 
-    def _trim(self) -> None:
-        del self._data[:-CAPTURE_BYTES]
-        gone = bisect_right(self._ends, self.total_bytes - CAPTURE_BYTES)
+    def _trim(self, size_bytes: int) -> None:
+        del self._data[:-size_bytes]
+        gone = bisect_right(self._ends, self.total_bytes - size_bytes)
         del self._times[:gone]
         del self._ends[:gone]
 

@@ -14,7 +14,7 @@ import structlog
 from hostlink.config import LinkConfig
 from hostlink.host_pauses import HostPauses, never_paused
 from hostlink.latency import Latency
-from hostlink.link.capture_buffer import CaptureBuffer, Captured, captured
+from hostlink.link.capture_buffer import CaptureBuffer, Captured, CaptureRoom, captured
 from hostlink.link.fair_share import FairShare, Turns
 from hostlink.link.serving import Authenticate, Helper, LinkEnd, drain, serve, trust
 from hostlink.protocol.clock import ClockReading
@@ -162,10 +162,13 @@ class Link:
         number: int,
         on_event: Callable[["Link", Event], None],
         share: FairShare | None = None,
+        room: CaptureRoom | None = None,
         wall_ns: Callable[[], int] = time.time_ns,
         pauses: Callable[[float], HostPauses] = never_paused,
     ) -> None:
-        """`share` divides the event loop among all links. `wall_ns` is the time that devices get.
+        """`share` divides the event loop among all links, and `room` the memory for their captures.
+
+        `wall_ns` is the time that devices get.
 
         `pauses` returns when the host itself did not run, up to its argument. It is called before frames are written,
         because the host replaces a velocity that waited through a pause.
@@ -176,7 +179,8 @@ class Link:
         self.session = session
         self.last_frame = b""  # the zero velocity of a robot; empty for other devices
         self.command_latency = Latency()  # from a velocity's command to the transport
-        self._from_device, self._to_device = CaptureBuffer(), CaptureBuffer()
+        room = CaptureRoom() if room is None else room
+        self._from_device, self._to_device = CaptureBuffer(room), CaptureBuffer(room)
         self._now_s = asyncio.get_running_loop().time
         self.opened_at_s = self.received_at_s = self._now_s()
         self._transport = transport

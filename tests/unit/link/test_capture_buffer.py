@@ -3,7 +3,7 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hostlink.link.capture_buffer import CAPTURE_BYTES, CaptureBuffer, captured
+from hostlink.link.capture_buffer import ALL_BYTES, CAPTURE_BYTES, LEAST_BYTES, CaptureBuffer, CaptureRoom, captured
 from hostlink.protocol.frame import encode
 
 
@@ -12,7 +12,7 @@ def contents(buffer: CaptureBuffer, since: int = 0) -> bytes:
 
 
 def test_capture_returns_the_bytes_with_their_times() -> None:
-    buffer = CaptureBuffer()
+    buffer = CaptureBuffer(CaptureRoom())
     buffer.add(b"abc", 1.0)
     buffer.add(b"", 1.5)
     buffer.add(b"de", 2.0)
@@ -24,7 +24,7 @@ def test_capture_returns_the_bytes_with_their_times() -> None:
 
 @given(st.lists(st.integers(0, 3 * CAPTURE_BYTES), max_size=6), st.integers(0, 9 * CAPTURE_BYTES))
 def test_buffer_keeps_the_newest_bytes(sizes: list[int], since: int) -> None:
-    buffer, passed = CaptureBuffer(), b""
+    buffer, passed = CaptureBuffer(CaptureRoom()), b""
     for number, size in enumerate(sizes):
         data = bytes([number]) * size
         buffer.add(data, float(number))
@@ -38,8 +38,25 @@ def test_buffer_keeps_the_newest_bytes(sizes: list[int], since: int) -> None:
     assert buffer.lost_bytes(since) == max(0, len(passed) - len(kept) - since)
 
 
+def test_many_links_divide_the_room_and_a_buffer_is_trimmed_to_its_part() -> None:
+    room = CaptureRoom()
+    buffer = CaptureBuffer(room)
+    buffer.add(bytes(CAPTURE_BYTES), 1.0)
+    room.divide(1000)
+    assert 2 * 1000 * room.bytes <= ALL_BYTES
+    buffer.add(b"new", 2.0)
+    assert len(contents(buffer)) == room.bytes < CAPTURE_BYTES
+    assert contents(buffer).endswith(b"new")
+    assert buffer.lost_bytes() == CAPTURE_BYTES + 3 - room.bytes
+    room.divide(1_000_000)
+    assert room.bytes == LEAST_BYTES
+    for links in (0, 1, 128):
+        room.divide(links)
+        assert room.bytes == CAPTURE_BYTES
+
+
 def test_single_bytes_are_kept_with_few_ordered_times() -> None:
-    buffer = CaptureBuffer()
+    buffer = CaptureBuffer(CaptureRoom())
     for number in range(3 * CAPTURE_BYTES):
         buffer.add(bytes([number & 0xFF]), number / 1000)
     pieces = list(buffer.pieces())
@@ -53,7 +70,7 @@ def test_single_bytes_are_kept_with_few_ordered_times() -> None:
 
 
 def both(data: bytes, size: int) -> tuple[CaptureBuffer, CaptureBuffer]:
-    from_device, to_device = CaptureBuffer(), CaptureBuffer()
+    from_device, to_device = CaptureBuffer(CaptureRoom()), CaptureBuffer(CaptureRoom())
     for number, at in enumerate(range(0, len(data), size)):
         from_device.add(data[at : at + size], float(number))
     return from_device, to_device
