@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 from structlog.testing import capture_logs
 
+from hostlink.diagnosis.link_monitor import LinkMonitor
 from hostlink.hub.message import Message
 from hostlink.protocol import events
 from hostlink.protocol.frame import Id, encode
@@ -132,17 +133,19 @@ async def test_a_crash_in_the_gate_of_a_device_without_poses_leaves_the_clock_of
     assert set(crashes(logged)) == {"robot.crashed"}
 
 
-async def test_a_crash_of_a_task_or_a_diagnosis_ends_nothing_else(logged: list[dict[str, object]]) -> None:
+async def test_a_crash_of_a_task_or_a_diagnosis_ends_nothing_else(
+    logged: list[dict[str, object]], monkeypatch: pytest.MonkeyPatch
+) -> None:
     async def work() -> None:
         raise ZeroDivisionError
 
-    def crash(_: float) -> None:
+    def crash(*_: object) -> None:
         raise OSError(24, "Too many open files")
 
     async with daemon() as host, fake_device(host.tcp, robot_topics()) as device:
         await expect(lambda: host.hub.robots.find("robot_0").link)
         host.hub.spawn(work(), name="some work")
-        host.hub.diagnoses._live[1].monitor.sample = crash  # type: ignore[method-assign, assignment]
+        monkeypatch.setattr(LinkMonitor, "sample", crash)
         await expect(lambda: host.hub.isolation.crashes["diagnosis"] > 0)
         await is_driven(host, "robot_0", device)
     assert {"task.crashed", "diagnosis.crashed"} <= set(crashes(logged))

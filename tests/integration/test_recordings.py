@@ -268,7 +268,9 @@ async def test_a_token_that_may_read_fetches_and_does_not_record(tmp_path: Path)
 
 
 async def test_the_end_of_the_daemon_completes_the_file_with_its_last_zero(tmp_path: Path) -> None:
-    async with recorded(config(tmp_path)) as (host, device):
+    async with contextlib.AsyncExitStack() as devices, daemon(config(tmp_path)) as host:
+        device = await devices.enter_async_context(fake_device(host.tcp, robot_topics()))  # leaves after the daemon
+        await expect(lambda: host.hub.robots.find("robot_0").link)
         await start(host, name="run")
         host.hub.join("pilot").drive(host.hub.robots.find("robot_0"), PlanarVelocity(0.2))
         await device.velocity()

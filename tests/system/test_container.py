@@ -15,6 +15,7 @@ import pytest
 
 from hostlink.client import connect
 from hostlink.config import Config
+from hostlink.robot.admission import LEASE_S
 from tests.support.fake_device import fake_device, robot_topics
 from tests.support.process import HOSTLINK, Process, run, serve
 from tests.support.waiting import TIMEOUT_S, expect
@@ -121,6 +122,7 @@ async def test_a_daemon_that_is_killed_in_a_container_leaves_a_standing_robot(tm
         await expect(lambda: b"guardian.started" in (tmp_path / "log").read_bytes())
         await program.robot("robot_0").drive(0.2, 0.0)
         assert await device.velocity_other_than((0.0, 0.0)) == (0.2, 0.0)
+        await asyncio.sleep(LEASE_S)  # the guardian knows by then that the robot is driven
         os.kill(daemon, signal.SIGKILL)
         assert await device.velocity_other_than((0.2, 0.0)) == (0.0, 0.0)
         assert await asyncio.wait_for(process.child.wait(), 100) == 128 + signal.SIGKILL
