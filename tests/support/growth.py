@@ -3,7 +3,7 @@
 import gc
 from collections.abc import Callable
 
-TRIES = 3  # the best of them: what else runs only makes it longer
+TRIES = 5  # the best of them: what else runs only makes it longer
 SHORTEST_S = 0.01
 
 
