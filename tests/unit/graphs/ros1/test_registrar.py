@@ -137,6 +137,16 @@ class World:
         }
 
 
+async def registered(names: list[str]) -> World:
+    """Return a world whose master knows these names of each kind, and whose registrar runs no more."""
+    world = World()
+    world.want({(kind, name): "x/X" for kind in KINDS for name in names})
+    running = asyncio.get_running_loop().create_task(world.registrar.run())
+    await asyncio.sleep(1.0)
+    running.cancel()
+    return world
+
+
 NAMES = st.sampled_from(["/a", "/b", "/c"])
 GRAPHS = st.dictionaries(st.tuples(st.sampled_from(KINDS), NAMES), st.sampled_from(["x/X", "x/Y"]))
 STEPS = st.one_of(
@@ -209,11 +219,7 @@ def test_end_at_any_moment_leaves_nothing_at_the_master(registering_s: float) ->
 
 def test_end_waits_for_a_slow_master_and_gives_up_one_that_does_not_answer() -> None:
     async def test() -> None:
-        world = World()
-        world.want({(kind, name): "x/X" for kind in KINDS for name in ("/a", "/b")})
-        running = asyncio.get_running_loop().create_task(world.registrar.run())
-        await asyncio.sleep(1.0)
-        running.cancel()
+        world = await registered(["/a", "/b"])
         now_s = asyncio.get_running_loop().time
         world.master.way_s, began_s = 100.0, now_s()
         await world.registrar.end()
@@ -229,11 +235,7 @@ def test_end_waits_for_a_slow_master_and_gives_up_one_that_does_not_answer() -> 
 
 def test_end_at_a_very_slow_master_leaves_the_daemon_most_of_the_time_for_its_end() -> None:
     async def test() -> None:
-        world = World()
-        world.want({(kind, f"/{number}"): "x/X" for kind in KINDS for number in range(10)})
-        running = asyncio.get_running_loop().create_task(world.registrar.run())
-        await asyncio.sleep(1.0)
-        running.cancel()
+        world = await registered([f"/{number}" for number in range(10)])
         now_s = asyncio.get_running_loop().time
         world.master.way_s, began_s = 0.45, now_s()
         await world.registrar.end()
