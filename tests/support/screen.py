@@ -7,9 +7,9 @@ an event.
 
 import asyncio
 import contextlib
-import os
 import shlex
 import shutil
+import tempfile
 from collections import deque
 from collections.abc import AsyncIterator
 from contextlib import AbstractAsyncContextManager
@@ -25,8 +25,8 @@ KEY_INTERVAL_S = 0.03  # of a keyboard that repeats a key
 class Screen:
     """A tmux session with a shell in it."""
 
-    def __init__(self, name: str) -> None:
-        self._name = name
+    def __init__(self, socket: str) -> None:
+        self._socket = socket
         self._control: asyncio.subprocess.Process | None = None
         self._answers: deque[asyncio.Future[str]] = deque()
         self._changed = asyncio.Event()
@@ -35,7 +35,7 @@ class Screen:
     async def run(self) -> None:
         """Serve the control client until tmux ends."""
         child = self._control = await asyncio.create_subprocess_exec(
-            "tmux", "-L", self._name, "-C", "attach", "-f", "ignore-size", "-t", "main",
+            "tmux", "-S", self._socket, "-C", "attach", "-f", "ignore-size", "-t", "main",
             stdin=asyncio.subprocess.PIPE, stdout=asyncio.subprocess.PIPE,
         )  # fmt: skip
         try:
@@ -72,7 +72,7 @@ class Screen:
     async def tmux(self, *arguments: str) -> str:
         """Run a command of tmux; its output."""
         child = await asyncio.create_subprocess_exec(
-            "tmux", "-L", self._name, *arguments, stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.PIPE
+            "tmux", "-S", self._socket, *arguments, stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.PIPE
         )
         out, _ = await child.communicate()
         return out.decode()
@@ -142,21 +142,26 @@ class Screen:
 
 
 @contextlib.asynccontextmanager
-async def screen(*, columns: int = 100, rows: int = 24, name: str = "") -> AsyncIterator[Screen]:
-    """`name`: of the second one of a test."""
+async def screen(*, columns: int = 100, rows: int = 24) -> AsyncIterator[Screen]:
+    """Open a terminal with a shell that waits for a command."""
     assert shutil.which("tmux"), "tmux is not installed: `make test` does it, or sudo apt-get install tmux"
-    made = Screen(f"hostlink-{os.getpid()}{name}")
     size = ("-x", str(columns), "-y", str(rows))
-    await made.tmux("-f", "/dev/null", "new-session", "-d", "-s", "main", *size, "env", "-u", "PS1", "bash", "--norc")
-    async with asyncio.TaskGroup() as tasks:
-        try:
-            while "bash-" not in await made.tmux("capture-pane", "-p", "-t", "main"):  # noqa: ASYNC110 - not attached yet
-                await asyncio.sleep(POLL_S)  # keys that arrive while the shell starts can be lost
-            running = tasks.create_task(made.run())
-            await made.attached.wait()
+    # A folder for each one: the server of the test before may still be ending at a socket of its own name.
+    with tempfile.TemporaryDirectory() as folder:
+        made = Screen(f"{folder}/tmux")
+        await made.tmux(
+            "-f", "/dev/null", "new-session", "-d", "-s", "main", *size, "env", "-u", "PS1", "bash", "--norc"
+        )
+        async with asyncio.TaskGroup() as tasks:
             try:
-                yield made
+                async with asyncio.timeout(PATIENCE_S):
+                    while "bash-" not in await made.tmux("capture-pane", "-p", "-t", "main"):  # noqa: ASYNC110 - not attached yet
+                        await asyncio.sleep(POLL_S)  # keys that arrive while the shell starts can be lost
+                running = tasks.create_task(made.run())
+                await made.attached.wait()
+                try:
+                    yield made
+                finally:
+                    running.cancel()
             finally:
-                running.cancel()
-        finally:
-            await made.tmux("kill-server")
+                await made.tmux("kill-server")

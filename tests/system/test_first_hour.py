@@ -70,7 +70,7 @@ async def test_a_newcomer_sees_what_the_document_says(tmp_path: Path) -> None:
     assert len(others) >= 20
     (tmp_path / ".venv").symlink_to(VENV)
     api = f"127.0.0.1:{free_port()}"
-    async with screen(columns=160, rows=50) as one, screen(columns=160, rows=50, name="-2") as other:
+    async with screen(columns=160, rows=50) as one, screen(columns=160, rows=50) as other:
         daemon, shell = Shell(one), Shell(other)
         await daemon.begin(tmp_path, f"http://{api}")
         await shell.begin(tmp_path, f"http://{api}")
