@@ -30,7 +30,7 @@ MUTANTS_SEED ?= 1
 
 CORES := $(shell nproc)
 WORKERS ?= $(shell echo $$((4 * $(CORES))))# of make test: three quarters of its time is waiting
-QUIET_WORKERS ?= $(shell echo $$((2 * $(CORES))))# of the tests that a busy machine disturbs: three fifths of their time is waiting
+QUIET_WORKERS ?= $(shell echo $$((3 * $(CORES))))# of the tests that a busy machine disturbs: three fifths of their time is waiting
 unexport PYTHONDONTWRITEBYTECODE # the tests start hostlink some hundred times
 
 .PHONY: help demo docs test test-long quick test-pythons coverage mutants check bench fuzz web screenshots firmware world lab chain soak netns ros2-venv ros-mcp-venv release compiled test-compiled weight piuparts arm64 format clean

@@ -10,6 +10,7 @@ COUNT, LOST = 120, 3
 
 
 @pytest.mark.alone
+@pytest.mark.long
 @pytest.mark.timeout(240)
 async def test_a_message_is_as_quick_as_promised_both_ways() -> None:
     found = await measured(COUNT)
