@@ -66,7 +66,7 @@ def test_a_status_for_the_daemon_each_robot_each_other_device_and_each_port() ->
         lamp = ScriptedDevice(hub, [topic(Id.SUBSCRIBER, 100, "/led", "std_msgs/Bool")], address="192.168.4.3")
         hub.diagnoses.observe_port("/dev/ttyACM0", FileNotFoundError(2, "no such port"))
         for _ in range(30):
-            await robot.send(Id.LOG, encode_log(Log(1, "well")))
+            await robot.send(Id.LOG, encode_log(Log(1, "WiFi signal -61 dBm")))
             await lamp.send(Id.LOG, encode_log(Log(1, "well")))
             await asyncio.sleep(0.1)
         names = set(reader.statuses)
@@ -82,7 +82,9 @@ def test_a_status_for_the_daemon_each_robot_each_other_device_and_each_port() ->
         values = values_of(of_robot)
         assert values["peer"] == "192.168.4.2:5000"
         assert values["driver"] == "nobody"
+        assert values["WiFi signal (dBm)"] == "-61"
         assert int(values["frames from device"]) > 10
+        assert "WiFi signal (dBm)" not in values_of(reader.statuses["hostlink: device 192.168.4.3"])
         assert reader.statuses["hostlink: port /dev/ttyACM0"]["level"] == ERROR
         assert values_of(reader.statuses["hostlink: daemon"])["links"] == "2"
         await robot.aclose()

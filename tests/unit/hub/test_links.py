@@ -341,6 +341,18 @@ def test_locked_robot_that_returns_under_another_name_is_locked_again() -> None:
     in_hub(test)
 
 
+def test_robot_with_other_topics_is_not_locked_for_one_that_is_away() -> None:
+    async def test(made: MemoryHub) -> None:
+        first = await made.connect(address="10.0.0.2")
+        made.robot().lock("a person is near")
+        await first.aclose()
+        await made.connect(robot_topics("mule"), address="10.0.0.9")
+        await asyncio.sleep(4.0)
+        assert made.robot("mule").gate.lock_reason is None
+
+    in_hub(test)
+
+
 def test_topics_announced_again_send_latched_messages_again() -> None:
     async def test(made: MemoryHub) -> None:
         infos: list[TopicInfo] = [topic(Id.SUBSCRIBER, 100, "/text", "std_msgs/String")]

@@ -108,7 +108,8 @@ def test_a_topic_drives_one_robot() -> None:
 
 
 def test_services_go_both_ways_and_none_of_a_node_s_own() -> None:
-    daemon = graph(services=[{"name": "/robot_0/lock", "type": "std_srvs/Trigger"}])
+    untyped = {"name": "/robot_0/ask", "type": ""}  # no program has told its type
+    daemon = graph(services=[{"name": "/robot_0/lock", "type": "std_srvs/Trigger"}, untyped])
     ros2 = Ros2Graph(
         services={
             "/add": "example_interfaces/srv/AddTwoInts",
