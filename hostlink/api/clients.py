@@ -49,7 +49,7 @@ class ClientProgram(Protocol[Content]):
 
     @property
     def calls(self) -> int:
-        """Number of pending service calls."""
+        """Number of pending service calls. A call begins in the turn of the loop after `do`."""
 
     def read(self, data: str | bytes, came_s: float) -> Operation[Content]:
         """Decode a message."""
