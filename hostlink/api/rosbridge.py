@@ -62,6 +62,7 @@ class DriveOperation(msgspec.Struct, forbid_unknown_fields=True):
     linear: float
     angular: float
     linear_y: float = 0.0
+    is_planar: bool = True  # False: other components of the Twist are not zero, and no robot obeys it
     priority: int = PROGRAM_PRIORITY
     sent_s: float | None = None  # time of sending by the client's own clock
     epoch: int | None = None  # of the robot, from the previous answer
@@ -350,8 +351,8 @@ def velocity_of_request(request: Request, topics: TopicGraph) -> tuple[VelocityO
         except BadRequest:
             return NOT_A_VELOCITY
         is_timed, is_sideways = wanted.sent_s is not None, wanted.linear_y != 0
-        terms = (wanted.priority, wanted.epoch, wanted.stops, wanted.link, is_timed, is_sideways)
-        is_zero = not (wanted.linear or wanted.linear_y or wanted.angular)
+        terms = (wanted.priority, wanted.epoch, wanted.stops, wanted.link, is_timed, is_sideways, wanted.is_planar)
+        is_zero = wanted.is_planar and not (wanted.linear or wanted.linear_y or wanted.angular)
         return VelocityOf("drive", wanted.robot.strip("/"), terms), is_zero
     fields = request.fields
     name = fields.get("topic")
@@ -711,13 +712,20 @@ class DriveCommands:
             if not 0 <= wanted.priority <= MAX_PRIORITY:
                 raise BadRequest(f"drive: priority must be a number from 0 to {MAX_PRIORITY}")
             velocity = PlanarVelocity(wanted.linear, wanted.linear_y, wanted.angular)
-            robot = self._robots.find(wanted.robot, driver=None if velocity.is_zero else lambda: self._participant)
+            is_zero = velocity.is_zero and wanted.is_planar
+            robot = self._robots.find(wanted.robot, driver=None if is_zero else lambda: self._participant)
             epoch = wanted.stops if wanted.epoch is None else wanted.epoch
             if wanted.link is not None and robot.link is not None:
                 is_same = robot.resumed_link <= wanted.link <= robot.link.number
                 epoch = epoch if is_same else EARLIER_EPOCH
             limited = self._participant.drive(
-                robot, velocity, priority=wanted.priority, received_s=request.came_s, sent_s=wanted.sent_s, epoch=epoch
+                robot,
+                velocity,
+                priority=wanted.priority,
+                received_s=request.came_s,
+                sent_s=wanted.sent_s,
+                epoch=epoch,
+                is_planar=wanted.is_planar,
             )
         except HostlinkError as error:
             self._refuse(request, robot, error)

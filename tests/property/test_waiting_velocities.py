@@ -47,6 +47,7 @@ drives = st.builds(
             "stops": known,
             "link": known,
             "linear_y": st.sampled_from((0.1, 0.0)),
+            "is_planar": st.booleans(),
             "priority": st.sampled_from((50, 60, True, 300)),
             "sent_s": st.sampled_from((0.0, "x")),
             "speed": st.just(1),

@@ -74,13 +74,23 @@ def test_invalid_velocity_is_never_replaced(fields: dict[str, Any]) -> None:
 
 def test_drive_is_a_velocity_of_its_robot() -> None:
     drive = {"op": "drive", "robot": "/robot_0", "linear": 0, "angular": 0.0}
-    of = VelocityOf("drive", "robot_0", (50, None, None, None, False, False))
+    of = VelocityOf("drive", "robot_0", (50, None, None, None, False, False, True))
     assert velocity_of_request(Request(drive), topics()) == (of, True)
     assert velocity_of_request(Request(drive | {"linear": 0.1}), topics()) == (of, False)
+    assert not velocity_of_request(Request(drive | {"is_planar": False}), topics())[1]
 
 
 @pytest.mark.parametrize(
-    "terms", [{"priority": 60}, {"epoch": 1}, {"stops": 1}, {"link": 1}, {"sent_s": 0.0}, {"linear_y": 0.1}]
+    "terms",
+    [
+        {"priority": 60},
+        {"epoch": 1},
+        {"stops": 1},
+        {"link": 1},
+        {"sent_s": 0.0},
+        {"linear_y": 0.1},
+        {"is_planar": False},
+    ],
 )
 def test_drive_with_other_terms_is_another_velocity(terms: dict[str, Any]) -> None:
     drive = {"op": "drive", "robot": "robot_0", "linear": 0.1, "angular": 0.0}
