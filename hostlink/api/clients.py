@@ -5,7 +5,7 @@ import itertools
 from collections import deque
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field
-from typing import Generic, NamedTuple, NoReturn, Protocol, TypedDict, TypeVar
+from typing import Any, Generic, NamedTuple, NoReturn, Protocol, TypedDict, TypeVar
 
 import msgspec
 from aiohttp import web
@@ -15,8 +15,8 @@ from hostlink.api.routes import readable
 from hostlink.errors import BadPayload
 from hostlink.hub.byte_budget import ByteBudget
 from hostlink.hub.queue import Queue
-from hostlink.hub.topic_graph import TopicGraph
-from hostlink.robot.velocity import Twist
+from hostlink.hub.topic import Topic
+from hostlink.robot.velocity import TWIST_STAMPED_TYPE, TWIST_TYPE, Twist
 
 MANY = 64  # messages of one client while the loop is busy: more than a second of commands at 50 Hz
 MAX_MESSAGES = 256  # decoded or not; more wait in the socket
@@ -49,7 +49,7 @@ class ClientProgram(Protocol[Content]):
 
     @property
     def calls(self) -> int:
-        """Number of pending service calls."""
+        """Number of pending service calls. A call begins in the turn of the loop after `do`."""
 
     def read(self, data: str | bytes, came_s: float) -> Operation[Content]:
         """Decode a message."""
@@ -141,22 +141,24 @@ class OperationQueue(Generic[Content]):
                 self.has_room = True
 
 
-_NONE = (None, False)
+_TWISTS = frozenset({TWIST_TYPE, TWIST_STAMPED_TYPE})
+NOT_A_VELOCITY = (None, False)  # or an invalid one, which is refused and replaces nothing
 
 
-def velocity_of_payload(topic_name: str, payload: bytes, topics: TopicGraph) -> tuple[VelocityOf | None, bool]:
-    """Return the same for a serialised message: what a velocity is of, and whether it is zero."""
-    topic = topics.find_or_none(topic_name)
-    is_zero = is_zero_payload(payload) if topic is not None and topic.is_gated else None
-    return _NONE if is_zero is None else (VelocityOf("publish", topic_name), is_zero)
+def velocity_of_payload(topic: Topic | None, payload: bytes, terms: Hashable = None) -> tuple[VelocityOf | None, bool]:
+    """Return what a serialised message is a velocity of (None: it is not a valid one) and whether it is zero.
 
-
-def is_zero_payload(payload: bytes) -> bool | None:
-    """Whether a serialised Twist, or the Twist at the end of a TwistStamped, is zero; None for other bytes."""
+    The components for which a robot may refuse it are terms, too: it must not replace one that the robot obeys.
+    """
+    if topic is None or not topic.is_gated or topic.type is None or topic.type_name not in _TWISTS:
+        return NOT_A_VELOCITY
     try:
-        return Twist.decode(payload[-len(Twist().encode()) :]).is_zero
+        fields: Any = topic.type.decode(payload)
+        twist = Twist.from_fields(fields.get("twist", fields))
     except BadPayload:
-        return None
+        return NOT_A_VELOCITY
+    components = (twist.is_finite, twist.is_planar, twist.linear_y_m_s != 0)
+    return VelocityOf("publish", topic.name, (terms, components)), twist.is_zero
 
 
 class Outgoing(NamedTuple):

@@ -632,7 +632,7 @@ class FoxgloveClient:
             return Operation(error, came_s)
         if not isinstance(content, Published) or (topic := self._topics.find(content.channel_id)) is None:
             return Operation(content, came_s)
-        velocity_of, is_zero = velocity_of_payload(topic, content.payload, self._hub.topics)
+        velocity_of, is_zero = velocity_of_payload(self._hub.topics.find_or_none(topic), content.payload)
         return Operation(content, came_s, velocity_of, is_zero)
 
     def do(self, operation: Operation[_Received]) -> None:

@@ -2,7 +2,6 @@
 
 import asyncio
 import base64
-import binascii
 import functools
 import itertools
 import math
@@ -19,7 +18,15 @@ import msgspec
 import structlog
 
 from hostlink.api.bodies import convert_fields
-from hostlink.api.clients import ClientQueue, Operation, Outgoing, VelocityOf, is_zero_payload, put_json
+from hostlink.api.clients import (
+    NOT_A_VELOCITY,
+    ClientQueue,
+    Operation,
+    Outgoing,
+    VelocityOf,
+    put_json,
+    velocity_of_payload,
+)
 from hostlink.api.rate_limit import REFUSED_VELOCITIES_S, RateLimit
 from hostlink.api.views import velocity_answer
 from hostlink.errors import BadPayload, BadRequest, CommandRefused, HostlinkError, ServiceFailed
@@ -55,6 +62,7 @@ class DriveOperation(msgspec.Struct, forbid_unknown_fields=True):
     linear: float
     angular: float
     linear_y: float = 0.0
+    is_planar: bool = True  # False: other components of the Twist are not zero, and no robot obeys it
     priority: int = PROGRAM_PRIORITY
     sent_s: float | None = None  # time of sending by the client's own clock
     epoch: int | None = None  # of the robot, from the previous answer
@@ -73,6 +81,7 @@ class Request:
         self.came_s: float | None = None  # earliest time of arrival; None: now
         self.replaced: list[Request] = []  # velocities that this one replaces
         self._drive: DriveOperation | None = None
+        self._payload: tuple[MessageType, bytes] | None = None
         op = fields["op"]
         if not isinstance(op, str) or not op:
             raise BadRequest(f"{reprlib.repr(op)}: op must be a text")
@@ -104,6 +113,18 @@ class Request:
         if self._drive is None:
             self._drive = convert_fields(self.fields, DriveOperation, "drive")
         return self._drive
+
+    def payload(self, type_: MessageType) -> bytes:
+        """Return the message of a `publish`, serialised: that of the field `raw`, which is base64, or of `msg`.
+
+        Raises:
+            BadRequest: `raw` is not base64, or `msg` is not a message of the type.
+            BadPayload: the bytes of `raw` are not a message of the type.
+        """
+        if self._payload is None or self._payload[0] is not type_:
+            payload = _raw_payload(self, type_) or type_.encode(fill_stamps(type_, self.table("msg"), time.time_ns()))
+            self._payload = type_, payload
+        return self._payload[1]
 
     @property
     def id(self) -> object:
@@ -322,53 +343,29 @@ def _is_zero(stamp: object) -> bool:
     return stamp is None or (isinstance(stamp, dict) and not any(stamp.values()))
 
 
-_NUMBERS = frozenset((int, float))  # exact types: JSON's true and false are not numbers
-_NONE = (None, False)  # not a velocity, or an invalid one, which is refused and not replaced
-
-
 def velocity_of_request(request: Request, topics: TopicGraph) -> tuple[VelocityOf | None, bool]:
     """Return what a velocity is of (None: not a velocity) and whether it is zero."""
     if request.op == "drive":
         try:
             wanted = request.drive_operation()
         except BadRequest:
-            return _NONE
-        is_timed = wanted.sent_s is not None
-        terms = (wanted.priority, wanted.epoch, wanted.stops, wanted.link, is_timed)
-        is_zero = not (wanted.linear or wanted.linear_y or wanted.angular)
+            return NOT_A_VELOCITY
+        is_timed, is_sideways = wanted.sent_s is not None, wanted.linear_y != 0
+        terms = (wanted.priority, wanted.epoch, wanted.stops, wanted.link, is_timed, is_sideways, wanted.is_planar)
+        is_zero = wanted.is_planar and not (wanted.linear or wanted.linear_y or wanted.angular)
         return VelocityOf("drive", wanted.robot.strip("/"), terms), is_zero
     fields = request.fields
     name = fields.get("topic")
     topic = topics.find_or_none(name) if request.op == "publish" and isinstance(name, str) else None
     priority, type_name = fields.get("priority"), fields.get("type")
     is_valid = type(priority) in (int, type(None)) and isinstance(type_name, str | None)
-    if topic is None or not topic.is_gated or not is_valid:
-        return _NONE
-    is_still = _is_zero_message(fields)
-    of = VelocityOf("publish", topic.name, (priority, type_name, request.is_set("latch")))
-    return _NONE if is_still is None else (of, is_still)
-
-
-def _is_zero_message(fields: dict[str, Any]) -> bool | None:
-    """Whether a Twist or a TwistStamped (JSON, or bytes in base64) is zero; None for another message."""
-    raw, message = fields.get("raw"), fields.get("msg")
-    if raw is not None:
-        try:
-            return is_zero_payload(base64.b64decode(raw, validate=True))
-        except (TypeError, ValueError, binascii.Error):
-            return None
-    if not isinstance(message, dict):
-        return None
-    twist = message.get("twist", message)
-    if not isinstance(twist, dict):
-        return None
-    numbers: list[Any] = []
-    for name in ("linear", "angular"):
-        vector = twist.get(name, {})
-        if not isinstance(vector, dict):
-            return None
-        numbers += vector.values()
-    return not any(numbers) if _NUMBERS.issuperset(map(type, numbers)) else None
+    if topic is None or not topic.is_gated or topic.type is None or not is_valid:
+        return NOT_A_VELOCITY
+    try:
+        payload = request.payload(topic.type)
+    except HostlinkError:
+        return NOT_A_VELOCITY
+    return velocity_of_payload(topic, payload, (priority, type_name, request.is_set("latch")))
 
 
 _NS_PER_S = 1_000_000_000
@@ -715,13 +712,20 @@ class DriveCommands:
             if not 0 <= wanted.priority <= MAX_PRIORITY:
                 raise BadRequest(f"drive: priority must be a number from 0 to {MAX_PRIORITY}")
             velocity = PlanarVelocity(wanted.linear, wanted.linear_y, wanted.angular)
-            robot = self._robots.find(wanted.robot, driver=None if velocity.is_zero else lambda: self._participant)
+            is_zero = velocity.is_zero and wanted.is_planar
+            robot = self._robots.find(wanted.robot, driver=None if is_zero else lambda: self._participant)
             epoch = wanted.stops if wanted.epoch is None else wanted.epoch
             if wanted.link is not None and robot.link is not None:
                 is_same = robot.resumed_link <= wanted.link <= robot.link.number
                 epoch = epoch if is_same else EARLIER_EPOCH
             limited = self._participant.drive(
-                robot, velocity, priority=wanted.priority, received_s=request.came_s, sent_s=wanted.sent_s, epoch=epoch
+                robot,
+                velocity,
+                priority=wanted.priority,
+                received_s=request.came_s,
+                sent_s=wanted.sent_s,
+                epoch=epoch,
+                is_planar=wanted.is_planar,
             )
         except HostlinkError as error:
             self._refuse(request, robot, error)
@@ -955,7 +959,6 @@ class RosbridgeClient:
 
     def _publish(self, request: Request) -> None:
         topic, type_name = request.text("topic"), request.text_or("type", "")
-        message = request.table("msg")
         priority = request.whole("priority", PROGRAM_PRIORITY, MAX_PRIORITY)
         self._topics.publish(request)
         try:
@@ -963,8 +966,7 @@ class RosbridgeClient:
         except HostlinkError:
             self.participant.note_publishing(topic)
             raise
-        payload = _raw_payload(request, type_) or type_.encode(fill_stamps(type_, message, time.time_ns()))
-        self.participant.publish(topic, payload, priority=priority, at_s=request.came_s)
+        self.participant.publish(topic, request.payload(type_), priority=priority, at_s=request.came_s)
 
     def _call_service(self, request: Request) -> None:
         if self.calls >= MAX_CALLS:

@@ -14,7 +14,6 @@ from aiohttp import WSCloseCode, WSMsgType, web
 from hostlink.api.clients import Client, ClientProgram, ClientQueue, OperationQueue
 from hostlink.api.listener import PacedReading
 from hostlink.hub.gates import Gates
-from hostlink.hub.participant import MAX_CALLS
 from hostlink.latency import Latency
 from hostlink.link.fair_share import Turns
 
@@ -95,6 +94,7 @@ class ClientSocket:
                 if message.type in CLOSING:
                     self._note_news()  # answers that wait are dropped
                     await self._until(lambda: not operations.waiting)
+                    await asyncio.sleep(0)  # if the last one was a call, it begins before the participant ends
                     return
                 if message.type not in (WSMsgType.TEXT, WSMsgType.BINARY):
                     await self._receive_control(message.type, message.data)
@@ -159,7 +159,7 @@ class ClientSocket:
             while operations.waiting and not self._is_work_due:
                 if is_admitted or turns.share.is_free(is_flooding=operations.is_flooding):
                     is_admitted = False
-                    began_s = self._loop.time()
+                    began_s, calls = self._loop.time(), self._program.calls
                     try:
                         operations.work()
                     finally:
@@ -168,7 +168,7 @@ class ClientSocket:
                     if not queue.has_room:  # a client that does not read its answers is not read from
                         self._is_work_due = True
                         self._tasks.create_task(self._work_with_room(), context=self._context)
-                    elif self._program.calls > MAX_CALLS // 2:  # most calls of one read are answered at once
+                    elif self._program.calls > calls:  # the call begins before the operations behind it
                         self._expect_work()
                 else:
                     self._is_work_due = True

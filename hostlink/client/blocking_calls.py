@@ -158,19 +158,28 @@ class BlockingRobot:
         )
 
     def command(
-        self, linear_m_s: float, angular_rad_s: float, linear_y_m_s: float = 0.0, *, epoch: int | None = None
+        self,
+        linear_m_s: float,
+        angular_rad_s: float,
+        linear_y_m_s: float = 0.0,
+        *,
+        epoch: int | None = None,
+        is_planar: bool = True,
     ) -> None:
         """Send one velocity, which lasts for half a second and is not repeated: for programs that decide each time.
 
         It does not wait for the answer; `refusal` has it. Commands less than half a second apart are one motion: after
         a stop, a lock or a reconnection of the device the motion is refused, until a zero or half a second without
         commands ends it. A command that the network delivers too late is refused, too. `epoch` is the robot's, as in
-        `state()`, when the decision was made: after an interruption since then the command is refused.
+        `state()`, when the decision was made: after an interruption since then the command is refused. `is_planar` is
+        False for a Twist with other components that are not zero: no robot obeys it, and it is refused.
 
         Raises:
             HostlinkError: the numbers are not finite, or there is no connection to hostlink.
         """
-        return self._loop.run(self._robot.command(linear_m_s, angular_rad_s, linear_y_m_s, epoch=epoch))
+        return self._loop.run(
+            self._robot.command(linear_m_s, angular_rad_s, linear_y_m_s, epoch=epoch, is_planar=is_planar)
+        )
 
     @property
     def refusal(self) -> Refusal | None:

@@ -223,7 +223,15 @@ class VelocitySender:
         if (epoch := answer.get("epoch")) is not None:
             self._told[robot] = _Told(int(epoch), self._now_s() + LEASE_S)
 
-    async def command(self, robot: str, velocity: PlanarVelocity, priority: int, *, epoch: int | None = None) -> None:
+    async def command(
+        self,
+        robot: str,
+        velocity: PlanarVelocity,
+        priority: int,
+        *,
+        epoch: int | None = None,
+        is_planar: bool = True,
+    ) -> None:
         """Send one command, which is not repeated; its answer is not waited for, and is in `refusals` if it is one.
 
         Commands less than a lease apart are one stream, and carry the epoch of its beginning. A command with an epoch
@@ -234,12 +242,14 @@ class VelocitySender:
         """
         now_s = self._now_s()
         stream = self._streams.get(robot)
-        is_over = now_s > self._sent_s.get(robot, -math.inf) + LEASE_S or velocity.is_zero
+        is_over = now_s > self._sent_s.get(robot, -math.inf) + LEASE_S or (velocity.is_zero and is_planar)
         if stream is None or is_over or epoch is not None:
             stream = self._streams[robot] = _Stream(next(self._numbers))
         self._sent_s[robot] = now_s
         epoch = stream.epoch if epoch is None else epoch
-        request = {"id": f"{_COMMAND}{stream.number}:{robot}", "sent_s": now_s, "epoch": epoch}
+        request: dict[str, Any] = {"id": f"{_COMMAND}{stream.number}:{robot}", "sent_s": now_s, "epoch": epoch}
+        if not is_planar:
+            request["is_planar"] = False
         await self._connection.send(_request(robot, velocity, priority) | request)
 
     def end_motions(self) -> None:

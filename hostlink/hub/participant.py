@@ -293,10 +293,11 @@ class Participant(Node):
         received_s: float | None = None,
         sent_s: float | None = None,
         epoch: int | None = None,
+        is_planar: bool = True,
     ) -> PlanarVelocity:
         """Drive for the length of a lease. Return the velocity after the limits.
 
-        `received_s`, `sent_s` and `epoch` are those of a `Command`; `received_s` is now if it is None.
+        `received_s`, `sent_s`, `epoch` and `is_planar` are those of a `Command`; `received_s` is now if it is None.
 
         Raises:
             NoRole: this participant may not drive.
@@ -312,6 +313,7 @@ class Participant(Node):
             asyncio.get_running_loop().time() if received_s is None else received_s,
             sent_s,
             epoch,
+            is_planar=is_planar,
         )
         deliveries = self._hub.topics.deliveries
         senders = deliveries.begin_sending(self)

@@ -16,6 +16,7 @@ A *source* of commands is a program, a REST owner, a publisher of another graph.
 | disarmed | non-zero command with the current epoch                   | driving  | admitted for a lease  |
 | disarmed | zero that is not late, or a lease without a command       | quiet    | a zero is admitted    |
 | any      | non-zero command with an epoch that is not the current one | disarmed | refused: disarmed     |
+| any      | non-zero command from before the newest interruption      | disarmed | refused: disarmed     |
 | any      | the source leaves                                         | quiet    | its robot stops       |
 
 Before that, in this order, each of which leaves a source that was quiet or driving as it is, unless the epoch of the
@@ -37,6 +38,9 @@ Each refused non-zero command counts as one that the source still gives: an inte
 zero that is refused arms its source all the same. An admitted command holds the robot at its priority for a lease. A
 source of the same priority takes the robot over. The lease of a command that waited is shorter by that time. A stop
 and a lock do not shorten the time for which the robot is held.
+
+A command without the current epoch is from before an interruption if it has waited, here or on its way, since more than
+UNORDERED_S before it. Two arrivals that are closer have no known order, because a loop that is late reads both at once.
 
 An interruption increments the epoch. Answers to commands carry the epoch, so that a program can say that it has seen
 the interruption. A reconnection disarms the sources that were driving when the device left, too. A reconnection within
@@ -75,6 +79,7 @@ class Freshness:
 
 LEASE_S = 0.5  # the time-out of diff_drive_controller and of the robot's own watchdog
 MAX_SOURCES = 64  # that one robot keeps apart
+UNORDERED_S = 0.05  # between two arrivals whose order is not known; the clock of the gates ticks as often
 EPOCH_BITS = 40  # the first epoch is drawn at random: that of an earlier daemon is never the current one
 EARLIER_EPOCH = -1  # of a motion that may have begun before an interruption
 NOT_SIDEWAYS = (
@@ -227,6 +232,7 @@ class Admission:
     _drivers: dict[Hashable, Lease] = field(default_factory=dict)  # by velocity topic
     _joined: dict[Hashable, EarlierMotion] = field(default_factory=dict)
     _disconnected_s: float = float("-inf")
+    _interrupted_s: float = float("-inf")
 
     # -- commands -----------------------------------------------------------------------------------------------------
 
@@ -262,6 +268,8 @@ class Admission:
             late = self._late_text(command, waited_s)
             if late:
                 return self._refuse(RefusalKind.LATE, late)
+        if now_s - waited_s < self._interrupted_s - UNORDERED_S:
+            source.is_armed = False  # it was commanding already when the robot was interrupted
         if command.epoch == self.epoch:
             source.is_armed = True
         if not source.is_armed:
@@ -380,7 +388,7 @@ class Admission:
         """
         since_s = now_s if since_s is None else since_s
         self.epoch += 1
-        self.interrupted_by = by
+        self.interrupted_by, self._interrupted_s = by, now_s
         self._drivers.clear()
         for source in self._sources.values():
             if source.has_lost_device or since_s < source.commanded_s + self.lease_s:

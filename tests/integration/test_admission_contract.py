@@ -518,5 +518,27 @@ def test_row_holds_for_entry_point(entry_point: type[EntryPoint], row: str) -> N
     play(test)
 
 
+def test_stream_of_ros2_that_is_not_planar_is_refused_and_disarmed_by_a_stop() -> None:
+    """tests/unit/hub/test_gates.py has the same for what is published. `cannot` would name all other ways here."""
+
+    async def test(made: Scene) -> None:
+        way = entry_points.RclpyBridge(made)
+        robot = Robot(made, way)
+        await way.begin()
+        for number in range(10):
+            await way.give_twist(Twist(entry_points.SPEED_M_S, angular_x_rad_s=0.1))
+            await asyncio.sleep(0.1)
+            if number == 5:
+                await stop(robot)
+        assert robot.refused == {RefusalKind.UNSUPPORTED}
+        await way.give(entry_points.SPEED_M_S)
+        await asyncio.sleep(0.1)
+        assert RefusalKind.DISARMED in robot.refused
+        assert not any(map(any, made.twists()))
+        await way.end()
+
+    play(test)
+
+
 def test_each_kind_of_refusal_and_each_row_runs_for_an_entry_point() -> None:
     assert {row for entry_point in COMPLETE for row in rows_of(entry_point)} == set(ROWS)

@@ -21,3 +21,18 @@ async def test_command_with_an_epoch_of_its_own_begins_another_stream(*, is_curr
             await robot.command(0.2, 0.0, epoch=epoch)
             await me.settle()
             assert (robot.refusal is None) == is_current
+
+
+async def test_command_that_is_not_planar_is_refused_and_ends_no_stream() -> None:
+    async with daemon() as host, fake_device(host.tcp, robot_topics()), connect(host.url) as me:
+        robot = me.robot("robot_0")
+        await robot.command(0.2, 0.0)
+        await me.settle()
+        await robot.command(0.0, 0.0, is_planar=False)
+        await me.settle()
+        assert robot.refusal is not None
+        assert robot.refusal.kind == "unsupported"
+        host.hub.robots.find("robot_0").stop()
+        await robot.command(0.2, 0.0)
+        await me.settle()
+        assert robot.refusal.kind == "disarmed"

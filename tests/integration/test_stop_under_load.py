@@ -392,6 +392,24 @@ def test_a_velocity_that_waited_for_the_loop_has_the_rest_of_its_lease_alone() -
     numbered(check)
 
 
+def test_velocity_that_waited_for_the_loop_does_not_move_a_robot_that_was_stopped_first() -> None:
+    async def check(made: World, robot: NumberedRobot) -> None:
+        await asyncio.sleep(1.0)
+        since_s = loop().time()
+        loop().burn(0.3)
+        made.hub.robots.find("robot_0").stop(by="another client")
+        for _ in range(5):
+            with pytest.raises(CommandRefused, match=r"a stop by another client") as refused:
+                drive(made, SLOW)
+            assert refused.value.kind is RefusalKind.DISARMED
+            await asyncio.sleep(0.1)
+        received_at_s(robot, since_s)
+        await asyncio.sleep(LEASE_S)
+        drive(made, SLOW)
+
+    numbered(check)
+
+
 def test_a_zero_is_obeyed_however_old_it_is() -> None:
     async def check(made: World, robot: NumberedRobot) -> None:
         robot_0, topic = await ready(made), made.hub.topics.find("/robot_0/velocity_commands")

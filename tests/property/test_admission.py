@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
 from hostlink.errors import RefusalKind
-from hostlink.robot.admission import LEASE_S, Admission, Command
+from hostlink.robot.admission import LEASE_S, UNORDERED_S, Admission, Command
 from hostlink.robot.velocity import ZERO, Kinematics, PlanarVelocity
 
 OWNERS = st.sampled_from(["ann", "bob", "eve"])
@@ -27,7 +27,7 @@ class Heard:
     commanded_s: list[float] = field(default_factory=list)  # of every non-zero command since the last zero
     interrupted_s: float | None = None  # the last interruption that met it while it was commanding
     has_seen: bool = False  # its last command had the current epoch
-    has_missed: bool = False  # its last command had another epoch
+    has_missed: bool = False  # its last command had another epoch, or came before an interruption
     held_until_s: float = float("-inf")
     priority: int = 0
     has_lost_device: bool = False  # it was commanding when the device left
@@ -62,9 +62,10 @@ class History(RuleBasedStateMachine):
         self.sources: dict[str, Heard] = {}
         self.drives: dict[str, tuple[str, float]] = {}  # by topic: the source of the last admitted command, and when
         self.is_locked, self.is_connected = False, is_connected
-        self.away_s = float("-inf")
+        self.away_s = self.interrupted_s = float("-inf")
         if is_connected:
             self.admission.connect(self.now_s)
+            self.interrupted_s = self.now_s
 
     @rule(ticks=st.integers(0, 6))
     def time_passes(self, ticks: int) -> None:
@@ -116,6 +117,8 @@ class History(RuleBasedStateMachine):
             if seen is not None:
                 heard.has_seen, heard.has_missed = bool(seen), not seen
                 heard.interrupted_s = None if seen else heard.interrupted_s
+            elif self.now_s - waited_s < self.interrupted_s - UNORDERED_S:
+                heard.has_missed = True
             if not seen and (heard.has_missed or not heard.is_armed(self.now_s)):
                 expected = RefusalKind.DISARMED
             elif priority < strongest:
@@ -150,6 +153,7 @@ class History(RuleBasedStateMachine):
 
     def interruption(self, since_s: float) -> None:
         self.drives.clear()
+        self.interrupted_s = self.now_s
         for heard in self.sources.values():
             last_s = max(heard.commanded_s, default=float("-inf"))
             if heard.has_lost_device or since_s < last_s + LEASE_S:

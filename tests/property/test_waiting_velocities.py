@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 from hypothesis import example, given
 from hypothesis import strategies as st
 
+from hostlink.robot.velocity import Kinematics
 from tests.support.api_memory import ApiMemory, ApiPeer, api_memory
 from tests.support.participants import VELOCITY_ID
 from tests.support.virtual_loop import run_virtual
@@ -45,6 +46,8 @@ drives = st.builds(
             "epoch": known,
             "stops": known,
             "link": known,
+            "linear_y": st.sampled_from((0.1, 0.0)),
+            "is_planar": st.booleans(),
             "priority": st.sampled_from((50, 60, True, 300)),
             "sent_s": st.sampled_from((0.0, "x")),
             "speed": st.just(1),
@@ -52,8 +55,14 @@ drives = st.builds(
     ),
 )
 publishes = st.builds(
-    lambda velocity, optional: publish(msg={"linear": {"x": velocity}}, **optional),
-    st.sampled_from((0.1, 0.1, 0.0)),
+    lambda message, optional: publish(msg=message, **optional),
+    st.sampled_from(
+        (
+            *({"linear": {"x": x}} for x in (0.1, 0.1, 0.0, None, "x")),
+            *({"linear": {"x": 0.0, axis: 0.1}} for axis in ("y", "z", "speed")),
+            {"linear": {"x": 0.1}, "header": {}},
+        )
+    ),
     st.fixed_dictionaries({}, optional={"priority": st.sampled_from((50, 60)), "type": st.just("geometry_msgs/Twist")}),
 )
 operations = st.tuples(
@@ -82,6 +91,7 @@ def outcome(sent: list[tuple[Fields, bool]], *, together: bool, is_disarmed: boo
 
 async def driven(api: ApiMemory, sent: list[tuple[Fields, bool]], *, together: bool, is_disarmed: bool) -> Outcome:
     peer, robot = await api.web_socket(), api.hub.robots.find("robot_0")
+    robot.admission.kinematics = Kinematics.DIFFERENTIAL
     if is_disarmed:
         peer.send_text(**drive())
         await asyncio.sleep(0.01)
@@ -126,6 +136,12 @@ def whole(*sent: Fields) -> list[tuple[Fields, bool]]:
 @example(whole(drive(epoch=EARLIER), drive(priority=60), drive()), False)
 @example(whole(drive(epoch=EARLIER), drive(sent_s="x")), False)
 @example(whole(drive(priority=60, sent_s="x"), drive(priority=60)), False)
+@example(whole(drive(), drive(linear_y=0.1)), False)
+@example(whole(publish(), publish(msg={"linear": {"speed": 0.1}})), False)
+@example(whole(publish(), publish(msg={"linear": {"speed": 0.0}})), False)
+@example(whole(publish(), publish(raw="AAAA")), False)
+@example(whole(call("lock"), drive()), False)
+@example(whole(drive(), call("unlock"), call("lock")), False)
 def test_operations_that_wait_together_lead_where_they_lead_one_by_one(
     sent: list[tuple[Fields, bool]], is_disarmed: bool
 ) -> None:
@@ -134,8 +150,6 @@ def test_operations_that_wait_together_lead_where_they_lead_one_by_one(
     assert together.moves <= alone.moves
     assert together.is_armed <= alone.is_armed
     assert together.answers.keys() == alone.answers.keys()
-    if any(fields["op"] == "call_service" for fields, _ in sent):
-        return  # a call begins when the operations behind it are executed
     assert together.moved <= alone.moved
     assert (together.moves, together.is_armed) == (alone.moves, alone.is_armed)
     for number, answer in together.answers.items():

@@ -427,11 +427,15 @@ class RclpyBridge(EntryPoint):
 
     async def give(self, speed_m_s: float, *, left_m_s: float = 0.0, epoch: int | None = None) -> None:
         assert epoch is None
+        await self.give_twist(Twist(speed_m_s, left_m_s))
+
+    async def give_twist(self, twist: Twist) -> None:
+        """One command, of any components."""
         for host in self.hosts:
             host.connection_.delay_s = self.late_s
         self._update(b"publisher")
         if self.made.hub.robots.get_here(ROBOT) is not None:  # else the bridge subscribes to no topic of it
-            self._driver.receive(self._route, Twist(speed_m_s, left_m_s), b"publisher")
+            self._driver.receive(self._route, twist, b"publisher")
         await asyncio.sleep(0.01)
         if "finite" in self._reported:
             raise CommandRefused(ROBOT, RefusalKind.NOT_FINITE, self._reported)

@@ -17,6 +17,7 @@ from hostlink.log_budget import Budget
 from hostlink.logs import printable
 from hostlink.messages.message_type import MessageType
 from hostlink.robot.admission import EarlierMotion
+from hostlink.robot.velocity import ZERO, Twist
 
 MAX_SUBSCRIBERS = 64  # of one topic
 
@@ -222,14 +223,16 @@ class _PublisherConnection:
             self.ended.set_result(None)
 
     def _receive(self, messages: list[bytes], participant: Participant, type_: MessageType) -> None:
-        """Publish messages; of several velocities only the newest."""
+        """Publish messages; of several velocities only the newest, and the newest zero before it."""
         counts, stream = self._node.counts, self.wire.stream
         counts.messages_from_ros += len(messages)
         counts.too_large_messages += stream.too_large - self._too_large
         self._too_large = stream.too_large
         if self._topic.is_velocity and len(messages) > 1:
-            counts.superseded_velocities += len(messages) - 1
-            del messages[:-1]
+            zero = next(filter(_is_zero, reversed(messages[:-1])), None)
+            newest = messages[-1:] if zero is None else [zero, messages[-1]]
+            counts.superseded_velocities += len(messages) - len(newest)
+            messages = newest
         for payload in messages:
             self._publish(payload, participant, type_)
 
@@ -259,6 +262,14 @@ class _PublisherConnection:
         if counts := self._refusals.due(kind, asyncio.get_running_loop().time()):
             log.warning("ros1.message_refused", topic=topic, node=node, kind=kind, reason=reason, **counts)
             self._node.hub.rosout.warn(self._node.name, f"{topic} of {node} is refused ({kind}): {reason}")
+
+
+def _is_zero(payload: bytes) -> bool:
+    """Whether a serialised Twist, or the Twist at the end of a TwistStamped, is zero."""
+    try:
+        return Twist.decode(payload[-len(ZERO.encode()) :]).is_zero
+    except BadPayload:
+        return False
 
 
 def _check(payload: bytes, type_: MessageType) -> None:

@@ -10,11 +10,11 @@ from typing import NamedTuple
 
 from hostlink.client import Host
 from hostlink.client.connection import waits
-from hostlink.errors import HostlinkError, RefusalKind
+from hostlink.errors import HostlinkError
 from hostlink.graphs.ros2.plan import VelocityInput
 from hostlink.log_budget import Budget
-from hostlink.robot.admission import LEASE_S, NOT_PLANAR, EarlierMotion
-from hostlink.robot.velocity import ZERO, PlanarVelocity, Twist
+from hostlink.robot.admission import LEASE_S, EarlierMotion
+from hostlink.robot.velocity import Twist
 
 HEARTBEAT_S = 0.05
 STALL_S = LEASE_S  # after a longer pause of this process, later velocities may be old
@@ -117,7 +117,7 @@ class _WaitingVelocity(NamedTuple):
     """The newest velocity of a topic, until it is sent."""
 
     robot: str
-    velocity: PlanarVelocity
+    twist: Twist
     epoch: int | None
     at_s: float
 
@@ -143,16 +143,13 @@ class _Owner:
         older_until_s: float | None,
     ) -> None:
         """Take a velocity of the publisher. `older_until_s`: until then a stream may have started earlier."""
-        if not twist.is_planar:  # a command of the client has x, y and yaw alone
-            self._explain(route.robot, RefusalKind.UNSUPPORTED, NOT_PLANAR)
-            return
         now_s = asyncio.get_running_loop().time()
         if route not in self._motions:
             self._motions[route] = EarlierMotion() if older_until_s is None else EarlierMotion(older_until_s)
         epoch, before = self._motions[route].pop_epoch(now_s), self._waiting.get(route)
         if before is not None and epoch is None:
             epoch = before.epoch  # of the motion that this velocity continues, and which the daemon does not know yet
-        self._waiting[route] = _WaitingVelocity(route.robot, twist.planar, None if twist.is_zero else epoch, now_s)
+        self._waiting[route] = _WaitingVelocity(route.robot, twist, None if twist.is_zero else epoch, now_s)
         self._news.set()
 
     def is_gone(self, *, is_there: bool) -> bool:
@@ -171,7 +168,7 @@ class _Owner:
         """The topic drives this robot no more."""
         if self._motions.pop(route, None) is not None:
             now_s = asyncio.get_running_loop().time()
-            self._waiting[route] = _WaitingVelocity(route.robot, ZERO, None, now_s)
+            self._waiting[route] = _WaitingVelocity(route.robot, Twist(), None, now_s)
             self._news.set()
 
     def close(self) -> None:
@@ -205,17 +202,17 @@ class _Owner:
 
     async def _send(self, host: Host, waiting: _WaitingVelocity) -> None:
         """A zero is sent at once, another when the daemon's limit allows it."""
-        loop = asyncio.get_running_loop()
-        if not waiting.velocity.is_zero and self._free_at_s > loop.time():
+        loop, twist = asyncio.get_running_loop(), waiting.twist
+        if not twist.is_zero and self._free_at_s > loop.time():
             await asyncio.sleep(self._free_at_s - loop.time())
         self._free_at_s = max(self._free_at_s, loop.time() - 1.0) + 1.0 / MAX_COMMANDS_S
         robot = host.robot(waiting.robot, priority=self._priority)
         try:
-            x_m_s, y_m_s, yaw_rad_s = waiting.velocity
-            await robot.command(x_m_s, yaw_rad_s, y_m_s, epoch=waiting.epoch)
+            x_m_s, y_m_s, yaw_rad_s = twist.planar
+            await robot.command(x_m_s, yaw_rad_s, y_m_s, epoch=waiting.epoch, is_planar=twist.is_planar)
         except HostlinkError as error:  # there is no connection, or the velocity is not finite
             self._explain(waiting.robot, error.kind, str(error))
-            if waiting.velocity.is_finite:
+            if twist.planar.is_finite:
                 self.interrupt()  # the daemon does not know yet of what motion the next one is
         else:
             if robot.refusal is not None:

@@ -9,35 +9,37 @@ from hostlink.api.clients import VelocityOf, velocity_of_payload
 from hostlink.api.rosbridge import Request, velocity_of_request
 from hostlink.hub.topic import DeviceSubscription
 from hostlink.hub.topic_graph import TopicGraph
-from hostlink.robot.velocity import TWIST_TYPE, ZERO, PlanarVelocity
+from hostlink.robot.velocity import TWIST_STAMPED_TYPE, TWIST_TYPE, ZERO, PlanarVelocity
 from tests.support.fake_device import CATALOG
 
-TOPIC = "/robot_0/cmd_vel"
+TOPIC, STAMPED = "/robot_0/cmd_vel", "/robot_0/cmd_vel_stamped"
 MOVING = PlanarVelocity(x_m_s=0.2).encode()
 
 
 def topics() -> TopicGraph:
     graph = TopicGraph(CATALOG)
-    for name, is_gate in ((TOPIC, True), ("/plan", False)):
-        graph.subscribe_device(name, "key", DeviceSubscription(lambda _: None, is_gate=is_gate), type_name=TWIST_TYPE)
+    for name, type_name in ((TOPIC, TWIST_TYPE), (STAMPED, TWIST_STAMPED_TYPE), ("/plan", TWIST_TYPE)):
+        gate = DeviceSubscription(lambda _: None, is_gate=name != "/plan")
+        graph.subscribe_device(name, "key", gate, type_name=type_name)
     return graph
 
 
 @pytest.mark.parametrize(
-    ("fields", "is_zero"),
+    ("topic", "fields", "is_zero"),
     [
-        ({"msg": {"linear": {"x": 0.2}}}, False),
-        ({"msg": {"linear": {"x": 0}, "angular": {"z": -0.0}}}, True),
-        ({"msg": {}}, True),
-        ({"msg": {"header": {}, "twist": {"angular": {"z": 1}}}}, False),
-        ({"msg": {"header": {}, "twist": {}}}, True),
-        ({"raw": base64.b64encode(MOVING).decode()}, False),
-        ({"raw": base64.b64encode(bytes(20) + ZERO.encode()).decode()}, True),
+        (TOPIC, {"msg": {"linear": {"x": 0.2}}}, False),
+        (TOPIC, {"msg": {"linear": {"x": 0}, "angular": {"z": -0.0}}}, True),
+        (TOPIC, {"msg": {}}, True),
+        (STAMPED, {"msg": {"header": {}, "twist": {"angular": {"z": 1}}}}, False),
+        (STAMPED, {"msg": {"header": {}, "twist": {}}}, True),
+        (TOPIC, {"raw": base64.b64encode(MOVING).decode()}, False),
+        (STAMPED, {"raw": base64.b64encode(bytes(16) + ZERO.encode()).decode()}, True),
     ],
 )
-def test_message_on_a_velocity_topic_is_a_velocity(fields: dict[str, Any], is_zero: bool) -> None:
-    request = Request({"op": "publish", "topic": TOPIC[1:], "priority": 60} | fields)
-    assert velocity_of_request(request, topics()) == (VelocityOf("publish", TOPIC, (60, None, False)), is_zero)
+def test_message_on_a_velocity_topic_is_a_velocity(topic: str, fields: dict[str, Any], is_zero: bool) -> None:
+    request = Request({"op": "publish", "topic": topic[1:], "priority": 60} | fields)
+    terms = (60, None, False), (True, True, False)
+    assert velocity_of_request(request, topics()) == (VelocityOf("publish", topic, terms), is_zero)
 
 
 @pytest.mark.parametrize(
@@ -49,7 +51,10 @@ def test_message_on_a_velocity_topic_is_a_velocity(fields: dict[str, Any], is_ze
         {"op": "publish", "topic": TOPIC, "msg": {"linear": [1]}},
         {"op": "publish", "topic": TOPIC, "msg": {"linear": {"x": "fast"}}},
         {"op": "publish", "topic": TOPIC, "msg": {"linear": {"x": True}}},
-        {"op": "publish", "topic": TOPIC, "msg": {"twist": 1}},
+        {"op": "publish", "topic": TOPIC, "msg": {"twist": {}}},
+        {"op": "publish", "topic": TOPIC, "msg": {"linear": {"speed": 0}}},
+        {"op": "publish", "topic": STAMPED, "msg": {"linear": {}}},
+        {"op": "publish", "topic": STAMPED, "raw": base64.b64encode(MOVING).decode()},
         {"op": "publish", "topic": TOPIC, "raw": "?"},
         {"op": "publish", "topic": TOPIC, "raw": "AAAA"},
         {"op": "publish", "topic": TOPIC, "msg": {}, "priority": [1]},
@@ -69,12 +74,24 @@ def test_invalid_velocity_is_never_replaced(fields: dict[str, Any]) -> None:
 
 def test_drive_is_a_velocity_of_its_robot() -> None:
     drive = {"op": "drive", "robot": "/robot_0", "linear": 0, "angular": 0.0}
-    of = VelocityOf("drive", "robot_0", (50, None, None, None, False))
+    of = VelocityOf("drive", "robot_0", (50, None, None, None, False, False, True))
     assert velocity_of_request(Request(drive), topics()) == (of, True)
-    assert velocity_of_request(Request(drive | {"linear_y": 0.1}), topics()) == (of, False)
+    assert velocity_of_request(Request(drive | {"linear": 0.1}), topics()) == (of, False)
+    assert not velocity_of_request(Request(drive | {"is_planar": False}), topics())[1]
 
 
-@pytest.mark.parametrize("terms", [{"priority": 60}, {"epoch": 1}, {"stops": 1}, {"link": 1}, {"sent_s": 0.0}])
+@pytest.mark.parametrize(
+    "terms",
+    [
+        {"priority": 60},
+        {"epoch": 1},
+        {"stops": 1},
+        {"link": 1},
+        {"sent_s": 0.0},
+        {"linear_y": 0.1},
+        {"is_planar": False},
+    ],
+)
 def test_drive_with_other_terms_is_another_velocity(terms: dict[str, Any]) -> None:
     drive = {"op": "drive", "robot": "robot_0", "linear": 0.1, "angular": 0.0}
     assert velocity_of_request(Request(drive | terms), topics()) != velocity_of_request(Request(drive), topics())
@@ -86,8 +103,16 @@ def test_message_with_other_terms_is_another_velocity(terms: dict[str, Any]) -> 
     assert velocity_of_request(Request(message | terms), topics()) != velocity_of_request(Request(message), topics())
 
 
+@pytest.mark.parametrize("linear", [{"y": 0.1}, {"z": 0.1}, {"x": None}])
+def test_message_that_a_robot_may_refuse_is_another_velocity(linear: dict[str, Any]) -> None:
+    usual, other = ({"op": "publish", "topic": TOPIC, "msg": {"linear": each}} for each in ({"x": 0.1}, linear))
+    assert velocity_of_request(Request(other), topics()) != velocity_of_request(Request(usual), topics())
+
+
 def test_serialised_velocity_counts_only_on_a_velocity_topic() -> None:
-    assert velocity_of_payload(TOPIC, MOVING, topics()) == (VelocityOf("publish", TOPIC), False)
-    assert velocity_of_payload(TOPIC, ZERO.encode(), topics()) == (VelocityOf("publish", TOPIC), True)
-    assert velocity_of_payload(TOPIC, b"short", topics()) == (None, False)
-    assert velocity_of_payload("/plan", MOVING, topics()) == (None, False)
+    graph, of = topics(), VelocityOf("publish", TOPIC, (None, (True, True, False)))
+    assert velocity_of_payload(graph.find(TOPIC), MOVING) == (of, False)
+    assert velocity_of_payload(graph.find(TOPIC), ZERO.encode()) == (of, True)
+    assert velocity_of_payload(graph.find(TOPIC), b"short") == (None, False)
+    assert velocity_of_payload(graph.find("/plan"), MOVING) == (None, False)
+    assert velocity_of_payload(None, MOVING) == (None, False)

@@ -71,10 +71,11 @@ class Socket:
 
 
 class Echo:
-    """A program that answers each word with the word; `fail` fails, and `robot=2` is a velocity."""
+    """A program that answers each word with the word; `fail` fails, `robot=2` is a velocity, `call` is a call."""
 
-    def __init__(self, queue: ClientQueue) -> None:
+    def __init__(self, queue: ClientQueue, tasks: asyncio.TaskGroup) -> None:
         self.queue, self.done, self.calls, self.is_closed = queue, list[str](), 0, False
+        self._tasks = tasks
         self.held_back: list[tuple[float, str]] = []  # what is due, and when
 
     def read(self, data: str | bytes, came_s: float) -> Operation[str]:
@@ -84,8 +85,17 @@ class Echo:
     def do(self, operation: Operation[str]) -> None:
         if operation.content == "fail":
             raise ValueError("a defect")
+        if operation.content == "call":
+            self.calls += 1
+            self._tasks.create_task(self._call())
+            return
         self.done.append(operation.content)
         self.queue.put_result(Outgoing(operation.content.encode()))
+
+    async def _call(self) -> None:
+        self.done.append("call")
+        await asyncio.sleep(1.0)
+        self.calls -= 1
 
     def flush(self, now_s: float) -> float | None:
         for due_s, word in list(self.held_back):
@@ -104,7 +114,7 @@ class Connected:
     def __init__(self, tasks: asyncio.TaskGroup, kind: str, max_messages_s: float) -> None:
         self.socket, self.queue = Socket(), ClientQueue()
         self.socket.kind = kind
-        self.program, self.latency, self.replaced = Echo(self.queue), Latency(), 0
+        self.program, self.latency, self.replaced = Echo(self.queue, tasks), Latency(), 0
         self.connection = ClientSocket(
             cast(web.WebSocketResponse, self.socket),
             cast(asyncio.Transport, self.socket),
@@ -386,6 +396,29 @@ def test_operations_of_a_client_that_leaves_are_executed() -> None:
             client.socket.put("one", "two")
             await client.leave()
             assert client.program.done == ["one", "two"]
+
+    run_virtual(run())
+
+
+def test_call_begins_before_the_operations_behind_it() -> None:
+    async def run() -> None:
+        async with connected() as client:
+            words = ["a=1", "call", "a=2", "call", "call", "one"]
+            client.socket.put(*words)
+            await asyncio.sleep(0.01)
+            assert client.program.done == words
+
+    run_virtual(run())
+
+
+def test_call_of_a_client_that_leaves_begins_before_its_end() -> None:
+    async def run() -> None:
+        async with connected() as client:
+            client.socket.put("one", "call")
+            client.program.close = lambda: client.program.done.append("end")  # type: ignore[method-assign]
+            await client.leave()
+            assert client.program.done == ["one", "call", "end"]
+            client.program.is_closed = client.socket.closed = True
 
     run_virtual(run())
 

@@ -320,6 +320,7 @@ def test_calls_under_way_are_bounded_and_fail_when_their_participant_leaves() ->
 def test_command_carries_the_priority_and_time_of_its_participant() -> None:
     async def test(made: MemoryHub) -> None:
         await made.connect()
+        await asyncio.sleep(0.5)
         ann = made.hub.join("ann", priority=70)
         robot = made.robot()
         assert ann.drive(robot, PlanarVelocity(9.0)) == PlanarVelocity(1.0)

@@ -11,6 +11,7 @@ from hostlink.robot.admission import (
     LEASE_S,
     MAX_EARLIER,
     MAX_SOURCES,
+    UNORDERED_S,
     Admission,
     Command,
     Decision,
@@ -30,7 +31,7 @@ class Timeline:
     def __init__(self, **settings: float | Kinematics) -> None:
         self.now_s = 100.0
         self.admission = Admission("robot_0", **settings)  # type: ignore[arg-type]
-        self.admission.connect(self.now_s)
+        self.admission.connect(0.0)
 
     def wait(self, seconds: float) -> None:
         self.now_s += seconds
@@ -152,6 +153,45 @@ def test_disarmed_source_after_a_lease_of_silence_is_admitted(driven: Timeline, 
 def test_quiet_source_after_an_interruption_is_admitted(driven: Timeline, interrupt: object) -> None:
     interrupt(driven)  # type: ignore[operator]
     assert driven.command(source="bob").is_admitted
+
+
+def interrupt_while_waiting(robot: Timeline) -> float:
+    """A stop, 0.1 s after a command of a quiet source began to wait; returns for how long it has waited."""
+    robot.wait(2 * LEASE_S)
+    robot.stop()
+    robot.wait(0.1)
+    return 0.1 + UNORDERED_S + 0.01
+
+
+def test_command_from_before_a_stop_is_refused_and_disarms_its_source(driven: Timeline) -> None:
+    waited_s = interrupt_while_waiting(driven)
+    assert driven.command(waited_s=waited_s).kind is RefusalKind.DISARMED
+    driven.wait(0.1)
+    assert driven.command().kind is RefusalKind.DISARMED
+    assert driven.command(ZERO).is_admitted
+    assert driven.command().is_admitted
+
+
+def test_command_that_the_network_delayed_beyond_a_stop_is_refused(robot: Timeline) -> None:
+    assert robot.command(sent_s=0.0).is_admitted
+    waited_s = interrupt_while_waiting(robot)
+    assert robot.command(sent_s=robot.now_s - 100.0 - waited_s).kind is RefusalKind.DISARMED
+
+
+def test_command_from_before_a_stop_with_the_epoch_of_after_it_is_admitted(driven: Timeline) -> None:
+    waited_s = interrupt_while_waiting(driven)
+    assert driven.command(waited_s=waited_s, epoch=driven.admission.epoch).is_admitted
+
+
+def test_command_that_a_slightly_late_loop_read_after_a_stop_is_admitted(driven: Timeline) -> None:
+    waited_s = interrupt_while_waiting(driven)
+    assert driven.command(waited_s=waited_s - 0.02).is_admitted
+
+
+def test_velocity_behind_a_zero_that_waited_through_a_stop_is_refused(driven: Timeline) -> None:
+    waited_s = interrupt_while_waiting(driven)
+    assert driven.command(ZERO, waited_s=waited_s).is_admitted
+    assert driven.command(waited_s=waited_s).kind is RefusalKind.DISARMED
 
 
 def test_source_that_was_silent_for_a_lease_is_not_met_by_a_stop(driven: Timeline) -> None:

@@ -1,6 +1,7 @@
 """Topics of the hub for ROS nodes, and their velocities for robots, without sockets."""
 
 import asyncio
+import math
 
 import pytest
 
@@ -151,6 +152,36 @@ def test_new_publisher_drives_and_only_its_newest_velocity_counts() -> None:
         await asyncio.sleep(0.05)
         assert scene.speeds()[-1] == 0.0
         assert not driver.connection.is_accepted
+
+    play(test)
+
+
+@pytest.mark.parametrize("newest", [PlanarVelocity(math.nan).encode(), b"short"], ids=["not finite", "malformed"])
+def test_zero_before_a_newer_velocity_is_obeyed_although_that_one_is_refused(newest: bytes) -> None:
+    async def test(scene: Scene) -> None:
+        driver = Driver(scene, is_new=True)
+        driver.begin()
+        driver.drive(0.3)
+        await asyncio.sleep(0.05)
+        moving, zero = PlanarVelocity(0.3).encode(), PlanarVelocity(-0.0).encode()
+        driver.connection.wire.receive([moving, zero, zero, moving, newest])
+        await asyncio.sleep(0.05)
+        assert scene.speeds()[-1] == 0.0
+        assert driver.node.counts.superseded_velocities == 3
+        driver.connection.wire.close()
+
+    play(test)
+
+
+def test_publisher_of_before_whose_zero_is_in_the_same_piece_drives() -> None:
+    async def test(scene: Scene) -> None:
+        scene.hub.robots.find(ROBOT).stop()
+        driver = Driver(scene, is_new=False)
+        driver.begin()
+        driver.drive(0.1, 0.0, 0.2)
+        await asyncio.sleep(0.05)
+        assert [speed for speed in scene.speeds() if speed] == [0.2]
+        driver.connection.wire.close()
 
     play(test)
 

@@ -38,10 +38,19 @@ class FakeRobot:
         return self.daemon.refusal
 
     async def command(
-        self, linear_m_s: float, angular_rad_s: float, linear_y_m_s: float = 0.0, *, epoch: int | None = None
+        self,
+        linear_m_s: float,
+        angular_rad_s: float,
+        linear_y_m_s: float = 0.0,
+        *,
+        epoch: int | None = None,
+        is_planar: bool = True,
     ) -> None:
         if self.daemon.is_lost:
             raise HostlinkError("the connection is lost")
+        if not is_planar:
+            self.daemon.not_planar.append(epoch)
+            return
         self.daemon.commands.append((self.name, Twist(linear_m_s, linear_y_m_s, angular_z_rad_s=angular_rad_s), epoch))
 
 
@@ -69,6 +78,7 @@ class FakeDaemon:
 
     def __init__(self) -> None:
         self.commands: list[tuple[str, Twist, int | None]] = []
+        self.not_planar: list[int | None] = []  # epochs of commands that are not planar
         self.hosts: list[FakeHost] = []
         self.ended = 0
         self.is_lost = False
@@ -115,18 +125,27 @@ def test_stream_of_a_new_publisher_is_commanded_without_an_epoch() -> None:
     run_virtual(check())
 
 
-def test_sideways_velocity_is_commanded_and_one_out_of_the_plane_is_explained() -> None:
+@pytest.mark.parametrize("x_m_s", [0.0, 0.2])
+def test_sideways_velocity_and_one_out_of_the_plane_are_commanded(x_m_s: float) -> None:
     async def check() -> None:
         world = World()
         async with world.driver.running():
             sideways = Twist(linear_y_m_s=0.3)
             await world.stream(sideways, for_s=0.2)
-            await world.stream(Twist(0.2, angular_x_rad_s=0.1), for_s=0.2)
+            await world.stream(Twist(x_m_s, angular_x_rad_s=0.1), for_s=0.2)
         assert world.daemon.commands == [("robot_0", sideways, None)] * 2
-        assert world.warnings == [
-            "robot_0: a robot moves in the plane: send 0 as linear.z, angular.x and angular.y "
-            "(velocity refused: unsupported)"
-        ]
+        assert world.daemon.not_planar == [None] * 2
+
+    run_virtual(check())
+
+
+def test_velocity_out_of_the_plane_has_the_earlier_epoch_of_its_motion() -> None:
+    async def check() -> None:
+        world = World(is_updated=False)
+        world.driver.update(["robot_0"], frozenset({b"a"}))
+        async with world.driver.running():
+            await world.stream(Twist(angular_x_rad_s=0.1), for_s=0.2)
+        assert world.daemon.not_planar == [EARLIER_EPOCH, None]
 
     run_virtual(check())
 
