@@ -44,7 +44,6 @@ from hostlink.api.foxglove_protocol import (
     encode_response,
     encode_time,
 )
-from hostlink.api.rate_limit import REFUSED_VELOCITIES_S, RateLimit
 from hostlink.api.rosapi import Parameters
 from hostlink.api.views import node_name, receivers
 from hostlink.config import ParameterValue
@@ -59,6 +58,7 @@ from hostlink.hub.subscription import Subscription
 from hostlink.hub.topic_graph import TopicGraph, resolve
 from hostlink.messages.catalog import CLOCK, CLOCK_TYPE, decode_clock
 from hostlink.messages.message_type import MessageType, ServiceType
+from hostlink.rate_limit import REFUSED_VELOCITIES_S, RateLimit
 
 Names = Mapping[str, tuple[str, ...]]
 _Entry = TypeVar("_Entry")

@@ -20,13 +20,13 @@ from prometheus_client.core import (
 from hostlink import logs
 from hostlink.api.clients import Clients
 from hostlink.api.listener import ApiConnections
-from hostlink.api.rate_limit import RateLimit
 from hostlink.api.rest import Owners
 from hostlink.api.routes import Route
 from hostlink.hub.device import Device
 from hostlink.hub.hub import Hub
 from hostlink.hub.robot import LocalRobot
 from hostlink.latency import Latency
+from hostlink.rate_limit import RateLimit
 from hostlink.recording.folder import MEGABYTE, DiskUsage, Folder
 from hostlink.recording.recordings import Recordings
 from hostlink.robot.velocity import PlanarVelocity

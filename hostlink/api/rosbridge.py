@@ -20,7 +20,6 @@ import structlog
 
 from hostlink.api.bodies import convert_fields
 from hostlink.api.clients import ClientQueue, Operation, Outgoing, VelocityOf, is_zero_payload, put_json
-from hostlink.api.rate_limit import REFUSED_VELOCITIES_S, RateLimit
 from hostlink.api.views import velocity_answer
 from hostlink.errors import BadPayload, BadRequest, CommandRefused, HostlinkError, ServiceFailed
 from hostlink.hub.byte_budget import Share
@@ -38,6 +37,7 @@ from hostlink.logs import printable
 from hostlink.messages.catalog import Catalog
 from hostlink.messages.fields import SCALAR
 from hostlink.messages.message_type import MessageType, ServiceType
+from hostlink.rate_limit import REFUSED_VELOCITIES_S, RateLimit
 from hostlink.robot.admission import EARLIER_EPOCH
 from hostlink.robot.state import MAX_PRIORITY
 from hostlink.robot.velocity import TWIST_TYPE, PlanarVelocity

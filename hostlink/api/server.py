@@ -24,7 +24,6 @@ from hostlink.api.foxglove import FoxgloveClient, FoxgloveDirectory
 from hostlink.api.history import HistoryRoutes, IncidentRoutes, RecordingHistoryRoute
 from hostlink.api.listener import KEPT_FOR_REQUESTS, ApiConnections, ApiListener, MakeProtocol, reading_of
 from hostlink.api.metrics import Metrics
-from hostlink.api.rate_limit import RateLimit
 from hostlink.api.recordings import RecordingRoutes
 from hostlink.api.rest import DriveRoute, ListeningRoute, Owners, ReloadRoute, Rest
 from hostlink.api.rosapi import RosApi
@@ -52,6 +51,7 @@ from hostlink.hub.hub import Hub
 from hostlink.hub.node import Role
 from hostlink.hub.reloader import Reloader
 from hostlink.logs import printable
+from hostlink.rate_limit import RateLimit
 from hostlink.recording.recordings import Recordings
 from hostlink.transport.base import READ_BYTES
 
