@@ -298,7 +298,7 @@ class Events:
                 "An event `odometry` for each new pose: the JSON of its GET",
                 response=None,
                 media_type="text/event-stream",
-                fails=(HTTPStatus.NOT_FOUND, HTTPStatus.SERVICE_UNAVAILABLE),
+                fails=(HTTPStatus.SERVICE_UNAVAILABLE,),
             ),
         ]
 

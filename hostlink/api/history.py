@@ -132,7 +132,6 @@ class HistoryRoutes:
                 self._history,
                 "Path, commands, plots and events of a robot in its last minutes",
                 HistoryView,
-                fails=(HTTPStatus.NOT_FOUND,),
             ),
         ]
 
@@ -299,7 +298,6 @@ class IncidentRoutes:
 
     def routes(self) -> list[Route]:
         """Return the routes."""
-        not_found = HTTPStatus.NOT_FOUND
         return [
             Route("/api/incidents", self._all, "Incidents of robots, the newest first", IncidentsView),
             Route(
@@ -310,12 +308,7 @@ class IncidentRoutes:
                 method="POST",
                 request=IncidentRequest,
                 role=Role.DRIVE,
-                fails=(
-                    HTTPStatus.BAD_REQUEST,
-                    not_found,
-                    HTTPStatus.CONFLICT,
-                    HTTPStatus.REQUEST_ENTITY_TOO_LARGE,
-                ),
+                fails=(HTTPStatus.NOT_FOUND, HTTPStatus.CONFLICT),
             ),
             Route(
                 "/api/incidents/{name}",
@@ -323,14 +316,12 @@ class IncidentRoutes:
                 "The MCAP file of an incident",
                 None,
                 media_type=FILE,
-                fails=(not_found,),
             ),
             Route(
                 "/api/incidents/{name}/history",
                 self._history,
                 "Path, commands, plots and events of the robot around an incident",
                 IncidentHistoryView,
-                fails=(not_found,),
             ),
         ]
 
@@ -394,7 +385,7 @@ class RecordingHistoryRoute:
                 self._history,
                 "Path, commands, plots and events of the first robot in a recording, or of `?robot=NAME`",
                 RecordingHistoryView,
-                fails=(HTTPStatus.BAD_REQUEST, HTTPStatus.NOT_FOUND),
+                fails=(HTTPStatus.BAD_REQUEST,),
             )
         ]
 

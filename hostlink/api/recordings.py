@@ -24,7 +24,6 @@ MAX_PATTERNS = 256  # topics and robots in one request
 MAX_LISTED = 1000  # files; the newest are listed
 UPLOAD_S, SLOWEST_BYTES_S = 30.0, 50_000  # longest time of an upload: this, and its size at this rate
 PIECE_S = 10.0  # longest pause of an upload
-_BAD, _NOT_FOUND = HTTPStatus.BAD_REQUEST, HTTPStatus.NOT_FOUND
 _BUSY, _FULL = HTTPStatus.CONFLICT, HTTPStatus.INSUFFICIENT_STORAGE
 
 
@@ -97,7 +96,7 @@ class RecordingRoutes:
                 request=RecordingRequest,
                 is_body_optional=True,
                 role=Role.DRIVE,
-                fails=(_BAD, _NOT_FOUND, _BUSY, _FULL, HTTPStatus.REQUEST_ENTITY_TOO_LARGE),
+                fails=(HTTPStatus.NOT_FOUND, _BUSY, _FULL),
             ),
             Route(
                 one,
@@ -105,7 +104,6 @@ class RecordingRoutes:
                 "The MCAP file of that name, or ranges of it, also while it is written",
                 None,
                 media_type=FILE,
-                fails=(_NOT_FOUND,),
             ),
             Route(
                 one,
@@ -115,7 +113,13 @@ class RecordingRoutes:
                 method="PUT",
                 is_upload=True,
                 role=Role.DRIVE,
-                fails=(_BAD, HTTPStatus.REQUEST_TIMEOUT, _BUSY, HTTPStatus.REQUEST_ENTITY_TOO_LARGE, _FULL),
+                fails=(
+                    HTTPStatus.BAD_REQUEST,
+                    HTTPStatus.REQUEST_TIMEOUT,
+                    _BUSY,
+                    HTTPStatus.REQUEST_ENTITY_TOO_LARGE,
+                    _FULL,
+                ),
             ),
             Route(
                 f"{one}/stop",
@@ -124,7 +128,6 @@ class RecordingRoutes:
                 RecordingView,
                 method="POST",
                 role=Role.DRIVE,
-                fails=(_NOT_FOUND,),
             ),
             Route(
                 one,
@@ -133,7 +136,7 @@ class RecordingRoutes:
                 RemovedView,
                 method="DELETE",
                 role=Role.DRIVE,
-                fails=(_NOT_FOUND, _BUSY),
+                fails=(_BUSY,),
             ),
         ]
 

@@ -429,8 +429,8 @@ class Rest:
         robot = "/api/robots/{name}"
         return [
             Route("/api/robots", self._robots, "Every robot", RobotsView),
-            Route(robot, self._robot, "One robot", RobotView, fails=(NOT_FOUND,)),
-            Route(f"{robot}/odometry", self._odometry, "Pose and twist", OdometryView, fails=(NOT_FOUND, UNAVAILABLE)),
+            Route(robot, self._robot, "One robot", RobotView),
+            Route(f"{robot}/odometry", self._odometry, "Pose and twist", OdometryView, fails=(UNAVAILABLE,)),
             Route(
                 f"{robot}/velocity",
                 self._velocity,
@@ -441,7 +441,7 @@ class Rest:
                 max_body_bytes=VELOCITY_BYTES,
                 check_head=self._find_to_drive,
                 role=Role.DRIVE,
-                fails=(BAD_REQUEST, NOT_FOUND, CONFLICT, TOO_LARGE, UNAVAILABLE),
+                fails=(CONFLICT, UNAVAILABLE),
             ),
             Route(
                 f"{robot}/stop",
@@ -451,7 +451,7 @@ class Rest:
                 StoppedRobotView,
                 method="POST",
                 is_limited=False,
-                fails=(BAD_REQUEST, NOT_FOUND, TOO_LARGE, UNAVAILABLE),
+                fails=(BAD_REQUEST, TOO_LARGE, UNAVAILABLE),
             ),
             Route(
                 "/api/stop",
@@ -474,7 +474,7 @@ class Rest:
                 is_body_optional=True,
                 on_head=lambda request: self._find(request).lock(by=_caller(request)),
                 is_limited=False,
-                fails=(BAD_REQUEST, NOT_FOUND, TOO_LARGE, UNAVAILABLE),
+                fails=(UNAVAILABLE,),
             ),
             Route(
                 f"{robot}/unlock",
@@ -483,7 +483,7 @@ class Rest:
                 RobotView,
                 method="POST",
                 role=Role.DRIVE,
-                fails=(NOT_FOUND, UNAVAILABLE),
+                fails=(UNAVAILABLE,),
             ),
             Route(
                 f"{robot}/odometry/reset",
@@ -492,14 +492,14 @@ class Rest:
                 ResetAnswer,
                 method="POST",
                 role=Role.DRIVE,
-                fails=(NOT_FOUND, UNAVAILABLE),
+                fails=(UNAVAILABLE,),
             ),
             Route(
                 f"{robot}/standstill",
                 self._standstill,
                 "Whether odometry says from now on that the robot is stopped; waits wait_s seconds at most (1.5)",
                 StoppedRobotView,
-                fails=(BAD_REQUEST, NOT_FOUND),
+                fails=(BAD_REQUEST,),
             ),
             Route(
                 "/api/standstill",
