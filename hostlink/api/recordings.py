@@ -16,7 +16,7 @@ from hostlink.api.bodies import decode_body
 from hostlink.api.routes import BODY, FILE, Route, reply
 from hostlink.errors import BadRequest, UnknownTopic
 from hostlink.hub.node import Role
-from hostlink.recording.folder import MEGABYTE, NAME_PATTERN, StoredFile
+from hostlink.recording.folder import MEGABYTE, NAME_PATTERN, Folder, StoredFile
 from hostlink.recording.recorder import TopicSelection
 from hostlink.recording.recordings import Recording, Recordings
 
@@ -165,11 +165,7 @@ class RecordingRoutes:
         return reply(recording_view(await self._recordings.stop(request.match_info["name"])))
 
     async def _file(self, request: web.Request) -> web.StreamResponse:
-        name = request.match_info["name"]
-        path = await asyncio.to_thread(self._recordings.folder.find, name)
-        if path is None:
-            raise UnknownTopic("recording", name)
-        return send_file(path)
+        return send_file(await find_file(self._recordings.folder, request, "recording"))
 
     async def _store(self, request: web.Request) -> web.Response:
         size_bytes, most_bytes = request.content_length, int(self._max_file_mb * MEGABYTE)
@@ -208,6 +204,19 @@ async def _pieces(request: web.Request) -> AsyncIterator[bytes]:
         if isinstance(error, TimeoutError):
             raise
         raise BadRequest("the file is incomplete") from error
+
+
+async def find_file(folder: Folder, request: web.Request, kind: str) -> Path:
+    """Return the file of the folder that the path of a request names.
+
+    Raises:
+        UnknownTopic: there is none. `kind` is what the error calls it.
+    """
+    name = request.match_info["name"]
+    path = await asyncio.to_thread(folder.find, name)
+    if path is None:
+        raise UnknownTopic(kind, name)
+    return path
 
 
 def send_file(path: Path) -> web.FileResponse:
