@@ -324,7 +324,10 @@ def history_view(
     commands = history.commands(twist.decode, rest)
     return {
         "poses": [_pose_view(each, now_s) for each in history.poses(estimator, present, rest)],
-        "commands": [{"age_s": _age(now_s, at_s), "velocity": _command_view(fields)} for at_s, fields in commands],
+        "commands": [
+            {"age_s": _age(now_s, at_s), "velocity": velocity_view(Twist.from_fields(fields).planar)}
+            for at_s, fields in commands
+        ],
         "plot_data": _messages(history.plot_data(twist.decode, rest), now_s),
         "events": _messages(history.events(rest), now_s),
     }
@@ -361,10 +364,6 @@ def _place_view(past: PastPose, now_s: float) -> FleetPoseView:
 
 def _rounded_pose(pose: Pose) -> PoseView:
     return {"x_m": round(pose.x_m, 6), "y_m": round(pose.y_m, 6), "theta_rad": round(pose.theta_rad, 6)}
-
-
-def _command_view(twist: dict[str, Any]) -> VelocityView:
-    return velocity_view(Twist.from_fields(twist).planar)
 
 
 def recording_history(catalog: Catalog, path: Path, robot: str, *, read_s: float = READ_S) -> bytes:
