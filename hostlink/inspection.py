@@ -5,7 +5,6 @@ A capture is JSON lines: {"t": seconds, "dir": "device" | "host", "hex": bytes, 
 event `topics` marks that the beginning is lost; its bytes announce the topics of that time.
 """
 
-from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -50,44 +49,54 @@ class Payload:
     error: str = ""
 
 
-@dataclass(frozen=True, slots=True)
 class Series:
     """Message count of a topic, with the first and the last message."""
 
-    count: int
-    first: Payload
-    last: Payload
+    def __init__(self, type_: MessageType | None) -> None:
+        self.count = 0
+        self._type = type_
+        self._first = self._last = b""
+
+    def add(self, payload: bytes) -> None:
+        """Add a message."""
+        if not self.count:
+            self._first = payload
+        self._last = payload
+        self.count += 1
+
+    @property
+    def first(self) -> Payload:
+        """The first message."""
+        return self._decode(self._first)
+
+    @property
+    def last(self) -> Payload:
+        """The last message."""
+        return self._decode(self._last)
+
+    def _decode(self, payload: bytes) -> Payload:
+        if self._type is None:
+            return Payload(payload)
+        try:
+            return Payload(payload, self._type.decode(payload))
+        except BadPayload as error:
+            return Payload(payload, error=str(error))
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class ServiceCounts:
     """Message counts of one service."""
 
-    requests: int
-    responses: int
+    requests: int = 0
+    responses: int = 0
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class ParameterRequest:
     """Parameter that the device requested; `reply` is None without an answer."""
 
     name: str
-    reply: Parameter | None
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class InspectionReport:
-    """Content of a whole capture."""
-
-    topics: tuple[TopicInfo, ...]
-    messages: dict[str, Series]  # from the device
-    to_device: dict[str, Series]
-    logs: tuple[Log, ...]
-    parameters: tuple[ParameterRequest, ...]
-    services: dict[str, ServiceCounts]
-    time_requests: int
-    skipped_bytes: int
-    connections: int
+    reply: Parameter | None = None
 
 
 def load_reads(path: Path) -> Iterator[Read]:
@@ -119,49 +128,33 @@ def _read_line(decoder: "msgspec.json.Decoder[Read]", line: bytes, where: str) -
 
 
 class Inspection:
-    """Sums over the reads of a capture. `report` returns them."""
+    """Content of a capture: sums over its reads."""
 
     def __init__(self, catalog: Catalog) -> None:
+        self.connections: dict[int, _InspectedConnection] = {}
+        self.topics: dict[tuple[Id, int, str], TopicInfo] = {}
+        self.messages: dict[str, Series] = {}  # from the device
+        self.to_device: dict[str, Series] = {}
+        self.services: dict[str, ServiceCounts] = {}  # in the order of first use
+        self.parameters: list[ParameterRequest] = []
+        self.logs: list[Log] = []
+        self.time_requests = 0
+        self.skipped_bytes = 0
         self._catalog = catalog
-        self._connections: dict[int, _InspectedConnection] = {}
-        self._topics: dict[tuple[Id, int, str], TopicInfo] = {}
-        self._messages: dict[str, _Series] = {}
-        self._to_device: dict[str, _Series] = {}
-        self._requests: Counter[str] = Counter()  # per service
-        self._responses: Counter[str] = Counter()
-        self._services: dict[str, None] = {}  # in the order of first use
-        self._parameters: list[_ParameterRequest] = []
-        self._logs: list[Log] = []
-        self._time_requests = 0
-        self._skipped_bytes = 0
 
     def add_all(self, reads: Iterable[Read]) -> None:
         """Add every read in order, then the incomplete frames at the end."""
         for read in reads:
-            connection = self._connections.get(read.conn)
+            connection = self.connections.get(read.conn)
             if connection is None:
-                connection = self._connections[read.conn] = _InspectedConnection(self._fixed_bytes)
+                connection = self.connections[read.conn] = _InspectedConnection(self._fixed_bytes)
             connection.reads += 1
             if read.dir == "device":
                 self._add_items(connection, connection.from_device.feed(bytes.fromhex(read.hex)), self._from_device)
             else:
                 self._add_items(connection, connection.to_device.feed(bytes.fromhex(read.hex)), self._from_host)
-        for connection in self._connections.values():
+        for connection in self.connections.values():
             self._finish(connection)
-
-    def report(self) -> InspectionReport:
-        """Return the sums."""
-        return InspectionReport(
-            topics=tuple(self._topics.values()),
-            messages={name: series.sum() for name, series in self._messages.items()},
-            to_device={name: series.sum() for name, series in self._to_device.items()},
-            logs=tuple(self._logs),
-            parameters=tuple(ParameterRequest(each.name, each.reply) for each in self._parameters),
-            services={name: ServiceCounts(self._requests[name], self._responses[name]) for name in self._services},
-            time_requests=self._time_requests,
-            skipped_bytes=self._skipped_bytes,
-            connections=len(self._connections),
-        )
 
     def _add_items(
         self,
@@ -171,7 +164,7 @@ class Inspection:
     ) -> None:
         for item in items:
             if isinstance(item, Skipped):
-                self._skipped_bytes += len(item.data)
+                self.skipped_bytes += len(item.data)
             else:
                 add(connection, item)
 
@@ -186,12 +179,12 @@ class Inspection:
     def _from_device(self, connection: "_InspectedConnection", frame: Frame) -> None:
         match frame.topic_id:
             case Id.TIME:
-                self._time_requests += 1
+                self.time_requests += 1
             case Id.LOG if (log := decode_log(frame.payload)) is not None:
-                self._logs.append(log)
+                self.logs.append(log)
             case Id.PARAMETER if (name := decode_parameter_request(frame.payload)) is not None:
-                self._parameters.append(_ParameterRequest(name))
-                connection.request_parameter(self._parameters[-1])
+                self.parameters.append(ParameterRequest(name))
+                connection.request_parameter(self.parameters[-1])
             case kind if kind <= Id.SERVICE_CLIENT_SUBSCRIBER:
                 self._add_topic_info(connection, decode_topic_info(Id(kind), frame.payload))
             case topic_id if topic_id >= FIRST_TOPIC_ID:
@@ -199,7 +192,7 @@ class Inspection:
 
     def _add_topic_info(self, connection: "_InspectedConnection", info: TopicInfo | None) -> None:
         if info is not None:
-            self._topics.setdefault((info.kind, info.topic_id, info.name), info)
+            self.topics.setdefault((info.kind, info.topic_id, info.name), info)
             connection.add_topic(info)
 
     def _add_message(self, connection: "_InspectedConnection", frame: Frame, *, is_to_device: bool) -> None:
@@ -207,10 +200,14 @@ class Inspection:
         if info is None or info.is_to_device is not is_to_device:
             return
         if info.kind in (Id.PUBLISHER, Id.SUBSCRIBER):
-            series = self._to_device if is_to_device else self._messages
-            series.setdefault(info.name, _Series(self._type_of(info))).add(frame.payload)
+            series = self.to_device if is_to_device else self.messages
+            series.setdefault(info.name, Series(self._type_of(info))).add(frame.payload)
+            return
+        counts = self.services.setdefault(info.name, ServiceCounts())
+        if info.kind in _REQUESTS:
+            counts.requests += 1
         else:
-            self._count(info.name, self._requests if info.kind in _REQUESTS else self._responses)
+            counts.responses += 1
 
     def _from_host(self, connection: "_InspectedConnection", frame: Frame) -> None:
         if frame.topic_id == Id.PARAMETER:
@@ -221,10 +218,6 @@ class Inspection:
             self._add_message(connection, frame, is_to_device=True)
         elif frame.topic_id >= FIRST_TOPIC_ID:
             connection.early.append(frame)
-
-    def _count(self, service: str, counter: Counter[str]) -> None:
-        self._services.setdefault(service)
-        counter[service] += 1
 
     def _type_of(self, info: TopicInfo) -> MessageType | None:
         try:
@@ -237,19 +230,13 @@ class Inspection:
         return None if type_ is None else type_.fixed_bytes
 
 
-@dataclass(slots=True)
-class _ParameterRequest:
-    name: str
-    reply: Parameter | None = None
-
-
 class _InspectedConnection:
     """Streams and topics of one connection."""
 
     def __init__(self, fixed_bytes_of: Callable[[TopicInfo], int | None]) -> None:
         self.topics: dict[int, TopicInfo] = {}
         self.reads = 0
-        self.open_requests: list[_ParameterRequest] = []  # parameter requests without a reply
+        self.open_requests: list[ParameterRequest] = []  # parameter requests without a reply
         self._requested_in_read = 0
         self.early: list[Frame] = []
         self._fixed_bytes_of = fixed_bytes_of
@@ -257,7 +244,7 @@ class _InspectedConnection:
         self.from_device = FrameStream(fixed_bytes=self._fixed_bytes)
         self.to_device = FrameStream(fixed_bytes=self._fixed_bytes, limit_bytes=MAX_PAYLOAD_BYTES)
 
-    def request_parameter(self, request: _ParameterRequest) -> None:
+    def request_parameter(self, request: ParameterRequest) -> None:
         """Note a parameter request. A device makes one at a time, so requests of earlier reads were given up."""
         if self._requested_in_read != self.reads:
             self.open_requests.clear()
@@ -273,29 +260,3 @@ class _InspectedConnection:
             self._fixed_bytes[info.topic_id] = fixed_bytes
         buffers = (known.buffer_bytes for known in self.topics.values() if not known.is_to_device)
         self.from_device.limit_bytes = max(DEFAULT_LIMIT_BYTES, *buffers, 0)
-
-
-class _Series:
-    """Counter of a topic's messages, with the first and the last one."""
-
-    def __init__(self, type_: MessageType | None) -> None:
-        self._type = type_
-        self._count = 0
-        self._first = self._last = b""
-
-    def add(self, payload: bytes) -> None:
-        if not self._count:
-            self._first = payload
-        self._last = payload
-        self._count += 1
-
-    def sum(self) -> Series:
-        return Series(self._count, self._decode(self._first), self._decode(self._last))
-
-    def _decode(self, payload: bytes) -> Payload:
-        if self._type is None:
-            return Payload(payload)
-        try:
-            return Payload(payload, self._type.decode(payload))
-        except BadPayload as error:
-            return Payload(payload, error=str(error))

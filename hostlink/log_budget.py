@@ -4,7 +4,9 @@ Measured need: tests/system/test_log_budget.py, where one device causes a line w
 structlog nor the standard library limits lines by peer.
 """
 
-from collections import Counter, OrderedDict
+from collections import Counter
+
+from hostlink.rate_limit import RateLimit
 
 LOG_INTERVAL_S = 10.0  # between two lines of one kind: a refused peer tries again at once
 MAX_KINDS = 64  # with counts each; all further ones are the kind "others"
@@ -32,50 +34,30 @@ class Budget:
 
 BURST_LINES = 500  # fifty robots connect from one address
 RATE_HZ = 10.0
-MAX_PEERS = 1024  # with a bucket each; a new peer replaces the one that was silent for longest
-
-
-class _PeerBucket:
-    __slots__ = ("at_s", "left", "left_out")
-
-    def __init__(self, left: float, at_s: float) -> None:
-        self.left, self.at_s, self.left_out = left, at_s, 0
+MAX_NAMED = 1024  # peers whose refused lines are counted apart
 
 
 class LogBudget:
-    """Token bucket for each peer. Lines above the limit are counted."""
+    """Rate limit of the lines of each peer. Lines above it are counted."""
 
     def __init__(self) -> None:
-        self.left_out = 0  # lines of all peers since the start
-        self._buckets: OrderedDict[str, _PeerBucket] = OrderedDict()
-        self._left_out_of_forgotten = 0
+        self._limit = RateLimit(RATE_HZ, burst=BURST_LINES)
+        self._left_out: Counter[str] = Counter()  # by peer, since the last `pop_left_out`
+
+    @property
+    def left_out(self) -> int:
+        """Number of refused lines of all peers since the start."""
+        return self._limit.refused
 
     def allows(self, peer: str, now_s: float) -> bool:
         """Whether one more line of this peer may be written. A refused line is counted."""
-        bucket = self._buckets.get(peer) or self._open(peer, now_s)
-        self._buckets.move_to_end(peer)
-        bucket.left = min(bucket.left + (now_s - bucket.at_s) * RATE_HZ, BURST_LINES)
-        bucket.at_s = now_s
-        if bucket.left >= 1:
-            bucket.left -= 1
-            return True
-        bucket.left_out += 1
-        self.left_out += 1
-        return False
+        is_allowed = self._limit.allows(peer, now_s)
+        if not is_allowed:
+            is_named = peer in self._left_out or len(self._left_out) < MAX_NAMED
+            self._left_out[peer if is_named else ""] += 1
+        return is_allowed
 
-    def pop_left_out(self) -> dict[str, int]:
-        """Return the lines refused since the last call, by peer; "" is the sum of removed peers."""
-        found = {peer: bucket.left_out for peer, bucket in self._buckets.items() if bucket.left_out}
-        if self._left_out_of_forgotten:
-            found[""] = self._left_out_of_forgotten
-        for peer in found.keys() & self._buckets.keys():
-            self._buckets[peer].left_out = 0
-        self._left_out_of_forgotten = 0
+    def pop_left_out(self) -> Counter[str]:
+        """Return the lines refused since the last call, by peer; "" is the sum of peers above MAX_NAMED."""
+        found, self._left_out = self._left_out, Counter()
         return found
-
-    def _open(self, peer: str, now_s: float) -> _PeerBucket:
-        if len(self._buckets) >= MAX_PEERS:
-            _, forgotten = self._buckets.popitem(last=False)
-            self._left_out_of_forgotten += forgotten.left_out
-        bucket = self._buckets[peer] = _PeerBucket(BURST_LINES, now_s)
-        return bucket

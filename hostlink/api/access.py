@@ -95,7 +95,7 @@ class Access:
         """
         if not self._tokens and not _is_plain_address(host):  # a name that an attacker points here (DNS rebinding)
             raise web.HTTPForbidden(reason=f"host {host} refused: without tokens use http://localhost or an IP address")
-        if origin is not None and not self.allows_origin(origin, host):
+        if origin is not None and _parts(origin).netloc != host and not self._origins & {origin.rstrip("/"), "*"}:
             self._log_refused(origin)
             raise web.HTTPForbidden(reason=f'origin {origin} refused: add "{origin}" to api.origins to allow its pages')
 
@@ -106,11 +106,6 @@ class Access:
         if is_browsers and name not in self._refused_origins and len(self._refused_origins) < MAX_LOGGED_ORIGINS:
             self._refused_origins.add(name)
             log.error("client.origin_refused", origin=name, allow=_NO_ORIGIN if name == "null" else f"--origin {name}")
-
-    def allows_origin(self, origin: str, host: str) -> bool:
-        """Whether a page of this origin may use this server, which its browser calls `host`."""
-        is_own = _parts(origin).netloc == host
-        return is_own or origin.rstrip("/") in self._origins or "*" in self._origins
 
     def grant(self, token: str | None) -> Grant:
         """Return what the token allows. Without configured tokens everything is allowed.

@@ -4,7 +4,6 @@ The whole capture is JSON lines. A client that follows a link requests pieces: t
 position. If the beginning is lost, the first line is an event `topics`: what the device had announced before.
 """
 
-from http import HTTPStatus
 from typing import NotRequired, TypedDict
 
 import msgspec
@@ -54,14 +53,12 @@ class Captures:
                 "The last 64 KiB of each direction of a link, as JSON lines for `hostlink inspect`",
                 response=None,
                 media_type="application/x-ndjson",
-                fails=(HTTPStatus.NOT_FOUND,),
             ),
             Route(
                 path + "/{position}",
                 self._after,
                 "Bytes on a link after a position; the first position is 0-0",
                 CaptureView,
-                fails=(HTTPStatus.NOT_FOUND,),
             ),
         ]
 

@@ -181,7 +181,9 @@ class StateFeed:
         announced = (self.version, self.line_count)
         try:
             while self._readers:
-                await self._renew_states()
+                for state in self.states:
+                    if state.due_s <= asyncio.get_running_loop().time():
+                        await self._renew(state)
                 if announced != (self.version, self.line_count):
                     announced = (self.version, self.line_count)
                     self._wake()
@@ -192,11 +194,6 @@ class StateFeed:
             for state in self.states:
                 state.version, state.due_s = 0, 0.0  # later readers do not get an old state
             self._wake()
-
-    async def _renew_states(self) -> None:
-        for state in self.states:
-            if state.due_s <= asyncio.get_running_loop().time():
-                await self._renew(state)
 
     def _wake(self) -> None:
         for reader in self._readers:
@@ -298,7 +295,7 @@ class Events:
                 "An event `odometry` for each new pose: the JSON of its GET",
                 response=None,
                 media_type="text/event-stream",
-                fails=(HTTPStatus.NOT_FOUND, HTTPStatus.SERVICE_UNAVAILABLE),
+                fails=(HTTPStatus.SERVICE_UNAVAILABLE,),
             ),
         ]
 

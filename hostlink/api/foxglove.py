@@ -5,6 +5,7 @@ https://github.com/foxglove/ws-protocol/blob/main/docs/spec.md
 
 import asyncio
 import contextlib
+import functools
 import itertools
 import math
 import os
@@ -44,13 +45,11 @@ from hostlink.api.foxglove_protocol import (
     encode_response,
     encode_time,
 )
-from hostlink.api.rate_limit import REFUSED_VELOCITIES_S, RateLimit
 from hostlink.api.rosapi import Parameters
 from hostlink.api.views import node_name, receivers
 from hostlink.config import ParameterValue
 from hostlink.errors import BadPayload, BadRequest, HostlinkError
 from hostlink.hub.byte_budget import Share
-from hostlink.hub.graph_view import Graph
 from hostlink.hub.hub import Hub
 from hostlink.hub.message import Message
 from hostlink.hub.node import Role
@@ -59,6 +58,7 @@ from hostlink.hub.subscription import Subscription
 from hostlink.hub.topic_graph import TopicGraph, resolve
 from hostlink.messages.catalog import CLOCK, CLOCK_TYPE, decode_clock
 from hostlink.messages.message_type import MessageType, ServiceType
+from hostlink.rate_limit import REFUSED_VELOCITIES_S, RateLimit
 
 Names = Mapping[str, tuple[str, ...]]
 _Entry = TypeVar("_Entry")
@@ -117,7 +117,7 @@ class FoxgloveDirectory:
     def offers(self) -> Offers:
         """Return the present channels and services: the same object until they may have changed."""
         if self._offers is None:
-            self._offers = self._make_offers(self._participant.graph())
+            self._offers = self._make_offers()
         return self._offers
 
     def connection_graph(self) -> ConnectionGraph:
@@ -129,7 +129,8 @@ class FoxgloveDirectory:
     def _forget(self) -> None:
         self._offers = self._nodes = None
 
-    def _make_offers(self, graph: Graph) -> Offers:
+    def _make_offers(self) -> Offers:
+        graph = self._participant.graph()
         topics = [topic for topic in graph.topics if topic.type_name and (topic.is_published or topic.is_velocity)]
         channels: dict[Hashable, tuple[str, MessageType]] = {
             (topic.name, topic.type.md5): (topic.name, topic.type) for topic in topics if topic.type is not None
@@ -147,18 +148,15 @@ class FoxgloveDirectory:
         )
 
     def _make_nodes(self) -> ConnectionGraph:
-        topics, services = self._hub.topics.all(), self._hub.services
+        topics, services, node = self._hub.topics.all(), self._hub.services, functools.partial(node_name, self._hub)
         providers: defaultdict[str, set[str]] = defaultdict(set)
         for name, _ in services.all():
-            providers[name].add(self._node(services.find(name).key))
+            providers[name].add(node(services.find(name).key))
         return ConnectionGraph(
-            _sorted({topic.name: set(map(self._node, topic.publishers)) for topic in topics}),
-            _sorted({topic.name: set(map(self._node, receivers(topic))) for topic in topics}),
+            _sorted({topic.name: set(map(node, topic.publishers)) for topic in topics}),
+            _sorted({topic.name: set(map(node, receivers(topic))) for topic in topics}),
             _sorted(providers),
         )
-
-    def _node(self, key: Hashable) -> str:
-        return node_name(self._hub, key)
 
 
 _Offer = TypeVar("_Offer")
@@ -291,77 +289,6 @@ class FoxgloveTime:
         self._sent_ns, self._sent_s = stamp_ns, now_s
         self._due_s = now_s + INTERVAL_S
         return encode_time(stamp_ns)
-
-
-class _Advertised(NamedTuple):
-    """A channel that the client advertises."""
-
-    topic: str
-    type_name: str
-
-
-class FoxgloveTopics:
-    """Channels that the client advertises, by its ids. Several may have one topic; the last one withdraws it."""
-
-    def __init__(self, participant: Participant) -> None:
-        self._participant = participant
-        self._channels: dict[int, _Advertised] = {}
-
-    def advertise(self, channel: ClientChannel) -> None:
-        """Advertise a channel.
-
-        Raises:
-            BadRequest: the id is in use, the encoding or type is unknown, or there are too many channels.
-            WrongType: the topic is in use with another type.
-        """
-        if channel.id in self._channels:
-            raise BadRequest(f"advertise: the id {channel.id} is in use")
-        if channel.encoding != ROS1:
-            raise BadRequest(f"advertise: {channel.topic} must have the encoding {ROS1}, not {channel.encoding!r}")
-        if len(self._channels) >= MAX_ADVERTISED:
-            raise BadRequest(f"more than {MAX_ADVERTISED} channels advertised")
-        self._participant.advertise(channel.topic, channel.schema_name)
-        self._channels[channel.id] = _Advertised(resolve(channel.topic), channel.schema_name)
-
-    def unadvertise(self, number: int) -> None:
-        """Withdraw a channel. An unknown one is ignored."""
-        gone = self._channels.pop(number, None)
-        if gone is not None and all(other.topic != gone.topic for other in self._channels.values()):
-            self._participant.unadvertise(gone.topic)
-
-    def find(self, number: int) -> str | None:
-        """Return the topic of a channel; None if it is not advertised."""
-        return self._channels[number].topic if number in self._channels else None
-
-    def topic(self, number: int) -> str:
-        """Return the topic of a channel.
-
-        Raises:
-            BadRequest: the channel is not advertised.
-        """
-        if number not in self._channels:
-            raise BadRequest(f"publish: the channel {number} is not advertised")
-        return self._channels[number].topic
-
-    def publish(self, published: Published, came_s: float) -> None:
-        """Publish a payload, which must be exactly one message. A velocity drives the robot.
-
-        Raises:
-            BadRequest: the channel is not advertised, or see Participant.publish.
-            BadPayload: the payload is not one message of the type. A device would read beyond its end.
-            HostlinkError: see Participant.publish.
-        """
-        topic = self.topic(published.channel_id)
-        type_name = self._channels[published.channel_id].type_name
-        _check(self._participant.message_type(topic, type_name), published.payload)
-        self._participant.publish(topic, published.payload, at_s=came_s)
-
-
-def _check(type_: MessageType, payload: bytes) -> None:
-    if type_.fixed_bytes is None:
-        type_.decode(payload)
-    elif len(payload) != type_.fixed_bytes:
-        raise BadPayload(type_.name, f"{len(payload)} bytes instead of {type_.fixed_bytes}")
 
 
 class FoxgloveSubscriptions:
@@ -583,6 +510,13 @@ _NOTHING = Offers({}, {}, ())
 _Received = JsonRequest | Published | ServiceCall | BadRequest
 
 
+class _Advertised(NamedTuple):
+    """A channel that the client advertises."""
+
+    topic: str
+    type_name: str
+
+
 class FoxgloveClient:
     """One participant and its Foxglove requests."""
 
@@ -601,7 +535,7 @@ class FoxgloveClient:
         self._hub, self._directory, self._queue = hub, directory, queue
         self._time = FoxgloveTime(self.participant, hub.topics, queue)
         self._subscriptions = FoxgloveSubscriptions(self.participant, queue, self._time)
-        self._topics = FoxgloveTopics(self.participant)
+        self._advertised: dict[int, _Advertised] = {}  # by the client's ids, of which several may have one topic
         self._services = FoxgloveServices(self.participant, queue, spawn, hub.budget["calls"])
         self._parameters = FoxgloveParameters(Parameters(hub.parameters), queue, hub.budget["watches"])
         self._offers = _NOTHING
@@ -610,9 +544,6 @@ class FoxgloveClient:
         self._changes_due_s = 0.0
         self._refused: dict[int, str] = {}  # reason of the last refusal, by channel id
         self._refused_velocities = RateLimit(REFUSED_VELOCITIES_S)
-        self._begin()
-
-    def _begin(self) -> None:
         capabilities = [*(["clientPublish"] if self.participant.role >= Role.DRIVE else []), *_READING]
         info = {"op": "serverInfo", "name": "hostlink", "capabilities": capabilities, "supportedEncodings": [ROS1]}
         put_json(self._queue, info | {"metadata": {}, "sessionId": self._directory.session_id})
@@ -630,9 +561,9 @@ class FoxgloveClient:
             content = decode_request(data) if isinstance(data, str) else decode_frame(data)
         except BadRequest as error:
             return Operation(error, came_s)
-        if not isinstance(content, Published) or (topic := self._topics.find(content.channel_id)) is None:
+        if not isinstance(content, Published) or (channel := self._advertised.get(content.channel_id)) is None:
             return Operation(content, came_s)
-        velocity_of, is_zero = velocity_of_payload(self._hub.topics.find_or_none(topic), content.payload)
+        velocity_of, is_zero = velocity_of_payload(self._hub.topics.find_or_none(channel.topic), content.payload)
         return Operation(content, came_s, velocity_of, is_zero)
 
     def do(self, operation: Operation[_Received]) -> None:
@@ -681,7 +612,7 @@ class FoxgloveClient:
             case Unsubscribe():
                 self._each(request.subscription_ids, self._subscriptions.unsubscribe)
             case Advertise():
-                self._each(request.channels, self._topics.advertise)
+                self._each(request.channels, self._advertise)
             case Unadvertise():
                 self._each(request.channel_ids, self._unadvertise)
             case GetParameters():
@@ -720,27 +651,51 @@ class FoxgloveClient:
         finally:
             self._parameters.send([each.name for each in request.parameters], request.id)
 
-    def _publish(self, published: Published, came_s: float) -> None:
-        """Publish. A refusal is shown until a message is accepted again; those of velocities at a limited rate."""
-        topic = self._topics.topic(published.channel_id)
-        try:
-            self._topics.publish(published, came_s)
-        except HostlinkError as error:
-            is_new = self._refused.get(published.channel_id) != str(error)
-            if is_new and (not self._is_velocity(topic) or self._refused_velocities.allows(topic, _now_s())):
-                self._refused[published.channel_id] = str(error)
-                self._put_status(_ERROR, str(error), topic)
-        else:
-            self._remove_status(published.channel_id, topic)
+    def _advertise(self, channel: ClientChannel) -> None:
+        """Advertise a channel of the client.
 
-    def _is_velocity(self, topic: str) -> bool:
-        known = self._hub.topics.find_or_none(topic)
-        return known is not None and known.is_gated
+        Raises:
+            BadRequest: the id is in use, the encoding or type is unknown, or there are too many channels.
+            WrongType: the topic is in use with another type.
+        """
+        if channel.id in self._advertised:
+            raise BadRequest(f"advertise: the id {channel.id} is in use")
+        if channel.encoding != ROS1:
+            raise BadRequest(f"advertise: {channel.topic} must have the encoding {ROS1}, not {channel.encoding!r}")
+        if len(self._advertised) >= MAX_ADVERTISED:
+            raise BadRequest(f"more than {MAX_ADVERTISED} channels advertised")
+        self.participant.advertise(channel.topic, channel.schema_name)
+        self._advertised[channel.id] = _Advertised(resolve(channel.topic), channel.schema_name)
 
     def _unadvertise(self, channel_id: int) -> None:
-        if channel_id in self._refused:
-            self._remove_status(channel_id, self._topics.topic(channel_id))
-        self._topics.unadvertise(channel_id)
+        """Withdraw a channel, and its topic with the last channel of the topic. An unknown one is ignored."""
+        gone = self._advertised.pop(channel_id, None)
+        if gone is not None:
+            self._remove_status(channel_id, gone.topic)
+            if all(other.topic != gone.topic for other in self._advertised.values()):
+                self.participant.unadvertise(gone.topic)
+
+    def _publish(self, published: Published, came_s: float) -> None:
+        """Publish a payload, which must be exactly one message. A velocity drives the robot.
+
+        A refusal is shown until a message is accepted again; those of velocities at a limited rate.
+        """
+        number = published.channel_id
+        if number not in self._advertised:
+            raise BadRequest(f"publish: the channel {number} is not advertised")
+        topic, type_name = self._advertised[number]
+        try:
+            _check(self.participant.message_type(topic, type_name), published.payload)
+            self.participant.publish(topic, published.payload, at_s=came_s)
+        except HostlinkError as error:
+            known = self._hub.topics.find_or_none(topic)
+            is_velocity = known is not None and known.is_gated
+            is_new = self._refused.get(number) != str(error)
+            if is_new and (not is_velocity or self._refused_velocities.allows(topic, _now_s())):
+                self._refused[number] = str(error)
+                self._put_status(_ERROR, str(error), topic)
+        else:
+            self._remove_status(number, topic)
 
     def _remove_status(self, channel_id: int, topic: str) -> None:
         if self._refused.pop(channel_id, None) is not None:
@@ -776,19 +731,19 @@ class FoxgloveClient:
         self._subscriptions.remove_channels(gone)
         if gone:
             put_json(self._queue, {"op": "unadvertise", "channelIds": gone})
-        self._advertise(
+        self._put_offers(
             "advertise", "channels", [each for each in now.channels.values() if each.id not in before.channels]
         )
         gone = sorted(before.services.keys() - now.services.keys())
         if gone:
             put_json(self._queue, {"op": "unadvertiseServices", "serviceIds": gone})
         new = [each for each in now.services.values() if each.id not in before.services]
-        self._advertise("advertiseServices", "services", new)
+        self._put_offers("advertiseServices", "services", new)
         for topic, type_name in sorted(set(now.undefined) - set(before.undefined))[:MAX_UNDEFINED]:
             text = f"{topic}: {type_name} has no definition; put its .msg into a folder named in message_folders"
             self._put_status(_WARNING, text, topic)
 
-    def _advertise(self, op: str, key: str, offers: Sequence[FoxgloveChannel | FoxgloveService]) -> None:
+    def _put_offers(self, op: str, key: str, offers: Sequence[FoxgloveChannel | FoxgloveService]) -> None:
         for start in range(0, len(offers), BATCH):
             put_json(self._queue, {"op": op, key: [offer.json for offer in offers[start : start + BATCH]]})
 
@@ -797,6 +752,18 @@ class FoxgloveClient:
         log.debug("client.refused", client=self.participant.name, reason=text)
         status = {"op": "status", "level": level, "message": text}
         put_json(self._queue, status | ({} if status_id is None else {"id": status_id}))
+
+
+def _check(type_: MessageType, payload: bytes) -> None:
+    """Check that a payload is one message of the type: a device would read beyond its end.
+
+    Raises:
+        BadPayload: it is not.
+    """
+    if type_.fixed_bytes is None:
+        type_.decode(payload)
+    elif len(payload) != type_.fixed_bytes:
+        raise BadPayload(type_.name, f"{len(payload)} bytes instead of {type_.fixed_bytes}")
 
 
 def _now_s() -> float:

@@ -16,7 +16,7 @@ import msgspec
 from aiohttp import web
 
 from hostlink.api.bodies import decode_body
-from hostlink.api.recordings import send_file
+from hostlink.api.recordings import find_file, send_file
 from hostlink.api.routes import BODY, FILE, Route, reply, reply_encoded
 from hostlink.api.views import utc_text, velocity_view
 from hostlink.errors import BadRequest, RecordingFailed, UnknownTopic
@@ -40,6 +40,7 @@ WORK_S = 0.0005  # time that the reading thread works before it yields the inter
 REST_S = 0.001
 SEND_TIMEOUT_S = 5.0  # without progress in writing the reader is disconnected
 READ_S = 10.0  # longest reading of a recording
+NEVER_NS = 2**64
 PIECE = 100  # items of a list, encoded at once: about 0.1 ms
 
 
@@ -98,6 +99,55 @@ class HistoriesView(TypedDict):
     robots: list[FleetHistoryView]
 
 
+class IncidentRequest(msgspec.Struct, forbid_unknown_fields=True):
+    """Body of POST incidents."""
+
+    robot: str
+    reason: Annotated[str, msgspec.Meta(max_length=MAX_DETAIL)] = ""
+
+
+class IncidentView(TypedDict):
+    """One incident. `file` is empty until the half minute after it has passed."""
+
+    robot: str
+    cause: str
+    detail: str
+    at: str
+    file: str
+    bytes: int
+
+
+class IncidentsView(TypedDict):
+    """Incidents, the newest first; how many could not be saved; their folder on the daemon's computer."""
+
+    incidents: list[IncidentView]
+    missed: int
+    folder: str
+
+
+class IncidentHistoryView(IncidentView):
+    """History around an incident. Ages are relative to the incident: those of later messages are negative."""
+
+    history: HistoryView
+    damage: list[str]
+
+
+class RecordingHistoryView(TypedDict):
+    """History of one robot in a recording. Ages are relative to `begin`, and negative.
+
+    robots: those of the recording; empty if another program wrote it. damage: what could not be read.
+    """
+
+    file: str
+    bytes: int
+    robot: str
+    robots: list[str]
+    begin: str
+    seconds: float
+    history: HistoryView
+    damage: list[str]
+
+
 class Pauses:
     """Yields the interpreter to the event loop at intervals while a thread reads thousands of messages."""
 
@@ -112,31 +162,95 @@ class Pauses:
 
 
 class HistoryRoutes:
-    """The routes of histories. `turn`: one history is made at a time, of robots and incidents."""
+    """The routes of histories and of incidents. One history is made at a time."""
 
-    def __init__(self, hub: Hub, black_box: BlackBox, turn: asyncio.Semaphore) -> None:
-        self._hub, self._black_box, self._turn = hub, black_box, turn
+    def __init__(self, hub: Hub, black_box: BlackBox, recordings: Folder) -> None:
+        self._hub, self._black_box, self._recordings = hub, black_box, recordings
+        self._incidents = IncidentFiles(black_box.folder)
+        self._turn = asyncio.Semaphore(1)
 
     def routes(self) -> list[Route]:
         """Return the routes."""
         return [
             Route(
+                "/api/recordings/{name}/history",
+                self._of_recording,
+                "Path, commands, plots and events of the first robot in a recording, or of `?robot=NAME`",
+                RecordingHistoryView,
+                fails=(HTTPStatus.BAD_REQUEST,),
+            ),
+            Route("/api/incidents", self._all_incidents, "Incidents of robots, the newest first", IncidentsView),
+            Route(
+                "/api/incidents",
+                self._save,
+                "Save the last minutes of a robot, and the next half minute",
+                IncidentView,
+                method="POST",
+                request=IncidentRequest,
+                role=Role.DRIVE,
+                fails=(HTTPStatus.NOT_FOUND, HTTPStatus.CONFLICT),
+            ),
+            Route("/api/incidents/{name}", self._file, "The MCAP file of an incident", None, media_type=FILE),
+            Route(
+                "/api/incidents/{name}/history",
+                self._of_incident,
+                "Path, commands, plots and events of the robot around an incident",
+                IncidentHistoryView,
+            ),
+            Route(
                 "/api/history",
-                self._all,
+                self._of_fleet,
                 "Path and events of every robot in its last minutes; `?chosen=NAME`: of this robot"
                 " also its commands and its plots",
                 HistoriesView,
             ),
             Route(
                 "/api/robots/{name}/history",
-                self._history,
+                self._of_robot,
                 "Path, commands, plots and events of a robot in its last minutes",
                 HistoryView,
-                fails=(HTTPStatus.NOT_FOUND,),
             ),
         ]
 
-    async def _history(self, request: web.Request) -> web.Response:
+    async def _of_recording(self, request: web.Request) -> web.Response:
+        """Read a recording.
+
+        Raises:
+            UnknownTopic: there is no such recording, or no such robot in it.
+            BadRequest: the file cannot be read.
+        """
+        path = await find_file(self._recordings, request, "recording")
+        robot = request.query.get("robot", "")
+        try:
+            async with self._turn:
+                body = await asyncio.to_thread(recording_history, self._hub.catalog, path, robot)
+        except RecordingFailed as error:
+            raise BadRequest(str(error).removeprefix(f"{path.parent}/")) from error
+        return reply_encoded(body)
+
+    async def _all_incidents(self, _: web.Request) -> web.Response:
+        box = self._black_box
+        pending = list(box.pending)
+        saved = await asyncio.to_thread(self._incidents.newest_first)
+        views = incident_views(pending, saved)
+        return reply({"incidents": views, "missed": box.missed, "folder": str(box.folder.path)})
+
+    async def _save(self, request: web.Request) -> web.Response:
+        body = decode_body(request[BODY], IncidentRequest, '{"robot": a name, "reason": a text}')
+        return reply(_incident_view(self._black_box.save(body.robot, body.reason)))
+
+    async def _file(self, request: web.Request) -> web.StreamResponse:
+        return send_file(await find_file(self._black_box.folder, request, "incident"))
+
+    async def _of_incident(self, request: web.Request) -> web.Response:
+        path = await find_file(self._black_box.folder, request, "incident")
+        async with self._turn:
+            body = await asyncio.to_thread(stored_history, self._hub.catalog, path)
+        if body is None:  # the file has no description, or was removed meanwhile
+            raise UnknownTopic("incident", path.name)
+        return reply_encoded(body)
+
+    async def _of_robot(self, request: web.Request) -> web.Response:
         async with self._turn:
             found = self._hub.robots.find(request.match_info["name"])
             robot = self._hub.robots.get_here(found.name)
@@ -145,7 +259,7 @@ class HistoryRoutes:
             body = await asyncio.to_thread(self._body, robot, *self._collect(robot))
         return reply_encoded(body)
 
-    async def _all(self, request: web.Request) -> web.StreamResponse:
+    async def _of_fleet(self, request: web.Request) -> web.StreamResponse:
         """Send one robot after the other, so that neither memory nor the event loop holds the whole fleet."""
         chosen = request.query.get("chosen", "")
         response = web.StreamResponse(headers={"Cache-Control": "no-store", "Content-Type": "application/json"})
@@ -210,7 +324,10 @@ def history_view(
     commands = history.commands(twist.decode, rest)
     return {
         "poses": [_pose_view(each, now_s) for each in history.poses(estimator, present, rest)],
-        "commands": [{"age_s": _age(now_s, at_s), "velocity": _command_view(fields)} for at_s, fields in commands],
+        "commands": [
+            {"age_s": _age(now_s, at_s), "velocity": velocity_view(Twist.from_fields(fields).planar)}
+            for at_s, fields in commands
+        ],
         "plot_data": _messages(history.plot_data(twist.decode, rest), now_s),
         "events": _messages(history.events(rest), now_s),
     }
@@ -247,174 +364,6 @@ def _place_view(past: PastPose, now_s: float) -> FleetPoseView:
 
 def _rounded_pose(pose: Pose) -> PoseView:
     return {"x_m": round(pose.x_m, 6), "y_m": round(pose.y_m, 6), "theta_rad": round(pose.theta_rad, 6)}
-
-
-def _command_view(twist: dict[str, Any]) -> VelocityView:
-    return velocity_view(Twist.from_fields(twist).planar)
-
-
-NEVER_NS = 2**64
-
-
-class IncidentRequest(msgspec.Struct, forbid_unknown_fields=True):
-    """Body of POST incidents."""
-
-    robot: str
-    reason: Annotated[str, msgspec.Meta(max_length=MAX_DETAIL)] = ""
-
-
-class IncidentView(TypedDict):
-    """One incident. `file` is empty until the half minute after it has passed."""
-
-    robot: str
-    cause: str
-    detail: str
-    at: str
-    file: str
-    bytes: int
-
-
-class IncidentsView(TypedDict):
-    """Incidents, the newest first; how many could not be saved; their folder on the daemon's computer."""
-
-    incidents: list[IncidentView]
-    missed: int
-    folder: str
-
-
-class IncidentHistoryView(IncidentView):
-    """History around an incident. Ages are relative to the incident: those of later messages are negative."""
-
-    history: HistoryView
-    damage: list[str]
-
-
-class IncidentRoutes:
-    """The routes of incidents."""
-
-    def __init__(self, black_box: BlackBox, catalog: Catalog, turn: asyncio.Semaphore) -> None:
-        """Serve incidents. `turn`: one history is made at a time, of robots and incidents."""
-        self._black_box, self._catalog, self._turn = black_box, catalog, turn
-        self._files = IncidentFiles(black_box.folder)
-
-    def routes(self) -> list[Route]:
-        """Return the routes."""
-        not_found = HTTPStatus.NOT_FOUND
-        return [
-            Route("/api/incidents", self._all, "Incidents of robots, the newest first", IncidentsView),
-            Route(
-                "/api/incidents",
-                self._save,
-                "Save the last minutes of a robot, and the next half minute",
-                IncidentView,
-                method="POST",
-                request=IncidentRequest,
-                role=Role.DRIVE,
-                fails=(
-                    HTTPStatus.BAD_REQUEST,
-                    not_found,
-                    HTTPStatus.CONFLICT,
-                    HTTPStatus.REQUEST_ENTITY_TOO_LARGE,
-                ),
-            ),
-            Route(
-                "/api/incidents/{name}",
-                self._file,
-                "The MCAP file of an incident",
-                None,
-                media_type=FILE,
-                fails=(not_found,),
-            ),
-            Route(
-                "/api/incidents/{name}/history",
-                self._history,
-                "Path, commands, plots and events of the robot around an incident",
-                IncidentHistoryView,
-                fails=(not_found,),
-            ),
-        ]
-
-    async def _all(self, _: web.Request) -> web.Response:
-        box = self._black_box
-        pending = list(box.pending)
-        saved = await asyncio.to_thread(self._files.newest_first)
-        views = incident_views(pending, saved)
-        return reply({"incidents": views, "missed": box.missed, "folder": str(box.folder.path)})
-
-    async def _save(self, request: web.Request) -> web.Response:
-        body = decode_body(request[BODY], IncidentRequest, '{"robot": a name, "reason": a text}')
-        return reply(_view(self._black_box.save(body.robot, body.reason)))
-
-    async def _file(self, request: web.Request) -> web.StreamResponse:
-        return send_file(await self._find(request))
-
-    async def _history(self, request: web.Request) -> web.Response:
-        path = await self._find(request)
-        async with self._turn:
-            body = await asyncio.to_thread(stored_history, self._catalog, path)
-        if body is None:  # the file has no description, or was removed meanwhile
-            raise UnknownTopic("incident", path.name)
-        return reply_encoded(body)
-
-    async def _find(self, request: web.Request) -> Path:
-        name = request.match_info["name"]
-        path = await asyncio.to_thread(self._black_box.folder.find, name)
-        if path is None:
-            raise UnknownTopic("incident", name)
-        return path
-
-
-class RecordingHistoryView(TypedDict):
-    """History of one robot in a recording. Ages are relative to `begin`, and negative.
-
-    robots: those of the recording; empty if another program wrote it. damage: what could not be read.
-    """
-
-    file: str
-    bytes: int
-    robot: str
-    robots: list[str]
-    begin: str
-    seconds: float
-    history: HistoryView
-    damage: list[str]
-
-
-class RecordingHistoryRoute:
-    """The route of the history in a recording. `turn`: one history is made at a time."""
-
-    def __init__(self, folder: Folder, catalog: Catalog, turn: asyncio.Semaphore) -> None:
-        self._folder, self._catalog, self._turn = folder, catalog, turn
-
-    def routes(self) -> list[Route]:
-        """Return the route."""
-        return [
-            Route(
-                "/api/recordings/{name}/history",
-                self._history,
-                "Path, commands, plots and events of the first robot in a recording, or of `?robot=NAME`",
-                RecordingHistoryView,
-                fails=(HTTPStatus.BAD_REQUEST, HTTPStatus.NOT_FOUND),
-            )
-        ]
-
-    async def _history(self, request: web.Request) -> web.Response:
-        """Read a recording.
-
-        Raises:
-            UnknownTopic: there is no such recording, or no such robot in it.
-            BadRequest: the file cannot be read.
-        """
-        name = request.match_info["name"]
-        path = await asyncio.to_thread(self._folder.find, name)
-        if path is None:
-            raise UnknownTopic("recording", name)
-        try:
-            async with self._turn:
-                body = await asyncio.to_thread(recording_history, self._catalog, path, request.query.get("robot", ""))
-        except RecordingFailed as error:
-            raise BadRequest(str(error).removeprefix(f"{path.parent}/")) from error
-        return reply_encoded(body)
 
 
 def recording_history(catalog: Catalog, path: Path, robot: str, *, read_s: float = READ_S) -> bytes:
@@ -466,7 +415,7 @@ def _any_odometry(channels: list[Channel]) -> tuple[str, str] | None:
     return min(found, default=None)
 
 
-def _view(incident: Incident) -> IncidentView:
+def _incident_view(incident: Incident) -> IncidentView:
     at = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(incident.stamp_ns // 1_000_000_000))
     return {
         "robot": incident.robot,
@@ -482,12 +431,12 @@ def incident_views(pending: Iterable[Incident], saved: Iterable[SavedIncident]) 
     """Return the views, the newest first. A pending incident that was saved while the files were read is saved."""
     views = [_saved_view(each) for each in saved]
     known = {(each["robot"], each["cause"], each["at"]) for each in views}
-    unsaved = [_view(incident) for incident in reversed(list(pending))]
+    unsaved = [_incident_view(incident) for incident in reversed(list(pending))]
     return [*(each for each in unsaved if (each["robot"], each["cause"], each["at"]) not in known), *views]
 
 
 def _saved_view(saved: SavedIncident) -> IncidentView:
-    return {**_view(saved.incident), "file": saved.file.name, "bytes": saved.file.size_bytes}
+    return {**_incident_view(saved.incident), "file": saved.file.name, "bytes": saved.file.size_bytes}
 
 
 def stored_history(catalog: Catalog, path: Path) -> bytes | None:

@@ -23,11 +23,10 @@ IDLE_TIMEOUT_S = 75.0  # after an answer, as in nginx: browsers and proxies reus
 KEPT_FOR_REQUESTS = 16  # connections reserved for requests, not for WebSockets and event streams: a stop needs one
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False)
 class ApiConnection:
     """One TCP connection, from accepting to its end."""
 
-    number: int
     address: str
     deadline_s: float = 0.0  # of a waiting connection
     accepted: socket.socket | None = None  # until its protocol is ready, after the TLS handshake
@@ -60,20 +59,19 @@ class ApiConnections:
         self.request_timeout_s = request_timeout_s
         self.closed: Counter[str] = Counter()  # closed by hostlink, by cause
         self._max, self._max_per_address = max_connections, max_per_address
-        self._last_number = 0
-        self._all: dict[int, ApiConnection] = {}
-        self._waiting: dict[int, ApiConnection] = {}  # longest first
+        self._all: dict[ApiConnection, None] = {}  # oldest first
+        self._waiting: dict[ApiConnection, None] = {}  # longest first
 
     def __len__(self) -> int:
         return len(self._all)
 
     def all(self) -> list[ApiConnection]:
         """Return all connections, the oldest first."""
-        return list(self._all.values())
+        return list(self._all)
 
     def enter(self, address: str, now_s: float) -> tuple[ApiConnection | None, ApiConnection | None]:
         """Add a connection. Return it (None: refused), and the connection that is evicted for it (None: none)."""
-        mine = sum(each.address == address for each in self._all.values())
+        mine = sum(each.address == address for each in self._all)
         leaving = None
         if mine >= self._max_per_address:
             leaving = self._longest_waiting(address)
@@ -86,28 +84,28 @@ class ApiConnections:
         if leaving is not None:
             self.closed["evicted"] += 1
             self.leave(leaving)
-        self._last_number += 1
-        new = self._all[self._last_number] = ApiConnection(self._last_number, address)
+        new = ApiConnection(address)
+        self._all[new] = None
         self._wait_until(new, now_s + self.request_timeout_s)
         return new, leaving
 
     def serve(self, connection: ApiConnection) -> None:
         """Note that a complete request is being answered."""
-        self._waiting.pop(connection.number, None)
+        self._waiting.pop(connection, None)
 
     def wait(self, connection: ApiConnection, now_s: float) -> None:
         """Note that the request is answered."""
-        if connection.number in self._all:
+        if connection in self._all:
             self._wait_until(connection, now_s + IDLE_TIMEOUT_S)
 
     def leave(self, connection: ApiConnection) -> None:
         """Remove a closed connection. An unknown one is ignored."""
-        self._all.pop(connection.number, None)
-        self._waiting.pop(connection.number, None)
+        self._all.pop(connection, None)
+        self._waiting.pop(connection, None)
 
     def overdue(self, now_s: float) -> list[ApiConnection]:
         """Remove and return the connections whose timeout has passed."""
-        found = [each for each in self._waiting.values() if each.deadline_s <= now_s]
+        found = [each for each in self._waiting if each.deadline_s <= now_s]
         for each in found:
             self.closed["timeout"] += 1
             self.leave(each)
@@ -115,14 +113,14 @@ class ApiConnections:
 
     def _wait_until(self, connection: ApiConnection, deadline_s: float) -> None:
         connection.deadline_s = deadline_s
-        self._waiting.pop(connection.number, None)
-        self._waiting[connection.number] = connection
+        self._waiting.pop(connection, None)
+        self._waiting[connection] = None
 
     def _longest_waiting(self, address: str | None) -> ApiConnection | None:
         if address is None:
-            counts = Counter(each.address for each in self._waiting.values())
-            return max(self._waiting.values(), key=lambda each: counts[each.address], default=None)  # the first
-        return next((each for each in self._waiting.values() if each.address == address), None)
+            counts = Counter(each.address for each in self._waiting)
+            return max(self._waiting, key=lambda each: counts[each.address], default=None)  # the first
+        return next((each for each in self._waiting if each.address == address), None)
 
     def _refuse(self, cause: str) -> tuple[None, None]:
         self.closed[cause] += 1

@@ -16,7 +16,7 @@ from hostlink.api.bodies import decode_body
 from hostlink.api.routes import BODY, FILE, Route, reply
 from hostlink.errors import BadRequest, UnknownTopic
 from hostlink.hub.node import Role
-from hostlink.recording.folder import MEGABYTE, NAME_PATTERN, StoredFile
+from hostlink.recording.folder import MEGABYTE, NAME_PATTERN, Folder, StoredFile
 from hostlink.recording.recorder import TopicSelection
 from hostlink.recording.recordings import Recording, Recordings
 
@@ -24,7 +24,6 @@ MAX_PATTERNS = 256  # topics and robots in one request
 MAX_LISTED = 1000  # files; the newest are listed
 UPLOAD_S, SLOWEST_BYTES_S = 30.0, 50_000  # longest time of an upload: this, and its size at this rate
 PIECE_S = 10.0  # longest pause of an upload
-_BAD, _NOT_FOUND = HTTPStatus.BAD_REQUEST, HTTPStatus.NOT_FOUND
 _BUSY, _FULL = HTTPStatus.CONFLICT, HTTPStatus.INSUFFICIENT_STORAGE
 
 
@@ -97,7 +96,7 @@ class RecordingRoutes:
                 request=RecordingRequest,
                 is_body_optional=True,
                 role=Role.DRIVE,
-                fails=(_BAD, _NOT_FOUND, _BUSY, _FULL, HTTPStatus.REQUEST_ENTITY_TOO_LARGE),
+                fails=(HTTPStatus.NOT_FOUND, _BUSY, _FULL),
             ),
             Route(
                 one,
@@ -105,7 +104,6 @@ class RecordingRoutes:
                 "The MCAP file of that name, or ranges of it, also while it is written",
                 None,
                 media_type=FILE,
-                fails=(_NOT_FOUND,),
             ),
             Route(
                 one,
@@ -115,7 +113,13 @@ class RecordingRoutes:
                 method="PUT",
                 is_upload=True,
                 role=Role.DRIVE,
-                fails=(_BAD, HTTPStatus.REQUEST_TIMEOUT, _BUSY, HTTPStatus.REQUEST_ENTITY_TOO_LARGE, _FULL),
+                fails=(
+                    HTTPStatus.BAD_REQUEST,
+                    HTTPStatus.REQUEST_TIMEOUT,
+                    _BUSY,
+                    HTTPStatus.REQUEST_ENTITY_TOO_LARGE,
+                    _FULL,
+                ),
             ),
             Route(
                 f"{one}/stop",
@@ -124,7 +128,6 @@ class RecordingRoutes:
                 RecordingView,
                 method="POST",
                 role=Role.DRIVE,
-                fails=(_NOT_FOUND,),
             ),
             Route(
                 one,
@@ -133,7 +136,7 @@ class RecordingRoutes:
                 RemovedView,
                 method="DELETE",
                 role=Role.DRIVE,
-                fails=(_NOT_FOUND, _BUSY),
+                fails=(_BUSY,),
             ),
         ]
 
@@ -162,11 +165,7 @@ class RecordingRoutes:
         return reply(recording_view(await self._recordings.stop(request.match_info["name"])))
 
     async def _file(self, request: web.Request) -> web.StreamResponse:
-        name = request.match_info["name"]
-        path = await asyncio.to_thread(self._recordings.folder.find, name)
-        if path is None:
-            raise UnknownTopic("recording", name)
-        return send_file(path)
+        return send_file(await find_file(self._recordings.folder, request, "recording"))
 
     async def _store(self, request: web.Request) -> web.Response:
         size_bytes, most_bytes = request.content_length, int(self._max_file_mb * MEGABYTE)
@@ -205,6 +204,19 @@ async def _pieces(request: web.Request) -> AsyncIterator[bytes]:
         if isinstance(error, TimeoutError):
             raise
         raise BadRequest("the file is incomplete") from error
+
+
+async def find_file(folder: Folder, request: web.Request, kind: str) -> Path:
+    """Return the file of the folder that the path of a request names.
+
+    Raises:
+        UnknownTopic: there is none. `kind` is what the error calls it.
+    """
+    name = request.match_info["name"]
+    path = await asyncio.to_thread(folder.find, name)
+    if path is None:
+        raise UnknownTopic(kind, name)
+    return path
 
 
 def send_file(path: Path) -> web.FileResponse:

@@ -3,7 +3,7 @@
 import asyncio
 import ipaddress
 from collections import OrderedDict
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from http import HTTPStatus
 from typing import Annotated, TypedDict, TypeVar
 
@@ -150,51 +150,6 @@ class DaemonDiagnosisView(TypedDict):
     arrivals: list[ArrivalView]
 
 
-class ListeningRoute:
-    """The routes `GET /api/listening` and `GET /api/diagnosis`."""
-
-    def __init__(self, hub: Hub) -> None:
-        self._hub = hub
-
-    def routes(self) -> list[Route]:
-        """Return the routes."""
-        return [
-            Route("/api/listening", self._show, "Where devices connect", ListeningView),
-            Route(
-                "/api/diagnosis",
-                self._diagnose,
-                "Findings that belong to no link, and what came in the last minute and is not a robot",
-                DaemonDiagnosisView,
-            ),
-        ]
-
-    async def _show(self, _: web.Request) -> web.Response:
-        return reply(listening_view(self._hub.listening, self._hub.config, own_address()))
-
-    async def _diagnose(self, _: web.Request) -> web.Response:
-        return reply(daemon_diagnosis_view(self._hub))
-
-
-def daemon_diagnosis_view(hub: Hub) -> DaemonDiagnosisView:
-    """Return the findings of the daemon and the arrivals of the last minute."""
-    listening = listening_text(hub.listening, hub.config)
-    return {
-        "findings": finding_views(hub.diagnoses.daemon_findings(listening)),
-        "arrivals": [
-            {
-                "way": each.way,
-                "peer": each.peer,
-                "cause": each.cause,
-                "text": each.text,
-                "count": each.count,
-                "ago_s": round(each.ago_s, 1),
-                "diagnosis": finding_views(list(each.findings)),
-            }
-            for each in hub.diagnoses.arrivals()
-        ],
-    }
-
-
 def listening_text(listening: Listening, config: Config) -> str:
     """Describe where devices connect: `listening on TCP 0.0.0.0:11411, /dev/ttyACM0`."""
     addresses = (("TCP", listening.tcp), ("UDP", listening.udp))
@@ -244,37 +199,6 @@ class ReloadView(TypedDict):
     renamed: dict[str, str]
 
 
-class ReloadRoute:
-    """The route `POST /api/reload`."""
-
-    def __init__(self, reloader: Reloader) -> None:
-        self._reloader = reloader
-
-    def routes(self) -> list[Route]:
-        """Return the route."""
-        return [
-            Route(
-                "/api/reload",
-                self._reload,
-                "Read the configuration again: names and limits of robots, tokens, origins. An error changes nothing",
-                ReloadView,
-                method="POST",
-                role=Role.DRIVE,
-                fails=(HTTPStatus.CONFLICT, HTTPStatus.INTERNAL_SERVER_ERROR),
-            )
-        ]
-
-    async def _reload(self, _: web.Request) -> web.Response:
-        reloaded = await self._reloader.reload()
-        return reply(
-            {
-                "changed": list(reloaded.changed),
-                "needs_restart": list(reloaded.needs_restart),
-                "renamed": reloaded.renamed,
-            }
-        )
-
-
 MAX_DIGITS = 6  # digits of a limit
 
 
@@ -304,32 +228,7 @@ class DrivesView(TypedDict):
     lost: int
 
 
-class DriveRoute:
-    """The route `GET /api/drives`."""
-
-    def __init__(self, drives: DriveLog) -> None:
-        self._drives = drives
-
-    def routes(self) -> list[Route]:
-        """Return the route."""
-        summary = "Drives of robots, the newest first; ?robot=NAME: of one robot, ?limit=N: at most N"
-        return [Route("/api/drives", self._all, summary, DrivesView, fails=(HTTPStatus.BAD_REQUEST,))]
-
-    async def _all(self, request: web.Request) -> web.Response:
-        """List drives.
-
-        Raises:
-            BadRequest: the limit is not a number.
-        """
-        limit = request.query.get("limit")
-        if limit is not None and not (limit.isascii() and limit.isdigit() and len(limit) <= MAX_DIGITS):
-            raise BadRequest("limit must be a number: how many drives")
-        count = None if limit is None else int(limit)
-        drives = self._drives.newest_first(robot=request.query.get("robot"), limit=count)
-        return reply({"drives": [_view(drive) for drive in drives], "lost": self._drives.lost})
-
-
-def _view(drive: Drive) -> DriveView:
+def _drive_view(drive: Drive) -> DriveView:
     return {
         "robot": drive.robot,
         "owner": drive.owner,
@@ -421,16 +320,17 @@ class ReadinessView(TypedDict):
 class Rest:
     """Handlers of the routes. Each calls the hub and returns its result."""
 
-    def __init__(self, hub: Hub, clients: Clients, owners: Owners) -> None:
+    def __init__(self, hub: Hub, clients: Clients, owners: Owners, drives: DriveLog, reloader: Reloader) -> None:
         self._hub, self._clients, self._owners = hub, clients, owners
+        self._drives, self._reloader = drives, reloader
 
     def routes(self) -> list[Route]:
         """Return the routes."""
         robot = "/api/robots/{name}"
         return [
             Route("/api/robots", self._robots, "Every robot", RobotsView),
-            Route(robot, self._robot, "One robot", RobotView, fails=(NOT_FOUND,)),
-            Route(f"{robot}/odometry", self._odometry, "Pose and twist", OdometryView, fails=(NOT_FOUND, UNAVAILABLE)),
+            Route(robot, self._robot, "One robot", RobotView),
+            Route(f"{robot}/odometry", self._odometry, "Pose and twist", OdometryView, fails=(UNAVAILABLE,)),
             Route(
                 f"{robot}/velocity",
                 self._velocity,
@@ -441,7 +341,7 @@ class Rest:
                 max_body_bytes=VELOCITY_BYTES,
                 check_head=self._find_to_drive,
                 role=Role.DRIVE,
-                fails=(BAD_REQUEST, NOT_FOUND, CONFLICT, TOO_LARGE, UNAVAILABLE),
+                fails=(CONFLICT, UNAVAILABLE),
             ),
             Route(
                 f"{robot}/stop",
@@ -451,7 +351,7 @@ class Rest:
                 StoppedRobotView,
                 method="POST",
                 is_limited=False,
-                fails=(BAD_REQUEST, NOT_FOUND, TOO_LARGE, UNAVAILABLE),
+                fails=(BAD_REQUEST, TOO_LARGE, UNAVAILABLE),
             ),
             Route(
                 "/api/stop",
@@ -474,7 +374,7 @@ class Rest:
                 is_body_optional=True,
                 on_head=lambda request: self._find(request).lock(by=_caller(request)),
                 is_limited=False,
-                fails=(BAD_REQUEST, NOT_FOUND, TOO_LARGE, UNAVAILABLE),
+                fails=(UNAVAILABLE,),
             ),
             Route(
                 f"{robot}/unlock",
@@ -483,7 +383,7 @@ class Rest:
                 RobotView,
                 method="POST",
                 role=Role.DRIVE,
-                fails=(NOT_FOUND, UNAVAILABLE),
+                fails=(UNAVAILABLE,),
             ),
             Route(
                 f"{robot}/odometry/reset",
@@ -492,14 +392,14 @@ class Rest:
                 ResetAnswer,
                 method="POST",
                 role=Role.DRIVE,
-                fails=(NOT_FOUND, UNAVAILABLE),
+                fails=(UNAVAILABLE,),
             ),
             Route(
                 f"{robot}/standstill",
                 self._standstill,
                 "Whether odometry says from now on that the robot is stopped; waits wait_s seconds at most (1.5)",
                 StoppedRobotView,
-                fails=(BAD_REQUEST, NOT_FOUND),
+                fails=(BAD_REQUEST,),
             ),
             Route(
                 "/api/standstill",
@@ -511,6 +411,29 @@ class Rest:
             Route("/api/links", self._links, "Every live connection of a device", LinksView),
             Route("/api/topics", self._topics, "Every topic", TopicsView),
             Route("/api/clients", self._all_clients, "Every client and its backlog", ClientsView),
+            Route(
+                "/api/drives",
+                self._all_drives,
+                "Drives of robots, the newest first; ?robot=NAME: of one robot, ?limit=N: at most N",
+                DrivesView,
+                fails=(BAD_REQUEST,),
+            ),
+            Route("/api/listening", self._listening, "Where devices connect", ListeningView),
+            Route(
+                "/api/diagnosis",
+                self._diagnosis,
+                "Findings that belong to no link, and what came in the last minute and is not a robot",
+                DaemonDiagnosisView,
+            ),
+            Route(
+                "/api/reload",
+                self._reload,
+                "Read the configuration again: names and limits of robots, tokens, origins. An error changes nothing",
+                ReloadView,
+                method="POST",
+                role=Role.DRIVE,
+                fails=(CONFLICT, HTTPStatus.INTERNAL_SERVER_ERROR),
+            ),
             Route("/healthz", self._health, "Whether the daemon runs", HealthView, role=None),
             Route(
                 "/readyz",
@@ -565,29 +488,28 @@ class Rest:
         robot, since_s = self._find(request), _now_s()
         robot.stop(by=_caller(request))
         await self._hub.gates.settled()
-        return await self._measured(request, robot, since_s)
+        (view,) = await self._measured(request, [robot], since_s)
+        return reply(view)
 
     async def _stop_all(self, request: web.Request) -> web.Response:
         since_s = _now_s()
         self._hub.robots.stop_all(by=_caller(request))
         await self._hub.gates.settled()
-        return await self._all_measured(request, since_s)
+        return reply({"robots": await self._measured(request, self._hub.robots.all(), since_s)})
 
     async def _standstill(self, request: web.Request) -> web.Response:
-        return await self._measured(request, self._find(request), _now_s())
+        (view,) = await self._measured(request, [self._find(request)], _now_s())
+        return reply(view)
 
     async def _standstills(self, request: web.Request) -> web.Response:
-        return await self._all_measured(request, _now_s())
+        return reply({"robots": await self._measured(request, self._hub.robots.all(), _now_s())})
 
-    async def _measured(self, request: web.Request, robot: AnyRobot, since_s: float) -> web.Response:
+    async def _measured(
+        self, request: web.Request, robots: Sequence[AnyRobot], since_s: float
+    ) -> list[StoppedRobotView]:
         """Measure whether the robots are stopped. Every stop has been sent before this waits."""
-        measured = await self._hub.standstills.measure([robot], since_s, wait_s=_wait_s(request))
-        return reply(stopped_view(robot, measured[0]))
-
-    async def _all_measured(self, request: web.Request, since_s: float) -> web.Response:
-        robots = self._hub.robots.all()
         measured = await self._hub.standstills.measure(robots, since_s, wait_s=_wait_s(request))
-        return reply({"robots": [stopped_view(*each) for each in zip(robots, measured, strict=True)]})
+        return [stopped_view(*each) for each in zip(robots, measured, strict=True)]
 
     async def _lock(self, request: web.Request) -> web.Response:
         """Lock the robot, then check the body: an emergency stop does not fail because of an invalid reason."""
@@ -599,7 +521,8 @@ class Rest:
             raise
         robot.lock(body.reason, by=_caller(request))
         await self._hub.gates.settled()
-        return await self._measured(request, robot, since_s)
+        (view,) = await self._measured(request, [robot], since_s)
+        return reply(view)
 
     async def _unlock(self, request: web.Request) -> web.Response:
         robot = self._find(request)
@@ -625,6 +548,45 @@ class Rest:
 
     async def _all_clients(self, _: web.Request) -> web.Response:
         return reply({"clients": self._clients.views(), "refused": self._clients.refused})
+
+    async def _all_drives(self, request: web.Request) -> web.Response:
+        """List drives.
+
+        Raises:
+            BadRequest: the limit is not a number.
+        """
+        limit = request.query.get("limit")
+        if limit is not None and not (limit.isascii() and limit.isdigit() and len(limit) <= MAX_DIGITS):
+            raise BadRequest("limit must be a number: how many drives")
+        count = None if limit is None else int(limit)
+        drives = self._drives.newest_first(robot=request.query.get("robot"), limit=count)
+        return reply({"drives": [_drive_view(drive) for drive in drives], "lost": self._drives.lost})
+
+    async def _listening(self, _: web.Request) -> web.Response:
+        return reply(listening_view(self._hub.listening, self._hub.config, own_address()))
+
+    async def _diagnosis(self, _: web.Request) -> web.Response:
+        diagnoses = self._hub.diagnoses
+        arrivals: list[ArrivalView] = [
+            {
+                "way": each.way,
+                "peer": each.peer,
+                "cause": each.cause,
+                "text": each.text,
+                "count": each.count,
+                "ago_s": round(each.ago_s, 1),
+                "diagnosis": finding_views(each.findings),
+            }
+            for each in diagnoses.arrivals()
+        ]
+        findings = diagnoses.daemon_findings(listening_text(self._hub.listening, self._hub.config))
+        return reply({"findings": finding_views(findings), "arrivals": arrivals})
+
+    async def _reload(self, _: web.Request) -> web.Response:
+        reloaded = await self._reloader.reload()
+        return reply(
+            {"changed": reloaded.changed, "needs_restart": reloaded.needs_restart, "renamed": reloaded.renamed}
+        )
 
     async def _health(self, _: web.Request) -> web.Response:
         return reply({"status": "alive", "loop_time_s": round(asyncio.get_running_loop().time(), 3)})

@@ -1,8 +1,9 @@
 """RosApi: the services by which rosbridge's clients read the graph, answered from the hub."""
 
+import functools
 import socket
 import time
-from collections.abc import Awaitable, Callable, Hashable, Mapping
+from collections.abc import Awaitable, Callable, Mapping, Sequence
 from typing import Any
 
 import msgspec
@@ -15,7 +16,7 @@ from hostlink.hub.hub import DAEMON, Hub
 from hostlink.hub.parameters import to_parameter
 from hostlink.hub.topic import Topic
 from hostlink.hub.topic_graph import resolve
-from hostlink.messages.fields import BUILT_IN, FLOATS, SCALAR, Constant, bool_value
+from hostlink.messages.fields import BUILT_IN, FLOATS, SCALAR, Constant, Field, bool_value
 from hostlink.messages.message_type import MessageType, ServiceType
 
 MAX_PARAMETERS = 1024
@@ -117,6 +118,7 @@ def _flatten(name: str, value: Any, leaves: dict[str, ParameterValue]) -> None:
 
 
 _TIMES = ("time", "duration")
+_TIME_FIELDS = (Field("secs", "int32"), Field("nsecs", "int32"))
 _EXAMPLES = {"string": "", "bool": "False", "float32": "0.0", "float64": "0.0"}  # defaults as Python prints them
 
 
@@ -128,34 +130,25 @@ def describe(type_: MessageType) -> list[dict[str, Any]]:
 
 
 def _add(type_: MessageType, typedefs: dict[str, dict[str, Any]]) -> None:
-    constants = sorted(type_.constants)
-    typedefs[type_.name] = {
-        "type": type_.name,
-        "fieldnames": [field.name for field in type_.fields],
-        "fieldtypes": [field.type for field in type_.fields],
-        "fieldarraylen": [field.array_length for field in type_.fields],
-        "examples": [_example(field.type, field.array_length) for field in type_.fields],
-        "constnames": [constant.name for constant in constants],
-        "constvalues": [_value(constant) for constant in constants],
-    }
+    typedefs[type_.name] = _typedef(type_.name, type_.fields, sorted(type_.constants))
     for field in type_.fields:
         if field.type in typedefs:
             continue
         if field.type in _TIMES:
-            typedefs[field.type] = _time(field.type)
+            typedefs[field.type] = _typedef(field.type, _TIME_FIELDS, ())
         elif field.type in type_.nested:
             _add(type_.nested[field.type], typedefs)
 
 
-def _time(name: str) -> dict[str, Any]:
+def _typedef(name: str, fields: Sequence[Field], constants: Sequence[Constant]) -> dict[str, Any]:
     return {
         "type": name,
-        "fieldnames": ["secs", "nsecs"],
-        "fieldtypes": ["int32", "int32"],
-        "fieldarraylen": [SCALAR, SCALAR],
-        "examples": ["0", "0"],
-        "constnames": [],
-        "constvalues": [],
+        "fieldnames": [field.name for field in fields],
+        "fieldtypes": [field.type for field in fields],
+        "fieldarraylen": [field.array_length for field in fields],
+        "examples": [_example(field.type, field.array_length) for field in fields],
+        "constnames": [constant.name for constant in constants],
+        "constvalues": [_value(constant) for constant in constants],
     }
 
 
@@ -183,12 +176,13 @@ _WRITERS = frozenset({"set_param", "delete_param"})
 
 
 class RosApi:
-    """The /rosapi/ services, one method each. `offer` provides them all."""
+    """The /rosapi/ services. `offer` provides them all."""
 
     def __init__(self, hub: Hub) -> None:
         self._hub = hub
         self._participant = hub.join_daemon()
         self._parameters = Parameters(hub.parameters)
+        self._node = functools.partial(node_name, hub)
 
     def offer(self) -> None:
         """Register every service under /rosapi/."""
@@ -198,12 +192,18 @@ class RosApi:
             "topics_for_type": ("TopicsForType", self._topics_for_type),
             "topic_type": ("TopicType", self._topic_type),
             "message_details": ("MessageDetails", self._message_details),
-            "service_request_details": ("ServiceRequestDetails", self._service_request_details),
-            "service_response_details": ("ServiceResponseDetails", self._service_response_details),
-            "services": ("Services", self._services),
+            "service_request_details": (
+                "ServiceRequestDetails",
+                lambda of: {"typedefs": describe(self._service(of).request)},
+            ),
+            "service_response_details": (
+                "ServiceResponseDetails",
+                lambda of: {"typedefs": describe(self._service(of).response)},
+            ),
+            "services": ("Services", lambda _: {"services": self._service_names()}),
             "services_for_type": ("ServicesForType", self._services_for_type),
             "service_type": ("ServiceType", self._service_type),
-            "service_node": ("ServiceNode", self._service_node),
+            "service_node": ("ServiceNode", lambda of: {"node": self._node_of_service(_text(of, "service"))}),
             "service_host": ("ServiceHost", self._service_host),
             "service_providers": ("ServiceProviders", self._service_providers),
             "nodes": ("Nodes", self._nodes),
@@ -213,7 +213,7 @@ class RosApi:
             "action_servers": ("GetActionServers", lambda _: {"action_servers": []}),
             "get_param": ("GetParam", self._get_param),
             "set_param": ("SetParam", self._set_param),
-            "has_param": ("HasParam", self._has_param),
+            "has_param": ("HasParam", lambda of: {"exists": self._parameters.has(_text(of, "name"))}),
             "search_param": ("SearchParam", self._search_param),
             "delete_param": ("DeleteParam", self._delete_param),
             "get_param_names": ("GetParamNames", lambda _: {"names": self._parameters.names()}),
@@ -249,16 +249,10 @@ class RosApi:
 
     def _message_details(self, request: Request) -> Response:
         name = _text(request, "type")
-        found: MessageType | None = self._hub.catalog.message(name)
+        found = self._hub.catalog.message(name)
         if found is None:
             raise UnknownTopic("message type", name)
         return {"typedefs": describe(found)}
-
-    def _service_request_details(self, request: Request) -> Response:
-        return {"typedefs": describe(self._service(request).request)}
-
-    def _service_response_details(self, request: Request) -> Response:
-        return {"typedefs": describe(self._service(request).response)}
 
     def _service(self, request: Request) -> ServiceType:
         name = _text(request, "type")
@@ -269,8 +263,8 @@ class RosApi:
 
     # -- services -----------------------------------------------------------------------------------------------------
 
-    def _services(self, _: Request) -> Response:
-        return {"services": [name for name, _ in self._hub.services.all()]}
+    def _service_names(self) -> list[str]:
+        return [name for name, _ in self._hub.services.all()]
 
     def _services_for_type(self, request: Request) -> Response:
         wanted = _plain(_text(request, "type"))
@@ -278,9 +272,6 @@ class RosApi:
 
     def _service_type(self, request: Request) -> Response:
         return {"type": dict(self._hub.services.all()).get(resolve(_text(request, "service")), "")}
-
-    def _service_node(self, request: Request) -> Response:
-        return {"node": self._node_of_service(_text(request, "service"))}
 
     def _service_host(self, request: Request) -> Response:
         is_known = self._node_of_service(_text(request, "service"))
@@ -304,17 +295,16 @@ class RosApi:
     def _nodes(self, _: Request) -> Response:
         topics = self._hub.topics.all()
         keys = {key for topic in topics for key in (*topic.publishers, *receivers(topic))}
-        offered = {self._node_of_service(name) for name, _ in self._hub.services.all()}
+        offered = map(self._node_of_service, self._service_names())
         return {"nodes": sorted({f"/{DAEMON}", *map(self._node, keys), *offered})}
 
     def _node_details(self, request: Request) -> Response:
         node = _text(request, "node")
         topics = self._hub.topics.all()
-        offered = [name for name, _ in self._hub.services.all()]
         return {
             "publishing": [topic.name for topic in topics if node in map(self._node, topic.publishers)],
             "subscribing": [topic.name for topic in topics if node in map(self._node, receivers(topic))],
-            "services": [name for name in offered if node == self._node_of_service(name)],
+            "services": [name for name in self._service_names() if node == self._node_of_service(name)],
         }
 
     def _publishers(self, request: Request) -> Response:
@@ -325,9 +315,6 @@ class RosApi:
         topic = self._hub.topics.find(_text(request, "topic"))
         return {"subscribers": sorted(set(map(self._node, receivers(topic))))}
 
-    def _node(self, key: Hashable) -> str:
-        return node_name(self._hub, key)
-
     # -- parameters ---------------------------------------------------------------------------------------------------
 
     def _get_param(self, request: Request) -> Response:
@@ -337,9 +324,6 @@ class RosApi:
     def _set_param(self, request: Request) -> Response:
         self._parameters.put(_text(request, "name"), _text(request, "value"))
         return {}
-
-    def _has_param(self, request: Request) -> Response:
-        return {"exists": self._parameters.has(_text(request, "name"))}
 
     def _search_param(self, request: Request) -> Response:
         """Search a parameter. The root is the only namespace."""

@@ -11,7 +11,7 @@ import time
 from collections import defaultdict
 from collections.abc import Awaitable, Callable, Coroutine, Mapping
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple, TypedDict
+from typing import Any, NamedTuple
 
 import cbor2
 import msgspec
@@ -27,11 +27,10 @@ from hostlink.api.clients import (
     put_json,
     velocity_of_payload,
 )
-from hostlink.api.rate_limit import REFUSED_VELOCITIES_S, RateLimit
 from hostlink.api.views import velocity_answer
 from hostlink.errors import BadPayload, BadRequest, CommandRefused, HostlinkError, ServiceFailed
 from hostlink.hub.byte_budget import Share
-from hostlink.hub.graph_view import Graph, GraphTopic
+from hostlink.hub.graph_view import Graph
 from hostlink.hub.hub import Hub
 from hostlink.hub.message import PROGRAM_PRIORITY, Message
 from hostlink.hub.node import Role
@@ -45,6 +44,7 @@ from hostlink.logs import printable
 from hostlink.messages.catalog import Catalog
 from hostlink.messages.fields import SCALAR
 from hostlink.messages.message_type import MessageType, ServiceType
+from hostlink.rate_limit import REFUSED_VELOCITIES_S, RateLimit
 from hostlink.robot.admission import EARLIER_EPOCH
 from hostlink.robot.state import MAX_PRIORITY
 from hostlink.robot.velocity import TWIST_TYPE, PlanarVelocity
@@ -151,7 +151,7 @@ class Request:
             raise BadRequest(f"{self.op}: {key} is longer than {MAX_TEXT} characters")
         return value
 
-    def text_or(self, key: str, default: str) -> str:
+    def text_or(self, key: str, default: str = "") -> str:
         """Return a text; `default` if it is missing, empty or null.
 
         Raises:
@@ -159,15 +159,15 @@ class Request:
         """
         return self.text(key) if self.fields.get(key) else default
 
-    def number_or(self, key: str, default: float) -> float:
-        """Return a number of 0 or more; `default` if it is missing or null.
+    def number(self, key: str) -> float:
+        """Return a number of 0 or more; 0 if it is missing or null.
 
         Raises:
             BadRequest: the field is not such a number.
         """
         value = self.fields.get(key)
         if value is None:
-            return default
+            return 0.0
         if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value < math.inf:
             raise BadRequest(f"{self.op}: {key} must be a number of 0 or more")
         return float(min(value, 2**53))  # an integer may be too large for a float
@@ -389,10 +389,9 @@ def encode_cbor(topic: str, message: Message) -> bytes:
     Raises:
         BadPayload: the bytes are not a message of the type.
     """
-    fields: Any = message.decoded
-    if message.type is not None:
-        fields = _with_typed_arrays(message.type, message.decoded)
-    return cbor2.dumps({"op": "publish", "topic": topic, "msg": fields})
+    fields = message.decoded
+    assert message.type is not None  # noqa: S101 - it is decoded
+    return cbor2.dumps({"op": "publish", "topic": topic, "msg": _with_typed_arrays(message.type, fields)})
 
 
 def encode_cbor_raw(topic: str, message: Message) -> bytes:
@@ -439,7 +438,7 @@ class _ClientSubscription:
         self.name = name
         self.form = "none"
         self.options: dict[object, _SubscriptionOptions] = {}
-        self.subscription: Subscription | None = None
+        self.subscription: Subscription
         self._prefix = msgspec.json.encode({"op": "publish", "topic": name})[:-1] + b',"msg":'
 
     def merge(self) -> tuple[float, int]:
@@ -474,8 +473,8 @@ class ClientSubscriptions:
         """
         name, form = request.text("topic"), request.text_or("compression", "none")
         chosen = _SubscriptionOptions(
-            request.number_or("throttle_rate", 0.0) / 1000,
-            min(int(request.number_or("queue_length", 0.0)), MAX_QUEUE_LENGTH),
+            request.number("throttle_rate") / 1000,
+            min(int(request.number("queue_length")), MAX_QUEUE_LENGTH),
             form if form in _FORMS else "none",
         )
         known = self._subscriptions.get(name)
@@ -484,8 +483,17 @@ class ClientSubscriptions:
             raise BadRequest(f"more than {MAX_SUBSCRIPTIONS} subscriptions")
         mine = _ClientSubscription(name) if known is None else known
         mine.options[request.id] = chosen
-        if mine.subscription is None:
-            self._subscribe(mine, request.text_or("type", ""))
+        if known is None:
+            interval_s, queue_length = mine.merge()
+            mine.subscription = self._participant.subscribe(
+                name,
+                functools.partial(self._put, mine),
+                type_name=request.text_or("type"),
+                interval_s=interval_s,
+                queue_length=queue_length,
+                on_throttled=self._queue.wake,
+            )
+            self._subscriptions[name] = mine
         else:
             self._update(mine)
         if form not in _FORMS:
@@ -505,26 +513,12 @@ class ClientSubscriptions:
             return
         del self._subscriptions[name]
         self._queue.forget(name)
-        if mine.subscription is not None:
-            mine.subscription.close()
-
-    def _subscribe(self, mine: _ClientSubscription, type_name: str) -> None:
-        interval_s, queue_length = mine.merge()
-        mine.subscription = self._participant.subscribe(
-            mine.name,
-            functools.partial(self._put, mine),
-            type_name=type_name,
-            interval_s=interval_s,
-            queue_length=queue_length,
-            on_throttled=self._queue.wake,
-        )
-        self._subscriptions[mine.name] = mine
+        mine.subscription.close()
 
     def _update(self, mine: _ClientSubscription) -> None:
         interval_s, queue_length = mine.merge()
-        if mine.subscription is not None:
-            mine.subscription.change(interval_s=interval_s, queue_length=queue_length)
-            self._queue.wake()
+        mine.subscription.change(interval_s=interval_s, queue_length=queue_length)
+        self._queue.wake()
 
     def _put(self, mine: _ClientSubscription, message: Message) -> None:
         """Queue a message. It is encoded once for all clients with the same encoding and name."""
@@ -594,14 +588,6 @@ class _PendingCall(NamedTuple):
     type: ServiceType | None
     answer: asyncio.Future[Values]
 
-    def succeed(self, values: Values) -> None:
-        if not self.answer.done():
-            self.answer.set_result(values)
-
-    def fail(self, error: Exception) -> None:
-        if not self.answer.done():
-            self.answer.set_exception(error)
-
     def completed(self, values: Values) -> Values:
         """Complete the values by the type of the service, as ROS does. Raise BadRequest for values that do not fit."""
         return values if self.type is None else self.type.response.decode(self.type.response.encode(values))
@@ -648,7 +634,7 @@ class ClientServices:
         try:
             self._accept(call, request)
         except BadRequest as error:
-            call.fail(error)
+            call.answer.set_exception(error)
             raise
 
     def _accept(self, call: _PendingCall, request: Request) -> None:
@@ -660,9 +646,10 @@ class ClientServices:
         if is_right not in (True, False, None):  # roslibpy sends null for a function that returns None
             raise BadRequest(f"{call.service}: result must be true or false")
         if is_right is False and not isinstance(values, dict):
-            call.fail(ServiceFailed(call.service, values if isinstance(values, str) else reprlib.repr(values)))
+            reason = values if isinstance(values, str) else reprlib.repr(values)
+            call.answer.set_exception(ServiceFailed(call.service, reason))
         elif isinstance(values, dict | None):
-            call.succeed(call.completed(values or {}))
+            call.answer.set_result(call.completed(values or {}))
         else:
             raise BadRequest(f"{call.service}: the answer is not an object")
 
@@ -772,34 +759,12 @@ class DriveCommands:
         self._queue.put_result(Outgoing(msgspec.json.encode(answer)))
 
 
-class GraphTopicView(TypedDict):
-    """A topic, and what participants outside the client's group do with it."""
-
-    name: str
-    type: str
-    published: bool
-    subscribed: bool
-    latched: bool
-    velocity: bool
-
-
-class GraphServiceView(TypedDict):
-    """A service and its type."""
-
-    name: str
-    type: str
-
-
-class GraphRobotView(TypedDict):
-    """A robot of this daemon and its velocity topics. `link` is null while the device is disconnected."""
-
-    name: str
-    link: int | None
-    velocity_topics: dict[str, str]  # types by topic name
-
-
 class ClientGraph:
-    """The operation `watch_graph`: sends the whole graph after each change, at most every 50 ms."""
+    """The operation `watch_graph`: sends the whole graph after each change, at most every 50 ms.
+
+    Of a topic and a service it sends what participants outside the client's group do with it. A robot is of this
+    daemon, with the types of its velocity topics by their names; its `link` is null while its device is disconnected.
+    """
 
     def __init__(self, participant: Participant, robots: Robots, queue: ClientQueue) -> None:
         self._participant, self._robots, self._queue = participant, robots, queue
@@ -816,14 +781,8 @@ class ClientGraph:
 
     def _send(self) -> None:
         graph = self._participant.graph()
-        data = msgspec.json.encode({"op": "graph", **graph_view(graph), "robots": self._robot_views(graph)})
-        if data != self._sent:
-            self._sent = data
-            self._queue.put_result(Outgoing(data))
-
-    def _robot_views(self, graph: Graph) -> list[GraphRobotView]:
         gated = {topic.name for topic in graph.topics if topic.is_velocity}
-        return [
+        robots = [
             {
                 "name": robot.name,
                 "link": None if robot.link is None else robot.link.number,
@@ -831,22 +790,27 @@ class ClientGraph:
             }
             for robot in self._robots.here()
         ]
+        data = msgspec.json.encode({"op": "graph", **graph_view(graph), "robots": robots})
+        if data != self._sent:
+            self._sent = data
+            self._queue.put_result(Outgoing(data))
 
 
-def graph_view(graph: Graph) -> dict[str, object]:
+def graph_view(graph: Graph) -> dict[str, list[dict[str, object]]]:
     """Return topics and services as JSON objects."""
-    services: list[GraphServiceView] = [{"name": each.name, "type": each.type_name} for each in graph.services]
-    return {"topics": [_topic_view(topic) for topic in graph.topics], "services": services}
-
-
-def _topic_view(topic: GraphTopic) -> GraphTopicView:
     return {
-        "name": topic.name,
-        "type": topic.type_name,
-        "published": topic.is_published,
-        "subscribed": topic.is_subscribed,
-        "latched": topic.is_latched,
-        "velocity": topic.is_velocity,
+        "topics": [
+            {
+                "name": each.name,
+                "type": each.type_name,
+                "published": each.is_published,
+                "subscribed": each.is_subscribed,
+                "latched": each.is_latched,
+                "velocity": each.is_velocity,
+            }
+            for each in graph.topics
+        ],
+        "services": [{"name": each.name, "type": each.type_name} for each in graph.services],
     }
 
 
@@ -906,7 +870,7 @@ class RosbridgeClient:
             "service_response": services.respond,
             "set_level": self._set_level,
             "watch_graph": ClientGraph(self.participant, hub.robots, queue).watch,
-            "auth": _accept,
+            "auth": lambda _: None,  # old clients send it; tokens are checked when the WebSocket opens
             "fragment": self._add_fragment,
             "drive": self._drive.receive,
             "send_action_goal": self._refuse_goal,
@@ -958,7 +922,7 @@ class RosbridgeClient:
     # -- operations ---------------------------------------------------------------------------------------------------
 
     def _publish(self, request: Request) -> None:
-        topic, type_name = request.text("topic"), request.text_or("type", "")
+        topic, type_name = request.text("topic"), request.text_or("type")
         priority = request.whole("priority", PROGRAM_PRIORITY, MAX_PRIORITY)
         self._topics.publish(request)
         try:
@@ -980,7 +944,7 @@ class RosbridgeClient:
         try:
             with self._hub.budget["calls"].holding(request.size_bytes, "pending calls"):
                 name = request.text("service")
-                timeout_s = request.number_or("timeout", 0.0) or None
+                timeout_s = request.number("timeout") or None
                 arguments = _arguments(request, self._hub.services.type_of(name))
                 values = await self.participant.call(name, arguments, timeout_s=timeout_s)
             self._answer(request, values, is_right=True)
@@ -1053,10 +1017,6 @@ class RosbridgeClient:
         if op not in self._unknown_ops and len(self._unknown_ops) < MAX_UNKNOWN_OPS:
             self._unknown_ops.add(op)
             log.warning("client.unknown_op", op=printable(op))
-
-
-def _accept(request: Request) -> None:
-    """Accept `auth`, which old clients send. Tokens are checked when the WebSocket opens."""
 
 
 def _refuse_action(request: Request) -> None:

@@ -41,7 +41,6 @@ Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
 
 FILE = "application/octet-stream"  # media type of files that are read in ranges
 _REFERENCE = "#/components/schemas/{name}"
-_EVERYWHERE = (HTTPStatus.UNAUTHORIZED, HTTPStatus.FORBIDDEN, HTTPStatus.TOO_MANY_REQUESTS)
 
 
 class ErrorReason(TypedDict):
@@ -76,7 +75,7 @@ class Route:
     on_head: Callable[[web.Request], None] | None = None  # called at once when the body is still missing
     role: Role | None = Role.READ  # None: no token is needed
     is_limited: bool = True  # False: exempt from the rate limit, because it stops a robot
-    fails: tuple[HTTPStatus, ...] = ()
+    fails: tuple[HTTPStatus, ...] = ()  # besides those that its role, its path and its body cause
 
 
 _PHRASES = {HTTPStatus.REQUEST_ENTITY_TOO_LARGE: "Request Entity Too Large"}  # changed in Python 3.13
@@ -114,28 +113,32 @@ def openapi(routes: Iterable[Route]) -> dict[str, Any]:
 
 def _operation(route: Route) -> dict[str, Any]:
     schema = {"type": "string"} if route.response is None else _schema(route.response)
-    fails = route.fails if route.role is None else (*route.fails, *_EVERYWHERE)
+    fails = set(route.fails)
     operation: dict[str, Any] = {
         "summary": route.summary,
         "operationId": re.sub(r"\W+", "_", f"{route.method.lower()} {route.path}").strip("_"),
-        "responses": {"200": {"description": route.summary, "content": {route.media_type: {"schema": schema}}}}
-        | {str(status.value): _failure(status) for status in sorted(fails)},
+        "responses": {"200": {"description": route.summary, "content": {route.media_type: {"schema": schema}}}},
     }
     if route.role is None:
         operation["security"] = [{}]
+    else:
+        fails |= {HTTPStatus.UNAUTHORIZED, HTTPStatus.FORBIDDEN, HTTPStatus.TOO_MANY_REQUESTS}
     names = re.findall(r"{(\w+)}", route.path)
     if names:
         operation["parameters"] = [
             {"name": name, "in": "path", "required": True, "schema": {"type": "string"}} for name in names
         ]
+        fails |= set() if route.is_upload else {HTTPStatus.NOT_FOUND}  # an upload creates what its path names
     if route.request is not None:
         operation["requestBody"] = {
             "required": not route.is_body_optional,
             "content": {"application/json": {"schema": _schema(route.request)}},
         }
+        fails |= {HTTPStatus.BAD_REQUEST, HTTPStatus.REQUEST_ENTITY_TOO_LARGE}
     if route.is_upload:
         content = {FILE: {"schema": {"type": "string", "format": "binary"}}}
         operation["requestBody"] = {"required": True, "content": content}
+    operation["responses"] |= {str(status.value): _failure(status) for status in sorted(fails)}
     return operation
 
 

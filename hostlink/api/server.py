@@ -21,12 +21,11 @@ from hostlink.api.captures import Captures
 from hostlink.api.clients import Client, ClientQueue, Clients
 from hostlink.api.events import Events
 from hostlink.api.foxglove import FoxgloveClient, FoxgloveDirectory
-from hostlink.api.history import HistoryRoutes, IncidentRoutes, RecordingHistoryRoute
+from hostlink.api.history import HistoryRoutes
 from hostlink.api.listener import KEPT_FOR_REQUESTS, ApiConnections, ApiListener, MakeProtocol, reading_of
 from hostlink.api.metrics import Metrics
-from hostlink.api.rate_limit import RateLimit
 from hostlink.api.recordings import RecordingRoutes
-from hostlink.api.rest import DriveRoute, ListeningRoute, Owners, ReloadRoute, Rest
+from hostlink.api.rest import Owners, Rest
 from hostlink.api.rosapi import RosApi
 from hostlink.api.rosbridge import RosbridgeClient
 from hostlink.api.routes import (
@@ -52,6 +51,7 @@ from hostlink.hub.hub import Hub
 from hostlink.hub.node import Role
 from hostlink.hub.reloader import Reloader
 from hostlink.logs import printable
+from hostlink.rate_limit import RateLimit
 from hostlink.recording.recordings import Recordings
 from hostlink.transport.base import READ_BYTES
 
@@ -130,18 +130,12 @@ class ApiServer:
     def application(self) -> web.Application:
         """Return the aiohttp application with all routes."""
         app = web.Application(middlewares=[explain_errors, self._admit], client_max_size=self._config.max_message_bytes)
-        history_turn = asyncio.Semaphore(1)
         self._routes = [
-            *Rest(self._hub, self._clients, self._owners).routes(),
+            *Rest(self._hub, self._clients, self._owners, self._recordings.drives, self._reloader).routes(),
             *Events(self._hub, self._clients, self._recordings).routes(),
             *Captures(self._hub).routes(),
             *RecordingRoutes(self._recordings, self._hub.config.recording.max_file_mb).routes(),
-            *RecordingHistoryRoute(self._recordings.folder, self._hub.catalog, history_turn).routes(),
-            *IncidentRoutes(self._recordings.black_box, self._hub.catalog, history_turn).routes(),
-            *DriveRoute(self._recordings.drives).routes(),
-            *HistoryRoutes(self._hub, self._recordings.black_box, history_turn).routes(),
-            *ListeningRoute(self._hub).routes(),
-            *ReloadRoute(self._reloader).routes(),
+            *HistoryRoutes(self._hub, self._recordings.black_box, self._recordings.folder).routes(),
             self._metrics.route(),
             Route(
                 "/api/openapi.json",

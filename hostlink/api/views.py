@@ -1,6 +1,7 @@
 """Views: what the API shows of the hub. These types are the OpenAPI document. Numbers carry their unit."""
 
 import asyncio
+import dataclasses
 import functools
 from collections.abc import Callable, Hashable, Iterable, Iterator
 from datetime import UTC, datetime
@@ -258,11 +259,7 @@ def velocity_view(velocity: PlanarVelocity) -> VelocityView:
 def velocity_answer(robot: AnyRobot, requested: PlanarVelocity, limited: PlanarVelocity) -> VelocityAnswer:
     """Return the velocity after the limits, with what reduced it."""
     return {
-        "velocity": {
-            "linear_m_s": limited.x_m_s,
-            "linear_y_m_s": limited.y_m_s,
-            "angular_rad_s": limited.yaw_rad_s,
-        },
+        "velocity": velocity_view(limited),
         "is_limited": limited != requested,
         "limited_by": None if limited == requested else robot.limited_by(requested),
         "lease_s": robot.admission.lease_s,
@@ -288,8 +285,8 @@ def link_view(hub: Hub, diagnosis: Diagnosis) -> LinkView:
     """Return the present state of one live connection."""
     link = diagnosis.link
     facts = link.facts()
-    counts, clock = facts.counts, facts.clock
-    return {
+    clock = facts.clock
+    view = {
         "number": link.number,
         "transport": link.kind,
         "peer": link.peer,
@@ -302,17 +299,7 @@ def link_view(hub: Hub, diagnosis: Diagnosis) -> LinkView:
             for name, answer in hub.links.answered_parameters(link).items()
         },
         "seconds": round(facts.seconds, 3),
-        "frames_from_device": counts.frames_from_device,
-        "frames_to_device": counts.frames_to_device,
-        "bytes_from_device": counts.bytes_from_device,
-        "bytes_to_device": counts.bytes_to_device,
-        "skipped_bytes": counts.skipped_bytes,
-        "unknown_ids": counts.unknown_ids,
-        "refused_frames": counts.refused_frames,
-        "malformed": counts.malformed,
-        "excess_topics": counts.excess_topics,
-        "negotiations": counts.negotiations,
-        "topic_requests": counts.topic_requests,
+        **dataclasses.asdict(facts.counts),
         "replaced": facts.replaced,
         "rejected": facts.rejected,
         "slowest_wait_s": round(facts.slowest_wait_s, 6),
@@ -327,6 +314,7 @@ def link_view(hub: Hub, diagnosis: Diagnosis) -> LinkView:
             "answer_s": _rounded(clock.answer_s, 6),
         },
     }
+    return cast(LinkView, view)
 
 
 def topic_info_views(hub: Hub, diagnosis: Diagnosis) -> list[TopicInfoView]:
@@ -362,19 +350,9 @@ async def links_view(hub: Hub, slices: Slices) -> dict[str, object]:
 
 
 def link_history_view(hub: Hub) -> LinkHistoryView:
-    """Return the ended connections and the closed ports."""
-    return {
-        "ended": ended_views(hub),
-        "ports": [{"name": name, "diagnosis": finding_views([each])} for name, each in hub.diagnoses.ports.items()],
-        "crashes": hub.isolation.crashes.total(),
-        "refused": dict(hub.counts.refused),
-    }
-
-
-def ended_views(hub: Hub) -> list[EndedLinkView]:
-    """Return the last ended links, the newest first."""
+    """Return the last ended links, the newest first, and the closed ports."""
     now_s = asyncio.get_running_loop().time()
-    return [
+    ended: list[EndedLinkView] = [
         {
             "number": diagnosis.link.number,
             "peer": diagnosis.link.peer,
@@ -386,6 +364,12 @@ def ended_views(hub: Hub) -> list[EndedLinkView]:
         }
         for diagnosis in reversed(hub.diagnoses.ended)
     ]
+    return {
+        "ended": ended,
+        "ports": [{"name": name, "diagnosis": finding_views([each])} for name, each in hub.diagnoses.ports.items()],
+        "crashes": hub.isolation.crashes.total(),
+        "refused": dict(hub.counts.refused),
+    }
 
 
 def finding_views(findings: Iterable[Finding]) -> list[FindingView]:

@@ -10,7 +10,7 @@ import typer
 
 from hostlink.cli.connecting import counted
 from hostlink.cli.output import fitted_table, write
-from hostlink.inspection import Inspection, InspectionReport, Payload, Series, load_reads
+from hostlink.inspection import Inspection, Payload, Series, load_reads
 from hostlink.messages.catalog import Catalog
 from hostlink.protocol.control import Parameter, TopicInfo
 from hostlink.protocol.frame import Id
@@ -40,7 +40,7 @@ def command(
     """Decode a capture of a link in both directions, also when reads split the frames."""
     inspection = Inspection(Catalog(messages or ()))
     inspection.add_all(counted(load_reads(file), "lines"))
-    view = report_view(inspection.report())
+    view = report_view(inspection)
     if json:
         write(msgspec.json.encode(view).decode())
     else:
@@ -50,10 +50,10 @@ def command(
 # -- JSON -------------------------------------------------------------------------------------------------------------
 
 
-def report_view(report: InspectionReport) -> dict[str, Any]:
+def report_view(report: Inspection) -> dict[str, Any]:
     """Return the whole capture as one JSON object."""
     return {
-        "topics": [_topic_view(info) for info in report.topics],
+        "topics": [_topic_view(info) for info in report.topics.values()],
         "messages": {name: _series_view(series) for name, series in report.messages.items()},
         "to_device": {name: _series_view(series) for name, series in report.to_device.items()},
         "logs": [{"level": log.level, "msg": log.text} for log in report.logs],
@@ -64,7 +64,7 @@ def report_view(report: InspectionReport) -> dict[str, Any]:
         "services": {name: dataclasses.asdict(counts) for name, counts in report.services.items()},
         "time_requests": report.time_requests,
         "skipped_bytes": report.skipped_bytes,
-        "connections": report.connections,
+        "connections": len(report.connections),
     }
 
 

@@ -400,7 +400,7 @@ SITES: dict[str, tuple[type[EntryPoint], ...]] = {
     "api/rosbridge.py: self.participant.publish": (
         entry_points.RosbridgePublish, entry_points.RosbridgeRaw, entry_points.TwistStamped,
     ),
-    "api/foxglove.py: self._participant.publish": (entry_points.FoxglovePublish,),
+    "api/foxglove.py: self.participant.publish": (entry_points.FoxglovePublish,),
     "cli/demo.py: self._participant.drive": (entry_points.Demo,),
     "cli/play.py: driven.drive": (entry_points.Play,),
     "cli/teleop.py: self._robot.command": (entry_points.Teleop,),
@@ -439,7 +439,6 @@ OTHERS = {
     "api/events.py: participant.follow": "poses",
     "api/rest.py: self._owner(request).publish": "the reset of the odometry",
     "api/rosbridge.py: self._topics.publish": "an advertisement",
-    "api/foxglove.py: self._topics.publish": "calls FoxgloveTopics",
     "cli/calibration_session.py: self._drives.follow": "calls Drives.follow",
     "cli/calibrate.py: self._session.follow": "calls calibration_session.py",
     "cli/teleop.py: watched.follow": "events",

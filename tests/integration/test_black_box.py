@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 from aiohttp.test_utils import make_mocked_request
 
-from hostlink.api.history import HistoryRoutes, IncidentRoutes
+from hostlink.api.history import HistoryRoutes
 from hostlink.config import BlackBoxConfig, Config, LinkConfig, RecordingConfig
 from hostlink.recording.black_box import MAX_CHANNELS, MAX_REQUESTED, BlackBox
 from hostlink.recording.channel import Channel, json_of
@@ -127,11 +127,11 @@ async def test_histories_are_made_one_at_a_time(tmp_path: Path) -> None:
     async with boxed(config(tmp_path)) as (host, _):
         await host.rest("POST", "/api/robots/robot_0/lock?wait_s=0")
         (incident,) = await saved(host)
-        box, turn = BlackBox(host.hub, tmp_path), Turn(1)
-        histories = HistoryRoutes(host.hub, box, turn), IncidentRoutes(box, host.hub.catalog, turn)
-        handlers = [
-            next(route.handler for route in routes.routes() if route.path.endswith("}/history")) for routes in histories
-        ]
+        box = BlackBox(host.hub, tmp_path)
+        histories = HistoryRoutes(host.hub, box, box.folder)
+        histories._turn = Turn(1)
+        handler_of = {route.path: route.handler for route in histories.routes()}
+        handlers = [handler_of["/api/robots/{name}/history"], handler_of["/api/incidents/{name}/history"]]
         async with asyncio.TaskGroup() as tasks:
             for handler, name in zip(handlers * 4, ["robot_0", incident["file"]] * 4, strict=True):
                 request = make_mocked_request("GET", "/", match_info={"name": name})

@@ -30,7 +30,7 @@ def inspected(lines: bytes, folder: Path) -> dict[str, Any]:
     path.write_bytes(lines)
     inspection = Inspection(Catalog())
     inspection.add_all(load_reads(path))
-    return report_view(inspection.report())
+    return report_view(inspection)
 
 
 async def test_the_bytes_of_a_live_link_are_what_inspect_reads(tmp_path: Path) -> None:

@@ -39,7 +39,7 @@ def test_inspection_agrees_with_the_original_host(name: str, cut: Any) -> None:
     expected = json.loads((CAPTURES / f"{name}.expected.json").read_text())
     inspection = Inspection(Catalog())
     inspection.add_all(cut(list(load_reads(CAPTURES / f"{name}.jsonl"))))
-    report = report_view(inspection.report())
+    report = report_view(inspection)
     sessions = expected["sessions"]
 
     assert report["connections"] == expected["connections"]

@@ -18,7 +18,7 @@ from typing import Any, ClassVar, cast
 from aiohttp.test_utils import make_mocked_request
 
 from hostlink.api.access import GRANT, Grant
-from hostlink.api.clients import ClientQueue, Clients
+from hostlink.api.clients import ClientQueue
 from hostlink.api.foxglove import FoxgloveClient, FoxgloveDirectory
 from hostlink.api.rest import Owners, Rest
 from hostlink.api.rosbridge import RosbridgeClient
@@ -217,7 +217,8 @@ class RestPut(EntryPoint):
     def __init__(self, made: Scene) -> None:
         super().__init__(made)
         self._owners = Owners(made.hub)
-        rest = Rest(made.hub, cast(Clients, None), self._owners)  # no request of a velocity asks for clients
+        unused = cast(Any, None)  # no request of a velocity asks for clients, drives or settings
+        rest = Rest(made.hub, unused, self._owners, unused, unused)
         (self._route,) = (each for each in rest.routes() if each.path.endswith("/velocity"))
 
     async def give(self, speed_m_s: float, *, left_m_s: float = 0.0, epoch: int | None = None) -> None:

@@ -16,6 +16,7 @@ from hostlink.api.routes import BODY, CAME, Route, explain_errors
 from hostlink.config import Config
 from hostlink.hub.hub import Hub
 from hostlink.hub.node import Role
+from hostlink.hub.reloader import Read, Reloader
 from hostlink.protocol.control import TopicInfo
 from tests.support.fake_device import CATALOG, robot_topics
 from tests.support.participants import ODOMETRY_ID, POSE, ROBOT
@@ -25,15 +26,16 @@ from tests.support.scripted_device import ScriptedDevice
 class RestMemory:
     """A daemon's REST API, and the device of its robot."""
 
-    def __init__(self, topics: Sequence[TopicInfo]) -> None:
+    def __init__(self, topics: Sequence[TopicInfo], drives: Any, read: Read | None) -> None:
         self.hub = Hub(Config(), CATALOG, reraises=True)
         self.owners = Owners(self.hub)
-        self._topics = topics
+        self._topics, self._drives, self._read = topics, drives, read
         self._app = web.Application()
         self.device: ScriptedDevice
 
     async def begin(self, settle_s: float) -> None:
-        self.add(Rest(self.hub, Clients(4, max_per_address=4), self.owners).routes())
+        clients, reloader = Clients(4, max_per_address=4), Reloader(self.hub, self._read)
+        self.add(Rest(self.hub, clients, self.owners, self._drives, reloader).routes())
         self.device = ScriptedDevice(self.hub, self._topics, address="10.0.0.1")
         await asyncio.sleep(settle_s)
 
@@ -69,9 +71,14 @@ class RestMemory:
 
 
 @contextlib.asynccontextmanager
-async def rest_memory(topics: Sequence[TopicInfo] | None = None, *, settle_s: float = 0.5) -> AsyncIterator[RestMemory]:
-    """A running hub with one robot, for virtual time. `settle_s`: time in which the device announces its topics."""
-    made = RestMemory(robot_topics(ROBOT) if topics is None else topics)
+async def rest_memory(
+    topics: Sequence[TopicInfo] | None = None, *, settle_s: float = 0.5, drives: Any = None, read: Read | None = None
+) -> AsyncIterator[RestMemory]:
+    """A running hub with one robot, for virtual time. `settle_s`: time in which the device announces its topics.
+
+    `drives` is the log of drives; `read` returns the settings of a reload.
+    """
+    made = RestMemory(robot_topics(ROBOT) if topics is None else topics, drives, read)
     async with asyncio.TaskGroup() as tasks:
         running = tasks.create_task(made.hub.run())
         await made.hub.is_running.wait()

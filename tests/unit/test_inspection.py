@@ -19,7 +19,7 @@ def test_unknown_type_is_shown_as_bytes() -> None:
     info = (125).to_bytes(2, "little") + strings + (512).to_bytes(4, "little")
     inspection = Inspection(Catalog())
     inspection.add_all([Read("device", (encode(0, info) + encode(125, b"\x01\x02")).hex())])
-    assert report_view(inspection.report())["messages"] == {
+    assert report_view(inspection)["messages"] == {
         "/x": {"count": 1, "first": {"hex": "0102"}, "last": {"hex": "0102"}}
     }
 

@@ -3,7 +3,7 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hostlink.log_budget import BURST_LINES, LOG_INTERVAL_S, MAX_KINDS, MAX_PEERS, RATE_HZ, Budget, LogBudget
+from hostlink.log_budget import BURST_LINES, LOG_INTERVAL_S, MAX_KINDS, MAX_NAMED, RATE_HZ, Budget, LogBudget
 
 
 def spent(budget: LogBudget, peer: str) -> None:
@@ -40,15 +40,14 @@ def test_refused_lines_are_reported_once() -> None:
 
 def test_many_peers_are_bounded_and_every_refused_line_is_counted() -> None:
     budget = LogBudget()
-    for number in range(10):
+    for number in range(MAX_NAMED + 10):
         spent(budget, f"noisy {number}")
         budget.allows(f"noisy {number}", 0.0)
         budget.allows(f"noisy {number}", 0.0)
-    for number in range(MAX_PEERS):
-        budget.allows(f"calm {number}", 0.0)
-    assert len(budget._buckets) == MAX_PEERS
-    assert budget.pop_left_out() == {"": 10 * 2}
-    assert budget.left_out == 10 * 2
+    found = budget.pop_left_out()
+    assert len(found) == MAX_NAMED + 1
+    assert (found["noisy 0"], found[""]) == (2, 10 * 2)
+    assert found.total() == budget.left_out == (MAX_NAMED + 10) * 2
 
 
 @given(st.lists(st.tuples(st.sampled_from("abc"), st.floats(0, 0.2)), max_size=300))

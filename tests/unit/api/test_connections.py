@@ -81,29 +81,30 @@ def test_bounds_are_kept_and_complete_requests_are_never_evicted(
     script: list[tuple[str, int]], most: int, of_address: int
 ) -> None:
     connections = crowd(most=most, of_address=of_address)
-    here: dict[int, ApiConnection] = {}
-    served: set[int] = set()
+    here: list[ApiConnection] = []  # oldest first
+    served: set[ApiConnection] = set()
     for step, choice in script:
-        chosen = sorted(here)[choice % len(here)] if here else None
+        chosen = here[choice % len(here)] if here else None
         if step == "enter":
             address = f"10.0.0.{choice % 3}"
-            mine = [each.number for each in here.values() if each.address == address]
+            mine = [each for each in here if each.address == address]
             new, leaving = connections.enter(address, 0.0)
             if leaving is not None:
-                assert leaving.number not in served
-                del here[leaving.number]
+                assert leaving not in served
+                here.remove(leaving)
             if new is None:
                 assert served.issuperset(mine if len(mine) >= of_address else here)
             else:
-                here[new.number] = new
+                here.append(new)
         elif chosen is not None and step == "serve":
-            connections.serve(here[chosen])
+            connections.serve(chosen)
             served.add(chosen)
         elif chosen is not None and step == "wait":
-            connections.wait(here[chosen], 0.0)
+            connections.wait(chosen, 0.0)
             served.discard(chosen)
         elif chosen is not None:
-            connections.leave(here.pop(chosen))
+            here.remove(chosen)
+            connections.leave(chosen)
             served.discard(chosen)
         assert len(connections) == len(here) <= most
-        assert all(sum(each.address == one.address for each in here.values()) <= of_address for one in here.values())
+        assert all(sum(each.address == one.address for each in here) <= of_address for one in here)

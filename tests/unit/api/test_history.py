@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from hostlink.api import history as module
-from hostlink.api.history import PIECE, HistoryRoutes, IncidentRoutes, Pauses, encode_history, stored_history
+from hostlink.api.history import PIECE, HistoryRoutes, Pauses, encode_history, stored_history
 from hostlink.recording.black_box import BlackBox
 from hostlink.recording.mcap_writer import McapWriter
 from tests.support.participants import ODOMETRY_ID, POSE, ROBOT, VELOCITY_ID
@@ -23,10 +23,9 @@ ZERO = {"linear_m_s": 0.0, "linear_y_m_s": 0.0, "angular_rad_s": 0.0}
 async def boxed(folder: Path) -> AsyncIterator[tuple[RestMemory, BlackBox]]:
     """Run a REST API whose black box has two poses and one command of the robot."""
     async with rest_memory(settle_s=0.05) as api:
-        box, turn = BlackBox(api.hub, folder), asyncio.Semaphore(1)
+        box = BlackBox(api.hub, folder)
         box.start()
-        api.add(HistoryRoutes(api.hub, box, turn).routes())
-        api.add(IncidentRoutes(box, api.hub.catalog, turn).routes())
+        api.add(HistoryRoutes(api.hub, box, box.folder).routes())
         await expect(lambda: api.hub.topics.find(f"/{ROBOT}/odometry").subscribers)
         await api.device.send(ODOMETRY_ID, POSE.pack(1.00000049, 2.0, 0.5))
         await api.device.send(ODOMETRY_ID, POSE.pack(1.5, 2.0, 0.5))

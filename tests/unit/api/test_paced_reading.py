@@ -350,6 +350,6 @@ def test_abort_of_a_connection_closes_its_transport() -> None:
     async def test(scene: Scene) -> None:
         scene.connection.abort()
         assert scene.transport.is_closed
-        ApiConnection(9, "127.0.0.1").abort()  # not accepted yet: nothing to close
+        ApiConnection("127.0.0.1").abort()  # not accepted yet: nothing to close
 
     check(test)

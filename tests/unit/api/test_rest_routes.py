@@ -8,11 +8,7 @@ from typing import Any
 
 import pytest
 
-from hostlink.api.history import HistoryRoutes
-from hostlink.api.rest import DriveRoute, ListeningRoute, ReloadRoute
 from hostlink.config import Config, RobotConfig
-from hostlink.hub.reloader import Reloader
-from hostlink.recording.black_box import BlackBox
 from hostlink.recording.drives import Drive
 from tests.support.api_memory import Answer, ApiMemory, api_memory
 from tests.support.participants import ROBOT
@@ -23,9 +19,9 @@ from tests.support.waiting import expect
 S = 1_000_000_000
 
 
-def check(test: Callable[[RestMemory], Awaitable[None]]) -> None:
+def check(test: Callable[[RestMemory], Awaitable[None]], drives: Any = None) -> None:
     async def run() -> None:
-        async with rest_memory() as api:
+        async with rest_memory(drives=drives) as api:
             await test(api)
 
     run_virtual(run())
@@ -52,9 +48,9 @@ class FakeDrives:
 
 
 def test_drive_has_its_times_in_utc_and_rounded_figures() -> None:
+    drives = FakeDrives(drive("a"), drive("b", seconds=None), drive("c", seconds=None, ended_s=9.0))
+
     async def test(api: RestMemory) -> None:
-        drives: Any = FakeDrives(drive("a"), drive("b", seconds=None), drive("c", seconds=None, ended_s=9.0))
-        api.add(DriveRoute(drives).routes())
         status, body = await api.call("GET", "/api/drives")
         assert (status, body["lost"], [each["seconds"] for each in body["drives"]]) == (200, 3, [2.0, 2.5, 0.0])
         assert body["drives"][0] == {
@@ -65,25 +61,23 @@ def test_drive_has_its_times_in_utc_and_rounded_figures() -> None:
         await api.call("GET", "/api/drives?robot=b&limit=999999")
         assert drives.asked == [(None, None), ("b", 999999)]
 
-    check(test)
+    check(test, drives)
 
 
 @pytest.mark.parametrize("limit", ["", "-1", "1.5", "many", "1000000", "\u0661"])
 def test_limit_other_than_a_number_is_refused(limit: str) -> None:
+    drives = FakeDrives()
+
     async def test(api: RestMemory) -> None:
-        drives: Any = FakeDrives()
-        api.add(DriveRoute(drives).routes())
         status, body = await api.call("GET", f"/api/drives?limit={limit}")
         assert (status, body["error"]["kind"], drives.asked) == (400, "BadRequest", [])
 
-    check(test)
+    check(test, drives)
 
 
 async def test_reload_answers_what_has_changed_and_why_it_is_refused() -> None:
-    async with rest_memory(settle_s=0.05) as api:
-        api.add(
-            ReloadRoute(Reloader(api.hub, lambda: Config(robots={ROBOT: RobotConfig(max_linear_m_s=0.2)}))).routes()
-        )
+    config = Config(robots={ROBOT: RobotConfig(max_linear_m_s=0.2)})
+    async with rest_memory(settle_s=0.05, read=lambda: config) as api:
         status, body = await api.call("POST", "/api/reload")
         assert (status, body) == (
             200,
@@ -94,14 +88,12 @@ async def test_reload_answers_what_has_changed_and_why_it_is_refused() -> None:
 
 async def test_reload_without_a_file_is_a_conflict() -> None:
     async with rest_memory(settle_s=0.05) as api:
-        api.add(ReloadRoute(Reloader(api.hub)).routes())
         status, body = await api.call("POST", "/api/reload")
         assert (status, body["error"]["kind"]) == (409, "ReloadRefused")
 
 
 def test_listening_is_empty_before_any_port_is_open() -> None:
     async def test(api: RestMemory) -> None:
-        api.add(ListeningRoute(api.hub).routes())
         status, body = await api.call("GET", "/api/listening")
         assert (status, body["tcp"], body["udp"], body["serial"]) == (200, None, None, [])
 
@@ -123,9 +115,6 @@ def test_standstill_is_measured_without_stopping() -> None:
 
 def test_history_of_the_fleet_has_commands_of_the_chosen_robot_alone(tmp_path: Path) -> None:
     async def test(api: ApiMemory) -> None:
-        box = BlackBox(api.hub, tmp_path)
-        app_routes = HistoryRoutes(api.hub, box, asyncio.Semaphore(1)).routes()
-        assert [route.path for route in app_routes] == ["/api/history", "/api/robots/{name}/history"]
         for chosen in ("", ROBOT):
             answer = await api.request("GET", f"/api/history?chosen={chosen}", Accept_Encoding="identity")
             assert answer.status == 200

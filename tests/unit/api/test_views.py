@@ -4,7 +4,7 @@ import asyncio
 
 import msgspec
 
-from hostlink.api.views import LinksView, Slices, links_view
+from hostlink.api.views import LinksView, LinkView, Slices, links_view
 from hostlink.config import Config
 from hostlink.hub.hub import Hub
 from hostlink.messages.catalog import Catalog
@@ -43,6 +43,8 @@ async def test_view_of_many_topics_yields_the_loop_after_each_link() -> None:
     other = asyncio.get_running_loop().create_task(neighbour())
     view = await links_view(hub, Slices(hub))
     other.cancel()
-    found = msgspec.json.decode(msgspec.json.encode(view), type=LinksView)
+    encoded = msgspec.json.encode(view)
+    found = msgspec.json.decode(encoded, type=LinksView)
     assert [len(link["topics"]) for link in found["links"]] == [TOPICS] * LINKS
+    assert msgspec.json.decode(encoded)["links"][0].keys() == LinkView.__annotations__.keys()
     assert turns >= LINKS / 2  # a turn each, or two where a processor is fast

@@ -3,7 +3,7 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hostlink.api.rate_limit import MAX_KEYS, RateLimit
+from hostlink.rate_limit import MAX_KEYS, RateLimit
 
 
 def test_rate_limit_allows_a_burst_of_one_second() -> None:
