@@ -70,7 +70,7 @@ async def test_a_killed_daemon_leaves_a_simulated_robot_standing() -> None:
         await running
     assert robot.is_configured  # it has not noticed yet, and will not for 11 s
     robot.advance(killed_s + STOP_S)
-    assert [wheel.pwm for wheel in robot.wheels] == [0, 0]
+    assert [wheel.pwm for wheel in robot.world.wheels] == [0, 0]
     robot.advance(killed_s + STOP_S + 1.0)  # it rolls out
     assert robot.speed_m_s < 0.01
 
@@ -109,7 +109,7 @@ async def test_a_serial_device_does_the_same() -> None:
         running = tasks.create_task(run_over_streams(robot, reader, writer))
         appeared = await daemon.read_log("robot.appeared")
         assert appeared["peer"] == path
-        while robot.pose.x_m < 0.05:
+        while robot.world.odometry.x_m < 0.05:
             await drive(daemon.url, 0.3, 0.0)
             await asyncio.sleep(0.1)
         url = f"{daemon.url}/api/robots/robot_0/odometry"
