@@ -13,7 +13,7 @@ import msgspec
 import typer
 
 from hostlink.cli.arguments import Json, Token, Url
-from hostlink.cli.connecting import connected, run_until_interrupted
+from hostlink.cli.connecting import ask, connected, run_until_interrupted
 from hostlink.cli.figures import LINK_COLUMNS, Snapshot, advice, figures, link_rows
 from hostlink.cli.output import duration, show_progress, size, write, write_error, write_table
 from hostlink.client import DEFAULT_URL, Host
@@ -32,7 +32,7 @@ def links(
     json: Json = False,
 ) -> None:
     """List the connections of devices: rates since they opened, losses, silence and findings."""
-    view, robots = asyncio.run(_links(url, token))
+    view, robots = ask(url, token, _links)
     if json:
         write(json_text.dumps(view))
         return
@@ -47,9 +47,8 @@ def links(
     write(*advice({**shown, "ended": []}))
 
 
-async def _links(url: str, token: str | None) -> tuple[dict[str, Any], list[Any]]:
-    async with connected(url, token) as host:
-        return await host.get("/api/links"), await host.robots()
+async def _links(host: Host) -> tuple[dict[str, Any], list[Any]]:
+    return await host.get("/api/links"), await host.robots()
 
 
 def _ended_rows(view: dict[str, Any]) -> list[list[str]]:
@@ -73,18 +72,13 @@ COLUMNS = ("client", "kind", "peer", "role", "for s", "from", "to", "bytes to", 
 
 def clients(*, url: Url = DEFAULT_URL, token: Token = None, json: Json = False) -> None:
     """List the programs that are connected: name and role, traffic, and what was dropped because they are too slow."""
-    view = asyncio.run(_clients(url, token))
+    view = ask(url, token, lambda host: host.get("/api/clients"))
     if json:
         write(json_text.dumps(view))
     else:
         write_table(COLUMNS, [_row(client) for client in view["clients"]])
         if view["refused"]:
             write(f"{view['refused']} clients were refused, because too many were connected")
-
-
-async def _clients(url: str, token: str | None) -> dict[str, Any]:
-    async with connected(url, token) as host:
-        return await host.get("/api/clients")
 
 
 def _row(client: dict[str, Any]) -> list[str]:

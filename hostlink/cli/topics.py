@@ -34,7 +34,7 @@ from hostlink.cli.arguments import (
     json_object,
     not_empty,
 )
-from hostlink.cli.connecting import PATIENCE_S, connected, run_until_interrupted, waiting, write_hint
+from hostlink.cli.connecting import PATIENCE_S, ask, connected, run_until_interrupted, waiting, write_hint
 from hostlink.cli.names import natural, unknown
 from hostlink.cli.output import duration, is_terminal, show_progress, size, write, write_error, write_table
 from hostlink.client import DEFAULT_URL, Host, Mailbox, RawMessage, TopicState
@@ -57,19 +57,14 @@ def topics(
     json: Json = False,
 ) -> None:
     """List the topics: name, type, number of publishers, subscribers and messages."""
-    topics = asyncio.run(_topics(url, token, with_rates=verbose))
+    found: list[Any] = ask(url, token, _rated if verbose else Host.topics)
+    topics = sorted(found, key=lambda topic: natural(topic["name"]))
     if json:
         write(json_text.dumps(topics))
     elif not topics:
         write_error("there are no topics, because no device has connected yet; `hostlink doctor` finds out why")
     else:
         write_table(HEAD if verbose else HEAD[:-1], [_topic_row(topic) for topic in topics])
-
-
-async def _topics(url: str, token: str | None, *, with_rates: bool) -> list[Any]:
-    async with connected(url, token) as host:
-        topics = await _rated(host) if with_rates else await host.topics()
-        return sorted(topics, key=lambda topic: natural(topic["name"]))
 
 
 async def _rated(host: Host) -> list[Any]:
@@ -101,7 +96,7 @@ def _topic_row(topic: dict[str, Any]) -> list[str]:
 
 def nodes(*, url: Url = DEFAULT_URL, token: Token = None, json: Json = False) -> None:
     """List the nodes, which are devices and programs: how much each publishes, subscribes and offers."""
-    nodes = asyncio.run(_nodes(url, token))
+    nodes = ask(url, token, _nodes)
     if json:
         write(json_text.dumps(nodes))
     else:
@@ -109,13 +104,12 @@ def nodes(*, url: Url = DEFAULT_URL, token: Token = None, json: Json = False) ->
         write_table(["node", *counts], [[each["node"], *(len(each[key]) for key in counts)] for each in nodes])
 
 
-async def _nodes(url: str, token: str | None) -> list[dict[str, Any]]:
-    async with connected(url, token) as host:
-        names: list[str] = (await host.call("/rosapi/nodes", {}))["nodes"]
-        return [
-            {"node": name, **(await host.call("/rosapi/node_details", {"node": name}))}
-            for name in sorted(names, key=natural)
-        ]
+async def _nodes(host: Host) -> list[dict[str, Any]]:
+    names: list[str] = (await host.call("/rosapi/nodes", {}))["nodes"]
+    return [
+        {"node": name, **(await host.call("/rosapi/node_details", {"node": name}))}
+        for name in sorted(names, key=natural)
+    ]
 
 
 # -- graph info -------------------------------------------------------------------------------------------------------
@@ -127,22 +121,21 @@ def show_name(name: str, url: str, token: str | None, *, as_json: bool) -> None:
     Raises:
         HostlinkError: the graph has no such name, or no daemon answers.
     """
-    found = asyncio.run(_find_name(url, token, "/" + name.lstrip("/~")))
+    found = ask(url, token, lambda host: _find_name(host, "/" + name.lstrip("/~")))
     write(*([json_text.dumps(found)] if as_json else _fact_lines(found)))
 
 
-async def _find_name(url: str, token: str | None, name: str) -> dict[str, Any]:
-    async with connected(url, token) as host:
-        topics = {topic["name"]: topic for topic in await host.topics()}
-        if name in topics:
-            return await _topic(host, name, topics[name]["type"], topics[name]["messages"])
-        nodes: list[str] = (await host.call("/rosapi/nodes", {}))["nodes"]
-        if name in nodes:
-            details: dict[str, Any] = await host.call("/rosapi/node_details", {"node": name})
-            return {"node": name, **details}
-        services: list[str] = (await host.call("/rosapi/services", {}))["services"]
-        if name in services:
-            return await _service(host, name)
+async def _find_name(host: Host, name: str) -> dict[str, Any]:
+    topics = {topic["name"]: topic for topic in await host.topics()}
+    if name in topics:
+        return await _topic(host, name, topics[name]["type"], topics[name]["messages"])
+    nodes: list[str] = (await host.call("/rosapi/nodes", {}))["nodes"]
+    if name in nodes:
+        details: dict[str, Any] = await host.call("/rosapi/node_details", {"node": name})
+        return {"node": name, **details}
+    services: list[str] = (await host.call("/rosapi/services", {}))["services"]
+    if name in services:
+        return await _service(host, name)
     raise unknown("topic, node or service", name, [*topics, *nodes, *services], command="topics")
 
 
@@ -240,7 +233,7 @@ def type_(
     json: Json = False,
 ) -> None:
     """Show the type of a topic or of a service, or the fields of a type."""
-    found = asyncio.run(_find_type(url, token, "/" + name.lstrip("/~"), with_fields=fields))
+    found = ask(url, token, lambda host: _find_type(host, "/" + name.lstrip("/~"), with_fields=fields))
     if json:
         write(json_text.dumps(found))
     else:
@@ -253,28 +246,25 @@ def _field_list(fields: list[dict[str, str]]) -> list[str]:
     return [f"  {field['type']} {field['name']}" for field in fields]
 
 
-async def _find_type(url: str, token: str | None, name: str, *, with_fields: bool) -> dict[str, Any]:
-    async with connected(url, token) as host:
-        topics = {topic["name"]: topic["type"] for topic in await host.topics()}
-        services: list[str] = [] if name in topics else (await host.call("/rosapi/services", {}))["services"]
-        if name in topics:
-            type_name, details = topics[name], "message_details"
-        elif name in services:
-            type_name = (await host.call("/rosapi/service_type", {"service": name}))["type"]
-            details = "service_request_details"
-        else:
-            type_name = name.removeprefix("/").replace("/msg/", "/").replace("/srv/", "/")
-            of_type = await _of_type(host, type_name)
-            if of_type is None:
-                asked = type_name if type_name.count("/") == 1 else name
-                raise unknown("topic, service or type", asked, [*topics, *services], command="topics")
-            return of_type
-        if not type_name:
-            raise HostlinkError(
-                f"{name} has no type yet, because it has no publisher; `hostlink topics` lists all topics"
-            )
-        found: dict[str, Any] = {"name": name, "type": type_name}
-        return found | {"fields": await _fields(host, details, type_name)} if with_fields else found
+async def _find_type(host: Host, name: str, *, with_fields: bool) -> dict[str, Any]:
+    topics = {topic["name"]: topic["type"] for topic in await host.topics()}
+    services: list[str] = [] if name in topics else (await host.call("/rosapi/services", {}))["services"]
+    if name in topics:
+        type_name, details = topics[name], "message_details"
+    elif name in services:
+        type_name = (await host.call("/rosapi/service_type", {"service": name}))["type"]
+        details = "service_request_details"
+    else:
+        type_name = name.removeprefix("/").replace("/msg/", "/").replace("/srv/", "/")
+        of_type = await _of_type(host, type_name)
+        if of_type is None:
+            asked = type_name if type_name.count("/") == 1 else name
+            raise unknown("topic, service or type", asked, [*topics, *services], command="topics")
+        return of_type
+    if not type_name:
+        raise HostlinkError(f"{name} has no type yet, because it has no publisher; `hostlink topics` lists all topics")
+    found: dict[str, Any] = {"name": name, "type": type_name}
+    return found | {"fields": await _fields(host, details, type_name)} if with_fields else found
 
 
 async def _of_type(host: Host, type_name: str) -> dict[str, Any] | None:
@@ -312,17 +302,16 @@ async def _fields(host: Host, details: str, type_name: str) -> list[dict[str, st
 
 def find(type_name: TypeName, *, url: Url = DEFAULT_URL, token: Token = None, json: Json = False) -> None:
     """List the topics and services of a type."""
-    topics, services = asyncio.run(_find_of_type(url, token, type_name))
+    topics, services = ask(url, token, lambda host: _find_of_type(host, type_name))
     write(*([json_text.dumps({"topics": topics, "services": services})] if json else [*topics, *services]))
 
 
-async def _find_of_type(url: str, token: str | None, type_name: str) -> tuple[list[str], list[str]]:
-    async with connected(url, token) as host:
-        topics: list[str] = (await host.call("/rosapi/topics_for_type", {"type": type_name}))["topics"]
-        services: list[str] = (await host.call("/rosapi/services_for_type", {"type": type_name}))["services"]
-        if not topics and not services:
-            known = {topic["type"] for topic in await host.topics()} - {""}
-            raise unknown("topic or service of a type", type_name, known, command="topics")
+async def _find_of_type(host: Host, type_name: str) -> tuple[list[str], list[str]]:
+    topics: list[str] = (await host.call("/rosapi/topics_for_type", {"type": type_name}))["topics"]
+    services: list[str] = (await host.call("/rosapi/services_for_type", {"type": type_name}))["services"]
+    if not topics and not services:
+        known = {topic["type"] for topic in await host.topics()} - {""}
+        raise unknown("topic or service of a type", type_name, known, command="topics")
     return topics, services
 
 
@@ -982,7 +971,7 @@ def services(
     json: Json = False,
 ) -> None:
     """List the services: name, type and node."""
-    services = asyncio.run(_services(url, token, with_own=everything))
+    services = ask(url, token, lambda host: _services(host, with_own=everything))
     if json:
         write(json_text.dumps(services))
     elif services:
@@ -991,18 +980,17 @@ def services(
         write_error("no device or program offers a service; --all lists the daemon's own services")
 
 
-async def _services(url: str, token: str | None, *, with_own: bool) -> list[dict[str, Any]]:
-    async with connected(url, token) as host:
-        names: list[str] = (await host.call("/rosapi/services", {}))["services"]
-        return [
-            {
-                "name": name,
-                "type": (await host.call("/rosapi/service_type", {"service": name}))["type"],
-                "node": (await host.call("/rosapi/service_node", {"service": name}))["node"],
-            }
-            for name in sorted(names, key=natural)
-            if with_own or not name.startswith(_OWN)
-        ]
+async def _services(host: Host, *, with_own: bool) -> list[dict[str, Any]]:
+    names: list[str] = (await host.call("/rosapi/services", {}))["services"]
+    return [
+        {
+            "name": name,
+            "type": (await host.call("/rosapi/service_type", {"service": name}))["type"],
+            "node": (await host.call("/rosapi/service_node", {"service": name}))["node"],
+        }
+        for name in sorted(names, key=natural)
+        if with_own or not name.startswith(_OWN)
+    ]
 
 
 # -- call -------------------------------------------------------------------------------------------------------------
@@ -1027,20 +1015,19 @@ def call(
 ) -> None:
     """Call a service and print its answer as JSON."""
     type_name, request = type_and_message("REQUEST", words or [])
-    answer = asyncio.run(_call(url, token, service, type_name, request, timeout))
+    answer = ask(url, token, lambda host: _call(host, service, type_name, request, timeout))
     write(json_text.dumps(answer, ensure_ascii=False))
 
 
-async def _call(url: str, token: str | None, service: str, type_name: str, words: Message, timeout_s: float) -> object:
-    async with connected(url, token) as host:
-        if type_name or isinstance(words, list):
-            known: str = (await host.call("/rosapi/service_type", {"service": service}))["type"]
-            if type_name and known and known != type_name:
-                raise WrongType(service, known, type_name)
-            type_name = type_name or known
-        request = await _object(host, "service_request_details", type_name, words)
-        with waiting(f"waiting for {service}"):
-            return await host.call(service, request, timeout_s=timeout_s)
+async def _call(host: Host, service: str, type_name: str, words: Message, timeout_s: float) -> object:
+    if type_name or isinstance(words, list):
+        known: str = (await host.call("/rosapi/service_type", {"service": service}))["type"]
+        if type_name and known and known != type_name:
+            raise WrongType(service, known, type_name)
+        type_name = type_name or known
+    request = await _object(host, "service_request_details", type_name, words)
+    with waiting(f"waiting for {service}"):
+        return await host.call(service, request, timeout_s=timeout_s)
 
 
 COMMANDS = {
