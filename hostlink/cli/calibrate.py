@@ -21,7 +21,7 @@ from hostlink.cli.calibration_plan import (
     steps_of,
 )
 from hostlink.cli.calibration_session import MISTAKES, AtTheTerminal, CalibrationSession, Drives, Simulated, numbers_of
-from hostlink.cli.output import table, write, write_error
+from hostlink.cli.output import quantity, table, write, write_error
 from hostlink.cli.settings_file import Tables, require_changeable, toml_lines, write_settings
 from hostlink.client import DEFAULT_URL
 from hostlink.config import CalibrationConfig, load
@@ -162,7 +162,7 @@ def command(
     except KeyboardInterrupt:
         write_error(
             "",
-            f"the robot was sent a stop; {len(saved.saved.runs)} drives are kept in {path}",
+            f"the robot was sent a stop; {quantity(len(saved.saved.runs), 'drive is', 'drives are')} kept in {path}",
             "run the same command to continue",
         )
         raise

@@ -14,7 +14,7 @@ import typer
 from hostlink.cli.addresses import parse_address, parse_serial
 from hostlink.cli.arguments import Token, Url
 from hostlink.cli.connecting import connected
-from hostlink.cli.output import duration, show_progress, write, write_error
+from hostlink.cli.output import duration, quantity, show_progress, write, write_error
 from hostlink.client import DEFAULT_URL
 from hostlink.errors import HostlinkError
 
@@ -102,7 +102,8 @@ def _link_lines(link: Report) -> Iterator[str]:
     way = ", UDP" if link.get("transport") == "udp" else ""
     robot = f"  {link['robot']}" if link.get("robot") else ""
     well = "" if link["diagnosis"] else "  nothing was wrong" if link["end"] else "  healthy"
-    yield f"link {link['number']}  {link['peer']}{robot}  ({state}, {link['topics']} topics{baud}{way}){well}"
+    topics = quantity(link["topics"], "topic")
+    yield f"link {link['number']}  {link['peer']}{robot}  ({state}, {topics}{baud}{way}){well}"
     yield from (f"  {line}" for found in link["diagnosis"] for line in _finding_lines(found))
     if link.get("frames_from_device_s"):
         yield f"  {_rates_line(link)}"

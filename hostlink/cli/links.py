@@ -15,7 +15,7 @@ import typer
 from hostlink.cli.arguments import Json, Token, Url
 from hostlink.cli.connecting import ask, connected, run_until_interrupted
 from hostlink.cli.figures import LINK_COLUMNS, Snapshot, advice, figures, link_rows
-from hostlink.cli.output import duration, show_progress, size, write, write_error, write_table
+from hostlink.cli.output import duration, quantity, show_progress, size, write, write_error, write_table
 from hostlink.client import DEFAULT_URL, Host
 from hostlink.errors import BadRequest, ConfigError, HostlinkError
 
@@ -78,7 +78,7 @@ def clients(*, url: Url = DEFAULT_URL, token: Token = None, json: Json = False) 
     else:
         write_table(COLUMNS, [_row(client) for client in view["clients"]])
         if view["refused"]:
-            write(f"{view['refused']} clients were refused, because too many were connected")
+            write(f"{quantity(view['refused'], 'client was', 'clients were')} refused, because too many were connected")
 
 
 def _row(client: dict[str, Any]) -> list[str]:
@@ -131,7 +131,7 @@ def capture(
     saved = CaptureProgress()
     run_until_interrupted(_capture(url, token, link, output, seconds, saved))
     show_progress("")
-    write_error(f"link {saved.link}: {saved.bytes} bytes{f' in {output}' if output else ''}")
+    write_error(f"link {saved.link}: {quantity(saved.bytes, 'byte')}{f' in {output}' if output else ''}")
 
 
 @dataclass(slots=True)
@@ -199,7 +199,7 @@ async def _reads(host: Host, number: int, seconds: float) -> AsyncIterator[dict[
             yield read
         has_begun, position = True, piece["position"]
         if piece["lost_bytes"]:
-            write_error(f"{piece['lost_bytes']} earlier bytes are lost")
+            write_error(f"{quantity(piece['lost_bytes'], 'earlier byte is', 'earlier bytes are')} lost")
         if loop.time() >= until_s or not piece["is_open"]:
             return
         show_progress(f"link {number}: {until_s - loop.time():.0f} s left ...")

@@ -10,7 +10,7 @@ import typer
 from hostlink.cli.arguments import Json, ParameterName, Token, Url, parameter_names
 from hostlink.cli.connecting import ask
 from hostlink.cli.names import unknown
-from hostlink.cli.output import write, write_error, write_table
+from hostlink.cli.output import quantity, write, write_error, write_table
 from hostlink.client import DEFAULT_URL, Host
 from hostlink.errors import ConfigError
 
@@ -88,7 +88,7 @@ def dump(
         file.write_text(text + "\n", encoding="utf-8")
     except OSError as error:
         raise ConfigError("FILE", f"{file} cannot be written: {error.strerror}; name another file") from error
-    write_error(f"{len(found)} parameters in {file}")
+    write_error(f"{quantity(len(found), 'parameter')} in {file}")
 
 
 @app.command()
@@ -103,7 +103,7 @@ def load(
     """Set the parameters of a file; other parameters keep their values."""
     values = _read(file)
     ask(url, token, lambda host: _set(host, values))
-    write_error(f"{len(values)} parameters set")
+    write_error(f"{quantity(len(values), 'parameter')} set")
 
 
 async def _names(host: Host) -> list[str]:

@@ -16,7 +16,7 @@ from hostlink.cancellation import raise_if_cancelled
 from hostlink.cli.addresses import parse_address
 from hostlink.cli.arguments import Token, Url, not_empty
 from hostlink.cli.connecting import connected
-from hostlink.cli.output import show_progress, show_question, write_error
+from hostlink.cli.output import quantity, show_progress, show_question, write_error
 from hostlink.cli.robots import require_robot
 from hostlink.client import DEFAULT_URL, Robot, connect
 from hostlink.errors import BadRequest, ConfigError, HostlinkError, system_text
@@ -147,7 +147,7 @@ async def play_devices(file: Path, playback: Playback, address: tuple[str, int],
     dropped = sum(device.dropped for device in devices.values())
     left_out = sum(device.left_out for device in devices.values())
     without = f", {dropped} of them without a connection to the host" if dropped else ""
-    write_error(f"{count} messages played{without}{f', {left_out} left out' if left_out else ''}")
+    write_error(f"{quantity(count, 'message')} played{without}{f', {left_out} left out' if left_out else ''}")
 
 
 @contextlib.asynccontextmanager
@@ -228,7 +228,7 @@ async def publish_topics(url: str, token: str | None, file: Path, playback: Play
             if fields is not None:
                 await host.publish(message.channel.topic, fields, type_name=message.channel.type_name)
 
-        write_error(f"{await _play(file, playback, is_wanted, put)} messages of {' '.join(topics)} played")
+        write_error(f"{quantity(await _play(file, playback, is_wanted, put), 'message')} of {' '.join(topics)} played")
 
 
 async def drive_robot(
@@ -248,7 +248,7 @@ async def drive_robot(
         driven = host.robot(robot)
         write_error(f"driving {robot} as {names[0]} was driven; Ctrl-C stops the robot, and so does `hostlink stop`")
         count = await drive_as_recorded(driven, file, playback, names[0], topic)
-    write_error(f"{count} velocities driven")
+    write_error(f"{quantity(count, 'velocity', 'velocities')} driven")
 
 
 def _undriven(file: Path, robot: str) -> str:
@@ -378,7 +378,9 @@ async def _play_once(file: Path, playback: Playback, wanted: Wanted, put: Put) -
 
 async def _ask(due: Due) -> None:
     message = due.message
-    show_question(f"{due.at_s:9.3f} s  {message.channel.topic}  {len(message.payload)} bytes; Enter sends it ")
+    show_question(
+        f"{due.at_s:9.3f} s  {message.channel.topic}  {quantity(len(message.payload), 'byte')}; Enter sends it "
+    )
     if not await asyncio.to_thread(_read_line):
         raise HostlinkError("--step: standard input is closed; run this command in a terminal")
 

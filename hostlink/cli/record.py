@@ -16,7 +16,7 @@ from hostlink.cli.arguments import Json, RobotName, Token, Url
 from hostlink.cli.connecting import ask
 from hostlink.cli.files import check_output, fetch
 from hostlink.cli.names import named
-from hostlink.cli.output import BYTES_PER_MB, megabytes, show_progress, write, write_error, write_table
+from hostlink.cli.output import BYTES_PER_MB, megabytes, quantity, show_progress, write, write_error, write_table
 from hostlink.client import DEFAULT_URL, Host
 from hostlink.errors import ConfigError, HostlinkError
 from hostlink.recording.folder import is_name
@@ -178,7 +178,7 @@ def _list(view: dict[str, Any], *, as_json: bool) -> None:
         [file["file"], f"{file['bytes'] / BYTES_PER_MB:.1f}", file["modified"], "now" if file["is_open"] else ""]
         for file in view["files"]
     ]
-    write(f"{len(view['files'])} files in {view['folder']}")
+    write(f"{quantity(len(view['files']), 'file')} in {view['folder']}")
     if rows:
         write("")
     write_table(["file", "MB", "written", "recording"], rows, whole=["file"])
@@ -186,27 +186,26 @@ def _list(view: dict[str, Any], *, as_json: bool) -> None:
 
 def _line(view: dict[str, Any]) -> str:
     minutes, seconds = divmod(int(view["seconds"]), 60)
-    return (
-        f"{minutes}:{seconds:02d}  {view['messages']} messages  {megabytes(view['bytes'])}  {view['dropped']} dropped"
-    )
+    messages = quantity(view["messages"], "message")
+    return f"{minutes}:{seconds:02d}  {messages}  {megabytes(view['bytes'])}  {view['dropped']} dropped"
 
 
 def _repair(file: Path, *, as_json: bool) -> None:
     from hostlink.recording.salvage import repair  # noqa: PLC0415 - other commands do not need it
 
     began_s = time.monotonic()
-    found = repair(file, lambda count: show_progress(f"{count} messages"))
+    found = repair(file, lambda count: show_progress(quantity(count, "message")))
     show_progress("")
-    seconds = time.monotonic() - began_s
+    seconds, messages = time.monotonic() - began_s, quantity(found.messages, "message")
     if as_json:
         facts = {"file": str(file), "messages": found.messages, "damage": found.damage, "seconds": round(seconds, 3)}
         facts["original"] = None if found.original is None else str(found.original)
         write(msgspec.json.encode(facts).decode())
     elif found.damage:
         kept = "" if found.original is None else f". The damaged file is kept: {found.original}"
-        write(f"{file}: {found.messages} messages; the file is repaired. It had: {'; '.join(found.damage)}{kept}")
+        write(f"{file}: {messages}; the file is repaired. It had: {'; '.join(found.damage)}{kept}")
     else:
-        write(f"{file}: {found.messages} messages; the file is not damaged, and was not changed")
+        write(f"{file}: {messages}; the file is not damaged, and was not changed")
 
 
 # -- drives -----------------------------------------------------------------------------------------------------------

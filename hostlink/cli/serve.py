@@ -22,7 +22,7 @@ from hostlink import logs
 from hostlink.api.server import serve_api
 from hostlink.cli.check import check, describe, fitted, limit
 from hostlink.cli.ending import stop_signals
-from hostlink.cli.output import write, write_error
+from hostlink.cli.output import quantity, write, write_error
 from hostlink.config import Config, UdpConfig
 from hostlink.detached import DetachedThread
 from hostlink.guardian.guardian import guarded
@@ -303,7 +303,7 @@ async def serve(
 
 def _status(hub: Hub) -> str:
     connected = [robot.name for robot in hub.robots.here() if robot.link is not None]
-    return f"{len(hub.links.all())} devices; robots: {', '.join(connected) or 'none'}"
+    return f"{quantity(len(hub.links.all()), 'device')}; robots: {', '.join(connected) or 'none'}"
 
 
 # -- reload signal ----------------------------------------------------------------------------------------------------

@@ -36,7 +36,7 @@ from hostlink.cli.arguments import (
 )
 from hostlink.cli.connecting import PATIENCE_S, ask, connected, run_until_interrupted, waiting, write_hint
 from hostlink.cli.names import natural, unknown
-from hostlink.cli.output import duration, is_terminal, show_progress, size, write, write_error, write_table
+from hostlink.cli.output import duration, is_terminal, quantity, show_progress, size, write, write_error, write_table
 from hostlink.client import DEFAULT_URL, Host, Mailbox, RawMessage, TopicState
 from hostlink.errors import ConfigError, HostlinkError, WrongType
 
@@ -654,7 +654,7 @@ def command_of(figures: Figures) -> Callable[..., None]:
                     await _measure(figures, measured, messages, seconds=seconds or float("inf"), as_json=json)
 
         run_until_interrupted(run())
-        write_error(f"{measured.messages} messages in {time.monotonic() - began_s:.1f} s")
+        write_error(f"{quantity(measured.messages, 'message')} in {time.monotonic() - began_s:.1f} s")
 
     command.__doc__ = figures.text
     return command
@@ -913,7 +913,7 @@ def filled(known: dict[str, Any], typedef: dict[str, Any], values: list[object])
     """
     names = typedef["fieldnames"]
     if len(values) != len(names):
-        found = f"{len(values)} {'value was' if len(values) == 1 else 'values were'} given"
+        found = f"{quantity(len(values), 'value was', 'values were')} given"
         if not names:
             raise HostlinkError(f"{found}, but {typedef['type']} has no fields; leave the values out")
         raise HostlinkError(
@@ -1013,7 +1013,10 @@ def call(
     url: Url = DEFAULT_URL,
     token: Token = None,
 ) -> None:
-    """Call a service and print its answer as JSON."""
+    """Call a service and print its answer as JSON.
+
+    Exit status 0: the service has answered, also with `success: false`, as in ROS.
+    """
     type_name, request = type_and_message("REQUEST", words or [])
     answer = ask(url, token, lambda host: _call(host, service, type_name, request, timeout))
     write(json_text.dumps(answer, ensure_ascii=False))
