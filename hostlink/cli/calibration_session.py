@@ -8,7 +8,7 @@ import signal
 import sys
 import termios
 from collections.abc import AsyncIterator, Callable, Mapping, Sequence
-from typing import Any, Protocol
+from typing import Any, Literal, Protocol
 
 from hostlink.cli.calibration_plan import UNITS_M, Step, UnitMissing, parse_angle, parse_length
 from hostlink.cli.names import driver
@@ -223,7 +223,7 @@ def numbers_of(text: str) -> list[float]:
 
 # -- measurements -----------------------------------------------------------------------------------------------------
 
-MISTAKES = ("slip", "sides")
+Mistake = Literal["slip", "sides"]
 _SLIP = 0.1
 _TURNS = (RunKind.TURNS_CCW, RunKind.TURNS_CW)
 
@@ -338,7 +338,7 @@ class Simulated:
 
     is_patient = False
 
-    def __init__(self, world: WorldParameters, mistake: str | None) -> None:
+    def __init__(self, world: WorldParameters, mistake: Mistake | None) -> None:
         """Connect the robot. `mistake` is the person's mistake in every square: "slip" or "sides"."""
         self._robot = FirmwareWorld(world)
         self._robot.connect()

@@ -14,6 +14,7 @@ import typer
 from hostlink.cli.addresses import parse_address, parse_serial
 from hostlink.cli.arguments import Token, Url
 from hostlink.cli.connecting import connected
+from hostlink.cli.files import MessageFolders
 from hostlink.cli.output import duration, quantity, show_progress, write, write_error
 from hostlink.client import DEFAULT_URL
 from hostlink.errors import HostlinkError
@@ -154,9 +155,7 @@ def command(
     seconds: Annotated[
         float, typer.Option(min=1.0, help="Time to wait for devices: longer for one that connects rarely.")
     ] = 15.0,
-    messages: Annotated[
-        list[Path] | None, typer.Option(help="Folder with .msg and .srv files of your own types. May be repeated.")
-    ] = None,
+    messages: MessageFolders = None,
     url: Url = DEFAULT_URL,
     token: Token = None,
     json: Annotated[bool, typer.Option("--json", help="Print JSON, for programs.")] = False,

@@ -1,6 +1,5 @@
 """The commands for recordings on this computer: `export`, `plot`, and the content that `info` shows."""
 
-import importlib.util
 import time
 from enum import StrEnum
 from pathlib import Path
@@ -11,7 +10,7 @@ import typer
 
 from hostlink.cli.files import check_absent, check_picture
 from hostlink.cli.output import megabytes, quantity, show_progress, write, write_error, write_table
-from hostlink.errors import ConfigError, HostlinkError, LibraryMissing
+from hostlink.errors import ConfigError, HostlinkError
 from hostlink.recording.channel import NS_PER_S
 from hostlink.recording.definitions import need_rosbags, why_unknown
 from hostlink.recording.reader import Contents, TopicContents, contents_of
@@ -126,10 +125,8 @@ def plot(
         raise ConfigError("plot", "--map draws paths instead of fields; leave the fields or --map out")
     if not fields and not map_:
         raise ConfigError("plot", "name fields, for example /robot_0/odometry.x, or use --map")
-    check_picture("--output", target)
+    check_picture("--output", target, extra="plot")
     check_absent(target)
-    if importlib.util.find_spec("matplotlib") is None:
-        raise LibraryMissing("plot", "matplotlib", "plot")
     # matplotlib and the codec are imported after the checks that need neither
     from hostlink.recording.plot import draw_fields, draw_map, read_lines, read_paths  # noqa: PLC0415
     from hostlink.recording.reader import open_source  # noqa: PLC0415

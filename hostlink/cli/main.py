@@ -438,6 +438,7 @@ _TEXTS = (  # of click, and the sentence of hostlink
 )
 _NO_OPTION = re.compile(r"No such option:? '?(-[^ ']*?)'?[. ]*(?:(?:Did you mean|\(?Possible options:) (.*?)[?)])?")
 _NO_QOS = "rosserial has no quality of service; leave the option out"
+_NO_CHOICE = re.compile(r"Invalid value for '(.*?)'(?: / '.*?')*: '(.*)' is not one of (.*?)\.?")
 _NO_COMMAND = re.compile(r"No such command '(.*?)'\.(?: Did you mean (.*)\?)?")
 
 
@@ -455,6 +456,8 @@ def complaint(command: str, text: str) -> tuple[str, str]:
         if command:
             return command, f"there is no option {found[1]}; {step or f'{similar or str()}{options}'}"
         return found[1], "there is no such option; write options behind the command, as in `hostlink robots --url URL`"
+    if (found := _NO_CHOICE.fullmatch(text)) is not None:
+        return found[1], f"unknown value {found[2]!r}; choose {_listed(found[3].replace(chr(39), '').split(', '))}"
     if "unexpected extra" in text and command in SURPLUS:
         return command, SURPLUS[command]
     for pattern, sentence in _TEXTS:

@@ -13,7 +13,7 @@ from typing import Annotated
 import typer
 
 from hostlink.cancellation import raise_if_cancelled
-from hostlink.cli.addresses import parse_address
+from hostlink.cli.addresses import DEFAULT_HOST, HostAddress, parse_address
 from hostlink.cli.arguments import Token, Url, not_empty
 from hostlink.cli.connecting import connected
 from hostlink.cli.output import quantity, show_progress, show_question, write_error
@@ -51,10 +51,7 @@ def command(
     file: Annotated[Path, typer.Argument(help="A recording of `hostlink record`.", show_default=False)],
     topics: Annotated[list[str] | None, typer.Argument(help="With --as-program: names of topics, or patterns.")] = None,
     *,
-    to: Annotated[
-        str,
-        typer.Option("--connect", help="Address of the host for devices, if it is not on this computer: HOST:PORT."),
-    ] = "127.0.0.1:11411",
+    to: HostAddress = DEFAULT_HOST,
     robot: Annotated[
         list[str] | None, typer.Option(help="Play this robot only, of a recording of several. May be repeated.")
     ] = None,

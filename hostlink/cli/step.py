@@ -2,7 +2,6 @@
 
 import asyncio
 import contextlib
-import importlib.util
 import json as json_text
 import math
 import sys
@@ -26,7 +25,6 @@ from hostlink.errors import (
     ConfigError,
     DeviceGone,
     HostlinkError,
-    LibraryMissing,
     RefusalKind,
     Refused,
 )
@@ -372,23 +370,8 @@ def _now_s() -> float:
 
 # -- step picture -----------------------------------------------------------------------------------------------------
 
-LIBRARY = "matplotlib"
 _WIDTH_IN, _HEIGHT_IN = 9.0, 5.5
 _SET_POINT, _MEASURED, _PWM = "#888888", "#0b6bcb", "#c25e00"
-
-
-def require_picture(path: Path) -> None:
-    """Refuse a picture that cannot be written, before the robot moves.
-
-    Raises:
-        ConfigError: the suffix or the folder is wrong.
-        LibraryMissing: matplotlib is not installed.
-    """
-    check_picture("--picture", path)
-    if not path.parent.is_dir():
-        raise ConfigError("--picture", f"the folder {path.parent} does not exist; create it, or name another")
-    if importlib.util.find_spec(LIBRARY) is None:
-        raise LibraryMissing("--picture", "matplotlib", "pictures")
 
 
 def draw_picture(path: Path, title: str, records: Mapping[str, Record]) -> None:
@@ -671,7 +654,7 @@ def command(
             "--yes", "the robot will move, and this command cannot ask whether there is room; add --yes if there is"
         )
     if picture is not None:
-        require_picture(picture)
+        check_picture("--picture", picture, extra="pictures")
     request = _Request(
         robot=robot,
         speed_m_s=speed,

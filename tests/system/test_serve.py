@@ -176,7 +176,7 @@ async def test_a_serial_port_that_is_not_there_is_waited_for() -> None:
         (
             ["serve", "--log-level", "loud"],
             2,
-            "hostlink: --log-level: unknown level 'loud'; choose debug, info, warning or error",
+            "hostlink: --log-level: unknown value 'loud'; choose debug, info, warning or error",
         ),
         (["inspect", "/none.jsonl"], 1, "hostlink: /none.jsonl: No such file or directory"),
         (
@@ -188,7 +188,7 @@ async def test_a_serial_port_that_is_not_there_is_waited_for() -> None:
         (["drive", "robot_0", "--url", "http://127.0.0.1:1"], 1, "hostlink: no hostlink at http://127.0.0.1:1"),
         (["pub", "/x", "{"], 2, "hostlink: MESSAGE: is not JSON"),
         (["call", "/x", '"a: b"'], 2, "hostlink: REQUEST: is JSON, but not an object"),
-        (["teleop", "--layout", "dvorak"], 2, "hostlink: --layout: unknown layout 'dvorak'; choose original or twist"),
+        (["teleop", "--layout", "dvorak"], 2, "hostlink: --layout: unknown value 'dvorak'; choose original or twist"),
     ],
 )
 async def test_wrong_words_on_the_command_line(arguments: list[str], status: int, complaint: str) -> None:
