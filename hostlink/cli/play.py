@@ -12,7 +12,7 @@ from typing import Annotated
 
 import typer
 
-from hostlink.cancellation import raise_if_cancelled
+from hostlink.cancellation import meanwhile, raise_if_cancelled
 from hostlink.cli.addresses import DEFAULT_HOST, HostAddress, parse_address
 from hostlink.cli.arguments import Token, Url, not_empty
 from hostlink.cli.connecting import connected
@@ -156,17 +156,12 @@ async def _connected(devices: dict[str, PlayedDevice], address: tuple[str, int])
     """
     problem: BaseException | None = None
     try:
-        async with asyncio.TaskGroup() as tasks:
-            running = [tasks.create_task(device.run(*address), name=name) for name, device in devices.items()]
+        async with meanwhile(*((name, device.run(*address)) for name, device in devices.items())):
             async with asyncio.timeout(READY_TIMEOUT_S):
                 for device in devices.values():
                     await device.is_ready.wait()
             await asyncio.sleep(SETTLE_S)
-            try:
-                yield
-            finally:
-                for task in running:
-                    task.cancel()
+            yield
     except* TimeoutError:
         problem = HostlinkError(
             "the program at {}:{} does not request topics; is it hostlink? `hostlink doctor` examines it".format(

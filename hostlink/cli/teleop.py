@@ -14,6 +14,7 @@ from typing import Annotated
 
 import typer
 
+from hostlink.cancellation import first_error, meanwhile
 from hostlink.cli.arguments import Token, Url, not_empty, robot_names
 from hostlink.cli.connecting import connected
 from hostlink.cli.driving import Driving, Key, KeyReader, Layout
@@ -108,14 +109,10 @@ async def watched_robot(host: Host, state: RobotState) -> AsyncIterator["Watched
     """
     watched = WatchedRobot(state)
     try:
-        async with asyncio.TaskGroup() as tasks:
-            watching = tasks.create_task(watched.follow(host.watch()), name="watch")
-            try:
-                yield watched
-            finally:
-                watching.cancel()
+        async with meanwhile(("watch", watched.follow(host.watch()))):
+            yield watched
     except BaseExceptionGroup as group:
-        raise group.exceptions[0] from None
+        raise first_error(group) from None
 
 
 class KeyDriver:

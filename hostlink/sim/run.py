@@ -11,6 +11,7 @@ import socket
 from collections.abc import AsyncIterator, Callable, Iterator
 from typing import Any
 
+from hostlink.cancellation import meanwhile
 from hostlink.errors import system_text
 from hostlink.protocol.frame import Id, encode
 from hostlink.sim.firmware_module import WorldParameters
@@ -205,13 +206,11 @@ async def _switched_on(robot: SimulatedRobot, fault: Fault) -> AsyncIterator[_Bo
     """Run the robot's firmware within the block."""
     fault.break_wheel(robot.world.left)
     board = _Board(robot, fault)
-    async with asyncio.TaskGroup() as tasks:
-        running = tasks.create_task(board.run(), name=f"{robot.name} board")
+    async with meanwhile((f"{robot.name} board", board.run())):
         try:
             yield board
         finally:
             board.switch_off()
-            running.cancel()
 
 
 async def _talk(board: _Board, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:

@@ -106,7 +106,7 @@ def test_wrong_argument_is_refused(tmp_path: Path, arguments: Sequence[str]) -> 
 
 
 @pytest.mark.parametrize("arguments", [("--mistake", "none"), ("--target", "moon")])
-def test_value_that_is_no_choice_is_refused(tmp_path: Path, arguments: Sequence[str]) -> None:
+def test_unknown_choice_is_refused(tmp_path: Path, arguments: Sequence[str]) -> None:
     assert calibrate(tmp_path, *arguments).exit_code == 2
 
 
