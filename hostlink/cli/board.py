@@ -261,6 +261,3 @@ def _check(setting: Setting, value: str) -> None:
         check_value(setting, value)
     except BadRequest as error:
         raise ConfigError("board setup", str(error)) from error
-
-
-COMMANDS = {"arduino-library": arduino_library, "board": app}

@@ -215,6 +215,3 @@ def _view(found: Contents) -> dict[str, object]:
             for topic in found.topics
         ],
     }
-
-
-COMMANDS = {"export": export, "plot": plot}

@@ -204,6 +204,3 @@ async def _reads(host: Host, number: int, seconds: float) -> AsyncIterator[dict[
             return
         show_progress(f"link {number}: {until_s - loop.time():.0f} s left ...")
         await asyncio.sleep(min(POLL_S, until_s - loop.time()))
-
-
-COMMANDS = {"links": links, "clients": clients, "capture": capture}

@@ -1,7 +1,7 @@
 """The `hostlink` command.
 
-The module of a command has its function in COMMANDS, as `command`, or as an `app` of subcommands. Only the module of
-the command that runs is imported.
+The module of a command has a function of the command's name or `command`, or an `app` of subcommands. Only the module
+of the command that runs is imported.
 """
 
 import contextlib
@@ -325,9 +325,9 @@ def _add(app: typer.Typer, name: str, text: str, panel: str, *, is_wanted: bool)
 
 def _function_of(module: Any, command: str) -> Any:
     """Return the function of a command, or the typer app of a group of subcommands."""
-    if (commands := getattr(module, "COMMANDS", None)) is not None:
-        return commands[command]
-    return getattr(module, "app", None) or module.command
+    name = command.replace("-", "_")
+    names = (name, f"{name}_", "app", "command")  # `type` is Python's, so that its function is type_
+    return next(getattr(module, each) for each in names if hasattr(module, each))
 
 
 def _without_nan(function: Any) -> Any:

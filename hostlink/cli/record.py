@@ -289,6 +289,3 @@ def incidents(
         write_table(["when UTC", "robot", "cause", "file", "detail"], rows, whole=["file", "detail"])
         if not rows:
             write("there are no incidents")
-
-
-COMMANDS = {"record": record, "drives": drives, "incidents": incidents}

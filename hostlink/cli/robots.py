@@ -162,6 +162,3 @@ async def _meant(host: Host, name: str | None, *, everything: bool) -> list[Robo
         names = ", ".join(robot["name"] for robot in locked)
         raise HostlinkError(f"several robots are locked: {names}; name one, as in `hostlink unlock NAME`, or use --all")
     return locked
-
-
-COMMANDS = {"robots": robots, "stop": stop, "lock": lock, "unlock": unlock}

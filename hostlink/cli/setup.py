@@ -303,6 +303,3 @@ def _lines(reloaded: dict[str, Any]) -> list[str]:
     lines += [f"renamed: {old} is now {new}" for old, new in reloaded["renamed"].items()]
     lines += [f"needs a restart: {name}" for name in reloaded["needs_restart"]]
     return lines or ["nothing has changed"]
-
-
-COMMANDS = {"setup": setup, "reload": reload}

@@ -1031,19 +1031,3 @@ async def _call(host: Host, service: str, type_name: str, words: Message, timeou
     request = await _object(host, "service_request_details", type_name, words)
     with waiting(f"waiting for {service}"):
         return await host.call(service, request, timeout_s=timeout_s)
-
-
-COMMANDS = {
-    "topics": topics,
-    "nodes": nodes,
-    "info": info,
-    "type": type_,
-    "find": find,
-    "echo": echo,
-    "hz": hz,
-    "bw": bw,
-    "delay": delay,
-    "pub": pub,
-    "services": services,
-    "call": call,
-}
