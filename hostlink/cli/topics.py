@@ -822,10 +822,6 @@ def pub(
         ),
     ] = None,
     *,
-    type_name: Annotated[
-        str,
-        typer.Option("--type", help="Type, for example geometry_msgs/Twist: only for a topic that does not exist yet."),
-    ] = "",
     rate: Annotated[
         float | None,
         typer.Option(
@@ -846,9 +842,9 @@ def pub(
     token: Token = None,
 ) -> None:
     """Publish a message once, or at a rate. A robot that it drives stops when this command ends."""
-    named_type, message = type_and_message("MESSAGE", words or [])
+    type_name, message = type_and_message("MESSAGE", words or [])
     publishing = Publishing(rate or PUB_RATE_HZ, message_count(rate, count, once=once))
-    run_until_interrupted(_pub(connected(url, token), topic, message, type_name or named_type, publishing))
+    run_until_interrupted(_pub(connected(url, token), topic, message, type_name, publishing))
     show_progress("")
     write_error(f"{publishing.sent} sent")
 

@@ -45,7 +45,7 @@ async def test_topics_echo_pub_and_call() -> None:
     [
         (["pub", "/nope", "{}"], "no topic named /nope; known: /diagnostics, /led"),
         (["pub", "/led", '{"dta": true}'], "dta"),
-        (["pub", "/led", "{}", "--type", "std_msgs/Int32"], "/led: wanted std_msgs/Bool, got std_msgs/Int32"),
+        (["pub", "/led", "std_msgs/Int32", "{}"], "/led: wanted std_msgs/Bool, got std_msgs/Int32"),
         (["call", "/nope"], "no service named /nope"),
     ],
 )
