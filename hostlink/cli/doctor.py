@@ -14,6 +14,7 @@ import typer
 from hostlink.cli.addresses import parse_address, parse_serial
 from hostlink.cli.arguments import Token, Url
 from hostlink.cli.connecting import connected
+from hostlink.cli.figures import finding_lines
 from hostlink.cli.files import MessageFolders
 from hostlink.cli.output import duration, quantity, show_progress, write, write_error
 from hostlink.client import DEFAULT_URL
@@ -93,7 +94,7 @@ def _host(link: Report) -> str:
 
 def report_lines(report: Report) -> list[str]:
     """Return the findings that belong to no link, then those of each link."""
-    lines = [line for found in report["findings"] for line in _finding_lines(found)]
+    lines = [line for found in report["findings"] for line in finding_lines(found)]
     return lines + [line for link in report["links"] for line in _link_lines(link)]
 
 
@@ -105,7 +106,7 @@ def _link_lines(link: Report) -> Iterator[str]:
     well = "" if link["diagnosis"] else "  nothing was wrong" if link["end"] else "  healthy"
     topics = quantity(link["topics"], "topic")
     yield f"link {link['number']}  {link['peer']}{robot}  ({state}, {topics}{baud}{way}){well}"
-    yield from (f"  {line}" for found in link["diagnosis"] for line in _finding_lines(found))
+    yield from (f"  {line}" for found in link["diagnosis"] for line in finding_lines(found))
     if link.get("frames_from_device_s"):
         yield f"  {_rates_line(link)}"
     if link.get("odometry"):
@@ -122,11 +123,6 @@ def _rates_line(link: Report) -> str:
     silent = "" if link["silent_s"] is None else f", last heard {duration(link['silent_s'])} ago"
     to_device = "" if link["frames_to_device_s"] is None else f", {link['frames_to_device_s']} to it"
     return f"{link['frames_from_device_s']} frames/s from it{to_device}, {lost}{silent}"
-
-
-def _finding_lines(found: dict[str, Any]) -> list[str]:
-    detail = f" ({found['detail']})" if found["detail"] else ""
-    return [f"{found['code']}: {found['cause']}{detail}", f"  next: {found['next_step']}"]
 
 
 # -- doctor -----------------------------------------------------------------------------------------------------------

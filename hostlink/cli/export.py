@@ -3,7 +3,7 @@
 import time
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, TypedDict
+from typing import TYPE_CHECKING, Annotated
 
 import msgspec
 import typer
@@ -28,13 +28,6 @@ class Format(StrEnum):
     ROS2 = "ros2"
     ROSBAG2 = "rosbag2"
     ROS1 = "ros1"
-
-
-class _Facts(TypedDict):
-    output: str
-    messages: int
-    left_out: dict[str, str]
-    damage: list[str]
 
 
 def export(
@@ -75,7 +68,7 @@ def export(
     finally:
         show_progress("")
     if as_json:
-        facts: _Facts = {
+        facts = {
             "output": str(target),
             "messages": done.messages,
             "left_out": done.left_out,

@@ -82,7 +82,7 @@ def check_picture(option: str, file: Path, *, extra: str, suffixes: Sequence[str
         LibraryMissing: matplotlib is not installed.
     """
     if file.suffix not in suffixes:
-        raise ConfigError(option, f"{file} must end in {' or '.join(suffixes)}")
+        raise ConfigError(option, f"{file} must end in {'one of ' if len(suffixes) > 1 else ''}{', '.join(suffixes)}")
     if not os.access(file.parent, os.W_OK):
         raise ConfigError(option, f"the folder {file.parent} cannot be written; create it, or name another")
     if importlib.util.find_spec("matplotlib") is None:

@@ -109,7 +109,7 @@ def test_a_picture_without_pwm_has_one_row(tmp_path: Path) -> None:
 def test_a_picture_that_cannot_be_is_refused_before_the_robot_moves(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    with pytest.raises(ConfigError, match=r"must end in \.pdf or \.png or \.svg"):
+    with pytest.raises(ConfigError, match=r"must end in one of \.pdf, \.png, \.svg"):
         check_picture("--picture", tmp_path / "step.gif", extra="pictures")
     with pytest.raises(ConfigError, match=r"the folder .* cannot be written"):
         check_picture("--picture", tmp_path / "nowhere" / "step.png", extra="pictures")
