@@ -8,10 +8,10 @@ import typer
 from hostlink.cli.arguments import Json, RobotName, Token, Url
 from hostlink.cli.connecting import ask
 from hostlink.cli.figures import robot_table
-from hostlink.cli.names import natural, unknown_robot
+from hostlink.cli.names import driver, natural, unknown_robot
 from hostlink.cli.output import write, write_error, write_table
 from hostlink.client import DEFAULT_URL, Host, Robot, RobotState, Standstill, StandstillState
-from hostlink.errors import ConfigError, HostlinkError
+from hostlink.errors import CommandRefused, ConfigError, DeviceGone, HostlinkError, RefusalKind
 from hostlink.robot.standstill import sentence
 
 # -- choice of robots -------------------------------------------------------------------------------------------------
@@ -42,6 +42,25 @@ async def require_robot(host: Host, name: str) -> Robot:
     """
     (found,) = await chosen(host, name)
     return host.robot(found["name"])
+
+
+def require_free(state: RobotState, *, below: int = 0) -> None:
+    """Refuse a robot that cannot be driven now. A driver of a priority `below` this one is overruled.
+
+    Raises:
+        DeviceGone: the robot is not connected.
+        CommandRefused: the robot is locked.
+        HostlinkError: another source drives it.
+    """
+    name = state["name"]
+    if not state["connected"]:
+        raise DeviceGone(name)
+    if state.get("locked"):
+        reason = f"{name}: locked: {state.get('lock_reason')}; to drive it again: hostlink unlock {name}"
+        raise CommandRefused(name, RefusalKind.LOCKED, reason)
+    priority = state.get("priority")
+    if state["holder"] is not None and (priority is None or priority >= below):
+        raise HostlinkError(f"{name} is driven by {driver(state)}; end that program first")
 
 
 # -- robots -----------------------------------------------------------------------------------------------------------

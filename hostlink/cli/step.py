@@ -16,14 +16,11 @@ import typer
 from hostlink.cli.arguments import Token, Url, not_empty
 from hostlink.cli.connecting import connected
 from hostlink.cli.files import check_picture
-from hostlink.cli.names import driver
 from hostlink.cli.output import show_progress, table, write, write_error
-from hostlink.cli.robots import require_robot
+from hostlink.cli.robots import require_free, require_robot
 from hostlink.client import DEFAULT_URL, PRIORITY, Host, Mailbox, Robot, RobotState
 from hostlink.errors import (
-    CommandRefused,
     ConfigError,
-    DeviceGone,
     HostlinkError,
     RefusalKind,
     Refused,
@@ -156,19 +153,8 @@ async def connected_state(robot: Robot) -> RobotState:
         CommandRefused: the robot is locked.
     """
     state = await robot.state()
-    if not state["connected"]:
-        raise DeviceGone(robot.name)
-    if state.get("locked"):
-        reason = f"{robot.name}: locked: {state.get('lock_reason')}; to drive it again: hostlink unlock {robot.name}"
-        raise CommandRefused(robot.name, RefusalKind.LOCKED, reason)
-    if state["holder"] is not None and not _is_less_important(state):
-        raise HostlinkError(f"{robot.name} is driven by {driver(state)}; end that program first")
+    require_free(state, below=PRIORITY)
     return state
-
-
-def _is_less_important(state: RobotState) -> bool:
-    priority = state.get("priority")
-    return priority is not None and priority < PRIORITY
 
 
 async def find_source(host: Host, state: RobotState, wheel: Wheel | None, separation_m: float) -> Source:
