@@ -98,24 +98,17 @@ Token = Annotated[
     typer.Option(
         help="Token, for an API that needs one. Other users cannot read it from the environment.",
         envvar="HOSTLINK_TOKEN",
-        show_default=False,
     ),
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON, for programs.")]
 JsonLines = Annotated[bool, typer.Option("--json", help="Print one JSON object a line, for programs.")]
 Seconds = Annotated[float, typer.Option(min=0.0, help="End after this time, for scripts; 0: run until Ctrl-C.")]
-TopicName = Annotated[str, typer.Argument(show_default=False, callback=not_empty, autocompletion=topic_names)]
-ServiceName = Annotated[str, typer.Argument(show_default=False, callback=not_empty, autocompletion=service_names)]
-RobotName = Annotated[str | None, typer.Argument(show_default=False, callback=not_empty, autocompletion=robot_names)]
-ParameterName = Annotated[str, typer.Argument(show_default=False, callback=not_empty, autocompletion=parameter_names)]
+TopicName = Annotated[str, typer.Argument(callback=not_empty, autocompletion=topic_names)]
+ServiceName = Annotated[str, typer.Argument(callback=not_empty, autocompletion=service_names)]
+RobotName = Annotated[str | None, typer.Argument(callback=not_empty, autocompletion=robot_names)]
+ParameterName = Annotated[str, typer.Argument(callback=not_empty, autocompletion=parameter_names)]
 TypeName = Annotated[
-    str,
-    typer.Argument(
-        help="A type, for example geometry_msgs/Twist.",
-        show_default=False,
-        callback=not_empty,
-        autocompletion=type_names,
-    ),
+    str, typer.Argument(help="A type, for example geometry_msgs/Twist.", callback=not_empty, autocompletion=type_names)
 ]
 
 

@@ -112,7 +112,7 @@ def _report(output: Path, selection: TypeSelection, size_bytes: int, *, as_json:
 USUAL_PORT = 11411  # of the library, if the board has no setting
 CLEAR = "-"  # the answer that clears a setting
 
-Port = Annotated[str, typer.Argument(help="Serial port of the board, for example /dev/ttyUSB0.", show_default=False)]
+Port = Annotated[str, typer.Argument(help="Serial port of the board, for example /dev/ttyUSB0.")]
 Baud = Annotated[int, typer.Option(help="Baud rate, as in the sketch's Serial.begin().", min=300)]
 Wait = Annotated[
     float, typer.Option(help="Seconds to wait for an answer: longer for a board that starts slowly.", min=0.1)

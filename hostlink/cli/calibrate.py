@@ -45,7 +45,7 @@ _BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")
 
 
 def command(
-    robot: Annotated[str, typer.Argument(help="Name of the robot.", show_default=False, callback=not_empty)],
+    robot: Annotated[str, typer.Argument(help="Name of the robot.", callback=not_empty)],
     *,
     url: Url = DEFAULT_URL,
     token: Token = None,

@@ -131,15 +131,10 @@ LISTEN = "0.0.0.0:11411"
 
 
 def command(
-    file: Annotated[
-        Path | None, typer.Argument(help="Recording of a link's bytes to diagnose.", show_default=False)
-    ] = None,
+    file: Annotated[Path | None, typer.Argument(help="Recording of a link's bytes to diagnose.")] = None,
     *,
     serial: Annotated[
-        str | None,
-        typer.Option(
-            help="Diagnose the device on this serial port, without a daemon: /dev/ttyACM0@57600.", show_default=False
-        ),
+        str | None, typer.Option(help="Diagnose the device on this serial port, without a daemon: /dev/ttyACM0@57600.")
     ] = None,
     listen: Annotated[
         str | None,

@@ -32,11 +32,7 @@ class Format(StrEnum):
 
 def export(
     file: Annotated[
-        Path,
-        typer.Argument(
-            help="MCAP file of `hostlink record`, a bag of ROS 1, or a folder or file of rosbag2.",
-            show_default=False,
-        ),
+        Path, typer.Argument(help="MCAP file of `hostlink record`, a bag of ROS 1, or a folder or file of rosbag2.")
     ],
     topics: Annotated[
         list[str] | None, typer.Argument(help="Topics to export, by names or patterns: '/robot_0/*'. All without one.")
@@ -101,7 +97,7 @@ def _export(file: Path, target: Path, format_: Format, topics: list[str], *, ski
 
 
 def plot(
-    file: Annotated[Path, typer.Argument(help="Recording of `hostlink record`.", show_default=False)],
+    file: Annotated[Path, typer.Argument(help="Recording of `hostlink record`.")],
     fields: Annotated[
         list[str] | None, typer.Argument(help="One or more fields, for example /robot_0/odometry.x.")
     ] = None,

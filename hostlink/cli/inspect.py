@@ -28,10 +28,7 @@ _KINDS = {
 
 
 def command(
-    file: Annotated[
-        Path,
-        typer.Argument(help="Capture of `hostlink capture`: JSON lines with t, dir, hex, conn.", show_default=False),
-    ],
+    file: Annotated[Path, typer.Argument(help="Capture of `hostlink capture`: JSON lines with t, dir, hex, conn.")],
     *,
     messages: MessageFolders = None,
     json: Annotated[bool, typer.Option("--json", help="Print one JSON object, for programs.")] = False,

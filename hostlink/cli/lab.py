@@ -29,9 +29,7 @@ class What(StrEnum):
 
 
 def command(
-    what: Annotated[
-        What, typer.Argument(help="Report to make: causes, tables, claims or pictures.", show_default=False)
-    ],
+    what: Annotated[What, typer.Argument(help="Report to make: causes, tables, claims or pictures.")],
     *,
     runs: Annotated[
         int | None,
@@ -44,9 +42,7 @@ def command(
     ] = None,
     world: Annotated[
         Path | None,
-        typer.Option(
-            help="tables, pictures: file of lines name=value, for another world than the paper's.", show_default=False
-        ),
+        typer.Option(help="tables, pictures: file of lines name=value, for another world than the paper's."),
     ] = None,
     fit: Annotated[
         bool, typer.Option("--fit", help="tables: also fit the causes to the paper's numbers, which takes minutes.")

@@ -23,8 +23,7 @@ app = typer.Typer(
 @app.command("list")
 def list_(
     group: Annotated[
-        str,
-        typer.Argument(help="Only the parameters of this group.", show_default=False, autocompletion=parameter_names),
+        str, typer.Argument(help="Only the parameters of this group.", autocompletion=parameter_names)
     ] = "",
     *,
     url: Url = DEFAULT_URL,
@@ -93,9 +92,7 @@ def dump(
 
 @app.command()
 def load(
-    file: Annotated[
-        Path, typer.Argument(help="JSON, or a hostlink.toml with a table of parameters.", show_default=False)
-    ],
+    file: Annotated[Path, typer.Argument(help="JSON, or a hostlink.toml with a table of parameters.")],
     *,
     url: Url = DEFAULT_URL,
     token: Token = None,

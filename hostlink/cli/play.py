@@ -48,7 +48,7 @@ class Playback:
 
 
 def command(
-    file: Annotated[Path, typer.Argument(help="A recording of `hostlink record`.", show_default=False)],
+    file: Annotated[Path, typer.Argument(help="A recording of `hostlink record`.")],
     topics: Annotated[list[str] | None, typer.Argument(help="With --as-program: names of topics, or patterns.")] = None,
     *,
     to: HostAddress = DEFAULT_HOST,

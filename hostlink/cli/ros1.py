@@ -55,15 +55,10 @@ def command(
     ] = None,
     *,
     tcp: Annotated[
-        int | None,
-        typer.Option(
-            help="Serve devices on this TCP port, instead of a serial port.", min=0, max=MAX_PORT, show_default=False
-        ),
+        int | None, typer.Option(help="Serve devices on this TCP port, instead of a serial port.", min=0, max=MAX_PORT)
     ] = None,
-    serial: Annotated[
-        str | None, typer.Option(help="Serve the device on this serial port.", show_default=False)
-    ] = None,
-    baud: Annotated[int | None, typer.Option(help="Baud rate of the serial port.", min=1, show_default=False)] = None,
+    serial: Annotated[str | None, typer.Option(help="Serve the device on this serial port.")] = None,
+    baud: Annotated[int | None, typer.Option(help="Baud rate of the serial port.", min=1)] = None,
     master: Annotated[
         str, typer.Option(help="Address of the ROS master.", envvar="ROS_MASTER_URI")
     ] = "http://localhost:11311",
@@ -72,7 +67,6 @@ def command(
         typer.Option(
             help="Name or address by which other nodes reach this one, if the host name does not resolve.",
             envvar=["ROS_HOSTNAME", "ROS_IP"],
-            show_default=False,
         ),
     ] = None,
     namespace: Annotated[str, typer.Option(help="Namespace of the node.", envvar="ROS_NAMESPACE")] = "/",

@@ -30,8 +30,7 @@ if TYPE_CHECKING:
 Loop = Literal["auto", "asyncio", "uvloop"]
 
 ConfigFile = Annotated[
-    Path | None,
-    typer.Option(help="Configuration file, usually hostlink.toml: for settings without an option.", show_default=False),
+    Path | None, typer.Option(help="Configuration file, usually hostlink.toml: for settings without an option.")
 ]
 ApiAddress = Annotated[
     str | None,
@@ -47,7 +46,6 @@ Origins = Annotated[
     typer.Option(
         "--origin",
         help="Web page of another server that may use the API, for example https://app.foxglove.dev. May be repeated.",
-        show_default=False,
     ),
 ]
 

@@ -586,7 +586,7 @@ class _Request:
 
 
 def command(
-    robot: Annotated[str, typer.Argument(help="Name of the robot.", show_default=False, callback=not_empty)],
+    robot: Annotated[str, typer.Argument(help="Name of the robot.", callback=not_empty)],
     *,
     speed: Annotated[
         float, typer.Option(help="Speed of the wheels, m/s, for the range in which you drive; below zero: backwards.")
@@ -609,8 +609,7 @@ def command(
     ] = False,
     yes: Annotated[bool, typer.Option("--yes", "-y", help="Do not ask whether there is room, for scripts.")] = False,
     picture: Annotated[
-        Path | None,
-        typer.Option(help="Draw the speeds into this file, for a report: .png, .svg or .pdf.", show_default=False),
+        Path | None, typer.Option(help="Draw the speeds into this file, for a report: .png, .svg or .pdf.")
     ] = None,
     full_pwm: Annotated[
         float,

@@ -192,10 +192,7 @@ def command(
     robot: Annotated[
         str | None,
         typer.Argument(
-            help="Name of the robot; optional if only one is connected.",
-            show_default=False,
-            callback=not_empty,
-            autocompletion=robot_names,
+            help="Name of the robot; optional if only one is connected.", callback=not_empty, autocompletion=robot_names
         ),
     ] = None,
     *,

@@ -184,7 +184,6 @@ def info(
         typer.Argument(
             metavar="NAME|FILE",
             help="A topic, a node or a service; or a recording of `hostlink record`.",
-            show_default=False,
             callback=not_empty,
             autocompletion=graph_names,
         ),
@@ -337,9 +336,7 @@ LONGEST = 32  # values of a list that a terminal shows in full
 
 def echo(
     topic: TopicName,
-    type_name: Annotated[
-        str, typer.Argument(metavar="[TYPE]", help="Its type, which may be left out.", show_default=False)
-    ] = "",
+    type_name: Annotated[str, typer.Argument(metavar="[TYPE]", help="Its type, which may be left out.")] = "",
     *,
     count: Annotated[
         int | None,
@@ -348,9 +345,7 @@ def echo(
         ),
     ] = None,
     once: Annotated[bool, typer.Option("--once", help="End after the first message.")] = False,
-    field: Annotated[
-        str, typer.Option(help="Print only this field, for example pose.position.x or ranges[0].", show_default=False)
-    ] = "",
+    field: Annotated[str, typer.Option(help="Print only this field, for example pose.position.x or ranges[0].")] = "",
     csv: Annotated[
         bool, typer.Option("--csv", "-p", help="Print CSV, for a spreadsheet: the time and a column for each field.")
     ] = False,
