@@ -1,10 +1,31 @@
-"""Cancellation hidden by `except*`, and timeouts that can be ended early."""
+"""Tasks for the length of a block, cancellation hidden by `except*`, and timeouts that can be ended early."""
 
 import asyncio
-from collections.abc import Awaitable
-from typing import TypeVar
+import contextlib
+from collections.abc import AsyncIterator, Awaitable, Coroutine
+from typing import Any, TypeVar
 
 Result = TypeVar("Result")
+
+
+@contextlib.asynccontextmanager
+async def meanwhile(*work: tuple[str, Coroutine[Any, Any, object]]) -> AsyncIterator[None]:
+    """Run coroutines, each with the name of its task, for the length of the block; then cancel them.
+
+    An error of one cancels the others and the block, and is raised in an exception group.
+    """
+    async with asyncio.TaskGroup() as tasks:
+        running = [tasks.create_task(coroutine, name=name) for name, coroutine in work]
+        try:
+            yield
+        finally:
+            for task in running:
+                task.cancel()
+
+
+def first_error(error: BaseException) -> BaseException:
+    """Return the first error in nested exception groups: the cause, from which the others follow."""
+    return first_error(error.exceptions[0]) if isinstance(error, BaseExceptionGroup) else error
 
 
 def raise_if_cancelled() -> None:

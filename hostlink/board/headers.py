@@ -113,11 +113,6 @@ def _reserved() -> frozenset[str]:
     return frozenset((_KEYWORDS + _MACROS + of_headers).split())
 
 
-@cache
-def _global_names() -> frozenset[str]:
-    return frozenset(_GLOBALS.split())
-
-
 class CppNames:
     """Unique C++ names of one class. A used or reserved name gets a _ appended."""
 
@@ -146,7 +141,7 @@ def class_identifier(base: str) -> str:
 def namespace(package: str) -> str:
     """Return the C++ namespace of a package, as `identifier` does."""
     name = identifier(package)
-    while name in _global_names():
+    while name in _GLOBALS.split():
         name += "_"
     return name
 
@@ -261,8 +256,10 @@ def _class(message: MessageType, base: str, type_name: str) -> Iterator[str]:
     yield from _flash_texts(type_name, message.md5)
     yield f"  static constexpr ::ros::Size getSize() {{ return ::ros::Size({_size(message)}); }}"
     out, in_ = names.add("out"), names.add("in")
-    yield from _method(f"bool serialize(::ros::Writer& {out}) const", out, [_put(member) for member in members])
-    yield from _method(f"bool deserialize(::ros::Reader& {in_})", in_, [_get(member) for member in members])
+    put = [_transfer("put", member) for member in members]
+    got = [_transfer("get", member, member.minimum_bytes) for member in members]
+    yield from _method(f"bool serialize(::ros::Writer& {out}) const", out, put)
+    yield from _method(f"bool deserialize(::ros::Reader& {in_})", in_, got)
     yield "};"
     yield from _definitions(name, constants)
 
@@ -333,20 +330,13 @@ def _size(message: MessageType) -> str:
     return f"{min(message.layout.minimum_bytes, SIZE_MAX)}, {min(most, SIZE_MAX)}"
 
 
-def _put(member: _Member) -> str:
+def _transfer(verb: str, member: _Member, *bounds: int) -> str:
+    """Call that puts or gets a field; `bounds` are those of a variable array."""
     if member.field.array_length == SCALAR:
-        return f"put({member.name})"
+        return f"{verb}({member.name})"
     if member.field.array_length == VARIABLE:
-        return f"put_variable({member.name}, {member.length})"
-    return f"put_fixed({member.name})"
-
-
-def _get(member: _Member) -> str:
-    if member.field.array_length == SCALAR:
-        return f"get({member.name})"
-    if member.field.array_length == VARIABLE:
-        return f"get_variable({member.name}, {member.length}, {member.minimum_bytes})"
-    return f"get_fixed({member.name})"
+        return f"{verb}_variable({', '.join(map(str, (member.name, member.length, *bounds)))})"
+    return f"{verb}_fixed({member.name})"
 
 
 def _method(head: str, stream: str, calls: list[str]) -> Iterator[str]:

@@ -174,11 +174,8 @@ def library(texts: Mapping[str, bytes], selection: TypeSelection) -> dict[str, b
     made["library.json"] = _platformio()
     made["CMakeLists.txt"] = _CMAKE
     made["keywords.txt"] = _keywords(selection)
-    return {f"{NAME}/{path}": text for path, text in {**_encoded(made), **texts}.items()}
-
-
-def _encoded(texts: Mapping[str, str]) -> dict[str, bytes]:
-    return {path: text.encode() for path, text in texts.items()}
+    encoded = {path: text.encode() for path, text in made.items()}
+    return {f"{NAME}/{path}": text for path, text in {**encoded, **texts}.items()}
 
 
 def _walk(folder: Traversable, path: str) -> Iterator[tuple[str, Traversable]]:

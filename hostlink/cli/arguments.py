@@ -18,74 +18,61 @@ TIMEOUT_S = 1.0  # a person who has pressed Tab waits
 _SAFE = re.compile(r"[A-Za-z0-9_/.-]+")
 
 
-def topic_names(context: typer.Context, incomplete: str) -> list[str]:
-    """Names of topics that begin with `incomplete`."""
-
-    async def read(host: Host) -> Iterable[str]:
-        return [topic["name"] for topic in await host.topics()]
-
-    return _complete(context, incomplete, read)
+Read = Callable[[Host], Awaitable[Iterable[str]]]
 
 
-def type_names(context: typer.Context, incomplete: str) -> list[str]:
-    """Types of topics that begin with `incomplete`."""
+def _completing(read: Read) -> Callable[[typer.Context, str], list[str]]:
+    """Return the completion of the names that `read` reads from the daemon."""
 
-    async def read(host: Host) -> Iterable[str]:
-        return {topic["type"] for topic in await host.topics()}
-
-    return _complete(context, incomplete, read)
-
-
-def robot_names(context: typer.Context, incomplete: str) -> list[str]:
-    """Names of robots that begin with `incomplete`."""
-
-    async def read(host: Host) -> Iterable[str]:
-        return [robot["name"] for robot in await host.robots()]
-
-    return _complete(context, incomplete, read)
-
-
-def service_names(context: typer.Context, incomplete: str) -> list[str]:
-    """Names of services that begin with `incomplete`."""
-
-    async def read(host: Host) -> Iterable[str]:
-        return [str(name) for name in (await host.call("/rosapi/services", {}))["services"]]
-
-    return _complete(context, incomplete, read)
-
-
-def graph_names(context: typer.Context, incomplete: str) -> list[str]:
-    """Names of topics, nodes and services that begin with `incomplete`."""
-
-    async def read(host: Host) -> Iterable[str]:
-        topics = [topic["name"] for topic in await host.topics()]
-        nodes, services = await host.call("/rosapi/nodes", {}), await host.call("/rosapi/services", {})
-        return {*topics, *nodes["nodes"], *services["services"]}
-
-    return _complete(context, incomplete, read)
-
-
-def parameter_names(context: typer.Context, incomplete: str) -> list[str]:
-    """Names of parameters that begin with `incomplete`."""
-
-    async def read(host: Host) -> Iterable[str]:
-        return [str(name) for name in (await host.call("/rosapi/get_param_names", {}))["names"]]
-
-    return _complete(context, incomplete, read)
-
-
-def _complete(context: typer.Context, incomplete: str, read: Callable[[Host], Awaitable[Iterable[str]]]) -> list[str]:
-    url, token = context.params.get("url"), context.params.get("token")
-
-    async def request() -> Iterable[str]:
+    async def request(url: str | None, token: str | None) -> Iterable[str]:
         async with asyncio.timeout(TIMEOUT_S), connect(url or DEFAULT_URL, token=token, reconnect=False) as host:
             return await read(host)
 
-    with contextlib.suppress(HostlinkError, TimeoutError):
-        return [
-            name for name in sorted(asyncio.run(request())) if name.startswith(incomplete) and _SAFE.fullmatch(name)
-        ]
-    return []
+    def complete(context: typer.Context, incomplete: str) -> list[str]:
+        with contextlib.suppress(HostlinkError, TimeoutError):
+            names = asyncio.run(request(context.params.get("url"), context.params.get("token")))
+            return [name for name in sorted(names) if name.startswith(incomplete) and _SAFE.fullmatch(name)]
+        return []
+
+    return complete
+
+
+@_completing
+async def topic_names(host: Host) -> Iterable[str]:
+    """Read the names of topics."""
+    return [topic["name"] for topic in await host.topics()]
+
+
+@_completing
+async def type_names(host: Host) -> Iterable[str]:
+    """Read the types of topics."""
+    return {topic["type"] for topic in await host.topics()}
+
+
+@_completing
+async def robot_names(host: Host) -> Iterable[str]:
+    """Read the names of robots."""
+    return [robot["name"] for robot in await host.robots()]
+
+
+@_completing
+async def service_names(host: Host) -> Iterable[str]:
+    """Read the names of services."""
+    return [str(name) for name in (await host.call("/rosapi/services", {}))["services"]]
+
+
+@_completing
+async def graph_names(host: Host) -> Iterable[str]:
+    """Read the names of topics, nodes and services."""
+    topics = [topic["name"] for topic in await host.topics()]
+    nodes, services = await host.call("/rosapi/nodes", {}), await host.call("/rosapi/services", {})
+    return {*topics, *nodes["nodes"], *services["services"]}
+
+
+@_completing
+async def parameter_names(host: Host) -> Iterable[str]:
+    """Read the names of parameters."""
+    return [str(name) for name in (await host.call("/rosapi/get_param_names", {}))["names"]]
 
 
 # -- arguments --------------------------------------------------------------------------------------------------------
@@ -111,24 +98,17 @@ Token = Annotated[
     typer.Option(
         help="Token, for an API that needs one. Other users cannot read it from the environment.",
         envvar="HOSTLINK_TOKEN",
-        show_default=False,
     ),
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON, for programs.")]
 JsonLines = Annotated[bool, typer.Option("--json", help="Print one JSON object a line, for programs.")]
 Seconds = Annotated[float, typer.Option(min=0.0, help="End after this time, for scripts; 0: run until Ctrl-C.")]
-TopicName = Annotated[str, typer.Argument(show_default=False, callback=not_empty, autocompletion=topic_names)]
-ServiceName = Annotated[str, typer.Argument(show_default=False, callback=not_empty, autocompletion=service_names)]
-RobotName = Annotated[str | None, typer.Argument(show_default=False, callback=not_empty, autocompletion=robot_names)]
-ParameterName = Annotated[str, typer.Argument(show_default=False, callback=not_empty, autocompletion=parameter_names)]
+TopicName = Annotated[str, typer.Argument(callback=not_empty, autocompletion=topic_names)]
+ServiceName = Annotated[str, typer.Argument(callback=not_empty, autocompletion=service_names)]
+RobotName = Annotated[str | None, typer.Argument(callback=not_empty, autocompletion=robot_names)]
+ParameterName = Annotated[str, typer.Argument(callback=not_empty, autocompletion=parameter_names)]
 TypeName = Annotated[
-    str,
-    typer.Argument(
-        help="A type, for example geometry_msgs/Twist.",
-        show_default=False,
-        callback=not_empty,
-        autocompletion=type_names,
-    ),
+    str, typer.Argument(help="A type, for example geometry_msgs/Twist.", callback=not_empty, autocompletion=type_names)
 ]
 
 

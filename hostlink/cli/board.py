@@ -17,7 +17,7 @@ from hostlink.board.settings import SETTINGS, BoardSettings, Setting, check_valu
 from hostlink.cli.arguments import Json
 from hostlink.cli.files import check_new_file, replacing
 from hostlink.cli.names import LISTED, near
-from hostlink.cli.output import plain, show_progress, write, write_error
+from hostlink.cli.output import plain, quantity, show_progress, write, write_error
 from hostlink.config import SerialConfig
 from hostlink.errors import BadRequest, ConfigError, HostlinkError
 from hostlink.messages.catalog import Catalog, check_not_empty
@@ -97,9 +97,10 @@ def _report(output: Path, selection: TypeSelection, size_bytes: int, *, as_json:
         }
         write(msgspec.json.encode(facts).decode())
         return
-    counts = f"{len(selection.messages)} messages and {len(selection.services)} services"
+    counts = f"{quantity(len(selection.messages), 'message')} and {quantity(len(selection.services), 'service')}"
+    packages = quantity(len(selection.packages), "package")
     write(
-        f"{output}: {counts} of {len(selection.packages)} packages, {size_bytes / 1000:.0f} kB. Next, one of:",
+        f"{output}: {counts} of {packages}, {size_bytes / 1000:.0f} kB. Next, one of:",
         "  Arduino IDE: Sketch > Include Library > Add .ZIP Library...",
         f"  PlatformIO:  lib_deps = file://{output.resolve()}",  # unquoted: PlatformIO does not decode %20
         "  CMake:       unpack it, then add_subdirectory(hostlink_rosserial)",
@@ -111,7 +112,7 @@ def _report(output: Path, selection: TypeSelection, size_bytes: int, *, as_json:
 USUAL_PORT = 11411  # of the library, if the board has no setting
 CLEAR = "-"  # the answer that clears a setting
 
-Port = Annotated[str, typer.Argument(help="Serial port of the board, for example /dev/ttyUSB0.", show_default=False)]
+Port = Annotated[str, typer.Argument(help="Serial port of the board, for example /dev/ttyUSB0.")]
 Baud = Annotated[int, typer.Option(help="Baud rate, as in the sketch's Serial.begin().", min=300)]
 Wait = Annotated[
     float, typer.Option(help="Seconds to wait for an answer: longer for a board that starts slowly.", min=0.1)
@@ -260,6 +261,3 @@ def _check(setting: Setting, value: str) -> None:
         check_value(setting, value)
     except BadRequest as error:
         raise ConfigError("board setup", str(error)) from error
-
-
-COMMANDS = {"arduino-library": arduino_library, "board": app}

@@ -4,7 +4,7 @@ import contextlib
 import json as json_text
 import re
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import typer
 
@@ -20,8 +20,8 @@ from hostlink.cli.calibration_plan import (
     open_state,
     steps_of,
 )
-from hostlink.cli.calibration_session import MISTAKES, AtTheTerminal, CalibrationSession, Drives, Simulated, numbers_of
-from hostlink.cli.output import table, write, write_error
+from hostlink.cli.calibration_session import AtTheTerminal, CalibrationSession, Drives, Mistake, Simulated, numbers_of
+from hostlink.cli.output import quantity, table, write, write_error
 from hostlink.cli.settings_file import Tables, require_changeable, toml_lines, write_settings
 from hostlink.client import DEFAULT_URL
 from hostlink.config import CalibrationConfig, load
@@ -38,7 +38,6 @@ from hostlink.robot.course import Speed
 from hostlink.robot.odometry import OdometryCorrection
 from hostlink.sim.firmware_module import read, require_wasmtime
 
-TARGETS = ("device", "hostlink")
 CASTER_SHARE = 0.01  # difference between the separations by turns and by squares that is reported
 DEFAULT_WORLD = "track_m=0.2142\nleft.radius_m=0.0448\nright.radius_m=0.0453\n"  # a common error of each number
 RADIUS_M, SEPARATION_M = (0.005, 0.5), (0.02, 5.0)  # limits of hostlink's firmware
@@ -46,7 +45,7 @@ _BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")
 
 
 def command(
-    robot: Annotated[str, typer.Argument(help="Name of the robot.", show_default=False, callback=not_empty)],
+    robot: Annotated[str, typer.Argument(help="Name of the robot.", callback=not_empty)],
     *,
     url: Url = DEFAULT_URL,
     token: Token = None,
@@ -84,7 +83,7 @@ def command(
         ),
     ] = None,
     target: Annotated[
-        str | None,
+        Literal["device", "hostlink"] | None,
         typer.Option(
             help="Where the result is used: device (parameters of hostlink's firmware) or hostlink (which corrects the "
             "odometry of other firmware).",
@@ -125,8 +124,7 @@ def command(
         ),
     ] = None,
     mistake: Annotated[
-        str | None,
-        typer.Option(help=f"With --simulate: a mistake of the person, to see how it is found: {', '.join(MISTAKES)}."),
+        Mistake | None, typer.Option(help="With --simulate: a mistake of the person, to see how it is found.")
     ] = None,
     json: Annotated[bool, typer.Option("--json", help="Print the result as JSON, for programs.")] = False,
 ) -> None:
@@ -135,8 +133,6 @@ def command(
     The robot drives a line twice, turns on the spot in each direction, and drives a square twice in each direction.
     After each drive you enter what the tape measure shows. The result is used only if check drives confirm it.
     """
-    _refuse_others("--target", target, TARGETS)
-    _refuse_others("--mistake", mistake, MISTAKES)
     for option, value in {"--world": world, "--mistake": mistake}.items():
         if value is not None and not simulate:
             raise ConfigError(option, "is for a simulated robot, but this would drive a real one; add --simulate")
@@ -162,7 +158,7 @@ def command(
     except KeyboardInterrupt:
         write_error(
             "",
-            f"the robot was sent a stop; {len(saved.saved.runs)} drives are kept in {path}",
+            f"the robot was sent a stop; {quantity(len(saved.saved.runs), 'drive is', 'drives are')} kept in {path}",
             "run the same command to continue",
         )
         raise
@@ -394,11 +390,6 @@ def _nominal(text: str) -> WheelGeometry:
                 f"{value:g} m is outside {least_m:g} to {most_m:g} m; enter metres, for example 0.045,0.045,0.21",
             )
     return WheelGeometry(*values)
-
-
-def _refuse_others(option: str, value: str | None, known: tuple[str, ...]) -> None:
-    if value is not None and value not in known:
-        raise ConfigError(option, f"unknown value {value!r}; choose one of {', '.join(known)}")
 
 
 def _entered(run: MeasuredRun) -> str:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import msgspec
 
+from hostlink.cli.output import quantity
 from hostlink.errors import HostlinkError
 from hostlink.robot.calibration import MeasuredRun, RunKind, WheelGeometry
 from hostlink.robot.course import Leg, square, straight, turns
@@ -70,7 +71,7 @@ class Step:
             case RunKind.STRAIGHT:
                 return f"a line of {self.size:g} m"
             case RunKind.TURNS_CCW | RunKind.TURNS_CW:
-                return f"{self.size:g} turn{'' if self.size == 1 else 's'} on the spot, {way}"
+                return f"{quantity(round(self.size), 'turn')} on the spot, {way}"
             case _:
                 return f"a square of {self.size:g} m, {way}"
 

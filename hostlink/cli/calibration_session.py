@@ -8,12 +8,11 @@ import signal
 import sys
 import termios
 from collections.abc import AsyncIterator, Callable, Mapping, Sequence
-from typing import Any, Protocol
+from typing import Any, Literal
 
 from hostlink.cli.calibration_plan import UNITS_M, Step, UnitMissing, parse_angle, parse_length
-from hostlink.cli.names import driver
 from hostlink.cli.output import show_progress, show_question, write, write_error
-from hostlink.cli.robots import chosen
+from hostlink.cli.robots import chosen, require_free
 from hostlink.client import Host, RobotState, connect
 from hostlink.client.robot import Robot
 from hostlink.client.topics import Subscription
@@ -184,14 +183,7 @@ async def _stopping(robot: Robot) -> AsyncIterator[None]:
 
 async def _state(host: Host, name: str) -> RobotState:
     (state,) = await chosen(host, name)
-    if not state["connected"]:
-        raise HostlinkError(f"{name} is not connected; `hostlink doctor` finds out why")
-    if state.get("locked"):
-        raise HostlinkError(f"{name} is locked: {state.get('lock_reason')}; `hostlink unlock {name}` unlocks it")
-    if state["holder"] is not None:
-        raise HostlinkError(
-            f"{name} is driven by {driver(state)}; end that program first, or the robot moves while you measure"
-        )
+    require_free(state)
     return state
 
 
@@ -223,65 +215,34 @@ def numbers_of(text: str) -> list[float]:
 
 # -- measurements -----------------------------------------------------------------------------------------------------
 
-MISTAKES = ("slip", "sides")
+Mistake = Literal["slip", "sides"]
 _SLIP = 0.1
 _TURNS = (RunKind.TURNS_CCW, RunKind.TURNS_CW)
-
-
-class CalibrationSession(Protocol):
-    """Robot, and the person who measures it."""
-
-    @property
-    def is_patient(self) -> bool:
-        """Whether a drive is repeated after an error."""
-
-    def nominal(self) -> WheelGeometry:
-        """Return the wheels that the robot uses."""
-
-    def requests_parameters(self) -> bool:
-        """Whether the robot requests its wheels as parameters."""
-
-    def set_parameters(self, parameters: Mapping[str, str], /) -> None:
-        """Set parameters for the robot's next connection."""
-
-    def prepare(self, step: Step, place: str) -> None:
-        """Prepare a drive: tell the person where to put the robot, and wait."""
-
-    def follow(self, legs: Sequence[Leg], correction: OdometryCorrection) -> tuple[Pose, ...]:
-        """Drive the course; return the poses of the robot's own odometry."""
-
-    def measure(self, step: Step) -> Measurement:
-        """Ask for the measurement after a drive."""
-
-    def drives_again(self, reason: str) -> bool:
-        """Ask after an impossible measurement whether to drive again, rather than only to measure again."""
-
-    def goes_on(self, doubt: str) -> bool:
-        """Ask whether a doubtful number is right."""
-
-    def choose(self, complaint: str, titles: Sequence[str], /) -> int | None:
-        """Ask which drive to measure again; None to give up."""
 
 
 class AtTheTerminal:
     """Real robot of the daemon, and a person at the terminal."""
 
-    is_patient = True
+    is_patient = True  # a drive is repeated after an error
 
     def __init__(self, drives: Drives, show: Callable[..., None] = write) -> None:
         """Store how lines for the person are written; questions are written on standard error."""
         self._drives, self._show = drives, show
 
     def nominal(self) -> WheelGeometry:
+        """Return the wheels that the robot uses."""
         return asyncio.run(self._drives.nominal())
 
     def requests_parameters(self) -> bool:
+        """Whether the robot requests its wheels as parameters."""
         return asyncio.run(self._drives.requests_parameters())
 
-    def set_parameters(self, parameters: Mapping[str, str], /) -> None:
+    def set_parameters(self, parameters: Mapping[str, str]) -> None:
+        """Set parameters for the robot's next connection."""
         asyncio.run(self._drives.set_parameters(parameters))
 
     def prepare(self, step: Step, place: str) -> None:
+        """Prepare a drive: tell the person where to put the robot, and wait."""
         self._show(
             "",
             f"{place}  {step.title}",
@@ -293,6 +254,8 @@ class AtTheTerminal:
             write_error("  The drive was not started: press Enter alone to start it, Ctrl-C to leave.")
 
     def follow(self, legs: Sequence[Leg], correction: OdometryCorrection) -> tuple[Pose, ...]:
+        """Drive the course; return the poses of the robot's own odometry."""
+
         def show(left: int, seconds: float) -> None:
             number = min(len(legs) - left + 1, len(legs))
             show_progress(f"  driving: {seconds:.0f} s, leg {number} of {len(legs)}; Ctrl-C stops the robot")
@@ -305,6 +268,7 @@ class AtTheTerminal:
             show_progress("")
 
     def measure(self, step: Step) -> Measurement:
+        """Ask for the measurement after a drive."""
         if step.kind in _TURNS:
             past_rad = _read(
                 "  How far did the robot turn past its line? Degrees, counter-clockwise is positive: ", parse_angle
@@ -319,14 +283,17 @@ class AtTheTerminal:
         return Measurement(x_m, y_m)
 
     def drives_again(self, reason: str) -> bool:
+        """Ask after an impossible measurement whether to drive again, rather than only to measure again."""
         write_error(f"  {reason}")
         return _prompt("  Press Enter to measure again, d to drive again: ").strip().lower().startswith("d")
 
     def goes_on(self, doubt: str) -> bool:
+        """Ask whether a doubtful number is right."""
         write_error(f"  {doubt}")
         return _prompt("  Press y if the number is right, Enter to leave: ").strip().lower() in ("y", "yes")
 
     def choose(self, complaint: str, titles: Sequence[str]) -> int | None:
+        """Ask which drive to measure again; None to give up."""
         write_error("", complaint)
         self._show(*(f"  {number}  {title}" for number, title in enumerate(titles, start=1)))
         word = _prompt("  Number of the drive to repeat; Enter leaves: ").strip()
@@ -338,7 +305,7 @@ class Simulated:
 
     is_patient = False
 
-    def __init__(self, world: WorldParameters, mistake: str | None) -> None:
+    def __init__(self, world: WorldParameters, mistake: Mistake | None) -> None:
         """Connect the robot. `mistake` is the person's mistake in every square: "slip" or "sides"."""
         self._robot = FirmwareWorld(world)
         self._robot.connect()
@@ -386,6 +353,9 @@ class Simulated:
 
     def choose(self, *_: object) -> int | None:
         return None
+
+
+CalibrationSession = AtTheTerminal | Simulated  # the robot, and the person who measures it
 
 
 def _forget_keys() -> None:

@@ -18,6 +18,7 @@ from hostlink.acceptor import bind, why
 from hostlink.api.access import Access, is_loopback, tls_context
 from hostlink.api.listener import KEPT_FOR_REQUESTS
 from hostlink.cli.addresses import MAX_PORT, is_origin
+from hostlink.cli.output import quantity
 from hostlink.config import Config, SerialConfig, TcpConfig, UdpConfig, ZenohConfig, is_address
 from hostlink.errors import ConfigError, HostlinkError, LibraryMissing
 from hostlink.hub.hub import Hub
@@ -146,7 +147,7 @@ def describe(config: Config) -> list[str]:
     if config.zenoh is not None:
         lines.append(_describe_zenoh(config.zenoh))
     lines += [f"messages in {folder}" for folder in config.message_folders]
-    return [*lines, f"{len(config.parameters)} parameters"]
+    return [*lines, quantity(len(config.parameters), "parameter")]
 
 
 def _describe_who(config: TcpConfig | UdpConfig) -> str:

@@ -5,12 +5,14 @@ import contextlib
 import signal
 import sys
 import time
-from collections.abc import AsyncIterator, Callable, Coroutine, Iterable, Iterator
+from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine, Iterable, Iterator
 from typing import Any, TypeVar
 
 from hostlink.cli.names import near
 from hostlink.cli.output import show_progress, write_error
 from hostlink.client import Host, connect
+
+Answer = TypeVar("Answer")
 
 # -- connecting -------------------------------------------------------------------------------------------------------
 
@@ -28,6 +30,20 @@ async def connected(url: str, token: str | None) -> AsyncIterator[Host]:
         yield host
 
 
+def ask(url: str, token: str | None, work: Callable[[Host], Awaitable[Answer]]) -> Answer:
+    """Connect to the daemon, return what `work` returns, and disconnect.
+
+    Raises:
+        HostlinkError: no hostlink answers at `url`, the daemon refuses, or the connection is lost.
+    """
+
+    async def run() -> Answer:
+        async with connected(url, token) as host:
+            return await work(host)
+
+    return asyncio.run(run())
+
+
 # -- waiting ----------------------------------------------------------------------------------------------------------
 
 PATIENCE_S = 2.0
@@ -39,36 +55,26 @@ Show = Callable[[str], None]
 Item = TypeVar("Item")
 
 
-class _Notice:
-    """Text with the seconds that have passed, shown after PATIENCE_S."""
-
-    def __init__(self, text: str, show: Show) -> None:
-        self._text, self._show_line = text, show
-        self._loop = asyncio.get_running_loop()
-        self._began_s = self._loop.time()
-        self._is_shown = False
-        self._timer = self._loop.call_later(PATIENCE_S, self._show)
-
-    def _show(self) -> None:
-        self._is_shown = True
-        self._show_line(f"{self._text} ... {self._loop.time() - self._began_s:.0f} s; Ctrl-C ends")
-        self._timer = self._loop.call_later(INTERVAL_S, self._show)
-
-    def end(self) -> None:
-        """Clear the line."""
-        self._timer.cancel()
-        if self._is_shown:
-            self._show_line("")
-
-
 @contextlib.contextmanager
 def waiting(text: str, show: Show = show_progress) -> Iterator[None]:
-    """Show the text for the length of the block, if the block lasts longer than PATIENCE_S."""
-    notice = _Notice(text, show)
+    """Show the text with the seconds that have passed, if the block lasts longer than PATIENCE_S."""
+    loop = asyncio.get_running_loop()
+    began_s, is_shown = loop.time(), False
+    timer: asyncio.TimerHandle
+
+    def show_line() -> None:
+        nonlocal timer, is_shown
+        is_shown = True
+        show(f"{text} ... {loop.time() - began_s:.0f} s; Ctrl-C ends")
+        timer = loop.call_later(INTERVAL_S, show_line)
+
+    timer = loop.call_later(PATIENCE_S, show_line)
     try:
         yield
     finally:
-        notice.end()
+        timer.cancel()
+        if is_shown:
+            show("")
 
 
 def counted(

@@ -14,6 +14,7 @@ from hostlink.cli.ending import Ending, stop_signals
 from hostlink.cli.output import write, write_above, write_over
 from hostlink.cli.serve import running
 from hostlink.cli.serve_command import Origins, allow_origins, merge
+from hostlink.cli.sim import Kind
 from hostlink.config import Config, RobotConfig
 from hostlink.errors import ConfigError, HostlinkError
 from hostlink.hub.hub import Hub
@@ -41,9 +42,7 @@ PAPER_ROBOT = RobotConfig(kinematics="differential", wheel_separation_m=0.210, m
 def command(
     *,
     robots: Annotated[int, typer.Option(min=1, max=50, help="Number of simulated robots: more to see a fleet.")] = 1,
-    robot: Annotated[
-        RobotKind, typer.Option(help="nimble: reaches a new speed in 0.3 s; paper: the paper's robot, in two seconds.")
-    ] = RobotKind.NIMBLE,
+    robot: Kind = RobotKind.NIMBLE,
     listen: Annotated[
         str, typer.Option(help="Address and port on which your own devices may connect, too: HOST:PORT.")
     ] = "127.0.0.1:11411",

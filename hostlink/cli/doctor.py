@@ -14,7 +14,9 @@ import typer
 from hostlink.cli.addresses import parse_address, parse_serial
 from hostlink.cli.arguments import Token, Url
 from hostlink.cli.connecting import connected
-from hostlink.cli.output import duration, show_progress, write, write_error
+from hostlink.cli.figures import finding_lines
+from hostlink.cli.files import MessageFolders
+from hostlink.cli.output import duration, quantity, show_progress, write, write_error
 from hostlink.client import DEFAULT_URL
 from hostlink.errors import HostlinkError
 
@@ -92,7 +94,7 @@ def _host(link: Report) -> str:
 
 def report_lines(report: Report) -> list[str]:
     """Return the findings that belong to no link, then those of each link."""
-    lines = [line for found in report["findings"] for line in _finding_lines(found)]
+    lines = [line for found in report["findings"] for line in finding_lines(found)]
     return lines + [line for link in report["links"] for line in _link_lines(link)]
 
 
@@ -102,8 +104,9 @@ def _link_lines(link: Report) -> Iterator[str]:
     way = ", UDP" if link.get("transport") == "udp" else ""
     robot = f"  {link['robot']}" if link.get("robot") else ""
     well = "" if link["diagnosis"] else "  nothing was wrong" if link["end"] else "  healthy"
-    yield f"link {link['number']}  {link['peer']}{robot}  ({state}, {link['topics']} topics{baud}{way}){well}"
-    yield from (f"  {line}" for found in link["diagnosis"] for line in _finding_lines(found))
+    topics = quantity(link["topics"], "topic")
+    yield f"link {link['number']}  {link['peer']}{robot}  ({state}, {topics}{baud}{way}){well}"
+    yield from (f"  {line}" for found in link["diagnosis"] for line in finding_lines(found))
     if link.get("frames_from_device_s"):
         yield f"  {_rates_line(link)}"
     if link.get("odometry"):
@@ -122,26 +125,16 @@ def _rates_line(link: Report) -> str:
     return f"{link['frames_from_device_s']} frames/s from it{to_device}, {lost}{silent}"
 
 
-def _finding_lines(found: dict[str, Any]) -> list[str]:
-    detail = f" ({found['detail']})" if found["detail"] else ""
-    return [f"{found['code']}: {found['cause']}{detail}", f"  next: {found['next_step']}"]
-
-
 # -- doctor -----------------------------------------------------------------------------------------------------------
 
 LISTEN = "0.0.0.0:11411"
 
 
 def command(
-    file: Annotated[
-        Path | None, typer.Argument(help="Recording of a link's bytes to diagnose.", show_default=False)
-    ] = None,
+    file: Annotated[Path | None, typer.Argument(help="Recording of a link's bytes to diagnose.")] = None,
     *,
     serial: Annotated[
-        str | None,
-        typer.Option(
-            help="Diagnose the device on this serial port, without a daemon: /dev/ttyACM0@57600.", show_default=False
-        ),
+        str | None, typer.Option(help="Diagnose the device on this serial port, without a daemon: /dev/ttyACM0@57600.")
     ] = None,
     listen: Annotated[
         str | None,
@@ -153,9 +146,7 @@ def command(
     seconds: Annotated[
         float, typer.Option(min=1.0, help="Time to wait for devices: longer for one that connects rarely.")
     ] = 15.0,
-    messages: Annotated[
-        list[Path] | None, typer.Option(help="Folder with .msg and .srv files of your own types. May be repeated.")
-    ] = None,
+    messages: MessageFolders = None,
     url: Url = DEFAULT_URL,
     token: Token = None,
     json: Annotated[bool, typer.Option("--json", help="Print JSON, for programs.")] = False,

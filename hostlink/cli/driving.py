@@ -5,7 +5,7 @@ When keys stop arriving, the velocity becomes zero.
 
 import re
 from enum import Enum
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 # -- keys -------------------------------------------------------------------------------------------------------------
 
@@ -114,7 +114,8 @@ _FIELD_SPEEDS: dict[str, tuple[float, float]] = {
     "e": (1, STEP), "c": (1, 1 / STEP),
 }  # fmt: skip
 
-LAYOUTS = {
+Layout = Literal["original", "twist"]
+LAYOUTS: dict[str, tuple[dict[str, Direction], dict[str, tuple[float, float]]]] = {
     # u and m change the turning speed, as in the original; the other keys of the field drive.
     "original": ({**_FIELD, **_ORIGINAL}, _ORIGINAL_SPEEDS),
     "twist": (_FIELD, _FIELD_SPEEDS),

@@ -1,17 +1,16 @@
 """The commands for recordings on this computer: `export`, `plot`, and the content that `info` shows."""
 
-import importlib.util
 import time
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, TypedDict
+from typing import TYPE_CHECKING, Annotated
 
 import msgspec
 import typer
 
 from hostlink.cli.files import check_absent, check_picture
-from hostlink.cli.output import megabytes, show_progress, write, write_error, write_table
-from hostlink.errors import ConfigError, HostlinkError, LibraryMissing
+from hostlink.cli.output import megabytes, quantity, show_progress, write, write_error, write_table
+from hostlink.errors import ConfigError, HostlinkError
 from hostlink.recording.channel import NS_PER_S
 from hostlink.recording.definitions import need_rosbags, why_unknown
 from hostlink.recording.reader import Contents, TopicContents, contents_of
@@ -31,20 +30,9 @@ class Format(StrEnum):
     ROS1 = "ros1"
 
 
-class _Facts(TypedDict):
-    output: str
-    messages: int
-    left_out: dict[str, str]
-    damage: list[str]
-
-
 def export(
     file: Annotated[
-        Path,
-        typer.Argument(
-            help="MCAP file of `hostlink record`, a bag of ROS 1, or a folder or file of rosbag2.",
-            show_default=False,
-        ),
+        Path, typer.Argument(help="MCAP file of `hostlink record`, a bag of ROS 1, or a folder or file of rosbag2.")
     ],
     topics: Annotated[
         list[str] | None, typer.Argument(help="Topics to export, by names or patterns: '/robot_0/*'. All without one.")
@@ -76,7 +64,7 @@ def export(
     finally:
         show_progress("")
     if as_json:
-        facts: _Facts = {
+        facts = {
             "output": str(target),
             "messages": done.messages,
             "left_out": done.left_out,
@@ -88,7 +76,7 @@ def export(
         write_error(f"{topic} is left out: {reason}")
     for damage in done.damage:
         write_error(f"{file}: {damage}")
-    write(f"{target}: {done.messages} messages")
+    write(f"{target}: {quantity(done.messages, 'message')}")
 
 
 def _export(file: Path, target: Path, format_: Format, topics: list[str], *, skips_unknown: bool) -> "Exported":
@@ -109,7 +97,7 @@ def _export(file: Path, target: Path, format_: Format, topics: list[str], *, ski
 
 
 def plot(
-    file: Annotated[Path, typer.Argument(help="Recording of `hostlink record`.", show_default=False)],
+    file: Annotated[Path, typer.Argument(help="Recording of `hostlink record`.")],
     fields: Annotated[
         list[str] | None, typer.Argument(help="One or more fields, for example /robot_0/odometry.x.")
     ] = None,
@@ -126,10 +114,8 @@ def plot(
         raise ConfigError("plot", "--map draws paths instead of fields; leave the fields or --map out")
     if not fields and not map_:
         raise ConfigError("plot", "name fields, for example /robot_0/odometry.x, or use --map")
-    check_picture("--output", target)
+    check_picture("--output", target, extra="plot")
     check_absent(target)
-    if importlib.util.find_spec("matplotlib") is None:
-        raise LibraryMissing("plot", "matplotlib", "plot")
     # matplotlib and the codec are imported after the checks that need neither
     from hostlink.recording.plot import draw_fields, draw_map, read_lines, read_paths  # noqa: PLC0415
     from hostlink.recording.reader import open_source  # noqa: PLC0415
@@ -169,8 +155,9 @@ def show_recording(file: Path, *, as_json: bool) -> None:
         write(msgspec.json.encode(_view(found)).decode())
         return
     begin = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(found.begin_ns // NS_PER_S))
+    messages = quantity(found.messages, "message")
     write(
-        f"{file}: {megabytes(found.size_bytes)}, {found.messages} messages, {found.seconds:.1f} s from {begin}",
+        f"{file}: {megabytes(found.size_bytes)}, {messages}, {found.seconds:.1f} s from {begin}",
         *(f"  {name}: {value}" for name, value in found.metadata.items() if value),
         *(f"  the clock was set by {step.step_s:+.1f} s after {step.at_s:.1f} s" for step in found.clock_steps),
         *(f"  damage: {damage}{_mended(file)}" for damage in found.damage),
@@ -217,6 +204,3 @@ def _view(found: Contents) -> dict[str, object]:
             for topic in found.topics
         ],
     }
-
-
-COMMANDS = {"export": export, "plot": plot}

@@ -129,8 +129,13 @@ def advice(shown: dict[str, Any]) -> list[str]:
     """Return a cause and a next step for each finding of live links and of ports, then the last links that ended."""
     lines = []
     for link in shown["links"]:
-        lines += [line for each in link["diagnosis"] for line in _advice(f"link {link['number']}", each)]
-    lines += [line for port in shown["ports"] for each in port["diagnosis"] for line in _advice(port["name"], each)]
+        lines += [line for each in link["diagnosis"] for line in finding_lines(each, f"link {link['number']} ")]
+    lines += [
+        line
+        for port in shown["ports"]
+        for each in port["diagnosis"]
+        for line in finding_lines(each, f"{port['name']} ")
+    ]
     for link in shown["ended"][:3]:
         codes = ", ".join(each["code"] for each in link["diagnosis"])
         seconds = f"after {link['seconds']:.0f} s, {link['ended_ago_s']:.0f} s ago"
@@ -138,9 +143,10 @@ def advice(shown: dict[str, Any]) -> list[str]:
     return lines
 
 
-def _advice(about: str, found: dict[str, str]) -> list[str]:
+def finding_lines(found: dict[str, str], about: str = "") -> list[str]:
+    """Return the cause and the next step of a finding; `about` names its link or port."""
     detail = f" ({found['detail']})" if found["detail"] else ""
-    return [f"{about} {found['code']}: {found['cause']}{detail}", f"  next: {found['next_step']}"]
+    return [f"{about}{found['code']}: {found['cause']}{detail}", f"  next: {found['next_step']}"]
 
 
 # -- figures of the daemon's events -----------------------------------------------------------------------------------

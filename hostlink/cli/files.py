@@ -1,17 +1,24 @@
 """Files that commands write: downloads from the daemon, new files and replaced ones."""
 
 import contextlib
+import importlib.util
 import os
 import stat
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, BinaryIO
+from typing import TYPE_CHECKING, Annotated, BinaryIO
+
+import typer
 
 from hostlink.cli.output import megabytes, show_progress
-from hostlink.errors import ConfigError, HostlinkError
+from hostlink.errors import ConfigError, HostlinkError, LibraryMissing
 
 if TYPE_CHECKING:
     from hostlink.client import Host  # slow to import, and no part of a command that only writes files
+
+MessageFolders = Annotated[
+    list[Path] | None, typer.Option(help="Folder with .msg and .srv files of your own types. May be repeated.")
+]
 
 # -- fetching ---------------------------------------------------------------------------------------------------------
 
@@ -67,14 +74,19 @@ def _removed_if_empty(target: Path) -> Iterator[BinaryIO]:
 PICTURES = (".pdf", ".png", ".svg")
 
 
-def check_picture(option: str, file: Path) -> None:
-    """Accept the name of a picture.
+def check_picture(option: str, file: Path, *, extra: str, suffixes: Sequence[str] = PICTURES) -> None:
+    """Refuse a picture that cannot be written, before the work begins. `extra` of hostlink has matplotlib.
 
     Raises:
-        ConfigError: it does not end as that of a picture.
+        ConfigError: the suffix or the folder is wrong.
+        LibraryMissing: matplotlib is not installed.
     """
-    if file.suffix not in PICTURES:
-        raise ConfigError(option, f"{file} must end in one of {', '.join(PICTURES)}")
+    if file.suffix not in suffixes:
+        raise ConfigError(option, f"{file} must end in {'one of ' if len(suffixes) > 1 else ''}{', '.join(suffixes)}")
+    if not os.access(file.parent, os.W_OK):
+        raise ConfigError(option, f"the folder {file.parent} cannot be written; create it, or name another")
+    if importlib.util.find_spec("matplotlib") is None:
+        raise LibraryMissing(option, "matplotlib", extra)
 
 
 def check_absent(output: Path) -> None:

@@ -9,6 +9,7 @@ import msgspec
 import typer
 
 from hostlink.cli.connecting import counted
+from hostlink.cli.files import MessageFolders
 from hostlink.cli.output import fitted_table, write
 from hostlink.inspection import Inspection, Payload, Series, load_reads
 from hostlink.messages.catalog import Catalog
@@ -27,14 +28,9 @@ _KINDS = {
 
 
 def command(
-    file: Annotated[
-        Path,
-        typer.Argument(help="Capture of `hostlink capture`: JSON lines with t, dir, hex, conn.", show_default=False),
-    ],
+    file: Annotated[Path, typer.Argument(help="Capture of `hostlink capture`: JSON lines with t, dir, hex, conn.")],
     *,
-    messages: Annotated[
-        list[Path] | None, typer.Option(help="Folder with .msg and .srv files of your own types. May be repeated.")
-    ] = None,
+    messages: MessageFolders = None,
     json: Annotated[bool, typer.Option("--json", help="Print one JSON object, for programs.")] = False,
 ) -> None:
     """Decode a capture of a link in both directions, also when reads split the frames."""

@@ -3,19 +3,20 @@
 import contextlib
 import importlib.util
 import json as json_text
-import os
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, assert_never
 
 import typer
 
+from hostlink.cli.files import check_picture
 from hostlink.cli.output import show_progress, write
+from hostlink.cli.sim import read_world
 from hostlink.errors import ConfigError, LibraryMissing
 from hostlink.lab import reports
 from hostlink.lab.experiment import Laboratory
 from hostlink.lab.tables import CASTER_WORLD
-from hostlink.sim.firmware_module import WorldParameters, read, require_wasmtime
+from hostlink.sim.firmware_module import WorldParameters, require_wasmtime
 
 
 class What(StrEnum):
@@ -28,9 +29,7 @@ class What(StrEnum):
 
 
 def command(
-    what: Annotated[
-        What, typer.Argument(help="Report to make: causes, tables, claims or pictures.", show_default=False)
-    ],
+    what: Annotated[What, typer.Argument(help="Report to make: causes, tables, claims or pictures.")],
     *,
     runs: Annotated[
         int | None,
@@ -43,9 +42,7 @@ def command(
     ] = None,
     world: Annotated[
         Path | None,
-        typer.Option(
-            help="tables, pictures: file of lines name=value, for another world than the paper's.", show_default=False
-        ),
+        typer.Option(help="tables, pictures: file of lines name=value, for another world than the paper's."),
     ] = None,
     fit: Annotated[
         bool, typer.Option("--fit", help="tables: also fit the causes to the paper's numbers, which takes minutes.")
@@ -68,10 +65,11 @@ def command(
             f"is an option of `hostlink lab tables` and `hostlink lab pictures`, not of `hostlink lab {what.value}`",
         )
     if what is What.PICTURES:
-        _require_picture(output)
-    _require("matplotlib" if what is What.PICTURES else "scipy" if fit else None)
+        check_picture("--output", output, extra="lab", suffixes=[".png"])
+    if fit and importlib.util.find_spec("scipy") is None:
+        raise LibraryMissing("--fit", "scipy", "lab")
     require_wasmtime("hostlink lab")
-    chosen = CASTER_WORLD if world is None else _read(world)
+    chosen = CASTER_WORLD if world is None else read_world(world)
     try:
         with Laboratory() as laboratory:
             report = _report(laboratory, what, runs, chosen, output)
@@ -114,37 +112,3 @@ def _fit(laboratory: Laboratory, runs: int | None) -> reports.LabReport:
     from hostlink.lab.fit import FIT_RUNS, report_fit  # noqa: PLC0415 - needs scipy
 
     return report_fit(laboratory, show_progress, runs=runs or FIT_RUNS)
-
-
-def _require_picture(file: Path) -> None:
-    """Refuse a picture that cannot be written, before the drives.
-
-    Raises:
-        ConfigError: the suffix or the folder is wrong.
-    """
-    if file.suffix != ".png":
-        raise ConfigError("--output", f"{file} must end in .png")
-    if not os.access(file.parent, os.W_OK):
-        raise ConfigError("--output", f"the folder {file.parent} cannot be written; create it, or name another")
-
-
-def _require(library: str | None) -> None:
-    """Refuse a report whose library is not installed, before the drives.
-
-    Raises:
-        ConfigError: the library is not installed.
-    """
-    if library is not None and importlib.util.find_spec(library) is None:
-        raise LibraryMissing("hostlink lab", library, "lab")
-
-
-def _read(file: Path) -> WorldParameters:
-    """Read a world from a file.
-
-    Raises:
-        ConfigError: the file cannot be read, or does not describe a world.
-    """
-    try:
-        return read(file.read_text())
-    except (OSError, UnicodeDecodeError, ValueError) as error:
-        raise ConfigError(str(file), str(error)) from None

@@ -13,9 +13,9 @@ import msgspec
 import typer
 
 from hostlink.cli.arguments import Json, Token, Url
-from hostlink.cli.connecting import connected, run_until_interrupted
+from hostlink.cli.connecting import ask, connected, run_until_interrupted
 from hostlink.cli.figures import LINK_COLUMNS, Snapshot, advice, figures, link_rows
-from hostlink.cli.output import duration, show_progress, size, write, write_error, write_table
+from hostlink.cli.output import duration, quantity, show_progress, size, write, write_error, write_table
 from hostlink.client import DEFAULT_URL, Host
 from hostlink.errors import BadRequest, ConfigError, HostlinkError
 
@@ -32,7 +32,7 @@ def links(
     json: Json = False,
 ) -> None:
     """List the connections of devices: rates since they opened, losses, silence and findings."""
-    view, robots = asyncio.run(_links(url, token))
+    view, robots = ask(url, token, _links)
     if json:
         write(json_text.dumps(view))
         return
@@ -47,9 +47,8 @@ def links(
     write(*advice({**shown, "ended": []}))
 
 
-async def _links(url: str, token: str | None) -> tuple[dict[str, Any], list[Any]]:
-    async with connected(url, token) as host:
-        return await host.get("/api/links"), await host.robots()
+async def _links(host: Host) -> tuple[dict[str, Any], list[Any]]:
+    return await host.get("/api/links"), await host.robots()
 
 
 def _ended_rows(view: dict[str, Any]) -> list[list[str]]:
@@ -73,18 +72,13 @@ COLUMNS = ("client", "kind", "peer", "role", "for s", "from", "to", "bytes to", 
 
 def clients(*, url: Url = DEFAULT_URL, token: Token = None, json: Json = False) -> None:
     """List the programs that are connected: name and role, traffic, and what was dropped because they are too slow."""
-    view = asyncio.run(_clients(url, token))
+    view = ask(url, token, lambda host: host.get("/api/clients"))
     if json:
         write(json_text.dumps(view))
     else:
         write_table(COLUMNS, [_row(client) for client in view["clients"]])
         if view["refused"]:
-            write(f"{view['refused']} clients were refused, because too many were connected")
-
-
-async def _clients(url: str, token: str | None) -> dict[str, Any]:
-    async with connected(url, token) as host:
-        return await host.get("/api/clients")
+            write(f"{quantity(view['refused'], 'client was', 'clients were')} refused, because too many were connected")
 
 
 def _row(client: dict[str, Any]) -> list[str]:
@@ -137,7 +131,7 @@ def capture(
     saved = CaptureProgress()
     run_until_interrupted(_capture(url, token, link, output, seconds, saved))
     show_progress("")
-    write_error(f"link {saved.link}: {saved.bytes} bytes{f' in {output}' if output else ''}")
+    write_error(f"link {saved.link}: {quantity(saved.bytes, 'byte')}{f' in {output}' if output else ''}")
 
 
 @dataclass(slots=True)
@@ -205,11 +199,8 @@ async def _reads(host: Host, number: int, seconds: float) -> AsyncIterator[dict[
             yield read
         has_begun, position = True, piece["position"]
         if piece["lost_bytes"]:
-            write_error(f"{piece['lost_bytes']} earlier bytes are lost")
+            write_error(f"{quantity(piece['lost_bytes'], 'earlier byte is', 'earlier bytes are')} lost")
         if loop.time() >= until_s or not piece["is_open"]:
             return
         show_progress(f"link {number}: {until_s - loop.time():.0f} s left ...")
         await asyncio.sleep(min(POLL_S, until_s - loop.time()))
-
-
-COMMANDS = {"links": links, "clients": clients, "capture": capture}

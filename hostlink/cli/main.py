@@ -1,7 +1,7 @@
 """The `hostlink` command.
 
-The module of a command has its function in COMMANDS, as `command`, or as an `app` of subcommands. Only the module of
-the command that runs is imported.
+The module of a command has a function of the command's name or `command`, or an `app` of subcommands. Only the module
+of the command that runs is imported.
 """
 
 import contextlib
@@ -101,6 +101,7 @@ LACKING = {  # commands and options of ROS that hostlink lacks, and the next ste
     ("echo", "--bag"): _IN_A_FILE,
     **{(command, "--filter"): "`hostlink echo TOPIC --json` gives every message to a program that filters them"
        for command in ("echo", "hz")},
+    ("pub", "--type"): "write the type before the message, as in `hostlink pub /led std_msgs/Bool 'data: true'`",
     ("pub", "-f"): "write the message itself, as in `hostlink pub /led 'data: true'`",
     ("pub", "-l"): "-r 1 sends the message again each second",
     ("pub", "--latch"): "-r 1 sends the message again each second",
@@ -325,9 +326,9 @@ def _add(app: typer.Typer, name: str, text: str, panel: str, *, is_wanted: bool)
 
 def _function_of(module: Any, command: str) -> Any:
     """Return the function of a command, or the typer app of a group of subcommands."""
-    if (commands := getattr(module, "COMMANDS", None)) is not None:
-        return commands[command]
-    return getattr(module, "app", None) or module.command
+    name = command.replace("-", "_")
+    names = (name, f"{name}_", "app", "command")  # `type` is Python's, so that its function is type_
+    return next(getattr(module, each) for each in names if hasattr(module, each))
 
 
 def _without_nan(function: Any) -> Any:
@@ -438,6 +439,7 @@ _TEXTS = (  # of click, and the sentence of hostlink
 )
 _NO_OPTION = re.compile(r"No such option:? '?(-[^ ']*?)'?[. ]*(?:(?:Did you mean|\(?Possible options:) (.*?)[?)])?")
 _NO_QOS = "rosserial has no quality of service; leave the option out"
+_NO_CHOICE = re.compile(r"Invalid value for '(.*?)'(?: / '.*?')*: '(.*)' is not one of (.*?)\.?")
 _NO_COMMAND = re.compile(r"No such command '(.*?)'\.(?: Did you mean (.*)\?)?")
 
 
@@ -455,6 +457,8 @@ def complaint(command: str, text: str) -> tuple[str, str]:
         if command:
             return command, f"there is no option {found[1]}; {step or f'{similar or str()}{options}'}"
         return found[1], "there is no such option; write options behind the command, as in `hostlink robots --url URL`"
+    if (found := _NO_CHOICE.fullmatch(text)) is not None:
+        return found[1], f"unknown value {found[2]!r}; choose {_listed(found[3].replace(chr(39), '').split(', '))}"
     if "unexpected extra" in text and command in SURPLUS:
         return command, SURPLUS[command]
     for pattern, sentence in _TEXTS:

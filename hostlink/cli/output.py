@@ -222,6 +222,11 @@ def size(count: float) -> str:
     return f"{count:.1f} GB"
 
 
+def quantity(count: int, noun: str, nouns: str = "") -> str:
+    """Text of a number of things: 1 parameter, 2 parameters. `nouns` is a plural that does not end in s alone."""
+    return f"{count} {noun if count == 1 else nouns or f'{noun}s'}"
+
+
 def megabytes(count: float) -> str:
     """Text of a file's size, always in MB, so that a column or a progress line keeps its unit."""
     return f"{count / BYTES_PER_MB:.1f} MB"

@@ -1,18 +1,16 @@
 """`hostlink params`: list, get, set, delete, dump and load the parameters that devices request."""
 
-import asyncio
 import json as json_text
 import tomllib
-from collections.abc import Awaitable, Callable
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
 from hostlink.cli.arguments import Json, ParameterName, Token, Url, parameter_names
-from hostlink.cli.connecting import connected
+from hostlink.cli.connecting import ask
 from hostlink.cli.names import unknown
-from hostlink.cli.output import write, write_error, write_table
+from hostlink.cli.output import quantity, write, write_error, write_table
 from hostlink.client import DEFAULT_URL, Host
 from hostlink.errors import ConfigError
 
@@ -25,8 +23,7 @@ app = typer.Typer(
 @app.command("list")
 def list_(
     group: Annotated[
-        str,
-        typer.Argument(help="Only the parameters of this group.", show_default=False, autocompletion=parameter_names),
+        str, typer.Argument(help="Only the parameters of this group.", autocompletion=parameter_names)
     ] = "",
     *,
     url: Url = DEFAULT_URL,
@@ -35,7 +32,7 @@ def list_(
 ) -> None:
     """List the parameters with their values."""
     begin = f"/{group.strip('/')}/" if group.strip("/") else "/"
-    found = {name: value for name, value in _run(url, token, _values).items() if name.startswith(begin)}
+    found = {name: value for name, value in ask(url, token, _values).items() if name.startswith(begin)}
     if json:
         write(json_text.dumps(found))
     elif found:
@@ -49,7 +46,7 @@ def list_(
 @app.command()
 def get(name: ParameterName, *, url: Url = DEFAULT_URL, token: Token = None) -> None:
     """Print a parameter as JSON; the name of a group prints an object of the parameters in it."""
-    write(json_text.dumps(_run(url, token, lambda host: _get(host, name))))
+    write(json_text.dumps(ask(url, token, lambda host: _get(host, name))))
 
 
 @app.command("set", context_settings={"ignore_unknown_options": True})  # a negative number is a value
@@ -61,7 +58,7 @@ def set_(
     token: Token = None,
 ) -> None:
     """Set a parameter until the daemon ends. A device receives it when it requests it, usually when it connects."""
-    _run(url, token, lambda host: _set(host, {name: _value(value)}))
+    ask(url, token, lambda host: _set(host, {name: _value(value)}))
     write_error(
         f"{name} is {json_text.dumps(_value(value))} until the daemon ends; write it under [parameters] to keep it"
     )
@@ -70,7 +67,7 @@ def set_(
 @app.command()
 def delete(name: ParameterName, *, url: Url = DEFAULT_URL, token: Token = None) -> None:
     """Delete a parameter, or a group with all its parameters."""
-    _run(url, token, lambda host: host.call("/rosapi/delete_param", {"name": name}))
+    ask(url, token, lambda host: host.call("/rosapi/delete_param", {"name": name}))
 
 
 @app.command()
@@ -81,7 +78,7 @@ def dump(
     token: Token = None,
 ) -> None:
     """Save all parameters as JSON, which `hostlink params load` reads."""
-    found = _run(url, token, _values)
+    found = ask(url, token, _values)
     text = json_text.dumps(found, indent=2)
     if file is None:
         typer.echo(text)
@@ -90,30 +87,20 @@ def dump(
         file.write_text(text + "\n", encoding="utf-8")
     except OSError as error:
         raise ConfigError("FILE", f"{file} cannot be written: {error.strerror}; name another file") from error
-    write_error(f"{len(found)} parameters in {file}")
+    write_error(f"{quantity(len(found), 'parameter')} in {file}")
 
 
 @app.command()
 def load(
-    file: Annotated[
-        Path, typer.Argument(help="JSON, or a hostlink.toml with a table of parameters.", show_default=False)
-    ],
+    file: Annotated[Path, typer.Argument(help="JSON, or a hostlink.toml with a table of parameters.")],
     *,
     url: Url = DEFAULT_URL,
     token: Token = None,
 ) -> None:
     """Set the parameters of a file; other parameters keep their values."""
     values = _read(file)
-    _run(url, token, lambda host: _set(host, values))
-    write_error(f"{len(values)} parameters set")
-
-
-def _run(url: str, token: str | None, work: Callable[[Host], Awaitable[Any]]) -> Any:
-    async def run() -> Any:
-        async with connected(url, token) as host:
-            return await work(host)
-
-    return asyncio.run(run())
+    ask(url, token, lambda host: _set(host, values))
+    write_error(f"{quantity(len(values), 'parameter')} set")
 
 
 async def _names(host: Host) -> list[str]:

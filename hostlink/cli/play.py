@@ -12,11 +12,11 @@ from typing import Annotated
 
 import typer
 
-from hostlink.cancellation import raise_if_cancelled
-from hostlink.cli.addresses import parse_address
+from hostlink.cancellation import meanwhile, raise_if_cancelled
+from hostlink.cli.addresses import DEFAULT_HOST, HostAddress, parse_address
 from hostlink.cli.arguments import Token, Url, not_empty
 from hostlink.cli.connecting import connected
-from hostlink.cli.output import show_progress, show_question, write_error
+from hostlink.cli.output import quantity, show_progress, show_question, write_error
 from hostlink.cli.robots import require_robot
 from hostlink.client import DEFAULT_URL, Robot, connect
 from hostlink.errors import BadRequest, ConfigError, HostlinkError, system_text
@@ -48,13 +48,10 @@ class Playback:
 
 
 def command(
-    file: Annotated[Path, typer.Argument(help="A recording of `hostlink record`.", show_default=False)],
+    file: Annotated[Path, typer.Argument(help="A recording of `hostlink record`.")],
     topics: Annotated[list[str] | None, typer.Argument(help="With --as-program: names of topics, or patterns.")] = None,
     *,
-    to: Annotated[
-        str,
-        typer.Option("--connect", help="Address of the host for devices, if it is not on this computer: HOST:PORT."),
-    ] = "127.0.0.1:11411",
+    to: HostAddress = DEFAULT_HOST,
     robot: Annotated[
         list[str] | None, typer.Option(help="Play this robot only, of a recording of several. May be repeated.")
     ] = None,
@@ -147,7 +144,7 @@ async def play_devices(file: Path, playback: Playback, address: tuple[str, int],
     dropped = sum(device.dropped for device in devices.values())
     left_out = sum(device.left_out for device in devices.values())
     without = f", {dropped} of them without a connection to the host" if dropped else ""
-    write_error(f"{count} messages played{without}{f', {left_out} left out' if left_out else ''}")
+    write_error(f"{quantity(count, 'message')} played{without}{f', {left_out} left out' if left_out else ''}")
 
 
 @contextlib.asynccontextmanager
@@ -159,17 +156,12 @@ async def _connected(devices: dict[str, PlayedDevice], address: tuple[str, int])
     """
     problem: BaseException | None = None
     try:
-        async with asyncio.TaskGroup() as tasks:
-            running = [tasks.create_task(device.run(*address), name=name) for name, device in devices.items()]
+        async with meanwhile(*((name, device.run(*address)) for name, device in devices.items())):
             async with asyncio.timeout(READY_TIMEOUT_S):
                 for device in devices.values():
                     await device.is_ready.wait()
             await asyncio.sleep(SETTLE_S)
-            try:
-                yield
-            finally:
-                for task in running:
-                    task.cancel()
+            yield
     except* TimeoutError:
         problem = HostlinkError(
             "the program at {}:{} does not request topics; is it hostlink? `hostlink doctor` examines it".format(
@@ -228,7 +220,7 @@ async def publish_topics(url: str, token: str | None, file: Path, playback: Play
             if fields is not None:
                 await host.publish(message.channel.topic, fields, type_name=message.channel.type_name)
 
-        write_error(f"{await _play(file, playback, is_wanted, put)} messages of {' '.join(topics)} played")
+        write_error(f"{quantity(await _play(file, playback, is_wanted, put), 'message')} of {' '.join(topics)} played")
 
 
 async def drive_robot(
@@ -248,7 +240,7 @@ async def drive_robot(
         driven = host.robot(robot)
         write_error(f"driving {robot} as {names[0]} was driven; Ctrl-C stops the robot, and so does `hostlink stop`")
         count = await drive_as_recorded(driven, file, playback, names[0], topic)
-    write_error(f"{count} velocities driven")
+    write_error(f"{quantity(count, 'velocity', 'velocities')} driven")
 
 
 def _undriven(file: Path, robot: str) -> str:
@@ -378,7 +370,9 @@ async def _play_once(file: Path, playback: Playback, wanted: Wanted, put: Put) -
 
 async def _ask(due: Due) -> None:
     message = due.message
-    show_question(f"{due.at_s:9.3f} s  {message.channel.topic}  {len(message.payload)} bytes; Enter sends it ")
+    show_question(
+        f"{due.at_s:9.3f} s  {message.channel.topic}  {quantity(len(message.payload), 'byte')}; Enter sends it "
+    )
     if not await asyncio.to_thread(_read_line):
         raise HostlinkError("--step: standard input is closed; run this command in a terminal")
 

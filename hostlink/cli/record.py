@@ -13,11 +13,11 @@ import msgspec
 import typer
 
 from hostlink.cli.arguments import Json, RobotName, Token, Url
-from hostlink.cli.connecting import connected
+from hostlink.cli.connecting import ask
 from hostlink.cli.files import check_output, fetch
 from hostlink.cli.names import named
-from hostlink.cli.output import BYTES_PER_MB, megabytes, show_progress, write, write_error, write_table
-from hostlink.client import DEFAULT_URL, Host, connect
+from hostlink.cli.output import BYTES_PER_MB, megabytes, quantity, show_progress, write, write_error, write_table
+from hostlink.client import DEFAULT_URL, Host
 from hostlink.errors import ConfigError, HostlinkError
 from hostlink.recording.folder import is_name
 
@@ -84,13 +84,12 @@ def record(
             f"{name} is not a name of a recording; use at most 100 letters and digits, with . _ + - between them",
         )
     if list_:
-        work = _list(url, token, as_json=as_json)
+        _list(ask(url, token, lambda host: host.get(_PATH)), as_json=as_json)
     elif stop is not None:
-        work = _stop(url, token, stop, output, as_json=as_json)
+        ask(url, token, lambda host: _stop(host, stop, output, as_json=as_json))
     else:
         request = {"topics": topics or [], "robots": robot or [], "name": name}
-        work = _record(url, token, request, output, seconds, as_json=as_json)
-    asyncio.run(work)
+        ask(url, token, lambda host: _record(host, request, output, seconds, as_json=as_json))
 
 
 def _check_format(output: Path) -> None:
@@ -108,28 +107,27 @@ def _check_format(output: Path) -> None:
 
 
 async def _record(
-    url: str, token: str | None, request: dict[str, Any], output: Path | None, seconds: float | None, *, as_json: bool
+    host: Host, request: dict[str, Any], output: Path | None, seconds: float | None, *, as_json: bool
 ) -> None:
     ending = asyncio.Event()
     loop = asyncio.get_running_loop()
     for number in (signal.SIGINT, signal.SIGTERM):
         loop.add_signal_handler(number, ending.set)
-    async with connect(url, token=token, reconnect=False) as host:
-        view = await host.post(_PATH, request)
-        name = view["name"]
-        write_error(f"recording {name}; Ctrl-C ends")
-        until_s = float("inf") if seconds is None else loop.time() + seconds
-        while not ending.is_set() and loop.time() < until_s:
-            view = await _find(host, name)
-            show_progress(_line(view))
-            try:
-                async with asyncio.timeout(max(0.0, min(POLL_S, until_s - loop.time()))):
-                    await ending.wait()
-            except TimeoutError:
-                continue
-        show_progress("")
-        view = await host.post(f"{_PATH}/{name}/stop")
-        await _finish(host, view, output, as_json=as_json)
+    view = await host.post(_PATH, request)
+    name = view["name"]
+    write_error(f"recording {name}; Ctrl-C ends")
+    until_s = float("inf") if seconds is None else loop.time() + seconds
+    while not ending.is_set() and loop.time() < until_s:
+        view = await _find(host, name)
+        show_progress(_line(view))
+        try:
+            async with asyncio.timeout(max(0.0, min(POLL_S, until_s - loop.time()))):
+                await ending.wait()
+        except TimeoutError:
+            continue
+    show_progress("")
+    view = await host.post(f"{_PATH}/{name}/stop")
+    await _finish(host, view, output, as_json=as_json)
 
 
 async def _find(host: Host, name: str) -> dict[str, Any]:
@@ -168,14 +166,11 @@ async def _finish(host: Host, view: dict[str, Any], output: Path | None, *, as_j
         raise HostlinkError(f"recording {view['name']} ended early: {view['failure']}")
 
 
-async def _stop(url: str, token: str | None, name: str, output: Path | None, *, as_json: bool) -> None:
-    async with connect(url, token=token, reconnect=False) as host:
-        await _finish(host, await host.post(f"{_PATH}/{name}/stop"), output, as_json=as_json)
+async def _stop(host: Host, name: str, output: Path | None, *, as_json: bool) -> None:
+    await _finish(host, await host.post(f"{_PATH}/{name}/stop"), output, as_json=as_json)
 
 
-async def _list(url: str, token: str | None, *, as_json: bool) -> None:
-    async with connect(url, token=token, reconnect=False) as host:
-        view = await host.get(_PATH)
+def _list(view: dict[str, Any], *, as_json: bool) -> None:
     if as_json:
         write(msgspec.json.encode(view).decode())
         return
@@ -183,7 +178,7 @@ async def _list(url: str, token: str | None, *, as_json: bool) -> None:
         [file["file"], f"{file['bytes'] / BYTES_PER_MB:.1f}", file["modified"], "now" if file["is_open"] else ""]
         for file in view["files"]
     ]
-    write(f"{len(view['files'])} files in {view['folder']}")
+    write(f"{quantity(len(view['files']), 'file')} in {view['folder']}")
     if rows:
         write("")
     write_table(["file", "MB", "written", "recording"], rows, whole=["file"])
@@ -191,27 +186,26 @@ async def _list(url: str, token: str | None, *, as_json: bool) -> None:
 
 def _line(view: dict[str, Any]) -> str:
     minutes, seconds = divmod(int(view["seconds"]), 60)
-    return (
-        f"{minutes}:{seconds:02d}  {view['messages']} messages  {megabytes(view['bytes'])}  {view['dropped']} dropped"
-    )
+    messages = quantity(view["messages"], "message")
+    return f"{minutes}:{seconds:02d}  {messages}  {megabytes(view['bytes'])}  {view['dropped']} dropped"
 
 
 def _repair(file: Path, *, as_json: bool) -> None:
     from hostlink.recording.salvage import repair  # noqa: PLC0415 - other commands do not need it
 
     began_s = time.monotonic()
-    found = repair(file, lambda count: show_progress(f"{count} messages"))
+    found = repair(file, lambda count: show_progress(quantity(count, "message")))
     show_progress("")
-    seconds = time.monotonic() - began_s
+    seconds, messages = time.monotonic() - began_s, quantity(found.messages, "message")
     if as_json:
         facts = {"file": str(file), "messages": found.messages, "damage": found.damage, "seconds": round(seconds, 3)}
         facts["original"] = None if found.original is None else str(found.original)
         write(msgspec.json.encode(facts).decode())
     elif found.damage:
         kept = "" if found.original is None else f". The damaged file is kept: {found.original}"
-        write(f"{file}: {found.messages} messages; the file is repaired. It had: {'; '.join(found.damage)}{kept}")
+        write(f"{file}: {messages}; the file is repaired. It had: {'; '.join(found.damage)}{kept}")
     else:
-        write(f"{file}: {found.messages} messages; the file is not damaged, and was not changed")
+        write(f"{file}: {messages}; the file is not damaged, and was not changed")
 
 
 # -- drives -----------------------------------------------------------------------------------------------------------
@@ -221,7 +215,8 @@ HEADS = ["from UTC", "s", "robot", "who", "top m/s", "rad/s", "why it ended"]
 
 def drives(robot: RobotName = None, *, url: Url = DEFAULT_URL, token: Token = None, json: Json = False) -> None:
     """List who drove a robot, or any robot, and when, with the newest drive first."""
-    view = asyncio.run(_fetch(url, token, robot))
+    query = "" if robot is None else "?" + urllib.parse.urlencode({"robot": robot.strip("/")})
+    view = ask(url, token, lambda host: host.get(f"/api/drives{query}"))
     if json:
         write(json_text.dumps(view))
     else:
@@ -229,12 +224,6 @@ def drives(robot: RobotName = None, *, url: Url = DEFAULT_URL, token: Token = No
         write_table(HEADS, [row(each, today) for each in view["drives"]], whole=HEADS[-1:])
         if not view["drives"]:
             write(f"there are no drives of {'any robot' if robot is None else robot} yet")
-
-
-async def _fetch(url: str, token: str | None, robot: str | None) -> dict[str, Any]:
-    query = "" if robot is None else "?" + urllib.parse.urlencode({"robot": robot.strip("/")})
-    async with connected(url, token) as host:
-        return await host.get(f"/api/drives{query}")
 
 
 def row(drive: dict[str, Any], today: str) -> list[str]:
@@ -280,29 +269,15 @@ def incidents(
         )
     if output is not None:
         check_output(output)
-    asyncio.run(_work(url, token, name, output, save, reason, as_json=as_json))
-
-
-async def _work(
-    url: str,
-    token: str | None,
-    name: str | None,
-    output: Path | None,
-    save: str | None,
-    reason: str,
-    *,
-    as_json: bool,
-) -> None:
-    async with connect(url, token=token, reconnect=False) as host:
-        if save is not None:
-            view = await host.post(_INCIDENTS_PATH, {"robot": save, "reason": reason})
-            write_error("the incident will be saved in half a minute; `hostlink incidents` lists it then")
-        elif name is not None and output is not None:
-            await fetch(host, f"{_INCIDENTS_PATH}/{name}", output)
-            write(str(output))
-            return
-        else:
-            view = await host.get(_INCIDENTS_PATH)
+    if save is not None:
+        view = ask(url, token, lambda host: host.post(_INCIDENTS_PATH, {"robot": save, "reason": reason}))
+        write_error("the incident will be saved in half a minute; `hostlink incidents` lists it then")
+    elif output is not None:
+        ask(url, token, lambda host: fetch(host, f"{_INCIDENTS_PATH}/{name}", output))
+        write(str(output))
+        return
+    else:
+        view = ask(url, token, lambda host: host.get(_INCIDENTS_PATH))
     if as_json:
         write(msgspec.json.encode(view).decode())
     elif save is None:
@@ -314,6 +289,3 @@ async def _work(
         write_table(["when UTC", "robot", "cause", "file", "detail"], rows, whole=["file", "detail"])
         if not rows:
             write("there are no incidents")
-
-
-COMMANDS = {"record": record, "drives": drives, "incidents": incidents}

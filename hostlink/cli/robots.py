@@ -1,18 +1,17 @@
 """The commands for robots: robots, stop, lock, unlock."""
 
-import asyncio
 import json as json_text
 from typing import Annotated, Any
 
 import typer
 
 from hostlink.cli.arguments import Json, RobotName, Token, Url
-from hostlink.cli.connecting import connected
+from hostlink.cli.connecting import ask
 from hostlink.cli.figures import robot_table
-from hostlink.cli.names import natural, unknown_robot
+from hostlink.cli.names import driver, natural, unknown_robot
 from hostlink.cli.output import write, write_error, write_table
 from hostlink.client import DEFAULT_URL, Host, Robot, RobotState, Standstill, StandstillState
-from hostlink.errors import ConfigError, HostlinkError
+from hostlink.errors import CommandRefused, ConfigError, DeviceGone, HostlinkError, RefusalKind
 from hostlink.robot.standstill import sentence
 
 # -- choice of robots -------------------------------------------------------------------------------------------------
@@ -45,12 +44,31 @@ async def require_robot(host: Host, name: str) -> Robot:
     return host.robot(found["name"])
 
 
+def require_free(state: RobotState, *, below: int = 0) -> None:
+    """Refuse a robot that cannot be driven now. A driver of a priority `below` this one is overruled.
+
+    Raises:
+        DeviceGone: the robot is not connected.
+        CommandRefused: the robot is locked.
+        HostlinkError: another source drives it.
+    """
+    name = state["name"]
+    if not state["connected"]:
+        raise DeviceGone(name)
+    if state.get("locked"):
+        reason = f"{name}: locked: {state.get('lock_reason')}; to drive it again: hostlink unlock {name}"
+        raise CommandRefused(name, RefusalKind.LOCKED, reason)
+    priority = state.get("priority")
+    if state["holder"] is not None and (priority is None or priority >= below):
+        raise HostlinkError(f"{name} is driven by {driver(state)}; end that program first")
+
+
 # -- robots -----------------------------------------------------------------------------------------------------------
 
 
 def robots(*, url: Url = DEFAULT_URL, token: Token = None, json: Json = False) -> None:
     """List the robots: driver, speed and position of each."""
-    robots = asyncio.run(_robots(url, token))
+    robots = ask(url, token, Host.robots)
     if json:
         write(json_text.dumps(robots))
     elif robots:
@@ -58,11 +76,6 @@ def robots(*, url: Url = DEFAULT_URL, token: Token = None, json: Json = False) -
         write_table(*robot_table(shown))
     else:
         write_error("no robot has connected yet; `hostlink doctor` finds out why, `hostlink sim` runs one")
-
-
-async def _robots(url: str, token: str | None) -> list[RobotState]:
-    async with connected(url, token) as host:
-        return await host.robots()
 
 
 # -- stop -------------------------------------------------------------------------------------------------------------
@@ -73,17 +86,16 @@ def stop(robot: RobotName = None, *, url: Url = DEFAULT_URL, token: Token = None
 
     A program that was driving must let go before it can drive again. `hostlink lock` keeps a robot stopped.
     """
-    asyncio.run(_stop(url, token, robot, json=json))
+    ask(url, token, lambda host: _stop(host, robot, json=json))
 
 
-async def _stop(url: str, token: str | None, name: str | None, *, json: bool) -> None:
-    async with connected(url, token) as host:
-        if name is None:
-            measured = await host.stop_all()
-        else:
-            names = [robot["name"] for robot in await chosen(host, name)]
-            measured = {each: await host.robot(each).stop() for each in names}
-        await report(host, name, measured, json=json)
+async def _stop(host: Host, name: str | None, *, json: bool) -> None:
+    if name is None:
+        measured = await host.stop_all()
+    else:
+        names = [robot["name"] for robot in await chosen(host, name)]
+        measured = {each: await host.robot(each).stop() for each in names}
+    await report(host, name, measured, json=json)
 
 
 async def report(
@@ -119,19 +131,18 @@ def lock(
 
     Measures whether the robots are stopped; exit status 1: at least one is not.
     """
-    asyncio.run(_lock(url, token, robot, reason, json=json))
+    ask(url, token, lambda host: _lock(host, robot, reason, json=json))
 
 
-async def _lock(url: str, token: str | None, name: str | None, reason: str, *, json: bool) -> None:
-    async with connected(url, token) as host:
-        names = [robot["name"] for robot in await chosen(host, name)]
-        if len(names) == 1:
-            measured = {names[0]: await host.robot(names[0]).lock(reason)}
-        else:  # no lock waits for the measurement of another robot
-            for each in names:
-                await host.robot(each).lock(reason, wait_s=0.0)
-            measured = {each: found for each, found in (await host.standstill()).items() if each in names}
-        await report(host, name, measured, done=f"is locked: {reason}", json=json)
+async def _lock(host: Host, name: str | None, reason: str, *, json: bool) -> None:
+    names = [robot["name"] for robot in await chosen(host, name)]
+    if len(names) == 1:
+        measured = {names[0]: await host.robot(names[0]).lock(reason)}
+    else:  # no lock waits for the measurement of another robot
+        for each in names:
+            await host.robot(each).lock(reason, wait_s=0.0)
+        measured = {each: found for each, found in (await host.standstill()).items() if each in names}
+    await report(host, name, measured, done=f"is locked: {reason}", json=json)
 
 
 # -- unlock -----------------------------------------------------------------------------------------------------------
@@ -148,16 +159,15 @@ def unlock(
     """Let a robot be driven again. The name is optional if only one robot is locked. No robot moves by this command."""
     if robot is not None and everything:
         raise ConfigError("--all", f"means every robot, but {robot!r} is named too; leave one of them out")
-    unlocked = asyncio.run(_unlock(url, token, robot, everything=everything))
+    unlocked = ask(url, token, lambda host: _unlock(host, robot, everything=everything))
     write(*([json_text.dumps(unlocked)] if json else (f"{each['name']} may be driven" for each in unlocked)))
 
 
-async def _unlock(url: str, token: str | None, name: str | None, *, everything: bool) -> list[RobotState]:
-    async with connected(url, token) as host:
-        meant = await _meant(host, name, everything=everything)
-        for each in meant:
-            await host.robot(each["name"]).unlock()
-        return [await host.robot(each["name"]).state() for each in meant]
+async def _unlock(host: Host, name: str | None, *, everything: bool) -> list[RobotState]:
+    meant = await _meant(host, name, everything=everything)
+    for each in meant:
+        await host.robot(each["name"]).unlock()
+    return [await host.robot(each["name"]).state() for each in meant]
 
 
 async def _meant(host: Host, name: str | None, *, everything: bool) -> list[RobotState]:
@@ -171,6 +181,3 @@ async def _meant(host: Host, name: str | None, *, everything: bool) -> list[Robo
         names = ", ".join(robot["name"] for robot in locked)
         raise HostlinkError(f"several robots are locked: {names}; name one, as in `hostlink unlock NAME`, or use --all")
     return locked
-
-
-COMMANDS = {"robots": robots, "stop": stop, "lock": lock, "unlock": unlock}

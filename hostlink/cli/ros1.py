@@ -12,8 +12,9 @@ from typing import Annotated, Any
 import typer
 
 from hostlink.cli.addresses import MAX_PORT, parse_serial
+from hostlink.cli.files import MessageFolders
 from hostlink.cli.output import write
-from hostlink.cli.serve_command import merge, open_device_port, with_master
+from hostlink.cli.serve_command import ApiAddress, ConfigFile, LogLevel, merge, open_device_port, with_master
 from hostlink.cli.start import import_fast
 from hostlink.config import Config, Ros1Config, SerialConfig, load
 from hostlink.errors import ConfigError
@@ -54,15 +55,10 @@ def command(
     ] = None,
     *,
     tcp: Annotated[
-        int | None,
-        typer.Option(
-            help="Serve devices on this TCP port, instead of a serial port.", min=0, max=MAX_PORT, show_default=False
-        ),
+        int | None, typer.Option(help="Serve devices on this TCP port, instead of a serial port.", min=0, max=MAX_PORT)
     ] = None,
-    serial: Annotated[
-        str | None, typer.Option(help="Serve the device on this serial port.", show_default=False)
-    ] = None,
-    baud: Annotated[int | None, typer.Option(help="Baud rate of the serial port.", min=1, show_default=False)] = None,
+    serial: Annotated[str | None, typer.Option(help="Serve the device on this serial port.")] = None,
+    baud: Annotated[int | None, typer.Option(help="Baud rate of the serial port.", min=1)] = None,
     master: Annotated[
         str, typer.Option(help="Address of the ROS master.", envvar="ROS_MASTER_URI")
     ] = "http://localhost:11311",
@@ -71,30 +67,19 @@ def command(
         typer.Option(
             help="Name or address by which other nodes reach this one, if the host name does not resolve.",
             envvar=["ROS_HOSTNAME", "ROS_IP"],
-            show_default=False,
         ),
     ] = None,
     namespace: Annotated[str, typer.Option(help="Namespace of the node.", envvar="ROS_NAMESPACE")] = "/",
-    api: Annotated[
-        str | None,
-        typer.Option(help="Address and port on which programs connect: HOST:PORT.", show_default="127.0.0.1:9090"),
-    ] = None,
-    messages: Annotated[
-        list[Path] | None, typer.Option(help="Folder with .msg and .srv files of your own types. May be repeated.")
-    ] = None,
-    config: Annotated[
-        Path | None,
-        typer.Option(
-            help="Configuration file, usually hostlink.toml: for settings without an option.", show_default=False
-        ),
-    ] = None,
+    api: ApiAddress = None,
+    messages: MessageFolders = None,
+    config: ConfigFile = None,
     write_package: Annotated[
         Path | None,
         typer.Option(
             metavar="FOLDER", help="Write a package for roslaunch into FOLDER, for example ~/catkin_ws/src, and end."
         ),
     ] = None,
-    log_level: Annotated[str, typer.Option(help="debug, info, warning or error: debug to trace a fault.")] = "info",
+    log_level: LogLevel = "info",
 ) -> None:
     """Run the daemon as a node of ROS 1, started as rosserial_python's serial_node.py is.
 
@@ -103,8 +88,6 @@ def command(
     if write_package is not None:
         write(*_write_package(write_package))
         return
-    if log_level.upper() not in ("DEBUG", "INFO", "WARNING", "ERROR"):
-        raise ConfigError("--log-level", f"unknown level {log_level!r}; choose debug, info, warning or error")
     arguments = parse_arguments(words or ())
     settings = merge(load(config) if config else Config(), listen=None, serial=None, api=api, messages=messages)
     node = _node(settings.ros1, arguments, master=master, host=host, namespace=namespace)

@@ -8,6 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
+from hostlink.cancellation import first_error
 from hostlink.cli.arguments import Token, Url
 from hostlink.cli.ending import stop_signals
 from hostlink.cli.output import write_error
@@ -57,7 +58,7 @@ def command(
     try:
         asyncio.run(_until_signal(run_bridge(config, ros2_node, _report)))
     except BaseExceptionGroup as group:
-        raise _first(group) from None
+        raise first_error(group) from None
 
 
 async def _until_signal(bridge: Coroutine[Any, Any, None]) -> None:
@@ -68,10 +69,6 @@ async def _until_signal(bridge: Coroutine[Any, Any, None]) -> None:
             await asyncio.wait((running, waiting), return_when=asyncio.FIRST_COMPLETED)
             running.cancel()
             waiting.cancel()
-
-
-def _first(error: BaseException) -> BaseException:
-    return _first(error.exceptions[0]) if isinstance(error, BaseExceptionGroup) else error
 
 
 def _report(text: str) -> None:

@@ -20,9 +20,10 @@ from aiohttp.http_exceptions import HttpProcessingError
 
 from hostlink import logs
 from hostlink.api.server import serve_api
+from hostlink.cancellation import first_error, meanwhile
 from hostlink.cli.check import check, describe, fitted, limit
 from hostlink.cli.ending import stop_signals
-from hostlink.cli.output import write, write_error
+from hostlink.cli.output import quantity, write, write_error
 from hostlink.config import Config, UdpConfig
 from hostlink.detached import DetachedThread
 from hostlink.guardian.guardian import guarded
@@ -108,26 +109,17 @@ async def running(
                 log.info("daemon.stopping")
                 await hub.shutdown()
     except BaseExceptionGroup as group:  # one error is one line; the others follow from it
-        raise _first(group) from None
+        raise first_error(group) from None
     logs.log_what_is_missing()
     log.info("daemon.stopped")
-
-
-def _first(error: BaseException) -> BaseException:
-    """Return the first error in nested groups: the cause, which ended the parts around it."""
-    return _first(error.exceptions[0]) if isinstance(error, BaseExceptionGroup) else error
 
 
 @contextlib.asynccontextmanager
 async def _hub_running(hub: Hub) -> AsyncIterator[None]:
     """Run the hub in a task group of its own, so that links live until they were shut down."""
-    async with asyncio.TaskGroup() as tasks:
-        heart = tasks.create_task(hub.run(), name="hub")
+    async with meanwhile(("hub", hub.run())):
         await hub.is_running.wait()
-        try:
-            yield
-        finally:
-            heart.cancel()
+        yield
 
 
 @contextlib.asynccontextmanager
@@ -161,7 +153,7 @@ async def _listening(
                 config.tcp, acceptor.accept, on_exhausted=acceptor.note_exhausted, listening=listening
             ) as listener,
             _datagrams(hub, config.udp) as udp,
-            _serial_ports(hub, config),
+            meanwhile(*((port.name, serve_serial(hub, port)) for port in config.serial)),
         ):
             on_listening()
             await last.enter_async_context(advertised(config.tcp, listener.address))
@@ -177,12 +169,11 @@ async def _datagrams(hub: Hub, config: UdpConfig | None) -> AsyncIterator[tuple[
         yield None
         return
     acceptor = UdpAcceptor(hub, config)
-    async with serve_udp(config, hub.counts.datagrams_dropped, acceptor.receive) as ports, asyncio.TaskGroup() as tasks:
-        inviting = tasks.create_task(acceptor.invite(ports), name="invitations over UDP")
-        try:
-            yield ports[0].address[:2]
-        finally:
-            inviting.cancel()
+    async with (
+        serve_udp(config, hub.counts.datagrams_dropped, acceptor.receive) as ports,
+        meanwhile(("invitations over UDP", acceptor.invite(ports))),
+    ):
+        yield ports[0].address[:2]
 
 
 @contextlib.asynccontextmanager
@@ -196,17 +187,6 @@ async def _graphs(hub: Hub, config: Config, on_end: OnGraphEnd) -> AsyncIterator
             module = importlib.import_module("hostlink.graphs.ros1.node")
             await graphs.enter_async_context(module.ros1_running(hub, config.ros1, on_end))
         yield
-
-
-@contextlib.asynccontextmanager
-async def _serial_ports(hub: Hub, config: Config) -> AsyncIterator[None]:
-    async with asyncio.TaskGroup() as tasks:
-        ports = [tasks.create_task(serve_serial(hub, port), name=port.name) for port in config.serial]
-        try:
-            yield
-        finally:
-            for port in ports:
-                port.cancel()
 
 
 def run(
@@ -303,7 +283,7 @@ async def serve(
 
 def _status(hub: Hub) -> str:
     connected = [robot.name for robot in hub.robots.here() if robot.link is not None]
-    return f"{len(hub.links.all())} devices; robots: {', '.join(connected) or 'none'}"
+    return f"{quantity(len(hub.links.all()), 'device')}; robots: {', '.join(connected) or 'none'}"
 
 
 # -- reload signal ----------------------------------------------------------------------------------------------------

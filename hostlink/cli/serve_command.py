@@ -10,11 +10,12 @@ import sys
 from collections.abc import Callable
 from importlib.resources import files
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
 from hostlink.cli.addresses import is_origin, parse_address, parse_serial
+from hostlink.cli.files import MessageFolders
 from hostlink.cli.output import write
 from hostlink.cli.start import import_fast
 from hostlink.config import Config, Ros1Config, TcpConfig, UdpConfig, ZenohConfig, load
@@ -26,26 +27,32 @@ from hostlink.listening import listen as listen_at
 if TYPE_CHECKING:
     import asyncio
 
-LOOPS = ("auto", "asyncio", "uvloop")
+Loop = Literal["auto", "asyncio", "uvloop"]
+
+ConfigFile = Annotated[
+    Path | None, typer.Option(help="Configuration file, usually hostlink.toml: for settings without an option.")
+]
+ApiAddress = Annotated[
+    str | None,
+    typer.Option(help="Address and port on which programs connect: HOST:PORT.", show_default="127.0.0.1:9090"),
+]
+LogLevel = Annotated[
+    Literal["debug", "info", "warning", "error"],
+    typer.Option(case_sensitive=False, help="What to log: debug to trace a fault."),
+]
 
 Origins = Annotated[
     list[str] | None,
     typer.Option(
         "--origin",
         help="Web page of another server that may use the API, for example https://app.foxglove.dev. May be repeated.",
-        show_default=False,
     ),
 ]
 
 
 def command(
     *,
-    config: Annotated[
-        Path | None,
-        typer.Option(
-            help="Configuration file, usually hostlink.toml: for settings without an option.", show_default=False
-        ),
-    ] = None,
+    config: ConfigFile = None,
     listen: Annotated[
         str | None,
         typer.Option(help="Address and port on which devices connect: HOST:PORT.", show_default="0.0.0.0:11411"),
@@ -54,14 +61,9 @@ def command(
     serial: Annotated[
         list[str] | None, typer.Option(help="Serial port with a device: /dev/ttyACM0@57600. May be repeated.")
     ] = None,
-    api: Annotated[
-        str | None,
-        typer.Option(help="Address and port on which programs connect: HOST:PORT.", show_default="127.0.0.1:9090"),
-    ] = None,
+    api: ApiAddress = None,
     origin: Origins = None,
-    messages: Annotated[
-        list[Path] | None, typer.Option(help="Folder with .msg and .srv files of your own types. May be repeated.")
-    ] = None,
+    messages: MessageFolders = None,
     zenoh: Annotated[
         bool, typer.Option("--zenoh", help="Show and drive the robots of other daemons in this network: docs/fleet.md.")
     ] = False,
@@ -69,9 +71,9 @@ def command(
         str | None,
         typer.Option(metavar="URL", help="Show the robots in ROS 1, as a node of this master: http://localhost:11311."),
     ] = None,
-    log_level: Annotated[str, typer.Option(help="debug, info, warning or error: debug to trace a fault.")] = "info",
+    log_level: LogLevel = "info",
     loop: Annotated[
-        str, typer.Option(help="Event loop: asyncio, uvloop, or auto, which is uvloop on Linux where it is installed.")
+        Loop, typer.Option(help="Event loop: asyncio, uvloop, or auto, which is uvloop on Linux where it is installed.")
     ] = "auto",
     check_config: Annotated[
         Path | None,
@@ -88,8 +90,6 @@ def command(
     if example is not None:
         write(*read_example(example).splitlines())
         return
-    if log_level.upper() not in ("DEBUG", "INFO", "WARNING", "ERROR"):
-        raise ConfigError("--log-level", f"unknown level {log_level!r}; choose debug, info, warning or error")
     file = check_config or config
 
     def read() -> Config:
@@ -136,17 +136,15 @@ def with_master(config: Ros1Config, where: str, url: str) -> Ros1Config:
         raise ConfigError(where, str(error)) from error
 
 
-def loop_factory(name: str, platform: str = sys.platform) -> "Callable[[], asyncio.AbstractEventLoop] | None":
+def loop_factory(name: Loop, platform: str = sys.platform) -> "Callable[[], asyncio.AbstractEventLoop] | None":
     """Return what makes the loop that `--loop` names; None for asyncio's own.
 
     UvLoop compares uvloop's clock with Python's. Both are CLOCK_MONOTONIC on Linux; other systems have several clocks.
 
     Raises:
-        ConfigError: the name is unknown, or uvloop is requested on another system than Linux.
+        ConfigError: uvloop is requested on another system than Linux.
         LibraryMissing: uvloop is requested and not installed.
     """
-    if name not in LOOPS:
-        raise ConfigError("--loop", f"unknown loop {name!r}; choose {', '.join(LOOPS)}")
     if name == "asyncio" or (name == "auto" and platform != "linux"):
         return None
     if platform != "linux":

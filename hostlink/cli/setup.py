@@ -1,6 +1,5 @@
 """The commands for the configuration: `setup` asks ten questions and writes a file, `reload` has the daemon read it."""
 
-import asyncio
 import ipaddress
 import json
 import json as json_text
@@ -14,7 +13,7 @@ from typing import Annotated, Any
 import typer
 
 from hostlink.cli.arguments import Json, Token, Url
-from hostlink.cli.connecting import connected
+from hostlink.cli.connecting import ask
 from hostlink.cli.files import check_new_file, replacing
 from hostlink.cli.output import write, write_error
 from hostlink.client import DEFAULT_URL
@@ -295,13 +294,8 @@ def reload(*, url: Url = DEFAULT_URL, token: Token = None, json: Json = False) -
 
     A wrong setting leaves all of them unchanged. Settings that need a restart are listed.
     """
-    reloaded = asyncio.run(_reload(url, token))
+    reloaded = ask(url, token, lambda host: host.post("/api/reload"))
     write(*([json_text.dumps(reloaded)] if json else _lines(reloaded)))
-
-
-async def _reload(url: str, token: str | None) -> dict[str, Any]:
-    async with connected(url, token) as host:
-        return await host.post("/api/reload")
 
 
 def _lines(reloaded: dict[str, Any]) -> list[str]:
@@ -309,6 +303,3 @@ def _lines(reloaded: dict[str, Any]) -> list[str]:
     lines += [f"renamed: {old} is now {new}" for old, new in reloaded["renamed"].items()]
     lines += [f"needs a restart: {name}" for name in reloaded["needs_restart"]]
     return lines or ["nothing has changed"]
-
-
-COMMANDS = {"setup": setup, "reload": reload}

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from hostlink.cli.addresses import parse_address
+from hostlink.cli.addresses import DEFAULT_HOST, HostAddress, parse_address
 from hostlink.cli.output import write_error
 from hostlink.errors import ConfigError
 from hostlink.sim.firmware_module import WorldParameters, read, require_wasmtime
@@ -15,12 +15,14 @@ from hostlink.sim.firmware_world import RobotKind
 from hostlink.sim.robot import FAULTS, HEALTHY
 from hostlink.sim.run import run_fleet
 
+Kind = Annotated[
+    RobotKind, typer.Option(help="nimble: reaches a new speed in 0.3 s; paper: the paper's robot, in two seconds.")
+]
+
 
 def command(
     *,
-    connect: Annotated[
-        str, typer.Option(help="Address of the host for devices, if it is not on this computer: HOST:PORT.")
-    ] = "127.0.0.1:11411",
+    connect: HostAddress = DEFAULT_HOST,
     robots: Annotated[
         int, typer.Option(min=1, max=200, help="Number of robots, for tests of a fleet: robot_0, robot_1, ...")
     ] = 1,
@@ -32,9 +34,7 @@ def command(
         Path | None,
         typer.Option(help="File of lines name=value, for other motors, wheels and floors than the default."),
     ] = None,
-    robot: Annotated[
-        RobotKind, typer.Option(help="nimble: reaches a new speed in 0.3 s; paper: the paper's robot, in two seconds.")
-    ] = RobotKind.PAPER,
+    robot: Kind = RobotKind.PAPER,
     fault: Annotated[
         str | None, typer.Option(help=f"Fault of the robots, to see how it is reported: {', '.join(FAULTS)}.")
     ] = None,
@@ -45,7 +45,7 @@ def command(
         raise ConfigError("--fault", f"unknown fault {fault!r}; choose one of {', '.join(FAULTS)}")
     chosen = HEALTHY if fault is None else FAULTS[fault]
     host, port = parse_address("--connect", connect, "127.0.0.1")
-    parameters = WorldParameters() if world is None else _read(world)
+    parameters = WorldParameters() if world is None else read_world(world)
     fleet = run_fleet(
         host, port, robots=robots, first=first, is_udp=udp, fault=chosen, world=parameters, kind=robot, log=write_error
     )
@@ -53,7 +53,12 @@ def command(
         asyncio.run(fleet)
 
 
-def _read(file: Path) -> WorldParameters:
+def read_world(file: Path) -> WorldParameters:
+    """Read the file of `--world`.
+
+    Raises:
+        ConfigError: the file cannot be read, or does not describe a world.
+    """
     try:
         return read(file.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:

@@ -2,7 +2,6 @@
 
 import asyncio
 import contextlib
-import importlib.util
 import json as json_text
 import math
 import sys
@@ -17,16 +16,12 @@ import typer
 from hostlink.cli.arguments import Token, Url, not_empty
 from hostlink.cli.connecting import connected
 from hostlink.cli.files import check_picture
-from hostlink.cli.names import driver
 from hostlink.cli.output import show_progress, table, write, write_error
-from hostlink.cli.robots import require_robot
+from hostlink.cli.robots import require_free, require_robot
 from hostlink.client import DEFAULT_URL, PRIORITY, Host, Mailbox, Robot, RobotState
 from hostlink.errors import (
-    CommandRefused,
     ConfigError,
-    DeviceGone,
     HostlinkError,
-    LibraryMissing,
     RefusalKind,
     Refused,
 )
@@ -158,19 +153,8 @@ async def connected_state(robot: Robot) -> RobotState:
         CommandRefused: the robot is locked.
     """
     state = await robot.state()
-    if not state["connected"]:
-        raise DeviceGone(robot.name)
-    if state.get("locked"):
-        reason = f"{robot.name}: locked: {state.get('lock_reason')}; to drive it again: hostlink unlock {robot.name}"
-        raise CommandRefused(robot.name, RefusalKind.LOCKED, reason)
-    if state["holder"] is not None and not _is_less_important(state):
-        raise HostlinkError(f"{robot.name} is driven by {driver(state)}; end that program first")
+    require_free(state, below=PRIORITY)
     return state
-
-
-def _is_less_important(state: RobotState) -> bool:
-    priority = state.get("priority")
-    return priority is not None and priority < PRIORITY
 
 
 async def find_source(host: Host, state: RobotState, wheel: Wheel | None, separation_m: float) -> Source:
@@ -372,23 +356,8 @@ def _now_s() -> float:
 
 # -- step picture -----------------------------------------------------------------------------------------------------
 
-LIBRARY = "matplotlib"
 _WIDTH_IN, _HEIGHT_IN = 9.0, 5.5
 _SET_POINT, _MEASURED, _PWM = "#888888", "#0b6bcb", "#c25e00"
-
-
-def require_picture(path: Path) -> None:
-    """Refuse a picture that cannot be written, before the robot moves.
-
-    Raises:
-        ConfigError: the suffix or the folder is wrong.
-        LibraryMissing: matplotlib is not installed.
-    """
-    check_picture("--picture", path)
-    if not path.parent.is_dir():
-        raise ConfigError("--picture", f"the folder {path.parent} does not exist; create it, or name another")
-    if importlib.util.find_spec(LIBRARY) is None:
-        raise LibraryMissing("--picture", "matplotlib", "pictures")
 
 
 def draw_picture(path: Path, title: str, records: Mapping[str, Record]) -> None:
@@ -617,7 +586,7 @@ class _Request:
 
 
 def command(
-    robot: Annotated[str, typer.Argument(help="Name of the robot.", show_default=False, callback=not_empty)],
+    robot: Annotated[str, typer.Argument(help="Name of the robot.", callback=not_empty)],
     *,
     speed: Annotated[
         float, typer.Option(help="Speed of the wheels, m/s, for the range in which you drive; below zero: backwards.")
@@ -640,8 +609,7 @@ def command(
     ] = False,
     yes: Annotated[bool, typer.Option("--yes", "-y", help="Do not ask whether there is room, for scripts.")] = False,
     picture: Annotated[
-        Path | None,
-        typer.Option(help="Draw the speeds into this file, for a report: .png, .svg or .pdf.", show_default=False),
+        Path | None, typer.Option(help="Draw the speeds into this file, for a report: .png, .svg or .pdf.")
     ] = None,
     full_pwm: Annotated[
         float,
@@ -671,7 +639,7 @@ def command(
             "--yes", "the robot will move, and this command cannot ask whether there is room; add --yes if there is"
         )
     if picture is not None:
-        require_picture(picture)
+        check_picture("--picture", picture, extra="pictures")
     request = _Request(
         robot=robot,
         speed_m_s=speed,

@@ -14,9 +14,10 @@ from typing import Annotated
 
 import typer
 
+from hostlink.cancellation import first_error, meanwhile
 from hostlink.cli.arguments import Token, Url, not_empty, robot_names
 from hostlink.cli.connecting import connected
-from hostlink.cli.driving import LAYOUTS, Driving, Key, KeyReader
+from hostlink.cli.driving import Driving, Key, KeyReader, Layout
 from hostlink.cli.names import only_connected
 from hostlink.cli.output import draw, terminal_size, write_control
 from hostlink.cli.robots import chosen
@@ -108,14 +109,10 @@ async def watched_robot(host: Host, state: RobotState) -> AsyncIterator["Watched
     """
     watched = WatchedRobot(state)
     try:
-        async with asyncio.TaskGroup() as tasks:
-            watching = tasks.create_task(watched.follow(host.watch()), name="watch")
-            try:
-                yield watched
-            finally:
-                watching.cancel()
+        async with meanwhile(("watch", watched.follow(host.watch()))):
+            yield watched
     except BaseExceptionGroup as group:
-        raise group.exceptions[0] from None
+        raise first_error(group) from None
 
 
 class KeyDriver:
@@ -195,17 +192,14 @@ def command(
     robot: Annotated[
         str | None,
         typer.Argument(
-            help="Name of the robot; optional if only one is connected.",
-            show_default=False,
-            callback=not_empty,
-            autocompletion=robot_names,
+            help="Name of the robot; optional if only one is connected.", callback=not_empty, autocompletion=robot_names
         ),
     ] = None,
     *,
     url: Url = DEFAULT_URL,
     token: Token = None,
     layout: Annotated[
-        str,
+        Layout,
         typer.Option(
             help="Keys: original (q w e / a d / z x c), or twist (u i o / j l / m , .) as in teleop_twist_keyboard."
         ),
@@ -216,8 +210,6 @@ def command(
     angular: Annotated[float, typer.Option(min=0.05, max=4.0, help="Turning speed at the beginning, rad/s.")] = 0.8,
 ) -> None:
     """Drive a robot with the keyboard: the robot moves while a key is held, and stops when no key is held."""
-    if layout not in LAYOUTS:
-        raise ConfigError("--layout", f"unknown layout {layout!r}; choose {' or '.join(LAYOUTS)}")
     driving = Driving(layout=layout, linear_m_s=linear, angular_rad_s=angular)
     asyncio.run(_teleop(url, token, robot, driving, layout))
 

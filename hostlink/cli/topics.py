@@ -34,9 +34,9 @@ from hostlink.cli.arguments import (
     json_object,
     not_empty,
 )
-from hostlink.cli.connecting import PATIENCE_S, connected, run_until_interrupted, waiting, write_hint
+from hostlink.cli.connecting import PATIENCE_S, ask, connected, run_until_interrupted, waiting, write_hint
 from hostlink.cli.names import natural, unknown
-from hostlink.cli.output import duration, is_terminal, show_progress, size, write, write_error, write_table
+from hostlink.cli.output import duration, is_terminal, quantity, show_progress, size, write, write_error, write_table
 from hostlink.client import DEFAULT_URL, Host, Mailbox, RawMessage, TopicState
 from hostlink.errors import ConfigError, HostlinkError, WrongType
 
@@ -57,19 +57,14 @@ def topics(
     json: Json = False,
 ) -> None:
     """List the topics: name, type, number of publishers, subscribers and messages."""
-    topics = asyncio.run(_topics(url, token, with_rates=verbose))
+    found: list[Any] = ask(url, token, _rated if verbose else Host.topics)
+    topics = sorted(found, key=lambda topic: natural(topic["name"]))
     if json:
         write(json_text.dumps(topics))
     elif not topics:
         write_error("there are no topics, because no device has connected yet; `hostlink doctor` finds out why")
     else:
         write_table(HEAD if verbose else HEAD[:-1], [_topic_row(topic) for topic in topics])
-
-
-async def _topics(url: str, token: str | None, *, with_rates: bool) -> list[Any]:
-    async with connected(url, token) as host:
-        topics = await _rated(host) if with_rates else await host.topics()
-        return sorted(topics, key=lambda topic: natural(topic["name"]))
 
 
 async def _rated(host: Host) -> list[Any]:
@@ -101,7 +96,7 @@ def _topic_row(topic: dict[str, Any]) -> list[str]:
 
 def nodes(*, url: Url = DEFAULT_URL, token: Token = None, json: Json = False) -> None:
     """List the nodes, which are devices and programs: how much each publishes, subscribes and offers."""
-    nodes = asyncio.run(_nodes(url, token))
+    nodes = ask(url, token, _nodes)
     if json:
         write(json_text.dumps(nodes))
     else:
@@ -109,13 +104,12 @@ def nodes(*, url: Url = DEFAULT_URL, token: Token = None, json: Json = False) ->
         write_table(["node", *counts], [[each["node"], *(len(each[key]) for key in counts)] for each in nodes])
 
 
-async def _nodes(url: str, token: str | None) -> list[dict[str, Any]]:
-    async with connected(url, token) as host:
-        names: list[str] = (await host.call("/rosapi/nodes", {}))["nodes"]
-        return [
-            {"node": name, **(await host.call("/rosapi/node_details", {"node": name}))}
-            for name in sorted(names, key=natural)
-        ]
+async def _nodes(host: Host) -> list[dict[str, Any]]:
+    names: list[str] = (await host.call("/rosapi/nodes", {}))["nodes"]
+    return [
+        {"node": name, **(await host.call("/rosapi/node_details", {"node": name}))}
+        for name in sorted(names, key=natural)
+    ]
 
 
 # -- graph info -------------------------------------------------------------------------------------------------------
@@ -127,22 +121,21 @@ def show_name(name: str, url: str, token: str | None, *, as_json: bool) -> None:
     Raises:
         HostlinkError: the graph has no such name, or no daemon answers.
     """
-    found = asyncio.run(_find_name(url, token, "/" + name.lstrip("/~")))
+    found = ask(url, token, lambda host: _find_name(host, "/" + name.lstrip("/~")))
     write(*([json_text.dumps(found)] if as_json else _fact_lines(found)))
 
 
-async def _find_name(url: str, token: str | None, name: str) -> dict[str, Any]:
-    async with connected(url, token) as host:
-        topics = {topic["name"]: topic for topic in await host.topics()}
-        if name in topics:
-            return await _topic(host, name, topics[name]["type"], topics[name]["messages"])
-        nodes: list[str] = (await host.call("/rosapi/nodes", {}))["nodes"]
-        if name in nodes:
-            details: dict[str, Any] = await host.call("/rosapi/node_details", {"node": name})
-            return {"node": name, **details}
-        services: list[str] = (await host.call("/rosapi/services", {}))["services"]
-        if name in services:
-            return await _service(host, name)
+async def _find_name(host: Host, name: str) -> dict[str, Any]:
+    topics = {topic["name"]: topic for topic in await host.topics()}
+    if name in topics:
+        return await _topic(host, name, topics[name]["type"], topics[name]["messages"])
+    nodes: list[str] = (await host.call("/rosapi/nodes", {}))["nodes"]
+    if name in nodes:
+        details: dict[str, Any] = await host.call("/rosapi/node_details", {"node": name})
+        return {"node": name, **details}
+    services: list[str] = (await host.call("/rosapi/services", {}))["services"]
+    if name in services:
+        return await _service(host, name)
     raise unknown("topic, node or service", name, [*topics, *nodes, *services], command="topics")
 
 
@@ -191,7 +184,6 @@ def info(
         typer.Argument(
             metavar="NAME|FILE",
             help="A topic, a node or a service; or a recording of `hostlink record`.",
-            show_default=False,
             callback=not_empty,
             autocompletion=graph_names,
         ),
@@ -240,7 +232,7 @@ def type_(
     json: Json = False,
 ) -> None:
     """Show the type of a topic or of a service, or the fields of a type."""
-    found = asyncio.run(_find_type(url, token, "/" + name.lstrip("/~"), with_fields=fields))
+    found = ask(url, token, lambda host: _find_type(host, "/" + name.lstrip("/~"), with_fields=fields))
     if json:
         write(json_text.dumps(found))
     else:
@@ -253,28 +245,25 @@ def _field_list(fields: list[dict[str, str]]) -> list[str]:
     return [f"  {field['type']} {field['name']}" for field in fields]
 
 
-async def _find_type(url: str, token: str | None, name: str, *, with_fields: bool) -> dict[str, Any]:
-    async with connected(url, token) as host:
-        topics = {topic["name"]: topic["type"] for topic in await host.topics()}
-        services: list[str] = [] if name in topics else (await host.call("/rosapi/services", {}))["services"]
-        if name in topics:
-            type_name, details = topics[name], "message_details"
-        elif name in services:
-            type_name = (await host.call("/rosapi/service_type", {"service": name}))["type"]
-            details = "service_request_details"
-        else:
-            type_name = name.removeprefix("/").replace("/msg/", "/").replace("/srv/", "/")
-            of_type = await _of_type(host, type_name)
-            if of_type is None:
-                asked = type_name if type_name.count("/") == 1 else name
-                raise unknown("topic, service or type", asked, [*topics, *services], command="topics")
-            return of_type
-        if not type_name:
-            raise HostlinkError(
-                f"{name} has no type yet, because it has no publisher; `hostlink topics` lists all topics"
-            )
-        found: dict[str, Any] = {"name": name, "type": type_name}
-        return found | {"fields": await _fields(host, details, type_name)} if with_fields else found
+async def _find_type(host: Host, name: str, *, with_fields: bool) -> dict[str, Any]:
+    topics = {topic["name"]: topic["type"] for topic in await host.topics()}
+    services: list[str] = [] if name in topics else (await host.call("/rosapi/services", {}))["services"]
+    if name in topics:
+        type_name, details = topics[name], "message_details"
+    elif name in services:
+        type_name = (await host.call("/rosapi/service_type", {"service": name}))["type"]
+        details = "service_request_details"
+    else:
+        type_name = name.removeprefix("/").replace("/msg/", "/").replace("/srv/", "/")
+        of_type = await _of_type(host, type_name)
+        if of_type is None:
+            asked = type_name if type_name.count("/") == 1 else name
+            raise unknown("topic, service or type", asked, [*topics, *services], command="topics")
+        return of_type
+    if not type_name:
+        raise HostlinkError(f"{name} has no type yet, because it has no publisher; `hostlink topics` lists all topics")
+    found: dict[str, Any] = {"name": name, "type": type_name}
+    return found | {"fields": await _fields(host, details, type_name)} if with_fields else found
 
 
 async def _of_type(host: Host, type_name: str) -> dict[str, Any] | None:
@@ -312,17 +301,16 @@ async def _fields(host: Host, details: str, type_name: str) -> list[dict[str, st
 
 def find(type_name: TypeName, *, url: Url = DEFAULT_URL, token: Token = None, json: Json = False) -> None:
     """List the topics and services of a type."""
-    topics, services = asyncio.run(_find_of_type(url, token, type_name))
+    topics, services = ask(url, token, lambda host: _find_of_type(host, type_name))
     write(*([json_text.dumps({"topics": topics, "services": services})] if json else [*topics, *services]))
 
 
-async def _find_of_type(url: str, token: str | None, type_name: str) -> tuple[list[str], list[str]]:
-    async with connected(url, token) as host:
-        topics: list[str] = (await host.call("/rosapi/topics_for_type", {"type": type_name}))["topics"]
-        services: list[str] = (await host.call("/rosapi/services_for_type", {"type": type_name}))["services"]
-        if not topics and not services:
-            known = {topic["type"] for topic in await host.topics()} - {""}
-            raise unknown("topic or service of a type", type_name, known, command="topics")
+async def _find_of_type(host: Host, type_name: str) -> tuple[list[str], list[str]]:
+    topics: list[str] = (await host.call("/rosapi/topics_for_type", {"type": type_name}))["topics"]
+    services: list[str] = (await host.call("/rosapi/services_for_type", {"type": type_name}))["services"]
+    if not topics and not services:
+        known = {topic["type"] for topic in await host.topics()} - {""}
+        raise unknown("topic or service of a type", type_name, known, command="topics")
     return topics, services
 
 
@@ -348,9 +336,7 @@ LONGEST = 32  # values of a list that a terminal shows in full
 
 def echo(
     topic: TopicName,
-    type_name: Annotated[
-        str, typer.Argument(metavar="[TYPE]", help="Its type, which may be left out.", show_default=False)
-    ] = "",
+    type_name: Annotated[str, typer.Argument(metavar="[TYPE]", help="Its type, which may be left out.")] = "",
     *,
     count: Annotated[
         int | None,
@@ -359,9 +345,7 @@ def echo(
         ),
     ] = None,
     once: Annotated[bool, typer.Option("--once", help="End after the first message.")] = False,
-    field: Annotated[
-        str, typer.Option(help="Print only this field, for example pose.position.x or ranges[0].", show_default=False)
-    ] = "",
+    field: Annotated[str, typer.Option(help="Print only this field, for example pose.position.x or ranges[0].")] = "",
     csv: Annotated[
         bool, typer.Option("--csv", "-p", help="Print CSV, for a spreadsheet: the time and a column for each field.")
     ] = False,
@@ -665,7 +649,7 @@ def command_of(figures: Figures) -> Callable[..., None]:
                     await _measure(figures, measured, messages, seconds=seconds or float("inf"), as_json=json)
 
         run_until_interrupted(run())
-        write_error(f"{measured.messages} messages in {time.monotonic() - began_s:.1f} s")
+        write_error(f"{quantity(measured.messages, 'message')} in {time.monotonic() - began_s:.1f} s")
 
     command.__doc__ = figures.text
     return command
@@ -833,10 +817,6 @@ def pub(
         ),
     ] = None,
     *,
-    type_name: Annotated[
-        str,
-        typer.Option("--type", help="Type, for example geometry_msgs/Twist: only for a topic that does not exist yet."),
-    ] = "",
     rate: Annotated[
         float | None,
         typer.Option(
@@ -857,9 +837,9 @@ def pub(
     token: Token = None,
 ) -> None:
     """Publish a message once, or at a rate. A robot that it drives stops when this command ends."""
-    named_type, message = type_and_message("MESSAGE", words or [])
+    type_name, message = type_and_message("MESSAGE", words or [])
     publishing = Publishing(rate or PUB_RATE_HZ, message_count(rate, count, once=once))
-    run_until_interrupted(_pub(connected(url, token), topic, message, type_name or named_type, publishing))
+    run_until_interrupted(_pub(connected(url, token), topic, message, type_name, publishing))
     show_progress("")
     write_error(f"{publishing.sent} sent")
 
@@ -924,7 +904,7 @@ def filled(known: dict[str, Any], typedef: dict[str, Any], values: list[object])
     """
     names = typedef["fieldnames"]
     if len(values) != len(names):
-        found = f"{len(values)} {'value was' if len(values) == 1 else 'values were'} given"
+        found = f"{quantity(len(values), 'value was', 'values were')} given"
         if not names:
             raise HostlinkError(f"{found}, but {typedef['type']} has no fields; leave the values out")
         raise HostlinkError(
@@ -982,7 +962,7 @@ def services(
     json: Json = False,
 ) -> None:
     """List the services: name, type and node."""
-    services = asyncio.run(_services(url, token, with_own=everything))
+    services = ask(url, token, lambda host: _services(host, with_own=everything))
     if json:
         write(json_text.dumps(services))
     elif services:
@@ -991,18 +971,17 @@ def services(
         write_error("no device or program offers a service; --all lists the daemon's own services")
 
 
-async def _services(url: str, token: str | None, *, with_own: bool) -> list[dict[str, Any]]:
-    async with connected(url, token) as host:
-        names: list[str] = (await host.call("/rosapi/services", {}))["services"]
-        return [
-            {
-                "name": name,
-                "type": (await host.call("/rosapi/service_type", {"service": name}))["type"],
-                "node": (await host.call("/rosapi/service_node", {"service": name}))["node"],
-            }
-            for name in sorted(names, key=natural)
-            if with_own or not name.startswith(_OWN)
-        ]
+async def _services(host: Host, *, with_own: bool) -> list[dict[str, Any]]:
+    names: list[str] = (await host.call("/rosapi/services", {}))["services"]
+    return [
+        {
+            "name": name,
+            "type": (await host.call("/rosapi/service_type", {"service": name}))["type"],
+            "node": (await host.call("/rosapi/service_node", {"service": name}))["node"],
+        }
+        for name in sorted(names, key=natural)
+        if with_own or not name.startswith(_OWN)
+    ]
 
 
 # -- call -------------------------------------------------------------------------------------------------------------
@@ -1025,35 +1004,21 @@ def call(
     url: Url = DEFAULT_URL,
     token: Token = None,
 ) -> None:
-    """Call a service and print its answer as JSON."""
+    """Call a service and print its answer as JSON.
+
+    Exit status 0: the service has answered, also with `success: false`, as in ROS.
+    """
     type_name, request = type_and_message("REQUEST", words or [])
-    answer = asyncio.run(_call(url, token, service, type_name, request, timeout))
+    answer = ask(url, token, lambda host: _call(host, service, type_name, request, timeout))
     write(json_text.dumps(answer, ensure_ascii=False))
 
 
-async def _call(url: str, token: str | None, service: str, type_name: str, words: Message, timeout_s: float) -> object:
-    async with connected(url, token) as host:
-        if type_name or isinstance(words, list):
-            known: str = (await host.call("/rosapi/service_type", {"service": service}))["type"]
-            if type_name and known and known != type_name:
-                raise WrongType(service, known, type_name)
-            type_name = type_name or known
-        request = await _object(host, "service_request_details", type_name, words)
-        with waiting(f"waiting for {service}"):
-            return await host.call(service, request, timeout_s=timeout_s)
-
-
-COMMANDS = {
-    "topics": topics,
-    "nodes": nodes,
-    "info": info,
-    "type": type_,
-    "find": find,
-    "echo": echo,
-    "hz": hz,
-    "bw": bw,
-    "delay": delay,
-    "pub": pub,
-    "services": services,
-    "call": call,
-}
+async def _call(host: Host, service: str, type_name: str, words: Message, timeout_s: float) -> object:
+    if type_name or isinstance(words, list):
+        known: str = (await host.call("/rosapi/service_type", {"service": service}))["type"]
+        if type_name and known and known != type_name:
+            raise WrongType(service, known, type_name)
+        type_name = type_name or known
+    request = await _object(host, "service_request_details", type_name, words)
+    with waiting(f"waiting for {service}"):
+        return await host.call(service, request, timeout_s=timeout_s)

@@ -27,7 +27,7 @@ from hostlink.sim.firmware_module import WorldParameters
 
 # -- results of the paper ---------------------------------------------------------------------------------------------
 
-SQUARE_SIDE_M = 2.0
+SIDE_M = 2.0  # of the squares
 LINE_TABLE = 4  # the only table with a length instead of x and y
 LINE_M = (3.84, 3.52, 3.47, 3.96, 3.95)  # of table 4, as measured on the floor
 
@@ -46,8 +46,6 @@ def axes_of(table: int) -> tuple[str, ...]:
 
 
 # -- patterns ---------------------------------------------------------------------------------------------------------
-
-SIDE_M = SQUARE_SIDE_M
 
 
 @dataclass(frozen=True, slots=True)
@@ -187,7 +185,7 @@ class _Operated:
         sign = math.copysign(1.0, wanted_rad)
         goal_rad = abs(wanted_rad) + noise_rad - early_rad
         begun_rad = truth.theta_rad
-        self._press(0.0, sign * self._habits.angular_rad_s)
+        self.robot.command(0.0, sign * self._habits.angular_rad_s)
         self._until(lambda: goal_rad - sign * (self._truth.theta_rad - begun_rad), self._habits.angular_rad_s)
         self.stop()
 
@@ -202,18 +200,18 @@ class _Operated:
             truth = self._truth
             return goal_m - (truth.x_m - begun.x_m) * along[0] - (truth.y_m - begun.y_m) * along[1]
 
-        self._press(self._habits.linear_m_s, 0.0)
+        self.robot.command(self._habits.linear_m_s, 0.0)
         self._until(left_m, self._habits.linear_m_s)
         self.stop()
 
     def go(self, linear_m_s: float, angular_rad_s: float, seconds: float) -> None:
         """Drive for `seconds`."""
-        self._press(linear_m_s, angular_rad_s)
+        self.robot.command(linear_m_s, angular_rad_s)
         self.robot.advance(seconds)
 
     def stop(self) -> None:
         """Release the key, and wait until the robot has stopped and its odometry has followed."""
-        self._press(0.0, 0.0)
+        self.robot.command(0.0, 0.0)
         waited_s = 0.0
         while waited_s < _MOST_STOP_S:
             before = self._truth
@@ -223,9 +221,6 @@ class _Operated:
             if math.dist(before, after) < _STANDING_M:
                 break
         self._advance(_SETTLED_S)
-
-    def _press(self, linear_m_s: float, angular_rad_s: float) -> None:
-        self.robot.command(linear_m_s, angular_rad_s)
 
     def _until(self, left: Callable[[], float], speed: float) -> None:
         """Wait until `left` is 0, or for _MOST_LEG_S."""
@@ -241,8 +236,7 @@ class _Operated:
 
 
 def _sample(robot: LabRobot) -> PoseSample:
-    world = robot.world
-    return PoseSample(Pose(world.x_m, world.y_m, world.theta_rad), robot.odometry)
+    return PoseSample(robot.world.pose, robot.odometry)
 
 
 # -- experiments ------------------------------------------------------------------------------------------------------
@@ -335,7 +329,7 @@ def conduct(experiment: Experiment) -> list[Run]:
 def practise(setup: Setup) -> Practice:
     """Return the operator's practice with this robot, measured without random disturbances."""
     steady = {"caster_random": 0.0, "left.slip_noise_m": 0.0, "right.slip_noise_m": 0.0}
-    usual = in_world(setup, setup.world.changed(steady))
+    usual = replace(setup, world=setup.world.changed(steady))
     return rehearse(lambda: usual.robot(1), setup.habits)
 
 
@@ -385,11 +379,6 @@ class Laboratory:
         return self._pool.map(measure, experiments)
 
 
-def in_world(setup: Setup, world: WorldParameters) -> Setup:
-    """Return the setup in another world."""
-    return replace(setup, world=world)
-
-
 # -- calibration ------------------------------------------------------------------------------------------------------
 
 TRAINING_RUNS = 5  # in each direction, as in UMBmark
@@ -417,6 +406,6 @@ def calibrated(setup: Setup) -> Setup:
 def _measured(run: Run) -> MeasuredRun:
     """Return the drive as a person with a tape measure records it. The heading is not measured."""
     truth = run.samples[-1].truth
-    size_m = truth.x_m if run.pattern is LINE else SQUARE_SIDE_M
+    size_m = truth.x_m if run.pattern is LINE else SIDE_M
     path = tuple(sample.odometry for sample in run.samples)
     return MeasuredRun(_KINDS[run.pattern], size_m, path, Measurement(truth.x_m, truth.y_m))

@@ -4,7 +4,7 @@ Needs scipy, which only `fit` imports.
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -20,7 +20,6 @@ from hostlink.lab.experiment import (
     Setup,
     Software,
     axes_of,
-    in_world,
 )
 from hostlink.lab.reports import LabReport, text_table
 from hostlink.lab.tables import RADIUS_M, TRACK_M
@@ -124,8 +123,7 @@ def fit(
     Raises:
         ConfigError: wasmtime is not installed, or has no library for this machine.
     """
-    model = _Model(laboratory, {pattern: measured_cm[pattern.table] for pattern in PATTERNS}, runs, report)
-    model.fit_only(tables)
+    model = _Model(laboratory, measured_cm, tables, runs, report)
     scale = np.array([cause.step for cause in FITTED])
     bounds = (np.array([cause.low for cause in FITTED]), np.array([cause.high for cause in FITTED]))
     from scipy.optimize import least_squares  # noqa: PLC0415 - takes half a second, which only a fit needs
@@ -154,29 +152,31 @@ class _Model:
     """Means of the patterns as functions of the causes, always with the same seeds."""
 
     def __init__(
-        self, laboratory: Laboratory, measured_cm: dict[Pattern, _Array], runs: int, report: Callable[[str], None]
+        self,
+        laboratory: Laboratory,
+        measured_cm: Mapping[int, _Array],
+        tables: tuple[int, ...],
+        runs: int,
+        report: Callable[[str], None],
     ) -> None:
+        """Drive every pattern; only those of `tables` count in the deviations."""
         self.evaluations = 0
         self._laboratory = laboratory
         self._measured_cm = measured_cm
-        self._fitted = list(measured_cm)
+        self._fitted = [pattern for pattern in PATTERNS if pattern.table in tables]
         self._runs, self._report = runs, report
         self._setup = Setup(software=Software.PAPER)
         self._at: tuple[bytes, dict[Pattern, _Array]] = (b"", {})
 
-    def fit_only(self, tables: tuple[int, ...]) -> None:
-        """Exclude the other tables from the deviations."""
-        self._fitted = [pattern for pattern in self._measured_cm if pattern.table in tables]
-
     def means(self, numbers: _Array) -> dict[Pattern, _Array]:
         """Return the means of all patterns."""
-        return self._means_at([numbers], list(self._measured_cm))[0]
+        return self._means_at([numbers], list(PATTERNS))[0]
 
     def residuals(self, means: dict[Pattern, _Array]) -> list[Residual]:
         """Return a residual for each mean."""
         found = []
         for pattern, mean_cm in means.items():
-            paper = self._measured_cm[pattern]
+            paper = self._measured_cm[pattern.table]
             columns = zip(axes_of(pattern.table), paper.mean(axis=0), uncertainty_cm(paper), mean_cm, strict=True)
             found += [Residual(pattern, *(axis, float(a), float(b), float(c))) for axis, a, b, c in columns]
         return found
@@ -201,7 +201,7 @@ class _Model:
         return np.array([residual.deviations for residual in self.residuals(means)])
 
     def _means_at(self, points: list[_Array], patterns: list[Pattern]) -> list[dict[Pattern, _Array]]:
-        setups = [in_world(self._setup, world_of(point)) for point in points]
+        setups = [replace(self._setup, world=world_of(point)) for point in points]
         experiments = [Experiment(setup, pattern, self._runs) for setup in setups for pattern in patterns]
         measured = [errors.means_cm for errors in self._laboratory.measure(experiments)]
         self.evaluations += len(points)

@@ -20,7 +20,7 @@ from hostlink.lab.experiment import (
     Software,
     axes_of,
 )
-from hostlink.lab.tables import CAUSES, MISTAKES, Cause, Column, ErrorTable
+from hostlink.lab.tables import CAUSES, MISTAKES, Cause, Column, ErrorTable, measure_all
 from hostlink.lab.tables import tables as driven_tables
 from hostlink.lab.turns import (
     BestTurns,
@@ -79,10 +79,7 @@ def causes(laboratory: Laboratory, runs: int, progress: Progress) -> LabReport:
         for software in Software
         for pattern in PATTERNS
     ]
-    measured = []
-    for number, errors in enumerate(laboratory.measure(experiments), start=1):
-        progress(f"{number} of {len(experiments)} experiments driven")
-        measured.append(errors)
+    measured = list(measure_all(laboratory, experiments, progress))
     width = len(PATTERNS) * len(Software)
     cells = {cause.name: measured[i * width : (i + 1) * width] for i, cause in enumerate(listed)}
     lines = [

@@ -8,11 +8,11 @@ import math
 import struct
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Protocol, Self
+from typing import Self
 
 from hostlink.robot.kinematics import DifferentialDrive, Pose
 from hostlink.sim.firmware_module import WorldParameters
-from hostlink.sim.firmware_world import COMMAND_S, Firmware, FirmwareWorld, SimulatedWheel, World
+from hostlink.sim.firmware_world import Firmware, FirmwareWorld, SimulatedWheel
 
 # -- random numbers ---------------------------------------------------------------------------------------------------
 
@@ -205,24 +205,6 @@ def motor_output(wanted: float) -> int:
 _SUBSTEPS = 4  # steps of the world in one turn of the paper's loop
 
 
-class LabRobot(Protocol):
-    """Robot that the operator drives and measures."""
-
-    @property
-    def world(self) -> World:
-        """World with the true state."""
-
-    @property
-    def odometry(self) -> Pose:
-        """Pose by the robot's odometry."""
-
-    def command(self, linear_m_s: float, angular_rad_s: float) -> None:
-        """Drive at this velocity until the next command."""
-
-    def advance(self, seconds: float) -> None:
-        """Advance the time."""
-
-
 class FirmwareRobot:
     """Robot with the firmware of the Due. The host repeats the command, as teleop does."""
 
@@ -236,17 +218,13 @@ class FirmwareRobot:
         """
         self._robot = FirmwareWorld(parameters, device_parameters=device_parameters)
         self._robot.connect()
+        self.world = self._robot.world
         self._velocity = (0.0, 0.0)
-
-    @property
-    def world(self) -> World:
-        """World with the true state."""
-        return self._robot.world
 
     @property
     def odometry(self) -> Pose:
         """Pose by the firmware's odometry."""
-        return self._robot.odometry
+        return self.world.odometry
 
     def command(self, linear_m_s: float, angular_rad_s: float) -> None:
         """Drive at this velocity until the next command."""
@@ -254,11 +232,7 @@ class FirmwareRobot:
 
     def advance(self, seconds: float) -> None:
         """Advance the time."""
-        left_s = seconds
-        while left_s > 0.0005:  # noqa: PLR2004 - time passes in milliseconds
-            self._robot.command(*self._velocity)
-            self._robot.run(min(left_s, COMMAND_S))
-            left_s -= COMMAND_S
+        self._robot.drive(*self._velocity, seconds)
 
 
 class PaperRobot:
@@ -295,10 +269,7 @@ class PaperRobot:
         left, right = self._controllers
         self.world.turn_motors(left.pwm, right.pwm, LOOP_S / _SUBSTEPS, _SUBSTEPS)
         self._turns += 1
-        metres = [
-            self._step(side, wheel) * self._drive.metres_per_tick
-            for side, wheel in enumerate((self.world.left, self.world.right))
-        ]
+        metres = [self._step(side, wheel) * self._drive.metres_per_tick for side, wheel in enumerate(self.world.wheels)]
         self.odometry = self._drive.integrate(self.odometry, metres[0], metres[1])
 
     def _step(self, side: int, wheel: SimulatedWheel) -> float:
@@ -311,6 +282,9 @@ class PaperRobot:
         rolled_rad = wheel.rolled_rad
         way_rad, self._rolled_rad[side] = rolled_rad - self._rolled_rad[side], rolled_rad
         return -1 if way_rad < 0.0 else 1
+
+
+LabRobot = FirmwareRobot | PaperRobot  # what the operator drives and measures
 
 
 def _never_braking(parameters: WorldParameters) -> WorldParameters:

@@ -1,6 +1,6 @@
 """Causes of odometry errors, one at a time, and tables 2-5 of the paper and of simulated robots."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -154,7 +154,7 @@ def tables(
         CALIBRATED: calibrated(firmware),
     }
     experiments = [Experiment(setup, pattern, runs) for pattern in PATTERNS for setup in setups.values()]
-    measured = _reported(laboratory.measure(experiments), len(experiments), report)
+    measured = measure_all(laboratory, experiments, report)
     return [
         ErrorTable(
             pattern,
@@ -164,7 +164,10 @@ def tables(
     ]
 
 
-def _reported(measured: Iterator[Errors], count: int, report: Callable[[str], None]) -> Iterator[Errors]:
-    for number, errors in enumerate(measured, start=1):
-        report(f"{number} of {count} experiments driven")
+def measure_all(
+    laboratory: Laboratory, experiments: Sequence[Experiment], report: Callable[[str], None]
+) -> Iterator[Errors]:
+    """Yield the errors of each experiment, and report how many were driven."""
+    for number, errors in enumerate(laboratory.measure(experiments), start=1):
+        report(f"{number} of {len(experiments)} experiments driven")
         yield errors

@@ -140,7 +140,7 @@ class World:
 
     def __init__(self, parameters: WorldParameters, instance: Instance) -> None:
         self.instance = instance
-        self.left, self.right = SimulatedWheel(self, 0), SimulatedWheel(self, 1)
+        self.left, self.right = self.wheels = SimulatedWheel(self, 0), SimulatedWheel(self, 1)
         self.parameters = parameters
         self._row = (ctypes.c_double * len(columns())).from_address(instance.address("row"))
         self._control = Control.from_address(instance.address("control"))
@@ -333,7 +333,7 @@ class Trace:
 
 
 class FirmwareWorld:
-    """Firmware with a simulated host. `connect` first, then `drive` and `run`; read `pose`, `odometry`, `trace`."""
+    """Firmware with a simulated host. `connect` first, then `drive` and `run`; read `world` and `trace`."""
 
     def __init__(
         self,
@@ -366,24 +366,9 @@ class FirmwareWorld:
     # -- state --------------------------------------------------------------------------------------------------
 
     @property
-    def row(self) -> dict[str, float]:
-        """Current values by column."""
-        return self.world.row
-
-    @property
     def now_s(self) -> float:
         """Time since the robot was switched on."""
         return self.world.now("t_s")
-
-    @property
-    def pose(self) -> Pose:
-        """True pose; theta is not wrapped."""
-        return self.world.pose
-
-    @property
-    def odometry(self) -> Pose:
-        """Pose that the firmware has estimated."""
-        return self.world.odometry
 
     @property
     def trace(self) -> Trace:
@@ -395,11 +380,6 @@ class FirmwareWorld:
         """Log lines of the firmware."""
         found = [decode_log(frame.payload) for frame in self.frames if frame.topic_id == Id.LOG]
         return [log for log in found if log is not None]
-
-    @property
-    def lost_bytes(self) -> int:
-        """Number of bytes from the host that the UART dropped because its buffer was full."""
-        return self.firmware.lost_bytes
 
     def forget(self) -> None:
         """Drop the samples and frames that were recorded so far."""
@@ -514,7 +494,7 @@ def follow(
     Raises:
         TimeoutError: the robot does not reach the end.
     """
-    follower, start, path, shown = CourseFollower(legs), robot.pose, [robot.odometry], Pose()
+    follower, start, path, shown = CourseFollower(legs), robot.world.pose, [robot.world.odometry], Pose()
     correction = OdometryCorrection() if correction is None else correction
     now_s = 0.0
     while not follower.is_done:
@@ -523,10 +503,10 @@ def follow(
                 f"the simulated robot does not reach its goal: {follower.legs_left} legs are left after {now_s:.0f} s"
             )
         robot.drive(*follower.update(shown, now_s), COMMAND_S)
-        shown = correction.advance(shown, path[-1], robot.odometry)
-        path.append(robot.odometry)
+        shown = correction.advance(shown, path[-1], robot.world.odometry)
+        path.append(robot.world.odometry)
         now_s += COMMAND_S
-    return tuple(path), _from(start, robot.pose)
+    return tuple(path), _from(start, robot.world.pose)
 
 
 def _from(start: Pose, end: Pose) -> Pose:

@@ -4,7 +4,7 @@ import asyncio
 import contextlib
 from dataclasses import dataclass, field, replace
 
-from hostlink.cancellation import raise_if_cancelled
+from hostlink.cancellation import meanwhile, raise_if_cancelled
 from hostlink.protocol.control import TopicInfo, decode_topic_info, encode_topic_info
 from hostlink.protocol.frame import FIRST_TOPIC_ID, MAX_PAYLOAD_BYTES, Frame, Id, encode
 from hostlink.protocol.stream import FrameStream
@@ -102,14 +102,10 @@ class PlayedDevice:
 
     async def _talk(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         try:
-            async with asyncio.TaskGroup() as tasks:
-                beat = tasks.create_task(self._beat(writer), name=f"{self.robot} beat")
+            async with meanwhile((f"{self.robot} beat", self._beat(writer))):
                 stream = FrameStream(limit_bytes=BUFFER_BYTES)
-                try:
-                    while data := await reader.read(READ_BYTES):
-                        self._receive(stream, data, writer)
-                finally:
-                    beat.cancel()
+                while data := await reader.read(READ_BYTES):
+                    self._receive(stream, data, writer)
         except* OSError:
             pass  # the host is gone; `run` tries again
         finally:

@@ -8,9 +8,8 @@ from hostlink.protocol.control import decode_topic_info, encode_topic_info
 from hostlink.protocol.frame import Frame, Id, byte_sum, encode
 from hostlink.protocol.resampling import resample
 from hostlink.protocol.stream import FrameStream
-from hostlink.robot.kinematics import Pose
 from hostlink.sim.firmware_module import WorldParameters
-from hostlink.sim.firmware_world import Firmware, RobotKind, SimulatedWheel, WheelControl, World
+from hostlink.sim.firmware_world import Firmware, RobotKind, SimulatedWheel
 
 # -- robot ------------------------------------------------------------------------------------------------------------
 
@@ -18,8 +17,8 @@ BAUD = 38400  # the paper's
 PASS_MS = 1000  # longest step of the firmware
 
 
-class SimulatedRobot:
-    """Simulated robot. `advance` runs the firmware up to a time and returns the bytes that left its UART.
+class SimulatedRobot(Firmware):
+    """Firmware in real time. `advance` runs the firmware up to a time and returns the bytes that left its UART.
 
     While nothing is sent to the robot, `quiet_s` may pass between two calls.
     """
@@ -39,21 +38,11 @@ class SimulatedRobot:
             ConfigError: wasmtime is not installed, or has no library for this machine.
             ValueError: a number of the world has no such name, or is out of its range.
         """
+        super().__init__(world, name=name, baud=baud, kind=kind)
         self.name = name
-        self.firmware = Firmware(world, name=name, baud=baud, kind=kind)
-        self.firmware.set_clock(clock_rate)
+        self.set_clock(clock_rate)
         self._began_s: float | None = None
         self._passed_ms = 0
-
-    @property
-    def world(self) -> World:
-        """World with the true state of the robot."""
-        return self.firmware.world
-
-    @property
-    def wheels(self) -> tuple[SimulatedWheel, SimulatedWheel]:
-        """Left and right wheel."""
-        return self.world.left, self.world.right
 
     @property
     def speed_m_s(self) -> float:
@@ -61,28 +50,9 @@ class SimulatedRobot:
         return (self.world.left.speed_m_s + self.world.right.speed_m_s) / 2
 
     @property
-    def pose(self) -> Pose:
-        """Pose that the firmware has estimated."""
-        return self.world.odometry
-
-    @property
-    def controls(self) -> tuple[WheelControl, WheelControl]:
-        """Controls of the left and the right wheel."""
-        return self.firmware.controls
-
-    @property
-    def is_configured(self) -> bool:
-        """Whether the robot is connected to a host."""
-        return self.firmware.is_configured
-
-    @property
     def quiet_s(self) -> float:
         """Time in which nothing leaves the UART unless the robot receives bytes; 0 while bytes are on the line."""
-        return self.firmware.quiet_ms / 1000
-
-    def receive(self, data: bytes) -> None:
-        """Send bytes to the robot at the time of the last `advance`."""
-        self.firmware.send(data)
+        return self.quiet_ms / 1000
 
     def advance(self, now_s: float) -> bytes:
         """Run the firmware up to `now_s`. Return the bytes that left the UART since the last call."""
@@ -92,7 +62,7 @@ class SimulatedRobot:
         sent = b""
         while due_ms > 0:
             ms = min(due_ms, PASS_MS)
-            sent += self.firmware.run(ms)
+            sent += self.run(ms)
             self._passed_ms += ms
             due_ms -= ms
         return sent

@@ -11,6 +11,7 @@ import socket
 from collections.abc import AsyncIterator, Callable, Iterator
 from typing import Any
 
+from hostlink.cancellation import meanwhile
 from hostlink.errors import system_text
 from hostlink.protocol.frame import Id, encode
 from hostlink.sim.firmware_module import WorldParameters
@@ -101,7 +102,7 @@ async def run_over_tcp(
                         await _talk(board, reader, writer)
                     log(f"{robot.name}: the host closed the connection")
                 if fault.runs_s is not None:
-                    robot.firmware.reboot()
+                    robot.reboot()
             await asyncio.sleep(RECONNECT_S)
 
 
@@ -125,7 +126,7 @@ async def run_over_udp(
                 async with asyncio.timeout(fault.runs_s):
                     await _talk_over_udp(board, host, port, log=log, on_unanswered=on_unanswered)
             except TimeoutError:
-                robot.firmware.reboot()
+                robot.reboot()
             except OSError as error:  # the address does not exist, or cannot be reached
                 if last_error != str(error):
                     last_error = str(error)
@@ -170,7 +171,7 @@ class _Board:
     def receive(self, data: bytes) -> None:
         """Pass bytes from the host to the robot."""
         self._advance()
-        self.robot.receive(data)
+        self.robot.send(data)
         self._timer.cancel()
         self._timer = self._loop.call_later(LINE_POLL_S, self._poll)
 
@@ -184,7 +185,7 @@ class _Board:
             yield
         finally:
             self._send = None
-            self.robot.firmware.cut()
+            self.robot.cut()
 
     def _poll(self) -> None:
         try:
@@ -203,15 +204,13 @@ class _Board:
 @contextlib.asynccontextmanager
 async def _switched_on(robot: SimulatedRobot, fault: Fault) -> AsyncIterator[_Board]:
     """Run the robot's firmware within the block."""
-    fault.break_wheel(robot.wheels[0])
+    fault.break_wheel(robot.world.left)
     board = _Board(robot, fault)
-    async with asyncio.TaskGroup() as tasks:
-        running = tasks.create_task(board.run(), name=f"{robot.name} board")
+    async with meanwhile((f"{robot.name} board", board.run())):
         try:
             yield board
         finally:
             board.switch_off()
-            running.cancel()
 
 
 async def _talk(board: _Board, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:

@@ -144,5 +144,5 @@ def test_command_that_trembles_around_zero_neither_drives_the_robot_away_nor_is_
             robot.run(COMMAND_S / 2.0)
             robot.command(-0.002 * (-1) ** number, 0.0)
             robot.run(COMMAND_S / 2.0)
-        assert not any(robot.row[f"{side}_fault"] for side in SIDES), seed
+        assert not any(robot.world.row[f"{side}_fault"] for side in SIDES), seed
         assert abs(robot.world.x_m) < 0.05

@@ -237,7 +237,7 @@ def test_nan_velocity_stops_and_the_next_one_drives(commands: list[tuple[float, 
     robot.connect()
     for linear, angular in commands:
         robot.drive(linear, angular, COMMAND_S)
-        assert all(abs(robot.row[f"{side}_set_ticks_s"]) <= FULL_TICKS_S + 0.01 for side in ("left", "right"))
+        assert all(abs(robot.world.row[f"{side}_set_ticks_s"]) <= FULL_TICKS_S + 0.01 for side in ("left", "right"))
     robot.drive(0.0, 0.0, 1.0)
     robot.drive(3e38, 0.0, COMMAND_S)
     robot.drive(0.2, 0.0, 3.0)

@@ -63,7 +63,7 @@ async def record(me: Host, stages: Sequence[Stage] = (SLOW,), wheel: Wheel | Non
 
 
 async def stands(robot: DisturbedRobot) -> None:
-    await expect(lambda: robot.speed_m_s == 0 and all(wheel.speed_m_s == 0 for wheel in robot.wheels))
+    await expect(lambda: robot.speed_m_s == 0 and all(wheel.speed_m_s == 0 for wheel in robot.world.wheels))
 
 
 async def stepping(host: Daemon) -> None:
@@ -94,7 +94,7 @@ async def test_a_step_is_recorded_from_a_standstill_and_ends_in_one() -> None:
 async def test_one_wheel_alone_is_driven_and_recorded() -> None:
     async with bench() as (_, robot, me):
         recording = await record(me, [make_stage(-0.04, 1.5, Wheel.RIGHT, 0.21)], Wheel.RIGHT)
-        rolled_m = [wheel.rolled_rad * 0.045 for wheel in robot.wheels]
+        rolled_m = [wheel.rolled_rad * 0.045 for wheel in robot.world.wheels]
     assert set(recording.records) == {"right"}
     assert recording.records["right"].target < -30
     assert rolled_m[0] == pytest.approx(0.0, abs=0.0005)

@@ -106,13 +106,13 @@ class FirmwareProgram:
         self.to_host.send(self.robot.advance(now_s), now_s)
 
     def reboot(self) -> None:
-        self.robot.firmware.reboot()
+        self.robot.reboot()
 
     def send(self, data: bytes, _: float) -> None:
-        self.robot.receive(data)
+        self.robot.send(data)
 
     def cut(self) -> None:
-        self.robot.firmware.cut()
+        self.robot.cut()
 
 
 def pose(number: int) -> bytes:

@@ -33,11 +33,11 @@ async def test_topics_echo_pub_and_call() -> None:
         assert await device.frame(100) == b"\x01"
         assert await listening == (0, '{"data": true}\n', "")
 
-        calling = tasks.create_task(run("call", "/trigger", "--url", daemon.url))
-        await device.frame(101)
-
-        await device.send(encode(125, b"\x01\x02\x00\x00\x00ok"))
-        assert await calling == (0, '{"success": true, "message": "ok"}\n', "")
+        for success, printed in ((b"\x01", "true"), (b"\x00", "false")):  # an answer is status 0, also a refusal
+            calling = tasks.create_task(run("call", "/trigger", "--url", daemon.url))
+            await device.frame(101)
+            await device.send(encode(125, success + b"\x02\x00\x00\x00ok"))
+            assert await calling == (0, f'{{"success": {printed}, "message": "ok"}}\n', "")
 
 
 @pytest.mark.parametrize(
@@ -45,7 +45,7 @@ async def test_topics_echo_pub_and_call() -> None:
     [
         (["pub", "/nope", "{}"], "no topic named /nope; known: /diagnostics, /led"),
         (["pub", "/led", '{"dta": true}'], "dta"),
-        (["pub", "/led", "{}", "--type", "std_msgs/Int32"], "/led: wanted std_msgs/Bool, got std_msgs/Int32"),
+        (["pub", "/led", "std_msgs/Int32", "{}"], "/led: wanted std_msgs/Bool, got std_msgs/Int32"),
         (["call", "/nope"], "no service named /nope"),
     ],
 )

@@ -76,7 +76,7 @@ async def test_half_a_square_ends_at_the_far_corner() -> None:
     async with world() as (url, robot):
         printed = await run_example("square.py", str(SIDE_M), url, "2")
         assert abs(robot.speed_m_s) < 0.01
-        pose = robot.pose
+        pose = robot.world.odometry
     assert [line.partition(":")[0] for line in printed.splitlines()] == ["reached"] * 4
     numbers = [[float(each) for each in re.findall(r"(-?[\d.]+) (?:m|rad)", line)] for line in printed.splitlines()]
     assert numbers[0][0] == pytest.approx(SIDE_M, abs=0.03)

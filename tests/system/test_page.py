@@ -149,8 +149,10 @@ async def test_the_mouse_on_the_joystick_drives_draws_and_plots(scene: Scene) ->
         await scene.drives()
         await tab.shows("#drive-state", "You drive")
         await tab.shows("#robots", "you drive")
-        begun = scene.robot.pose.x_m
-        await expect(lambda: abs(scene.robot.pose.x_m - begun) > 0.3)  # a shorter path hides under the robot's picture
+        begun = scene.robot.world.odometry.x_m
+        await expect(
+            lambda: abs(scene.robot.world.odometry.x_m - begun) > 0.3
+        )  # a shorter path hides under the robot's picture
         await tab.page.mouse.up()
         await scene.stands(within_s=1.0)
         await tab.map_has("length", r"^0\.[2-9]|^[1-9]")
@@ -241,16 +243,16 @@ async def test_page_that_is_closed_while_driving_stops_the_robot(scene: Scene, w
 
 async def test_reset_makes_this_the_origin_and_gains_reach_the_robot(scene: Scene) -> None:
     async with connected(scene) as tab:
-        for wheel in scene.robot.wheels:  # by hand
+        for wheel in scene.robot.world.wheels:  # by hand
             wheel.grip(300.0)
-        await expect(lambda: scene.robot.pose.x_m > 0.4)
-        for wheel in scene.robot.wheels:
+        await expect(lambda: scene.robot.world.odometry.x_m > 0.4)
+        for wheel in scene.robot.world.wheels:
             wheel.grip(0.0)
         await asyncio.sleep(0.1)  # its last edges are counted
-        await tab.shows("#pose", f"{scene.robot.pose.x_m:.2f} m")
+        await tab.shows("#pose", f"{scene.robot.world.odometry.x_m:.2f} m")
         await tab.page.get_by_role("button", name="Reset odometry").click()
         await tab.page.get_by_role("button", name="Really reset?").click()
-        await expect(lambda: scene.robot.pose == Pose())
+        await expect(lambda: scene.robot.world.odometry == Pose())
         await tab.shows("#pose", "x0.00 m")
 
         await tab.layout("Tune")

@@ -134,7 +134,7 @@ async def test_page_of_a_driving_robot_has_the_right_layout_and_text(browser: Br
             await tab.shows("#drive-state", "no driver")
             await tab.page.keyboard.down("KeyW")
             await tab.page.keyboard.down("KeyA")
-            await expect(lambda: robot.pose.theta_rad > TURN_RAD, timeout_s=60.0)
+            await expect(lambda: robot.world.odometry.theta_rad > TURN_RAD, timeout_s=60.0)
             for scheme in ("light", "dark"):
                 await tab.page.emulate_media(color_scheme=scheme)
                 await tab.page.screenshot(path=PICTURES / f"page-{size}-{scheme}.png")

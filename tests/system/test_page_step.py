@@ -129,7 +129,7 @@ async def test_a_robot_whose_plot_data_falls_silent_is_stopped(browser: Browser)
 
 async def test_a_robot_that_rolls_begins_no_step(browser: Browser) -> None:
     async with bench(browser) as (host, robot, tab):
-        robot.wheels[0].grip(100.0)
+        robot.world.wheels[0].grip(100.0)
         await expect(lambda: robot.world.now("left_measured_ticks_s") > 10)
         await asyncio.sleep(0.3)
         await press(tab)

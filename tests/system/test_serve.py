@@ -70,7 +70,7 @@ async def test_a_killed_daemon_leaves_a_simulated_robot_standing() -> None:
         await running
     assert robot.is_configured  # it has not noticed yet, and will not for 11 s
     robot.advance(killed_s + STOP_S)
-    assert [wheel.pwm for wheel in robot.wheels] == [0, 0]
+    assert [wheel.pwm for wheel in robot.world.wheels] == [0, 0]
     robot.advance(killed_s + STOP_S + 1.0)  # it rolls out
     assert robot.speed_m_s < 0.01
 
@@ -109,7 +109,7 @@ async def test_a_serial_device_does_the_same() -> None:
         running = tasks.create_task(run_over_streams(robot, reader, writer))
         appeared = await daemon.read_log("robot.appeared")
         assert appeared["peer"] == path
-        while robot.pose.x_m < 0.05:
+        while robot.world.odometry.x_m < 0.05:
             await drive(daemon.url, 0.3, 0.0)
             await asyncio.sleep(0.1)
         url = f"{daemon.url}/api/robots/robot_0/odometry"
@@ -176,7 +176,7 @@ async def test_a_serial_port_that_is_not_there_is_waited_for() -> None:
         (
             ["serve", "--log-level", "loud"],
             2,
-            "hostlink: --log-level: unknown level 'loud'; choose debug, info, warning or error",
+            "hostlink: --log-level: unknown value 'loud'; choose debug, info, warning or error",
         ),
         (["inspect", "/none.jsonl"], 1, "hostlink: /none.jsonl: No such file or directory"),
         (
@@ -188,7 +188,7 @@ async def test_a_serial_port_that_is_not_there_is_waited_for() -> None:
         (["drive", "robot_0", "--url", "http://127.0.0.1:1"], 1, "hostlink: no hostlink at http://127.0.0.1:1"),
         (["pub", "/x", "{"], 2, "hostlink: MESSAGE: is not JSON"),
         (["call", "/x", '"a: b"'], 2, "hostlink: REQUEST: is JSON, but not an object"),
-        (["teleop", "--layout", "dvorak"], 2, "hostlink: --layout: unknown layout 'dvorak'; choose original or twist"),
+        (["teleop", "--layout", "dvorak"], 2, "hostlink: --layout: unknown value 'dvorak'; choose original or twist"),
     ],
 )
 async def test_wrong_words_on_the_command_line(arguments: list[str], status: int, complaint: str) -> None:

@@ -67,7 +67,7 @@ async def test_systemd_is_notified_of_the_start_of_each_heartbeat_and_of_the_sto
             for _ in range(4):
                 await listener.received("WATCHDOG=1")
             assert watch.seconds < 4 * WATCHDOG_S  # it is sent before it is due
-            await listener.received("STATUS=1 devices; robots: robot_0")
+            await listener.received("STATUS=1 device; robots: robot_0")
             daemon.child.send_signal(signal.SIGTERM)
             await listener.received("STOPPING=1")
             assert await daemon.child.wait() == 0

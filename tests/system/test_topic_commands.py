@@ -183,7 +183,7 @@ async def test_parameters_are_set_saved_and_loaded(tmp_path: Path) -> None:
         assert (status, err) == (0, "")
         assert json.loads(out)["/pid/kp"] == [1, 2]
         (tmp_path / "hostlink.toml").write_text("[parameters]\ngain = 2.5\n")
-        await run("params", "load", str(tmp_path / "hostlink.toml"), *at)
+        assert (await run("params", "load", str(tmp_path / "hostlink.toml"), *at))[2] == "1 parameter set\n"
         assert (await run("params", "get", "gain", *at))[1] == "2.5\n"
 
 

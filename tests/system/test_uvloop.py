@@ -89,7 +89,7 @@ async def test_without_uvloop_the_daemon_runs_on_asyncio(tmp_path: Path) -> None
 
 
 async def test_an_unknown_loop_is_one_line() -> None:
-    message = "hostlink: --loop: unknown loop 'trio'; choose auto, asyncio, uvloop\n"
+    message = "hostlink: --loop: unknown value 'trio'; choose auto, asyncio or uvloop\n"
     assert await run("serve", "--loop", "trio") == (2, "", message)
 
 

@@ -93,8 +93,6 @@ def test_a_wrong_tape_measure_keeps_nothing(tmp_path: Path, mistake: str, text: 
 @pytest.mark.parametrize(
     "arguments",
     [
-        ("--mistake", "none"),
-        ("--target", "moon"),
         ("--world", "trak_m=0.2"),
         ("--world", "track_m=wide"),
         ("--nominal", "0.045"),
@@ -105,6 +103,11 @@ def test_a_wrong_tape_measure_keeps_nothing(tmp_path: Path, mistake: str, text: 
 )
 def test_wrong_argument_is_refused(tmp_path: Path, arguments: Sequence[str]) -> None:
     assert isinstance(calibrate(tmp_path, *arguments).exception, ConfigError)
+
+
+@pytest.mark.parametrize("arguments", [("--mistake", "none"), ("--target", "moon")])
+def test_unknown_choice_is_refused(tmp_path: Path, arguments: Sequence[str]) -> None:
+    assert calibrate(tmp_path, *arguments).exit_code == 2
 
 
 @pytest.mark.parametrize("option", ["--length", "--side", "--linear", "--angular"])

@@ -51,7 +51,7 @@ def test_everything_that_would_be_served_has_a_line(tmp_path: Path) -> None:
         "robot robot_0, 7543",
         "robot robot_1, known by its topics",
         f"messages in {tmp_path}",
-        "1 parameters",
+        "1 parameter",
     ]
 
 

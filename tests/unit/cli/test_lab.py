@@ -4,7 +4,6 @@ from pathlib import Path
 
 import pytest
 
-from hostlink.cli import lab
 from hostlink.cli.main import build_app
 from hostlink.errors import ConfigError
 
@@ -13,12 +12,16 @@ def run(*arguments: str) -> None:
     build_app("lab")(["lab", *arguments], standalone_mode=False)
 
 
-def test_a_missing_library_names_the_extra() -> None:
+@pytest.mark.parametrize(("words", "library"), [(("pictures",), "matplotlib"), (("tables", "--fit"), "scipy")])
+def test_a_missing_library_names_the_extra(
+    words: tuple[str, ...], library: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("importlib.util.find_spec", lambda _: None)
     with pytest.raises(
-        ConfigError, match=r"needs no_such_library, of the extra 'lab': run  .* -m pip install 'matplotlib.* 'scipy"
+        ConfigError,
+        match=rf"needs {library}, of the extra 'lab': run  .* -m pip install 'matplotlib.* 'scipy",
     ):
-        lab._require("no_such_library")
-    lab._require(None)
+        run(*words)
 
 
 @pytest.mark.parametrize(

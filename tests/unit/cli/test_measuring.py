@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hostlink.cli.output import duration, size
+from hostlink.cli.output import duration, quantity, size
 from hostlink.cli.topics import MessageWindow, distribution
 
 
@@ -48,3 +48,17 @@ def test_a_duration_has_the_digits_of_a_person(seconds: float, text: str) -> Non
 )
 def test_a_size_has_the_digits_of_a_person(count: float, text: str) -> None:
     assert size(count) == text
+
+
+@pytest.mark.parametrize(
+    ("count", "nouns", "text"),
+    [
+        (0, ("parameter",), "0 parameters"),
+        (1, ("parameter",), "1 parameter"),
+        (2, ("parameter",), "2 parameters"),
+        (1, ("velocity", "velocities"), "1 velocity"),
+        (2, ("velocity", "velocities"), "2 velocities"),
+    ],
+)
+def test_number_of_things_has_the_form_of_the_noun(count: int, nouns: tuple[str, ...], text: str) -> None:
+    assert quantity(count, *nouns) == text

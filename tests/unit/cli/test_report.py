@@ -54,7 +54,7 @@ def test_healthy_link_is_reported() -> None:
     robots = [{"link": 2, "odometry": {"rate_hz": 30.0, "age_s": 0.02}, "holder": "client 7"}]
     view = {"links": [live(2, "10.0.0.2:1", "robot_0")], "ended": [], "ports": []}
     assert report_lines(report_of(view, "here", robots)) == [
-        "link 2  10.0.0.2:1  robot_0  (100 s, 1 topics)  healthy",
+        "link 2  10.0.0.2:1  robot_0  (100 s, 1 topic)  healthy",
         "  30.0 frames/s from it, 10.0 to it, nothing lost, last heard 50.0 ms ago",
         "  odometry 30.0 Hz, 20.0 ms old; driven by client 7",
         "  topics /robot_0/odometry",
@@ -66,7 +66,7 @@ def test_findings_precede_healthy_links() -> None:
     lines = report_lines(report_of({"links": [wrong], "ended": [], "ports": [{"diagnosis": [FOUND]}]}, "here"))
     assert lines[0] == "text_on_line: text"
     assert lines[2:6] == [
-        "link 2  10.0.0.2:1  (100 s, 1 topics)",
+        "link 2  10.0.0.2:1  (100 s, 1 topic)",
         "  text_on_line: text",
         "    next: remove it",
         "  30.0 frames/s from it, 10.0 to it, 5.0 % of its bytes lost, last heard 50.0 ms ago",

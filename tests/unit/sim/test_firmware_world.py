@@ -30,7 +30,7 @@ def connected(parameters: WorldParameters | None = None, name: str = "robot_0") 
 
 def unseen_rad(made: FirmwareWorld) -> float:
     """Angle by which the robot turned unnoticed by its odometry."""
-    return math.remainder(made.pose.theta_rad - made.odometry.theta_rad, math.tau)
+    return math.remainder(made.world.pose.theta_rad - made.world.odometry.theta_rad, math.tau)
 
 
 def drive(made: FirmwareWorld, sample_s: float = 0.0) -> FirmwareWorld:
@@ -45,22 +45,22 @@ def test_firmware_world_connects_and_drives_as_commanded() -> None:
     assert "robot is ready" in [log.text for log in made.logs]
     made.drive(0.2, 0.0, 10.0)
     made.drive(0.0, 0.0, 1.0)
-    assert made.pose.x_m > 1.5
-    assert made.odometry.x_m == pytest.approx(made.pose.x_m, rel=0.002)
-    assert made.row["left_ticks_s"] == 0.0
+    assert made.world.pose.x_m > 1.5
+    assert made.world.odometry.x_m == pytest.approx(made.world.pose.x_m, rel=0.002)
+    assert made.world.row["left_ticks_s"] == 0.0
 
 
 def test_the_same_seed_repeats_and_another_does_not() -> None:
     first, again = drive(connected(SLIPPERY)), drive(connected(SLIPPERY))
     other = drive(connected(SLIPPERY.changed({"seed": 4})))
-    assert first.row == again.row
-    assert math.hypot(first.pose.x_m - other.pose.x_m, first.pose.y_m - other.pose.y_m) > 0.001
-    assert first.odometry != first.pose
+    assert first.world.row == again.world.row
+    assert math.hypot(first.world.pose.x_m - other.world.pose.x_m, first.world.pose.y_m - other.world.pose.y_m) > 0.001
+    assert first.world.odometry != first.world.pose
 
 
 def test_samples_do_not_change_what_happens() -> None:
     plain, sampled = drive(connected(SLIPPERY)), drive(connected(SLIPPERY), sample_s=0.03)
-    assert plain.row == sampled.row
+    assert plain.world.row == sampled.world.row
     assert np.allclose(np.diff(sampled.trace["t_s"]), 0.03)
     assert sampled.trace.rows.shape[1] == len(columns())
     sampled.forget()
@@ -73,8 +73,8 @@ def test_two_robots_do_not_know_of_each_other() -> None:
     for linear, angular, seconds in SQUARE:
         left.drive(linear, angular, seconds)
         right.drive(-linear, angular, seconds)
-    assert left.row == alone.row
-    assert right.pose.x_m < -0.5
+    assert left.world.row == alone.world.row
+    assert right.world.pose.x_m < -0.5
 
 
 def test_the_host_s_parameters_reach_the_firmware() -> None:
@@ -82,7 +82,7 @@ def test_the_host_s_parameters_reach_the_firmware() -> None:
     made.connect()
     made.drive(0.2, 0.0, 5.0)
     made.drive(0.0, 0.0, 1.0)
-    assert made.odometry.x_m == pytest.approx(2 * made.pose.x_m, rel=0.01)
+    assert made.world.odometry.x_m == pytest.approx(2 * made.world.pose.x_m, rel=0.01)
 
 
 @pytest.mark.parametrize(("feedback", "share"), [(Feedback.WASHED_OUT, 1.0), (Feedback.PAPER, 0.952)])
@@ -91,7 +91,7 @@ def test_the_paper_s_feedback_makes_every_speed_low(feedback: Feedback, share: f
     made.connect()
     made.drive(0.2, 0.0, 8.0)
     made.drive(0.2, 0.0, 5.0, sample_s=0.01)
-    wanted = made.row["left_set_ticks_s"]
+    wanted = made.world.row["left_set_ticks_s"]
     assert float(np.mean(made.trace["left_ticks_s"])) == pytest.approx(share * wanted, rel=0.005)
 
 
@@ -107,8 +107,8 @@ def test_without_commands_it_stands_within_0_6_s() -> None:
     made = connected()
     made.drive(0.3, 0.0, 5.0)
     made.run(0.6)
-    assert made.row["left_ticks_s"] == pytest.approx(0.0, abs=2.0)
-    assert made.row["left_pwm"] == made.row["right_pwm"] == 0.0
+    assert made.world.row["left_ticks_s"] == pytest.approx(0.0, abs=2.0)
+    assert made.world.row["left_pwm"] == made.world.row["right_pwm"] == 0.0
 
 
 @pytest.mark.parametrize("retry", [Retry.PAPER, Retry.KEEP_STATE])
@@ -116,8 +116,8 @@ def test_at_the_paper_s_baud_rate_nothing_is_lost(retry: Retry) -> None:
     made = FirmwareWorld(baud=38400, retry=retry)
     made.connect()
     made.drive(0.2, 0.3, 20.0)
-    assert made.lost_bytes == 0
-    assert made.pose.theta_rad > 3.0
+    assert made.firmware.lost_bytes == 0
+    assert made.world.pose.theta_rad > 3.0
 
 
 @pytest.mark.parametrize(("turn", "onwards"), [(0.8, 0.2), (-0.8, 0.2), (0.8, -0.2), (-0.8, -0.2)])
@@ -155,10 +155,10 @@ def test_a_hand_at_the_wheels_and_at_the_robot() -> None:
     assert made.world.left.edges == pytest.approx(200, abs=1)
     made.world.left.release()
     made.run(1.0)
-    before = made.pose
+    before = made.world.pose
     made.world.shove(0.1, 0.0, 0.5)
-    assert made.pose.theta_rad == pytest.approx(before.theta_rad + 0.5)
-    assert math.hypot(made.pose.x_m - before.x_m, made.pose.y_m - before.y_m) == pytest.approx(0.1)
+    assert made.world.pose.theta_rad == pytest.approx(before.theta_rad + 0.5)
+    assert math.hypot(made.world.pose.x_m - before.x_m, made.world.pose.y_m - before.y_m) == pytest.approx(0.1)
 
 
 def test_world_is_valid_as_long_as_it_is_referenced() -> None:

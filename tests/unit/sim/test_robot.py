@@ -30,19 +30,19 @@ class Track:
         self.connect()
 
     def connect(self) -> None:
-        self.robot.receive(TOPICS_REQUEST)
+        self.robot.send(TOPICS_REQUEST)
         self.run(1.0)
 
     def run(self, seconds: float, command: bytes = b"") -> None:
         for step in range(round(seconds / STEP_S)):
             if step % round(COMMAND_S / STEP_S) == 0:
-                self.robot.receive(command)
+                self.robot.send(command)
             self.now_s += STEP_S
             for item in self._stream.feed(self.robot.advance(self.now_s)):
                 if isinstance(item, Frame):
                     self.frames.append(item)
                     if item.topic_id == Id.TIME:
-                        self.robot.receive(encode(Id.TIME, bytes(8)))
+                        self.robot.send(encode(Id.TIME, bytes(8)))
 
     def count(self, topic_id: int) -> int:
         return sum(frame.topic_id == topic_id for frame in self.frames)
@@ -58,12 +58,12 @@ def test_robot_with_a_host_drives_publishes_and_stands_without_commands() -> Non
     track.frames.clear()
     track.run(RUN_S, velocity(0.2))
     assert track.robot.speed_m_s == pytest.approx(0.2, rel=0.1)
-    assert track.robot.pose.x_m == pytest.approx(track.robot.world.x_m, abs=0.01)
+    assert track.robot.world.odometry.x_m == pytest.approx(track.robot.world.x_m, abs=0.01)
     assert track.count(ODOMETRY_ID) == pytest.approx(10 * RUN_S, abs=1)
     assert track.count(PLOT_ID) == pytest.approx(10 * RUN_S, abs=1)
     track.run(1.0)
     assert track.robot.speed_m_s == 0.0
-    assert [wheel.pwm for wheel in track.robot.wheels] == [0, 0]
+    assert [wheel.pwm for wheel in track.robot.world.wheels] == [0, 0]
 
 
 def test_robot_whose_process_was_late_ran_on_and_has_stopped_by_its_watchdog() -> None:
@@ -96,7 +96,7 @@ def test_bytes_that_a_robot_receives_end_its_quiet() -> None:
     track = Track()
     while track.robot.quiet_s < 0.01:
         track.run(STEP_S)
-    track.robot.receive(velocity(0.0))
+    track.robot.send(velocity(0.0))
     assert track.robot.quiet_s == 0.0
 
 
@@ -110,8 +110,8 @@ def test_same_time_twice_changes_nothing() -> None:
 def test_cut_line_loses_what_was_on_it_both_ways() -> None:
     track = Track()
     track.run(RUN_S, velocity(0.2))
-    track.robot.receive(velocity(0.0))
-    track.robot.firmware.cut()
+    track.robot.send(velocity(0.0))
+    track.robot.cut()
     track.now_s += 0.1
     track.robot.advance(track.now_s)
     assert track.robot.speed_m_s > 0.1
@@ -120,16 +120,16 @@ def test_cut_line_loses_what_was_on_it_both_ways() -> None:
 def test_reboot_begins_odometry_anew_where_the_robot_stands() -> None:
     track = Track()
     track.run(RUN_S, velocity(0.2))
-    track.robot.firmware.reboot()
+    track.robot.reboot()
     assert not track.robot.is_configured
-    assert track.robot.pose == (0.0, 0.0, 0.0)
+    assert track.robot.world.odometry == (0.0, 0.0, 0.0)
     track.run(1.0, velocity(0.2))
     assert track.robot.speed_m_s == 0.0
     stood_m = track.robot.world.x_m
     assert stood_m > 0.2
     track.connect()
     track.run(RUN_S, velocity(0.2))
-    assert track.robot.pose.x_m == pytest.approx(track.robot.world.x_m - stood_m, abs=0.01)
+    assert track.robot.world.odometry.x_m == pytest.approx(track.robot.world.x_m - stood_m, abs=0.01)
 
 
 @pytest.mark.parametrize(("rate", "messages"), [(1.0, 100), (1.25, 125)])
@@ -143,11 +143,11 @@ def test_board_with_a_fast_clock_publishes_more_often(rate: float, messages: int
 @pytest.mark.parametrize(("fault", "number"), [("stalled_wheel", 11), ("runaway_wheel", 21)])
 def test_fault_of_a_wheel_stops_the_robot_once_it_is_driven(fault: str, number: int) -> None:
     track = Track()
-    FAULTS[fault].break_wheel(track.robot.wheels[0])
+    FAULTS[fault].break_wheel(track.robot.world.wheels[0])
     track.run(2.0)
     track.frames.clear()
     track.run(RUN_S, velocity(0.1))
-    assert [wheel.pwm for wheel in track.robot.wheels] == [0, 0]
+    assert [wheel.pwm for wheel in track.robot.world.wheels] == [0, 0]
     numbers = [frame.payload[-2] for frame in track.frames if frame.topic_id == 128 and frame.payload[8:]]
     assert number in numbers
 
