@@ -5,6 +5,8 @@ import contextlib
 import os
 import time
 from collections.abc import AsyncIterator, Callable
+from dataclasses import asdict
+from functools import partial
 from typing import Any
 
 from aiohttp import web
@@ -64,7 +66,7 @@ class Member:
         watcher = hub.join(GROUP, group=GROUP, on_end=lambda: self.shut_down(CRASHED))
         watcher.watch_graph(lambda: self._update(watcher.graph()))
         hub.links.parameter_source = self.parameters
-        hub.counts.graphs[GROUP] = self._node.counts.as_dict
+        hub.counts.graphs[GROUP] = partial(asdict, self._node.counts)
         try:
             yield
         finally:
