@@ -21,7 +21,7 @@ Header = Mapping[str, str]
 
 
 class BadHeader(Exception):
-    """Malformed connection header, or one over the bounds."""
+    """Connection header that is malformed, over the bounds, or refused by the node that reads it."""
 
 
 def encode_header(fields: Header) -> bytes:
@@ -52,14 +52,29 @@ def decode_header(body: bytes) -> dict[str, str]:
     return fields
 
 
-def refusal(header: Header, name: str, type_: MessageType | ServiceType) -> str | None:
-    """Return the error to answer; None if the header fits the topic or service `name`."""
+def decode_answer_header(body: bytes) -> dict[str, str]:
+    """Decode the header by which a node answers one.
+
+    Raises:
+        BadHeader: it is malformed, or an error.
+    """
+    header = decode_header(body)
+    if "error" in header:
+        raise BadHeader(header["error"])
+    return header
+
+
+def check_header(header: Header, name: str, type_: MessageType | ServiceType) -> None:
+    """Check the header of a node that connects to the topic or service `name`.
+
+    Raises:
+        BadHeader: it does not fit.
+    """
     for field in REQUIRED:
         if field not in header:
-            return f"missing field {field}"
+            raise BadHeader(f"missing field {field}")
     if header["md5sum"] not in (ANY, type_.md5):
-        return f"{name} is a {type_.name} with md5 {type_.md5}, not {printable(header['md5sum'])}"
-    return None
+        raise BadHeader(f"{name} is a {type_.name} with md5 {type_.md5}, not {printable(header['md5sum'])}")
 
 
 def encode_message(payload: bytes) -> bytes:

@@ -9,7 +9,7 @@ import structlog
 from hostlink.errors import BadPayload, HostlinkError
 from hostlink.graphs.ros1.connections import Wire
 from hostlink.graphs.ros1.local_node import TIMEOUT_S, LocalNode
-from hostlink.graphs.ros1.tcpros import ANY, BadHeader, Header, decode_header, encode_message, refusal
+from hostlink.graphs.ros1.tcpros import ANY, BadHeader, Header, check_header, decode_answer_header, encode_message
 from hostlink.hub.graph_view import GraphTopic
 from hostlink.hub.message import Message
 from hostlink.hub.participant import Participant
@@ -41,12 +41,14 @@ class RosPublication:
         }
 
     def accept(self, wire: Wire, header: Header) -> None:
-        """Accept a subscriber: it receives the latched message and all later ones."""
-        reason = self._refusal(header)
-        if reason is not None:
-            self._node.counts.refused_headers += 1
-            wire.refuse(reason)
-            return
+        """Accept a subscriber: it receives the latched message and all later ones.
+
+        Raises:
+            BadHeader: its header does not fit, or there are too many.
+        """
+        if len(self.subscribers) >= MAX_SUBSCRIBERS:
+            raise BadHeader(f"more than {MAX_SUBSCRIBERS} subscribers of {self.name}")
+        check_header(header, self.name, self.type)
         wire.send_header(self._header)
         wire.receive = lambda _: None  # a subscriber has nothing more to send
         wire.on_end = lambda: self._remove(wire)
@@ -58,11 +60,6 @@ class RosPublication:
         """Disconnect every subscriber."""
         for wire in list(self.subscribers):
             wire.close()
-
-    def _refusal(self, header: Header) -> str | None:
-        if len(self.subscribers) >= MAX_SUBSCRIBERS:
-            return f"more than {MAX_SUBSCRIBERS} subscribers of {self.name}"
-        return refusal(header, self.name, self.type)
 
     def _subscribe(self) -> None:
         if self._participant is None:
@@ -168,7 +165,7 @@ class _PublisherConnection:
         if self.accepted.done():  # the deadline was first
             return
         try:
-            self._accept(decode_header(messages[0]))
+            self._accept(decode_answer_header(messages[0]))
         except (BadHeader, HostlinkError) as error:
             self.accepted.set_exception(error)
         else:
@@ -201,8 +198,6 @@ class _PublisherConnection:
         return EarlierMotion.within_a_lease(asyncio.get_running_loop().time())
 
     def _type(self, header: Header) -> MessageType:
-        if "error" in header:
-            raise BadHeader(header["error"])
         name, md5 = (printable(header.get(field, "")) for field in ("type", "md5sum"))
         found = self._node.hub.catalog.message(name)
         if found is None:

@@ -244,7 +244,7 @@ def test_service_of_another_node_is_looked_up_and_own_and_tool_services_are_not(
 
 def test_connection_to_an_unknown_topic_is_refused_and_to_a_known_one_accepted() -> None:
     async def test(made: Graph) -> None:
-        publication, unknown, malformed = FakeWire(), FakeWire(), FakeWire()
+        publication, unknown, malformed, wrong = FakeWire(), FakeWire(), FakeWire(), FakeWire()
         md5 = made.sync.publications[TEXT].type.md5
         header = {"callerid": "/listener", "md5sum": md5, "type": TEXT_TYPE}
         made.sync.accept(publication.wire, [encode_header(header | {"topic": TEXT})[4:]])
@@ -254,7 +254,9 @@ def test_connection_to_an_unknown_topic_is_refused_and_to_a_known_one_accepted()
         assert unknown.refusals == ["/hostlink has no service /none"]
         made.sync.accept(malformed.wire, [b"\x05"])
         assert len(malformed.refusals) == 1
-        assert made.node.counts.refused_headers == 2
+        made.sync.accept(wrong.wire, [encode_header(header | {"topic": TEXT, "md5sum": "0"})[4:], b"more"])
+        assert "not 0" in wrong.refusals[0]
+        assert made.node.counts.refused_headers == 3
 
     with_graph(test)
 
