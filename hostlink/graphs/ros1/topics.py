@@ -7,6 +7,7 @@ from typing import Any
 import structlog
 
 from hostlink.errors import BadPayload, HostlinkError
+from hostlink.graphs.hub_source import HubSource
 from hostlink.graphs.ros1.connections import Wire
 from hostlink.graphs.ros1.local_node import TIMEOUT_S, LocalNode
 from hostlink.graphs.ros1.tcpros import ANY, BadHeader, Header, check_header, decode_answer_header, encode_message
@@ -29,7 +30,9 @@ class RosPublication:
         self.topic, self.name, self.type, self.is_latched = topic, name, type_, is_latched
         self.subscribers: dict[Wire, str] = {}  # name of the node
         self._node = node
-        self._participant: Participant | None = None
+        self._source = HubSource(
+            lambda: node.join(name, self.close), topic, self._receive, self._fail, type_name=type_.name
+        )
         self._header = {
             "callerid": node.name,
             "topic": name,
@@ -54,35 +57,27 @@ class RosPublication:
         wire.on_end = lambda: self._remove(wire)
         self._send_latched(wire)
         self.subscribers[wire] = printable(header["callerid"])
-        self._subscribe()
+        self._source.follow(True)
 
     def close(self) -> None:
         """Disconnect every subscriber."""
         for wire in list(self.subscribers):
             wire.close()
 
-    def _subscribe(self) -> None:
-        if self._participant is None:
-            self._participant = self._node.join(self.name, self.close)
-            self._listen(self._participant)
-
-    def _listen(self, participant: Participant) -> None:
-        try:
-            participant.subscribe(self.topic, self._receive, type_name=self.type.name)
-        except HostlinkError as error:  # its type has changed: the graph reports it soon
-            self._node.log_once("ros1.publication_failed", topic=self.name, reason=str(error))
-            self.close()
+    def _fail(self, error: HostlinkError) -> None:
+        """Disconnect all subscribers, because the topic has another type now: the graph reports it soon."""
+        self._node.log_once("ros1.publication_failed", topic=self.name, reason=str(error))
+        self.close()
 
     def _remove(self, wire: Wire) -> None:
         self._node.counts.dropped_to_slow_subscribers += wire.outgoing.dropped
         self.subscribers.pop(wire, None)
-        if not self.subscribers and self._participant is not None:
-            self._participant.leave()
-            self._participant = None
+        if not self.subscribers:
+            self._source.follow(False)
 
     def _send_latched(self, wire: Wire) -> None:
         """Send the latched message to a later subscriber; the first gets it from the hub."""
-        if self.is_latched and self._participant is not None:
+        if self.is_latched and self._source.is_read:
             visitor = self._node.join(self.name)
             visitor.subscribe(self.topic, lambda message: wire.send(encode_message(message.payload)))
             visitor.leave()

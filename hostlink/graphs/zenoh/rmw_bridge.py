@@ -15,6 +15,7 @@ import structlog
 
 from hostlink.config import ZenohConfig
 from hostlink.errors import BadPayload, BadRequest, CommandRefused, HostlinkError, RefusalKind, ServiceFailed, WrongType
+from hostlink.graphs.hub_source import HubSource
 from hostlink.graphs.ros2_names import ros1_type
 from hostlink.graphs.ros2_types import Ros2Message, Ros2Service, Ros2Types
 from hostlink.graphs.zenoh.rmw_protocol import (
@@ -121,34 +122,22 @@ class RmwPublication:
         self._node, self._topic = node, topic
         self._endpoint = node.endpoint(TokenKind.PUBLISHER, topic.topic, type_.name, type_.type_hash, qos)
         self._publisher = node.session.declare_publisher(self._endpoint.key, kept=1 if topic.is_latched else 0)
-        self._participant: Participant | None = None
+        self._source = HubSource(
+            lambda: node.hub.join(f"ros2 {topic.topic}", group=GROUP),
+            topic.topic,
+            self._receive,
+            lambda _: node.counts.update(("failed_endpoints",)),
+        )
         if topic.is_latched:
-            self._subscribe()
+            self._source.follow(True)
         else:
-            self._publisher.watch(self._match)
-            self._match(self._publisher.is_subscribed)
+            self._publisher.watch(self._source.follow)
 
     def close(self) -> None:
         """Withdraw the publication."""
-        self._unsubscribe()
+        self._source.follow(False)
         self._endpoint.close()
         self._publisher.close()
-
-    def _match(self, is_subscribed: bool) -> None:
-        if is_subscribed:
-            self._subscribe()
-        else:
-            self._unsubscribe()
-
-    def _subscribe(self) -> None:
-        if self._participant is None:
-            self._participant = self._node.hub.join(f"ros2 {self._topic.topic}", group=GROUP)
-            self._participant.subscribe(self._topic.topic, self._receive)
-
-    def _unsubscribe(self) -> None:
-        if self._participant is not None:
-            self._participant.leave()
-            self._participant = None
 
     def _receive(self, message: Message) -> None:
         if message.type_name != self._topic.type_name:
