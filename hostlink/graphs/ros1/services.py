@@ -3,7 +3,6 @@
 import asyncio
 import urllib.parse
 from collections.abc import Mapping
-from struct import Struct
 
 from hostlink.errors import HostlinkError, ServiceFailed
 from hostlink.graphs.ros1.connections import Wire
@@ -28,7 +27,6 @@ from hostlink.messages.message_type import ServiceType
 
 MAX_CALLERS = 64  # of one service
 MAX_WAITING = 8  # calls of one connection; nodes of ROS send the next one after the answer
-_LENGTH = Struct("<I")
 _FAILURES = (Unreachable, CallRefused, BadHeader, OSError, EOFError)  # a TimeoutError is an OSError
 
 
@@ -203,7 +201,7 @@ async def connect(
 
 
 async def _read_message(reader: asyncio.StreamReader, max_bytes: int) -> bytes:
-    size = int(_LENGTH.unpack(await reader.readexactly(LENGTH_BYTES))[0])
+    size = int.from_bytes(await reader.readexactly(LENGTH_BYTES), "little")
     if size > max_bytes:
         raise BadHeader(f"an answer of {size} bytes, over {max_bytes}")
     return await reader.readexactly(size)
