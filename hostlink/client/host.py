@@ -4,16 +4,15 @@ import asyncio
 import concurrent.futures
 import contextlib
 import ssl
-import threading
 import weakref
-from collections.abc import AsyncGenerator, AsyncIterator, Generator, Mapping
+from collections.abc import AsyncGenerator, AsyncIterator, Callable, Generator, Mapping
 from types import TracebackType
 from typing import Any, NoReturn, cast
 
 from hostlink.cancellation import raise_if_cancelled
 from hostlink.client.cells import Names, forget, watch_cells
 from hostlink.client.connection import HostConnection
-from hostlink.client.driver import VelocitySender
+from hostlink.client.driver import Repeated, VelocitySender
 from hostlink.client.http_client import CLOSE_TIMEOUT_S, DEFAULT_PORT, REQUEST_TIMEOUT_S, HttpClient, measured
 from hostlink.client.mailbox import Mailbox
 from hostlink.client.robot import PRIORITY, WAIT_S, Robot
@@ -294,24 +293,13 @@ class Host:
         await self._round_trip()
         self._topics.raise_refusals()
 
-    async def stop_driven(
-        self, *, of_ended_threads: bool = False, of_cell: threading.Thread | None = None
-    ) -> tuple[str, ...]:
+    async def stop_driven(self, is_meant: Callable[[Repeated], bool] | None = None) -> tuple[str, ...]:
         """Let go of what this connection drives: it stops, and another source that waits may drive on.
 
-        It waits a second at most: nothing is repeated then, and the daemon stops what is left. `of_ended_threads`:
-        only what threads drove that are over. `of_cell`: only what this thread drove without `keep`. Returns the names
-        of the robots.
+        It waits a second at most: nothing is repeated then, and the daemon stops what is left. `is_meant`: only these
+        velocities. Returns the names of the robots.
         """
-        names = self._driver.robots
-        if of_ended_threads:
-            names = self._driver.robots_of_ended_threads
-        elif of_cell is not None:
-            names = self._driver.robots_of_cell(of_cell)
-        else:
-            self._driver.end_motions()
-        for name in names:
-            self._driver.stop_repeating(name)
+        names = self._driver.give_up(is_meant)
         await self._driver.let_go(names, PRIORITY)
         return names
 
@@ -323,11 +311,7 @@ class Host:
         """
         if self._tasks is None or asyncio.events._get_running_loop() is not self._loop:  # noqa: SLF001 - None, no error
             return None
-        names = self._driver.robots if has_failed else self._driver.robots_of_ended_tasks
-        if has_failed:
-            self._driver.end_motions()
-        for name in names:
-            self._driver.stop_repeating(name)
+        names = self._driver.give_up(None if has_failed else Repeated.is_of_ended_task)
         self._tasks.create_task(self._driver.let_go(names, PRIORITY), name="end of a cell")
         stopped: Names = concurrent.futures.Future()
         stopped.set_result(names)

@@ -1,7 +1,8 @@
 """Evidence of a link, of its serial port and of the host's own clock. Pure; both times are arguments."""
 
 import errno
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from hostlink.diagnosis.finding import Finding, finding
@@ -112,10 +113,7 @@ class Evidence:
     is_protocol_1: bool = False
     refused: tuple[str, ...] = ()  # reasons of refused topics, one text each
     too_small: tuple[str, ...] = ()  # messages that exceed a buffer, one text each
-    wheel_stalled: Complaint | None = None
-    wheel_runaway: Complaint | None = None
-    battery_low: Complaint | None = None
-    watchdog_restart: Complaint | None = None
+    complaints: Mapping[str, Complaint] = field(default_factory=dict)  # by the code of their finding
     signal_dbm: int | None = None  # of the WiFi, if the passthrough reports it
     revivals: int = 0  # recent times that the device fell silent and announced its topics on request
     earlier: tuple[EarlierLink, ...] = ()

@@ -1,6 +1,7 @@
 """LinkMonitor: gathers the evidence of one link. Pure: events, times and the session's counts are arguments."""
 
 import math
+import operator
 import re
 from array import array
 from bisect import bisect_left
@@ -22,8 +23,9 @@ STAMPS_SAMPLES = 10  # DeviceClock accepts a step after 5 s, and a device sets i
 REVIVALS_S = 60.0  # a board that restarts four times a minute has a fault
 _KEPT = 16  # intervals and revivals: more add nothing
 _ERROR = 3  # level of a rosserial log line
-_COMPLAINT = re.compile(  # log lines of firmware/due and hostlink sim
-    r"(?:(?:left|right) wheel (stalled|runs away)|(battery low|started by its watchdog))\b[ -~]{0,100}"
+_COMPLAINT = re.compile(  # log lines of firmware/due and hostlink sim; a group is the code of a finding
+    r"(?:(?:left|right) wheel (?:(?P<wheel_stalled>stalled)|(?P<wheel_runaway>runs away))"
+    r"|(?P<battery_low>battery low)|(?P<watchdog_restart>started by its watchdog))\b[ -~]{0,100}"
 )
 _SIGNAL = re.compile(r"WiFi signal (-\d{1,3}) dBm")  # firmware/esp8266
 _FIRMWARE = re.compile(r"firmware ([\w.+-]{1,40} v?\d[\w.+-]{0,23})", re.ASCII)  # any device: docs/robot.md
@@ -88,7 +90,7 @@ class LinkMonitor:
         self._intervals_s: list[float] = []
         self._revived_at_s: list[float] = []
         self._device_complaint = ""
-        self._complaints: dict[str, tuple[str, float]] = {}  # fault -> last log line about it, and its time
+        self._complaints: dict[str, tuple[str, float]] = {}  # code -> last log line, and its time
         self._signal = (0, -math.inf)  # dBm, and time of the line
         self.firmware: str | None = None  # name and version, as the device logs them
 
@@ -117,7 +119,7 @@ class LinkMonitor:
             case events.DeviceLogged(_, text) if _TOO_LARGE_TEXT in text:
                 self._device_complaint = text
             case events.DeviceLogged(level, text) if level == _ERROR and (found := _COMPLAINT.fullmatch(text)):
-                self._complaints[found[1] or found[2]] = text, now_s
+                self._complaints[str(found.lastgroup)] = text, now_s
             case events.DeviceLogged(_, text) if found := _SIGNAL.fullmatch(text):
                 self._signal = int(found[1]), now_s
             case events.DeviceLogged(_, text) if found := _FIRMWARE.fullmatch(text):
@@ -199,10 +201,7 @@ class LinkMonitor:
             is_protocol_1=session.non_rosserial.is_protocol_1,
             refused=tuple(f"{reason}" for _, reason in session.refusals),
             too_small=tuple(self._too_small()),
-            wheel_stalled=self._complaint("stalled", now_s),
-            wheel_runaway=self._complaint("runs away", now_s),
-            battery_low=self._complaint("battery low", now_s),
-            watchdog_restart=self._complaint("started by its watchdog", now_s),
+            complaints={code: Complaint(text, now_s - at_s) for code, (text, at_s) in self._complaints.items()},
             signal_dbm=self.signal_dbm(now_s),
             revivals=sum(at_s >= now_s - REVIVALS_S for at_s in self._revived_at_s),
             earlier=earlier,
@@ -210,12 +209,6 @@ class LinkMonitor:
             host_clock=host_clock,
             numbered=numbered,
         )
-
-    def _complaint(self, what: str, now_s: float) -> Complaint | None:
-        if what not in self._complaints:
-            return None
-        text, at_s = self._complaints[what]
-        return Complaint(text, now_s - at_s)
 
     def _note_time_request(self, now_s: float, *, has_waited: bool) -> None:
         """Note a time request. An interval counts only from a request that was read when it was sent."""
@@ -277,11 +270,4 @@ def _ago(at_s: float | None, now_s: float, host: HostPauses) -> float | None:
 
 
 def _difference(now: Tally, before: Tally) -> Tally:
-    return Tally(
-        bytes_from_device=now.bytes_from_device - before.bytes_from_device,
-        frames=now.frames - before.frames,
-        skipped_bytes=now.skipped_bytes - before.skipped_bytes,
-        unknown_ids=now.unknown_ids,
-        bad_checksums=now.bad_checksums - before.bad_checksums,
-        wrong_sizes=now.wrong_sizes - before.wrong_sizes,
-    )
+    return Tally(*map(operator.sub, now, before))._replace(unknown_ids=now.unknown_ids)

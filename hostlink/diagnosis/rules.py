@@ -7,7 +7,7 @@ detail.
 from collections.abc import Callable
 from statistics import median
 
-from hostlink.diagnosis.evidence import Complaint, Evidence
+from hostlink.diagnosis.evidence import Evidence
 from hostlink.diagnosis.finding import Finding, finding, words
 from hostlink.diagnosis.speed import guess_speed
 
@@ -41,7 +41,9 @@ Rule = Callable[[Evidence], str | None]  # returns the detail; None if the rule 
 
 def diagnose(evidence: Evidence) -> list[Finding]:
     """Return the faults of a link, the likeliest cause first; empty if there are none."""
-    found: dict[str, str] = {}
+    found = {code: each.text for code, each in evidence.complaints.items() if each.ago_s < WHEEL_S}
+    if evidence.end in _ENDS:
+        found[_ENDS[evidence.end]] = ""
     for code, rule in _RULES.items():
         detail = rule(evidence)
         if detail is not None:
@@ -159,29 +161,9 @@ def _reboots(evidence: Evidence) -> str | None:
     return f"{evidence.revivals} restarts in the last minute" if evidence.revivals >= REBOOTS else None
 
 
-def _wheel_stalled(evidence: Evidence) -> str | None:
-    return _recent(evidence.wheel_stalled)
-
-
-def _wheel_runaway(evidence: Evidence) -> str | None:
-    return _recent(evidence.wheel_runaway)
-
-
-def _battery_low(evidence: Evidence) -> str | None:
-    return _recent(evidence.battery_low)
-
-
-def _watchdog_restart(evidence: Evidence) -> str | None:
-    return _recent(evidence.watchdog_restart)
-
-
 def _weak_signal(evidence: Evidence) -> str | None:
     dbm = evidence.signal_dbm
     return f"{dbm} dBm" if dbm is not None and dbm < WEAK_DBM else None
-
-
-def _recent(complaint: Complaint | None) -> str | None:
-    return complaint.text if complaint is not None and complaint.ago_s < WHEEL_S else None
 
 
 def _clock_trouble(evidence: Evidence) -> str | None:
@@ -198,39 +180,21 @@ def _clock_trouble(evidence: Evidence) -> str | None:
     return f"time requests every {interval_s:.2f} s instead of {TIME_REQUEST_S:g} s" if is_fast else None
 
 
-def _too_many_robots(evidence: Evidence) -> str | None:
-    return "" if evidence.end == "refused" else None
-
-
 def _flashed_alike(evidence: Evidence) -> str | None:
     return evidence.numbered or None
 
 
-def _host_fault(evidence: Evidence) -> str | None:
-    return "" if evidence.end == "crashed" else None
-
-
-def _unanswerable(evidence: Evidence) -> str | None:
-    return "" if evidence.end == "unanswerable" else None
-
-
+_ENDS = {"refused": "too_many_robots", "crashed": "host_fault", "unanswerable": "unanswerable"}  # of the link
 _RULES: dict[str, Rule] = {
-    "too_many_robots": _too_many_robots,
-    "host_fault": _host_fault,
     "no_bytes": _no_bytes,
     "no_topics": _no_topics,
     "wrong_md5": _wrong_md5,
     "wrong_size": _wrong_size,
-    "unanswerable": _unanswerable,
     "buffer_too_small": _buffer_too_small,
     "unknown_ids": _unknown_ids,
     "reboots": _reboots,
     "went_silent": _went_silent,
     "time_stopped": _time_stopped,
-    "wheel_stalled": _wheel_stalled,
-    "wheel_runaway": _wheel_runaway,
-    "battery_low": _battery_low,
-    "watchdog_restart": _watchdog_restart,
     "weak_signal": _weak_signal,
     "clock_trouble": _clock_trouble,
     "flashed_alike": _flashed_alike,

@@ -1,9 +1,10 @@
 """Catalog of message and service types from folders of .msg and .srv files."""
 
 import functools
+import math
 import re
 import struct
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Final
 
@@ -124,23 +125,48 @@ def read_full_definition(name: str, text: str) -> MessageType:
     first, *rest = _NEXT.split(text)
     texts = {name: first} | dict(zip(rest[::2], rest[1::2], strict=True))
     definitions = {each: parse_message(each, part, each) for each, part in texts.items()}
-    return _build(name, definitions, {}, ())
+    return _Builder(definitions.get).build(definitions[name], (name,))
 
 
-def _build(
-    name: str, definitions: dict[str, Definition], built: dict[str, MessageType], outer: tuple[str, ...]
-) -> MessageType:
-    if name in built:
-        return built[name]
-    definition = definitions.get(name)
-    if definition is None:
-        raise ConfigError(outer[-1] if outer else name, f"the definition of {name} is missing")
-    if name in outer or len(outer) > NESTING_MAX:
-        raise ConfigError(name, "contains itself")
-    inner = {field.type for field in definition.fields if field.type not in BUILT_IN}
-    nested = {each: _build(each, definitions, built, (*outer, name)) for each in sorted(inner)}
-    built[name] = MessageType(definition, nested)
-    return built[name]
+class _Builder:
+    """Builds each type once, with those in it, from the definitions that `define` returns by name."""
+
+    def __init__(self, define: Callable[[str], Definition | None], most_bytes: float = math.inf) -> None:
+        """`most_bytes`: the smallest message of a type takes no more."""
+        self._define, self._most_bytes = define, most_bytes
+        self._built: dict[str, MessageType] = {}
+
+    def find(self, name: str, outer: tuple[str, ...] = ()) -> MessageType | None:
+        """Return the type of this name; None if it is not defined. `outer` holds the types that contain it."""
+        if name not in self._built:
+            definition = self._define(name)
+            if definition is None:
+                return None
+            self._built[name] = self.build(definition, (*outer, name))
+        return self._built[name]
+
+    def build(self, definition: Definition, outer: tuple[str, ...] = ()) -> MessageType:
+        """Build a type. `outer` holds the types that contain it, and itself."""
+        nested = {
+            field.type: self._nested(definition, field, outer)
+            for field in definition.fields
+            if field.type not in BUILT_IN
+        }
+        message = MessageType(definition, nested)
+        if message.layout.room > self._most_bytes:
+            problem = f"a message takes at least {message.layout.room} bytes, a frame holds {self._most_bytes}"
+            raise ConfigError(definition.where, problem)
+        return message
+
+    def _nested(self, definition: Definition, field: Field, outer: tuple[str, ...]) -> MessageType:
+        if field.type in outer:
+            raise definition.error(field, f"{field.type} contains itself")
+        if len(outer) > NESTING_MAX:
+            raise definition.error(field, f"messages nested more than {NESTING_MAX} deep")
+        message = self.find(field.type, outer)
+        if message is None:
+            raise definition.error(field, f"unknown type {field.type}")
+        return message
 
 
 # -- clock ------------------------------------------------------------------------------------------------------------
@@ -190,7 +216,7 @@ class Catalog:
         for folder in (DEFINITIONS, *reversed(folders)):
             self._message_files |= find_definitions(folder, ".msg")
             self._service_files |= find_definitions(folder, ".srv")
-        self._messages: dict[str, MessageType] = {}
+        self._types = _Builder(self._definition, MESSAGE_BYTES_MAX)
         self._services: dict[str, ServiceType] = {}
         if folders:
             self._build_all()
@@ -205,7 +231,7 @@ class Catalog:
 
     def message(self, name: str) -> MessageType | None:
         """Return the type named "pkg/Type" or "pkg/msg/Type"; None if unknown."""
-        return self._message(_short(name), ())
+        return self._types.find(_short(name))
 
     def service(self, name: str) -> ServiceType | None:
         """Return the service type named "pkg/Type" or "pkg/srv/Type"; None if unknown."""
@@ -213,7 +239,7 @@ class Catalog:
         if name not in self._services and name in self._service_files:
             path = self._service_files[name]
             request, response = parse_service(name, read_definition(path), str(path))
-            self._services[name] = ServiceType(name, self._build(request, ()), self._build(response, ()))
+            self._services[name] = ServiceType(name, self._types.build(request), self._types.build(response))
         return self._services.get(name)
 
     def check_message(self, topic: str, type_name: str, md5: str) -> MessageType | None:
@@ -240,42 +266,11 @@ class Catalog:
         for name in self._service_files:
             self.service(name)
 
-    def _message(self, name: str, outer: tuple[str, ...]) -> MessageType | None:
-        if name not in self._messages:
-            definition = self._definition(name)
-            if definition is None:
-                return None
-            self._messages[name] = self._build(definition, (*outer, name))
-        return self._messages[name]
-
     def _definition(self, name: str) -> Definition | None:
         if path := self._message_files.get(name):
             return parse_message(name, read_definition(path), str(path))
         text = self._standard.get(name)
         return None if text is None else parse_message(name, text, f"built-in {name}")
-
-    def _build(self, definition: Definition, outer: tuple[str, ...]) -> MessageType:
-        """Build a type. `outer` holds the types that contain it, and itself."""
-        nested = {
-            field.type: self._nested(definition, field, outer)
-            for field in definition.fields
-            if field.type not in BUILT_IN
-        }
-        message = MessageType(definition, nested)
-        if message.layout.room > MESSAGE_BYTES_MAX:
-            problem = f"a message takes at least {message.layout.room} bytes, a frame holds {MESSAGE_BYTES_MAX}"
-            raise ConfigError(definition.where, problem)
-        return message
-
-    def _nested(self, definition: Definition, field: Field, outer: tuple[str, ...]) -> MessageType:
-        if field.type in outer:
-            raise definition.error(field, f"{field.type} contains itself")
-        if len(outer) > NESTING_MAX:
-            raise definition.error(field, f"messages nested more than {NESTING_MAX} deep")
-        message = self._message(field.type, outer)
-        if message is None:
-            raise definition.error(field, f"unknown type {field.type}")
-        return message
 
 
 def _short(name: str) -> str:

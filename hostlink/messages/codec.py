@@ -68,11 +68,10 @@ class _Module:
         return self._functions[layout]
 
     def add_struct(self, codes: list[str]) -> tuple[struct.Struct, int]:
-        """Add a struct. Return it and the number in its names: p<n> packs, u<n> unpacks at an offset, i<n> iterates."""
+        """Add a struct. Return it and the number in its names: p<n> packs, u<n> unpacks at an offset."""
         compiled, number = struct.Struct(f"<{''.join(codes)}"), len(self.names)
         self.names[f"p{number}"] = compiled.pack
         self.names[f"u{number}"] = compiled.unpack_from
-        self.names[f"i{number}"] = compiled.iter_unpack
         return compiled, number
 
     def load(self) -> dict[str, Any]:
@@ -81,16 +80,28 @@ class _Module:
         return self.names
 
 
-class _DecoderBody:
-    """Statements that read fields in wire order, and the expression that builds a dict of them."""
+class _Body:
+    """Statements of one function, with a run of fixed fields that is still open."""
 
     def __init__(self, module: _Module) -> None:
         self._module = module
         self._lines: list[str] = []
-        self._codes: list[str] = []
+        self._codes: list[str] = []  # of the open run
+        self._locals = 0
+
+    def _local(self, expression: str) -> str:
+        self._locals += 1
+        self._lines.append(f"v{self._locals} = {expression}")
+        return f"v{self._locals}"
+
+
+class _DecoderBody(_Body):
+    """Statements that read fields in wire order, and the expression that builds a dict of them."""
+
+    def __init__(self, module: _Module) -> None:
+        super().__init__(module)
         self._values = 0  # values in the tuple of the open run
         self._tuples = 0
-        self._locals = 0
 
     def finish(self) -> list[str]:
         self._close_run()
@@ -152,23 +163,12 @@ class _DecoderBody:
     def _read_messages(self, layout: Layout, field: Field, count: str) -> str:
         if layout.minimum_bytes == 0 and field.array_length == VARIABLE:
             self._lines.append(f"if {count} > {EMPTY_ELEMENTS_MAX}: raise UncommonLayout")
-        if layout.minimum_bytes and _is_flat(layout):
-            return self._read_flat_messages(layout, count)
         value, reader = self._local("[]"), self._module.add_reader(layout)
         self._lines += [
             f"if {count} * {layout.minimum_bytes} > size - o: raise UncommonLayout",
             f"for _ in range({count}):",
         ]
         self._lines += [f" x, o = {reader}(b, o, size)", f" {value}.append(x)"]
-        return value
-
-    def _read_flat_messages(self, layout: Layout, count: str) -> str:
-        element = _DecoderBody(self._module)
-        expression = element.read_message(layout)
-        _, number = self._module.add_struct(element._codes)
-        self._check_end(f"{count} * {layout.minimum_bytes}")
-        value = self._local(f"[{expression} for t0 in i{number}(b[o:e])]")
-        self._lines.append("o = e")
         return value
 
     def _read_value(self, code: str, values: int = 1) -> str:
@@ -187,22 +187,14 @@ class _DecoderBody:
     def _check_end(self, length: str) -> None:
         self._lines += [f"e = o + {length}", "if e > size: raise UncommonLayout"]
 
-    def _local(self, expression: str) -> str:
-        self._locals += 1
-        self._lines.append(f"v{self._locals} = {expression}")
-        return f"v{self._locals}"
 
-
-class _EncoderBody:
+class _EncoderBody(_Body):
     """Statements that check and convert fields in wire order, and the parts of the payload."""
 
     def __init__(self, module: _Module) -> None:
-        self._module = module
-        self._lines: list[str] = []
-        self._codes: list[str] = []
+        super().__init__(module)
         self._arguments: list[str] = []
         self._parts: list[str] = []
-        self._locals = 0
 
     def finish(self) -> list[str]:
         self._close_run()
@@ -283,16 +275,3 @@ class _EncoderBody:
             _, number = self._module.add_struct(self._codes)
             self._parts.append(f"p{number}({', '.join(self._arguments)})")
             self._codes, self._arguments = [], []
-
-    def _local(self, expression: str) -> str:
-        self._locals += 1
-        self._lines.append(f"v{self._locals} = {expression}")
-        return f"v{self._locals}"
-
-
-def _is_flat(layout: Layout) -> bool:
-    """Whether one struct reads the layout: fixed size, and no array of messages."""
-    return layout.fixed_bytes is not None and all(
-        field.type in FORMATS or (field.array_length == SCALAR and _is_flat(layout.nested[field.type]))
-        for field in layout.fields
-    )

@@ -10,7 +10,7 @@ from hostlink.graphs.ros1.connections import Wire
 from hostlink.graphs.ros1.local_node import LocalNode, RegistrationKind
 from hostlink.graphs.ros1.names import NameMap, NameResolver, is_legal
 from hostlink.graphs.ros1.services import ForeignService, ServiceOffer, find_type
-from hostlink.graphs.ros1.tcpros import ANY, BadHeader, decode_header
+from hostlink.graphs.ros1.tcpros import ANY, BadHeader, Header, decode_header
 from hostlink.graphs.ros1.topics import RosPublication, RosPublisher
 from hostlink.graphs.ros1.xml_rpc import CallRefused, Unreachable
 from hostlink.hub.graph_view import Graph, GraphTopic
@@ -146,26 +146,24 @@ class GraphSync:
         wire.is_replaceable = False
         try:
             header = decode_header(messages[0])
+            self._endpoint(header).accept(wire, header)
         except BadHeader as error:
-            self._refuse(wire, str(error))
-            return
+            self._node.counts.refused_headers += 1
+            wire.refuse(str(error))
+        if messages[1:] and not wire.is_closed:
+            wire.receive(messages[1:])
+
+    def _endpoint(self, header: Header) -> RosPublication | ServiceOffer:
         kind, name = ("topic", header["topic"]) if "topic" in header else ("service", header.get("service", ""))
         found = (self.publications if kind == "topic" else self.offers).get(name)
         if found is None:
-            self._refuse(wire, f"{self._node.name} has no {kind} {printable(name)}")
-        else:
-            found.accept(wire, header)
-            if messages[1:] and not wire.is_closed:
-                wire.receive(messages[1:])
+            raise BadHeader(f"{self._node.name} has no {kind} {printable(name)}")
+        return found
 
     def close(self) -> None:
         self.update(Graph((), ()), NameMap(NameResolver()))
         for mirror in (self._publications, self._offers, self._connections, self._services):
             mirror.close()
-
-    def _refuse(self, wire: Wire, reason: str) -> None:
-        self._node.counts.refused_headers += 1
-        wire.refuse(reason)
 
     # -- what is wanted -----------------------------------------------------------------------------------------------
 

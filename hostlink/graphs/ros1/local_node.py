@@ -9,8 +9,8 @@ from typing import Any, TypeVar
 import aiohttp
 
 from hostlink.config import Ros1Config
-from hostlink.errors import system_text
 from hostlink.graphs.ros1.xml_rpc import (
+    CALL_TIMEOUT_S,
     HEADERS,
     MAX_ANSWER_BYTES,
     BadXml,
@@ -18,9 +18,7 @@ from hostlink.graphs.ros1.xml_rpc import (
     Unreachable,
     decode_answer,
     encode_call,
-)
-from hostlink.graphs.ros1.xml_rpc import (
-    TIMEOUT_S as CALL_TIMEOUT_S,
+    reason_of,
 )
 from hostlink.hub.hub import Hub
 from hostlink.hub.participant import Participant
@@ -61,9 +59,6 @@ class Ros1Counts:
     re_registrations: int = 0  # the master had forgotten this node
     crowded_out: int = 0  # publishers and services of the graph over a bound
 
-    def as_dict(self) -> dict[str, int]:
-        return {name: getattr(self, name) for name in Ros1Counts.__slots__}
-
 
 class Rpc:
     """Calls of the master and of other nodes by XML-RPC, each with a deadline and a bound on its answer."""
@@ -95,7 +90,7 @@ class Rpc:
                 answer = await self._post(uri, body)
             return await self.parse(decode_answer, answer)
         except (aiohttp.ClientError, OSError, BadXml, ValueError) as error:  # a TimeoutError is an OSError
-            raise Unreachable(_why(error)) from error
+            raise Unreachable(reason_of(error)) from error
 
     async def parse(self, decode: Callable[[bytes], Parsed], body: bytes) -> Parsed:
         """Return what `decode` returns. A large body is parsed in a thread, so that no stop waits for it."""
@@ -118,13 +113,6 @@ class Rpc:
                 if len(answer) > MAX_ANSWER_BYTES:
                     raise BadXml(f"an answer of more than {MAX_ANSWER_BYTES} bytes")
             return bytes(answer)
-
-
-def _why(error: Exception) -> str:
-    """Return a reason that a person can read."""
-    if isinstance(error, aiohttp.ClientConnectorError):
-        return system_text(error.os_error)
-    return str(error) or f"no answer within {CALL_TIMEOUT_S:g} s"
 
 
 class LocalNode:

@@ -159,7 +159,7 @@ class MasterParameters:
         return self._cache.keys
 
     async def unsubscribe(self, key: str) -> None:
-        """Cancel one subscription, at the end.
+        """Cancel one subscription.
 
         Raises:
             Unreachable: the master does not answer.
@@ -171,7 +171,7 @@ class MasterParameters:
         value = await self._node.call_master("subscribeParam", self._node.uri, key)
         oldest = self._cache.put(key, value)
         if oldest is not None:
-            await self._node.call_master("unsubscribeParam", self._node.uri, oldest)
+            await self.unsubscribe(oldest)
         return self._cache.find(key)[1]
 
 

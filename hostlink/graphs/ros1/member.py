@@ -5,11 +5,15 @@ import contextlib
 import os
 import time
 from collections.abc import AsyncIterator, Callable
+from dataclasses import asdict
+from functools import partial
 from typing import Any
 
 from aiohttp import web
 
+from hostlink.errors import HostlinkError
 from hostlink.forwarding_protocol import ForwardingProtocol
+from hostlink.graphs.hub_source import HubSource
 from hostlink.graphs.ros1.connections import MakeProtocol, Wire
 from hostlink.graphs.ros1.graph_sync import GraphSync
 from hostlink.graphs.ros1.local_node import GROUP, LocalNode
@@ -20,7 +24,6 @@ from hostlink.graphs.ros1.xml_rpc import ERROR, SUCCESS, BadXml, decode_call, en
 from hostlink.hub.graph_view import Graph
 from hostlink.hub.hub import Hub
 from hostlink.hub.message import Message
-from hostlink.hub.participant import Participant
 from hostlink.hub.robot_topic_publisher import own_topics
 from hostlink.hub.standstills import own_services
 from hostlink.logs import printable
@@ -47,7 +50,7 @@ class Member:
         self.sync = GraphSync(node)
         self.parameters = MasterParameters(node, names, self._follow_parameters)
         self._node, self._names = node, names
-        self._sim_time = SimTime(node.hub)
+        self._sim_time = SimTime(node)
         self._registrar = Registrar(
             node,
             self.sync,
@@ -64,7 +67,7 @@ class Member:
         watcher = hub.join(GROUP, group=GROUP, on_end=lambda: self.shut_down(CRASHED))
         watcher.watch_graph(lambda: self._update(watcher.graph()))
         hub.links.parameter_source = self.parameters
-        hub.counts.graphs[GROUP] = self._node.counts.as_dict
+        hub.counts.graphs[GROUP] = partial(asdict, self._node.counts)
         try:
             yield
         finally:
@@ -105,6 +108,7 @@ class Member:
         """Follow a change of the hub's graph."""
         self.sync.update(graph, self._name_map())
         self._registrar.note_change()
+        self._follow_parameters()  # /clock may have had another type
 
     def _name_map(self) -> NameMap:
         hub = self._node.hub
@@ -133,24 +137,22 @@ class SimTime:
     The hub subscribes, so that /clock may be published in any graph.
     """
 
-    def __init__(self, hub: Hub) -> None:
-        self._hub = hub
-        self._participant: Participant | None = None
+    def __init__(self, node: LocalNode) -> None:
+        self._hub, self._log_once = node.hub, node.log_once
+        self._clock = HubSource(
+            lambda: node.hub.join("ros1 clock"), CLOCK, self._receive, self._fail, type_name=CLOCK_TYPE
+        )
         self._now_ns = 0  # as every node of ROS has it before the first message
 
     def update(self, *, is_wanted: bool) -> None:
         """Start or stop following /clock."""
-        if is_wanted == (self._participant is not None):
-            return
-        if self._participant is not None:
-            self._participant.leave()
-            self._participant = None
-            self._hub.links.wall_ns = time.time_ns
-            return
-        self._now_ns = 0
-        self._participant = self._hub.join("ros1 clock")
-        self._participant.subscribe(CLOCK, self._receive, type_name=CLOCK_TYPE)
-        self._hub.links.wall_ns = self._read_ns
+        if not self._clock.is_read:
+            self._now_ns = 0
+        self._clock.follow(is_wanted)
+        self._hub.links.wall_ns = self._read_ns if is_wanted else time.time_ns
+
+    def _fail(self, error: HostlinkError) -> None:
+        self._log_once("ros1.clock_unusable", reason=str(error))
 
     def _read_ns(self) -> int:
         return self._now_ns

@@ -13,7 +13,7 @@ import structlog
 from hostlink.acceptor import why
 from hostlink.cancellation import raise_if_cancelled
 from hostlink.config import Ros1Config
-from hostlink.errors import ConfigError
+from hostlink.errors import ConfigError, system_text
 from hostlink.graphs.ros1.connections import Port
 from hostlink.graphs.ros1.local_node import LocalNode
 from hostlink.graphs.ros1.member import CRASHED, Member, SlaveApi
@@ -79,7 +79,7 @@ class Ros1Node:
                 return self._config.host or await _own_address(self._config.master)
             except OSError as error:
                 if not is_logged:
-                    log.warning("ros1.master_lost", master=self._config.master, reason=error.strerror or str(error))
+                    log.warning("ros1.master_lost", master=self._config.master, reason=system_text(error))
                 is_logged = True
             await asyncio.sleep(RETRY_S)
 

@@ -3,7 +3,6 @@
 import asyncio
 import urllib.parse
 from collections.abc import Mapping
-from struct import Struct
 
 from hostlink.errors import HostlinkError, ServiceFailed
 from hostlink.graphs.ros1.connections import Wire
@@ -14,12 +13,12 @@ from hostlink.graphs.ros1.tcpros import (
     MAX_HEADER_BYTES,
     BadHeader,
     Header,
-    decode_header,
+    check_header,
+    decode_answer_header,
     encode_answer,
     encode_failure,
     encode_header,
     encode_message,
-    refusal,
 )
 from hostlink.graphs.ros1.xml_rpc import CallRefused, Unreachable
 from hostlink.hub.participant import Participant
@@ -28,7 +27,6 @@ from hostlink.messages.message_type import ServiceType
 
 MAX_CALLERS = 64  # of one service
 MAX_WAITING = 8  # calls of one connection; nodes of ROS send the next one after the answer
-_LENGTH = Struct("<I")
 _FAILURES = (Unreachable, CallRefused, BadHeader, OSError, EOFError)  # a TimeoutError is an OSError
 
 
@@ -42,12 +40,15 @@ class ServiceOffer:
         self._node = node
 
     def accept(self, wire: Wire, header: Header) -> None:
-        """A node requests the type of the service, or calls it."""
-        reason = self._refusal(header)
-        if reason is not None:
-            self._node.counts.refused_headers += 1
-            wire.refuse(reason)
-            return
+        """A node requests the type of the service, or calls it.
+
+        Raises:
+            BadHeader: its header does not fit, or there are too many callers.
+        """
+        is_probe = header.get("probe") == "1"
+        check_header(header, self.name, self.type)
+        if not is_probe and len(self.callers) >= MAX_CALLERS and not self._make_room():
+            raise BadHeader(f"more than {MAX_CALLERS} callers of {self.name}")
         wire.send_header(
             {
                 "callerid": self._node.name,
@@ -58,7 +59,7 @@ class ServiceOffer:
                 "response_type": self.type.response.name,
             }
         )
-        if header.get("probe") == "1":
+        if is_probe:
             wire.close()
             return
         caller = self.callers[wire] = _Caller(self, wire, self._node, header)
@@ -68,13 +69,6 @@ class ServiceOffer:
     def close(self) -> None:
         for wire in list(self.callers):
             wire.close()
-
-    def _refusal(self, header: Header) -> str | None:
-        is_full = header.get("probe") != "1" and len(self.callers) >= MAX_CALLERS
-        reason = refusal(header, self.name, self.type)
-        if reason is None and is_full and not self._make_room():
-            return f"more than {MAX_CALLERS} callers of {self.name}"
-        return reason
 
     def _make_room(self) -> bool:
         """Close the oldest idle caller. Return whether one was idle."""
@@ -199,21 +193,15 @@ async def connect(
         reader, writer = await asyncio.open_connection(where.hostname, where.port)
         try:
             writer.write(encode_header({"callerid": node.name, "service": name, **fields}))
-            header = _accepted(decode_header(await _read_message(reader, MAX_HEADER_BYTES)))
+            header = decode_answer_header(await _read_message(reader, MAX_HEADER_BYTES))
         except BaseException:
             writer.transport.abort()
             raise
     return reader, writer, header
 
 
-def _accepted(header: dict[str, str]) -> dict[str, str]:
-    if "error" in header:
-        raise BadHeader(header["error"])
-    return header
-
-
 async def _read_message(reader: asyncio.StreamReader, max_bytes: int) -> bytes:
-    size = int(_LENGTH.unpack(await reader.readexactly(LENGTH_BYTES))[0])
+    size = int.from_bytes(await reader.readexactly(LENGTH_BYTES), "little")
     if size > max_bytes:
         raise BadHeader(f"an answer of {size} bytes, over {max_bytes}")
     return await reader.readexactly(size)

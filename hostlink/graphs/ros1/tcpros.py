@@ -21,7 +21,7 @@ Header = Mapping[str, str]
 
 
 class BadHeader(Exception):
-    """Malformed connection header, or one over the bounds."""
+    """Connection header that is malformed, over the bounds, or refused by the node that reads it."""
 
 
 def encode_header(fields: Header) -> bytes:
@@ -52,14 +52,29 @@ def decode_header(body: bytes) -> dict[str, str]:
     return fields
 
 
-def refusal(header: Header, name: str, type_: MessageType | ServiceType) -> str | None:
-    """Return the error to answer; None if the header fits the topic or service `name`."""
+def decode_answer_header(body: bytes) -> dict[str, str]:
+    """Decode the header by which a node answers one.
+
+    Raises:
+        BadHeader: it is malformed, or an error.
+    """
+    header = decode_header(body)
+    if "error" in header:
+        raise BadHeader(header["error"])
+    return header
+
+
+def check_header(header: Header, name: str, type_: MessageType | ServiceType) -> None:
+    """Check the header of a node that connects to the topic or service `name`.
+
+    Raises:
+        BadHeader: it does not fit.
+    """
     for field in REQUIRED:
         if field not in header:
-            return f"missing field {field}"
+            raise BadHeader(f"missing field {field}")
     if header["md5sum"] not in (ANY, type_.md5):
-        return f"{name} is a {type_.name} with md5 {type_.md5}, not {printable(header['md5sum'])}"
-    return None
+        raise BadHeader(f"{name} is a {type_.name} with md5 {type_.md5}, not {printable(header['md5sum'])}")
 
 
 def encode_message(payload: bytes) -> bytes:
@@ -101,37 +116,24 @@ class MessageStream:
     def feed(self, data: bytes) -> Iterator[bytes]:
         """The payloads that are complete by now; all of them must be consumed."""
         self._buffer += data
-        begin = 0
+        at = 0
         try:
-            while (end := self._end(begin := self._skip(begin))) is not None:
-                payload = bytes(self._buffer[begin + LENGTH_BYTES : end])
-                begin = end
-                yield payload
+            while True:
+                skipped_bytes = min(self._skipping_bytes, len(self._buffer) - at)
+                self._skipping_bytes -= skipped_bytes
+                at += skipped_bytes
+                if len(self._buffer) < at + LENGTH_BYTES:
+                    return
+                size = int(_LENGTH.unpack_from(self._buffer, at)[0])
+                end = at + LENGTH_BYTES + size
+                if size > self.max_bytes:
+                    self.too_large += 1
+                    self._skipping_bytes = LENGTH_BYTES + size
+                elif end > len(self._buffer):
+                    return
+                else:
+                    payload = bytes(self._buffer[at + LENGTH_BYTES : end])
+                    at = end
+                    yield payload
         finally:
-            del self._buffer[:begin]
-
-    def _skip(self, begin: int) -> int:
-        """Return the start of the next message that is not too large, as far as it is known."""
-        while self._skipping_bytes or self._is_too_large(begin):
-            if not self._skipping_bytes:
-                self.too_large += 1
-                self._skipping_bytes = LENGTH_BYTES + self._size(begin)
-            skipped = min(self._skipping_bytes, len(self._buffer) - begin)
-            self._skipping_bytes -= skipped
-            begin += skipped
-            if self._skipping_bytes:
-                break
-        return begin
-
-    def _is_too_large(self, begin: int) -> bool:
-        return len(self._buffer) >= begin + LENGTH_BYTES and self._size(begin) > self.max_bytes
-
-    def _size(self, begin: int) -> int:
-        return int(_LENGTH.unpack_from(self._buffer, begin)[0])
-
-    def _end(self, begin: int) -> int | None:
-        """Return the end of the message at `begin`; None while it is incomplete."""
-        if len(self._buffer) < begin + LENGTH_BYTES:
-            return None
-        end = begin + LENGTH_BYTES + self._size(begin)
-        return None if end > len(self._buffer) else end
+            del self._buffer[:at]

@@ -7,9 +7,10 @@ from typing import Any
 import structlog
 
 from hostlink.errors import BadPayload, HostlinkError
+from hostlink.graphs.hub_source import HubSource
 from hostlink.graphs.ros1.connections import Wire
 from hostlink.graphs.ros1.local_node import TIMEOUT_S, LocalNode
-from hostlink.graphs.ros1.tcpros import ANY, BadHeader, Header, decode_header, encode_message, refusal
+from hostlink.graphs.ros1.tcpros import ANY, BadHeader, Header, check_header, decode_answer_header, encode_message
 from hostlink.hub.graph_view import GraphTopic
 from hostlink.hub.message import Message
 from hostlink.hub.participant import Participant
@@ -30,7 +31,9 @@ class RosPublication:
         self.topic, self.name, self.type, self.is_latched = topic, name, type_, is_latched
         self.subscribers: dict[Wire, str] = {}  # name of the node
         self._node = node
-        self._participant: Participant | None = None
+        self._source = HubSource(
+            lambda: node.join(name, self.close), topic, self._receive, self._fail, type_name=type_.name
+        )
         self._header = {
             "callerid": node.name,
             "topic": name,
@@ -42,51 +45,40 @@ class RosPublication:
         }
 
     def accept(self, wire: Wire, header: Header) -> None:
-        """Accept a subscriber: it receives the latched message and all later ones."""
-        reason = self._refusal(header)
-        if reason is not None:
-            self._node.counts.refused_headers += 1
-            wire.refuse(reason)
-            return
+        """Accept a subscriber: it receives the latched message and all later ones.
+
+        Raises:
+            BadHeader: its header does not fit, or there are too many.
+        """
+        if len(self.subscribers) >= MAX_SUBSCRIBERS:
+            raise BadHeader(f"more than {MAX_SUBSCRIBERS} subscribers of {self.name}")
+        check_header(header, self.name, self.type)
         wire.send_header(self._header)
         wire.receive = lambda _: None  # a subscriber has nothing more to send
         wire.on_end = lambda: self._remove(wire)
         self._send_latched(wire)
         self.subscribers[wire] = printable(header["callerid"])
-        self._subscribe()
+        self._source.follow(True)
 
     def close(self) -> None:
         """Disconnect every subscriber."""
         for wire in list(self.subscribers):
             wire.close()
 
-    def _refusal(self, header: Header) -> str | None:
-        if len(self.subscribers) >= MAX_SUBSCRIBERS:
-            return f"more than {MAX_SUBSCRIBERS} subscribers of {self.name}"
-        return refusal(header, self.name, self.type)
-
-    def _subscribe(self) -> None:
-        if self._participant is None:
-            self._participant = self._node.join(self.name, self.close)
-            self._listen(self._participant)
-
-    def _listen(self, participant: Participant) -> None:
-        try:
-            participant.subscribe(self.topic, self._receive, type_name=self.type.name)
-        except HostlinkError as error:  # its type has changed: the graph reports it soon
-            self._node.log_once("ros1.publication_failed", topic=self.name, reason=str(error))
-            self.close()
+    def _fail(self, error: HostlinkError) -> None:
+        """Disconnect all subscribers, because the topic has another type now: the graph reports it soon."""
+        self._node.log_once("ros1.publication_failed", topic=self.name, reason=str(error))
+        self.close()
 
     def _remove(self, wire: Wire) -> None:
         self._node.counts.dropped_to_slow_subscribers += wire.outgoing.dropped
         self.subscribers.pop(wire, None)
-        if not self.subscribers and self._participant is not None:
-            self._participant.leave()
-            self._participant = None
+        if not self.subscribers:
+            self._source.follow(False)
 
     def _send_latched(self, wire: Wire) -> None:
         """Send the latched message to a later subscriber; the first gets it from the hub."""
-        if self.is_latched and self._participant is not None:
+        if self.is_latched and self._source.is_read:
             visitor = self._node.join(self.name)
             visitor.subscribe(self.topic, lambda message: wire.send(encode_message(message.payload)))
             visitor.leave()
@@ -169,7 +161,7 @@ class _PublisherConnection:
         if self.accepted.done():  # the deadline was first
             return
         try:
-            self._accept(decode_header(messages[0]))
+            self._accept(decode_answer_header(messages[0]))
         except (BadHeader, HostlinkError) as error:
             self.accepted.set_exception(error)
         else:
@@ -202,8 +194,6 @@ class _PublisherConnection:
         return EarlierMotion.within_a_lease(asyncio.get_running_loop().time())
 
     def _type(self, header: Header) -> MessageType:
-        if "error" in header:
-            raise BadHeader(header["error"])
         name, md5 = (printable(header.get(field, "")) for field in ("type", "md5sum"))
         found = self._node.hub.catalog.message(name)
         if found is None:

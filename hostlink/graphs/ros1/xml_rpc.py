@@ -5,9 +5,11 @@ import urllib.parse
 import xmlrpc.client
 from typing import Any
 
+from hostlink.errors import system_text
+
 SUCCESS, ERROR = 1, -1
 MASTER_PORT = 11311  # of a master whose address names none
-TIMEOUT_S = 3.0  # of a call
+CALL_TIMEOUT_S = 3.0  # of a call
 MAX_ANSWER_BYTES = 4 * 1024 * 1024  # the state of a graph of ten thousand topics
 HEADERS = {"Content-Type": "text/xml", "Accept-Encoding": "identity"}
 
@@ -109,7 +111,7 @@ class EarlyMaster:
     def __init__(self, uri: str, node: str) -> None:
         where = urllib.parse.urlsplit(uri)
         host, port = where.hostname or "", where.port or MASTER_PORT
-        self._connection = http.client.HTTPConnection(host, port, timeout=TIMEOUT_S)
+        self._connection = http.client.HTTPConnection(host, port, timeout=CALL_TIMEOUT_S)
         self._path, self._node = where.path or "/", node
 
     def close(self) -> None:
@@ -133,7 +135,7 @@ class EarlyMaster:
             return decode_answer(answer)
         except (http.client.HTTPException, OSError, BadXml, ValueError) as error:
             self._connection.close()
-            raise Unreachable(_why(error)) from error
+            raise Unreachable(reason_of(error)) from error
 
     def _post(self, body: bytes) -> bytes:
         self._connection.request("POST", self._path, body, HEADERS)
@@ -143,8 +145,9 @@ class EarlyMaster:
         return answer
 
 
-def _why(error: Exception) -> str:
+def reason_of(error: Exception) -> str:
     """Return a reason that a person can read."""
+    error = getattr(error, "os_error", error)  # of a ClientConnectorError, which has the number of it alone
     if isinstance(error, TimeoutError):
-        return f"no answer within {TIMEOUT_S:g} s"
-    return (error.strerror if isinstance(error, OSError) else None) or str(error) or type(error).__name__
+        return f"no answer within {CALL_TIMEOUT_S:g} s"
+    return system_text(error) if isinstance(error, OSError) else str(error) or type(error).__name__

@@ -7,6 +7,7 @@ another name gets one below it.
 import asyncio
 
 from hostlink.errors import HostlinkError
+from hostlink.graphs.hub_source import HubSource
 from hostlink.graphs.zenoh.fleet_commands import FleetDrivers
 from hostlink.graphs.zenoh.fleet_messages import (
     GROUP,
@@ -47,29 +48,21 @@ class _Export:
         Raises:
             ConfigError: the session is closed.
         """
-        self._hub, self._transport = hub, transport
-        self._robot, self._topic = exported
-        self._participant: Participant | None = None
+        robot, topic = exported
         key = transport.key("out", *name.strip("/").split("/"))
         self._publisher = transport.session.declare_publisher(key)
-        self._publisher.watch(self._demand)
+        self._source = HubSource(
+            lambda: hub.join(f"fleet {robot}", group=GROUP),
+            topic,
+            lambda message: self._publisher.put(message.payload),
+            lambda _: transport.counts.update(("refused",)),
+        )
+        self._publisher.watch(self._source.follow)
 
     def close(self) -> None:
         """Withdraw the topic from the fleet."""
-        self._demand(False)
+        self._source.follow(False)
         self._publisher.close()
-
-    def _demand(self, is_wanted: bool) -> None:
-        """Follow whether another daemon subscribes."""
-        if self._participant is not None and not is_wanted:
-            self._participant.leave()
-            self._participant = None
-        elif self._participant is None and is_wanted:
-            self._participant = self._hub.join(f"fleet {self._robot}", group=GROUP)
-            try:
-                self._participant.subscribe(self._topic, lambda message: self._publisher.put(message.payload))
-            except HostlinkError:
-                self._transport.counts["refused"] += 1
 
 
 class _Import:

@@ -15,6 +15,7 @@ import structlog
 
 from hostlink.config import ZenohConfig
 from hostlink.errors import BadPayload, BadRequest, CommandRefused, HostlinkError, RefusalKind, ServiceFailed, WrongType
+from hostlink.graphs.hub_source import HubSource
 from hostlink.graphs.ros2_names import ros1_type
 from hostlink.graphs.ros2_types import Ros2Message, Ros2Service, Ros2Types
 from hostlink.graphs.zenoh.rmw_protocol import (
@@ -121,34 +122,22 @@ class RmwPublication:
         self._node, self._topic = node, topic
         self._endpoint = node.endpoint(TokenKind.PUBLISHER, topic.topic, type_.name, type_.type_hash, qos)
         self._publisher = node.session.declare_publisher(self._endpoint.key, kept=1 if topic.is_latched else 0)
-        self._participant: Participant | None = None
+        self._source = HubSource(
+            lambda: node.hub.join(f"ros2 {topic.topic}", group=GROUP),
+            topic.topic,
+            self._receive,
+            lambda _: node.counts.update(("failed_endpoints",)),
+        )
         if topic.is_latched:
-            self._subscribe()
+            self._source.follow(True)
         else:
-            self._publisher.watch(self._match)
-            self._match(self._publisher.is_subscribed)
+            self._publisher.watch(self._source.follow)
 
     def close(self) -> None:
         """Withdraw the publication."""
-        self._unsubscribe()
+        self._source.follow(False)
         self._endpoint.close()
         self._publisher.close()
-
-    def _match(self, is_subscribed: bool) -> None:
-        if is_subscribed:
-            self._subscribe()
-        else:
-            self._unsubscribe()
-
-    def _subscribe(self) -> None:
-        if self._participant is None:
-            self._participant = self._node.hub.join(f"ros2 {self._topic.topic}", group=GROUP)
-            self._participant.subscribe(self._topic.topic, self._receive)
-
-    def _unsubscribe(self) -> None:
-        if self._participant is not None:
-            self._participant.leave()
-            self._participant = None
 
     def _receive(self, message: Message) -> None:
         if message.type_name != self._topic.type_name:
@@ -212,9 +201,7 @@ class OfferedService:
                 self._node.counts["calls_from_ros2"] += 1
         finally:
             query.close()
-            self._calls[attachment.gid] -= 1
-            if not self._calls[attachment.gid]:
-                del self._calls[attachment.gid]
+            self._calls -= Counter((attachment.gid,))  # without those that have none left
 
     async def _call(self, data: bytes) -> bytes | None:
         """Return the answer; None for a malformed request, or a failure that the response type cannot express."""
@@ -290,30 +277,35 @@ TWIST_BYTES = 48  # at the end of a TwistStamped
 
 log = structlog.get_logger()
 
+UNKNOWN: Final = "ros2.type_unknown"  # of most types of a large graph: robots here do not use them
+
 
 class RmwPublisher:
     """Publisher of another node in ROS 2, which is a participant of the hub."""
 
-    def __init__(self, node: RmwNode, token: EndpointToken, leave: Callable[[], None]) -> None:
-        """`leave` is called when a failure of its own ends its participant."""
+    def __init__(self, node: RmwNode, token: EndpointToken, log_once: LogOnce, leave: Callable[[], None]) -> None:
+        """Join the hub. `leave` is called when a failure of its own ends its participant."""
         self.token = token
         self.clock = SourceClock()
         self.motion = EarlierMotion()
         self.participant: Participant = node.hub.join(f"ros2 {token.node.full_name}", group=GROUP, on_end=leave)
-        self._node = node
+        self._node, self._log_once = node, log_once
         self._is_advertised = False
         self._refusals = Budget()
+        self.advertise()
 
     def advertise(self) -> None:
-        """Show its topic in the hub.
-
-        Raises:
-            WrongType: the topic has another type here.
-            BadRequest: the type is unknown here.
-        """
-        if not self._is_advertised:
-            token = self.token
+        """Show its topic in the hub, unless it has another type there or one that is unknown, which is logged once."""
+        if self._is_advertised:
+            return
+        token = self.token
+        try:
             self.participant.advertise(token.name, ros1_type(token.type_name), is_latched=token.qos.is_transient_local)
+        except WrongType as error:
+            self._log_once("ros2.topic_refused", name=token.name, type=token.type_name, reason=str(error))
+        except BadRequest as error:
+            self._log_once(UNKNOWN, name=token.type_name, topic=token.name, reason=str(error))
+        else:
             self._is_advertised = True
 
     def close(self) -> None:
@@ -347,6 +339,7 @@ class Publishers:
 
     def __init__(self, node: RmwNode, remote: RemoteGraph, log_once: LogOnce) -> None:
         self._node, self._remote, self._log_once = node, remote, log_once
+        self.is_known = remote.is_known  # whether a gid is that of a publisher; in any thread
         self._gone: dict[str, None] = {}  # tokens that may be back after a cut
         self._began_s = asyncio.get_running_loop().time()
         self._publishers = Mirror[str, _Token, RmwPublisher](
@@ -380,17 +373,13 @@ class Publishers:
     def advertise_all(self) -> None:
         """The hub's graph has changed: types that were wrong may be right."""
         for each in self._publishers.endpoints.values():
-            self._advertise(each)
+            each.advertise()
 
     def join(self, subject: Subject) -> None:
         """A velocity is subscribed from now on: publishers that are there may be in the middle of a motion."""
         for each in self._publishers.endpoints.values():
             if (each.token.name, each.token.type_name) == subject:
                 self._expect_earlier(each)
-
-    def is_known(self, gid: bytes) -> bool:
-        """Whether it is that of a publisher; in any thread."""
-        return self._remote.is_known(gid)
 
     def clear(self) -> None:
         """Remove all publishers: what they drive stops."""
@@ -411,27 +400,17 @@ class Publishers:
         publisher.publish(topic, payload, received_s=now_s - late_s, epoch=epoch)
 
     def _open(self, key: str, spec: _Token) -> RmwPublisher:
-        made = RmwPublisher(self._node, spec.token, lambda: self._publishers.put(key, None))
+        made = RmwPublisher(self._node, spec.token, self._log_once, lambda: self._publishers.put(key, None))
         now_s, is_back = asyncio.get_running_loop().time(), key in self._gone
         self._gone.pop(key, None)
         has_waited = now_s > spec.came_s + NEW_S  # for room
         if is_back or has_waited or now_s < self._began_s + MATCH_S:  # it was there before this daemon
             self._expect_earlier(made)
-        self._advertise(made)
         return made
 
     @staticmethod
     def _expect_earlier(publisher: RmwPublisher) -> None:
         publisher.motion = EarlierMotion(asyncio.get_running_loop().time() + MATCH_S)
-
-    def _advertise(self, publisher: RmwPublisher) -> None:
-        token = publisher.token
-        try:
-            publisher.advertise()
-        except WrongType as error:
-            self._log_once("ros2.topic_refused", name=token.name, type=token.type_name, reason=str(error))
-        except BadRequest as error:
-            self._log_once("ros2.type_unknown", name=token.type_name, topic=token.name, reason=str(error))
 
 
 @dataclass(frozen=True, slots=True)
@@ -515,7 +494,6 @@ TROUBLE: Final = frozenset(  # counts of what was lost, by cause
         "malformed_from_ros2", "malformed_to_ros2", "malformed_tokens", "other_type", "unidentified", "unsigned",
     }
 )  # fmt: skip
-UNKNOWN: Final = "ros2.type_unknown"  # of most types of a large graph: robots here do not use them
 REFUSED_NAME: Final = "ROS 2 allows letters, digits and _ in names"
 OWN_PACKAGES: Final = ("rcl_interfaces/", "type_description_interfaces/")  # services that every node of ROS 2 has
 
@@ -677,27 +655,26 @@ class RmwBridge:
 
     def _type(self, topic: GraphTopic) -> Ros2Message | None:
         """Return the type of a topic in ROS 2; None if it cannot exist there, which is logged once."""
-        if not topic.type_name or is_hidden(topic.name) or self._is_elsewhere(topic.name):
-            return None
-        if not is_name(topic.name):
-            self._log_once("ros2.topic_refused", name=topic.name, reason=REFUSED_NAME)
+        if not topic.type_name or not self._is_shown(topic.name, "ros2.topic_refused"):
             return None
         found = self._node.types.message(topic.type_name)
         if found is None:
             self._log_once(UNKNOWN, name=topic.type_name, topic=topic.name)
         return found
 
-    def _is_elsewhere(self, name: str) -> bool:
-        """Whether it is of a robot of another daemon, which shows it in ROS 2 by itself."""
+    def _is_shown(self, name: str, refused: str) -> bool:
+        """Whether a name can exist in ROS 2, else `refused` is logged; another daemon shows those of its robots."""
         robot = name.split("/")[1]
         remote = self._node.hub.robots.remote.get(robot)
-        return remote is not None and self._node.hub.robots.find(robot) is remote
+        is_elsewhere = remote is not None and self._node.hub.robots.find(robot) is remote
+        if is_hidden(name) or is_elsewhere:
+            return False
+        if not is_name(name):
+            self._log_once(refused, name=name, reason=REFUSED_NAME)
+        return is_name(name)
 
     def _service(self, service: GraphService) -> ServiceSpec | None:
-        if is_hidden(service.name) or self._is_elsewhere(service.name):
-            return None
-        if not is_name(service.name):
-            self._log_once("ros2.service_refused", name=service.name, reason=REFUSED_NAME)
+        if not self._is_shown(service.name, "ros2.service_refused"):
             return None
         known, found = self._node.hub.catalog.service(service.type_name), self._node.types.service(service.type_name)
         if known is None or found is None:

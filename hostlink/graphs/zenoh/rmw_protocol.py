@@ -24,7 +24,7 @@ _DDS_TYPE: Final = re.compile(r"([a-z][a-z0-9_]*)::(msg|srv|action)::dds_::([A-Z
 DEFAULT_DEPTH: Final = 42
 DEPTH_MAX: Final = 1_000_000
 _BEST_EFFORT, _TRANSIENT_LOCAL, _KEEP_ALL = "2", "1", "2"  # the numbers of rmw/types.h
-_PARTS: Final = 6
+_QOS: Final = re.compile(r"([0-9]*):([0-9]*):([0-9]*),?([0-9]{0,9})[0-9]*:[^:]*:[^:]*:")
 _INFINITE: Final = ":,:,:,,"  # deadline, lifespan, liveliness: automatic
 
 GID_BYTES: Final = 16
@@ -111,17 +111,14 @@ class RmwQos:
     @classmethod
     def decode(cls, text: str) -> "RmwQos | None":
         """Decode the text in a token; None if it is malformed."""
-        parts = text.split(":")
-        if len(parts) < _PARTS:
+        found = _QOS.match(text)
+        if found is None:
             return None
-        kind, _, depth_text = parts[2].partition(",")
-        if not all(part.isascii() and (part.isdigit() or not part) for part in (parts[0], parts[1], kind, depth_text)):
-            return None
-        depth = min(int(depth_text[:9]), DEPTH_MAX) if depth_text else DEFAULT_DEPTH
+        reliability, durability, kind, depth = found.groups()
         return cls(
-            is_reliable=parts[0] != _BEST_EFFORT,
-            is_transient_local=parts[1] == _TRANSIENT_LOCAL,
-            depth=None if kind == _KEEP_ALL else depth or DEFAULT_DEPTH,
+            is_reliable=reliability != _BEST_EFFORT,
+            is_transient_local=durability == _TRANSIENT_LOCAL,
+            depth=None if kind == _KEEP_ALL else min(int(depth or 0), DEPTH_MAX) or DEFAULT_DEPTH,
         )
 
 

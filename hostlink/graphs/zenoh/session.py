@@ -72,31 +72,25 @@ class ZenohPublisher:
 
     def __init__(self, session: "ZenohSession", publisher: Any) -> None:
         self._session, self._publisher = session, publisher
-        self._listener: Any = None
+        self._listener = Declaration()
 
     def put(self, payload: bytes, *, attachment: bytes | None = None) -> None:
         """Publish; while the network is behind it is dropped."""
         with self._session.guarded("put"):
             self._publisher.put(payload, attachment=attachment)
 
-    @property
-    def is_subscribed(self) -> bool:
-        with self._session.guarded("match"):
-            return bool(self._publisher.matching_status.matching)
-        return False
-
     def watch(self, on_change: Callable[[bool], None]) -> None:
-        """Call `on_change` in the loop, with whether another session subscribes, when that changes."""
+        """Call `on_change` in the loop when another session subscribes, also already, and when no more do."""
         inbox = self._session.inbox(on_change)
         with self._session.guarded("match"):
             notice = self._session.callback(lambda status: inbox.put("", status.matching))
-            self._listener = self._publisher.declare_matching_listener(notice)
+            listener = self._publisher.declare_matching_listener(notice)
+            self._listener = Declaration(inbox.close, listener.undeclare)
 
     def close(self) -> None:
         """Undeclare the publisher."""
         with self._session.guarded("undeclare"):
-            if self._listener is not None:
-                self._listener.undeclare()
+            self._listener.close()
             self._publisher.undeclare()
 
 

@@ -104,16 +104,15 @@ def test_error_line_of_a_wheel_is_kept_unchanged(level: int, text: str, is_kept:
     monitor = LinkMonitor(session(), now_s=0.0)
     monitor.observe(DeviceLogged(level, text), 5.0)
     evidence = monitor.evidence(12.0, silent_s=0.0)
-    assert evidence.wheel_stalled == (Complaint(text, 7.0) if is_kept else None)
-    assert evidence.wheel_runaway is None
+    assert evidence.complaints == ({"wheel_stalled": Complaint(text, 7.0)} if is_kept else {})
 
 
 def test_last_error_line_of_a_wheel_is_kept() -> None:
     monitor = LinkMonitor(session(), now_s=0.0)
     for at_s, side in ((1.0, "left"), (2.0, "right")):
         monitor.observe(DeviceLogged(3, f"{side} wheel runs away: 250 of 100 ticks/s"), at_s)
-    negotiated = monitor.evidence(3.0, silent_s=0.0).wheel_runaway
-    assert negotiated == Complaint("right wheel runs away: 250 of 100 ticks/s", 1.0)
+    found = monitor.evidence(3.0, silent_s=0.0).complaints
+    assert found == {"wheel_runaway": Complaint("right wheel runs away: 250 of 100 ticks/s", 1.0)}
 
 
 def test_battery_restart_and_signal_are_read_from_the_log() -> None:
@@ -123,8 +122,8 @@ def test_battery_restart_and_signal_are_read_from_the_log() -> None:
     monitor.observe(DeviceLogged(0, "WiFi signal -67 dBm"), 1.0)
     monitor.observe(DeviceLogged(0, "WiFi signal 67 dBm"), 2.0)
     evidence = monitor.evidence(3.0, silent_s=0.0)
-    assert evidence.battery_low == Complaint("battery low: 10.2 V, below 10.5 V", 2.0)
-    assert evidence.watchdog_restart is not None
+    assert evidence.complaints["battery_low"] == Complaint("battery low: 10.2 V, below 10.5 V", 2.0)
+    assert "watchdog_restart" in evidence.complaints
     assert evidence.signal_dbm == -67
     assert monitor.evidence(151.0, silent_s=0.0).signal_dbm is None
 

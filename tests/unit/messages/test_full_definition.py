@@ -33,7 +33,7 @@ def test_message_is_decoded_as_by_the_catalogs_type() -> None:
 @pytest.mark.parametrize(
     ("text", "problem"),
     [
-        ("Header header\n", "std_msgs/Header is missing"),
+        ("Header header\n", "a/A:1: field header: unknown type std_msgs/Header"),
         (f"b/B x\n{'=' * 80}\nMSG: b/B\na/A y\n", "contains itself"),
         ("no definition at all ???\n", "a/A"),
     ],

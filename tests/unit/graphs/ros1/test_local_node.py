@@ -9,8 +9,8 @@ import pytest
 from structlog.testing import capture_logs
 
 from hostlink.config import Config
-from hostlink.graphs.ros1.local_node import THREAD_BYTES, Ros1Counts, Rpc, _why
-from hostlink.graphs.ros1.xml_rpc import CallRefused, Unreachable, decode_call, encode_answer
+from hostlink.graphs.ros1.local_node import THREAD_BYTES, Rpc
+from hostlink.graphs.ros1.xml_rpc import CallRefused, Unreachable, decode_call, encode_answer, reason_of
 from hostlink.hub.hub import Hub
 from tests.support.fake_device import CATALOG
 from tests.support.participants import Scene, play
@@ -88,12 +88,7 @@ NO_KEY: Any = None  # of a connection
     ],
 )
 def test_reason_of_a_failed_call_is_for_people(error: Exception, reason: str) -> None:
-    assert _why(error) == reason
-
-
-def test_counts_are_listed_by_name() -> None:
-    assert Ros1Counts(refused_calls=3).as_dict()["refused_calls"] == 3
-    assert set(Ros1Counts().as_dict().values()) == {0}
+    assert reason_of(error) == reason
 
 
 def test_master_is_called_with_the_name_of_the_node() -> None:

@@ -7,6 +7,7 @@ from collections.abc import AsyncIterator, Awaitable, Callable
 from typing import Any
 
 import pytest
+from structlog.testing import capture_logs
 
 from hostlink.graphs.ros1 import graph_sync
 from hostlink.graphs.ros1.local_node import RegistrationKind
@@ -14,6 +15,7 @@ from hostlink.graphs.ros1.member import HEADER_TIMEOUT_S, KEEPALIVE_S, MAX_AGE_S
 from hostlink.graphs.ros1.names import NameResolver
 from hostlink.graphs.ros1.tcpros import encode_header
 from hostlink.graphs.ros1.xml_rpc import CallRefused, decode_answer, encode_call
+from hostlink.messages.catalog import CLOCK_TYPE
 from tests.support.api_memory import ApiTransport
 from tests.support.participants import ROBOT, TEXT, TEXT_TYPE, Scene, play
 from tests.support.ros1.wireless import FakeRpc, FakeWire, local_node
@@ -244,7 +246,7 @@ def test_service_of_another_node_is_looked_up_and_own_and_tool_services_are_not(
 
 def test_connection_to_an_unknown_topic_is_refused_and_to_a_known_one_accepted() -> None:
     async def test(made: Graph) -> None:
-        publication, unknown, malformed = FakeWire(), FakeWire(), FakeWire()
+        publication, unknown, malformed, wrong = FakeWire(), FakeWire(), FakeWire(), FakeWire()
         md5 = made.sync.publications[TEXT].type.md5
         header = {"callerid": "/listener", "md5sum": md5, "type": TEXT_TYPE}
         made.sync.accept(publication.wire, [encode_header(header | {"topic": TEXT})[4:]])
@@ -254,7 +256,9 @@ def test_connection_to_an_unknown_topic_is_refused_and_to_a_known_one_accepted()
         assert unknown.refusals == ["/hostlink has no service /none"]
         made.sync.accept(malformed.wire, [b"\x05"])
         assert len(malformed.refusals) == 1
-        assert made.node.counts.refused_headers == 2
+        made.sync.accept(wrong.wire, [encode_header(header | {"topic": TEXT, "md5sum": "0"})[4:], b"more"])
+        assert "not 0" in wrong.refusals[0]
+        assert made.node.counts.refused_headers == 3
 
     with_graph(test)
 
@@ -314,6 +318,23 @@ def test_parameter_update_is_kept_for_subscribed_keys() -> None:
         assert [method for _, method, _ in made.rpc.calls] == ["subscribeParam"]
         made.rpc.answer = FakeRpc.refuse
         assert await made.member.parameters.get("unknown") is None
+
+    with_graph(test)
+
+
+def test_clock_of_another_type_ends_nothing_and_is_tried_again() -> None:
+    async def test(made: Graph) -> None:
+        made.scene.neighbour.advertise("/clock", TEXT_TYPE)
+        made.rpc.answer = lambda _uri, _method: True
+        with capture_logs() as logs:
+            await made.member.parameters.renew()
+        assert [each["event"] for each in logs] == ["ros1.clock_unusable"]
+        assert made.scene.hub.links.wall_ns() == 0
+        made.scene.neighbour.unadvertise("/clock")
+        await asyncio.sleep(0.2)
+        made.scene.neighbour.advertise("/clock", CLOCK_TYPE)
+        made.scene.neighbour.publish("/clock", bytes([7, 0, 0, 0, 1, 0, 0, 0]))
+        assert made.scene.hub.links.wall_ns() == 7_000_000_001
 
     with_graph(test)
 

@@ -1,6 +1,7 @@
 """Ros1Node: its addresses, waiting for the master's name, and why it ended."""
 
 import asyncio
+import socket
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from typing import Any
@@ -50,7 +51,7 @@ def test_own_address_is_looked_up_again_until_the_masters_name_has_one(monkeypat
         assert master_uri == CONFIG.master
         asked.append(asyncio.get_running_loop().time())
         if len(asked) < 3:
-            raise OSError(-2, "Name or service not known")
+            raise socket.gaierror(-2, "Name or service not known")
         return "10.0.0.7"
 
     monkeypatch.setattr(module, "_own_address", find)

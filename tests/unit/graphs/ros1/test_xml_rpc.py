@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hostlink.graphs.ros1.xml_rpc import (
+    CALL_TIMEOUT_S,
     MAX_ANSWER_BYTES,
-    TIMEOUT_S,
     BadXml,
     CallRefused,
     EarlyMaster,
@@ -136,7 +136,7 @@ def early_master(*answers: bytes | Exception, uri: str = "http://master:11311/")
 def test_address_of_the_master_has_a_default_port_and_path(uri: str, host: str, port: int, path: str) -> None:
     made = EarlyMaster(uri, "/hostlink")
     assert (made._connection.host, made._connection.port, made._path) == (host, port, path)
-    assert made._connection.timeout == TIMEOUT_S
+    assert made._connection.timeout == CALL_TIMEOUT_S
     made.close()
 
 
@@ -164,7 +164,7 @@ def test_early_call_is_repeated_once_after_a_closed_connection(error: Exception)
 @pytest.mark.parametrize(
     ("answer", "reason"),
     [
-        (TimeoutError(), f"no answer within {TIMEOUT_S:g} s"),
+        (TimeoutError(), f"no answer within {CALL_TIMEOUT_S:g} s"),
         (OSError(113, "No route to host"), "No route to host"),
         (OSError("of no number"), "of no number"),
         (HTTPException(), "HTTPException"),
