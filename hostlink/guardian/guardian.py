@@ -17,7 +17,7 @@ from pathlib import Path
 
 import structlog
 
-from hostlink.guardian.records import ANSWER_BYTES, decode_answer, encode_beat, encode_goodbye, encode_ping
+from hostlink.guardian.records import ANSWER_BYTES, GOODBYE, PING, decode_answer, encode, encode_beat
 from hostlink.guardian.roster import GuardedLinks, Watched
 
 log = structlog.get_logger()
@@ -136,7 +136,7 @@ class Guardian:
         """End the process without a stop sequence, because the daemon has stopped the robots."""
         if self._channel is not None:
             with contextlib.suppress(OSError):  # a stuck process is killed below
-                self._channel.send(encode_goodbye())
+                self._channel.send(encode(GOODBYE))
         self._end(GOODBYE_S)
 
     def abandon(self) -> None:
@@ -203,7 +203,7 @@ class Guardian:
         if self._ping is None:
             self._ping = (now_s, self._roster.connections)
             with contextlib.suppress(OSError):  # no room: there will be no answer
-                self._channel.send(encode_ping())
+                self._channel.send(encode(PING))
         self._later(self._ping_s, self._check)
 
     def _lose(self, reason: str) -> None:
