@@ -65,7 +65,9 @@ class _Told(NamedTuple):
 
 
 @dataclass(slots=True)
-class _Repeated:
+class Repeated:
+    """Velocity that is repeated, and who has called `drive` for it."""
+
     number: int
     request: Mapping[str, Any]
     sent_s: float
@@ -73,6 +75,17 @@ class _Repeated:
     thread: threading.Thread | None = field(default_factory=calling_thread.get)  # None: the connection's own
     is_kept: bool = False  # after the end of a notebook's cell
     task: asyncio.Task[Any] | None = field(default_factory=asyncio.current_task)  # that called `drive`
+
+    def is_of_ended_thread(self) -> bool:
+        return self.thread is not None and not self.thread.is_alive()
+
+    def is_of_cell(self, thread: threading.Thread) -> bool:
+        """Whether it ends with the notebook's cell that this thread runs."""
+        return self.thread is thread and not self.is_kept
+
+    def is_of_ended_task(self) -> bool:
+        """Whether it ends with a notebook's cell, because its task has ended."""
+        return not self.is_kept and (self.task is None or self.task.done())
 
 
 class VelocitySender:
@@ -89,7 +102,7 @@ class VelocitySender:
         self.client_name: str | None = None  # as the daemon's newest answer calls this connection
         self._connection, self._now_s = connection, clock
         self._numbers = itertools.count(1)
-        self._repeated: dict[str, _Repeated] = {}
+        self._repeated: dict[str, Repeated] = {}
         self._broken: dict[str, _Ended] = {}
         self._newest: dict[str, int] = {}  # by robot: number of the newest call that drove or stopped it
         self._newest_of_all = 0  # number of the newest call that stopped all robots
@@ -103,24 +116,6 @@ class VelocitySender:
     def robots(self) -> tuple[str, ...]:
         """The names of the robots that are driven."""
         return tuple(self._repeated)
-
-    @property
-    def robots_of_ended_threads(self) -> tuple[str, ...]:
-        """Names of the driven robots whose newest `drive` was called in a thread that has ended."""
-        threads = {robot: repeated.thread for robot, repeated in self._repeated.items()}
-        return tuple(robot for robot, thread in threads.items() if thread is not None and not thread.is_alive())
-
-    def robots_of_cell(self, thread: threading.Thread) -> tuple[str, ...]:
-        """Names of the robots whose newest `drive` was called in this thread, and not to be kept."""
-        return tuple(
-            robot for robot, repeated in self._repeated.items() if repeated.thread is thread and not repeated.is_kept
-        )
-
-    @property
-    def robots_of_ended_tasks(self) -> tuple[str, ...]:
-        """Names of the robots whose newest `drive` was called in a task that has ended, and not to be kept."""
-        repeated = self._repeated.items()
-        return tuple(robot for robot, each in repeated if not each.is_kept and (each.task is None or each.task.done()))
 
     async def drive(
         self, robot: str, velocity: PlanarVelocity, priority: int, *, is_kept: bool = False, number: int | None = None
@@ -143,7 +138,7 @@ class VelocitySender:
         if (ended := self._broken.pop(robot, None)) is not None:
             await self._tell(robot, priority)
             raise HostlinkError(f"{robot} was stopped, drive again if it is still meant: {ended.broken.reason}")
-        repeated = self._repeated[robot] = _Repeated(number, request, self._now_s(), is_kept=is_kept)
+        repeated = self._repeated[robot] = Repeated(number, request, self._now_s(), is_kept=is_kept)
         try:
             answer = await self._command(repeated, before)
             driven = _driven(answer)
@@ -182,7 +177,7 @@ class VelocitySender:
         await self._tell(robot, priority)
         return ended.broken
 
-    async def _command(self, repeated: _Repeated, before: _Repeated | None) -> Message:
+    async def _command(self, repeated: Repeated, before: Repeated | None) -> Message:
         """Command with the epoch of the motion before: what was interrupted since must not go on without notice.
 
         After an interruption that this program was told of, the epoch is the one since then.
@@ -242,17 +237,22 @@ class VelocitySender:
         request = {"id": f"{_COMMAND}{stream.number}:{robot}", "sent_s": now_s, "epoch": epoch}
         await self._connection.send(_request(robot, velocity, priority) | request)
 
-    def end_motions(self) -> None:
-        """End motions, also those that have not commanded yet. Notices of velocities that were broken off stay."""
-        self._newest_of_all = self.next_number()
+    def give_up(self, is_meant: Callable[[Repeated], bool] | None = None) -> tuple[str, ...]:
+        """Repeat no more what is meant; None: everything, and end motions that have not commanded yet.
+
+        Notices of velocities that were broken off stay. Returns the names of the robots that were driven so.
+        """
+        if is_meant is None:
+            self._newest_of_all = self.next_number()
+        names = tuple(robot for robot, each in self._repeated.items() if is_meant is None or is_meant(each))
+        for robot in names:
+            self.stop_repeating(robot)
+        return names
 
     def stop_repeating_all(self) -> tuple[str, ...]:
         """Repeat nothing more, and end motions that have not commanded yet; returns the robots that were driven."""
-        driven = self.robots
-        self.end_motions()
-        self._repeated.clear()
         self._broken.clear()
-        return driven
+        return self.give_up()
 
     def stop_repeating(self, robot: str) -> None:
         """Repeat it no more, and end a motion that has not commanded yet; the caller knows of the end."""
@@ -304,7 +304,7 @@ class VelocitySender:
                 self._break(robot, Broken(MotionKind.ASLEEP, reason))
         self._ran_s = now_s
 
-    async def _repeat(self, robot: str, repeated: _Repeated) -> None:
+    async def _repeat(self, robot: str, repeated: Repeated) -> None:
         now_s = repeated.sent_s = self._sent_s[robot] = self._now_s()
         request = {"id": f"repeat:{repeated.number}", "sent_s": now_s, "epoch": repeated.epoch}
         with contextlib.suppress(HostlinkError):  # the connection reports its loss to everybody

@@ -1,24 +1,24 @@
 """Host: a running hostlink as its users see it; and `connect`, which opens a connection to it."""
 
 import asyncio
+import base64
 import concurrent.futures
 import contextlib
 import ssl
-import threading
 import weakref
-from collections.abc import AsyncGenerator, AsyncIterator, Generator, Mapping
+from collections.abc import AsyncGenerator, AsyncIterator, Callable, Generator, Mapping
 from types import TracebackType
 from typing import Any, NoReturn, cast
 
 from hostlink.cancellation import raise_if_cancelled
 from hostlink.client.cells import Names, forget, watch_cells
 from hostlink.client.connection import HostConnection
-from hostlink.client.driver import VelocitySender
+from hostlink.client.driver import Repeated, VelocitySender
 from hostlink.client.http_client import CLOSE_TIMEOUT_S, DEFAULT_PORT, REQUEST_TIMEOUT_S, HttpClient, measured
 from hostlink.client.mailbox import Mailbox
 from hostlink.client.robot import PRIORITY, WAIT_S, Robot
 from hostlink.client.services import Answer, ProvidedServices
-from hostlink.client.topics import Graphs, GraphWatch, RawSubscription, Subscription, Topics
+from hostlink.client.topics import RAW, Graphs, GraphWatch, RawSubscription, Subscription, Topics, read_raw
 from hostlink.client.type_names import TypeName, type_name_of
 from hostlink.client.views import ConnectionChange, Event, RobotState, TopicState
 from hostlink.errors import HostlinkError
@@ -147,7 +147,7 @@ class Host:
             HostlinkError: there is no connection, or an earlier message on this topic was refused. The refusal of the
                 last one is raised by `settle`, and at the end of the connection's block.
         """
-        await self._topics.publish(topic, message, type_name_of(type_name), priority)
+        await self._topics.publish(topic, {"msg": message}, type_name_of(type_name), priority)
 
     async def publish_raw(
         self, topic: str, payload: bytes, *, type_name: TypeName = "", priority: int = PRIORITY
@@ -157,7 +157,8 @@ class Host:
         Raises:
             HostlinkError: there is no connection, or an earlier message on this topic was refused.
         """
-        await self._topics.publish_raw(topic, payload, type_name_of(type_name), priority)
+        raw = base64.b64encode(payload).decode()
+        await self._topics.publish(topic, {"raw": raw}, type_name_of(type_name), priority)
 
     def pop_refusal(self, topic: str) -> str:
         """Return why a message on the topic was refused since the last call; empty if none was."""
@@ -187,7 +188,8 @@ class Host:
         Raises:
             HostlinkError: there is no connection when it begins; in the iteration: the subscription was refused.
         """
-        return self._topics.subscribe(topic, type_name_of(type_name), throttle_rate_ms, queue_length)
+        options = {"throttle_rate": throttle_rate_ms, "queue_length": queue_length}
+        return self._topics.subscribe(topic, type_name_of(type_name), options, lambda message: message)
 
     def subscribe_raw(
         self, topic: str, *, type_name: TypeName = ""
@@ -200,7 +202,7 @@ class Host:
         Raises:
             HostlinkError: there is no connection when it begins; in the iteration: the subscription was refused.
         """
-        return self._topics.subscribe_raw(topic, type_name_of(type_name))
+        return self._topics.subscribe(topic, type_name_of(type_name), RAW, read_raw)
 
     async def watch_graph(self) -> Graphs:
         """The topics, services and robots of all who are not of this connection's group: now, and after every change.
@@ -294,24 +296,13 @@ class Host:
         await self._round_trip()
         self._topics.raise_refusals()
 
-    async def stop_driven(
-        self, *, of_ended_threads: bool = False, of_cell: threading.Thread | None = None
-    ) -> tuple[str, ...]:
+    async def stop_driven(self, is_meant: Callable[[Repeated], bool] | None = None) -> tuple[str, ...]:
         """Let go of what this connection drives: it stops, and another source that waits may drive on.
 
-        It waits a second at most: nothing is repeated then, and the daemon stops what is left. `of_ended_threads`:
-        only what threads drove that are over. `of_cell`: only what this thread drove without `keep`. Returns the names
-        of the robots.
+        It waits a second at most: nothing is repeated then, and the daemon stops what is left. `is_meant`: only these
+        velocities. Returns the names of the robots.
         """
-        names = self._driver.robots
-        if of_ended_threads:
-            names = self._driver.robots_of_ended_threads
-        elif of_cell is not None:
-            names = self._driver.robots_of_cell(of_cell)
-        else:
-            self._driver.end_motions()
-        for name in names:
-            self._driver.stop_repeating(name)
+        names = self._driver.give_up(is_meant)
         await self._driver.let_go(names, PRIORITY)
         return names
 
@@ -323,11 +314,7 @@ class Host:
         """
         if self._tasks is None or asyncio.events._get_running_loop() is not self._loop:  # noqa: SLF001 - None, no error
             return None
-        names = self._driver.robots if has_failed else self._driver.robots_of_ended_tasks
-        if has_failed:
-            self._driver.end_motions()
-        for name in names:
-            self._driver.stop_repeating(name)
+        names = self._driver.give_up(None if has_failed else Repeated.is_of_ended_task)
         self._tasks.create_task(self._driver.let_go(names, PRIORITY), name="end of a cell")
         stopped: Names = concurrent.futures.Future()
         stopped.set_result(names)

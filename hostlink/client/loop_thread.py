@@ -31,8 +31,8 @@ from collections.abc import AsyncGenerator, AsyncIterator, Callable, Coroutine, 
 from types import TracebackType
 from typing import Any, TypeVar
 
-from hostlink.client.cells import STOP_TIMEOUT_S, forget_all, watch_cells
-from hostlink.client.driver import calling_thread
+from hostlink.client.cells import STOP_TIMEOUT_S, Names, forget_all, watch_cells
+from hostlink.client.driver import Repeated, calling_thread
 from hostlink.client.host import Connecting, Host
 from hostlink.client.mailbox import Mailbox
 from hostlink.client.services import Answer, Values
@@ -92,7 +92,7 @@ def _watch_main_thread() -> None:
 def _stop_behind(main_thread: threading.Thread) -> None:
     main_thread.join()
     for connection in list(_watched):
-        connection.begin_stop(of_ended_threads=True)
+        connection.begin_stop(Repeated.is_of_ended_thread)
 
 
 os.register_at_fork(after_in_child=_watched.clear)  # the connections are the parent's, and the threads
@@ -288,17 +288,16 @@ class _Life:
         with contextlib.suppress(RuntimeError):  # the loop is closed
             self._loop.call_soon_threadsafe(self._ending.set)
 
-    def begin_stop(
-        self, *, of_ended_threads: bool = False, of_cell: threading.Thread | None = None
-    ) -> "concurrent.futures.Future[tuple[str, ...]] | None":
-        """Stop what is driven, and stay connected; None: there is no connection."""
+    def begin_stop(self, is_meant: Callable[[Repeated], bool] | None = None) -> Names | None:
+        """Stop what is driven, or only these velocities, and stay connected; None: there is no connection."""
         if self.ended.done() or not self.opened.done() or self.opened.exception() is not None:
             return None
-        return self.begin(self.opened.result().stop_driven(of_ended_threads=of_ended_threads, of_cell=of_cell))
+        return self.begin(self.opened.result().stop_driven(is_meant))
 
-    def end_cell(self, *, has_failed: bool) -> "concurrent.futures.Future[tuple[str, ...]] | None":
+    def end_cell(self, *, has_failed: bool) -> Names | None:
         """Stop what the cell of this thread drove without `keep`; after an error, everything."""
-        return self.begin_stop(of_cell=None if has_failed else threading.current_thread())
+        thread = threading.current_thread()
+        return self.begin_stop(None if has_failed else lambda each: each.is_of_cell(thread))
 
     def finish(self) -> None:
         """End, and wait until it has."""
@@ -350,9 +349,9 @@ class Messages(Stream[Item]):
     """A stream whose items wait for the reader, the newest 256 of them. Ctrl-C does not end it; `close` does."""
 
     def __init__(self, loop: LoopThread, opened: contextlib.AbstractAsyncContextManager[Mailbox[Item]]) -> None:
-        self._opened, self._mailbox = opened, loop.run(_enter(opened))
+        self._opened, self._mailbox = opened, loop.run(opened.__aenter__())
         super().__init__(loop, self._mailbox, self._mailbox.name)
-        self._forgotten = weakref.finalize(self, _forget, loop, opened)
+        self._forgotten = weakref.finalize(self, lambda: loop.begin(opened.__aexit__(None, None, None)))
         self._forgotten.atexit = False
 
     @property
@@ -372,7 +371,7 @@ class Messages(Stream[Item]):
         """Unsubscribe; a running iteration raises an error."""
         if self._forgotten.detach() is not None:
             with contextlib.suppress(HostlinkError):  # the connection is closed, and so is this
-                self._loop.run(_exit(self._opened))
+                self._loop.run(self._opened.__aexit__(None, None, None))
                 self._loop.call(lambda: self._mailbox.put(HostlinkError(f"the stream of {self._name} is closed")))
 
     def __repr__(self) -> str:
@@ -385,7 +384,7 @@ class Opened:
     def __init__(self, loop: LoopThread, opened: contextlib.AbstractAsyncContextManager[None], name: str) -> None:
         self._loop, self._opened, self._name = loop, opened, name
         self._is_open = True
-        loop.run(_enter(opened))
+        loop.run(opened.__aenter__())
         loop.kept.add(opened)
 
     def close(self) -> None:
@@ -394,7 +393,7 @@ class Opened:
             self._is_open = False
             self._loop.kept.discard(self._opened)
             with contextlib.suppress(HostlinkError):  # the connection is closed, and so is this
-                self._loop.run(_exit(self._opened))
+                self._loop.run(self._opened.__aexit__(None, None, None))
 
     def __enter__(self) -> "Opened":
         return self
@@ -434,15 +433,3 @@ async def _next(source: AsyncIterator[Item]) -> Item:
 
 async def _close(source: AsyncGenerator[Any, None]) -> None:
     await source.aclose()
-
-
-async def _enter(opened: contextlib.AbstractAsyncContextManager[Item]) -> Item:
-    return await opened.__aenter__()
-
-
-async def _exit(opened: contextlib.AbstractAsyncContextManager[Any]) -> None:
-    await opened.__aexit__(None, None, None)
-
-
-def _forget(loop: LoopThread, opened: contextlib.AbstractAsyncContextManager[Any]) -> None:
-    loop.begin(_exit(opened))

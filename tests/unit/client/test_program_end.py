@@ -3,8 +3,10 @@
 import concurrent.futures
 import threading
 import time
+from collections.abc import Callable
 
 from hostlink.client import loop_thread
+from hostlink.client.driver import Repeated
 from tests.support.stopwatch import Stopwatch
 
 
@@ -14,8 +16,9 @@ class SilentConnection:
     def __init__(self, order: list[str]) -> None:
         self._order = order
 
-    def begin_stop(self, *, of_ended_threads: bool = False) -> concurrent.futures.Future[None]:
-        self._order.append("stop what ended threads drove" if of_ended_threads else "stop")
+    def begin_stop(self, is_meant: Callable[[Repeated], bool] | None = None) -> concurrent.futures.Future[None]:
+        is_of_ended_threads = is_meant is Repeated.is_of_ended_thread
+        self._order.append("stop what ended threads drove" if is_of_ended_threads else "stop")
         return concurrent.futures.Future()
 
     def end(self) -> None:
