@@ -9,7 +9,7 @@ import sys
 import zlib
 from collections.abc import Mapping, Sequence
 from enum import IntEnum
-from typing import Final, NamedTuple
+from typing import Final
 
 from hostlink.errors import LibraryMissing
 
@@ -62,7 +62,7 @@ class Damaged(ValueError):
     """Bytes that are not what the format says."""
 
 
-class _Fields:
+class Fields:
     """Reader of the fields of one record. Its methods raise Damaged when the record is cut."""
 
     def __init__(self, body: bytes) -> None:
@@ -92,54 +92,13 @@ class _Fields:
         return found
 
 
-class Header(NamedTuple):
-    """Beginning of a file."""
-
-    profile: str
-    library: str
-
-    @classmethod
-    def read(cls, body: bytes) -> "Header":
-        fields = _Fields(body)
-        return cls(fields.text(), fields.text())
-
-
-class SchemaRecord(NamedTuple):
-    """Definition of a type."""
-
-    id: int
-    name: str
-    encoding: str
-    data: bytes
-
-    @classmethod
-    def read(cls, body: bytes) -> "SchemaRecord":
-        fields = _Fields(body)
-        return cls(fields.number(U16), fields.text(), fields.text(), fields.take(fields.number(U32)))
-
-
-class ChannelRecord(NamedTuple):
-    """Channel: a topic with its type."""
-
-    id: int
-    schema_id: int
-    topic: str
-    message_encoding: str
-    metadata: dict[str, str]
-
-    @classmethod
-    def read(cls, body: bytes) -> "ChannelRecord":
-        fields = _Fields(body)
-        return cls(fields.number(U16), fields.number(U16), fields.text(), fields.text(), fields.texts())
-
-
 def read_metadata(body: bytes) -> dict[str, str]:
     """Return the values of a METADATA record.
 
     Raises:
         Damaged: the record is cut.
     """
-    fields = _Fields(body)
+    fields = Fields(body)
     fields.text()  # its name
     return fields.texts()
 
@@ -151,7 +110,7 @@ def unpack_chunk(body: bytes, limit_bytes: int) -> bytes:
         ValueError: the stated size is too large, or size, compression or checksum is wrong; also a decompressor's
             error.
     """
-    fields = _Fields(body)
+    fields = Fields(body)
     _, _, size, checksum = _CHUNK.unpack(fields.take(_CHUNK.size))
     compression, packed = fields.text(), fields.take(fields.number(U64))
     if size > limit_bytes:

@@ -97,7 +97,7 @@ def read(path: str | Path, topics: tuple[str, ...] = ()) -> Tables:
     """
     source = open_source(Path(path))
     found: dict[str, _Rows] = {}
-    for message in source.messages((lambda channel: channel.topic in topics) if topics else None):
+    for message in source.messages(lambda channel: not topics or channel.topic in topics):
         topic = message.channel.topic
         rows = found.get(topic)
         if rows is None:
