@@ -8,15 +8,14 @@ import asyncio
 import contextlib
 import fcntl
 import resource
-import signal
 import socket
 import subprocess
-import sys
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import structlog
 
+from hostlink.detached import start_python
 from hostlink.guardian.records import ANSWER_BYTES, GOODBYE, PING, decode_answer, encode, encode_beat
 from hostlink.guardian.roster import GuardedLinks, Watched
 
@@ -271,28 +270,11 @@ def _spawn() -> tuple[socket.socket, "subprocess.Popen[bytes]"]:
     ours, theirs = map(_above_stdio, socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET))
     with theirs, contextlib.ExitStack() as undo:
         undo.callback(ours.close)
-        with _signals_blocked():
-            process = subprocess.Popen(  # noqa: S603 - every argument is our own
-                [sys.executable, "-I", "-S", "-c", CODE, str(ROOT), str(theirs.fileno())],
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.DEVNULL,
-                stderr=subprocess.DEVNULL,
-                pass_fds=(theirs.fileno(),),
-                start_new_session=True,
-            )
+        arguments = ["-I", "-S", "-c", CODE, str(ROOT), str(theirs.fileno())]
+        process = start_python(arguments, pass_fds=(theirs.fileno(),))
         undo.pop_all()
     ours.setblocking(False)
     return ours, process
-
-
-@contextlib.contextmanager
-def _signals_blocked() -> Iterator[None]:
-    """Block all signals for a process that is started meanwhile: signals to the daemon's terminal are not for it."""
-    before = signal.pthread_sigmask(signal.SIG_SETMASK, signal.valid_signals())
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _above_stdio(end: socket.socket) -> socket.socket:
