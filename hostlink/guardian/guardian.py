@@ -181,16 +181,14 @@ class Guardian:
             return
         if self._ping is not None:
             connections, stopped = decode_answer(answer)
-            self._compare(connections, self._ping[1])
+            sent = self._ping[1]
+            if connections < sent and not self._is_incomplete:
+                log.warning("guardian.incomplete", connections=connections, robots=sent)
+            self._is_incomplete = connections < sent
             if stopped != self._stopped:
                 log.warning("guardian.stopped_robots", robots=stopped - self._stopped)
                 self._stopped = stopped
         self._ping = None
-
-    def _compare(self, connections: int, sent: int) -> None:
-        if connections < sent and not self._is_incomplete:
-            log.warning("guardian.incomplete", connections=connections, robots=sent)
-        self._is_incomplete = connections < sent
 
     def _check(self) -> None:
         """Ping the process. Replace it if the last ping is unanswered."""
