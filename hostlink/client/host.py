@@ -11,7 +11,7 @@ from types import TracebackType
 from typing import Any, NoReturn, cast
 
 from hostlink.cancellation import raise_if_cancelled
-from hostlink.client.cells import Names, forget, watch_cells
+from hostlink.client.cells import Names, watch_cells, watched
 from hostlink.client.connection import HostConnection
 from hostlink.client.driver import Repeated, VelocitySender
 from hostlink.client.http_client import CLOSE_TIMEOUT_S, DEFAULT_PORT, REQUEST_TIMEOUT_S, HttpClient, measured
@@ -61,7 +61,7 @@ class Host:
                 try:
                     yield
                 finally:
-                    forget(self)
+                    watched.discard(self)
                     self._tasks = None
                     repeater.cancel()
                     self._services.end()
