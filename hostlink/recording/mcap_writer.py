@@ -318,7 +318,8 @@ class FileThread:
             for _ in range(min(BURST, len(self._waiting))):
                 channel, stamp_ns, payload, steady_ns = self._waiting.popleft()
                 if payload is None:
-                    self._expect(channel)
+                    note_newest(self._announced, channel, MAX_EXPECTED)
+                    self._writer.announce(channel)
                 else:
                     self._taken_bytes += len(payload) + MESSAGE_BYTES
                     is_written = self._write(channel, stamp_ns, payload, steady_ns)
@@ -326,10 +327,6 @@ class FileThread:
                     self._not_written += not is_written
             self._keep_time()
         self._keep_time()
-
-    def _expect(self, channel: Channel) -> None:
-        note_newest(self._announced, channel, MAX_EXPECTED)
-        self._writer.announce(channel)
 
     def _write(self, channel: Channel, stamp_ns: int, payload: bytes, steady_ns: int) -> bool:
         """Write a message. False: the file has no free channel number and is too new to be ended."""
@@ -359,28 +356,25 @@ class FileThread:
             self._begin_next()
 
     def _open(self) -> McapWriter:
+        """Create the next file. A later file skips numbers in use, because a name must not end the recording."""
         self._on_file()
-        writer = self._new_file()
-        path = writer.path
+        while True:
+            path = self._path_of(self._number)
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self._number += 1
+            try:
+                writer = McapWriter(path, metadata=self._metadata, fsync=self._splitting.fsync)
+            except FileExistsError:
+                if not self.paths:
+                    raise
+            else:
+                break
         for channel in self._announced:
             writer.announce(channel)
         self.paths.append(path)
         self._begun_s = time.monotonic()
         self._chunk_due_s = self._begun_s + CHUNK_INTERVAL_S
         return writer
-
-    def _new_file(self) -> McapWriter:
-        """Create the next file. A later file skips numbers in use, because a name must not end the recording."""
-        is_first = not self.paths
-        while True:
-            path = self._path_of(self._number)
-            path.parent.mkdir(parents=True, exist_ok=True)
-            self._number += 1
-            try:
-                return McapWriter(path, metadata=self._metadata, fsync=self._splitting.fsync)
-            except FileExistsError:
-                if is_first:
-                    raise
 
 
 def _reason(error: Exception) -> str:
