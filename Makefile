@@ -194,7 +194,6 @@ docs: $(VENV)/.dev
 	@echo "open build/docs/index.html"
 
 format: $(VENV)/.dev
-	$(BIN)/python tools/blocking_client.py --write
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 

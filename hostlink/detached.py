@@ -1,9 +1,12 @@
-"""DetachedThread: blocking work in a thread that may be abandoned, so that a dead disk delays no shutdown."""
+"""Threads and processes that the daemon does not wait for: a thread may hang on a dead disk, a process outlives it."""
 
 import asyncio
 import contextlib
+import signal
+import subprocess
+import sys
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TypeVar
 
 Result = TypeVar("Result")
@@ -47,3 +50,23 @@ class DetachedThread:
         threading.Thread(target=run, name=self._name, daemon=True).start()
         async with asyncio.timeout(timeout_s):
             return await finished
+
+
+def start_python(arguments: Sequence[str], pass_fds: Sequence[int] = ()) -> "subprocess.Popen[bytes]":
+    """Start a Python process that survives this one. All signals are blocked in it: the terminal's are not for it.
+
+    Raises:
+        OSError: it cannot be started.
+    """
+    before = signal.pthread_sigmask(signal.SIG_SETMASK, signal.valid_signals())
+    try:
+        return subprocess.Popen(  # noqa: S603 - every argument is our own
+            [sys.executable, *arguments],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            pass_fds=pass_fds,
+            start_new_session=True,
+        )
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)

@@ -14,8 +14,7 @@ with hostlink.client.connect_blocking() as host:
 Whatever cannot be done is a HostlinkError whose text says what to do. docs/client.md has complete examples.
 """
 
-from hostlink.client.blocking import BlockingHost, connect_blocking
-from hostlink.client.blocking_calls import BlockingRobot
+from hostlink.client.blocking import BlockingHost, BlockingRobot, connect_blocking
 from hostlink.client.host import DEFAULT_URL, Host, connect
 from hostlink.client.loop_thread import Messages, Opened, Stream
 from hostlink.client.mailbox import Mailbox

@@ -1,38 +1,202 @@
-"""`connect_blocking`: the client for programs without asyncio, and for notebooks."""
+"""The client for programs without asyncio, and for notebooks: Host and Robot, whose methods a LoopThread runs."""
 
+import contextlib
+import functools
 import ssl
+from collections.abc import AsyncIterator, Callable, Coroutine
+from typing import Any, Concatenate, Generic, ParamSpec, TypeVar
 
-from hostlink.client.blocking_calls import HostCalls
-from hostlink.client.host import DEFAULT_URL, connect
-from hostlink.client.loop_thread import LoopThread
+from hostlink.client.host import DEFAULT_URL, Host, connect
+from hostlink.client.loop_thread import LoopThread, Messages, Opened, PlainAnswer, Stream, in_thread
+from hostlink.client.mailbox import Mailbox
+from hostlink.client.robot import PRIORITY, Robot
+from hostlink.client.type_names import TypeName
+from hostlink.client.views import ConnectionChange, Refusal
 from hostlink.errors import HostlinkError
 
-
-def connect_blocking(
-    url: str = DEFAULT_URL,
-    *,
-    token: str | None = None,
-    ssl: ssl.SSLContext | None = None,
-    reconnect: bool = True,
-    group: str = "",
-) -> "BlockingHost":
-    """A connection to hostlink for programs without asyncio: `with connect_blocking() as host:`.
-
-    Without `with` it stays open, over the cells of a notebook too, until `close()`. Whatever ends the block or the
-    program, an error or Ctrl-C in a cell, and the end of the last reference to it stop every robot that it drives. The
-    arguments are those of `connect`.
-
-    Raises:
-        HostlinkError: there is no hostlink at `url`, or it refuses.
-    """
-    return BlockingHost(LoopThread(connect(url, token=token, ssl=ssl, reconnect=reconnect, group=group)))
+Inner = TypeVar("Inner")
+Result = TypeVar("Result")
+Item = TypeVar("Item")
+P = ParamSpec("P")
 
 
-class BlockingHost(HostCalls):
+class Blocking(Generic[Inner]):
+    """An object with asynchronous methods, and the thread that runs them."""
+
+    def __init__(self, loop: LoopThread, inner: Inner) -> None:
+        self._loop, self._inner = loop, inner
+
+
+# Each of these returns a method with the arguments and the docstring of an asynchronous one, which type checkers know.
+
+
+def _blocking(
+    method: Callable[Concatenate[Inner, P], Coroutine[Any, Any, Result]],
+) -> Callable[Concatenate[Blocking[Inner], P], Result]:
+    @functools.wraps(method)
+    def call(self: Blocking[Inner], /, *args: P.args, **kwargs: P.kwargs) -> Result:
+        return self._loop.run(method(self._inner, *args, **kwargs))
+
+    return call
+
+
+def _reporting(
+    method: Callable[Concatenate[Inner, P], Coroutine[Any, Any, Result]],
+) -> Callable[Concatenate[Blocking[Inner], P], Result]:
+    """`on_progress` is called in the calling thread."""
+
+    @functools.wraps(method)
+    def call(self: Blocking[Inner], /, *args: P.args, **kwargs: P.kwargs) -> Result:
+        on_progress: Any = kwargs.pop("on_progress", None)
+        begin: Callable[..., Coroutine[Any, Any, Result]] = functools.partial(method, self._inner, *args, **kwargs)
+        return self._loop.run_reporting(lambda report: begin(on_progress=report), on_progress)
+
+    return call
+
+
+def _stream(
+    method: Callable[Concatenate[Inner, P], AsyncIterator[Item]],
+) -> Callable[Concatenate[Blocking[Inner], P], Stream[Item]]:
+    @functools.wraps(method)
+    def call(self: Blocking[Inner], /, *args: P.args, **kwargs: P.kwargs) -> Stream[Item]:
+        return Stream(self._loop, method(self._inner, *args, **kwargs), method.__name__)
+
+    return call
+
+
+def _messages(
+    method: Callable[Concatenate[Inner, P], contextlib.AbstractAsyncContextManager[Mailbox[Item]]],
+) -> Callable[Concatenate[Blocking[Inner], P], Messages[Item]]:
+    @functools.wraps(method)
+    def call(self: Blocking[Inner], /, *args: P.args, **kwargs: P.kwargs) -> Messages[Item]:
+        return Messages(self._loop, method(self._inner, *args, **kwargs))
+
+    return call
+
+
+class BlockingRobot(Blocking[Robot]):
+    """One robot of a host; get one from `BlockingHost.robot`."""
+
+    @property
+    def name(self) -> str:
+        """Name without a slash."""
+        return self._inner.name
+
+    @property
+    def priority(self) -> int:
+        """Priority of its commands, 0 to 100."""
+        return self._inner.priority
+
+    @property
+    def is_driven(self) -> bool:
+        """Whether this connection holds a velocity of the robot."""
+        return self._inner.is_driven
+
+    @property
+    def client_name(self) -> str | None:
+        """Name of this connection at the daemon, as in `holder` of `state()`; None before the first command."""
+        return self._inner.client_name
+
+    @property
+    def refusal(self) -> Refusal | None:
+        """Reason why the newest answered `command` was refused; None if it was accepted."""
+        return self._inner.refusal
+
+    state = _blocking(Robot.state)
+    drive = _blocking(Robot.drive)
+    move = _reporting(Robot.move)
+    turn = _reporting(Robot.turn)
+    command = _blocking(Robot.command)
+    stop = _blocking(Robot.stop)
+    lock = _blocking(Robot.lock)
+    unlock = _blocking(Robot.unlock)
+    reset_odometry = _blocking(Robot.reset_odometry)
+    odometry = _stream(Robot.odometry)
+
+    def __repr__(self) -> str:
+        return repr(self._inner).replace("Robot", "BlockingRobot", 1)
+
+
+class BlockingHost(Blocking[Host]):
     """A running hostlink. Get one from `connect_blocking`; any thread may use it."""
 
     def __init__(self, loop: LoopThread) -> None:
         super().__init__(loop, loop.host)
+
+    @property
+    def url(self) -> str:
+        """Address of the daemon."""
+        return self._inner.url
+
+    @property
+    def is_connected(self) -> bool:
+        """Whether the connection is there; a cut shows within a second."""
+        return self._inner.is_connected
+
+    robots = _blocking(Host.robots)
+    topics = _blocking(Host.topics)
+    links = _blocking(Host.links)
+    watch = _stream(Host.watch)
+    stop_all = _blocking(Host.stop_all)
+    standstill = _blocking(Host.standstill)
+    publish = _blocking(Host.publish)
+    publish_raw = _blocking(Host.publish_raw)
+    subscribe = _messages(Host.subscribe)
+    subscribe_raw = _messages(Host.subscribe_raw)
+    call = _blocking(Host.call)
+    get = _blocking(Host.get)
+    post = _blocking(Host.post)
+    download = _stream(Host.download)
+    send = _blocking(Host.send)
+    settle = _blocking(Host.settle)
+
+    def robot(self, name: str, *, priority: int = PRIORITY) -> BlockingRobot:
+        """The robot of that name; that it exists is found out by the first use.
+
+        `priority`, 0 to 100: a command of a higher one takes the robot over, one of a lower is refused. A program is
+        50, teleop 60.
+        """
+        return BlockingRobot(self._loop, self._inner.robot(name, priority=priority))
+
+    def pop_refusal(self, topic: str) -> str:
+        """Return why a message on the topic was refused since the last call; empty if none was."""
+        return self._inner.pop_refusal(topic)
+
+    def advertise(self, topic: str, type_name: TypeName, *, is_latched: bool = False) -> Opened:
+        """Be a publisher of the topic until the end of the block or `close`, across losses of the connection too.
+
+        With `is_latched` programs that subscribe later get the last message.
+
+        Raises:
+            HostlinkError: when it begins, there is no connection. An unknown type is raised by the next `publish`.
+        """
+        return Opened(self._loop, self._inner.advertise(topic, type_name, is_latched=is_latched), topic)
+
+    def serve(self, service: str, type_name: TypeName, answer: PlainAnswer) -> Opened:
+        """Answer the calls of a service until the end of the block or `close`, across losses of the connection too.
+
+        `answer` is called in a thread of its own with the request, and returns the response, both as dicts; None is an
+        empty response, a HostlinkError fails the call.
+
+        Raises:
+            HostlinkError: there is no connection when it begins.
+        """
+        return Opened(self._loop, self._inner.serve(service, type_name, in_thread(answer)), service)
+
+    def watch_graph(self) -> Messages[dict[str, Any]]:
+        """The topics, services and robots of all who are not of this connection's group: now, and after every change.
+
+        docs/api.md has their fields. It lasts as long as the reader keeps what this returns, across losses of the
+        connection too.
+
+        Raises:
+            HostlinkError: there is no connection when it begins.
+        """
+        return Messages(self._loop, contextlib.nullcontext(self._loop.run(self._inner.watch_graph())))
+
+    def connection(self) -> Messages[ConnectionChange]:
+        """Each loss and each return of the connection from now on, with the robots whose velocity was dropped."""
+        return Messages(self._loop, contextlib.nullcontext(self._loop.call(self._inner.connection)))
 
     def close(self) -> None:
         """Close the connection; what it drives stops.
@@ -54,4 +218,24 @@ class BlockingHost(HostCalls):
                 raise
 
     def __repr__(self) -> str:
-        return repr(self._host).replace("Host", "BlockingHost", 1)
+        return repr(self._inner).replace("Host", "BlockingHost", 1)
+
+
+def connect_blocking(
+    url: str = DEFAULT_URL,
+    *,
+    token: str | None = None,
+    ssl: ssl.SSLContext | None = None,
+    reconnect: bool = True,
+    group: str = "",
+) -> BlockingHost:
+    """A connection to hostlink for programs without asyncio: `with connect_blocking() as host:`.
+
+    Without `with` it stays open, over the cells of a notebook too, until `close()`. Whatever ends the block or the
+    program, an error or Ctrl-C in a cell, and the end of the last reference to it stop every robot that it drives. The
+    arguments are those of `connect`.
+
+    Raises:
+        HostlinkError: there is no hostlink at `url`, or it refuses.
+    """
+    return BlockingHost(LoopThread(connect(url, token=token, ssl=ssl, reconnect=reconnect, group=group)))

@@ -21,7 +21,7 @@ class Connection(Protocol):
         ...
 
 
-_watched: weakref.WeakSet[Connection] = weakref.WeakSet()
+watched: weakref.WeakSet[Connection] = weakref.WeakSet()  # the ends of cells are reported to these
 _shells: weakref.WeakSet[Any] = weakref.WeakSet()
 
 
@@ -31,26 +31,16 @@ def watch_cells(connection: Connection) -> None:
     shell = None if ipython is None else ipython.get_ipython()
     if shell is None:
         return
-    _watched.add(connection)
+    watched.add(connection)
     if shell not in _shells:
         _shells.add(shell)
         shell.events.register("post_run_cell", _end_cell)
 
 
-def forget(connection: Connection) -> None:
-    """Report no more to a connection, which has ended."""
-    _watched.discard(connection)
-
-
-def forget_all() -> None:
-    """Report no more to any: after a fork the connections are the parent's."""
-    _watched.clear()
-
-
 def _end_cell(result: Any) -> None:
     """Handle IPython's event. `result` is None for a cell that was cancelled."""
     has_failed = result is None or not result.success
-    begun = [connection.end_cell(has_failed=has_failed) for connection in list(_watched)]
+    begun = [connection.end_cell(has_failed=has_failed) for connection in list(watched)]
     done, _ = concurrent.futures.wait([stop for stop in begun if stop is not None], timeout=STOP_TIMEOUT_S)
     names = [name for stop in done if not stop.cancelled() and stop.exception() is None for name in stop.result()]
     if names and not has_failed:

@@ -1,6 +1,7 @@
 """Host: a running hostlink as its users see it; and `connect`, which opens a connection to it."""
 
 import asyncio
+import base64
 import concurrent.futures
 import contextlib
 import ssl
@@ -10,14 +11,14 @@ from types import TracebackType
 from typing import Any, NoReturn, cast
 
 from hostlink.cancellation import raise_if_cancelled
-from hostlink.client.cells import Names, forget, watch_cells
+from hostlink.client.cells import Names, watch_cells, watched
 from hostlink.client.connection import HostConnection
 from hostlink.client.driver import Repeated, VelocitySender
 from hostlink.client.http_client import CLOSE_TIMEOUT_S, DEFAULT_PORT, REQUEST_TIMEOUT_S, HttpClient, measured
 from hostlink.client.mailbox import Mailbox
 from hostlink.client.robot import PRIORITY, WAIT_S, Robot
 from hostlink.client.services import Answer, ProvidedServices
-from hostlink.client.topics import Graphs, GraphWatch, RawSubscription, Subscription, Topics
+from hostlink.client.topics import RAW, Graphs, GraphWatch, RawSubscription, Subscription, Topics, read_raw
 from hostlink.client.type_names import TypeName, type_name_of
 from hostlink.client.views import ConnectionChange, Event, RobotState, TopicState
 from hostlink.errors import HostlinkError
@@ -60,7 +61,7 @@ class Host:
                 try:
                     yield
                 finally:
-                    forget(self)
+                    watched.discard(self)
                     self._tasks = None
                     repeater.cancel()
                     self._services.end()
@@ -146,7 +147,7 @@ class Host:
             HostlinkError: there is no connection, or an earlier message on this topic was refused. The refusal of the
                 last one is raised by `settle`, and at the end of the connection's block.
         """
-        await self._topics.publish(topic, message, type_name_of(type_name), priority)
+        await self._topics.publish(topic, {"msg": message}, type_name_of(type_name), priority)
 
     async def publish_raw(
         self, topic: str, payload: bytes, *, type_name: TypeName = "", priority: int = PRIORITY
@@ -156,7 +157,8 @@ class Host:
         Raises:
             HostlinkError: there is no connection, or an earlier message on this topic was refused.
         """
-        await self._topics.publish_raw(topic, payload, type_name_of(type_name), priority)
+        raw = base64.b64encode(payload).decode()
+        await self._topics.publish(topic, {"raw": raw}, type_name_of(type_name), priority)
 
     def pop_refusal(self, topic: str) -> str:
         """Return why a message on the topic was refused since the last call; empty if none was."""
@@ -186,7 +188,8 @@ class Host:
         Raises:
             HostlinkError: there is no connection when it begins; in the iteration: the subscription was refused.
         """
-        return self._topics.subscribe(topic, type_name_of(type_name), throttle_rate_ms, queue_length)
+        options = {"throttle_rate": throttle_rate_ms, "queue_length": queue_length}
+        return self._topics.subscribe(topic, type_name_of(type_name), options, lambda message: message)
 
     def subscribe_raw(
         self, topic: str, *, type_name: TypeName = ""
@@ -199,7 +202,7 @@ class Host:
         Raises:
             HostlinkError: there is no connection when it begins; in the iteration: the subscription was refused.
         """
-        return self._topics.subscribe_raw(topic, type_name_of(type_name))
+        return self._topics.subscribe(topic, type_name_of(type_name), RAW, read_raw)
 
     async def watch_graph(self) -> Graphs:
         """The topics, services and robots of all who are not of this connection's group: now, and after every change.

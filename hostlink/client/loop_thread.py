@@ -31,7 +31,7 @@ from collections.abc import AsyncGenerator, AsyncIterator, Callable, Coroutine, 
 from types import TracebackType
 from typing import Any, TypeVar
 
-from hostlink.client.cells import STOP_TIMEOUT_S, Names, forget_all, watch_cells
+from hostlink.client.cells import STOP_TIMEOUT_S, Names, watch_cells, watched
 from hostlink.client.driver import Repeated, calling_thread
 from hostlink.client.host import Connecting, Host
 from hostlink.client.mailbox import Mailbox
@@ -96,7 +96,7 @@ def _stop_behind(main_thread: threading.Thread) -> None:
 
 
 os.register_at_fork(after_in_child=_watched.clear)  # the connections are the parent's, and the threads
-os.register_at_fork(after_in_child=forget_all)
+os.register_at_fork(after_in_child=watched.clear)
 os.register_at_fork(after_in_child=_watch_main_thread.cache_clear)
 
 

@@ -29,13 +29,12 @@ from hostlink.client.mailbox import Mailbox
 from hostlink.client.views import Driven, Motion, MotionKind, MotionOutcome, Odometry, Progress
 from hostlink.errors import BadRequest, CommandRefused, HostlinkError
 from hostlink.robot.course import STUCK_S, CourseFollower, Leg, Speed
-from hostlink.robot.kinematics import Pose, frame_of, placed, wrap_angle
+from hostlink.robot.kinematics import Pose, frame_of, is_near_origin, placed, wrap_angle
 from hostlink.robot.velocity import PlanarVelocity
 
 SILENCE_S = 0.5  # without odometry the robot would drive blind
 FIRST_POSE_S = 3.0
 JUMP_M, JUMP_RAD = 0.3, 1.0  # between two poses, besides what the speed explains: the odometry was set
-ORIGIN_M, ORIGIN_RAD = 0.05, 0.2  # how near the origin the first pose after a reset is; a robot may roll on
 LEAST_RESET_M, LEAST_RESET_RAD = 0.05, 0.15  # smaller steps to the origin are motion: the course errs by no more
 TIMER_S = 0.001  # a timer's resolution: what is left of a time is over
 STRAY_M = 0.3  # past the end, or away from the start of a turn
@@ -134,7 +133,7 @@ class CoursePilot:
         here = placed(self._origin, fix.pose)
         step_m, step_rad = math.dist(here[:2], self._last[:2]), wrap_angle(here.theta_rad - self._last.theta_rad)
         passed_s, speed = now_s - self._last_s, self._course.speed
-        if _is_at_origin(fix.pose) and self._is_reset(step_m, abs(step_rad), passed_s):
+        if is_near_origin(fix.pose) and self._is_reset(step_m, abs(step_rad), passed_s):
             self._stop("the robot's odometry was reset", MotionKind.ODOMETRY_RESET)
             return PlanarVelocity()
         if step_m > JUMP_M + speed.linear_m_s * passed_s or abs(step_rad) > JUMP_RAD + speed.angular_rad_s * passed_s:
@@ -186,10 +185,6 @@ class CoursePilot:
             self.outcome = MotionOutcome.REACHED
         else:
             self.outcome, self.kind, self.reason = MotionOutcome.STOPPED, kind, reason
-
-
-def _is_at_origin(pose: Pose) -> bool:
-    return math.hypot(*pose[:2]) < ORIGIN_M and abs(pose.theta_rad) < ORIGIN_RAD
 
 
 class _Held:

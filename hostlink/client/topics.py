@@ -1,12 +1,11 @@
 """Topics of this client: subscriptions, advertisements and the watched graph; restored after each reconnection."""
 
-import base64
 import contextlib
 import itertools
 import weakref
 from collections.abc import AsyncIterator, Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 from hostlink.client.connection import HostConnection, refused_by
 from hostlink.client.mailbox import Mailbox
@@ -17,7 +16,8 @@ from hostlink.errors import HostlinkError, Refused
 
 Subscription = Mailbox[dict[str, Any]]
 RawSubscription = Mailbox[RawMessage]
-_RAW = {"compression": "cbor-raw"}
+RAW = {"compression": "cbor-raw"}  # option of a subscription that `read_raw` reads
+Item = TypeVar("Item")
 _NS_PER_S = 1_000_000_000
 
 
@@ -44,27 +44,16 @@ class Topics:
         connection.on_open.append(self._restore)
 
     async def publish(self, topic: str, message: Mapping[str, Any], type_name: str, priority: int) -> None:
-        """Send one message.
+        """Send one message: {"msg": its fields} or {"raw": it is serialised, as base64}.
 
         Raises:
             HostlinkError: there is no connection, or an earlier message on this topic was refused.
         """
-        await self._publish(topic, {"msg": message, **_typed(type_name)}, priority)
-
-    async def publish_raw(self, topic: str, payload: bytes, type_name: str, priority: int) -> None:
-        """Send one serialised message.
-
-        Raises:
-            HostlinkError: there is no connection, or an earlier message on this topic was refused.
-        """
-        await self._publish(topic, {"raw": base64.b64encode(payload).decode(), **_typed(type_name)}, priority)
-
-    async def _publish(self, topic: str, message: Mapping[str, Any], priority: int) -> None:
         if (refusal := self._refusals.pop(topic, None)) is not None:
             raise refusal
         request = {"op": "publish", "id": f"publish:{topic}", "topic": topic, "priority": priority}
         self.is_settled = False
-        await self._connection.send({**request, **message})
+        await self._connection.send({**request, **message, **_typed(type_name)})
 
     def pop_refusal(self, topic: str) -> str:
         """Return why a message on the topic was refused since the last call; empty if none was."""
@@ -103,35 +92,22 @@ class Topics:
                 with contextlib.suppress(HostlinkError):  # with the connection gone, so is the advertisement
                     await self._connection.send({"op": "unadvertise", "topic": topic})
 
-    def subscribe(
-        self, topic: str, type_name: str, throttle_rate_ms: int, queue_length: int
-    ) -> contextlib.AbstractAsyncContextManager[Subscription]:
-        """The messages of a topic, from now on, for the length of the block.
-
-        Raises:
-            HostlinkError: there is no connection.
-        """
-        limits = {"throttle_rate": throttle_rate_ms, "queue_length": queue_length}
-        return self._subscribe(topic, {**limits, **_typed(type_name)}, lambda message: message)
-
-    def subscribe_raw(self, topic: str, type_name: str = "") -> contextlib.AbstractAsyncContextManager[RawSubscription]:
-        """The messages of a topic as bytes, from now on, for the length of the block.
-
-        Raises:
-            HostlinkError: there is no connection.
-        """
-        return self._subscribe(topic, {**_RAW, **_typed(type_name)}, _read_raw)
-
     @contextlib.asynccontextmanager
-    async def _subscribe(
-        self, topic: str, options: Mapping[str, Any], read: Callable[[dict[str, Any]], Any]
-    ) -> AsyncIterator[Mailbox[Any]]:
+    async def subscribe(
+        self, topic: str, type_name: str, options: Mapping[str, Any], read: Callable[[dict[str, Any]], Item]
+    ) -> AsyncIterator[Mailbox[Item]]:
+        """What `read` makes of the messages of a topic, from now on, for the length of the block.
+
+        Raises:
+            HostlinkError: there is no connection.
+        """
         key = f"subscribe:{next(self._numbers)}"
-        request = {"op": "subscribe", "id": key, "topic": topic, **options}
+        request = {"op": "subscribe", "id": key, "topic": topic, **options, **_typed(type_name)}
         await self._connection.send(request)
-        subscribed = self._subscribed[key] = _Subscribed(topic, request, read, Mailbox(topic))
+        mailbox: Mailbox[Item] = Mailbox(topic)
+        self._subscribed[key] = _Subscribed(topic, request, read, mailbox)
         try:
-            yield subscribed.mailbox
+            yield mailbox
         finally:
             del self._subscribed[key]
             with contextlib.suppress(HostlinkError):  # with the connection gone, so is the subscription
@@ -161,7 +137,7 @@ class Topics:
             self._refusals[key.removeprefix("publish:")] = refusal
 
 
-def _read_raw(message: dict[str, Any]) -> RawMessage:
+def read_raw(message: dict[str, Any]) -> RawMessage:
     return RawMessage(message["bytes"], message["secs"] * _NS_PER_S + message["nsecs"])
 
 

@@ -128,13 +128,13 @@ class GuardedConnection:
 
         A device may block while its bytes are not read, and closing a TCP connection with unread bytes resets it.
         """
-        if self._is_udp:
-            _discard_datagram(self.descriptor)
-            return
         try:
-            self._is_readable = bool(os.read(self.descriptor, READ_BYTES))
-        except BlockingIOError:
-            return
+            received = os.read(self.descriptor, READ_BYTES)
+        except OSError as error:
+            if self._is_udp or isinstance(error, BlockingIOError):
+                return  # an error may belong to an earlier datagram
+            raise
+        self._is_readable = bool(received) or self._is_udp  # an empty datagram is no end
         if self._is_serial and not self._is_readable:
             self.close()  # the serial device hung up
 
@@ -170,14 +170,6 @@ def _is_udp(descriptor: int) -> bool:
     kind = connection.type
     connection.detach()
     return kind == _socket.SOCK_DGRAM
-
-
-def _discard_datagram(descriptor: int) -> None:
-    """Discard one datagram. Neither an empty datagram nor an error means that the connection ended."""
-    try:
-        os.read(descriptor, READ_BYTES)
-    except OSError:
-        return
 
 
 def _end_sending(descriptor: int) -> None:

@@ -8,16 +8,15 @@ import asyncio
 import contextlib
 import fcntl
 import resource
-import signal
 import socket
 import subprocess
-import sys
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import structlog
 
-from hostlink.guardian.records import ANSWER_BYTES, decode_answer, encode_beat, encode_goodbye, encode_ping
+from hostlink.detached import start_python
+from hostlink.guardian.records import ANSWER_BYTES, GOODBYE, PING, decode_answer, encode, encode_beat
 from hostlink.guardian.roster import GuardedLinks, Watched
 
 log = structlog.get_logger()
@@ -136,7 +135,7 @@ class Guardian:
         """End the process without a stop sequence, because the daemon has stopped the robots."""
         if self._channel is not None:
             with contextlib.suppress(OSError):  # a stuck process is killed below
-                self._channel.send(encode_goodbye())
+                self._channel.send(encode(GOODBYE))
         self._end(GOODBYE_S)
 
     def abandon(self) -> None:
@@ -182,16 +181,14 @@ class Guardian:
             return
         if self._ping is not None:
             connections, stopped = decode_answer(answer)
-            self._compare(connections, self._ping[1])
+            sent = self._ping[1]
+            if connections < sent and not self._is_incomplete:
+                log.warning("guardian.incomplete", connections=connections, robots=sent)
+            self._is_incomplete = connections < sent
             if stopped != self._stopped:
                 log.warning("guardian.stopped_robots", robots=stopped - self._stopped)
                 self._stopped = stopped
         self._ping = None
-
-    def _compare(self, connections: int, sent: int) -> None:
-        if connections < sent and not self._is_incomplete:
-            log.warning("guardian.incomplete", connections=connections, robots=sent)
-        self._is_incomplete = connections < sent
 
     def _check(self) -> None:
         """Ping the process. Replace it if the last ping is unanswered."""
@@ -203,7 +200,7 @@ class Guardian:
         if self._ping is None:
             self._ping = (now_s, self._roster.connections)
             with contextlib.suppress(OSError):  # no room: there will be no answer
-                self._channel.send(encode_ping())
+                self._channel.send(encode(PING))
         self._later(self._ping_s, self._check)
 
     def _lose(self, reason: str) -> None:
@@ -271,28 +268,11 @@ def _spawn() -> tuple[socket.socket, "subprocess.Popen[bytes]"]:
     ours, theirs = map(_above_stdio, socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET))
     with theirs, contextlib.ExitStack() as undo:
         undo.callback(ours.close)
-        with _signals_blocked():
-            process = subprocess.Popen(  # noqa: S603 - every argument is our own
-                [sys.executable, "-I", "-S", "-c", CODE, str(ROOT), str(theirs.fileno())],
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.DEVNULL,
-                stderr=subprocess.DEVNULL,
-                pass_fds=(theirs.fileno(),),
-                start_new_session=True,
-            )
+        arguments = ["-I", "-S", "-c", CODE, str(ROOT), str(theirs.fileno())]
+        process = start_python(arguments, pass_fds=(theirs.fileno(),))
         undo.pop_all()
     ours.setblocking(False)
     return ours, process
-
-
-@contextlib.contextmanager
-def _signals_blocked() -> Iterator[None]:
-    """Block all signals for a process that is started meanwhile: signals to the daemon's terminal are not for it."""
-    before = signal.pthread_sigmask(signal.SIG_SETMASK, signal.valid_signals())
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _above_stdio(end: socket.socket) -> socket.socket:

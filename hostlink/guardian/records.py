@@ -19,14 +19,13 @@ ANSWER_BYTES = _ANSWER.size
 DESCRIPTOR_BYTES = 4  # size of the int in SCM_RIGHTS
 
 
-def encode_watch(number: int, topic_ids: tuple[int, ...], claim_bytes: int) -> bytes:
-    """Encode link number, ids of the velocity topics and the longest frame that may have been sent to the device."""
-    return _RECORD.pack(WATCH, number, claim_bytes, *(topic_ids + _NONE)[:MAX_TOPICS])
+def encode(kind: bytes, number: int = 0, topic_ids: tuple[int, ...] = (), claim_bytes: int = 0) -> bytes:
+    """Encode any record but a beat.
 
-
-def encode_release(number: int) -> bytes:
-    """Encode the number of a link that is no longer guarded."""
-    return _RECORD.pack(RELEASE, number, 0, *_NONE)
+    `number`: of the link of WATCH and RELEASE. WATCH has the ids of the velocity topics too, and the longest frame that
+    may have been sent to the device.
+    """
+    return _RECORD.pack(kind, number, claim_bytes, *(topic_ids + _NONE)[:MAX_TOPICS])
 
 
 def encode_beat(driven: set[int]) -> bytes:
@@ -39,16 +38,6 @@ def decode_beat(record: bytes) -> tuple[int, ...] | None:
     """Decode the link numbers of a beat; None means all links."""
     count = (len(record) - 1) // _NUMBER_BYTES
     return None if count > MAX_DRIVEN else struct.unpack(f"<{count}Q", record[1:])
-
-
-def encode_ping() -> bytes:
-    """Encode a ping, which the guardian answers."""
-    return _RECORD.pack(PING, 0, 0, *_NONE)
-
-
-def encode_goodbye() -> bytes:
-    """Encode the goodbye, the last record."""
-    return _RECORD.pack(GOODBYE, 0, 0, *_NONE)
 
 
 def decode(record: bytes) -> tuple[bytes, int, tuple[int, ...], int]:

@@ -6,7 +6,7 @@ The size is bounded by the daemon's links: one entry for each, and one for each 
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from hostlink.guardian.records import encode_release, encode_watch
+from hostlink.guardian.records import RELEASE, WATCH, encode
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,9 +50,9 @@ class GuardedLinks:
             watched = self._wanted.get(number)
             descriptor = None if watched is None else watched.connection()
             if watched is not None and descriptor is not None:
-                return encode_watch(number, watched.topic_ids, watched.claim_bytes), descriptor
+                return encode(WATCH, number, watched.topic_ids, watched.claim_bytes), descriptor
             if number in self._guarded:
-                return encode_release(number), None
+                return encode(RELEASE, number), None
             del self._unsent[number]  # closed before it was sent
         return None
 

@@ -147,7 +147,7 @@ class _Ros2:
         qos = dict(channel.metadata).get("offered_qos_profiles", "")
         connection = self._add(channel.topic, type_.name, type_.store, qos)
         if channel.encoding == CDR:
-            return connection, _checked(type_.check_cdr)
+            return connection, _checked(type_.decode)
         decode = ros1_type(channel).decode  # rosbags would take hours, or all memory, for an invalid message
         return connection, _checked(decode, type_.from_ros1)
 

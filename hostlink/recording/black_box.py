@@ -6,9 +6,6 @@ import functools
 import hashlib
 import itertools
 import os
-import signal
-import subprocess
-import sys
 import time
 from collections import defaultdict, deque
 from collections.abc import Callable
@@ -18,7 +15,7 @@ from time import monotonic
 import structlog
 
 from hostlink import remains
-from hostlink.detached import DetachedThread
+from hostlink.detached import DetachedThread, start_python
 from hostlink.errors import RecordingBusy
 from hostlink.hub.hub import Hub
 from hostlink.hub.robot_events import EventKind, RobotEvent
@@ -108,7 +105,10 @@ class BlackBox:
         if self._unsaved and self._memory.folder is not None:
             log.warning("incident.postponed", count=len(self._unsaved))
             self._memory.release()
-            _start_salvage()
+            try:
+                start_python(["-c", remains.SALVAGE, str(_ROOT), str(os.getpid())])
+            except OSError as error:  # the next start of the daemon does it
+                log.warning("incident.postponed", reason=error.strerror or str(error))
             return
         for incident in self._unsaved:
             self._note_lost(incident, f"not written within {end_s:g} s")
@@ -237,20 +237,3 @@ class BlackBox:
                 self._note_lost(incident, reason)
         async with self._turn:
             await self._thread.run(clear_old)
-
-
-def _start_salvage() -> None:
-    """Start a process that survives this one and ignores its signals."""
-    before = signal.pthread_sigmask(signal.SIG_SETMASK, signal.valid_signals())
-    try:
-        subprocess.Popen(  # noqa: S603 - every argument is our own
-            [sys.executable, "-c", remains.SALVAGE, str(_ROOT), str(os.getpid())],
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-            start_new_session=True,
-        )
-    except OSError as error:  # the next start of the daemon does it
-        log.warning("incident.postponed", reason=error.strerror or str(error))
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)

@@ -256,11 +256,8 @@ class DriveLog:
             drive.end = drive.end or "hostlink stopped"
         with contextlib.suppress(TimeoutError):  # a dead disk
             async with asyncio.timeout(END_S):
-                await self._write_last()
-
-    async def _write_last(self) -> None:
-        await self._write(self._drives.pop_begun())
-        await self._keep(self._drives.pop_finished(time.time_ns() + 2 * PAUSE_NS))
+                await self._write(self._drives.pop_begun())
+                await self._keep(self._drives.pop_finished(time.time_ns() + 2 * PAUSE_NS))
 
     def newest_first(self, *, robot: str | None = None, limit: int | None = None) -> list[Drive]:
         """Return the last MAX_RECENT drives and the current ones, newest first, at most `limit`."""

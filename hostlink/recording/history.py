@@ -1,6 +1,7 @@
 """History of robots from the black box, with a bounded number of samples at equal steps. Pure."""
 
-from collections.abc import Callable, Iterable
+import contextlib
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Generic, Literal, TypeVar
 
@@ -50,6 +51,7 @@ FREQUENT = (EventKind.COMMANDED.value, EventKind.REFUSED.value)
 Decode = Callable[[bytes], dict[str, Any]]
 Part = Literal["odometry", "velocity", "plot", "events"]
 Rest = Callable[[], None]
+_Key = tuple[Part, str, str]  # topic and type; empty for events, of whatever topic
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +79,7 @@ class RobotHistory:
         self._plot_topic = f"/{robot}/{PLOT_LEAF}"
         self._odometry, self._commands = odometry, commands
         self._parts: dict[int, tuple[Channel, Part | None]] = {}
-        self._kept: dict[tuple[Part, str, str], Thinned[Entry]] = {}
+        self._kept: dict[_Key, Thinned[Entry]] = {}
 
     def is_wanted(self, channel: Channel) -> bool:
         """Whether messages of this channel are shown."""
@@ -92,7 +94,7 @@ class RobotHistory:
         part = known[1]
         if part is None or (part == "events" and _kind_of(entry) in FREQUENT):
             return
-        key = part, channel.topic, channel.type_name
+        key = (part, "", "") if part == "events" else (part, channel.topic, channel.type_name)
         kept = self._kept.get(key)
         if kept is None:
             if sum(each[0] == part for each in self._kept) >= MAX_TOPICS:
@@ -106,21 +108,34 @@ class RobotHistory:
         `estimator` is a new one with the robot's settings. `present` is the pose shown at the last entry. `rest` is
         called after each entry.
         """
-        found = [(topic, type_name) for part, topic, type_name in self._kept if part == "odometry"]
-        if not found:
+        topics = [(topic, type_name) for part, topic, type_name in self._kept if part == "odometry"]
+        if not topics:
             return []
-        topic, type_name = min(found, key=lambda each: (not each[0].endswith("/odometry"), each))
-        kept = self._kept["odometry", topic, type_name].samples()
-        return thinned(past_poses(kept, type_name, estimator, present, rest))
+        topic, type_name = min(topics, key=lambda each: (not each[0].endswith("/odometry"), each))
+        found: list[PastPose] = []
+        for entry in self._kept["odometry", topic, type_name].samples():
+            rest()
+            try:
+                reading = READERS[type_name](entry.payload)
+            except BadPayload:
+                continue
+            estimator.update(reading.pose, now_s=entry.at_s, wall_ns=int(entry.at_s * NS_PER_S), twist=reading.twist)
+            snapshot = estimator.snapshot(entry.at_s)
+            if snapshot is not None:
+                found.append(PastPose(entry.at_s, snapshot.pose, snapshot.twist))
+        if present is None or not found:
+            return found
+        frame = frame_of(present, found[-1].pose)
+        return [PastPose(each.at_s, placed(frame, each.pose), each.twist) for each in found]
 
     def commands(self, decode: Decode, rest: Rest) -> list[tuple[float, dict[str, Any]]]:
         """Return (at_s, fields) of the velocities that were sent to the device."""
         topic = min((topic for part, topic, _ in self._kept if part == "velocity"), default="")
-        return self._messages("velocity", topic, decode, rest)
+        return self._messages(("velocity", topic, TWIST_TYPE), lambda entry: decode(entry.payload), rest)
 
     def plot_data(self, decode: Decode, rest: Rest) -> list[tuple[float, dict[str, Any]]]:
         """Return (at_s, fields) of the device's plot data."""
-        return self._messages("plot", self._plot_topic, decode, rest)
+        return self._messages(("plot", self._plot_topic, TWIST_TYPE), lambda entry: decode(entry.payload), rest)
 
     def events(self, rest: Rest) -> list[tuple[float, dict[str, Any]]]:
         """Return (at_s, event) of the robot's events, without single commands.
@@ -128,19 +143,20 @@ class RobotHistory:
         An event of a link before it is known whose it is has no robot. The number of the link says whose it is, also
         where several devices have one address. Events of other links are omitted.
         """
-        found = []
-        for (part, _, _), kept in self._kept.items():
-            if part == "events":
-                found += past_messages(kept.samples(), decode_event, rest)
+        found = self._messages(("events", "", ""), decode_event, rest)
         links = {_link_of(event) for _, event in found if event.get("robot") == self._robot} - {None}
-        own = [each for each in found if each[1].get("robot") != "" or _link_of(each[1]) in links]
-        return thinned(own)
+        return [each for each in found if each[1].get("robot") != "" or _link_of(each[1]) in links]
 
-    def _messages(self, part: Part, topic: str, decode: Decode, rest: Rest) -> list[tuple[float, dict[str, Any]]]:
-        kept = self._kept.get((part, topic, TWIST_TYPE))
-        if kept is None:
-            return []
-        return thinned(past_messages(kept.samples(), lambda entry: decode(entry.payload), rest))
+    def _messages(
+        self, key: _Key, decode: Callable[[Entry], dict[str, Any]], rest: Rest
+    ) -> list[tuple[float, dict[str, Any]]]:
+        """Return (at_s, fields) of the kept messages. Omit messages that cannot be decoded."""
+        found = []
+        for entry in self._kept[key].samples() if key in self._kept else ():
+            rest()
+            with contextlib.suppress(BadPayload):
+                found.append((entry.at_s, decode(entry)))
+        return found
 
     def _part_of(self, channel: Channel) -> Part | None:
         if channel.content == EVENT:
@@ -153,42 +169,6 @@ class RobotHistory:
         if self._odometry is None:
             return "odometry" if channel.type_name in READERS and channel.origin == DEVICE else None
         return "odometry" if (channel.topic, channel.type_name) == self._odometry else None
-
-
-def past_poses(
-    entries: Iterable[Entry], type_name: str, estimator: OdometryEstimator, present: Pose | None, rest: Rest
-) -> list[PastPose]:
-    """Return the poses of entries of one topic, see `RobotHistory.poses`."""
-    read = READERS[type_name]
-    found: list[PastPose] = []
-    for entry in entries:
-        rest()
-        try:
-            reading = read(entry.payload)
-        except BadPayload:
-            continue
-        estimator.update(reading.pose, now_s=entry.at_s, wall_ns=int(entry.at_s * NS_PER_S), twist=reading.twist)
-        snapshot = estimator.snapshot(entry.at_s)
-        if snapshot is not None:
-            found.append(PastPose(entry.at_s, snapshot.pose, snapshot.twist))
-    if present is None or not found:
-        return found
-    frame = frame_of(present, found[-1].pose)
-    return [PastPose(each.at_s, placed(frame, each.pose), each.twist) for each in found]
-
-
-def past_messages(
-    entries: Iterable[Entry], decode: Callable[[Entry], dict[str, Any]], rest: Rest
-) -> list[tuple[float, dict[str, Any]]]:
-    """Return (at_s, fields) of messages. Omit messages that cannot be decoded."""
-    found = []
-    for entry in entries:
-        rest()
-        try:
-            found.append((entry.at_s, decode(entry)))
-        except BadPayload:
-            continue
-    return found
 
 
 def decode_event(entry: Entry) -> dict[str, Any]:
@@ -215,9 +195,3 @@ def _kind_of(entry: Entry) -> str:
         return msgspec.json.decode(json_of(entry.channel, entry.payload), type=_Kind).kind
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):  # omitted later, when it is decoded
         return ""
-
-
-def thinned(samples: list[Sample]) -> list[Sample]:
-    """Return at most MAX_SAMPLES at equal steps, always with the last one."""
-    step = -(-len(samples) // MAX_SAMPLES)
-    return samples[::-1][::step][::-1] if step > 1 else samples

@@ -1,4 +1,4 @@
-"""Records of MCAP files: reading those that recordings need, and a writer of files in chunks compressed with zstd.
+"""Records of MCAP files: reading and writing those that recordings need, with chunks compressed with zstd.
 
 https://mcap.dev/spec describes the format. The library `mcap` would bring two compressors of 30 MB; the tests read
 files of this writer with it.
@@ -7,9 +7,9 @@ files of this writer with it.
 import struct
 import sys
 import zlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from enum import IntEnum
-from typing import IO, Final, NamedTuple
+from typing import Final
 
 from hostlink.errors import LibraryMissing
 
@@ -32,9 +32,9 @@ STATISTICS: Final = struct.Struct("<QHIIII")  # messages, schemas, channels, att
 _MESSAGE_TIME: Final = struct.Struct("<QQ")  # log time, offset in the chunk
 _SUMMARY_OFFSET: Final = struct.Struct("<BQQ")
 _CHUNK: Final = struct.Struct("<QQQI")  # first and last time, size and checksum of the unpacked records
-_U16: Final = struct.Struct("<H")
-_U32: Final = struct.Struct("<I")
-_U64: Final = struct.Struct("<Q")
+U16: Final = struct.Struct("<H")
+U32: Final = struct.Struct("<I")
+U64: Final = struct.Struct("<Q")
 
 
 class Opcode(IntEnum):
@@ -62,7 +62,7 @@ class Damaged(ValueError):
     """Bytes that are not what the format says."""
 
 
-class _Fields:
+class Fields:
     """Reader of the fields of one record. Its methods raise Damaged when the record is cut."""
 
     def __init__(self, body: bytes) -> None:
@@ -81,56 +81,15 @@ class _Fields:
         return found
 
     def text(self) -> str:
-        return self.take(self.number(_U32)).decode()
+        return self.take(self.number(U32)).decode()
 
     def texts(self) -> dict[str, str]:
-        end = self.number(_U32) + self._at
+        end = self.number(U32) + self._at
         found = {}
         while self._at < end:
             key = self.text()
             found[key] = self.text()
         return found
-
-
-class Header(NamedTuple):
-    """Beginning of a file."""
-
-    profile: str
-    library: str
-
-    @classmethod
-    def read(cls, body: bytes) -> "Header":
-        fields = _Fields(body)
-        return cls(fields.text(), fields.text())
-
-
-class SchemaRecord(NamedTuple):
-    """Definition of a type."""
-
-    id: int
-    name: str
-    encoding: str
-    data: bytes
-
-    @classmethod
-    def read(cls, body: bytes) -> "SchemaRecord":
-        fields = _Fields(body)
-        return cls(fields.number(_U16), fields.text(), fields.text(), fields.take(fields.number(_U32)))
-
-
-class ChannelRecord(NamedTuple):
-    """Channel: a topic with its type."""
-
-    id: int
-    schema_id: int
-    topic: str
-    message_encoding: str
-    metadata: dict[str, str]
-
-    @classmethod
-    def read(cls, body: bytes) -> "ChannelRecord":
-        fields = _Fields(body)
-        return cls(fields.number(_U16), fields.number(_U16), fields.text(), fields.text(), fields.texts())
 
 
 def read_metadata(body: bytes) -> dict[str, str]:
@@ -139,7 +98,7 @@ def read_metadata(body: bytes) -> dict[str, str]:
     Raises:
         Damaged: the record is cut.
     """
-    fields = _Fields(body)
+    fields = Fields(body)
     fields.text()  # its name
     return fields.texts()
 
@@ -151,9 +110,9 @@ def unpack_chunk(body: bytes, limit_bytes: int) -> bytes:
         ValueError: the stated size is too large, or size, compression or checksum is wrong; also a decompressor's
             error.
     """
-    fields = _Fields(body)
+    fields = Fields(body)
     _, _, size, checksum = _CHUNK.unpack(fields.take(_CHUNK.size))
-    compression, packed = fields.text(), fields.take(fields.number(_U64))
+    compression, packed = fields.text(), fields.take(fields.number(U64))
     if size > limit_bytes:
         raise Damaged(f"its stated size of {size} bytes is too large")
     if compression == "zstd":
@@ -178,143 +137,68 @@ def unpack_chunk(body: bytes, limit_bytes: int) -> bytes:
 # -- writing ----------------------------------------------------------------------------------------------------------
 
 
-def _text(value: str) -> bytes:
+def text(value: str) -> bytes:
     data = value.encode()
-    return _U32.pack(len(data)) + data
+    return U32.pack(len(data)) + data
 
 
-def _texts(values: Mapping[str, str]) -> bytes:
-    data = b"".join(_text(key) + _text(value) for key, value in values.items())
-    return _U32.pack(len(data)) + data
+def texts(values: Mapping[str, str]) -> bytes:
+    data = b"".join(text(key) + text(value) for key, value in values.items())
+    return U32.pack(len(data)) + data
 
 
-def _record(opcode: Opcode, *parts: bytes) -> bytes:
+def record(opcode: Opcode, *parts: bytes) -> bytes:
     body = b"".join(parts)
     return RECORD_HEAD.pack(opcode, len(body)) + body
 
 
-class _Chunk:
-    """Records that are not in the file yet."""
+class Chunk:
+    """Messages, and definitions before them, that are not in the file yet."""
 
     def __init__(self) -> None:
         self.data = bytearray()
-        self.offsets: dict[int, list[bytes]] = {}  # of the messages of each channel
         self.first_ns = self.last_ns = 0
+        self._offsets: dict[int, list[bytes]] = {}  # of the messages of each channel
+
+    def __len__(self) -> int:
+        """Number of channels with messages."""
+        return len(self._offsets)
 
     def add_message(self, channel_id: int, sequence: int, log_ns: int, publish_ns: int, payload: bytes) -> None:
-        self.first_ns = min(self.first_ns, log_ns) if self.offsets else log_ns
+        self.first_ns = min(self.first_ns, log_ns) if self._offsets else log_ns
         self.last_ns = max(self.last_ns, log_ns)
-        self.offsets.setdefault(channel_id, []).append(_MESSAGE_TIME.pack(log_ns, len(self.data)))
+        self._offsets.setdefault(channel_id, []).append(_MESSAGE_TIME.pack(log_ns, len(self.data)))
         self.data += RECORD_HEAD.pack(Opcode.MESSAGE, MESSAGE.size + len(payload))
         self.data += MESSAGE.pack(channel_id, sequence, log_ns, publish_ns)
         self.data += payload
 
-
-class Writer:
-    """Writer of one file. A chunk ends by itself above `chunk_bytes`; `finish` writes the index.
-
-    A channel or schema is in the file with the next chunk that has a message, and in the index.
-    """
-
-    def __init__(self, file: IO[bytes], *, profile: str, library: str, chunk_bytes: int) -> None:
-        self._file, self._chunk_bytes = file, chunk_bytes
-        self._chunk = _Chunk()
-        self._schemas: list[bytes] = []
-        self._channels: list[bytes] = []
-        self._chunk_indexes: list[bytes] = []
-        self._metadata_indexes: list[bytes] = []
-        self._messages: dict[int, int] = {}  # by channel
-        self._first_ns: int | None = None
-        self._last_ns = 0
-        file.write(MAGIC + _record(Opcode.HEADER, _text(profile), _text(library)))
-
-    def add_schema(self, name: str, encoding: str, data: bytes) -> int:
-        """Add a definition and return its number."""
-        number = len(self._schemas) + 1
-        parts = (_U16.pack(number), _text(name), _text(encoding), _U32.pack(len(data)), data)
-        self._define(self._schemas, _record(Opcode.SCHEMA, *parts))
-        return number
-
-    def add_channel(self, topic: str, encoding: str, schema_id: int, metadata: Mapping[str, str]) -> int:
-        """Add a channel and return its number."""
-        number = len(self._channels) + 1
-        parts = (_U16.pack(number), _U16.pack(schema_id), _text(topic), _text(encoding), _texts(metadata))
-        self._define(self._channels, _record(Opcode.CHANNEL, *parts))
-        return number
-
-    def add_message(self, channel_id: int, log_ns: int, payload: bytes, publish_ns: int, sequence: int) -> None:
-        self._first_ns = log_ns if self._first_ns is None else min(self._first_ns, log_ns)
-        self._last_ns = max(self._last_ns, log_ns)
-        self._messages[channel_id] = self._messages.get(channel_id, 0) + 1
-        self._chunk.add_message(channel_id, sequence, log_ns, publish_ns, payload)
-        self._end_full_chunk()
-
-    def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
-        """Write values that describe the file, at once."""
-        record = _record(Opcode.METADATA, _text(name), _texts(values))
-        index = (_U64.pack(self._file.tell()), _U64.pack(len(record)), _text(name))
-        self._metadata_indexes.append(_record(Opcode.METADATA_INDEX, *index))
-        self._file.write(record)
-
-    def end_chunk(self) -> None:
-        """Write the chunk, so that everything added so far can be read. Without a message nothing is written."""
-        chunk = self._chunk
-        if not chunk.offsets:
-            return
-        data = bytes(chunk.data)
+    def records(self, begin: int) -> tuple[bytes, bytes]:
+        """Return the chunk with its message indexes, as a file has them from `begin` on, and its CHUNK_INDEX."""
+        data = bytes(self.data)
         packed = zstd.compress(data)
-        times = _U64.pack(chunk.first_ns) + _U64.pack(chunk.last_ns)
-        sizes = _U64.pack(len(data)) + _U32.pack(zlib.crc32(data))
-        record = _record(Opcode.CHUNK, times, sizes, _text("zstd"), _U64.pack(len(packed)), packed)
-        begin = self._file.tell()
-        self._file.write(record)
+        times = U64.pack(self.first_ns) + U64.pack(self.last_ns)
+        sizes = U64.pack(len(data)) + U32.pack(zlib.crc32(data))
+        chunk = record(Opcode.CHUNK, times, sizes, text("zstd"), U64.pack(len(packed)), packed)
         indexes, offsets = bytearray(), bytearray()
-        for channel_id, entries in chunk.offsets.items():
-            offsets += CHANNEL_OFFSET.pack(channel_id, begin + len(record) + len(indexes))
-            length = _U32.pack(_MESSAGE_TIME.size * len(entries))
-            indexes += _record(Opcode.MESSAGE_INDEX, _U16.pack(channel_id), length, *entries)
-        self._file.write(indexes)
-        head = CHUNK_INDEX.pack(chunk.first_ns, chunk.last_ns, begin, len(record), len(offsets))
-        tail = (_U64.pack(len(indexes)), _text("zstd"), _U64.pack(len(packed)), _U64.pack(len(data)))
-        self._chunk_indexes.append(_record(Opcode.CHUNK_INDEX, head, bytes(offsets), *tail))
-        self._chunk = _Chunk()
+        for channel_id, entries in self._offsets.items():
+            offsets += CHANNEL_OFFSET.pack(channel_id, begin + len(chunk) + len(indexes))
+            length = U32.pack(_MESSAGE_TIME.size * len(entries))
+            indexes += record(Opcode.MESSAGE_INDEX, U16.pack(channel_id), length, *entries)
+        head = CHUNK_INDEX.pack(self.first_ns, self.last_ns, begin, len(chunk), len(offsets))
+        tail = (U64.pack(len(indexes)), text("zstd"), U64.pack(len(packed)), U64.pack(len(data)))
+        return chunk + indexes, record(Opcode.CHUNK_INDEX, head, bytes(offsets), *tail)
 
-    def finish(self) -> None:
-        """Write the chunk and the index. The file stays open."""
-        self.end_chunk()
-        self._file.write(_record(Opcode.DATA_END, _U32.pack(0)))  # without a checksum of the data
-        begin = self._file.tell()
-        groups = (
-            (Opcode.SCHEMA, self._schemas),
-            (Opcode.CHANNEL, self._channels),
-            (Opcode.STATISTICS, [self._statistics()]),
-            (Opcode.CHUNK_INDEX, self._chunk_indexes),
-            (Opcode.METADATA_INDEX, self._metadata_indexes),
-        )
-        summary, offsets = bytearray(), bytearray()
-        for opcode, records in groups:
-            group = b"".join(records)
-            place = _SUMMARY_OFFSET.pack(opcode, begin + len(summary), len(group))
-            offsets += _record(Opcode.SUMMARY_OFFSET, place) if group else b""
-            summary += group
-        offsets_begin = begin + len(summary)
-        summary += offsets
-        footer = FOOTER.pack(Opcode.FOOTER, FOOTER_BYTES, begin, offsets_begin, 0)[: -_U32.size]
-        checksum = zlib.crc32(footer, zlib.crc32(summary))
-        self._file.write(bytes(summary) + footer + _U32.pack(checksum) + MAGIC)
 
-    def _define(self, among: list[bytes], record: bytes) -> None:
-        among.append(record)
-        self._chunk.data += record
-        self._end_full_chunk()
-
-    def _end_full_chunk(self) -> None:
-        if len(self._chunk.data) > self._chunk_bytes:
-            self.end_chunk()
-
-    def _statistics(self) -> bytes:
-        counts = (len(self._schemas), len(self._channels), 0, len(self._metadata_indexes), len(self._chunk_indexes))
-        head = STATISTICS.pack(sum(self._messages.values()), *counts)
-        times = _U64.pack(self._first_ns or 0) + _U64.pack(self._last_ns)
-        of_channels = b"".join(CHANNEL_OFFSET.pack(*item) for item in self._messages.items())
-        return _record(Opcode.STATISTICS, head, times, _U32.pack(len(of_channels)), of_channels)
+def file_end(begin: int, summary: Mapping[Opcode, Sequence[bytes]]) -> bytes:
+    """Return what follows the data of a file, as it has it from `begin` on: the records of the summary by kind."""
+    data_end = record(Opcode.DATA_END, U32.pack(0))  # without a checksum of the data
+    begin += len(data_end)
+    groups, offsets = bytearray(), bytearray()
+    for opcode, records in summary.items():
+        group = b"".join(records)
+        place = _SUMMARY_OFFSET.pack(opcode, begin + len(groups), len(group))
+        offsets += record(Opcode.SUMMARY_OFFSET, place) if group else b""
+        groups += group
+    footer = FOOTER.pack(Opcode.FOOTER, FOOTER_BYTES, begin, begin + len(groups), 0)[: -U32.size]
+    checksum = zlib.crc32(footer, zlib.crc32(offsets, zlib.crc32(groups)))
+    return b"".join((data_end, groups, offsets, footer, U32.pack(checksum), MAGIC))

@@ -6,25 +6,29 @@ import fcntl
 import os
 import threading
 import time
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
+from hostlink.recording import mcap_format
 from hostlink.recording.channel import LIBRARY, LIBRARY_STEADY, Channel, note_newest
-from hostlink.recording.mcap_format import Writer
+from hostlink.recording.mcap_format import CHANNEL_OFFSET, MAGIC, STATISTICS, U16, U32, U64, Opcode, record, text, texts
 
 CHUNK_BYTES = 64 * 1024  # compressing it takes 1.2 ms at most; 3.8 ms with 1 MiB, which is usual
 MAX_CHANNELS = 8192  # of one file; channel numbers of the format have 16 bits
 PROFILE = "ros1"
+# Kinds of records that the end of a file repeats or lists, in their order there.
+_SUMMARY = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.STATISTICS, Opcode.CHUNK_INDEX, Opcode.METADATA_INDEX)
 
 
 class McapWriter:
     """Writer of one file, for one thread. Messages are in the file after `end_chunk`; `close` adds the index.
 
-    A message's `log_time` is wall time. Its `publish_time` is steady: it starts as wall time and continues by a clock
-    that is never set. Every method raises the OSError of the file.
+    A chunk ends by itself above CHUNK_BYTES. A channel or schema is in the file with the next chunk that has a message,
+    and in the index. A message's `log_time` is wall time. Its `publish_time` is steady: it starts as wall time and
+    continues by a clock that is never set. Every method raises the OSError of the file.
     """
 
     def __init__(
@@ -45,10 +49,14 @@ class McapWriter:
         with contextlib.suppress(OSError):  # a network file system may not support locks
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)  # a repair skips a locked file
         self._inode = os.fstat(self._file.fileno()).st_ino
-        library = LIBRARY_STEADY if has_steady_times else LIBRARY
-        self._writer = Writer(self._file, profile=PROFILE, library=library, chunk_bytes=CHUNK_BYTES)
+        self._chunk = mcap_format.Chunk()
+        self._summary: dict[Opcode, list[bytes]] = {opcode: [] for opcode in _SUMMARY}
         self._ids: dict[Channel, int] = {}
         self._schema_ids: dict[tuple[str, str], int] = {}
+        self._counts = Counter[int]()  # messages by channel
+        self._first_ns, self._last_ns = 2**64, 0  # times of the messages in the file
+        library = LIBRARY_STEADY if has_steady_times else LIBRARY
+        self._file.write(MAGIC + record(Opcode.HEADER, text(PROFILE), text(library)))
         self.add_metadata(metadata)
         self.flush()
 
@@ -69,18 +77,63 @@ class McapWriter:
         if channel_id is None:
             return False
         publish_ns = stamp_ns if steady_ns is None else max(steady_ns, 0)
-        self._writer.add_message(channel_id, stamp_ns, payload, publish_ns, self.messages)
+        self._chunk.add_message(channel_id, self.messages, stamp_ns, publish_ns, payload)
+        self._counts[channel_id] += 1
         self.messages += 1
+        self._write_full_chunk()
         return True
 
+    def announce(self, channel: Channel) -> int | None:
+        """Add a channel without a message. Return its number; None if there are MAX_CHANNELS already."""
+        channel_id = self._ids.get(channel)
+        if channel_id is None and len(self._ids) < MAX_CHANNELS:
+            channel_id = self._ids[channel] = len(self._ids) + 1
+            numbers = U16.pack(channel_id) + U16.pack(self._schema_id(channel))
+            facts = text(channel.topic), text(channel.encoding), texts(dict(channel.metadata))
+            self._define(Opcode.CHANNEL, numbers, *facts)
+        return channel_id
+
+    def _schema_id(self, channel: Channel) -> int:
+        key = channel.type_name, channel.schema
+        if key not in self._schema_ids:
+            number = self._schema_ids[key] = len(self._schema_ids) + 1
+            content = channel.type_name, channel.schema_encoding, channel.schema
+            self._define(Opcode.SCHEMA, U16.pack(number), *map(text, content))
+        return self._schema_ids[key]
+
+    def _define(self, opcode: Opcode, *parts: bytes) -> None:
+        """Add a schema or a channel."""
+        definition = record(opcode, *parts)
+        self._summary[opcode].append(definition)
+        self._chunk.data += definition
+        self._write_full_chunk()
+
     def add_metadata(self, metadata: Mapping[str, str]) -> None:
+        """Write values that describe the file, at once."""
         if metadata:
-            self._writer.add_metadata("hostlink", dict(metadata))
+            name, begin = text("hostlink"), self._file.tell()
+            written = record(Opcode.METADATA, name, texts(metadata))
+            index = record(Opcode.METADATA_INDEX, U64.pack(begin), U64.pack(len(written)), name)
+            self._summary[Opcode.METADATA_INDEX].append(index)
+            self._file.write(written)
 
     def end_chunk(self) -> None:
-        """End the chunk, so that everything written so far can be read."""
-        self._writer.end_chunk()
+        """End the chunk, so that everything written so far can be read. A chunk without a message goes on."""
+        self._write_chunk()
         self.flush()
+
+    def _write_full_chunk(self) -> None:
+        if len(self._chunk.data) > CHUNK_BYTES:
+            self._write_chunk()
+
+    def _write_chunk(self) -> None:
+        if self._chunk:
+            chunk, index = self._chunk.records(self._file.tell())
+            self._file.write(chunk)
+            self._summary[Opcode.CHUNK_INDEX].append(index)
+            self._first_ns = min(self._first_ns, self._chunk.first_ns)
+            self._last_ns = max(self._last_ns, self._chunk.last_ns)
+            self._chunk = mcap_format.Chunk()
 
     def flush(self) -> None:
         """Flush to the operating system, or to the disk with `fsync`."""
@@ -92,33 +145,31 @@ class McapWriter:
     def close(self) -> None:
         """Write the index and complete the file."""
         try:
-            self._writer.finish()
+            self._write_chunk()
+            self._summary[Opcode.STATISTICS].append(self._statistics())
+            self._file.write(mcap_format.file_end(self._file.tell(), self._summary))
             self.flush()
         finally:
             self._file.close()
+
+    def _statistics(self) -> bytes:
+        counts = {opcode: len(records) for opcode, records in self._summary.items()}
+        head = STATISTICS.pack(
+            self.messages,
+            counts[Opcode.SCHEMA],
+            counts[Opcode.CHANNEL],
+            0,
+            counts[Opcode.METADATA_INDEX],
+            counts[Opcode.CHUNK_INDEX],
+        )
+        times = U64.pack(self._first_ns if self.messages else 0) + U64.pack(self._last_ns)
+        of_channels = b"".join(CHANNEL_OFFSET.pack(*item) for item in self._counts.items())
+        return record(Opcode.STATISTICS, head, times, U32.pack(len(of_channels)), of_channels)
 
     def abandon(self) -> None:
         """Close the unfinished file."""
         with contextlib.suppress(OSError):  # the buffer cannot be written either; the first error was raised already
             self._file.close()
-
-    def announce(self, channel: Channel) -> int | None:
-        """Add a channel without a message. Return its number; None if there are MAX_CHANNELS already."""
-        channel_id = self._ids.get(channel)
-        if channel_id is None and len(self._ids) < MAX_CHANNELS:
-            return self._register(channel)
-        return channel_id
-
-    def _register(self, channel: Channel) -> int:
-        key = (channel.type_name, channel.schema)
-        if key not in self._schema_ids:
-            data = channel.schema.encode()
-            self._schema_ids[key] = self._writer.add_schema(channel.type_name, channel.schema_encoding, data)
-        channel_id = self._writer.add_channel(
-            channel.topic, channel.encoding, self._schema_ids[key], dict(channel.metadata)
-        )
-        self._ids[channel] = channel_id
-        return channel_id
 
 
 MAX_WAITING_BYTES = 16 * 1024 * 1024  # waiting messages on a slow disk; further ones are dropped
@@ -267,7 +318,8 @@ class FileThread:
             for _ in range(min(BURST, len(self._waiting))):
                 channel, stamp_ns, payload, steady_ns = self._waiting.popleft()
                 if payload is None:
-                    self._expect(channel)
+                    note_newest(self._announced, channel, MAX_EXPECTED)
+                    self._writer.announce(channel)
                 else:
                     self._taken_bytes += len(payload) + MESSAGE_BYTES
                     is_written = self._write(channel, stamp_ns, payload, steady_ns)
@@ -275,10 +327,6 @@ class FileThread:
                     self._not_written += not is_written
             self._keep_time()
         self._keep_time()
-
-    def _expect(self, channel: Channel) -> None:
-        note_newest(self._announced, channel, MAX_EXPECTED)
-        self._writer.announce(channel)
 
     def _write(self, channel: Channel, stamp_ns: int, payload: bytes, steady_ns: int) -> bool:
         """Write a message. False: the file has no free channel number and is too new to be ended."""
@@ -308,28 +356,25 @@ class FileThread:
             self._begin_next()
 
     def _open(self) -> McapWriter:
+        """Create the next file. A later file skips numbers in use, because a name must not end the recording."""
         self._on_file()
-        writer = self._new_file()
-        path = writer.path
+        while True:
+            path = self._path_of(self._number)
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self._number += 1
+            try:
+                writer = McapWriter(path, metadata=self._metadata, fsync=self._splitting.fsync)
+            except FileExistsError:
+                if not self.paths:
+                    raise
+            else:
+                break
         for channel in self._announced:
             writer.announce(channel)
         self.paths.append(path)
         self._begun_s = time.monotonic()
         self._chunk_due_s = self._begun_s + CHUNK_INTERVAL_S
         return writer
-
-    def _new_file(self) -> McapWriter:
-        """Create the next file. A later file skips numbers in use, because a name must not end the recording."""
-        is_first = not self.paths
-        while True:
-            path = self._path_of(self._number)
-            path.parent.mkdir(parents=True, exist_ok=True)
-            self._number += 1
-            try:
-                return McapWriter(path, metadata=self._metadata, fsync=self._splitting.fsync)
-            except FileExistsError:
-                if is_first:
-                    raise
 
 
 def _reason(error: Exception) -> str:

@@ -4,8 +4,9 @@ A recording may be larger than the memory. Only the drawn topics are read, and e
 picture can show.
 """
 
+import contextlib
 from array import array
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -147,16 +148,12 @@ def draw_fields(lines: Mapping[str, list[PlotLine]], output: Path) -> None:
     Raises:
         OSError: the picture cannot be written.
     """
-    from matplotlib.figure import Figure  # noqa: PLC0415 - takes a second, and is an extra
-
-    figure = Figure(figsize=_SIZE_IN, layout="constrained")
-    axes = figure.subplots()
-    for name, of_field in lines.items():
-        for number, line in enumerate(of_field):
-            label = name if len(of_field) == 1 else f"{name}[{number}]"
-            axes.plot(*line.points(), label=label, linewidth=1.2)
-    axes.set_xlabel("time since the beginning of the recording, s")
-    _finish(figure, axes, output)
+    with _picture(output, _SIZE_IN) as axes:
+        for name, of_field in lines.items():
+            for number, line in enumerate(of_field):
+                label = name if len(of_field) == 1 else f"{name}[{number}]"
+                axes.plot(*line.points(), label=label, linewidth=1.2)
+        axes.set_xlabel("time since the beginning of the recording, s")
 
 
 def draw_map(paths: Mapping[str, list[tuple[float, float]]], output: Path) -> None:
@@ -165,25 +162,27 @@ def draw_map(paths: Mapping[str, list[tuple[float, float]]], output: Path) -> No
     Raises:
         OSError: the picture cannot be written.
     """
-    from matplotlib.figure import Figure  # noqa: PLC0415 - as above
+    with _picture(output, _MAP_SIZE_IN) as axes:
+        for topic, path in paths.items():
+            x_m, y_m = np.array(path, dtype=np.float64).T
+            (line,) = axes.plot(x_m, y_m, label=topic, linewidth=1.2)
+            axes.plot(x_m[:1], y_m[:1], marker="o", color=line.get_color())
+            axes.plot(x_m[-1:], y_m[-1:], marker="s", color=line.get_color())
+        axes.set_xlabel("x, m (circle: begin, square: end)")
+        axes.set_ylabel("y, m")
+        axes.set_aspect("equal", adjustable="datalim")
 
-    figure = Figure(figsize=_MAP_SIZE_IN, layout="constrained")
+
+@contextlib.contextmanager
+def _picture(output: Path, size_in: tuple[float, float]) -> Iterator[Any]:
+    """Yield axes, and write their picture after the block."""
+    from matplotlib import rc_context  # noqa: PLC0415 - takes a second, and is an extra
+    from matplotlib.figure import Figure  # noqa: PLC0415
+
+    figure = Figure(figsize=size_in, layout="constrained")
     axes = figure.subplots()
-    for topic, path in paths.items():
-        x_m, y_m = np.array(path, dtype=np.float64).T
-        (line,) = axes.plot(x_m, y_m, label=topic, linewidth=1.2)
-        axes.plot(x_m[:1], y_m[:1], marker="o", color=line.get_color())
-        axes.plot(x_m[-1:], y_m[-1:], marker="s", color=line.get_color())
-    axes.set_xlabel("x, m (circle: begin, square: end)")
-    axes.set_ylabel("y, m")
-    axes.set_aspect("equal", adjustable="datalim")
-    _finish(figure, axes, output)
-
-
-def _finish(figure: Any, axes: Any, output: Path) -> None:
+    yield axes
     axes.grid(visible=True, alpha=0.3)
     axes.legend(loc="best")
-    from matplotlib import rc_context  # noqa: PLC0415 - as above
-
     with rc_context({"agg.path.chunksize": _POINTS_AT_ONCE}):
         figure.savefig(output, dpi=120)

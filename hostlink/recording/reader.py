@@ -24,11 +24,12 @@ from hostlink.recording.mcap_format import (
     MESSAGE,
     RECORD_HEAD,
     STATISTICS,
-    ChannelRecord,
+    U16,
+    U32,
+    U64,
     Damaged,
-    Header,
+    Fields,
     Opcode,
-    SchemaRecord,
     read_metadata,
     unpack_chunk,
 )
@@ -36,9 +37,10 @@ from hostlink.recording.mcap_format import (
 MAX_RECORD_BYTES = 256 * 1024 * 1024  # a larger length is damage and is not read into memory
 MAX_DEFINITIONS_BYTES = 64 * 1024 * 1024  # of schemas, channels and metadata, which stay in memory
 MAX_DEFINITION_BYTES = 1024 * 1024  # of one of them; a large one has a few kB
-_LENGTH = struct.Struct("<Q")
 _PIECE_BYTES = 64 * 1024
 _DEFINITIONS = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.METADATA)
+# Kinds of records in the summary that are read: schemas before channels, and these before chunks.
+_SUMMARY = ((Opcode.SCHEMA,), (Opcode.CHANNEL, Opcode.STATISTICS), (Opcode.CHUNK_INDEX,))
 _DAMAGES = (ValueError, struct.error, OverflowError, MemoryError)
 
 
@@ -55,38 +57,46 @@ class Index:
     def __len__(self) -> int:
         return len(self.begins)
 
-    def add(self, begin: int, end: int, first_ns: int, last_ns: int, *, is_wanted: bool) -> None:
-        """Add a chunk, in the order of the file.
+    def add(self, body: bytes, summary_begin: int, is_wanted: Callable[[int], bool]) -> None:
+        """Add the chunk of a CHUNK_INDEX, in the order of the file.
 
         Raises:
-            ValueError: it overlaps the chunk before.
+            ValueError: it overlaps the chunk before, or is outside the file.
         """
-        if self.ends and begin < self.ends[-1]:
-            raise ValueError("the chunks of the index overlap")
+        first_ns, last_ns, begin, length, listed_bytes = CHUNK_INDEX.unpack_from(body)
+        listed_end = CHUNK_INDEX.size + listed_bytes
+        channels = [number for number, _ in CHANNEL_OFFSET.iter_unpack(body[CHUNK_INDEX.size : listed_end])]
+        (indexes_bytes,) = U64.unpack_from(body, listed_end)
+        end = begin + length + indexes_bytes
+        least = self.ends[-1] if self.ends else len(MAGIC)
+        if begin < least or end > summary_begin or length < RECORD_HEAD.size:
+            raise ValueError("a chunk of the index overlaps another, or is outside the file")
         self.begins.append(begin)
         self.ends.append(end)
         self.first_ns.append(first_ns)
         self.last_ns.append(last_ns)
-        self.is_wanted.append(is_wanted)
+        # A writer may omit the list of channels. Then the chunk may contain any channel.
+        self.is_wanted.append(not channels or any(map(is_wanted, channels)))
 
 
-def read_index(
-    file: IO[bytes], note: Callable[[SchemaRecord | ChannelRecord], None], is_wanted: Callable[[int], bool]
-) -> Index | None:
+def read_index(file: IO[bytes], note: Callable[[int, bytes], None], is_wanted: Callable[[int], bool]) -> Index | None:
     """Read the index of a file; None if it has none, or a damaged one.
 
     `note` is called with each definition, before its channel's number is passed to `is_wanted`.
     """
+    index, chunk_count = Index(), None
     try:
         summary = _find_summary(file)
         if summary is None:
             return None
-        begin, end = summary
-        chunk_count = _read_definitions(file, begin, end, note)
-        index = Index()
-        for opcode, body in _records(file, begin, end, (Opcode.CHUNK_INDEX,)):
-            del opcode
-            _add_chunk(index, body, begin, is_wanted)
+        for wanted in _SUMMARY:
+            for opcode, body in _records(file, *summary, wanted):
+                if opcode == Opcode.CHUNK_INDEX:
+                    index.add(body, summary[0], is_wanted)
+                elif opcode == Opcode.STATISTICS:
+                    chunk_count = STATISTICS.unpack_from(body)[-1]
+                else:
+                    note(opcode, body)
     except _DAMAGES:
         return None
     return index if len(index) and chunk_count in (None, len(index)) else None
@@ -104,7 +114,7 @@ def _find_summary(file: IO[bytes]) -> tuple[int, int] | None:
     is_footer = opcode == Opcode.FOOTER and length == FOOTER_BYTES and tail.endswith(MAGIC)
     if not (is_footer and len(MAGIC) <= begin < end):
         return None
-    if checksum and checksum != _checksum(file, begin, end + RECORD_HEAD.size + 2 * _LENGTH.size):
+    if checksum and checksum != _checksum(file, begin, end + RECORD_HEAD.size + 2 * U64.size):
         return None
     return begin, end
 
@@ -117,53 +127,20 @@ def _checksum(file: IO[bytes], begin: int, end: int) -> int:
     return found
 
 
-def _records(
-    file: IO[bytes], begin: int, end: int, wanted: tuple[Opcode, ...], limit_bytes: int = MAX_RECORD_BYTES
-) -> Iterator[tuple[int, bytes]]:
+def _records(file: IO[bytes], begin: int, end: int, wanted: tuple[Opcode, ...]) -> Iterator[tuple[int, bytes]]:
     """Yield (opcode, content) of the records of these kinds.
 
     Raises:
-        ValueError: a length is too large; `limit_bytes` is that of these kinds.
-        struct.error: a record is cut.
+        Damaged: a record is cut, or too large.
     """
     at = begin
     while at < end:
-        file.seek(at)
-        opcode, length = RECORD_HEAD.unpack(file.read(RECORD_HEAD.size))
+        opcode, length = _read_head(file, at)
         at += RECORD_HEAD.size + length
-        if length > MAX_RECORD_BYTES or at > end:
-            raise ValueError(f"a record of {length} bytes")
+        if at > end or (opcode in wanted and length > MAX_DEFINITION_BYTES):
+            raise Damaged(f"a record of {length} bytes")
         if opcode in wanted:
-            if length > limit_bytes:
-                raise ValueError(f"a record of {length} bytes")
             yield opcode, file.read(length)
-
-
-def _read_definitions(
-    file: IO[bytes], begin: int, end: int, note: Callable[[SchemaRecord | ChannelRecord], None]
-) -> int | None:
-    """Note schemas before channels. Return the number of chunks that the file states, or None."""
-    for _, body in _records(file, begin, end, (Opcode.SCHEMA,), MAX_DEFINITION_BYTES):
-        note(SchemaRecord.read(body))
-    chunk_count = None
-    for opcode, body in _records(file, begin, end, (Opcode.CHANNEL, Opcode.STATISTICS), MAX_DEFINITION_BYTES):
-        if opcode == Opcode.CHANNEL:
-            note(ChannelRecord.read(body))
-        else:
-            chunk_count = STATISTICS.unpack_from(body)[-1]
-    return chunk_count
-
-
-def _add_chunk(index: Index, body: bytes, summary_begin: int, is_wanted: Callable[[int], bool]) -> None:
-    first_ns, last_ns, begin, length, listed_bytes = CHUNK_INDEX.unpack_from(body)
-    listed_end = CHUNK_INDEX.size + listed_bytes
-    channels = [number for number, _ in CHANNEL_OFFSET.iter_unpack(body[CHUNK_INDEX.size : listed_end])]
-    (indexes_bytes,) = _LENGTH.unpack_from(body, listed_end)
-    end = begin + length + indexes_bytes
-    if begin < len(MAGIC) or end > summary_begin or length < RECORD_HEAD.size:
-        raise ValueError("a chunk of the index is outside the file")
-    # A writer may omit the list of channels. Then the chunk may contain any channel.
-    index.add(begin, end, first_ns, last_ns, is_wanted=not channels or any(map(is_wanted, channels)))
 
 
 MAX_CHUNK_BYTES = 64 * 1024 * 1024  # unpacked; chunks of other writers have a few MB
@@ -175,6 +152,10 @@ LONGEST_GAP_NS = 3600 * NS_PER_S
 _NEVER = 2**64
 
 Wanted = Callable[[Channel], bool]
+
+
+def _every(_: Channel) -> bool:
+    return True
 
 
 class StoredMessage(NamedTuple):
@@ -231,11 +212,11 @@ class McapReader:
         self._begin_ns = _NEVER
         self._schemas: dict[int, tuple[str, str, str]] = {}  # name, text, language
         self._channels: dict[int, Channel] = {}
-        self._wanted: Wanted = _all
+        self._wanted: Wanted = _every
         self._chosen: dict[int, Channel | None] = {}  # None: its messages are not wanted
         self._definitions_left_bytes = MAX_DEFINITIONS_BYTES
 
-    def messages(self, wanted: Wanted | None = None, *, after_s: float = 0.0) -> Iterator[StoredMessage]:
+    def messages(self, wanted: Wanted = _every, *, after_s: float = 0.0) -> Iterator[StoredMessage]:
         """Yield every readable message of the wanted channels, in the order of writing.
 
         With an index, chunks without such messages are not read. Messages earlier than `after_s` after the first one
@@ -244,22 +225,17 @@ class McapReader:
         Raises:
             RecordingFailed: the file cannot be read, or is not an MCAP file.
         """
-        self._wanted, self._steady, self._begin_ns = wanted or _all, SteadyTimes(), _NEVER
+        self._wanted, self._steady, self._begin_ns = wanted, SteadyTimes(), _NEVER
         self._chosen.clear()
-        try:
-            with self.path.open("rb") as file:
-                self._read_header(file)
-                index = read_index(file, self._note, self._is_wanted)
-                if index is not None and not self._is_ours:  # messages of other writers may be in any order
-                    self._begin_ns = min(
-                        (first for first, last in zip(index.first_ns, index.last_ns, strict=True) if last),
-                        default=_NEVER,
-                    )
-                if index is not None and after_s > 0 and self.has_steady_times:
-                    self._leave_out(file, index, int(after_s * NS_PER_S))
-                yield from self._read(file, index)
-        except OSError as error:
-            raise RecordingFailed(f"{self.path}: {error.strerror or error}") from error
+        with self._opened() as file:
+            index = read_index(file, self._note, self._is_wanted)
+            if index is not None and not self._is_ours:  # messages of other writers may be in any order
+                self._begin_ns = min(
+                    (first for first, last in zip(index.first_ns, index.last_ns, strict=True) if last), default=_NEVER
+                )
+            if index is not None and after_s > 0 and self.has_steady_times:
+                self._leave_out(file, index, int(after_s * NS_PER_S))
+            yield from self._read(file, index)
 
     def read_channels(self) -> list[Channel]:
         """Return every channel, also those without a message. A file without an index is read for that.
@@ -277,12 +253,8 @@ class McapReader:
         Raises:
             RecordingFailed: the file cannot be read, or is not an MCAP file.
         """
-        try:
-            with self.path.open("rb") as file:
-                self._read_header(file)
-        except OSError as error:
-            raise RecordingFailed(f"{self.path}: {error.strerror or error}") from error
-        return self.has_steady_times
+        with self._opened():
+            return self.has_steady_times
 
     @property
     def damage(self) -> list[str]:
@@ -306,17 +278,31 @@ class McapReader:
 
     # -- the file's records -------------------------------------------------------------------------------------------
 
+    @contextlib.contextmanager
+    def _opened(self) -> Iterator[IO[bytes]]:
+        """Open the file and read its header.
+
+        Raises:
+            RecordingFailed: the file cannot be read, or is not an MCAP file.
+        """
+        try:
+            with self.path.open("rb") as file:
+                self._read_header(file)
+                yield file
+        except OSError as error:
+            raise RecordingFailed(f"{self.path}: {error.strerror or error}") from error
+
     def _read_header(self, file: IO[bytes]) -> None:
         try:
             opcode, body = next(stored_records(file))
             if opcode != Opcode.HEADER:
                 raise RecordingFailed(f"{self.path} is not an MCAP file: it has no header")
-            record = Header.read(body)
+            fields = Fields(body)
+            self.profile, library = fields.text(), fields.text()
         except _DAMAGES as error:
             raise RecordingFailed(f"{self.path} is not an MCAP file") from error
-        self.profile = record.profile
-        self.has_steady_times = record.library == LIBRARY_STEADY
-        self._is_ours = record.library in (LIBRARY, LIBRARY_STEADY)
+        self.has_steady_times = library == LIBRARY_STEADY
+        self._is_ours = library in (LIBRARY, LIBRARY_STEADY)
 
     def _read(self, file: IO[bytes], index: Index | None) -> Iterator[StoredMessage]:
         """Read record by record. A damaged chunk is skipped with its content."""
@@ -359,7 +345,7 @@ class McapReader:
     def _note_stored(self, opcode: int, body: bytes) -> None:
         """Note a record outside chunks. A damaged one costs only itself, because its end is known."""
         try:
-            self._note_record(opcode, body)
+            self._note(opcode, body)
         except _DAMAGES as error:
             self._note_damage("a record", error)
 
@@ -399,7 +385,7 @@ class McapReader:
             if at > end:
                 raise ValueError("a record in it is cut")
             if opcode != Opcode.MESSAGE:
-                self._note_record(opcode, data[begin:at])
+                self._note(opcode, data[begin:at])
                 continue
             payload_begin = begin + MESSAGE.size
             if payload_begin > at:
@@ -411,18 +397,6 @@ class McapReader:
             channel = chosen[number] if number in chosen else self._choose(number)
             if channel is not None:
                 yield StoredMessage(channel, stamp_ns, data[payload_begin:at], steady_ns)
-
-    def _note_record(self, opcode: int, body: bytes) -> None:
-        if opcode not in _DEFINITIONS:
-            return
-        if len(body) > MAX_DEFINITION_BYTES:
-            self._note_large(len(body))
-        elif opcode == Opcode.METADATA:
-            for name, value in read_metadata(body).items():
-                if self.metadata.get(name) != value and self._has_room(name, value):
-                    self.metadata[name] = value
-        else:
-            self._note(SchemaRecord.read(body) if opcode == Opcode.SCHEMA else ChannelRecord.read(body))
 
     # -- definitions --------------------------------------------------------------------------------------------------
 
@@ -437,17 +411,40 @@ class McapReader:
             self._chosen[number] = chosen
         return chosen
 
-    def _note(self, record: SchemaRecord | ChannelRecord) -> None:
-        if isinstance(record, SchemaRecord):
-            schema = record.name, record.data.decode(errors="replace"), record.encoding
-            if self._schemas.get(record.id) != schema and self._has_room(*schema):
-                self._schemas[record.id] = schema
+    def _note(self, opcode: int, body: bytes) -> None:
+        """Keep a definition or metadata, if there is room for it. Other records are ignored.
+
+        Raises:
+            ValueError: it is damaged.
+        """
+        if opcode not in _DEFINITIONS:
+            return
+        if len(body) > MAX_DEFINITION_BYTES:
+            self._note_large(len(body))
+        elif opcode == Opcode.METADATA:
+            for name, value in read_metadata(body).items():
+                if self.metadata.get(name) != value and self._has_room(name, value):
+                    self.metadata[name] = value
+        elif opcode == Opcode.SCHEMA:
+            self._note_schema(Fields(body))
         else:
-            channel = _channel(record, self._schemas.get(record.schema_id, ("", "", "")))
-            is_new = self._channels.get(record.id) != channel
-            if is_new and self._has_room(channel.topic, *itertools.chain.from_iterable(channel.metadata)):
-                self._channels[record.id] = channel
-                self._chosen.pop(record.id, None)
+            self._note_channel(Fields(body))
+
+    def _note_schema(self, fields: Fields) -> None:
+        number, name, language = fields.number(U16), fields.text(), fields.text()
+        schema = name, fields.take(fields.number(U32)).decode(errors="replace"), language
+        if self._schemas.get(number) != schema and self._has_room(*schema):
+            self._schemas[number] = schema
+
+    def _note_channel(self, fields: Fields) -> None:
+        number, schema = fields.number(U16), self._schemas.get(fields.number(U16), ("", "", ""))
+        topic, encoding, metadata = fields.text(), fields.text(), tuple(fields.texts().items())
+        name, text, language = schema
+        is_usual = language == SCHEMA_ENCODINGS.get(encoding, "")
+        channel = Channel(topic, encoding, name, text, metadata, "" if is_usual else language)
+        if self._channels.get(number) != channel and self._has_room(topic, *itertools.chain.from_iterable(metadata)):
+            self._channels[number] = channel
+            self._chosen.pop(number, None)
 
     def _has_room(self, *texts: str) -> bool:
         """Whether one more definition may be kept: a few bytes of a file can expand to many definitions."""
@@ -485,11 +482,6 @@ def stored_records(file: IO[bytes]) -> Iterator[tuple[int, bytes]]:
         opcode, body = _read_record(file, at)
         at += RECORD_HEAD.size + len(body)
         yield opcode, body
-
-
-def _all(channel: Channel) -> bool:
-    del channel
-    return True
 
 
 def _read_head(file: IO[bytes], at: int) -> tuple[int, int]:
@@ -555,13 +547,6 @@ def _first_steady_ns(file: IO[bytes], index: Index, number: int) -> int | None:
     return None
 
 
-def _channel(record: ChannelRecord, schema: tuple[str, str, str]) -> Channel:
-    name, text, language = schema
-    is_usual = language == SCHEMA_ENCODINGS.get(record.message_encoding, "")
-    metadata = tuple(record.metadata.items())
-    return Channel(record.topic, record.message_encoding, name, text, metadata, "" if is_usual else language)
-
-
 ROS1_SUFFIX, ROS2_SUFFIX = ".bag", ".db3"
 
 
@@ -573,12 +558,7 @@ class BagReader:
         self.metadata: dict[str, str] = {}
         self.damage: list[str] = []
         self.channels: list[Channel] = []
-        self._begin_ns = _NEVER
-
-    @property
-    def begin_ns(self) -> int:
-        """Time of the bag's first message; 0 before it was read."""
-        return 0 if self._begin_ns == _NEVER else self._begin_ns
+        self.begin_ns = 0  # time of the first message; 0 before it was read
 
     @property
     def size_bytes(self) -> int:
@@ -596,7 +576,7 @@ class BagReader:
             self.channels = list(dict.fromkeys(map(_bag_channel, bag.connections)))
         return self.channels
 
-    def messages(self, wanted: Wanted | None = None, *, after_s: float = 0.0) -> Iterator[StoredMessage]:
+    def messages(self, wanted: Wanted = _every, *, after_s: float = 0.0) -> Iterator[StoredMessage]:
         """Yield the messages ordered by time.
 
         Raises:
@@ -606,8 +586,8 @@ class BagReader:
             channels = {connection.id: _bag_channel(connection) for connection in bag.connections}
             self.channels = list(dict.fromkeys(channels.values()))
             if bag.message_count:
-                self._begin_ns = bag.start_time
-            chosen = [each for each in bag.connections if wanted is None or wanted(channels[each.id])]
+                self.begin_ns = bag.start_time
+            chosen = [each for each in bag.connections if wanted(channels[each.id])]
             start_ns = bag.start_time + int(after_s * NS_PER_S) if after_s else None
             found = bag.messages(chosen, start=start_ns) if chosen else iter(())
             try:

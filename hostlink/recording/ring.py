@@ -243,11 +243,6 @@ class Ring:
     def blocks(self) -> int:
         return len(self.full) + (self.block >= 0)
 
-    @property
-    def room(self) -> int:
-        """Free bytes in the current block."""
-        return self.limit - self.end
-
     def put(self, number: int, flags: int, payload: bytes, stamp_ns: int = 0, at_s: float = 0.0) -> None:
         """Add a record; there must be room for it. `Rings.add` repeats this code for a whole message."""
         size_bytes = len(payload)
@@ -346,7 +341,7 @@ class Rings:
         is_long = len(payload) > BLOCK_BYTES // 2
         while True:
             number = ring.number_of(channel) if ring.block >= 0 else None
-            room = ring.room - HEADER_BYTES
+            room = ring.limit - ring.end - HEADER_BYTES
             if number is not None and len(rest) <= room:
                 ring.put(number, flags, rest, stamp_ns, at_s)
                 return

@@ -23,7 +23,6 @@ _TIMES = ("builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration")
 _DUMMY = "structure_needs_at_least_one_member"  # ROS 2 adds this field to a message without fields
 _IDL_SEPARATOR = "=" * 80 + "\n"
 _CDR_HEAD_BYTES = 4
-_PADDING_BYTES = 3  # allowed after a message
 _BYTES = ("uint8", "char", "octet")
 
 Types = dict[str, Any]  # as in rosbags: name -> (constants, fields)
@@ -83,14 +82,6 @@ class Ros2Type:
             return bytes(self.store.ros1_to_cdr(payload, self.name))
         except Exception as error:  # noqa: BLE001 - as above
             raise BadPayload(self.name, _words(error)) from None
-
-    def check_cdr(self, payload: bytes) -> None:
-        """Check that the payload is a CDR message of this type.
-
-        Raises:
-            BadPayload: it is not.
-        """
-        self.decode(payload)
 
     def ros1_definition(self) -> tuple[str, str]:
         """Return the full ROS 1 definition of the type and its md5 sum. An equal type of ROS 1 itself is preferred."""

@@ -60,7 +60,7 @@ class Table(Mapping[str, Column]):
         return f"<{self.topic}: {len(self.stamp_ns)} {self.type_name}, fields {', '.join(self) or 'none'}>"
 
 
-class Tables(Mapping[str, Table]):
+class Tables(dict[str, Table]):
     """Tables of a recording, by topic.
 
     `damage` describes the unreadable parts of the file. `undecoded` counts the messages that could not be decoded, by
@@ -68,23 +68,14 @@ class Tables(Mapping[str, Table]):
     """
 
     def __init__(self, tables: dict[str, Table], source: RecordingSource, undecoded: dict[str, int]) -> None:
+        super().__init__(tables)
         self.metadata, self.damage, self.undecoded = source.metadata, source.damage, undecoded
-        self._tables = tables
 
-    def __getitem__(self, topic: str) -> Table:
-        try:
-            return self._tables[topic]
-        except KeyError:
-            raise KeyError(f"no topic {topic}; available: {', '.join(self)}") from None
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._tables)
-
-    def __len__(self) -> int:
-        return len(self._tables)
+    def __missing__(self, topic: str) -> Table:
+        raise KeyError(f"no topic {topic}; available: {', '.join(self)}")
 
     def __repr__(self) -> str:
-        return "\n".join(map(repr, self._tables.values()))
+        return "\n".join(map(repr, self.values()))
 
 
 def read(path: str | Path, topics: tuple[str, ...] = ()) -> Tables:
@@ -97,7 +88,7 @@ def read(path: str | Path, topics: tuple[str, ...] = ()) -> Tables:
     """
     source = open_source(Path(path))
     found: dict[str, _Rows] = {}
-    for message in source.messages((lambda channel: channel.topic in topics) if topics else None):
+    for message in source.messages(lambda channel: not topics or channel.topic in topics):
         topic = message.channel.topic
         rows = found.get(topic)
         if rows is None:

@@ -144,8 +144,7 @@ def calibrated(runs: Iterable[MeasuredRun], nominal: WheelGeometry) -> Calibrati
 
 def end_of(run: MeasuredRun, correction: OdometryCorrection) -> Measurement:
     """Position of the corrected odometry at the end of a drive."""
-    x_m, y_m, theta_rad = _Drive(run, correction.nominal_separation_m).end(correction)
-    return Measurement(x_m, y_m, theta_rad)
+    return Measurement(*_Drive(run, correction.nominal_separation_m).end(correction))
 
 
 def uncorrected(nominal: WheelGeometry) -> OdometryCorrection:
@@ -314,11 +313,10 @@ def _umbmark_step(
     curvature_per_m = math.sin(beta_rad / 2) / (side_m / 2)
     half_m = now.separation_m / 2
     ratio = (1 + curvature_per_m * half_m) / (1 - curvature_per_m * half_m)  # right to left
-    return OdometryCorrection(
-        now.left_factor * 2 / (ratio + 1) * scale,
-        now.right_factor * 2 / (1 / ratio + 1) * scale,
-        now.nominal_separation_m,
-        now.separation_m * _QUARTER_RAD / (_QUARTER_RAD - alpha_rad),
+    return now._replace(
+        left_factor=now.left_factor * 2 / (ratio + 1) * scale,
+        right_factor=now.right_factor * 2 / (1 / ratio + 1) * scale,
+        separation_m=now.separation_m * _QUARTER_RAD / (_QUARTER_RAD - alpha_rad),
     )
 
 

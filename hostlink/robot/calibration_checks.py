@@ -6,6 +6,7 @@ Each function returns a line for that person; empty: nothing is wrong that can b
 import itertools
 import math
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 from hostlink.robot.calibration import (
@@ -208,13 +209,7 @@ def _complaint_of_units(runs: Sequence[MeasuredRun], found: Calibration) -> str:
     if found.separation_by_turns_m is None:
         return ""
     lines = [run for run in runs if run.kind is RunKind.STRAIGHT]
-    expected = OdometryCorrection(
-        found.correction.left_factor,
-        found.correction.right_factor,
-        found.nominal.separation_m,
-        found.separation_by_turns_m,
-    )
-    expected = _bent_as(lines, expected)
+    expected = _bent_as(lines, found.correction._replace(separation_m=found.separation_by_turns_m))
     squares = [run for run in runs if run.kind in _SQUARES]
     ends = [end_of(run, expected) for run in squares]
     apart_m, otherwise_m = (
@@ -240,12 +235,8 @@ def _bent_as(lines: Sequence[MeasuredRun], correction: OdometryCorrection) -> Od
     for _ in range(4):  # each leaves a small share of what the one before left
         off_m = sum(line.measured.y_m - end_of(line, correction).y_m for line in lines) / len(lines)
         share = off_m * correction.separation_m / lines[0].size ** 2  # of half the difference; a bow of so much
-        correction = OdometryCorrection(
-            correction.left_factor * (1 - share),
-            correction.right_factor * (1 + share),
-            correction.nominal_separation_m,
-            correction.separation_m,
-        )
+        left, right = correction.left_factor * (1 - share), correction.right_factor * (1 + share)
+        correction = correction._replace(left_factor=left, right_factor=right)
     return correction
 
 
@@ -288,15 +279,11 @@ def _complaint_of_reading(runs: Sequence[MeasuredRun], found: Calibration, side_
 
 
 def _mirrored(run: MeasuredRun) -> MeasuredRun:
-    return run if run.kind not in _SQUARES else _measured(run, Measurement(run.measured.x_m, -run.measured.y_m))
+    return run if run.kind not in _SQUARES else replace(run, measured=Measurement(run.measured.x_m, -run.measured.y_m))
 
 
 def _transposed(run: MeasuredRun) -> MeasuredRun:
-    return run if run.kind not in _SQUARES else _measured(run, Measurement(run.measured.y_m, run.measured.x_m))
-
-
-def _measured(run: MeasuredRun, measured: Measurement) -> MeasuredRun:
-    return MeasuredRun(run.kind, run.size, run.path, measured)
+    return run if run.kind not in _SQUARES else replace(run, measured=Measurement(run.measured.y_m, run.measured.x_m))
 
 
 def _xy(at: Measurement) -> str:

@@ -46,6 +46,13 @@ def frame_of(outer: Pose, inner: Pose) -> Pose:
     return Pose(outer.x_m - arm.x_m, outer.y_m - arm.y_m, turned.theta_rad)
 
 
+ORIGIN_M, ORIGIN_RAD = 0.05, 0.2  # how near the origin the first pose after a reset is; a robot may roll on
+
+
+def is_near_origin(pose: Pose) -> bool:
+    return math.hypot(*pose[:2]) < ORIGIN_M and abs(pose.theta_rad) < ORIGIN_RAD
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DifferentialDrive:
     """Two driven wheels on one axis; the defaults are the paper's robot."""

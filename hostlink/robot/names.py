@@ -353,7 +353,8 @@ class Directory:
             named = None if robot is None else self._name(entry, gone, now_s)
             if robot is not None and named is None:
                 return Undecided(probe=())
-            replaces = self._played_as(named) if gone is None else gone
+            # A recording that is played gives its name up to the robot.
+            replaces = self._by_name.get(named.name) if gone is None and named is not None else gone
             self._settle(link, entry, named, replaces)
             entry.replaced_at_s = -math.inf if gone is None else entry.since_s
         if robot is None or entry.name is None:
@@ -418,10 +419,6 @@ class Directory:
             if is_elsewhere and is_silent and now_s < entry.since_s + MOVING_S:
                 return None
         return named
-
-    def _played_as(self, named: Named | None) -> int | None:
-        """Link that has this name; None if there is none."""
-        return None if named is None else self._by_name.get(named.name)
 
     def _settle(self, link: int, entry: _Entry, named: Named | None, replaces: int | None) -> None:
         if replaces is not None:

@@ -9,7 +9,7 @@ from enum import Enum, auto
 from typing import NamedTuple
 
 from hostlink.errors import BadPayload
-from hostlink.robot.kinematics import Pose, chord_per_arc, frame_of, placed, wrap_angle
+from hostlink.robot.kinematics import Pose, chord_per_arc, frame_of, is_near_origin, placed, wrap_angle
 from hostlink.robot.velocity import PlanarVelocity
 
 
@@ -124,8 +124,6 @@ SHORTEST_S = 0.05  # poses that a network delivered together carry no speed
 SHORTEST_SPAN_S = 0.1  # between poses of one read, in truth
 LONGEST_S = 2.0  # over a longer silence anything may have happened, a restart too
 RESET_MARGIN = 1.5  # towards the origin less is enough: what the robot may be commanded, and what a late pose adds
-ORIGIN_M = 0.05  # how near the origin the first pose after a reset is
-ORIGIN_RAD = 0.2
 SHAKE_M = 0.02
 SHAKE_RAD = 0.05
 FARTHEST_M = 1e6  # no odometry counts so far; beyond, sums lose the digits that matter
@@ -337,14 +335,14 @@ class OdometryEstimator:
 
     def _change(self, new: _Sample) -> _Change:
         before = self._newest
-        is_at_origin = _is_near_origin(new.pose)
+        is_at_origin = is_near_origin(new.pose)
         if is_at_origin and new.at_s <= self._reset_until_s:
             return _Change.RESET
         if before is None:
             return _Change.MOTION
         is_silence = new.at_s - before.at_s > LONGEST_S
         is_back = new.pose == _ORIGIN and _has_moved(before.pose)
-        if is_back or (is_silence and is_at_origin and not _is_near_origin(before.pose)):
+        if is_back or (is_silence and is_at_origin and not is_near_origin(before.pose)):
             return _Change.RESTART
         if is_at_origin and _is_too_far(before, new, self._back_at_once):
             return _Change.RESTART
@@ -378,10 +376,6 @@ def _apart(one: Pose, other: Pose) -> float:
 
 def _is_possible(pose: Pose) -> bool:
     return all(map(math.isfinite, pose)) and max(abs(pose.x_m), abs(pose.y_m)) < FARTHEST_M
-
-
-def _is_near_origin(pose: Pose) -> bool:
-    return math.hypot(*pose[:2]) < ORIGIN_M and abs(pose.theta_rad) < ORIGIN_RAD
 
 
 def _has_moved(pose: Pose) -> bool:

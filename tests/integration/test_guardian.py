@@ -17,7 +17,7 @@ from structlog.testing import capture_logs
 
 from hostlink.guardian.frames import STOP_REQUEST, stop_sequence, zero_frame
 from hostlink.guardian.guardian import CODE, Guardian, _spawn
-from hostlink.guardian.records import encode_goodbye, encode_ping, encode_watch
+from hostlink.guardian.records import GOODBYE, PING, WATCH, encode
 from tests.support.killing import guarded_by
 from tests.support.process import is_running
 from tests.support.pty_pair import pty_pair
@@ -366,13 +366,13 @@ async def test_answers_that_the_daemon_did_not_read_do_not_hide_its_last_words(*
     with connections() as (peer,):
         channel, process = _spawn()
         with channel:
-            socket.send_fds(channel, [encode_watch(1, (100,), 0)], [peer.ours.fileno()])
-            channel.send(encode_ping())
+            socket.send_fds(channel, [encode(WATCH, 1, (100,))], [peer.ours.fileno()])
+            channel.send(encode(PING))
             await expect(lambda: guarded_by(process.pid) == 1)
             await asyncio.sleep(0.05)  # the answer waits
             os.kill(process.pid, signal.SIGSTOP)
             if is_orderly:
-                channel.send(encode_goodbye())
+                channel.send(encode(GOODBYE))
         peer.ours.close()
         os.kill(process.pid, signal.SIGCONT)
         assert peer.read_all()[0] == (b"" if is_orderly else SEQUENCE)

@@ -561,7 +561,7 @@ def test_end_of_all_motions_keeps_the_notice_of_a_velocity_that_was_broken_off()
         driver = here.me._driver
         await here.robot.drive(0.1, 0.0)
         here.me.lose()
-        driver.end_motions()
+        driver.give_up()
         assert not here.robot.is_driven
         with pytest.raises(HostlinkError, match="the network is cut"):
             await here.robot.drive(0.1, 0.0)
@@ -581,7 +581,7 @@ def test_end_of_all_motions_ends_one_that_has_not_commanded_and_no_later_one(
         await asyncio.sleep(3.0)  # the poses of before are old
         waiting = here.made.tasks.create_task(as_coroutine(motion(here.robot)))
         await asyncio.sleep(0.5)
-        here.me._driver.end_motions()
+        here.me._driver.give_up()
         here.is_silent = False
         assert (await waiting).kind == "program"
         assert here.is_zero

@@ -11,17 +11,17 @@ NUMBERS = st.integers(0, 2**64 - 1)
 @given(NUMBERS, st.lists(st.integers(1, 2**16 - 1), max_size=records.MAX_TOPICS), st.integers(0, 2**32 - 1))
 def test_encoded_record_is_decoded(number: int, ids: list[int], claim_bytes: int) -> None:
     topic_ids = tuple(ids)
-    record = records.encode_watch(number, topic_ids, claim_bytes)
+    record = records.encode(records.WATCH, number, topic_ids, claim_bytes)
     assert records.decode(record) == (records.WATCH, number, topic_ids, claim_bytes)
-    assert records.decode(records.encode_release(number)) == (records.RELEASE, number, (), 0)
+    assert records.decode(records.encode(records.RELEASE, number)) == (records.RELEASE, number, (), 0)
 
 
 def test_every_record_has_one_size() -> None:
     every = [
-        records.encode_watch(1, (100,), 512),
-        records.encode_release(1),
-        records.encode_ping(),
-        records.encode_goodbye(),
+        records.encode(records.WATCH, 1, (100,), 512),
+        records.encode(records.RELEASE, 1),
+        records.encode(records.PING),
+        records.encode(records.GOODBYE),
     ]
     assert len({len(record) for record in every}) == 1
     assert [records.decode(record)[0] for record in every] == [b"W", b"R", b"P", b"G"]

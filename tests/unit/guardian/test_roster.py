@@ -45,11 +45,11 @@ def watched(topic_id: int = 100, descriptor: int | None = 7) -> Watched:
 def test_link_is_sent_with_its_descriptor_then_released() -> None:
     roster = GuardedLinks()
     roster.watch(3, watched())
-    assert roster.next() == (records.encode_watch(3, (100,), 512), 7)
+    assert roster.next() == (records.encode(records.WATCH, 3, (100,), 512), 7)
     roster.confirm(has_descriptor=True)
     assert (roster.next(), roster.connections) == (None, 1)
     roster.release(3)
-    assert roster.next() == (records.encode_release(3), None)
+    assert roster.next() == (records.encode(records.RELEASE, 3), None)
     roster.confirm(has_descriptor=False)
     assert (roster.next(), roster.connections) == (None, 0)
 

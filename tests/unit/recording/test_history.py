@@ -19,7 +19,7 @@ from hostlink.recording.channel import (
     as_text,
     ros_channel,
 )
-from hostlink.recording.history import MAX_SAMPLES, RobotHistory, thinned
+from hostlink.recording.history import MAX_SAMPLES, RobotHistory
 from hostlink.recording.ring import Entry
 from hostlink.robot.kinematics import Pose
 from hostlink.robot.odometry import OdometryEstimator
@@ -149,7 +149,15 @@ def test_odometry_of_a_file_is_the_devices_topic_of_that_name() -> None:
     assert history(programs, odometry=None).poses(OdometryEstimator(), None, no_rest) == []
 
 
-def test_more_samples_than_are_shown_lose_every_second_one_and_never_the_last() -> None:
-    assert thinned([1, 2, 3]) == [1, 2, 3]
-    many = thinned(list(range(MAX_SAMPLES + 3)))
-    assert (len(many), many[-1]) == (MAX_SAMPLES // 2 + 2, MAX_SAMPLES + 2)
+def test_events_of_all_topics_together_are_bounded_and_the_last_one_is_shown() -> None:
+    event = b'{"kind":"locked","robot":"robot_0"}'
+    sources = (EVENTS, as_text(event)), (Channel("/of_a_file", JSON, EVENT, ""), event)
+    kept = [
+        Entry(of, 0, payload, number + 0.5 * half)
+        for number in range(MAX_SAMPLES)
+        for half, (of, payload) in enumerate(sources)
+    ]
+    times = [at_s for at_s, _ in history(kept).events(no_rest)]
+    assert MAX_SAMPLES // 4 < len(times) <= MAX_SAMPLES
+    assert times == sorted(times)
+    assert times[-1] == MAX_SAMPLES - 0.5
