@@ -12,7 +12,7 @@ from aiohttp import web
 
 from hostlink.client import Host, Refusal, connect
 from hostlink.client.connection import waits
-from hostlink.config import ApiConfig, Config, TokenConfig
+from hostlink.config import ApiConfig, Config
 from hostlink.errors import CommandRefused, HostlinkError, RefusalKind
 from hostlink.hub.gates import RemoteHosts
 from hostlink.protocol.control import Log
@@ -111,20 +111,6 @@ async def test_stop_stops_and_nothing_is_repeated() -> None:
         with pytest.raises(TimeoutError):
             async with asyncio.timeout(0.3):
                 await device.velocity()
-
-
-async def test_two_robots_are_driven_at_once() -> None:
-    async with (
-        daemon() as host,
-        fake_device(host.tcp, robot_topics("robot_0")) as first,
-        fake_device(host.tcp, robot_topics("robot_1")) as second,
-        connect(host.url) as me,
-    ):
-        await me.robot("robot_0").drive(0.2, 0.0)
-        await me.robot("/robot_1").drive(0.1, 0.0)
-        for _ in range(5):
-            assert await first.velocity_other_than(ZERO) == (0.2, 0.0)
-            assert await second.velocity_other_than(ZERO) == (0.1, 0.0)
 
 
 def test_stop_that_is_not_answered_delays_no_stop_of_another_robot() -> None:
@@ -232,20 +218,6 @@ async def test_a_command_is_not_repeated_and_its_refusal_is_known_after_its_answ
         assert robot.refusal == Refusal("held", HELD_BY_PERSON)
         with pytest.raises(HostlinkError, match="finite"):
             await robot.command(math.inf, 0.0)
-
-
-async def test_a_command_with_a_token_that_may_only_read_is_refused() -> None:
-    config = Config(api=ApiConfig(tokens=(TokenConfig(name="wall", role="read", token="a-token-of-a-watcher"),)))
-    async with (
-        daemon(config) as host,
-        fake_device(host.tcp, robot_topics()),
-        connect(host.url, token="a-token-of-a-watcher") as me,
-    ):
-        robot = me.robot("robot_0")
-        await robot.command(0.2, 0.0)
-        await expect(lambda: robot.refusal is not None)
-        assert robot.refusal is not None
-        assert (robot.refusal.kind, "may only read" in robot.refusal.reason) == ("NoRole", True)
 
 
 async def test_a_command_with_the_epoch_of_its_decision_is_refused_when_the_device_has_connected_again() -> None:

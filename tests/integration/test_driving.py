@@ -6,15 +6,13 @@ import os
 import aiohttp
 import msgspec
 import pytest
-from structlog.testing import capture_logs
 
 from hostlink.config import Config, RobotConfig
 from hostlink.errors import CommandRefused
-from hostlink.protocol.frame import Id, encode
 from hostlink.robot.velocity import PlanarVelocity
 from tests.support.api_loads import frame
 from tests.support.daemon import Daemon, daemon
-from tests.support.fake_device import FakeDevice, fake_device, pose, robot_topics
+from tests.support.fake_device import FakeDevice, fake_device, robot_topics
 from tests.support.gates import drive_gate
 from tests.support.rosbridge import client
 from tests.support.stopwatch import Stopwatch
@@ -35,40 +33,6 @@ async def greeted(device: FakeDevice) -> None:
     assert [await device.velocity() for _ in range(3)] == [ZERO, ZERO, ZERO]
 
 
-async def test_the_first_velocity_of_a_session_is_zero() -> None:
-    async with daemon() as host, fake_device(host.tcp, robot_topics()) as device:
-        await greeted(device)
-        drive(host)
-        assert await device.velocity() == CURVE
-
-
-async def test_a_device_cannot_drive_another_past_its_gate() -> None:
-    """A message on a velocity topic is a command, also from a device: here one device drives the other."""
-    remote = [robot_topics("robot_0")[1]._replace(kind=Id.PUBLISHER, topic_id=125)]
-    async with daemon() as host, fake_device(host.tcp, robot_topics()) as device:
-        await greeted(device)
-        async with fake_device(host.tcp, remote) as sender:
-            twist = host.hub.catalog.message("geometry_msgs/Twist")
-            assert twist is not None
-            await sender.send(encode(125, twist.encode({"linear": {"x": 5.0}})))
-            assert await device.velocity() == (1.0, 0.0)  # the limit of a robot without configuration
-        assert await device.velocity_other_than((1.0, 0.0)) == ZERO
-
-
-async def test_robot_that_reconnects_while_its_old_link_seems_alive_replaces_it_at_once() -> None:
-    with capture_logs() as lines:
-        async with daemon() as host, fake_device(host.tcp, robot_topics()) as old:
-            await greeted(old)
-            async with fake_device(host.tcp, robot_topics()) as new:
-                await old.closed()
-                await greeted(new)  # until it is known who it is, and again then
-                drive(host)
-                assert await new.velocity_other_than(ZERO) == CURVE
-                await new.send(pose(1.0))
-                await expect(lambda: host.hub.topics.find("/robot_0/odometry").messages == 1)
-    assert next(line["reason"] for line in lines if line["event"] == "link.closed") == "replaced"
-
-
 async def test_a_robot_that_sends_no_more_but_still_reads_receives_a_zero_before_its_link_ends() -> None:
     async with daemon() as host, fake_device(host.tcp, robot_topics()) as device:
         await greeted(device)
@@ -77,61 +41,6 @@ async def test_a_robot_that_sends_no_more_but_still_reads_receives_a_zero_before
         device.end_sending()
         assert await device.velocity_other_than(CURVE) == ZERO
         await device.closed()
-
-
-async def test_two_robots_behind_one_address_live_side_by_side() -> None:
-    async with (
-        daemon() as host,
-        fake_device(host.tcp, robot_topics("robot_0")) as first,
-        fake_device(host.tcp, robot_topics("robot_1")) as second,
-    ):
-        await greeted(first)
-        await greeted(second)
-        drive(host)
-        assert await first.velocity() == CURVE
-        assert [robot["name"] for robot in (await host.get("/api/robots"))["robots"]] == ["robot_0", "robot_1"]
-        with pytest.raises(TimeoutError):
-            async with asyncio.timeout(0.3):
-                await second.velocity()
-
-
-async def test_another_address_that_announces_a_robots_name_has_a_number_and_a_hint_what_to_configure() -> None:
-    with capture_logs() as lines:
-        async with daemon() as host, fake_device(host.tcp, robot_topics()) as owner:
-            await greeted(owner)
-            async with fake_device(host.tcp, robot_topics(), local_host="127.0.0.2") as other:
-                await greeted(other)
-                drive(host)
-                assert await owner.velocity() == CURVE
-                names = [robot["name"] for robot in (await host.get("/api/robots"))["robots"]]
-                assert names == ["robot_0", "robot_0_2"]
-    numbered = next(line for line in lines if line["event"] == "robot.numbered")
-    assert (numbered["robot"], numbered["own_name"]) == ("robot_0_2", "robot_0")
-    assert '[robots.NAME] address = "127.0.0.2"' in numbered["advice"]
-
-
-async def test_a_name_from_the_configuration() -> None:
-    config = Config(robots={"mower": RobotConfig(address="127.0.0.3")})
-    async with daemon(config) as host, fake_device(host.tcp, robot_topics(), local_host="127.0.0.3") as device:
-        await greeted(device)
-        assert host.hub.robots.find("mower").topics.velocity == "/robot_0/velocity_commands"
-        assert host.hub.robots.find("mower").shown.velocity == "/mower/velocity_commands"
-
-
-async def test_the_daemon_stops_every_robot_and_then_silences_it() -> None:
-    async with daemon() as host, fake_device(host.tcp, robot_topics()) as device:
-        await greeted(device)
-        drive(host)
-        assert await device.velocity() == CURVE
-        async with asyncio.TaskGroup() as tasks:
-            tasks.create_task(host.hub.shutdown())
-            frames = []
-            while not frames or frames[-1].topic_id != Id.STOP:
-                frames.append(await device.next())
-            await device.closed()
-    commands = [frame for frame in frames if frame.topic_id == 100]
-    assert len(commands) >= 3
-    assert all(frame.payload == bytes(48) for frame in commands[-3:])
 
 
 async def locked(host: Daemon, body: bytes | None = None) -> None:
@@ -190,21 +99,6 @@ async def test_lock_request_with_a_late_body_has_its_reason() -> None:
         writer.close()
 
 
-async def test_a_lock_survives_a_reconnect() -> None:
-    async with daemon() as host:
-        async with fake_device(host.tcp, robot_topics()) as device:
-            await greeted(device)
-            drive(host)
-            await locked(host)
-        await expect(lambda: host.hub.robots.find("robot_0").link is None)
-        assert (await host.get("/api/robots/robot_0"))["lock_reason"] == "emergency stop"
-        async with fake_device(host.tcp, robot_topics()) as device:
-            await greeted(device)
-            with pytest.raises(CommandRefused):
-                drive(host)
-            assert await device.velocity() == ZERO
-
-
 async def test_a_robot_that_is_away_can_be_locked() -> None:
     async with daemon() as host:
         async with fake_device(host.tcp, robot_topics()) as device:
@@ -230,44 +124,6 @@ async def test_the_lock_is_a_service_for_programs() -> None:
         assert (await program.call("/robot_0/unlock"))["success"] is True
         drive(host, "another")
         assert await device.velocity_other_than(ZERO) == CURVE
-
-
-async def test_everything_stops_at_one_request() -> None:
-    async with (
-        daemon() as host,
-        fake_device(host.tcp, robot_topics("robot_0")) as first,
-        fake_device(host.tcp, robot_topics("robot_1")) as second,
-    ):
-        for name, device in (("robot_0", first), ("robot_1", second)):
-            await greeted(device)
-            drive_gate(host.hub.robots.find(name), PlanarVelocity(0.2, yaw_rad_s=0.5), owner="test")
-        status, body = await host.rest("POST", "/api/stop")
-        assert (status, [robot["holder"] for robot in body["robots"]]) == (200, [None, None])
-        assert await first.velocity_other_than(CURVE) == ZERO
-        assert await second.velocity_other_than(CURVE) == ZERO
-
-
-async def test_a_stop_brakes_as_gently_as_is_configured() -> None:
-    config = Config(robots={"robot_0": RobotConfig(max_linear_deceleration_m_s2=1.0)})
-    async with daemon(config) as host, fake_device(host.tcp, robot_topics()) as device:
-        await greeted(device)
-        drive(host, velocity=(0.3, 0.0))
-        assert await device.velocity() == (0.3, 0.0)
-        assert (await host.rest("POST", "/api/robots/robot_0/stop"))[0] == 200
-        speeds = [0.3]
-        while speeds[-1] != 0:
-            speeds.append((await device.velocity())[0])
-        assert len(speeds) > 3
-        assert speeds == sorted(speeds, reverse=True)
-        assert [await device.velocity() for _ in range(2)] == [ZERO, ZERO]
-
-
-async def test_priorities_are_read_from_rest_and_shown() -> None:
-    async with daemon() as host, fake_device(host.tcp, robot_topics()):
-        await host.drive("robot_0", b'{"linear": 0.1, "angular": 0, "priority": 70}')
-        assert (await host.get("/api/robots/robot_0"))["priority"] == 70
-        with pytest.raises(CommandRefused):
-            drive(host, "teleop", priority=60)
 
 
 @pytest.mark.parametrize(("way", "within_s"), [("close", 0.3), ("cut", 0.3), ("silence", 0.8)])

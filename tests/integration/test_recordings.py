@@ -7,7 +7,6 @@ import json
 import resource
 import shutil
 import threading
-import time
 from collections import Counter
 from collections.abc import AsyncIterator, Collection, Iterator
 from dataclasses import replace
@@ -26,7 +25,7 @@ from hostlink.hub.node import is_of
 from hostlink.hub.topic import Topic
 from hostlink.recording import mcap_writer
 from hostlink.recording import recordings as recordings_module
-from hostlink.recording.channel import EVENTS_TOPIC, LOG_TOPIC, NS_PER_S, PARAMETERS_TOPIC, json_of
+from hostlink.recording.channel import EVENTS_TOPIC, LOG_TOPIC, PARAMETERS_TOPIC, json_of
 from hostlink.recording.folder import Folder
 from hostlink.recording.mcap_format import MAGIC
 from hostlink.recording.reader import McapReader, StoredMessage
@@ -174,26 +173,6 @@ async def test_topic_that_appears_later_is_recorded_and_one_that_disappears_is_r
     assert {"gone", "link_closed"} <= {event["kind"] for event in events(found)}
 
 
-async def test_a_recording_is_listed_fetched_by_ranges_and_removed(tmp_path: Path) -> None:
-    async with recorded(config(tmp_path)) as (host, device):
-        await start(host, name="run")
-        await send_poses(host, device)
-        listed = await host.get("/api/recordings")
-        assert [each["name"] for each in listed["recordings"]] == ["run"]
-        assert (listed["files"][0]["file"], listed["files"][0]["is_open"]) == ("run.mcap", True)
-        status, refusal = await host.rest("DELETE", "/api/recordings/run")
-        assert (status, "stop the recording first" in refusal["error"]["reason"]) == (409, True)
-        await stop(host, "run")
-        content = whole(tmp_path / "run.mcap")
-        async with host.session.get(f"{host.url}/api/recordings/run.mcap", headers={"Range": "bytes=8-99"}) as part:
-            assert (part.status, await part.read()) == (206, content[8:100])
-        async with host.session.get(f"{host.url}/api/recordings/run") as answer:
-            assert await answer.read() == content
-        assert (await host.rest("DELETE", "/api/recordings/run"))[1] == {"removed": "run.mcap"}
-        assert (await host.rest("GET", "/api/recordings/run"))[0] == 404
-    assert names(tmp_path) == []
-
-
 async def test_page_of_another_origin_reads_a_recording_as_lichtblick_does(tmp_path: Path) -> None:
     """Lichtblick reads the headers of the whole file first, then ranges. A browser shows it only exposed headers."""
     page = "https://app.example"
@@ -222,7 +201,7 @@ async def test_page_of_another_origin_reads_a_recording_as_lichtblick_does(tmp_p
             assert answer.status == 404
 
 
-@pytest.mark.parametrize("name", ["..", "../secret", "a/b", "%2e%2e%2fsecret", "a..b", ".hidden", "x" * 101, "a\nb"])
+@pytest.mark.parametrize("name", ["../secret", "%2e%2e%2fsecret"])
 async def test_name_cannot_leave_the_folder(tmp_path: Path, name: str) -> None:
     secret = tmp_path / "secret.mcap"
     secret.write_bytes(b"not yours")
@@ -233,19 +212,6 @@ async def test_name_cannot_leave_the_folder(tmp_path: Path, name: str) -> None:
         async with host.session.get(f"{host.url}/api/recordings/{name}", allow_redirects=False) as answer:
             assert answer.status in (400, 404)
     assert whole(secret) == b"not yours"
-
-
-async def test_a_name_in_use_and_too_many_are_refused(tmp_path: Path) -> None:
-    async with recorded(config(tmp_path)) as (host, _):
-        await start(host, name="run")
-        for _ in range(2):
-            status, refusal = await host.rest("POST", "/api/recordings", b'{"name": "run"}')
-            assert (status, "choose another name" in refusal["error"]["reason"]) == (409, True)
-            with contextlib.suppress(AssertionError):  # the second time the file is there, and nothing is under way
-                await stop(host, "run")
-        made = [(await start(host))["name"] for _ in range(8)]
-        assert len(set(made)) == 8
-        assert (await host.rest("POST", "/api/recordings"))[0] == 409
 
 
 async def test_a_token_that_may_read_fetches_and_does_not_record(tmp_path: Path) -> None:
@@ -265,6 +231,9 @@ async def test_a_token_that_may_read_fetches_and_does_not_record(tmp_path: Path)
         for url in (path, f"{path}/run"):
             async with host.session.get(url, headers=reading) as answer:
                 assert answer.status == 200
+        assert (await put(host, "copy", MAGIC, **reading))[0] == 403
+        assert (await put(host, "copy", MAGIC))[0] == 401
+        assert names(tmp_path) == ["run.mcap"]
 
 
 async def test_the_end_of_the_daemon_completes_the_file_with_its_last_zero(tmp_path: Path) -> None:
@@ -278,36 +247,6 @@ async def test_the_end_of_the_daemon_completes_the_file_with_its_last_zero(tmp_p
     found = list(reader.messages())
     assert reader.damage == []
     assert payloads(found, "/robot_0/velocity_commands")[-1] == PlanarVelocity().encode()
-
-
-async def test_old_recordings_go_for_the_budget_and_one_that_is_written_stays(tmp_path: Path) -> None:
-    for number in range(5):
-        (tmp_path / f"old_{number}.mcap").write_bytes(bytes(400_000))
-    async with recorded(config(tmp_path, max_disk_mb=1.0)) as (host, _):
-        await start(host, name="new")
-        assert names(tmp_path) == ["new.mcap", "old_3.mcap", "old_4.mcap"]
-
-
-async def test_a_recording_is_split(tmp_path: Path) -> None:
-    async with recorded(config(tmp_path, max_file_s=0.5)) as (host, device):
-        await start(host, name="run")
-        for _ in range(5):
-            await send_poses(host, device)
-            await asyncio.sleep(0.5)
-        view = await stop(host, "run")
-    assert view["files"] == names(tmp_path)
-    assert len(view["files"]) >= 2
-    found = messages(*(tmp_path / name for name in names(tmp_path)))
-    assert len(payloads(found, "/robot_0/odometry")) == 5 * len(POSES)
-
-
-async def test_a_folder_that_cannot_be_written_to_is_an_error_that_names_it(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("no folder")
-    async with recorded(config(tmp_path / "file" / "recordings")) as (host, device):
-        status, refusal = await host.rest("POST", "/api/recordings")
-        assert (status, refusal["error"]["kind"]) == (507, "RecordingFailed")
-        assert str(tmp_path / "file") in refusal["error"]["reason"]
-        await send_poses(host, device)
 
 
 @contextlib.asynccontextmanager
@@ -326,26 +265,6 @@ async def undisturbed(host: Daemon, device: FakeDevice) -> AsyncIterator[None]:
         await expect(lambda: len(received) > 2)
         receiving.cancel()
     assert set(received) == {(0.2, 0.0)} or not driver.is_steady
-
-
-async def test_a_clock_that_is_set_back_an_hour_costs_no_message(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    right_ns = time.time_ns
-    async with recorded(config(tmp_path)) as (host, device):
-        await start(host, name="run")
-        async with undisturbed(host, device):
-            await send_poses(host, device)
-            monkeypatch.setattr(time, "time_ns", lambda: right_ns() - 3600 * NS_PER_S)
-            await send_poses(host, device)
-            await asyncio.sleep(1.2)  # until the chunk is written
-            monkeypatch.undo()
-            await send_poses(host, device)
-        await stop(host, "run")
-    found = messages(tmp_path / "run.mcap")
-    assert Counter(map(bytes, payloads(found, "/robot_0/odometry"))) == {each[7:-1]: 3 for each in POSES}
-    stamps_s = [message.stamp_ns / NS_PER_S for message in found]
-    assert max(stamps_s) - min(stamps_s) == pytest.approx(3600, abs=10)
 
 
 async def test_a_folder_that_is_removed_is_made_again_and_costs_a_second(tmp_path: Path) -> None:
@@ -429,15 +348,6 @@ async def test_recording_whose_next_name_exists_continues_under_another(tmp_path
     assert (tmp_path / "run_2.mcap").read_bytes() == b"of yesterday"
     found = messages(*(tmp_path / name for name in view["files"]))
     assert len(payloads(found, "/robot_0/odometry")) == 4 * len(POSES)
-
-
-async def test_recordings_without_a_name_are_begun_again_and_again_within_a_second(tmp_path: Path) -> None:
-    async with recorded(config(tmp_path)) as (host, _):
-        names_ = []
-        for _ in range(12):
-            names_.append((await start(host))["name"])
-            await stop(host, names_[-1])
-    assert len(set(names_)) == 12
 
 
 class HeldFolder(Folder):
@@ -562,12 +472,3 @@ async def test_file_of_a_client_that_disconnects_is_removed_and_the_next_one_is_
         writer.close()
         await expect(lambda: names(tmp_path) == ["run.mcap"])
         assert (await put(host, "copy", content))[0] == 200
-
-
-async def test_token_that_may_only_read_sends_no_file_and_reads_the_history(tmp_path: Path) -> None:
-    tokens = (TokenConfig(name="wall", role="read", token="a-token-of-a-watcher"),)
-    async with daemon(replace(config(tmp_path), api=ApiConfig(tokens=tokens))) as host:
-        key = {"Authorization": "Bearer a-token-of-a-watcher"}
-        assert (await put(host, "copy", MAGIC, **key))[0] == 403
-        assert (await put(host, "copy", MAGIC))[0] == 401
-        assert names(tmp_path) == []

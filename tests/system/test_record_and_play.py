@@ -75,7 +75,7 @@ async def test_played_messages_are_recorded_again_byte_for_byte_at_their_times(t
         await until_connected(daemon.url)
         async with connect(daemon.url) as host:
             await host.robot("robot_0").drive(SPEED_M_S, 0.3)
-            await record(daemon, first, "/robot_0/*", seconds=3.0)
+            await record(daemon, first, "/robot_0/*")
     (tmp_path / "again").mkdir()
     async with serve(*settings(tmp_path / "again")) as daemon:
         async with connect(daemon.url) as host:
@@ -146,7 +146,7 @@ async def test_a_robot_is_driven_by_a_recording_only_when_it_is_named(tmp_path: 
         await until_connected(daemon.url)
         async with connect(daemon.url) as host:
             await host.robot("robot_0").drive(SPEED_M_S, 0.0)
-            await record(daemon, first, seconds=3.0)
+            await record(daemon, first, seconds=1.5)
             await host.robot("robot_0").stop()
             before = (await host.robots())[0]["odometry"]
             assert before is not None

@@ -8,8 +8,7 @@ import pytest
 
 from hostlink.client import connect
 from hostlink.config import Config, RobotConfig
-from hostlink.errors import CommandRefused, HostlinkError, RefusalKind
-from hostlink.hub.robot_events import EventKind
+from hostlink.errors import HostlinkError
 from hostlink.protocol.frame import Id
 from hostlink.robot.admission import LEASE_S
 from hostlink.robot.velocity import TWIST_TYPE, PlanarVelocity
@@ -18,7 +17,7 @@ from tests.support.fake_device import fake_device, pose, robot_topics, topic
 from tests.support.participants import subscribe
 from tests.support.rosbridge import client
 from tests.support.stopwatch import Stopwatch
-from tests.support.waiting import expect, expect_never, is_true_within
+from tests.support.waiting import expect, expect_never
 from tests.support.zenoh_fleet import drive, fleet, joined, port_of, robot, shown, subscriber_count
 
 STILL = (0.0, 0.0)
@@ -107,23 +106,6 @@ async def test_interruption_at_the_robots_daemon_disarms_remote_drivers(how: str
             assert gate.current.x_m_s == 0.2
 
 
-async def test_local_interruption_reaches_remote_daemons_by_the_epoch() -> None:
-    async with fleet("a", "b") as (a, b), fake_device(b.tcp, robot_topics("robot_7")):
-        found = await shown(a, "robot_7")
-        driver = a.hub.join("driver")
-        driver.drive(found, PlanarVelocity(0.2))
-        await driver.driven(found, PlanarVelocity(0.2))
-        seen = found.admission.epoch
-        b.hub.robots.find_here("robot_7").stop_here()
-        await expect(lambda: found.admission.epoch == seen + 1)
-        for epoch in (None, seen):
-            with pytest.raises(CommandRefused) as refused:
-                driver.drive(found, PlanarVelocity(0.2), epoch=epoch)
-            assert refused.value.kind is RefusalKind.DISARMED
-        driver.drive(found, PlanarVelocity(0.2), epoch=seen + 1)
-        assert await driver.driven(found, PlanarVelocity(0.2)) == PlanarVelocity(0.2)
-
-
 async def test_stream_that_continued_through_a_restart_of_the_robots_daemon_does_not_drive() -> None:
     async with fleet("a") as (a,), contextlib.AsyncExitStack() as stack:
         b = await stack.enter_async_context(joined(port_of(a), "b"))
@@ -159,30 +141,11 @@ async def test_stream_that_continued_through_a_restart_of_the_robots_daemon_does
                 assert again.hub.robots.find_here("robot_7").gate.counts.commands == 0
 
 
-async def test_driver_of_higher_priority_drives_at_any_daemon() -> None:
-    async with fleet("a", "b") as (a, b), fake_device(b.tcp, robot_topics("robot_7")):
-        await shown(a, "robot_7")
-        person = b.hub.join("person", priority=60)
-        person.drive(b.hub.robots.find("robot_7"), PlanarVelocity(x_m_s=0.1))
-        status, answer = await drive(a, "robot_7", 0.3)
-        assert (status, answer["error"]["kind"]) == (409, "held")
-        assert "person drives it" in answer["error"]["reason"]
-
-
 async def test_remote_played_robot_is_marked_as_played() -> None:
     mark = topic(Id.PUBLISHER, 130, "/robot_7/played", "std_msgs/String")
     async with fleet("a", "b") as (a, b), fake_device(b.tcp, [*robot_topics("robot_7"), mark]):
         await shown(a, "robot_7")
         await expect(lambda: a.hub.robots.remote["robot_7"].known.is_played)
-
-
-async def test_a_robot_that_leaves_its_daemon_is_shown_as_not_connected() -> None:
-    async with fleet("a", "b") as (a, b):
-        async with fake_device(b.tcp, robot_topics("robot_7")):
-            await shown(a, "robot_7")
-        await expect(lambda: a.hub.robots.remote["robot_7"].link is None)
-        status, answer = await drive(a, "robot_7", 0.3)
-        assert (status, answer["error"]["kind"]) == (503, "not_connected")
 
 
 async def test_stop_all_reaches_every_daemon_and_is_answered_by_each() -> None:
@@ -221,28 +184,6 @@ async def test_a_lock_holds_everywhere_until_it_is_released_from_anywhere() -> N
         assert (await drive(b, "robot_7", 0.3))[0] == 200
 
 
-async def test_remote_stream_that_continued_through_a_lock_does_not_drive_afterwards() -> None:
-    async with fleet("a", "b") as (a, b), fake_device(b.tcp, robot_topics("robot_7")):
-        robot = await shown(a, "robot_7")
-        await expect(lambda: a.hub.topics.find_or_none("/robot_7/cmd_vel"))
-        stream = a.hub.join("navigation")
-        await b.rest("POST", "/api/robots/robot_7/lock")
-        await expect(lambda: robot.admission.lock_reason)
-        for is_locked in (True, False):
-            with pytest.raises(HostlinkError, match="locked: " if is_locked else "send a zero"):
-                stream.publish("/robot_7/cmd_vel", PlanarVelocity(0.2).encode())
-            await b.rest("POST", "/api/robots/robot_7/unlock")
-            await expect(lambda: robot.admission.lock_reason is None)
-        drivers: list[object] = []
-        b.hub.events.observe(
-            "test", lambda event: event.kind is EventKind.COMMANDED and drivers.append(event.facts["owner"])
-        )
-        while "navigation at a" not in drivers:  # a velocity that is read late is refused
-            stream.publish("/robot_7/cmd_vel", PlanarVelocity().encode())
-            stream.publish("/robot_7/cmd_vel", PlanarVelocity(0.2).encode())
-            await is_true_within(lambda: "navigation at a" in drivers, LEASE_S)
-
-
 async def test_lock_follows_a_robot_that_connects_to_another_daemon() -> None:
     async with fleet("a", "b") as (a, b):
         async with fake_device(a.tcp, robot_topics("robot_7")):
@@ -273,29 +214,6 @@ async def test_local_subscription_interrupts_no_remote_subscriber() -> None:
             await asyncio.sleep(0.06)  # the graph's changes are noticed
             subscription.close()
         await expect(lambda: len(received) == 10)
-
-
-async def test_a_lock_by_the_service_of_ros_reaches_the_other_daemon() -> None:
-    async with fleet("a", "b") as (a, b), fake_device(b.tcp, robot_topics("robot_7")), client(a) as program:
-        await shown(a, "robot_7")
-        assert (await program.call("/robot_7/lock"))["success"]
-        assert b.hub.robots.find_here("robot_7").gate.lock_reason is not None
-
-
-async def test_topics_of_a_remote_robot_are_forwarded_while_subscribed() -> None:
-    async with fleet("a", "b") as (a, b), fake_device(b.tcp, robot_topics("robot_7")) as device:
-        await shown(a, "robot_7")
-        topic = b.hub.topics.find("/robot_7/odometry")
-        await expect(lambda: a.hub.topics.find_or_none("/robot_7/odometry"))
-        before = await subscriber_count(b, topic.name)
-        await expect_never(lambda: len(topic.subscribers) > before, for_s=0.3)  # the black box over there is none
-        received: list[bytes] = []
-        subscription = subscribe(a.hub, "/robot_7/odometry", lambda message: received.append(message.payload))
-        await expect(lambda: len(topic.subscribers) == before + 1)
-        await device.send(pose(2.5))
-        await expect(lambda: received)
-        subscription.close()
-        await expect(lambda: len(topic.subscribers) == before)
 
 
 async def test_velocity_topic_of_a_remote_robot_drives_it() -> None:

@@ -41,7 +41,9 @@ def test_publication_sends_messages_to_each_subscriber_and_counts_them() -> None
         assert first.sent == second.sent == [encode_message(text("one"))]
         assert made._node.counts.messages_to_ros == 2
         assert sorted(made.subscribers.values()) == ["/listener", "/other"]
+        assert STRING is not None
         assert first.headers[0]["md5sum"] == HEADER["md5sum"]
+        assert first.headers[0]["message_definition"] == STRING.full_definition
         assert (first.headers[0]["latching"], first.headers[0]["topic"]) == ("0", "/ros_text")
         made.close()
 
