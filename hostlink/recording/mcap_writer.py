@@ -118,7 +118,7 @@ class McapWriter:
             self._file.write(written)
 
     def end_chunk(self) -> None:
-        """End the chunk, so that everything written so far can be read. A chunk without a message goes on."""
+        """End the chunk, so that everything written so far can be read. A chunk without a message is not written."""
         self._write_chunk()
         self.flush()
 
