@@ -14,7 +14,7 @@ from hostlink.recording.black_box import write_incident
 from hostlink.recording.channel import DEVICE, EVENTS, NS_PER_S, Channel, as_text, ros_channel
 from hostlink.recording.folder import Folder
 from hostlink.recording.incident import Incident
-from hostlink.recording.mcap_writer import FileThread, McapWriter, Splitting
+from hostlink.recording.mcap_writer import FileThread, McapWriter
 from hostlink.recording.playing import schedule
 from hostlink.recording.reader import McapReader, contents_of
 from hostlink.recording.ring import Entry
@@ -122,7 +122,8 @@ async def test_recording_that_is_written_has_steady_times_in_all_its_files(
     monkeypatch.setattr(mcap_writer.time, "time_ns", lambda: of_system() + jump_ns[0])
     thread = FileThread(
         lambda number: tmp_path / f"{number}.mcap",
-        Splitting(10**9, 10**9),
+        max_file_bytes=10**9,
+        max_file_s=10**9,
         loop=asyncio.get_running_loop(),
         metadata={},
     )
