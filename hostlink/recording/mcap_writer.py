@@ -152,15 +152,8 @@ class McapWriter:
             self._file.close()
 
     def _statistics(self) -> bytes:
-        counts = {opcode: len(records) for opcode, records in self._summary.items()}
-        head = STATISTICS.pack(
-            self.messages,
-            counts[Opcode.SCHEMA],
-            counts[Opcode.CHANNEL],
-            0,
-            counts[Opcode.METADATA_INDEX],
-            counts[Opcode.CHUNK_INDEX],
-        )
+        schemas, channels, _, chunks, metadata = map(len, self._summary.values())
+        head = STATISTICS.pack(self.messages, schemas, channels, 0, metadata, chunks)
         times = U64.pack(self._first_ns if self.messages else 0) + U64.pack(self._last_ns)
         of_channels = b"".join(CHANNEL_OFFSET.pack(*item) for item in self._counts.items())
         return record(Opcode.STATISTICS, head, times, U32.pack(len(of_channels)), of_channels)
