@@ -96,7 +96,7 @@ class Topics:
     async def subscribe(
         self, topic: str, type_name: str, options: Mapping[str, Any], read: Callable[[dict[str, Any]], Item]
     ) -> AsyncIterator[Mailbox[Item]]:
-        """What `read` makes of the messages of a topic, from now on, for the length of the block.
+        """The messages of a topic as `read` returns them, from now on, for the length of the block.
 
         Raises:
             HostlinkError: there is no connection.

@@ -134,7 +134,7 @@ class GuardedConnection:
             if self._is_udp or isinstance(error, BlockingIOError):
                 return  # an error may belong to an earlier datagram
             raise
-        self._is_readable = bool(received) or self._is_udp  # an empty datagram is no end
+        self._is_readable = bool(received) or self._is_udp  # an empty datagram does not end it
         if self._is_serial and not self._is_readable:
             self.close()  # the serial device hung up
 

@@ -81,15 +81,10 @@ def prepare() -> None:
 def write(path: str, text: bytes) -> None:
     """Write a file of /proc, if the system allows it."""
     try:
-        descriptor = os.open(path, os.O_WRONLY)
+        with open(path, "wb", buffering=0) as file:  # noqa: PTH123 - pathlib is a large import
+            file.write(text)
     except OSError:
         return
-    try:
-        os.write(descriptor, text)
-    except OSError:
-        return
-    finally:
-        os.close(descriptor)
 
 
 def listen(channel: _socket.socket, connections: dict[int, GuardedConnection]) -> bool | None:

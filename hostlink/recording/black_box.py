@@ -178,17 +178,11 @@ class BlackBox:
             self.pending.remove(incident)
             entries = self.rings.copies(incident.robot)
             channels = list(self._channels.get(incident.robot, ()))
-            write = functools.partial(
-                write_incident,
-                self.folder,
-                incident,
-                channels,
-                entries,
-                before_s=self._config.before_s,
-                rest=self._rest,
-            )
+            before_s, rest = self._config.before_s, self._rest
             try:
-                path = await self._thread.run(write)
+                path = await self._thread.run(
+                    lambda: write_incident(self.folder, incident, channels, entries, before_s=before_s, rest=rest)
+                )
             except OutOfTime:
                 return
             except OSError as error:

@@ -51,7 +51,7 @@ FREQUENT = (EventKind.COMMANDED.value, EventKind.REFUSED.value)
 Decode = Callable[[bytes], dict[str, Any]]
 Part = Literal["odometry", "velocity", "plot", "events"]
 Rest = Callable[[], None]
-_Key = tuple[Part, str, str]  # topic and type; empty for events, of whatever topic
+_Key = tuple[Part, str, str]  # topic and type; all events have the empty ones
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,7 +8,6 @@ import threading
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
@@ -118,7 +117,7 @@ class McapWriter:
             self._file.write(written)
 
     def end_chunk(self) -> None:
-        """End the chunk, so that everything written so far can be read. A chunk without a message goes on."""
+        """End the chunk, so that everything written so far can be read. A chunk without a message is not written."""
         self._write_chunk()
         self.flush()
 
@@ -153,15 +152,8 @@ class McapWriter:
             self._file.close()
 
     def _statistics(self) -> bytes:
-        counts = {opcode: len(records) for opcode, records in self._summary.items()}
-        head = STATISTICS.pack(
-            self.messages,
-            counts[Opcode.SCHEMA],
-            counts[Opcode.CHANNEL],
-            0,
-            counts[Opcode.METADATA_INDEX],
-            counts[Opcode.CHUNK_INDEX],
-        )
+        schemas, channels, _, chunks, metadata = map(len, self._summary.values())
+        head = STATISTICS.pack(self.messages, schemas, channels, 0, metadata, chunks)
         times = U64.pack(self._first_ns if self.messages else 0) + U64.pack(self._last_ns)
         of_channels = b"".join(CHANNEL_OFFSET.pack(*item) for item in self._counts.items())
         return record(Opcode.STATISTICS, head, times, U32.pack(len(of_channels)), of_channels)
@@ -184,15 +176,6 @@ BURST = 64  # messages between two checks of the clock; the loop waits at most h
 CLOSE_TIMEOUT_S = 2.0
 
 
-@dataclass(frozen=True, slots=True)
-class Splitting:
-    """Limits after which a recording continues in another file."""
-
-    max_file_bytes: int
-    max_file_s: float
-    fsync: bool = False
-
-
 class _QueuedMessage(NamedTuple):
     channel: Channel
     stamp_ns: int
@@ -209,16 +192,19 @@ class FileThread:
     def __init__(
         self,
         path_of: Callable[[int], Path],
-        splitting: Splitting,
         *,
         loop: asyncio.AbstractEventLoop,
         metadata: Mapping[str, str],
+        max_file_bytes: int,
+        max_file_s: float,
+        fsync: bool = False,
         on_end: Callable[[], None] = lambda: None,
         on_file: Callable[[], None] = lambda: None,
     ) -> None:
         """Create the first file. It may wait for the disk, so do not call it in the loop's thread.
 
         `path_of` returns the path of a file by its number, from 0; `on_file` is called in the thread before each file.
+        The recording continues in another file above `max_file_bytes` or `max_file_s`.
 
         Raises:
             OSError: the first file cannot be created.
@@ -232,7 +218,8 @@ class FileThread:
         self.has_no_room = False
         self.paths: list[Path] = []
         self.failure: str | None = None
-        self._path_of, self._splitting, self._metadata = path_of, splitting, dict(metadata)
+        self._path_of, self._metadata, self._fsync = path_of, dict(metadata), fsync
+        self._max_file_bytes, self._max_file_s = max_file_bytes, max_file_s
         self._on_end, self._on_file = on_end, on_file
         self._loop = loop
         self._waiting: deque[_QueuedMessage] = deque()
@@ -351,8 +338,8 @@ class FileThread:
         self._chunk_due_s = now_s + CHUNK_INTERVAL_S
         self._writer.end_chunk()
         self.written_bytes = self._files_bytes + self._writer.last_size_bytes
-        is_long = now_s > self._begun_s + self._splitting.max_file_s
-        if is_long or self._writer.last_size_bytes > self._splitting.max_file_bytes or not self._writer.is_there:
+        is_long = now_s > self._begun_s + self._max_file_s
+        if is_long or self._writer.last_size_bytes > self._max_file_bytes or not self._writer.is_there:
             self._begin_next()
 
     def _open(self) -> McapWriter:
@@ -363,7 +350,7 @@ class FileThread:
             path.parent.mkdir(parents=True, exist_ok=True)
             self._number += 1
             try:
-                writer = McapWriter(path, metadata=self._metadata, fsync=self._splitting.fsync)
+                writer = McapWriter(path, metadata=self._metadata, fsync=self._fsync)
             except FileExistsError:
                 if not self.paths:
                     raise

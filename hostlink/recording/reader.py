@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import IO, Any, NamedTuple
 
 from hostlink.errors import RecordingFailed
-from hostlink.recording.channel import CDR, LIBRARY, LIBRARY_STEADY, NS_PER_S, ROS1, SCHEMA_ENCODINGS, Channel
+from hostlink.recording.channel import CDR, LIBRARY_STEADY, NS_PER_S, ROS1, SCHEMA_ENCODINGS, Channel
 from hostlink.recording.definitions import need_rosbags
 from hostlink.recording.mcap_format import (
     CHANNEL_OFFSET,
@@ -147,8 +147,6 @@ MAX_CHUNK_BYTES = 64 * 1024 * 1024  # unpacked; chunks of other writers have a f
 NOT_FINISHED = "the file was not finished"  # the only damage of a file whose writer was killed
 MAX_NAMED = 10  # damaged chunks that are described; the others are counted
 MAX_REASON = 200  # characters of a library's error text
-# Between two messages of a file without steady times; a larger gap means that the clock was set.
-LONGEST_GAP_NS = 3600 * NS_PER_S
 _NEVER = 2**64
 
 Wanted = Callable[[Channel], bool]
@@ -171,31 +169,6 @@ class _FileCut(Damaged):
     """The file ends where a record should be."""
 
 
-class SteadyTimes:
-    """Steady times for a file without them: wall times with the steps of the clock removed."""
-
-    def __init__(self) -> None:
-        self._offset_ns = 0
-        self._newest_ns: int | None = None
-
-    def at(self, stamp_ns: int) -> int:
-        """Return the steady time of the next message in the file's order."""
-        newest_ns = self._newest_ns
-        if newest_ns is not None and not -LONGEST_GAP_NS < stamp_ns - newest_ns < LONGEST_GAP_NS:
-            self._offset_ns += newest_ns - stamp_ns
-        self._newest_ns = stamp_ns
-        return stamp_ns + self._offset_ns
-
-    def skip(self, first_ns: int, last_ns: int) -> None:
-        """Account for a chunk that is not read.
-
-        A chunk with a clock step has no usable times; the next one shows the step.
-        """
-        if last_ns and last_ns - first_ns < LONGEST_GAP_NS:
-            self.at(first_ns)
-            self.at(last_ns)
-
-
 class McapReader:
     """Reader of one MCAP file, by its index if it has one. `damage` describes what was wrong with the read parts."""
 
@@ -207,8 +180,6 @@ class McapReader:
         self.profile = ""
         self.metadata: dict[str, str] = {}
         self.has_steady_times = False
-        self._is_ours = False
-        self._steady = SteadyTimes()
         self._begin_ns = _NEVER
         self._schemas: dict[int, tuple[str, str, str]] = {}  # name, text, language
         self._channels: dict[int, Channel] = {}
@@ -225,11 +196,11 @@ class McapReader:
         Raises:
             RecordingFailed: the file cannot be read, or is not an MCAP file.
         """
-        self._wanted, self._steady, self._begin_ns = wanted, SteadyTimes(), _NEVER
+        self._wanted, self._begin_ns = wanted, _NEVER
         self._chosen.clear()
         with self._opened() as file:
             index = read_index(file, self._note, self._is_wanted)
-            if index is not None and not self._is_ours:  # messages of other writers may be in any order
+            if index is not None and not self.has_steady_times:  # messages of other writers may be in any order
                 self._begin_ns = min(
                     (first for first, last in zip(index.first_ns, index.last_ns, strict=True) if last), default=_NEVER
                 )
@@ -248,7 +219,7 @@ class McapReader:
         return self.channels
 
     def reads_steady_times(self) -> bool:
-        """Whether the file has steady times; otherwise they are derived from wall times.
+        """Whether the file has steady times; otherwise they are its wall times.
 
         Raises:
             RecordingFailed: the file cannot be read, or is not an MCAP file.
@@ -302,7 +273,6 @@ class McapReader:
         except _DAMAGES as error:
             raise RecordingFailed(f"{self.path} is not an MCAP file") from error
         self.has_steady_times = library == LIBRARY_STEADY
-        self._is_ours = library in (LIBRARY, LIBRARY_STEADY)
 
     def _read(self, file: IO[bytes], index: Index | None) -> Iterator[StoredMessage]:
         """Read record by record. A damaged chunk is skipped with its content."""
@@ -310,9 +280,7 @@ class McapReader:
         try:
             while True:
                 if index is not None and number < len(index) and at == index.begins[number]:
-                    if number and not index.is_wanted[number]:  # the first chunk has the beginning
-                        self._steady.skip(index.first_ns[number], index.last_ns[number])
-                    else:
+                    if not number or index.is_wanted[number]:  # the first chunk has the beginning
                         yield from self._of_indexed_chunk(file, at)
                     at = index.ends[number]
                     number += 1
@@ -376,7 +344,7 @@ class McapReader:
             ValueError: a record is cut.
         """
         read_head, read_message, chosen = RECORD_HEAD.unpack_from, MESSAGE.unpack_from, self._chosen
-        has_steady_times, is_ours, steady_at = self.has_steady_times, self._is_ours, self._steady.at
+        has_steady_times = self.has_steady_times
         at, end = 0, len(data)
         while at < end:
             opcode, length = read_head(data, at)
@@ -391,7 +359,7 @@ class McapReader:
             if payload_begin > at:
                 raise ValueError("a message in it is cut")
             number, _, stamp_ns, publish_ns = read_message(data, begin)
-            steady_ns = publish_ns if has_steady_times else steady_at(stamp_ns) if is_ours else stamp_ns
+            steady_ns = publish_ns if has_steady_times else stamp_ns
             if steady_ns < self._begin_ns:  # noqa: PLR1730 - min() costs as much as the rest
                 self._begin_ns = steady_ns
             channel = chosen[number] if number in chosen else self._choose(number)

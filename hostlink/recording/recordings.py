@@ -18,7 +18,7 @@ from hostlink.recording.black_box import BlackBox
 from hostlink.recording.drives import DriveLog
 from hostlink.recording.folder import MEGABYTE, Folder, check_name, default_folder
 from hostlink.recording.mcap_format import MAGIC
-from hostlink.recording.mcap_writer import MAX_CHANNELS, FileThread, Splitting
+from hostlink.recording.mcap_writer import MAX_CHANNELS, FileThread
 from hostlink.recording.recorder import Recorder, TopicSelection
 
 log = structlog.get_logger()
@@ -229,13 +229,9 @@ class Recordings:
                 tasks.create_task(self.stop(name), name=f"end of recording {name}")
 
     async def _open(self, name: str, owner: str, selection: TopicSelection) -> FileThread:
-        splitting = Splitting(
-            int(self._config.max_file_mb * MEGABYTE), self._config.max_file_s, fsync=self._config.fsync
-        )
         make = functools.partial(
             FileThread,
             lambda number: self.folder.file(name, number),
-            splitting,
             loop=asyncio.get_running_loop(),
             metadata={
                 "recording": name,
@@ -243,6 +239,9 @@ class Recordings:
                 "topics": " ".join(selection.topics),
                 "robots": " ".join(selection.robots),
             },
+            max_file_bytes=int(self._config.max_file_mb * MEGABYTE),
+            max_file_s=self._config.max_file_s,
+            fsync=self._config.fsync,
             on_end=lambda: self._note_end(name),
             on_file=self._make_room,
         )

@@ -112,7 +112,7 @@ class RobotNames:
     def __init__(self, addresses: Mapping[str, str | None]) -> None:
         """`addresses`: robot name -> where it is configured to be: IP address, also with a port, or serial port."""
         self._places = Places(addresses)
-        self._live: set[str] = set()  # that a device has now
+        self.links: dict[str, int] = {}  # of the names that a device has now
         self._owners: dict[str, Origin] = {}
         self._of_origin: defaultdict[tuple[str, str], dict[str, None]] = defaultdict(dict)  # in the order of coming
         self._of_own: defaultdict[str, dict[str, None]] = defaultdict(dict)
@@ -136,12 +136,12 @@ class RobotNames:
     def choose(self, origin: Origin) -> Named:
         """Choose the name of a device that has none."""
         here = self._places.at(origin)
-        free = [name for name in here if name not in self._live]
+        free = [name for name in here if name not in self.links]
         is_only_one = len(here) == 1
         if origin.own in free:
             return Named(origin.own, is_only_one)
         had = self._names_of(origin)
-        before = [name for name in had if name not in self._live]
+        before = [name for name in had if name not in self.links]
         if before:
             same = next((name for name in before if self._owners[name].peer == origin.peer), None)
             return Named(same or before[0], same is not None or len(had) == 1)
@@ -151,10 +151,10 @@ class RobotNames:
             return Named(origin.own)
         return Named(self._numbered(origin.own), is_new_number=True)
 
-    def assign(self, name: str, origin: Origin) -> None:
-        """The device has the name from now on."""
+    def assign(self, name: str, origin: Origin, link: int) -> None:
+        """The device of this link has the name from now on."""
         self.forget(name)
-        self._live.add(name)
+        self.links[name] = link
         self._owners[name] = origin
         self._of_origin[origin.own, origin.address][name] = None
         if origin.address != PLAYED:
@@ -162,11 +162,11 @@ class RobotNames:
 
     def leave(self, name: str) -> None:
         """Note that the device has disconnected; it keeps its name."""
-        self._live.discard(name)
+        self.links.pop(name, None)
 
     def forget(self, name: str) -> None:
         """Anybody may have this name."""
-        self._live.discard(name)
+        self.links.pop(name, None)
         owner = self._owners.pop(name, None)
         if owner is not None:
             _drop(self._of_origin, owner[:2], name)
@@ -190,7 +190,7 @@ class RobotNames:
         name, owner = origin.own, self._owners.get(origin.own)
         if owner is not None and owner.address == PLAYED != origin.address:
             return not self._places.has(name)
-        if name in self._live or self._places.has(name):
+        if name in self.links or self._places.has(name):
             return False
         return owner is None or (owner.own == name and len(self._of_own.get(name, ())) <= 1)
 
@@ -314,7 +314,6 @@ class Directory:
         self._entries: dict[int, _Entry] = {}
         self._presences: dict[int, Presence] = {}
         self._settled: defaultdict[tuple[str, Hashable], dict[int, None]] = defaultdict(dict)
-        self._by_name: dict[str, int] = {}
 
     def presence(self, link: int) -> Presence:
         """Return the presence of a link, which notes each read from its device."""
@@ -354,7 +353,7 @@ class Directory:
             if robot is not None and named is None:
                 return Undecided(probe=())
             # A recording that is played gives its name up to the robot.
-            replaces = self._by_name.get(named.name) if gone is None and named is not None else gone
+            replaces = self._names.links.get(named.name) if gone is None and named is not None else gone
             self._settle(link, entry, named, replaces)
             entry.replaced_at_s = -math.inf if gone is None else entry.since_s
         if robot is None or entry.name is None:
@@ -364,7 +363,7 @@ class Directory:
 
     def misplaced(self, places: Places) -> dict[str, int | None]:
         """The names that these places would change, and the link of each; None: its device is away."""
-        return {name: self._by_name.get(name) for name in self._names.misplaced(places)}
+        return {name: self._names.links.get(name) for name in self._names.misplaced(places)}
 
     def reconfigure(self, places: Places) -> dict[str, int | None]:
         """Names by these places from now on; each device whose name they change must claim again.
@@ -385,7 +384,7 @@ class Directory:
 
     def forget(self, name: str) -> None:
         """Forget the robot of that name: another device may have it."""
-        if name not in self._by_name:
+        if name not in self._names.links:
             self._names.forget(name)
 
     def _rivals(self, entry: _Entry, now_s: float) -> tuple[int | None, list[int]]:
@@ -412,7 +411,7 @@ class Directory:
         if name is not None:
             return Named(name, not self._names.has_twins(entry.origin))
         named = self._names.choose(entry.origin)
-        other = self._by_name.get(entry.origin.own)
+        other = self._names.links.get(entry.origin.own)
         if other is not None and named.is_new_number and entry.origin.address != PLAYED:
             is_elsewhere = self._entries[other].origin.address != entry.origin.address
             is_silent = self._presences[other].is_probably_gone(now_s) or self._presences[other].is_surely_gone(now_s)
@@ -427,8 +426,7 @@ class Directory:
         self._settled[entry.key][link] = None
         if named is not None:
             entry.name, entry.is_certain = named.name, named.is_certain
-            self._names.assign(named.name, entry.origin)
-            self._by_name[named.name] = link
+            self._names.assign(named.name, entry.origin, link)
 
     def _release(self, link: int) -> None:
         entry = self._entries.pop(link, None)
@@ -440,7 +438,6 @@ class Directory:
                 del self._settled[entry.key]
         if entry.name is not None:
             self._names.leave(entry.name)
-            self._by_name.pop(entry.name, None)
 
 
 def find_robot(topics: Sequence[TopicClaim]) -> RobotTopicNames | None:

@@ -3,6 +3,7 @@
 import asyncio
 import threading
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -14,13 +15,12 @@ from hostlink.recording.mcap_writer import (
     MAX_WAITING_BYTES,
     MESSAGE_BYTES,
     FileThread,
-    Splitting,
 )
 from hostlink.recording.reader import McapReader
 from tests.support.stopwatch import Stopwatch
 from tests.support.waiting import expect
 
-WHOLE = Splitting(max_file_bytes=10**12, max_file_s=1e9)
+WHOLE: dict[str, Any] = {"max_file_bytes": 10**12, "max_file_s": 1e9}
 
 
 def count(folder: Path) -> int:
@@ -30,7 +30,9 @@ def count(folder: Path) -> int:
 async def test_ten_seconds_of_a_flood_at_once_lose_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The end waits as long as the disk accepts data."""
     monkeypatch.setattr(mcap_writer, "CLOSE_TIMEOUT_S", 0.25)
-    thread = FileThread(lambda number: tmp_path / f"{number}.mcap", WHOLE, loop=asyncio.get_running_loop(), metadata={})
+    thread = FileThread(
+        lambda number: tmp_path / f"{number}.mcap", **WHOLE, loop=asyncio.get_running_loop(), metadata={}
+    )
     for number in range(50_000):
         thread.put(EVENTS, number, b"x" * 24)
     await thread.aclose()
@@ -55,7 +57,8 @@ class StandingDisk:
         """Create the writer, which waits for the disk."""
         thread = FileThread(
             lambda number: folder / f"{number}.mcap",
-            Splitting(max_file_bytes=1, max_file_s=1e9),
+            max_file_bytes=1,
+            max_file_s=1e9,
             loop=asyncio.get_running_loop(),
             metadata={},
             on_file=self.make_file,
@@ -102,7 +105,9 @@ async def test_blocked_disk_drops_messages_above_the_bound_without_delay(tmp_pat
 
 async def test_more_channels_than_a_file_can_have_do_not_end_the_recording(tmp_path: Path) -> None:
     """A program may advertise any number of topics, but a channel number in the format has 16 bits."""
-    thread = FileThread(lambda number: tmp_path / f"{number}.mcap", WHOLE, loop=asyncio.get_running_loop(), metadata={})
+    thread = FileThread(
+        lambda number: tmp_path / f"{number}.mcap", **WHOLE, loop=asyncio.get_running_loop(), metadata={}
+    )
     thread.put(EVENTS, 1, b"{}")
     for number in range(MAX_CHANNELS + 100):
         channel = Channel(f"/{number}", "json", "", "")
@@ -127,7 +132,9 @@ async def test_file_without_free_channel_numbers_is_followed_by_one_with_the_new
 ) -> None:
     """A program that makes a topic a minute has made 8192 in a week."""
     monkeypatch.setattr(mcap_writer, "FULL_FILE_S", 0.0)
-    thread = FileThread(lambda number: tmp_path / f"{number}.mcap", WHOLE, loop=asyncio.get_running_loop(), metadata={})
+    thread = FileThread(
+        lambda number: tmp_path / f"{number}.mcap", **WHOLE, loop=asyncio.get_running_loop(), metadata={}
+    )
     channels = [Channel(f"/{number}", "json", "", "") for number in range(MAX_CHANNELS + 100)]
     for number, channel in enumerate(channels):
         thread.announce(channel)

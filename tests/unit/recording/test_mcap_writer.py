@@ -13,7 +13,7 @@ from mcap.writer import Writer
 
 from hostlink.errors import RecordingFailed
 from hostlink.messages.catalog import Catalog
-from hostlink.recording.channel import EVENTS, Channel, ros_channel
+from hostlink.recording.channel import EVENTS, Channel, as_text, ros_channel
 from hostlink.recording.mcap_writer import McapWriter
 from hostlink.recording.reader import McapReader, StoredMessage
 from hostlink.recording.salvage import Repaired, repair
@@ -269,6 +269,23 @@ def test_damaged_file_of_another_program_is_unchanged(tmp_path: Path, profile: s
         repair(path)
     assert path.read_bytes() == before
     assert [each.name for each in tmp_path.iterdir()] == ["theirs.mcap"]
+
+
+def test_repair_keeps_a_long_pause_of_another_programs_file(tmp_path: Path) -> None:
+    path, pause_ns = tmp_path / "theirs.mcap", 2 * 3600 * 10**9
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start("ros1", library="theirs")
+        schema_id = writer.register_schema("std_msgs/String", "ros1msg", b"string data\n")
+        channel_id = writer.register_channel("/a", "ros1", schema_id)
+        for number in range(2):
+            writer.add_message(channel_id, 10**18 + number * pause_ns, as_text(b"a"), 10**18)
+        writer.finish()
+    path.write_bytes(path.read_bytes()[:-20])
+    for _ in range(2):
+        first, last = (message.steady_ns for message in McapReader(path).messages())
+        assert last - first == pause_ns
+        repair(path)
 
 
 @pytest.mark.parametrize(

@@ -16,7 +16,7 @@ from hostlink.hub.hub import Hub
 from hostlink.recording import recordings as module
 from hostlink.recording.channel import EVENTS
 from hostlink.recording.drives import Drive, DriveLog, append_drives, read_drives
-from hostlink.recording.mcap_writer import FileThread, Splitting
+from hostlink.recording.mcap_writer import FileThread
 from hostlink.recording.reader import McapReader
 from hostlink.recording.recorder import TopicSelection
 from hostlink.recording.recordings import Recordings
@@ -161,7 +161,8 @@ async def test_unknown_robot_is_refused(tmp_path: Path) -> None:
 async def test_written_bytes_are_those_of_all_files(tmp_path: Path) -> None:
     thread = FileThread(
         lambda number: tmp_path / f"{number}.mcap",
-        Splitting(max_file_bytes=1, max_file_s=1e9),
+        max_file_bytes=1,
+        max_file_s=1e9,
         loop=asyncio.get_running_loop(),
         metadata={},
     )

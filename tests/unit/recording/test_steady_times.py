@@ -14,7 +14,7 @@ from hostlink.recording.black_box import write_incident
 from hostlink.recording.channel import DEVICE, EVENTS, NS_PER_S, Channel, as_text, ros_channel
 from hostlink.recording.folder import Folder
 from hostlink.recording.incident import Incident
-from hostlink.recording.mcap_writer import FileThread, McapWriter, Splitting
+from hostlink.recording.mcap_writer import FileThread, McapWriter
 from hostlink.recording.playing import schedule
 from hostlink.recording.reader import McapReader, contents_of
 from hostlink.recording.ring import Entry
@@ -23,6 +23,7 @@ from hostlink.recording.tables import read
 
 DAY_S = 86_400
 COUNT = 480  # ten messages a second
+CHUNK_OF = 7
 BEGIN_NS = 1_700_000_000 * NS_PER_S
 POSE = Catalog().message("geometry_msgs/Pose2D")
 assert POSE is not None
@@ -45,15 +46,15 @@ def pose(second: float) -> bytes:
     return POSE.encode({"x": second / 100})
 
 
-def recording(path: Path, jump_s: float, *, is_old: bool = False, chunk_of: int = 7, is_finished: bool = True) -> Path:
-    """Write a recording with steady times, or with wall times only, as older releases did."""
-    writer = McapWriter(path, metadata={}, has_steady_times=not is_old)
+def recording(path: Path, jump_s: float, *, has_steady_times: bool = True, is_finished: bool = True) -> Path:
+    """Write a recording with steady times, or with wall times only, as the repair of another program's file does."""
+    writer = McapWriter(path, metadata={}, has_steady_times=has_steady_times)
     for number, second in enumerate(SECONDS, 1):
         stamp_ns = wall_ns(second, jump_s)
-        writer.write(ODOMETRY, stamp_ns, pose(second), stamp_ns if is_old else BEGIN_NS + round(second * NS_PER_S))
+        writer.write(ODOMETRY, stamp_ns, pose(second), BEGIN_NS + round(second * NS_PER_S))
         if number % 10 == 0:
             writer.write(EVENTS, stamp_ns, as_text(b"{}"), BEGIN_NS + round(second * NS_PER_S))
-        if number % chunk_of == 0:
+        if number % CHUNK_OF == 0:
             writer.end_chunk()
     if is_finished:
         writer.close()
@@ -74,7 +75,7 @@ def test_recording_with_steady_times_is_read_as_if_the_clock_had_not_been_set(
     tmp_path: Path, jump_s: float, is_finished: bool
 ) -> None:
     path = recording(tmp_path / "a.mcap", jump_s, is_finished=is_finished)
-    count = COUNT if is_finished else COUNT // 7 * 7
+    count = COUNT if is_finished else COUNT // CHUNK_OF * CHUNK_OF
     assert times(path) == SECONDS[:count]
     assert times(path, start_s=30.0) == [round(second - 30, 6) for second in SECONDS[:count] if second >= 30]
     found = contents_of(path)
@@ -85,32 +86,14 @@ def test_recording_with_steady_times_is_read_as_if_the_clock_had_not_been_set(
     assert table.stamp_ns.tolist() == [wall_ns(second, jump_s) for second in SECONDS[:count]]
 
 
-@pytest.mark.parametrize("chunk_of", [7, 120, 10_000])
-@pytest.mark.parametrize("jump_s", [100 * DAY_S, -100 * DAY_S])
-def test_clock_step_of_an_older_recording_takes_no_time(tmp_path: Path, jump_s: float, chunk_of: int) -> None:
-    path = recording(tmp_path / "a.mcap", jump_s, is_old=True, chunk_of=chunk_of)
-    expected = [round(second - 0.1 * (second >= 12), 6) for second in SECONDS]
-    assert times(path) == expected
-    assert contents_of(path).seconds == pytest.approx(expected[-1])
-    assert read(path)["/robot_0/odometry"].time_s.tolist() == pytest.approx(expected)
-
-
-@pytest.mark.parametrize("jump_s", [100 * DAY_S, -100 * DAY_S])
-def test_sparse_topic_of_an_older_recording_keeps_its_times_after_a_clock_step(tmp_path: Path, jump_s: float) -> None:
-    """The index shows the clock steps of unread chunks."""
-    path = recording(tmp_path / "a.mcap", jump_s, is_old=True)
-    events = [message.steady_ns for message in McapReader(path).messages(lambda channel: channel == EVENTS)]
-    everything = [message.steady_ns for message in McapReader(path).messages() if message.channel == EVENTS]
-    assert events == everything
-
-
 def test_repair_keeps_steady_times_and_invents_none(tmp_path: Path) -> None:
-    for is_old in (False, True):
-        path = recording(tmp_path / f"{is_old}.mcap", 100 * DAY_S, is_old=is_old, is_finished=False)
+    for has_steady_times in (False, True):
+        path = tmp_path / f"{has_steady_times}.mcap"
+        recording(path, 100 * DAY_S, has_steady_times=has_steady_times, is_finished=False)
         before = list(McapReader(path).messages())
         repair(path)
         assert list(McapReader(path).messages()) == before
-        assert McapReader(path).reads_steady_times() is not is_old
+        assert McapReader(path).reads_steady_times() is has_steady_times
 
 
 def test_start_of_a_play_reads_few_chunks(tmp_path: Path) -> None:
@@ -139,7 +122,8 @@ async def test_recording_that_is_written_has_steady_times_in_all_its_files(
     monkeypatch.setattr(mcap_writer.time, "time_ns", lambda: of_system() + jump_ns[0])
     thread = FileThread(
         lambda number: tmp_path / f"{number}.mcap",
-        Splitting(10**9, 10**9),
+        max_file_bytes=10**9,
+        max_file_s=10**9,
         loop=asyncio.get_running_loop(),
         metadata={},
     )
@@ -155,42 +139,18 @@ async def test_recording_that_is_written_has_steady_times_in_all_its_files(
     assert found[-1].stamp_ns - found[0].stamp_ns >= 100 * DAY_S * NS_PER_S
 
 
-def incident_file(folder: Path, jump_s: float, *, is_old: bool) -> Path:
-    """Write the file of an incident at the 40th second."""
+@pytest.mark.parametrize("jump_s", [100 * DAY_S, -100 * DAY_S])
+def test_ages_around_an_incident_are_seconds_though_the_clock_was_set(tmp_path: Path, jump_s: float) -> None:
     incident = Incident("robot_0", "gone", "", wall_ns(40.0, jump_s), 1040.0)
     entries = [Entry(ODOMETRY, wall_ns(second, jump_s), pose(second), 1000 + second) for second in SECONDS]
-    if not is_old:
-        return write_incident(
-            Folder(folder, max_disk_mb=100, min_free_disk_mb=0),
-            incident,
-            [ODOMETRY],
-            [entries],
-            before_s=120.0,
-            rest=lambda: None,
-        )
-    facts = {"robot": "robot_0", "cause": "gone", "stamp_ns": str(incident.stamp_ns)}
-    writer = McapWriter(folder / "old.mcap", metadata=facts, has_steady_times=False)
-    for entry in sorted(entries, key=lambda entry: entry.stamp_ns):
-        writer.write(entry.channel, entry.stamp_ns, entry.payload)
-    writer.close()
-    return writer.path
-
-
-@pytest.mark.parametrize("is_old", [False, True])
-@pytest.mark.parametrize("jump_s", [100 * DAY_S, -100 * DAY_S])
-def test_ages_around_an_incident_are_seconds_though_the_clock_was_set(
-    tmp_path: Path, jump_s: float, is_old: bool
-) -> None:
-    encoded = stored_history(Catalog(), incident_file(tmp_path, jump_s, is_old=is_old))
+    folder = Folder(tmp_path, max_disk_mb=100, min_free_disk_mb=0)
+    path = write_incident(folder, incident, [ODOMETRY], [entries], before_s=120.0, rest=lambda: None)
+    encoded = stored_history(Catalog(), path)
     assert encoded is not None
     view = json.loads(encoded)
     ages = [each["age_s"] for each in view["history"]["poses"]]
     assert (view["robot"], view["damage"], len(ages)) == ("robot_0", [], COUNT)
-    if not is_old:
-        assert ages == pytest.approx([40 - second for second in SECONDS])
-    else:
-        assert max(map(abs, ages)) < COUNT / 10 + 1
-        assert 0.0 in ages
+    assert ages == pytest.approx([40 - second for second in SECONDS])
 
 
 def channel_of(topic: str) -> Channel:
