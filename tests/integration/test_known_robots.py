@@ -75,12 +75,12 @@ def entries(thing: object, observed: set[int] | None = None) -> int:
 def test_a_crowd_that_came_and_left_is_forgotten() -> None:
     async def check(hub: Hub) -> None:
         counts = []
-        for number in range(200):
+        for number in range(300):
             await visit(hub, robot_topics(f"crowd_{number}"), address=f"10.0.{number % 7}.2")
-            if number in (99, 199):
+            if number in (199, 299):
                 counts.append(entries(hub))
         assert len(known(hub)) == MAX_AWAY
-        assert hub.robots.forgotten == 200 - MAX_AWAY
+        assert hub.robots.forgotten == 300 - MAX_AWAY
         assert len(hub.services.all()) == 2 * MAX_AWAY
         assert counts[1] <= counts[0] * 1.02, counts
         await asyncio.sleep(FORGET_S)
