@@ -216,21 +216,14 @@ async def test_commands_of_ros_have_their_effect(tmp_path: Path) -> None:
             assert status == 0, err
             return out
 
-        assert "/robot_0/odometry" in await ros("topic", "list", "-t")
         assert await ros("rostopic", "echo", "-n", "2", "/robot_0/odometry/theta") == "0.5\n0.5\n"
-        assert " Hz   every " in await ros("topic", "hz", "-w", "10", "/robot_0/odometry", "--seconds", "1")
         twist = ("/robot_0/velocity_commands", "geometry_msgs/Twist", "--", "[0.1, 0, 0]", "[0, 0, 0.2]")
         await ros("rostopic", "pub", "-r", "10", "-1", *twist)
         assert await device.velocity_other_than((0.0, 0.0)) == (0.1, 0.2)
-        listed = [line.split() for line in (await ros("rosnode", "list")).splitlines()]
-        assert listed[0] == ["node", "publishing", "subscribing", "services"]
-        assert "/robot_0" in [row[0] for row in listed]
-        assert "/trigger" in await ros("ros2", "service", "list", "-t")
         await ros("rosparam", "set", "/gain", "-1.5")
         assert await ros("param", "get", "/gain") == "-1.5\n"
         shown = await ros("rossrv", "show", "std_srvs/SetBool")
         assert shown.split("\n  ---\n") == ["std_srvs/SetBool\n  bool data", "  bool success\n  string message\n"]
-        assert await ros("rosmsg", "show", "std_msgs/Empty") == "std_msgs/Empty\n"
         file = str(tmp_path / "run.mcap")
         await ros("rosbag", "record", "-a", "-O", file, "--duration=0.2")
         assert "/robot_0/odometry" in await ros("ros2", "bag", "info", file)
