@@ -95,10 +95,8 @@ async def test_a_killed_hosts_guardian_stops_the_robot_before_its_watchdog(kind:
         assert made.facts["rolled_ms"] - made.facts["got_ms"] < 500  # the last message is the guardian's zero
 
 
-@pytest.mark.parametrize(
-    ("kind", "number"),
-    [("native", signal.SIGTERM), pytest.param("cortex-m3", signal.SIGKILL, marks=pytest.mark.long)],
-)
+@pytest.mark.long  # tests/firmware/test_esp8266_process.py has the host that was away
+@pytest.mark.parametrize(("kind", "number"), [("native", signal.SIGTERM), ("cortex-m3", signal.SIGKILL)])
 async def test_host_that_reconnects_drives_again_within_three_seconds(kind: str, number: signal.Signals) -> None:
     async with chain(kind, with_esp=True) as (daemon, made):
         await daemon.read_log("robot.appeared")

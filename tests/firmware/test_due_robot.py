@@ -137,12 +137,17 @@ def test_robot_publishes_ten_times_a_second() -> None:
 
 
 @pytest.mark.parametrize(
-    "last",
-    [b"", velocity(0.0, 0.0), velocity(math.nan, 0.0), velocity(0.2, math.inf), velocity(3e38, 0.0), STOP_REQUEST],
-    ids=["silence", "zero", "NaN", "infinite", "infinite ticks", "host stops"],
-)  # fmt: skip
-@pytest.mark.parametrize(
-    "starts_at_s", [1.0, 2**32 / 1e6 - 3.0, 2**32 / 1e3 - 3.0], ids=["", "micros wrap", "millis wrap"]
+    ("last", "starts_at_s"),
+    [
+        pytest.param(b"", 1.0, id="silence"),
+        pytest.param(b"", 2**32 / 1e6 - 3.0, id="silence while micros wrap"),
+        pytest.param(b"", 2**32 / 1e3 - 3.0, id="silence while millis wrap"),
+        pytest.param(velocity(0.0, 0.0), 1.0, id="zero"),
+        pytest.param(velocity(math.nan, 0.0), 1.0, id="NaN"),
+        pytest.param(velocity(0.2, math.inf), 1.0, id="infinite"),
+        pytest.param(velocity(3e38, 0.0), 1.0, id="infinite ticks"),
+        pytest.param(STOP_REQUEST, 2**32 / 1e3 - 3.0, id="host stops"),
+    ],
 )
 def test_robot_stops_within_0_6_s_of_every_end_of_a_drive(last: bytes, starts_at_s: float) -> None:
     with robot() as firmware:
@@ -293,7 +298,7 @@ def test_robot_does_not_wait_for_missing_parameters() -> None:
         assert firmware.pwm[0] > 0
 
 
-@pytest.mark.parametrize("pass_s", [0.001, 0.011, 0.017, 0.025, 0.032, 0.05, 0.15])
+@pytest.mark.parametrize("pass_s", [0.001, 0.017, 0.032, 0.15])
 def test_speed_with_an_irregular_loop_is_measured_over_the_time_that_passed(pass_s: float) -> None:
     with robot() as firmware:
         now_s, observed = 1.0, []

@@ -55,19 +55,6 @@ async def test_a_robot_is_in_the_graph_with_the_topics_that_drive_it_also_while_
         assert {name for name in by_name(left) if "robot_0" in name} == velocities.keys()
 
 
-async def test_graph_of_a_group_lacks_the_endpoints_of_the_group() -> None:
-    async with daemon() as server, connect(server.url, group="a") as one, connect(server.url, group="a") as two:
-        graphs = await one.watch_graph()
-        async with (
-            two.advertise("/own", "std_msgs/String"),
-            connect(server.url) as other,
-            other.advertise("/others", "std_msgs/String", is_latched=True),
-        ):
-            graph = await until(graphs, lambda graph: "/others" in by_name(graph))
-            assert by_name(graph)["/others"]["latched"]
-            assert "/own" not in by_name(graph)
-
-
 async def test_the_graph_is_watched_on_after_the_connection_was_lost() -> None:
     async with daemon() as server, connect(server.url, group="a") as me:
         graphs = await me.watch_graph()

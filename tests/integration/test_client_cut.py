@@ -89,7 +89,7 @@ async def drive_is_dropped(world: World) -> None:
     await expect(lambda: world.body.speed_m_s > 0.02)
 
 
-@pytest.mark.parametrize("line", [Line.SWALLOWS, Line.STALLS])
+@pytest.mark.parametrize("line", [Line.SWALLOWS, pytest.param(Line.STALLS, marks=pytest.mark.long)])
 async def test_a_line_that_is_dead_is_noticed_within_a_second_and_the_robot_stands(line: Line) -> None:
     async with driven() as world:
         world.line.set_line(line)

@@ -6,6 +6,7 @@ import time
 from typing import Any
 from urllib.parse import urlsplit
 
+import pytest
 import roslibpy
 
 from hostlink.config import Config, LinkConfig, RobotConfig, SerialConfig
@@ -17,6 +18,7 @@ from tests.support.waiting import expect
 OK, ERROR = int(Level.OK), int(Level.ERROR)
 
 
+@pytest.mark.long
 async def test_roslibpy_reads_it() -> None:
     config = Config(robots={"robot_0": RobotConfig()}, link=LinkConfig(), serial=(SerialConfig(path="/dev/none"),))
     async with daemon(config) as host, fake_device(host.tcp, robot_topics()) as device:

@@ -14,10 +14,8 @@ from structlog.testing import capture_logs
 
 from hostlink.api.events import CHECK_S, TICK_S
 from hostlink.config import Config, LinkConfig
-from hostlink.protocol.control import Log
 from hostlink.protocol.frame import Id, encode
 from tests.support.daemon import Daemon, daemon
-from tests.support.device_codec import encode_log
 from tests.support.fake_device import CATALOG, fake_device, pose, robot_topics, topic
 from tests.support.participants import publish
 from tests.support.waiting import TIMEOUT_S, expect
@@ -71,14 +69,6 @@ async def test_robots_and_links_are_events_when_they_connect_and_disconnect() ->
             assert (await reader.next("links"))["links"][0]["negotiations"] == 1
         while robots[0]["connected"]:
             robots = (await reader.next("robots"))["robots"]
-
-
-async def test_clients_and_the_lines_of_devices() -> None:
-    async with daemon() as host, stream(host, "/api/events") as reader, fake_device(host.tcp, []) as device:
-        assert (await reader.next("clients"))["clients"][0]["kind"] == "events"
-        await device.send(encode(Id.LOG, encode_log(Log(2, "warm"))))
-        line = await reader.next("log")
-        assert (line["level"], line["msg"]) == (4, "warm")
 
 
 async def test_a_stream_without_news_has_a_heartbeat_three_times_a_second() -> None:

@@ -65,11 +65,8 @@ PLACES = pytest.mark.parametrize(
     [
         (CONFIGURED, OTHER, ("a", "b")),
         (Config(), ONE, ("robot_0", "robot_0_2")),
-        (Config(), OTHER, ("robot_0", "robot_0_2")),
-        (Config(robots={"left": RobotConfig(address=ONE)}), OTHER, ("left", "robot_0")),
-        (Config(robots={name: RobotConfig(address=ONE) for name in ("left", "right")}), ONE, ("left", "right")),
     ],
-    ids=["configured by address", "behind one address", "at two addresses", "one configured", "configured by order"],
+    ids=["configured by address", "behind one address"],
 )
 
 

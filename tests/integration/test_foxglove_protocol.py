@@ -24,7 +24,7 @@ FOXGLOVE = "foxglove.sdk.v1"
 DRIVE, READ = "a-token-of-a-driver", "a-token-of-a-watcher"
 TOKENS = (TokenConfig(name="ann", token=DRIVE, role="drive"), TokenConfig(name="tv", token=READ, role="read"))
 CURVE, ZERO = (0.2, 0.5), (0.0, 0.0)
-MESSAGE, TIME = 1, 2  # opcodes
+MESSAGE = 1  # opcode
 
 
 class Player:
@@ -184,23 +184,10 @@ def dropped(view: Any) -> int:
     return sum(each["dropped"] for each in view["clients"])
 
 
-@pytest.mark.parametrize("data", ["no JSON", '{"op": "dance"}', b"", b"\x09" + bytes(100), '{"op": "subscribe"}'])
+@pytest.mark.parametrize("data", ["no JSON", b""])
 async def test_invalid_request_has_one_status_and_the_client_stays(data: str | bytes) -> None:
     async with daemon() as host, player(host) as one:
         await (one.socket.send_str(data) if isinstance(data, str) else one.socket.send_bytes(data))
         assert (await one.until("status"))["level"] == 2
         await one.send(op="getParameters", parameterNames=[], id="alive")
         assert (await one.until("parameterValues"))["id"] == "alive"
-
-
-async def test_a_flood_is_closed_as_of_every_client() -> None:
-    config = Config(api=ApiConfig(max_requests_s=100))
-    async with daemon(config) as host, player(host) as one:
-        with contextlib.suppress(ConnectionError):
-            for _ in range(1000):
-                await one.socket.send_bytes(b"\x09")
-        async with asyncio.timeout(TIMEOUT_S):
-            while (message := await one.socket.receive()).type is not aiohttp.WSMsgType.CLOSE:
-                assert message.type is aiohttp.WSMsgType.TEXT or message.data[0] == TIME, message
-        assert message.data == aiohttp.WSCloseCode.POLICY_VIOLATION
-        assert (await host.rest("GET", "/healthz"))[0] == 200

@@ -51,10 +51,8 @@ async def moving(host: Daemon, device: FakeDevice, topic_id: int) -> bytes:
     return await velocity(device, topic_id, other_than=bytes(48))
 
 
-@pytest.mark.parametrize(("infos", "topic_id"), [(VELOCITY_FIRST, 100), (VELOCITY_LAST, 101)])
-async def test_a_stop_still_reaches_it_and_its_topics_are_requested_again(
-    infos: list[TopicInfo], topic_id: int
-) -> None:
+async def test_a_stop_still_reaches_it_and_its_topics_are_requested_again() -> None:
+    infos, topic_id = VELOCITY_LAST, 101
     async with daemon() as host, fake_device(host.tcp, infos) as device:
         driven = await moving(host, device, topic_id)
         topic_requests = host.hub.links.all()[0].session.counts.topic_requests
@@ -68,10 +66,8 @@ async def test_a_stop_still_reaches_it_and_its_topics_are_requested_again(
         assert await moving(host, device, topic_id) == driven
 
 
-@pytest.mark.parametrize(("infos", "topic_id"), [(VELOCITY_FIRST, 100), (VELOCITY_LAST, 101)])
-async def test_robot_that_never_announces_its_velocity_again_receives_zero_before_it_is_removed(
-    infos: list[TopicInfo], topic_id: int
-) -> None:
+async def test_robot_that_never_announces_its_velocity_again_receives_zero_before_it_is_removed() -> None:
+    infos, topic_id = VELOCITY_FIRST, 100
     async with daemon() as host, fake_device(host.tcp, infos) as device:
         driven = await moving(host, device, topic_id)
         for count in (2, 3, 4):

@@ -15,7 +15,7 @@ from hostlink.hub.gates import RemoteHosts
 from tests.support.daemon import daemon
 from tests.support.fake_device import fake_device, pose, robot_topics
 
-EXAMPLES = 15  # a path
+EXAMPLES = 8  # a path
 PROMISED = Path(__file__).with_name("openapi.json")
 PATIENT = LinkConfig(silence_timeout_s=None, idle_timeout_s=None)  # the device says nothing for as long as this takes
 GENEROUS = Config(api=ApiConfig(max_requests_s=1e6), link=PATIENT)

@@ -7,13 +7,10 @@ from typing import Any
 
 import pytest
 
-from hostlink.api.rest import Owners
 from hostlink.cli.demo import DRIVE, DemoDriver
 from hostlink.errors import BadRequest, HostlinkError
 from hostlink.hub.message import Message
 from hostlink.hub.node import Role
-from hostlink.hub.participant import MAX_CALLS
-from hostlink.hub.queue import MAX_MESSAGES, MAX_RESULTS
 from hostlink.hub.robot import AnyRobot
 from hostlink.robot.velocity import PlanarVelocity, Twist
 from tests.support.foreign_drivers import FOREIGN
@@ -32,7 +29,6 @@ from tests.support.participants import (
     plain,
     play,
     rest,
-    rosbridge,
     text,
 )
 
@@ -318,17 +314,13 @@ def test_participant_that_leaves_in_its_own_callback_disturbs_no_other(make: Mak
     play(test)
 
 
-@pytest.mark.parametrize("kind", ["publish", "drive"])
-def test_participant_whose_callback_calls_itself_ends_alone(kind: str) -> None:
+def test_participant_whose_callback_drives_and_calls_itself_ends_alone() -> None:
     async def test(made: Scene) -> None:
         looping, watching = plain(made, Role.DRIVE), plain(made, Role.DRIVE)
         robot, sent = made.hub.robots.find(ROBOT), plain(made, Role.DRIVE)
 
         def send_again(message: Message) -> None:
-            if kind == "publish":
-                looping.participant.publish(message.topic, message.payload)
-            else:
-                looping.participant.drive(robot, Twist.decode(message.payload).planar)
+            looping.participant.drive(robot, Twist.decode(message.payload).planar)
 
         looping.participant.subscribe(robot.shown.velocity, send_again)
         watching.subscribe(robot.shown.velocity)
@@ -411,84 +403,6 @@ def test_participant_that_latched_may_leave_while_its_message_is_delivered() -> 
         late.participant.subscribe(TEXT, receive)
         assert heard == [text("one"), text("other")]
         assert made.hub.isolation.crashes.total() == 0
-
-    play(test)
-
-
-# -- what a slow or greedy one costs ----------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("make", ALL)
-def test_slow_participant_loses_its_oldest_messages_and_they_are_counted(make: Make) -> None:
-    async def test(made: Scene) -> None:
-        one, other = make(made, Role.DRIVE), plain(made, Role.DRIVE)
-        one.subscribe(TEXT)
-        for number in range(MAX_MESSAGES + 10):
-            other.publish(TEXT, TEXT_TYPE, text(str(number)))
-        assert one.queue.dropped == 10
-        received = one.received()
-        assert len(received) == MAX_MESSAGES
-        assert (received[0], received[-1]) == (text("10"), text(str(MAX_MESSAGES + 9)))
-
-    play(test)
-
-
-def test_participant_that_does_not_read_its_answers_is_too_slow() -> None:
-    async def test(made: Scene) -> None:
-        one = rosbridge(made, Role.DRIVE)
-        for _ in range(MAX_RESULTS + 1):
-            one.send(op="drive", robot=ROBOT, linear=0.0, angular=0.0)
-        assert one.queue.is_too_slow
-
-    play(test)
-
-
-@pytest.mark.parametrize("make", ALL)
-def test_throttled_messages_are_queued_up_to_the_bound(make: Make) -> None:
-    async def test(made: Scene) -> None:
-        one, other = make(made, Role.DRIVE), plain(made, Role.DRIVE)
-        one.subscribe(TEXT, interval_s=0.1, queue_length=2)
-        for number in range(5):
-            other.publish(TEXT, TEXT_TYPE, text(str(number)))
-        assert one.received() == [text("0")]
-        for expected in ("3", "4"):
-            await asyncio.sleep(0.11)
-            one.settle()
-            assert one.received() == [text(expected)]
-
-    play(test)
-
-
-@pytest.mark.parametrize("make", [plain, rest])
-def test_pending_calls_of_a_participant_are_bounded(make: Make) -> None:
-    async def test(made: Scene) -> None:
-        async def never(_: Mapping[str, object]) -> Mapping[str, object]:
-            await asyncio.sleep(1000)
-            return {}
-
-        made.hub.join("slow").provide("/slow", "std_srvs/Trigger", never)
-        one = make(made, Role.DRIVE)
-        for _ in range(MAX_CALLS):
-            made.tasks.create_task(_refused(one.call("/slow", {})))
-        await asyncio.sleep(0)
-        with pytest.raises(BadRequest, match=f"more than {MAX_CALLS} calls"):
-            await one.call("/slow", {})
-        one.participant.leave()
-
-    play(test)
-
-
-def test_owners_over_the_bound_leave_and_what_they_drove_stops() -> None:
-    async def test(made: Scene) -> None:
-        owners = Owners(made.hub)
-        first = owners.of("0", Role.DRIVE)
-        first.drive(made.hub.robots.find(ROBOT), PlanarVelocity(0.2))
-        for number in range(1, 70):
-            owners.of(str(number), Role.DRIVE)
-        assert (len(owners), owners.evicted, first.has_left) == (64, 6, True)
-        await asyncio.sleep(0.01)
-        assert made.speeds()[-1] == 0.0
-        assert owners.of("69", Role.DRIVE) is owners.of("69", Role.DRIVE)
 
     play(test)
 

@@ -15,7 +15,7 @@ from hostlink.config import ApiConfig, Config, LinkConfig, RobotConfig, SerialCo
 from hostlink.errors import ConfigError, HostlinkError
 from hostlink.robot.velocity import ZERO
 from tests.support.daemon import Daemon, daemon
-from tests.support.fake_device import fake_device, pose, robot_topics
+from tests.support.fake_device import fake_device, robot_topics
 from tests.support.rosbridge import Client
 from tests.support.waiting import expect
 
@@ -66,20 +66,6 @@ async def test_a_lower_limit_slows_a_robot_that_is_driven() -> None:
         assert host.hub.robots.find_here("robot_0").gate.owner_name is not None  # it drives on
 
 
-async def test_higher_limit_alone_moves_no_robot() -> None:
-    async with (
-        served(robots(robot_0=RobotConfig(max_linear_m_s=0.1))) as (host, file),
-        fake_device(host.tcp, robot_topics()) as device,
-    ):
-        await host.drive("robot_0", b'{"linear": 0.5, "angular": 0}')
-        assert await device.velocity_other_than((0.0, 0.0)) == (0.1, 0.0)
-        file.config = Config()
-        await reload(host)
-        assert await device.velocity_other_than((0.1, 0.0)) == (0.0, 0.0)  # the lease has ended
-        await host.drive("robot_0", b'{"linear": 0.5, "angular": 0}')
-        assert await device.velocity_other_than((0.0, 0.0)) == (0.5, 0.0)
-
-
 async def test_kinematics_apply_to_the_next_velocity() -> None:
     sideways = b'{"linear": 0.0, "linear_y_m_s": 0.2, "angular": 0}'
     async with served(Config()) as (host, file), fake_device(host.tcp, robot_topics()):
@@ -92,19 +78,6 @@ async def test_kinematics_apply_to_the_next_velocity() -> None:
         file.config = Config()
         await reload(host)
         await host.drive("robot_0", sideways)
-
-
-async def test_poses_of_a_robot_that_may_be_faster_now_are_believed() -> None:
-    slow = robots(robot_0=RobotConfig(max_linear_m_s=0.01))
-    async with served(slow) as (host, file), fake_device(host.tcp, robot_topics()) as device:
-        file.config = Config()
-        await reload(host)
-        estimator = host.hub.robots.find_here("robot_0").odometry
-        for number in range(4):
-            await device.send(pose(0.2 * number))
-            await asyncio.sleep(0.1)
-        await expect(lambda: estimator.count == 4)
-        assert estimator.ignored == 0
 
 
 # -- names ------------------------------------------------------------------------------------------------------------
@@ -137,23 +110,6 @@ async def test_configured_name_is_kept_after_a_reconnection() -> None:
             await expect(lambda: host.hub.robots.find_here("rover").link is not None)
         file.config = Config()
         assert (await reload(host))[1]["changed"] == ["robots.rover.address"]
-
-
-@pytest.mark.parametrize("is_locked", [False, True], ids=["driven", "locked"])
-async def test_a_robot_that_is_driven_or_locked_keeps_its_name(is_locked: bool) -> None:
-    """Clients that drive or locked the robot know it by this name."""
-    async with served(Config()) as (host, file), fake_device(host.tcp, robot_topics()):
-        await expect(lambda: host.hub.robots.has("robot_0"))
-        if is_locked:
-            await host.rest("POST", "/api/robots/robot_0/lock")
-        else:
-            await host.drive("robot_0", b'{"linear": 0.2, "angular": 0}')
-        file.config = robots(rover=RobotConfig(address="127.0.0.1"), robot_0=RobotConfig(max_linear_m_s=0.1))
-        status, answer = await reload(host)
-        assert status == 409
-        assert ("unlock it" if is_locked else "stop it") in str(answer)
-        assert host.hub.config.robots == {}
-        assert host.hub.robots.find_here("robot_0").config == RobotConfig()
 
 
 async def test_a_locked_robot_that_is_away_keeps_its_name() -> None:

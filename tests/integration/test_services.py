@@ -2,16 +2,15 @@
 
 import asyncio
 import struct
-from collections.abc import Mapping
 
 import pytest
 
-from hostlink.errors import BadRequest, DeviceGone, ServiceFailed
-from hostlink.hub.services import DeviceService, Provider, Services
+from hostlink.errors import DeviceGone, ServiceFailed
+from hostlink.hub.services import DeviceService, Services
 from hostlink.protocol.control import TopicInfo, encode_topic_info
 from hostlink.protocol.frame import Id, encode
 from tests.support.daemon import daemon
-from tests.support.fake_device import FakeDevice, fake_device, robot_topics, topic
+from tests.support.fake_device import fake_device, robot_topics, topic
 from tests.support.virtual_loop import run_virtual
 from tests.support.waiting import expect
 
@@ -66,24 +65,6 @@ async def test_an_answer_to_a_call_of_before_other_topics_is_not_taken_for_the_n
             assert (await again)["message"] == "mine"
 
 
-async def test_of_two_devices_with_one_service_the_newest_is_called_as_long_as_it_is_there() -> None:
-    async def echo(device: FakeDevice, text: str) -> None:
-        assert await device.frame(100) == b"\x01"
-        await device.send(encode(125, answer(text)))
-
-    async def called(device: FakeDevice, text: str) -> object:
-        async with asyncio.TaskGroup() as tasks:
-            tasks.create_task(echo(device, text))
-            return (await host.hub.services.call("/set_led", {"data": True}))["message"]
-
-    async with daemon() as host, fake_device(host.tcp, SET_LED) as first:
-        async with fake_device(host.tcp, SET_LED, local_host="127.0.0.2") as second:
-            await expect(lambda: len(host.hub.links.all()) == 2)
-            assert await called(second, "second") == "second"
-        await expect(lambda: len(host.hub.links.all()) == 1)
-        assert await called(first, "first") == "first"
-
-
 async def test_a_device_cannot_replace_hostlinks_own_services() -> None:
     lock = [info._replace(name="/robot_0/lock", type="std_srvs/SetBool") for info in SET_LED]
     async with daemon() as host, fake_device(host.tcp, robot_topics()), fake_device(host.tcp, lock) as thief:
@@ -116,23 +97,6 @@ def test_a_call_occupies_a_device_for_a_minute_at_most() -> None:
     assert sent == [0.0, pytest.approx(90.0)]  # half of the turn of the second waits for a late answer to the first
 
 
-async def test_a_request_that_does_not_fit_is_refused_before_it_is_sent() -> None:
-    async with daemon() as host, fake_device(host.tcp, SET_LED):
-        with pytest.raises(BadRequest, match="dta"):
-            await host.hub.services.call("/set_led", {"dta": True})
-
-
-async def toggle(request: Mapping[str, object]) -> Mapping[str, object]:
-    return {"success": not request["data"], "message": "toggled"}
-
-
-async def test_a_device_calls_a_service_of_a_program() -> None:
-    async with daemon() as host, fake_device(host.tcp, TOGGLE) as device:
-        host.hub.services.provide(Provider("/toggle", "std_srvs/SetBool", "test", toggle))
-        await device.send(encode(125, b"\x00"))
-        assert await device.frame(100) == answer("toggled", success=True)
-
-
 async def test_a_device_calls_a_service_of_another_device() -> None:
     server = [info._replace(name="/toggle") for info in SET_LED]
     async with (
@@ -144,15 +108,3 @@ async def test_a_device_calls_a_service_of_another_device() -> None:
         assert await callee.frame(100) == b"\x01"
         await callee.send(encode(125, answer("from afar")))
         assert await caller.frame(100) == answer("from afar")
-
-
-async def test_a_device_whose_call_fails_gets_an_answer_instead_of_waiting_for_ever() -> None:
-    async with daemon() as host, fake_device(host.tcp, TOGGLE) as device:
-        await device.send(encode(125, b"\x00"))
-        assert await device.frame(100) == answer("no service named /toggle", success=False)
-
-
-async def test_an_answer_without_a_call_is_counted_and_harmless() -> None:
-    async with daemon() as host, fake_device(host.tcp, SET_LED) as device:
-        await device.send(encode(125, answer("unasked")))
-        await expect(lambda: host.hub.links.late_answers == 1)

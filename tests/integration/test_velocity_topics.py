@@ -11,12 +11,12 @@ from structlog.testing import capture_logs
 
 from hostlink.cli import serve
 from hostlink.config import Config, RobotConfig
-from hostlink.errors import CommandRefused, RefusalKind
+from hostlink.errors import CommandRefused
 from hostlink.hub.hub import Hub
 from hostlink.protocol.control import TopicInfo
 from hostlink.protocol.frame import Id
 from hostlink.robot.admission import LEASE_S
-from hostlink.robot.velocity import PlanarVelocity, Twist
+from hostlink.robot.velocity import PlanarVelocity
 from tests.support.fake_device import CATALOG, robot_topics, topic
 from tests.support.participants import (
     NEIGHBOUR,
@@ -27,7 +27,6 @@ from tests.support.participants import (
     play,
     publish,
     source_of,
-    subscribe,
 )
 from tests.support.ros_lib_device import running_hub
 from tests.support.scripted_device import ScriptedDevice
@@ -139,15 +138,6 @@ class TestBoth:
 
         play_twisted(infos, test)
 
-    def test_device_that_is_commanded_again_and_again_moves_on(self, infos: list[TopicInfo]) -> None:
-        async def test(made: Twisted) -> None:
-            for _ in range(20):
-                await made.drive()
-                await asyncio.sleep(LEASE_S - 0.1)
-            assert ZERO not in made.heard()[made.heard().index(twist(0.3)) :]
-
-        play_twisted(infos, test)
-
     def test_garbage_is_not_collected_while_the_device_moves(
         self, infos: list[TopicInfo], monkeypatch: pytest.MonkeyPatch
     ) -> None:
@@ -194,27 +184,6 @@ class TestBoth:
             await asyncio.sleep(0.5)
             assert made.heard()[-1] == ZERO
             assert made.device.link not in made.hub.links.all()
-
-        play_twisted(infos, test)
-
-    def test_lower_priority_is_refused_with_a_reason(self, infos: list[TopicInfo]) -> None:
-        async def test(made: Twisted) -> None:
-            publish(made.hub, made.name, twist(0.2), source="a person", priority=60)
-            with pytest.raises(CommandRefused, match="a person drives it with a higher priority"):
-                publish(made.hub, made.name, twist(0.3), source="a script")
-            await asyncio.sleep(0.05)
-            assert made.heard()[-1] == twist(0.2)
-
-        play_twisted(infos, test)
-
-    def test_subscribers_receive_what_the_gate_sends(self, infos: list[TopicInfo]) -> None:
-        async def test(made: Twisted) -> None:
-            received: list[bytes] = []
-            subscribe(made.hub, made.name, lambda message: received.append(message.payload))
-            await made.drive()
-            await asyncio.sleep(2 * LEASE_S)
-            assert twist(0.3) in received
-            assert received[-1] == ZERO
 
         play_twisted(infos, test)
 
@@ -324,54 +293,8 @@ def test_no_gate_of_a_locked_robots_second_topic_outlives_its_link() -> None:
     play(test)
 
 
-def test_six_numbers_reach_a_device_without_a_robot_unchanged() -> None:
-    async def test(made: Scene) -> None:
-        cart = ScriptedDevice(made.hub, NO_POSE, address="10.0.0.3")
-        await asyncio.sleep(0.5)
-        fast = Twist(9.0, -9.0, 9.0, -9.0, 9.0, -9.0)
-        made.hub.join("program").publish("/cart/cmd_vel", fast.encode())
-        await asyncio.sleep(0.1)
-        assert Twist.decode(cart.payloads(100)[-1]) == fast
-        await asyncio.sleep(LEASE_S)
-        assert Twist.decode(cart.payloads(100)[-1]) == Twist()
-        await cart.aclose()
-        await asyncio.sleep(0.1)
-
-    play(test)
-
-
-@pytest.mark.parametrize("name", ["linear_z_m_s", "angular_x_rad_s", "angular_y_rad_s"])
-@pytest.mark.parametrize("speed_m_s", [0.0, 0.2])
-def test_twist_with_a_component_that_no_robot_has_is_refused(name: str, speed_m_s: float) -> None:
-    async def test(made: Scene) -> None:
-        robot = made.hub.robots.find(ROBOT)
-        twist_ = Twist(speed_m_s)._replace(**{name: 0.1})
-        with pytest.raises(CommandRefused, match="a robot moves in the plane") as refused:
-            made.hub.join("program").publish(robot.shown.velocity, twist_.encode())
-        assert refused.value.kind is RefusalKind.UNSUPPORTED
-        await asyncio.sleep(0.1)
-        assert not any(made.speeds())
-
-    play(test)
-
-
 class TestOneRobot:
     """Several velocity topics of one robot, as a base and an arm: one robot, for who is more important."""
-
-    def test_driver_of_lower_priority_drives_neither_topic(self) -> None:
-        async def test(made: Arm) -> None:
-            person, script = made.hub.join("person", priority=60), made.hub.join("script")
-            for driven, other in ((VELOCITY, ARM), (ARM, VELOCITY)):
-                person.publish(driven, twist(0.2))
-                with pytest.raises(CommandRefused, match="person drives it with a higher priority"):
-                    script.publish(other, twist(0.3))
-                with pytest.raises(CommandRefused):
-                    script.publish(driven, twist(0.3))
-                await asyncio.sleep(2 * LEASE_S)
-                script.publish(other, twist(0.3))
-                await asyncio.sleep(2 * LEASE_S)
-
-        play_arm(test)
 
     def test_driver_of_higher_priority_stops_other_drivers_at_once(self) -> None:
         async def test(made: Arm) -> None:
@@ -429,18 +352,6 @@ class TestOneRobot:
             script.publish(ARM, twist(0.3))
             await asyncio.sleep(0.1)
             assert made.device.payloads(ARM_ID)[-1] == twist(0.3)
-
-        play_arm(test)
-
-    def test_driver_that_leaves_releases_both_topics(self) -> None:
-        async def test(made: Arm) -> None:
-            person, script = made.hub.join("person", priority=60), made.hub.join("script")
-            person.publish(VELOCITY, twist(0.2))
-            person.leave()
-            script.publish(ARM, twist(0.3))
-            await asyncio.sleep(0.1)
-            assert made.device.payloads(ARM_ID)[-1] == twist(0.3)
-            assert made.device.payloads(VELOCITY_ID)[-1] == ZERO
 
         play_arm(test)
 

@@ -78,11 +78,14 @@ async def check_incident(folder: Path) -> None:
     assert (status, "/robot_0/odometry" in text) == (0, True)
 
 
-@pytest.mark.parametrize("has_guardian", [True, False])
+@pytest.mark.parametrize("has_guardian", [pytest.param(True, marks=pytest.mark.long), False])
 async def test_a_daemon_killed_while_driving_leaves_an_incident_with_its_last_seconds(
     tmp_path: Path, *, has_guardian: bool
 ) -> None:
-    """Saved by the guardian, and by the next start where there was none."""
+    """Saved by the guardian, and by the next start where there was none.
+
+    In make test the guardian saves in the next test, and in tests/system/test_container.py.
+    """
     words = settings(tmp_path, has_guardian=has_guardian)
     async with serve(*words) as daemon:
         await kill_while_driving(daemon)

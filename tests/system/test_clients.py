@@ -225,7 +225,7 @@ async def test_foxglove_mcap_record_records_every_channel(line_is: Line, tmp_pat
     assert counts["/robot_0/odometry"] >= 4  # the newest may be on its way
 
 
-@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
+@pytest.mark.parametrize("number", [signal.SIGKILL, pytest.param(signal.SIGSTOP, marks=pytest.mark.long)])
 async def test_a_robot_stands_soon_after_foxglove_is_killed_or_frozen(number: signal.Signals) -> None:
     async with daemon() as host, simulated_robot(host.tcp), asyncio.timeout(TIMEOUT_S):
         await expect(lambda: bool(host.hub.robots.all()))

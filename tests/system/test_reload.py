@@ -77,7 +77,7 @@ async def test_reload_with_a_file_that_blocks_keeps_driving_stopping_and_ending(
         assert daemon.lines("daemon.stopped")
 
 
-async def test_reload_of_twenty_thousand_robots_blocks_the_loop_for_a_fraction_of_its_time(tmp_path: Path) -> None:
+async def test_reload_of_ten_thousand_robots_blocks_the_loop_for_a_fraction_of_its_time(tmp_path: Path) -> None:
     """Relative to the reload itself, which a loop that does nothing else would be blocked for."""
     file, nets = tmp_path / "hostlink.toml", itertools.count(10)
     file.write_text("")
@@ -85,7 +85,7 @@ async def test_reload_of_twenty_thousand_robots_blocks_the_loop_for_a_fraction_o
 
         async def longest_part() -> float:
             net = next(nets)
-            tables = (f'[robots.r{n}]\naddress = "{net}.{n >> 16}.{n >> 8 & 255}.{n & 255}"\n' for n in range(20_000))
+            tables = (f'[robots.r{n}]\naddress = "{net}.{n >> 16}.{n >> 8 & 255}.{n & 255}"\n' for n in range(10_000))
             file.write_text("".join(tables))
             waits_s = [0.0]
             async with asyncio.TaskGroup() as tasks:
@@ -98,7 +98,7 @@ async def test_reload_of_twenty_thousand_robots_blocks_the_loop_for_a_fraction_o
                     waits_s.append(time.monotonic() - asked_s)
                     await asyncio.sleep(0.01)
                 lasted_s = time.monotonic() - began_s
-            assert len((await reload)["changed"]) == 20_000
+            assert len((await reload)["changed"]) == 10_000
             return max(waits_s) / lasted_s
 
         assert await is_soon(longest_part, 0.3)

@@ -75,6 +75,7 @@ async def test_a_killed_daemon_leaves_a_simulated_robot_standing() -> None:
     assert robot.speed_m_s < 0.01
 
 
+@pytest.mark.long  # tests/system/test_clients.py runs roslibpy
 async def test_a_roslibpy_program_drives_the_simulated_robot_and_reads_it_back() -> None:
     async with serve() as daemon, simulated(daemon.tcp):
         await daemon.read_log("robot.appeared")

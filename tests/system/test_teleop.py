@@ -114,7 +114,7 @@ async def test_teleop_with_a_held_key_drives_and_lets_go_at_its_release(layout: 
 async def test_teleop_with_another_key_stops_the_robot_though_a_driving_key_is_held() -> None:
     """The epoch shows the stop. A key without a meaning only lets go."""
     async with driving() as (daemon, terminal):
-        for key in ("Space", "k", "p"):
+        for key in ("Space", "p"):
             async with moving(terminal, daemon):
                 epoch = (await robot(daemon))["epoch"]
                 await terminal.keys(key)

@@ -69,7 +69,7 @@ async def test_echo_of_a_topic_without_a_publisher_gets_a_hint() -> None:
 async def test_rate_bandwidth_and_delay_are_measured() -> None:
     point = encode(126, struct.pack("<III", 1, 0, 0) + struct.pack("<I", 0) + struct.pack("<3d", 1, 2, 3))
     async with publishing(point) as (host, _):
-        end = ("--seconds", "1", "--json", "--url", host.url)
+        end = ("--seconds", "0.5", "--json", "--url", host.url)
         _, out, err = await run("hz", "/robot_0/odometry", *end)
         rate = json.loads(out)
         assert 20 < rate["rate_hz"] < 51
@@ -80,7 +80,7 @@ async def test_rate_bandwidth_and_delay_are_measured() -> None:
         assert delay["delay_s"] > 1.7e9  # a device that does not know the time
         assert "geometry_msgs/Pose2D has no header" in (await run("delay", "/robot_0/odometry", *end))[2]
         assert "/x has no type yet" in (await run("delay", "/x", *end))[2]
-        assert " Hz   every " in (await run("hz", "/robot_0/odometry", "--seconds", "1", "--url", host.url))[1]
+        assert " Hz   every " in (await run("hz", "/robot_0/odometry", "--seconds", "0.5", "--url", host.url))[1]
 
 
 async def test_info_type_and_find() -> None:
@@ -216,21 +216,14 @@ async def test_commands_of_ros_have_their_effect(tmp_path: Path) -> None:
             assert status == 0, err
             return out
 
-        assert "/robot_0/odometry" in await ros("topic", "list", "-t")
         assert await ros("rostopic", "echo", "-n", "2", "/robot_0/odometry/theta") == "0.5\n0.5\n"
-        assert " Hz   every " in await ros("topic", "hz", "-w", "10", "/robot_0/odometry", "--seconds", "1")
         twist = ("/robot_0/velocity_commands", "geometry_msgs/Twist", "--", "[0.1, 0, 0]", "[0, 0, 0.2]")
         await ros("rostopic", "pub", "-r", "10", "-1", *twist)
         assert await device.velocity_other_than((0.0, 0.0)) == (0.1, 0.2)
-        listed = [line.split() for line in (await ros("rosnode", "list")).splitlines()]
-        assert listed[0] == ["node", "publishing", "subscribing", "services"]
-        assert "/robot_0" in [row[0] for row in listed]
-        assert "/trigger" in await ros("ros2", "service", "list", "-t")
         await ros("rosparam", "set", "/gain", "-1.5")
         assert await ros("param", "get", "/gain") == "-1.5\n"
         shown = await ros("rossrv", "show", "std_srvs/SetBool")
         assert shown.split("\n  ---\n") == ["std_srvs/SetBool\n  bool data", "  bool success\n  string message\n"]
-        assert await ros("rosmsg", "show", "std_msgs/Empty") == "std_msgs/Empty\n"
         file = str(tmp_path / "run.mcap")
         await ros("rosbag", "record", "-a", "-O", file, "--duration=0.2")
         assert "/robot_0/odometry" in await ros("ros2", "bag", "info", file)

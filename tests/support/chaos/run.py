@@ -26,7 +26,6 @@ from tests.support.core_part import part_of_a_core
 
 BASELINE_COMMANDS = 80  # without other peers: what the harness itself measures
 STEP_MARGIN_S = 30.0  # after which the generator itself hangs
-CALLS_BEFORE_END_S = 2.0
 SETTLE_S = 12.0  # as long as Zenoh keeps a stranger that does not finish its handshake
 DEATH_S = 2.0
 POLL_S = 0.1

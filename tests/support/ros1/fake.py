@@ -142,12 +142,6 @@ class Peer:
     async def read_header(self) -> dict[str, str]:
         return decode_header(await self.read())
 
-    async def read_answer(self) -> tuple[bool, bytes]:
-        """Read the answer of a service: whether it succeeded, and the payload or the reason."""
-        async with asyncio.timeout(TIMEOUT_S):
-            is_done = await self.reader.readexactly(1) == b"\x01"
-        return is_done, await self.read()
-
     async def is_closed(self) -> bool:
         """Wait until the daemon has closed it."""
         with contextlib.suppress(EOFError, ConnectionError):

@@ -332,6 +332,7 @@ async def test_the_master_dies_and_topics_go_on_and_a_new_one_knows_all_again(ro
     assert events.count("ros1.master_lost") == events.count("ros1.registered_again") == 1
 
 
+@pytest.mark.long
 async def test_the_daemon_starts_before_its_master(ros: Graph) -> None:
     await ros.kill()
     async with ros.daemon() as daemon, living_device(daemon.tcp, robot_topics()):

@@ -152,6 +152,7 @@ async def test_a_driver_that_falls_silent_and_stays_connected(tmp_path: Path, is
         await made.stands_after(end, LEASE_S + LATE_S)
 
 
+@pytest.mark.long  # a killed driver closes its connection, too
 @flooded
 async def test_a_driver_that_ends_in_order(tmp_path: Path, is_flooded: bool) -> None:
     async with driven(tmp_path, is_flooded=is_flooded) as made:
@@ -173,6 +174,7 @@ async def test_a_driver_whom_the_master_names_no_more(tmp_path: Path, is_flooded
         await made.stands_after(end, AT_ONCE_S)
 
 
+@pytest.mark.long
 @flooded
 async def test_a_driver_beside_a_dead_master_drives_on_until_it_is_killed(tmp_path: Path, is_flooded: bool) -> None:
     async with driven(tmp_path, is_flooded=is_flooded) as made:

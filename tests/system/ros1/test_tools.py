@@ -59,6 +59,7 @@ async def test_rostopic_lists_types_and_describes(scene: Scene) -> None:
     assert re.search(r"Subscribers:\s*\n\* /hostlink \(http://127.0.0.1:\d+/\)", info)
 
 
+@pytest.mark.long
 async def test_rostopic_measures_and_prints_what_a_device_publishes(scene: Scene) -> None:
     _, out = await scene.ros.run("timeout", "-s", "INT", "3", "rostopic", "hz", "-w", "20", ODOMETRY)
     rates = [float(rate) for rate in re.findall(r"average rate: ([\d.]+)", out)]
@@ -101,6 +102,7 @@ async def test_rosnode_kill_ends_the_graph_part_and_not_the_daemon(scene: Scene)
     await scene.robot.send(pose(2.0))
 
 
+@pytest.mark.long
 async def test_rosservice_lists_types_and_calls_a_service_of_the_daemon(scene: Scene) -> None:
     services = await scene.ros.lines("rosservice", "list")
     assert "/robot_0/lock" in services, services

@@ -327,16 +327,19 @@ def test_link_that_is_not_known_has_no_names_or_parameters() -> None:
     in_hub(test)
 
 
-def test_locked_robot_that_returns_under_another_name_is_locked_again() -> None:
+def test_robot_that_may_be_the_locked_one_is_locked_with_its_reason() -> None:
     async def test(made: MemoryHub) -> None:
-        first = await made.connect(address="10.0.0.2")
-        made.robot().lock("a person is near")
-        await first.aclose()
+        first, second = await made.connect(address="10.0.0.2"), await made.connect(address="10.0.0.3")
+        await asyncio.sleep(4.0)
+        assert {robot.name for robot in made.hub.robots.here()} == {"robot_0", "robot_0_2"}
+        made.robot("robot_0_2").lock("a person is near")
+        for device in (first, second):
+            await device.aclose()
         await asyncio.sleep(0.1)
         await made.connect(address="10.0.0.9")
         await asyncio.sleep(4.0)
-        reasons = {robot.name: robot.gate.lock_reason for robot in made.hub.robots.here()}
-        assert all(reason is not None and "a person is near" in reason for reason in reasons.values()), reasons
+        (connected,) = (robot for robot in made.hub.robots.here() if robot.link is not None)
+        assert (connected.name, connected.gate.lock_reason) == ("robot_0_3", "it may be robot_0_2: a person is near")
 
     in_hub(test)
 
