@@ -11,7 +11,6 @@ from typing import Annotated, NamedTuple, TypeVar
 
 import msgspec
 
-from hostlink.errors import BadPayload
 from hostlink.graphs.zenoh.session import ZenohSession
 from hostlink.hub.robot import LocalRobot
 from hostlink.logs import printable
@@ -65,7 +64,7 @@ class Keys:
         return parts[1:] if verb in _ADDRESSED else parts
 
 
-class PoseState(msgspec.Struct, frozen=True, kw_only=True, array_like=True):
+class PoseState(msgspec.Struct, frozen=True, array_like=True):
     """Newest pose and motion. It is sent ten times a second, so its fields have no names.
 
     An older daemon does not send the last one.
@@ -86,19 +85,16 @@ class PoseState(msgspec.Struct, frozen=True, kw_only=True, array_like=True):
 
     @classmethod
     def of(cls, known: OdometrySnapshot) -> "PoseState":
+        motion = (*known.pose, known.twist.x_m_s, known.twist.yaw_rad_s)
         return cls(
-            x_m=round(known.pose.x_m, _DIGITS),
-            y_m=round(known.pose.y_m, _DIGITS),
-            theta_rad=round(known.pose.theta_rad, _DIGITS),
-            linear_m_s=round(known.twist.x_m_s, _DIGITS),
-            angular_rad_s=round(known.twist.yaw_rad_s, _DIGITS),
-            linear_y_m_s=round(known.twist.y_m_s, _DIGITS),
-            stamp_ns=known.stamp_ns,
-            age_s=round(known.age_s, _DIGITS),
-            rate_hz=round(known.rate_hz, 2),
-            count=known.count,
-            restarts=known.restarts,
-            ignored=known.ignored,
+            *(round(number, _DIGITS) for number in motion),
+            known.stamp_ns,
+            round(known.age_s, _DIGITS),
+            round(known.rate_hz, 2),
+            known.count,
+            known.restarts,
+            known.ignored,
+            round(known.twist.y_m_s, _DIGITS),
         )
 
     @property
@@ -259,19 +255,8 @@ STATE, LIVE = msgspec.json.Decoder(State), msgspec.json.Decoder(Live)
 TOPIC_LIST, ANSWER = msgspec.json.Decoder(TopicList), msgspec.json.Decoder(FleetAnswer)
 REQUEST: msgspec.json.Decoder[Request] = msgspec.json.Decoder(Request)  # to one daemon
 STOP_REQUEST: msgspec.json.Decoder[StopRequest] = msgspec.json.Decoder(StopRequest)  # to all daemons
+MALFORMED = (msgspec.DecodeError, UnicodeDecodeError, RecursionError)  # of a decoder; also over a bound
 encode = msgspec.json.Encoder().encode
-
-
-def decode(payload: bytes, decoder: "msgspec.json.Decoder[_Kind]") -> _Kind:
-    """Decode by one of the decoders above.
-
-    Raises:
-        BadPayload: it is malformed, or over a bound.
-    """
-    try:
-        return decoder.decode(payload)
-    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise BadPayload("fleet", str(error)) from error
 
 
 GROUP = "fleet"  # of its participants in the hub
@@ -301,8 +286,8 @@ class FleetTransport:
     def decode(self, payload: bytes, decoder: "msgspec.json.Decoder[_Kind]") -> _Kind | None:
         """Decode what another daemon has sent. None: it is malformed, which is counted."""
         try:
-            return decode(payload, decoder)
-        except BadPayload:
+            return decoder.decode(payload)
+        except MALFORMED:
             self.counts["malformed"] += 1
             return None
 
