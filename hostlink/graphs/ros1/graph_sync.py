@@ -24,7 +24,6 @@ AT_ONCE = 4  # nodes whose services' types are requested
 OF_EVERY_NODE = ("/get_loggers", "/set_logger_level")  # services for ROS tools, never called by hostlink
 FIRST_RETRY_S, LONGEST_RETRY_S = 0.1, 8.0  # until a publisher is connected again
 SERVICE_RETRY_S = 10.0  # until a node that did not announce the type of its service is asked again
-MAX_REASON = 200  # characters in the log
 
 
 class _Published(NamedTuple):
