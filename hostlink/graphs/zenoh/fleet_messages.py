@@ -64,7 +64,7 @@ class Keys:
         return parts[1:] if verb in _ADDRESSED else parts
 
 
-class PoseState(msgspec.Struct, frozen=True, array_like=True):
+class PoseState(msgspec.Struct, frozen=True, kw_only=True, array_like=True):
     """Newest pose and motion. It is sent ten times a second, so its fields have no names.
 
     An older daemon does not send the last one.
@@ -85,16 +85,19 @@ class PoseState(msgspec.Struct, frozen=True, array_like=True):
 
     @classmethod
     def of(cls, known: OdometrySnapshot) -> "PoseState":
-        motion = (*known.pose, known.twist.x_m_s, known.twist.yaw_rad_s)
         return cls(
-            *(round(number, _DIGITS) for number in motion),
-            known.stamp_ns,
-            round(known.age_s, _DIGITS),
-            round(known.rate_hz, 2),
-            known.count,
-            known.restarts,
-            known.ignored,
-            round(known.twist.y_m_s, _DIGITS),
+            x_m=round(known.pose.x_m, _DIGITS),
+            y_m=round(known.pose.y_m, _DIGITS),
+            theta_rad=round(known.pose.theta_rad, _DIGITS),
+            linear_m_s=round(known.twist.x_m_s, _DIGITS),
+            angular_rad_s=round(known.twist.yaw_rad_s, _DIGITS),
+            linear_y_m_s=round(known.twist.y_m_s, _DIGITS),
+            stamp_ns=known.stamp_ns,
+            age_s=round(known.age_s, _DIGITS),
+            rate_hz=round(known.rate_hz, 2),
+            count=known.count,
+            restarts=known.restarts,
+            ignored=known.ignored,
         )
 
     @property
