@@ -246,8 +246,4 @@ def _is_flat(known: MessageType) -> bool:
 
 
 def _zero(base: str) -> object:
-    if base == "string":
-        return ""
-    if base == "bool":
-        return False
-    return 0.0 if base.startswith("float") else 0
+    return {"string": "", "bool": False, "float32": 0.0, "float64": 0.0}.get(base, 0)

@@ -4,7 +4,7 @@ import functools
 import math
 import re
 import struct
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Final
 
@@ -25,7 +25,7 @@ def find_definitions(folder: Path, suffix: str) -> dict[str, Path]:
     """Return the files in the folder's packages by type name: <package>/msg/Type.msg or <package>/Type.msg."""
     kind = suffix.removeprefix(".")
     found: dict[str, Path] = {}
-    for package in _packages(folder):
+    for package in filter(Path.is_dir, _entries(folder)):
         for path in (*_files(package, suffix), *_files(package / kind, suffix)):
             found[f"{package.name}/{path.stem}"] = path
     return found
@@ -75,10 +75,6 @@ def read_definition(path: Path) -> str:
     except UnicodeDecodeError as error:
         line = error.object[: error.start].count(b"\n") + 1
         raise ConfigError(f"{path}:{line}", "not UTF-8") from None
-
-
-def _packages(folder: Path) -> Iterator[Path]:
-    return (path for path in _entries(folder) if path.is_dir())
 
 
 def _files(folder: Path, suffix: str) -> list[Path]:

@@ -25,7 +25,6 @@ from hostlink.graphs.zenoh.fleet_messages import (
     Keys,
     Sender,
     State,
-    decode,
     encode,
 )
 from hostlink.graphs.zenoh.rmw_bridge import Publishers, RmwNode
@@ -155,7 +154,7 @@ class FleetDriver:
             priority=PRIORITY,
         )
         self._drivers.receive(ZenohSample(self._keys.key("drive", self._there, to=self._here.zid), encode(request)))
-        answer = decode(self._answers.sent.pop(), ANSWER)
+        answer = ANSWER.decode(self._answers.sent.pop())
         if answer.error:
             if answer.error in set(RefusalKind):
                 raise CommandRefused(robot, RefusalKind(answer.error), answer.reason, holder=answer.owner)

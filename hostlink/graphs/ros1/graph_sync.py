@@ -9,10 +9,9 @@ from hostlink.errors import HostlinkError, ServiceFailed
 from hostlink.graphs.ros1.connections import Wire
 from hostlink.graphs.ros1.local_node import LocalNode, RegistrationKind
 from hostlink.graphs.ros1.names import NameMap, NameResolver, is_legal
-from hostlink.graphs.ros1.services import ForeignService, ServiceOffer, find_type
+from hostlink.graphs.ros1.services import FAILURES, ForeignService, ServiceOffer, find_type
 from hostlink.graphs.ros1.tcpros import ANY, BadHeader, Header, decode_header
 from hostlink.graphs.ros1.topics import RosPublication, RosPublisher
-from hostlink.graphs.ros1.xml_rpc import CallRefused, Unreachable
 from hostlink.hub.graph_view import Graph, GraphTopic
 from hostlink.logs import printable
 from hostlink.messages.message_type import MessageType, ServiceType
@@ -25,8 +24,6 @@ AT_ONCE = 4  # nodes whose services' types are requested
 OF_EVERY_NODE = ("/get_loggers", "/set_logger_level")  # services for ROS tools, never called by hostlink
 FIRST_RETRY_S, LONGEST_RETRY_S = 0.1, 8.0  # until a publisher is connected again
 SERVICE_RETRY_S = 10.0  # until a node that did not announce the type of its service is asked again
-MAX_REASON = 200  # characters in the log
-_FAILURES = (Unreachable, CallRefused, BadHeader, HostlinkError, OSError, EOFError)  # a TimeoutError is an OSError
 
 
 class _Published(NamedTuple):
@@ -253,7 +250,7 @@ class GraphSync:
         self._log_failure("ros1.service_unusable", error, service=key[0], node=key[1])
 
     def _log_failure(self, event: str, error: Exception, **facts: str) -> None:
-        if isinstance(error, _FAILURES):
+        if isinstance(error, (*FAILURES, HostlinkError)):
             self._node.log_once(event, **facts, reason=str(error) or type(error).__name__)
         else:
             self._node.hub.isolation.crashed("ros1", error, **{name: printable(text) for name, text in facts.items()})

@@ -27,7 +27,7 @@ from hostlink.messages.message_type import ServiceType
 
 MAX_CALLERS = 64  # of one service
 MAX_WAITING = 8  # calls of one connection; nodes of ROS send the next one after the answer
-_FAILURES = (Unreachable, CallRefused, BadHeader, OSError, EOFError)  # a TimeoutError is an OSError
+FAILURES = (Unreachable, CallRefused, BadHeader, OSError, EOFError)  # a TimeoutError is an OSError
 
 
 class ServiceOffer:
@@ -144,7 +144,7 @@ class ForeignService:
         payload = self._type.request.encode(request)
         try:
             answer = await self._call(payload)
-        except _FAILURES as error:
+        except FAILURES as error:
             self._node.counts.failed_services += 1
             raise ServiceFailed(self.name, printable(str(error) or type(error).__name__, 200)) from error
         except HostlinkError:

@@ -6,7 +6,7 @@ import importlib
 import math
 import re
 from collections import deque
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 from rosbags.interfaces import Nodetype
@@ -197,27 +197,20 @@ def _value_of(before: Any, type_name: str, value: Any) -> Any:
     if hasattr(before, "get_fields_and_field_types"):
         fill(before, value)
         return before
-    if type_name in ("float", "double"):
-        return math.nan if value is None else float(value)
-    if type_name == "octet":
-        return bytes([value])
-    if isinstance(before, str | bool | int):
-        return value
-    return _items(before, type_name, value)
-
-
-def _items(before: Any, type_name: str, value: Any) -> Sequence[Any]:
     item_type = type_name.removeprefix("sequence<").partition(">")[0].partition(",")[0].partition("[")[0]
+    if item_type == type_name or isinstance(before, str):  # the type of a text may have a bound
+        return _one_of(type_name, value)
     if item_type in _BYTE_TYPES and isinstance(value, str):
-        value = list(base64.b64decode(value))
-    if item_type in ("float", "double"):
-        return [math.nan if item is None else float(item) for item in value]
-    if item_type == "octet":
-        return [bytes([item]) for item in value]
+        value = base64.b64decode(value)
     if "/" in item_type:
         raise HostlinkError(f"a list of {item_type} in a service, which is not converted")
-    del before
-    return list(value)
+    return [_one_of(item_type, item) for item in value]
+
+
+def _one_of(type_name: str, value: Any) -> Any:
+    if type_name in ("float", "double"):
+        return math.nan if value is None else float(value)
+    return bytes([value]) if type_name == "octet" else value
 
 
 MAX_REMEMBERED = 64  # messages of a topic; an echo arrives within milliseconds

@@ -136,12 +136,7 @@ class _Owner:
         self._was_there = False
         self._free_at_s = 0.0
 
-    def receive(
-        self,
-        route: VelocityInput,
-        twist: Twist,
-        older_until_s: float | None,
-    ) -> None:
+    def receive(self, route: VelocityInput, twist: Twist, older_until_s: float | None) -> None:
         """Take a velocity of the publisher. `older_until_s`: until then a stream may have started earlier."""
         now_s = asyncio.get_running_loop().time()
         if route not in self._motions:

@@ -13,13 +13,7 @@ import msgspec
 import structlog
 from structlog.contextvars import bound_contextvars
 
-from hostlink.errors import (
-    BadRequest,
-    CommandRefused,
-    DeviceGone,
-    HostlinkError,
-    RefusalKind,
-)
+from hostlink.errors import BadRequest, CommandRefused, DeviceGone, HostlinkError, RefusalKind
 from hostlink.graphs.zenoh.fleet_messages import (
     ANSWER,
     GROUP,

@@ -11,7 +11,6 @@ from typing import Annotated, NamedTuple, TypeVar
 
 import msgspec
 
-from hostlink.errors import BadPayload
 from hostlink.graphs.zenoh.session import ZenohSession
 from hostlink.hub.robot import LocalRobot
 from hostlink.logs import printable
@@ -259,19 +258,8 @@ STATE, LIVE = msgspec.json.Decoder(State), msgspec.json.Decoder(Live)
 TOPIC_LIST, ANSWER = msgspec.json.Decoder(TopicList), msgspec.json.Decoder(FleetAnswer)
 REQUEST: msgspec.json.Decoder[Request] = msgspec.json.Decoder(Request)  # to one daemon
 STOP_REQUEST: msgspec.json.Decoder[StopRequest] = msgspec.json.Decoder(StopRequest)  # to all daemons
+MALFORMED = (msgspec.DecodeError, UnicodeDecodeError, RecursionError)  # of a decoder; also over a bound
 encode = msgspec.json.Encoder().encode
-
-
-def decode(payload: bytes, decoder: "msgspec.json.Decoder[_Kind]") -> _Kind:
-    """Decode by one of the decoders above.
-
-    Raises:
-        BadPayload: it is malformed, or over a bound.
-    """
-    try:
-        return decoder.decode(payload)
-    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise BadPayload("fleet", str(error)) from error
 
 
 GROUP = "fleet"  # of its participants in the hub
@@ -301,8 +289,8 @@ class FleetTransport:
     def decode(self, payload: bytes, decoder: "msgspec.json.Decoder[_Kind]") -> _Kind | None:
         """Decode what another daemon has sent. None: it is malformed, which is counted."""
         try:
-            return decode(payload, decoder)
-        except BadPayload:
+            return decoder.decode(payload)
+        except MALFORMED:
             self.counts["malformed"] += 1
             return None
 

@@ -34,7 +34,6 @@ from hostlink.mirror.mirror import Mirror
 
 STATE_INTERVAL_S = 1.0
 GREETING_S = 0.5  # after a daemon has appeared: it may not yet know who sends
-_TEXT = 200
 _UNSTEADY: dict[str, Any] = {  # a change of these alone waits for the next interval
     "pose": None, "velocity": (0.0, 0.0), "linear_y_m_s": 0.0, "battery_v": None, "battery_percent": None,
     "signal_dbm": None,

@@ -356,9 +356,6 @@ class RemoteGraph:
         """Return all publishers of a subject."""
         return list(self._of_subject.get(subject, {}).values())
 
-    def __len__(self) -> int:
-        return len(self._tokens)
-
     def _bind(self, gid: bytes, subject: Subject) -> RemotePublisher | None:
         """Bind a drawn gid to a publisher that has signed nothing."""
         for publisher in self._of_subject.get(subject, {}).values():

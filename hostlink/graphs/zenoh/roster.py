@@ -66,9 +66,6 @@ class FleetRoster:
         """Every daemon that has a token."""
         return list(self._neighbours.values())
 
-    def names(self) -> list[str]:
-        return list(self._by_name)
-
     def find(self, sender: Sender | None) -> Neighbour | None:
         """The daemon that has sent something, if it has a token under that name."""
         neighbour = None if sender is None else self._neighbours.get(sender.zid)

@@ -293,9 +293,12 @@ def test_recording_may_have_more_topics_than_a_process_may_have_files(tmp_path: 
 
 @pytest.mark.parametrize("format_", ["rosbag2", "ros1"])
 def test_full_disk_is_reported_in_one_line(recording: Path, tmp_path: Path, format_: str) -> None:
-    """Files are limited to a kilobyte here. The error differs from that of a full disk, but occurs as late."""
+    """Files are limited to a kilobyte here. The error differs from that of a full disk, but occurs as late.
+
+    With -B Python writes no bytecode, which would be cut too and fail later programs.
+    """
     target = str(tmp_path / "bag")
-    words = [sys.executable, "-m", "hostlink", "export", str(recording), "--skip-unknown"]
+    words = [sys.executable, "-B", "-m", "hostlink", "export", str(recording), "--skip-unknown"]
     words += ["--to", format_, "-o", target]
     limited = ["sh", "-c", 'ulimit -f 1; exec "$@"', "sh", *words]
     done = subprocess.run(limited, capture_output=True, text=True, check=False)

@@ -5,7 +5,7 @@ import math
 
 import pytest
 
-from hostlink.graphs.zenoh.fleet_messages import STATE, RobotMessage, State, decode, encode
+from hostlink.graphs.zenoh.fleet_messages import STATE, RobotMessage, State, encode
 from hostlink.robot.kinematics import Pose
 from hostlink.robot.odometry import OdometrySnapshot
 from hostlink.robot.state import BATTERY_TYPE, DEVICE_AWAY, BatteryReading, RobotState, read_battery
@@ -90,7 +90,7 @@ def test_rest_shows_every_field() -> None:
 
 def test_every_field_passes_from_daemon_to_daemon() -> None:
     sent = State(sent_s=1.0, topics=2, robots=(RobotMessage.of(EVERYTHING),))
-    assert [robot.state for robot in decode(encode(sent), STATE).robots] == [EVERYTHING]
+    assert [robot.state for robot in STATE.decode(encode(sent)).robots] == [EVERYTHING]
 
 
 def test_an_older_daemon_understands_what_it_knows() -> None:

@@ -23,7 +23,6 @@ from hostlink.graphs.zenoh.fleet_messages import (
     Sender,
     State,
     Unlock,
-    decode,
     encode,
 )
 from hostlink.graphs.zenoh.roster import SILENT_S, FleetRoster
@@ -140,7 +139,7 @@ def test_commands_are_answered_in_order_while_their_daemon_becomes_known() -> No
             wall.put(keys.key("drive", there, to=here.zid), encode(command))
 
         def receive(sample: ZenohSample) -> None:
-            answers.append(decode(sample.payload, ANSWER).number)
+            answers.append(ANSWER.decode(sample.payload).number)
 
         wall.subscribe(keys.key("answer", here, to=there.zid), receive)
         wall.declare_token(keys.key("alive", there))
@@ -370,7 +369,7 @@ class Requests:
 
     def request(self, request: object, sender: Sender | None = None) -> FleetAnswer | None:
         self.drivers.receive(ZenohSample(self.keys.key("drive", sender or self.desk, to="1a"), encode(request)))
-        return decode(self.sent.pop(), ANSWER) if self.sent else None
+        return ANSWER.decode(self.sent.pop()) if self.sent else None
 
     def drive(self, *, owner: int = 1, speed_m_s: float = 0.2, robot: str = ROBOT) -> FleetAnswer:
         velocity = (speed_m_s, 0.0, 0.0, 0.0, 0.0, 0.0)
