@@ -101,7 +101,6 @@ LACKING = {  # commands and options of ROS that hostlink lacks, and the next ste
     ("echo", "--bag"): _IN_A_FILE,
     **{(command, "--filter"): "`hostlink echo TOPIC --json` gives every message to a program that filters them"
        for command in ("echo", "hz")},
-    ("pub", "--type"): "write the type before the message, as in `hostlink pub /led std_msgs/Bool 'data: true'`",
     ("pub", "-f"): "write the message itself, as in `hostlink pub /led 'data: true'`",
     ("pub", "-l"): "-r 1 sends the message again each second",
     ("pub", "--latch"): "-r 1 sends the message again each second",

@@ -817,6 +817,10 @@ def pub(
         ),
     ] = None,
     *,
+    type_name: Annotated[
+        str,
+        typer.Option("--type", help="Type, for example geometry_msgs/Twist: only for a topic that does not exist yet."),
+    ] = "",
     rate: Annotated[
         float | None,
         typer.Option(
@@ -837,9 +841,9 @@ def pub(
     token: Token = None,
 ) -> None:
     """Publish a message once, or at a rate. A robot that it drives stops when this command ends."""
-    type_name, message = type_and_message("MESSAGE", words or [])
+    named_type, message = type_and_message("MESSAGE", words or [])
     publishing = Publishing(rate or PUB_RATE_HZ, message_count(rate, count, once=once))
-    run_until_interrupted(_pub(connected(url, token), topic, message, type_name, publishing))
+    run_until_interrupted(_pub(connected(url, token), topic, message, type_name or named_type, publishing))
     show_progress("")
     write_error(f"{publishing.sent} sent")
 
