@@ -236,11 +236,6 @@ class Client:
         self.since_s = asyncio.get_running_loop().time()
         self.messages_from_client = self.messages_to_client = self.bytes_to_client = 0
 
-    def sent(self, size: int) -> None:
-        """Count a sent message."""
-        self.messages_to_client += 1
-        self.bytes_to_client += size
-
     def view(self, now_s: float) -> ClientView:
         """Return the client as the API shows it."""
         oldest_s = None if self.backlog is None else self.backlog.oldest_s

@@ -343,7 +343,8 @@ class Events:
         async def send(event: bytes) -> None:
             async with asyncio.timeout(SEND_TIMEOUT_S):
                 await response.write(event)
-            client.sent(len(event))
+            client.messages_to_client += 1
+            client.bytes_to_client += len(event)
 
         try:
             try:

@@ -61,7 +61,6 @@ from hostlink.messages.message_type import MessageType, ServiceType
 from hostlink.rate_limit import REFUSED_VELOCITIES_S, RateLimit
 
 Names = Mapping[str, tuple[str, ...]]
-_Entry = TypeVar("_Entry")
 
 
 class FoxgloveChannel(NamedTuple):
@@ -139,8 +138,12 @@ class FoxgloveDirectory:
         services: dict[Hashable, tuple[str, ServiceType]] = {
             (name, type_.name, type_.md5): (name, type_) for name, type_ in typed if type_ is not None
         }
-        self._channels = _renewed(self._channels, channels, lambda offer: _channel(next(self._numbers), *offer))
-        self._services = _renewed(self._services, services, lambda offer: _service(next(self._numbers), *offer))
+        self._channels = {
+            key: self._channels.get(key) or _channel(next(self._numbers), *offer) for key, offer in channels.items()
+        }
+        self._services = {
+            key: self._services.get(key) or _service(next(self._numbers), *offer) for key, offer in services.items()
+        }
         return Offers(
             {channel.id: channel for channel in self._channels.values()},
             {service.id: service for service in self._services.values()},
@@ -157,16 +160,6 @@ class FoxgloveDirectory:
             _sorted({topic.name: set(map(node, receivers(topic))) for topic in topics}),
             _sorted(providers),
         )
-
-
-_Offer = TypeVar("_Offer")
-
-
-def _renewed(
-    before: Mapping[Hashable, _Entry], offers: Mapping[Hashable, _Offer], make: Callable[[_Offer], _Entry]
-) -> dict[Hashable, _Entry]:
-    """Return an entry for each offer, reusing the entry and id of one that existed before."""
-    return {key: before[key] if key in before else make(offer) for key, offer in offers.items()}
 
 
 def _channel(number: int, topic: str, type_: MessageType) -> FoxgloveChannel:

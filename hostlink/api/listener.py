@@ -349,7 +349,9 @@ class ApiListener:
             if leaving is not None:
                 leaving.abort()
             if new is None:
-                _refuse(sock, UNAVAILABLE if tls is None else b"")
+                with contextlib.suppress(OSError):
+                    sock.send(UNAVAILABLE if tls is None else b"")
+                sock.close()
             else:
                 new.accepted = sock
                 self._hub.spawn(self._open(sock, new, since_s, make_protocol, tls), name=f"connection of {address}")
@@ -414,12 +416,6 @@ def reading_of(request: web.Request) -> PacedReading | None:
     """Return the protocol of a request's connection; None if the connection is closed."""
     protocol = None if request.transport is None else request.transport.get_protocol()
     return protocol if isinstance(protocol, PacedReading) else None
-
-
-def _refuse(sock: socket.socket, answer: bytes) -> None:
-    with contextlib.suppress(OSError):
-        sock.send(answer)
-    sock.close()
 
 
 def _now_s() -> float:

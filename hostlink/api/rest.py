@@ -48,10 +48,6 @@ from hostlink.robot.views import OdometryView, RobotView
 MAX_OWNERS = 64  # the number of sources that one robot distinguishes; a driving one sends a request in every lease
 
 
-def _participant_name(caller: str) -> str:
-    return f"rest {caller}"
-
-
 def _caller_name(request: web.Request) -> str:
     """Return the name of the token; without tokens the client's address."""
     return request[GRANT].who or request.remote or ""
@@ -59,7 +55,7 @@ def _caller_name(request: web.Request) -> str:
 
 def _caller(request: web.Request) -> str:
     """Return the name of the participant that a request has, or would have if it drove."""
-    return _participant_name(_caller_name(request))
+    return f"rest {_caller_name(request)}"
 
 
 class Owners:
@@ -91,7 +87,7 @@ class Owners:
         """Return the participant of this name; create it if there is none."""
         owner = self._owners.pop(name, None)
         if owner is None or owner.has_left:
-            owner = self._hub.join(_participant_name(name), role=role)
+            owner = self._hub.join(f"rest {name}", role=role)
         self._owners[name] = owner
         if len(self._owners) > MAX_OWNERS:
             self._owners.popitem(last=False)[1].leave()

@@ -162,20 +162,10 @@ class Request:
             raise BadRequest(f"{self.op}: {key} must be an integer from 0 to {largest}")
         return value
 
-    def table(self, key: str) -> dict[str, Any]:
-        """Return an object; an empty one if the field is missing.
-
-        Raises:
-            BadRequest: the field is not an object.
-        """
-        value = self.fields.get(key, {})
-        if not isinstance(value, dict):
-            raise BadRequest(f"{self.op}: {key} must be an object")
-        return value
-
-    def is_set(self, key: str) -> bool:
-        """Whether a field is true."""
-        return self.fields.get(key) is True
+    @property
+    def is_latched(self) -> bool:
+        """Whether the topic is to be latched."""
+        return self.fields.get("latch") is True
 
 
 MAX_PENDING = 4  # incomplete messages of one client
@@ -345,7 +335,7 @@ def velocity_of_request(request: Request, topics: TopicGraph) -> tuple[VelocityO
     if topic is None or not topic.is_gated or not is_valid:
         return _NONE
     is_still = _is_zero_message(fields)
-    of = VelocityOf("publish", topic.name, (priority, type_name, request.is_set("latch")))
+    of = VelocityOf("publish", topic.name, (priority, type_name, request.is_latched))
     return _NONE if is_still is None else (of, is_still)
 
 
@@ -553,7 +543,7 @@ class ClientTopics:
             BadRequest: the type is unknown, or more than MAX_ADVERTISED topics are advertised.
             WrongType: the topic is in use with another type.
         """
-        name, is_latched = resolve(request.text("topic")), request.is_set("latch")
+        name, is_latched = resolve(request.text("topic")), request.is_latched
         type_name = request.text("type")
         if sum(map(len, self._ids.values())) >= MAX_ADVERTISED:
             raise BadRequest(f"more than {MAX_ADVERTISED} topics advertised")
@@ -565,7 +555,7 @@ class ClientTopics:
     def publish(self, request: Request) -> None:
         """Advertise the topic of a `publish` that names its type, if that is not done yet. Raises as `advertise`."""
         name = resolve(request.text("topic"))
-        is_known = name in self._latched or (name in self._ids and not request.is_set("latch"))
+        is_known = name in self._latched or (name in self._ids and not request.is_latched)
         if not is_known and request.fields.get("type"):
             self.advertise(request)
 
@@ -919,7 +909,9 @@ class RosbridgeClient:
 
     def _publish(self, request: Request) -> None:
         topic, type_name = request.text("topic"), request.text_or("type")
-        message = request.table("msg")
+        message = request.fields.get("msg", {})
+        if not isinstance(message, dict):
+            raise BadRequest("publish: msg must be an object")
         priority = request.whole("priority", PROGRAM_PRIORITY, MAX_PRIORITY)
         self._topics.publish(request)
         try:

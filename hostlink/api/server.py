@@ -50,6 +50,7 @@ from hostlink.errors import ConfigError
 from hostlink.hub.hub import Hub
 from hostlink.hub.node import Role
 from hostlink.hub.reloader import Reloader
+from hostlink.listening import spelled
 from hostlink.logs import printable
 from hostlink.rate_limit import RateLimit
 from hostlink.recording.recordings import Recordings
@@ -88,8 +89,6 @@ SEND_BUFFER_BYTES = 64 * 1024  # in the process, and again in the kernel, behind
 MAX_GROUP = 64  # characters of a group's name
 ALLOWED_HEADERS = "Authorization, Content-Type, Range"
 EXPOSED_HEADERS = "Accept-Ranges, Content-Length, Content-Range, ETag, Last-Modified"  # for readers of recordings
-
-Program = RosbridgeClient | FoxgloveClient
 
 
 class OpenApiView(TypedDict):
@@ -275,7 +274,9 @@ class ApiServer:
                 reading, transport = reading_of(request), request.transport
                 if reading is None or transport is None:
                     raise ConnectionResetError("the connection was closed during the handshake")
-                _bound_buffers(transport)
+                # Behind the client's queue nothing drops or counts messages: little fits there.
+                transport.set_write_buffer_limits(SEND_BUFFER_BYTES)
+                transport.get_extra_info("socket").setsockopt(sockets.SOL_SOCKET, sockets.SO_SNDBUF, SEND_BUFFER_BYTES)
                 self._sockets.add(socket)
                 log.info("client.connected", role=client.grant.role.name.lower(), program=printable(client.program))
                 async with asyncio.TaskGroup() as tasks:
@@ -308,7 +309,9 @@ class ApiServer:
         raise_if_cancelled()
         return socket if socket.prepared else web.Response(status=HTTPStatus.BAD_REQUEST)  # the client left before
 
-    def _program(self, client: Client, queue: ClientQueue, tasks: asyncio.TaskGroup, group: str) -> Program:
+    def _program(
+        self, client: Client, queue: ClientQueue, tasks: asyncio.TaskGroup, group: str
+    ) -> RosbridgeClient | FoxgloveClient:
         """Create the protocol that the client speaks."""
         name, role = client.name, client.grant.role
         if client.kind == "foxglove":
@@ -337,12 +340,6 @@ async def _open(socket: web.WebSocketResponse, request: web.Request) -> None:
         raise web.HTTPBadRequest(reason=reason) from None
 
 
-def _bound_buffers(transport: asyncio.Transport) -> None:
-    """Bound the buffers behind the client's queue, in the process and in the kernel: they drop and count nothing."""
-    transport.set_write_buffer_limits(SEND_BUFFER_BYTES)
-    transport.get_extra_info("socket").setsockopt(sockets.SOL_SOCKET, sockets.SO_SNDBUF, SEND_BUFFER_BYTES)
-
-
 def _too_large(most_bytes: int) -> web.HTTPRequestEntityTooLarge:
     reason = f"the body may have {most_bytes} bytes at most"
     return web.HTTPRequestEntityTooLarge(most_bytes, 0, reason=reason)
@@ -359,7 +356,7 @@ def _is_websocket(request: web.Request) -> bool:
 
 def url_of(host: str, port: int, *, has_tls: bool) -> str:
     """Return the URL of an address."""
-    return f"{'https' if has_tls else 'http'}://{f'[{host}]' if ':' in host else host}:{port}"
+    return f"{'https' if has_tls else 'http'}://{spelled(host, port)}"
 
 
 @contextlib.asynccontextmanager
