@@ -47,27 +47,18 @@ class Captures:
         """Return the routes."""
         path = "/api/links/{number}/capture"
         return [
-            Route(
-                path,
-                self._whole,
-                "The last 64 KiB of each direction of a link, as JSON lines for `hostlink inspect`",
-                response=None,
-                media_type="application/x-ndjson",
-            ),
-            Route(
-                path + "/{position}",
-                self._after,
-                "Bytes on a link after a position; the first position is 0-0",
-                CaptureView,
-            ),
+            Route(path, self._whole, response=None, media_type="application/x-ndjson"),
+            Route(path + "/{position}", self._after, CaptureView),
         ]
 
     async def _whole(self, request: web.Request) -> web.Response:
+        """The last 64 KiB of each direction of a link, as JSON lines for `hostlink inspect`."""
         diagnosis = self._find(request)
         lines = b"".join(msgspec.json.encode(read) + b"\n" for read in capture_view(diagnosis)["reads"])
         return web.Response(body=lines, content_type="application/x-ndjson", headers={"Cache-Control": "no-store"})
 
     async def _after(self, request: web.Request) -> web.Response:
+        """Bytes on a link after a position; the first position is 0-0."""
         since = _parse_position(request.match_info["position"])
         return reply(capture_view(self._find(request), since))
 

@@ -324,13 +324,12 @@ class Rest:
         """Return the routes."""
         robot = "/api/robots/{name}"
         return [
-            Route("/api/robots", self._robots, "Every robot", RobotsView),
-            Route(robot, self._robot, "One robot", RobotView),
-            Route(f"{robot}/odometry", self._odometry, "Pose and twist", OdometryView, fails=(UNAVAILABLE,)),
+            Route("/api/robots", self._robots, RobotsView),
+            Route(robot, self._robot, RobotView),
+            Route(f"{robot}/odometry", self._odometry, OdometryView, fails=(UNAVAILABLE,)),
             Route(
                 f"{robot}/velocity",
                 self._velocity,
-                "Drive for the length of a lease; repeat the request to keep driving",
                 VelocityAnswer,
                 method="PUT",
                 request=VelocityRequest,
@@ -342,8 +341,6 @@ class Rest:
             Route(
                 f"{robot}/stop",
                 self._stop,
-                "Stop the robot, whichever client drives it, with the role read. Answers with the measured result after"
-                " wait_s seconds at most (1.5)",
                 StoppedRobotView,
                 method="POST",
                 is_limited=False,
@@ -352,7 +349,6 @@ class Rest:
             Route(
                 "/api/stop",
                 self._stop_all,
-                "Stop every robot. Answers with the measured result after wait_s seconds at most (1.5)",
                 StoppedRobotsView,
                 method="POST",
                 is_limited=False,
@@ -361,7 +357,6 @@ class Rest:
             Route(
                 f"{robot}/lock",
                 self._lock,
-                "Emergency stop: zero velocity at once, commands are refused until unlock. Answers as stop does",
                 StoppedRobotView,
                 method="POST",
                 request=LockRequest,
@@ -372,73 +367,33 @@ class Rest:
                 is_limited=False,
                 fails=(UNAVAILABLE,),
             ),
-            Route(
-                f"{robot}/unlock",
-                self._unlock,
-                "Unlock the robot",
-                RobotView,
-                method="POST",
-                role=Role.DRIVE,
-                fails=(UNAVAILABLE,),
-            ),
+            Route(f"{robot}/unlock", self._unlock, RobotView, method="POST", role=Role.DRIVE, fails=(UNAVAILABLE,)),
             Route(
                 f"{robot}/odometry/reset",
                 self._reset_odometry,
-                "Set the origin of odometry to the present pose",
                 ResetAnswer,
                 method="POST",
                 role=Role.DRIVE,
                 fails=(UNAVAILABLE,),
             ),
-            Route(
-                f"{robot}/standstill",
-                self._standstill,
-                "Whether odometry says from now on that the robot is stopped; waits wait_s seconds at most (1.5)",
-                StoppedRobotView,
-                fails=(BAD_REQUEST,),
-            ),
-            Route(
-                "/api/standstill",
-                self._standstills,
-                "Whether odometry says that the robots are stopped",
-                StoppedRobotsView,
-                fails=(BAD_REQUEST,),
-            ),
-            Route("/api/links", self._links, "Every live connection of a device", LinksView),
-            Route("/api/topics", self._topics, "Every topic", TopicsView),
-            Route("/api/clients", self._all_clients, "Every client and its backlog", ClientsView),
-            Route(
-                "/api/drives",
-                self._all_drives,
-                "Drives of robots, the newest first; ?robot=NAME: of one robot, ?limit=N: at most N",
-                DrivesView,
-                fails=(BAD_REQUEST,),
-            ),
-            Route("/api/listening", self._listening, "Where devices connect", ListeningView),
-            Route(
-                "/api/diagnosis",
-                self._diagnosis,
-                "Findings that belong to no link, and what came in the last minute and is not a robot",
-                DaemonDiagnosisView,
-            ),
+            Route(f"{robot}/standstill", self._standstill, StoppedRobotView, fails=(BAD_REQUEST,)),
+            Route("/api/standstill", self._standstills, StoppedRobotsView, fails=(BAD_REQUEST,)),
+            Route("/api/links", self._links, LinksView),
+            Route("/api/topics", self._topics, TopicsView),
+            Route("/api/clients", self._all_clients, ClientsView),
+            Route("/api/drives", self._all_drives, DrivesView, fails=(BAD_REQUEST,)),
+            Route("/api/listening", self._listening, ListeningView),
+            Route("/api/diagnosis", self._diagnosis, DaemonDiagnosisView),
             Route(
                 "/api/reload",
                 self._reload,
-                "Read the configuration again: names and limits of robots, tokens, origins. An error changes nothing",
                 ReloadView,
                 method="POST",
                 role=Role.DRIVE,
                 fails=(CONFLICT, HTTPStatus.INTERNAL_SERVER_ERROR),
             ),
-            Route("/healthz", self._health, "Whether the daemon runs", HealthView, role=None),
-            Route(
-                "/readyz",
-                self._readiness,
-                "Whether every known robot is connected",
-                ReadinessView,
-                role=None,
-                fails=(UNAVAILABLE,),
-            ),
+            Route("/healthz", self._health, HealthView, role=None),
+            Route("/readyz", self._readiness, ReadinessView, role=None, fails=(UNAVAILABLE,)),
         ]
 
     def _find(self, request: web.Request) -> AnyRobot:
@@ -454,12 +409,15 @@ class Rest:
         return self._hub.robots.find(request.match_info["name"], driver=lambda: self._owner(request))
 
     async def _robots(self, _: web.Request) -> web.Response:
+        """Every robot."""
         return reply({"robots": [robot_view(robot) for robot in self._hub.robots.all()]})
 
     async def _robot(self, request: web.Request) -> web.Response:
+        """One robot."""
         return reply(robot_view(self._find(request)))
 
     async def _odometry(self, request: web.Request) -> web.Response:
+        """Pose and twist."""
         robot = self._find(request)
         odometry = robot.odometry.snapshot(_now_s())
         if odometry is None:
@@ -467,6 +425,7 @@ class Rest:
         return reply(odometry_view(odometry))
 
     async def _velocity(self, request: web.Request) -> web.Response:
+        """Drive for the length of a lease; repeat the request to keep driving."""
         robot = self._find_to_drive(request)
         body = decode_body(request[BODY], VelocityRequest, '{"linear": m/s, "linear_y_m_s": m/s, "angular": rad/s}')
         velocity = PlanarVelocity(body.linear, body.linear_y_m_s, body.angular)
@@ -481,6 +440,10 @@ class Rest:
         return owner
 
     async def _stop(self, request: web.Request) -> web.Response:
+        """Stop the robot, whichever client drives it, with the role read.
+
+        Answers with the measured result after wait_s seconds at most (1.5).
+        """
         robot, since_s = self._find(request), _now_s()
         robot.stop(by=_caller(request))
         await self._hub.gates.settled()
@@ -488,16 +451,19 @@ class Rest:
         return reply(view)
 
     async def _stop_all(self, request: web.Request) -> web.Response:
+        """Stop every robot. Answers with the measured result after wait_s seconds at most (1.5)."""
         since_s = _now_s()
         self._hub.robots.stop_all(by=_caller(request))
         await self._hub.gates.settled()
         return reply({"robots": await self._measured(request, self._hub.robots.all(), since_s)})
 
     async def _standstill(self, request: web.Request) -> web.Response:
+        """Whether odometry says from now on that the robot is stopped; waits wait_s seconds at most (1.5)."""
         (view,) = await self._measured(request, [self._find(request)], _now_s())
         return reply(view)
 
     async def _standstills(self, request: web.Request) -> web.Response:
+        """Whether odometry says that the robots are stopped."""
         return reply({"robots": await self._measured(request, self._hub.robots.all(), _now_s())})
 
     async def _measured(
@@ -508,9 +474,9 @@ class Rest:
         return [stopped_view(*each) for each in zip(robots, measured, strict=True)]
 
     async def _lock(self, request: web.Request) -> web.Response:
-        """Lock the robot, then check the body: an emergency stop does not fail because of an invalid reason."""
+        """Emergency stop: zero velocity at once, commands are refused until unlock. Answers as stop does."""
         robot, since_s = self._find(request), _now_s()
-        try:
+        try:  # an invalid reason locks the robot too
             body = decode_body(request[BODY] or b"{}", LockRequest, '{"reason": a text} or empty; the robot is locked')
         except BadRequest:
             robot.lock(by=_caller(request))
@@ -521,12 +487,14 @@ class Rest:
         return reply(view)
 
     async def _unlock(self, request: web.Request) -> web.Response:
+        """Unlock the robot."""
         robot = self._find(request)
         robot.unlock(by=_caller(request))
         await self._hub.gates.settled()
         return reply(robot_view(robot))
 
     async def _reset_odometry(self, request: web.Request) -> web.Response:
+        """Set the origin of odometry to the present pose."""
         robot = self._find(request)
         reset = robot.state(_now_s()).reset_topic
         if reset is None:
@@ -537,16 +505,19 @@ class Rest:
         return reply({"reset": reset})
 
     async def _links(self, _: web.Request) -> web.Response:
+        """Every live connection of a device."""
         return reply(await links_view(self._hub, Slices(self._hub)))
 
     async def _topics(self, _: web.Request) -> web.Response:
+        """Every topic."""
         return reply({"topics": topic_views(self._hub)})
 
     async def _all_clients(self, _: web.Request) -> web.Response:
+        """Every client and its backlog."""
         return reply({"clients": self._clients.views(), "refused": self._clients.refused})
 
     async def _all_drives(self, request: web.Request) -> web.Response:
-        """List drives.
+        """Drives of robots, the newest first; ?robot=NAME: of one robot, ?limit=N: at most N.
 
         Raises:
             BadRequest: the limit is not a number.
@@ -559,9 +530,11 @@ class Rest:
         return reply({"drives": [_drive_view(drive) for drive in drives], "lost": self._drives.lost})
 
     async def _listening(self, _: web.Request) -> web.Response:
+        """Addresses and serial ports where devices connect."""
         return reply(listening_view(self._hub.listening, self._hub.config, own_address()))
 
     async def _diagnosis(self, _: web.Request) -> web.Response:
+        """Findings that belong to no link, and what came in the last minute and is not a robot."""
         diagnoses = self._hub.diagnoses
         arrivals: list[ArrivalView] = [
             {
@@ -579,16 +552,18 @@ class Rest:
         return reply({"findings": finding_views(findings), "arrivals": arrivals})
 
     async def _reload(self, _: web.Request) -> web.Response:
+        """Read the configuration again: names and limits of robots, tokens, origins. An error changes nothing."""
         reloaded = await self._reloader.reload()
         return reply(
             {"changed": reloaded.changed, "needs_restart": reloaded.needs_restart, "renamed": reloaded.renamed}
         )
 
     async def _health(self, _: web.Request) -> web.Response:
+        """Whether the daemon runs."""
         return reply({"status": "alive", "loop_time_s": round(asyncio.get_running_loop().time(), 3)})
 
     async def _readiness(self, _: web.Request) -> web.Response:
-        """Report ready if a robot is connected and no known robot of this daemon is disconnected."""
+        """Whether every known robot is connected."""
         robots = self._hub.robots.here()
         missing = [robot.name for robot in robots if robot.link is None]
         is_ready = bool(robots) and not missing

@@ -136,13 +136,7 @@ class ApiServer:
             *RecordingRoutes(self._recordings, self._hub.config.recording.max_file_mb).routes(),
             *HistoryRoutes(self._hub, self._recordings.black_box, self._recordings.folder).routes(),
             self._metrics.route(),
-            Route(
-                "/api/openapi.json",
-                self._openapi,
-                "This document",
-                OpenApiView,
-                role=None,
-            ),
+            Route("/api/openapi.json", self._openapi, OpenApiView, role=None),
         ]
         for route in self._routes:
             app.router.add_route(route.method, route.path, route.handler)
@@ -167,6 +161,7 @@ class ApiServer:
         return apply
 
     async def _openapi(self, _: web.Request) -> web.Response:
+        """The OpenAPI document."""
         return reply(openapi(self._routes))
 
     @web.middleware
