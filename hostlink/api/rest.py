@@ -3,7 +3,7 @@
 import asyncio
 import ipaddress
 from collections import OrderedDict
-from collections.abc import Iterable, Sequence
+from collections.abc import Container, Iterable, Sequence
 from http import HTTPStatus
 from typing import Annotated, TypedDict, TypeVar
 
@@ -11,7 +11,7 @@ import msgspec
 from aiohttp import web
 
 from hostlink.api.access import GRANT
-from hostlink.api.bodies import decode_body
+from hostlink.api.bodies import decode_body, whole_number
 from hostlink.api.clients import Clients, ClientView
 from hostlink.api.routes import BODY, CAME, Route, refusal, reply
 from hostlink.api.views import (
@@ -72,15 +72,10 @@ class Owners:
     def __len__(self) -> int:
         return len(self._owners)
 
-    @property
-    def names(self) -> list[str]:
-        """Return the names: of tokens, or of addresses without tokens."""
-        return list(self._owners)
-
-    def end(self, names: Iterable[str]) -> None:
-        """Remove participants whose tokens are revoked: what they drive stops."""
-        for name in names:
-            if name in self._owners:
+    def end(self, revoked: Container[str]) -> None:
+        """Remove participants whose tokens are revoked: what they drive stops. Empty name: those without tokens."""
+        for name in list(self._owners):
+            if name in revoked or "" in revoked:
                 self._owners.pop(name).leave()
 
     def of(self, name: str, role: Role) -> Participant:
@@ -522,11 +517,11 @@ class Rest:
         Raises:
             BadRequest: the limit is not a number.
         """
-        limit = request.query.get("limit")
-        if limit is not None and not (limit.isascii() and limit.isdigit() and len(limit) <= MAX_DIGITS):
+        text = request.query.get("limit")
+        limit = None if text is None else whole_number(text, MAX_DIGITS)
+        if text is not None and limit is None:
             raise BadRequest("limit must be a number: how many drives")
-        count = None if limit is None else int(limit)
-        drives = self._drives.newest_first(robot=request.query.get("robot"), limit=count)
+        drives = self._drives.newest_first(robot=request.query.get("robot"), limit=limit)
         return reply({"drives": [_drive_view(drive) for drive in drives], "lost": self._drives.lost})
 
     async def _listening(self, _: web.Request) -> web.Response:

@@ -604,10 +604,7 @@ class ClientServices:
             BadRequest: a field is wrong, there are too many services, or the name is reserved for the daemon.
         """
         name, type_name = request.text("service"), request.text("type")
-
-        async def answer(arguments: Values) -> Values:
-            return await self._call(name, type_name, arguments)
-
+        answer = functools.partial(self._call, name, type_name)
         self._participant.provide(name, type_name, answer, notify=self._warn)
 
     def unadvertise(self, request: Request) -> None:

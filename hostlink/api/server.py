@@ -122,14 +122,13 @@ class ApiServer:
         self._metrics = Metrics(hub, self._clients, self._limit, connections, self._owners, recordings)
         self._sockets: set[web.WebSocketResponse] = set()
         self._turns = hub.turns()  # shared by all requests
-        self._routes: list[Route] = []
         self._by_handler: dict[Handler, Route] = {}
         RosApi(hub).offer()
 
     def application(self) -> web.Application:
         """Return the aiohttp application with all routes."""
         app = web.Application(middlewares=[explain_errors, self._admit], client_max_size=self._config.max_message_bytes)
-        self._routes = [
+        routes = [
             *Rest(self._hub, self._clients, self._owners, self._recordings.drives, self._reloader).routes(),
             *Events(self._hub, self._clients, self._recordings).routes(),
             *Captures(self._hub).routes(),
@@ -138,11 +137,11 @@ class ApiServer:
             self._metrics.route(),
             Route("/api/openapi.json", self._openapi, OpenApiView, role=None),
         ]
-        for route in self._routes:
+        for route in routes:
             app.router.add_route(route.method, route.path, route.handler)
             if route.media_type == FILE:  # programs request the length before they read ranges
                 app.router.add_route("HEAD", route.path, route.handler)
-        self._by_handler = {route.handler: route for route in self._routes}
+        self._by_handler = {route.handler: route for route in routes}
         app.router.add_get("/", self._root)
         app.router.add_get("/web/{file}", page_file)
         app.on_shutdown.append(self._close_sockets)
@@ -156,13 +155,13 @@ class ApiServer:
             revoked = self._access.revoked(new)
             self._access = new
             self._grants.end(revoked)
-            self._owners.end(self._owners.names if "" in revoked else revoked)
+            self._owners.end(revoked)
 
         return apply
 
     async def _openapi(self, _: web.Request) -> web.Response:
         """The OpenAPI document."""
-        return reply(openapi(self._routes))
+        return reply(openapi(self._by_handler.values()))
 
     @web.middleware
     async def _admit(self, request: web.Request, handler: Handler) -> web.StreamResponse:
