@@ -356,7 +356,6 @@ class Rest:
                 method="POST",
                 request=LockRequest,
                 max_body_bytes=LOCK_BYTES,
-                check_head=self._find,
                 is_body_optional=True,
                 on_head=lambda request: self._find(request).lock(by=_caller(request)),
                 is_limited=False,
