@@ -3,9 +3,9 @@
 import asyncio
 import itertools
 from collections import deque
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Coroutine, Hashable
 from dataclasses import dataclass, field
-from typing import Generic, NamedTuple, NoReturn, Protocol, TypedDict, TypeVar
+from typing import Any, Generic, NamedTuple, NoReturn, Protocol, TypedDict, TypeVar
 
 import msgspec
 from aiohttp import web
@@ -23,6 +23,7 @@ MAX_MESSAGES = 256  # decoded or not; more wait in the socket
 MAX_BYTES = 64 * 1024  # or one larger message
 
 Content = TypeVar("Content")
+Spawn = Callable[[Coroutine[Any, Any, None]], object]  # runs a coroutine in the client's task group
 
 
 class VelocityOf(NamedTuple):

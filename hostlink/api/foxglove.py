@@ -11,14 +11,14 @@ import math
 import os
 import time
 from collections import defaultdict
-from collections.abc import Callable, Coroutine, Hashable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple, TypeVar, assert_never
 
 import msgspec
 import structlog
 
-from hostlink.api.clients import ClientQueue, Operation, Outgoing, put_json, velocity_of_payload
+from hostlink.api.clients import ClientQueue, Operation, Outgoing, Spawn, put_json, velocity_of_payload
 from hostlink.api.foxglove_protocol import (
     MAX_ITEMS,
     ROS1,
@@ -316,8 +316,8 @@ class FoxgloveSubscriptions:
 
     def unsubscribe(self, number: int) -> None:
         """End a subscription. An unknown id is ignored."""
-        channel, subscription = self._subscriptions.pop(number, (None, None))
-        if channel is not None and subscription is not None:
+        if number in self._subscriptions:
+            channel, subscription = self._subscriptions.pop(number)
             del self._of_channel[channel.id]
             self._queue.forget(channel.topic)
             subscription.close()
@@ -331,14 +331,8 @@ class FoxgloveSubscriptions:
 class FoxgloveServices:
     """Service calls of one client, serialised as in ROS 1. A failed call is answered with its reason."""
 
-    def __init__(
-        self,
-        participant: Participant,
-        queue: ClientQueue,
-        spawn: Callable[[Coroutine[Any, Any, None]], object],
-        share: Share,
-    ) -> None:
-        """Create the calls of one client. `spawn` runs a call in its task group; `share`: of all clients' calls."""
+    def __init__(self, participant: Participant, queue: ClientQueue, spawn: Spawn, share: Share) -> None:
+        """Create the calls of one client. `share`: budget of all clients' calls."""
         self.calls = 0
         self._share = share
         self._participant, self._queue, self._spawn = participant, queue, spawn
@@ -520,10 +514,10 @@ class FoxgloveClient:
         directory: FoxgloveDirectory,
         queue: ClientQueue,
         *,
-        spawn: Callable[[Coroutine[Any, Any, None]], object],
+        spawn: Spawn,
         role: Role = Role.DRIVE,
     ) -> None:
-        """Join the hub. `spawn` runs a service call in the client's task group."""
+        """Join the hub. `spawn` runs a service call."""
         self.participant = hub.join(name, role=role, on_end=queue.close)
         self._hub, self._directory, self._queue = hub, directory, queue
         self._time = FoxgloveTime(self.participant, hub.topics, queue)

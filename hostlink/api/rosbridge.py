@@ -10,7 +10,7 @@ import reprlib
 import struct
 import time
 from collections import defaultdict
-from collections.abc import Awaitable, Callable, Coroutine, Mapping
+from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -19,7 +19,7 @@ import msgspec
 import structlog
 
 from hostlink.api.bodies import convert_fields
-from hostlink.api.clients import ClientQueue, Operation, Outgoing, VelocityOf, is_zero_payload, put_json
+from hostlink.api.clients import ClientQueue, Operation, Outgoing, Spawn, VelocityOf, is_zero_payload, put_json
 from hostlink.api.views import velocity_answer
 from hostlink.errors import BadPayload, BadRequest, CommandRefused, HostlinkError, ServiceFailed
 from hostlink.hub.byte_budget import Share
@@ -589,9 +589,7 @@ class _PendingCall(NamedTuple):
 class ClientServices:
     """Services that a client provides: advertised, called and answered."""
 
-    def __init__(
-        self, participant: Participant, catalog: Catalog, queue: ClientQueue, warn: Callable[[str], None]
-    ) -> None:
+    def __init__(self, participant: Participant, catalog: Catalog, queue: ClientQueue, warn: Warn) -> None:
         """Create the services of one participant. `warn` sends the client a status of level warning."""
         self._participant, self._catalog, self._queue, self._warn = participant, catalog, queue, warn
         self._numbers = itertools.count(1)
@@ -668,15 +666,8 @@ class DriveCommands:
     answer is the velocity as sent.
     """
 
-    def __init__(
-        self,
-        participant: Participant,
-        robots: Robots,
-        queue: ClientQueue,
-        *,
-        spawn: Callable[[Coroutine[Any, Any, None]], object],
-    ) -> None:
-        """Create the commands of one client. `spawn` runs a wait for another daemon in the client's task group."""
+    def __init__(self, participant: Participant, robots: Robots, queue: ClientQueue, spawn: Spawn) -> None:
+        """Create the commands of one client. `spawn` runs a wait for another daemon."""
         self._participant, self._robots, self._queue, self._spawn = participant, robots, queue, spawn
         self._waiting = 0
 
@@ -818,16 +809,9 @@ class RosbridgeClient:
     """One participant and its rosbridge operations."""
 
     def __init__(
-        self,
-        name: str,
-        hub: Hub,
-        queue: ClientQueue,
-        *,
-        spawn: Callable[[Coroutine[Any, Any, None]], object],
-        role: Role = Role.DRIVE,
-        group: str = "",
+        self, name: str, hub: Hub, queue: ClientQueue, *, spawn: Spawn, role: Role = Role.DRIVE, group: str = ""
     ) -> None:
-        """Join the hub. `spawn` runs a service call in the client's task group; `group`: the mirrored graph."""
+        """Join the hub. `spawn` runs a service call; `group`: the mirrored graph."""
         self.participant = hub.join(name, role=role, group=group, on_end=queue.close)
         self._topics = ClientTopics(self.participant)
         services = ClientServices(self.participant, hub.catalog, queue, self._warn)
@@ -840,7 +824,7 @@ class RosbridgeClient:
         self._refused_velocities = RateLimit(REFUSED_VELOCITIES_S)
         self._unknown_ops: set[str] = set()
         self._fragments = Fragments(hub.config.api.max_message_bytes, hub.budget["fragments"])
-        self._drive = DriveCommands(self.participant, hub.robots, queue, spawn=spawn)
+        self._drive = DriveCommands(self.participant, hub.robots, queue, spawn)
         self._operations: dict[str, Callable[[Request], None]] = {
             "advertise": self._topics.advertise,
             "unadvertise": self._topics.unadvertise,
