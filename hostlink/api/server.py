@@ -265,12 +265,13 @@ class ApiServer:
         with bound_contextvars(client=client.name, peer=request.remote):
             try:
                 await _open(socket, request)
-                reading, transport = reading_of(request), request.transport
-                if reading is None or transport is None:
+                reading = reading_of(request)
+                if reading is None:
                     raise ConnectionResetError("the connection was closed during the handshake")
                 # Behind the client's queue nothing drops or counts messages: little fits there.
-                transport.set_write_buffer_limits(SEND_BUFFER_BYTES)
-                transport.get_extra_info("socket").setsockopt(sockets.SOL_SOCKET, sockets.SO_SNDBUF, SEND_BUFFER_BYTES)
+                reading.transport.set_write_buffer_limits(SEND_BUFFER_BYTES)
+                tcp = reading.transport.get_extra_info("socket")
+                tcp.setsockopt(sockets.SOL_SOCKET, sockets.SO_SNDBUF, SEND_BUFFER_BYTES)
                 self._sockets.add(socket)
                 log.info("client.connected", role=client.grant.role.name.lower(), program=printable(client.program))
                 async with asyncio.TaskGroup() as tasks:
@@ -278,7 +279,6 @@ class ApiServer:
                     program.participant.address = client.peer
                     connection = ClientSocket(
                         socket,
-                        transport,
                         reading,
                         client,
                         program,
