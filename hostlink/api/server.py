@@ -100,11 +100,11 @@ class OpenApiView(TypedDict):
 class ApiServer:
     """The HTTP server and its WebSocket clients."""
 
-    def __init__(self, hub: Hub, config: ApiConfig, recordings: Recordings, reloader: Reloader) -> None:
+    def __init__(self, hub: Hub, recordings: Recordings, reloader: Reloader) -> None:
         self._hub, self._recordings, self._reloader = hub, recordings, reloader
         reloader.prepares.append(self._prepare_access)
         self._grants = Grants()
-        self._config = config
+        self._config = config = hub.config.api
         self._access = Access(config)
         self._limit = RateLimit(config.max_requests_s)
         connections = ApiConnections(
@@ -354,13 +354,13 @@ def url_of(host: str, port: int, *, has_tls: bool) -> str:
 
 
 @contextlib.asynccontextmanager
-async def serve_api(config: ApiConfig, hub: Hub, recordings: Recordings, reloader: Reloader) -> AsyncIterator[str]:
+async def serve_api(hub: Hub, recordings: Recordings, reloader: Reloader) -> AsyncIterator[str]:
     """Serve within the block. Yields the address as a URL.
 
     Raises:
         ConfigError: the port is in use, or the address is invalid.
     """
-    server = ApiServer(hub, config, recordings, reloader)
+    server, config = ApiServer(hub, recordings, reloader), hub.config.api
     runner = web.AppRunner(
         server.application(),
         access_log=None,
