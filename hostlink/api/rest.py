@@ -220,6 +220,7 @@ class DrivesView(TypedDict):
 
 
 def _drive_view(drive: Drive) -> DriveView:
+    seconds = max(drive.ended_ns - drive.began_ns, 0) / 1e9 if drive.seconds is None else drive.seconds
     return {
         "robot": drive.robot,
         "owner": drive.owner,
@@ -227,16 +228,12 @@ def _drive_view(drive: Drive) -> DriveView:
         "priority": drive.priority,
         "began": utc_text(drive.began_ns),
         "ended": utc_text(drive.ended_ns),
-        "seconds": round(_seconds(drive), 3),
+        "seconds": round(seconds, 3),
         "commands": drive.commands,
         "fastest_m_s": round(drive.fastest_m_s, 4),
         "fastest_rad_s": round(drive.fastest_rad_s, 4),
         "end": drive.end,
     }
-
-
-def _seconds(drive: Drive) -> float:
-    return max(drive.ended_ns - drive.began_ns, 0) / 1e9 if drive.seconds is None else drive.seconds
 
 
 Body = TypeVar("Body", bound=msgspec.Struct)

@@ -2,7 +2,6 @@
 
 import asyncio
 import base64
-import binascii
 import functools
 import itertools
 import math
@@ -345,7 +344,7 @@ def _is_zero_message(fields: dict[str, Any]) -> bool | None:
     if raw is not None:
         try:
             return is_zero_payload(base64.b64decode(raw, validate=True))
-        except (TypeError, ValueError, binascii.Error):
+        except (TypeError, ValueError):  # binascii.Error is a ValueError
             return None
     if not isinstance(message, dict):
         return None
@@ -870,7 +869,9 @@ class RosbridgeClient:
         try:
             act = self._operations.get(request.op)
             if act is None:
-                self._log_unknown(request.op)
+                if request.op not in self._unknown_ops and len(self._unknown_ops) < MAX_UNKNOWN_OPS:
+                    self._unknown_ops.add(request.op)
+                    log.warning("client.unknown_op", op=printable(request.op))
                 raise BadRequest(f"unknown op {printable(request.op)!r}")
             self.participant.check(Role.READ if request.op in _FOR_READERS else Role.DRIVE, request.op)
             act(request)
@@ -983,11 +984,6 @@ class RosbridgeClient:
         if topic is None or not topic.is_gated:
             return False
         return self._refused_velocities.allows(topic.name, asyncio.get_running_loop().time())
-
-    def _log_unknown(self, op: str) -> None:
-        if op not in self._unknown_ops and len(self._unknown_ops) < MAX_UNKNOWN_OPS:
-            self._unknown_ops.add(op)
-            log.warning("client.unknown_op", op=printable(op))
 
 
 def _refuse_action(request: Request) -> None:
