@@ -66,19 +66,7 @@ class DriveOperation(msgspec.Struct, forbid_unknown_fields=True):
 class Request:
     """A JSON object with an `op`. Methods raise a BadRequest that names the invalid field."""
 
-    def __init__(self, fields: dict[str, Any], size_bytes: int = 0) -> None:
-        """Check `op`. `size_bytes`: size of the message."""
-        self.fields, self.size_bytes = fields, size_bytes
-        self.came_s: float | None = None  # earliest time of arrival; None: now
-        self.replaced: list[Request] = []  # velocities that this one replaces
-        self._drive: DriveOperation | None = None
-        op = fields["op"]
-        if not isinstance(op, str) or not op:
-            raise BadRequest(f"{reprlib.repr(op)}: op must be a text")
-        self.op = op
-
-    @classmethod
-    def read(cls, text: str | bytes) -> "Request":
+    def __init__(self, text: str | bytes) -> None:
         """Decode one message of a client.
 
         Raises:
@@ -92,7 +80,13 @@ class Request:
             raise BadRequest("invalid JSON: nested too deeply") from None
         if not isinstance(fields, dict) or "op" not in fields:
             raise BadRequest('a message is a JSON object with an "op"')
-        return cls(fields, len(text))
+        op = fields["op"]
+        if not isinstance(op, str) or not op:
+            raise BadRequest(f"{reprlib.repr(op)}: op must be a text")
+        self.op, self.fields, self.size_bytes = op, fields, len(text)
+        self.came_s: float | None = None  # earliest time of arrival; None: now
+        self.replaced: list[Request] = []  # velocities that this one replaces
+        self._drive: DriveOperation | None = None
 
     def drive_operation(self) -> DriveOperation:
         """Return the fields of a `drive`.
@@ -851,7 +845,7 @@ class RosbridgeClient:
     def read(self, data: str | bytes, came_s: float) -> Operation[Request | BadRequest]:
         """Decode a message. An error is returned as the content, and sent to the client by `do`."""
         try:
-            request = Request.read(data)
+            request = Request(data)
         except BadRequest as error:
             return Operation(error, came_s)
         request.came_s = came_s
