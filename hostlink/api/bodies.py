@@ -1,4 +1,4 @@
-"""Decoding of what a client sends: bodies of REST requests and fields of rosbridge operations.
+"""Decoding of what a client sends: bodies and numbers of REST requests, and fields of rosbridge operations.
 
 An unknown field is refused with the nearest known one: a field that is misspelled must not be ignored.
 """
@@ -36,6 +36,11 @@ def convert_fields(fields: Mapping[str, Any], type_: type[Body], operation: str)
         return msgspec.convert(fields, type_)
     except msgspec.ValidationError as error:
         raise BadRequest(f"{operation}: {error}{_hint(str(error), type_)}") from error
+
+
+def whole_number(text: str, max_digits: int) -> int | None:
+    """Convert a number of a path or of a query; None for another text, or more digits."""
+    return int(text) if text.isascii() and text.isdigit() and len(text) <= max_digits else None
 
 
 def _hint(problem: str, type_: type[msgspec.Struct]) -> str:

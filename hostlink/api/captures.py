@@ -9,6 +9,7 @@ from typing import NotRequired, TypedDict
 import msgspec
 from aiohttp import web
 
+from hostlink.api.bodies import whole_number
 from hostlink.api.routes import Route, reply
 from hostlink.errors import UnknownTopic
 from hostlink.hub.diagnoses import Diagnosis
@@ -47,36 +48,26 @@ class Captures:
         """Return the routes."""
         path = "/api/links/{number}/capture"
         return [
-            Route(
-                path,
-                self._whole,
-                "The last 64 KiB of each direction of a link, as JSON lines for `hostlink inspect`",
-                response=None,
-                media_type="application/x-ndjson",
-            ),
-            Route(
-                path + "/{position}",
-                self._after,
-                "Bytes on a link after a position; the first position is 0-0",
-                CaptureView,
-            ),
+            Route(path, self._whole, response=None, media_type="application/x-ndjson"),
+            Route(path + "/{position}", self._after, CaptureView),
         ]
 
     async def _whole(self, request: web.Request) -> web.Response:
-        diagnosis = self._find(request)
-        lines = b"".join(msgspec.json.encode(read) + b"\n" for read in capture_view(diagnosis)["reads"])
+        """The last 64 KiB of each direction of a link, as JSON lines for `hostlink inspect`."""
+        lines = msgspec.json.Encoder().encode_lines(capture_view(self._find(request))["reads"])
         return web.Response(body=lines, content_type="application/x-ndjson", headers={"Cache-Control": "no-store"})
 
     async def _after(self, request: web.Request) -> web.Response:
+        """Bytes on a link after a position; the first position is 0-0."""
         since = _parse_position(request.match_info["position"])
         return reply(capture_view(self._find(request), since))
 
     def _find(self, request: web.Request) -> Diagnosis:
-        number = request.match_info["number"]
-        diagnoses = self._hub.diagnoses
-        diagnosis = diagnoses.find(int(number)) if _is_number(number) else None
+        diagnoses, text = self._hub.diagnoses, request.match_info["number"]
+        number = whole_number(text, MAX_DIGITS)
+        diagnosis = None if number is None else diagnoses.find(number)
         if diagnosis is None:
-            raise UnknownTopic("link", number, tuple(str(each) for each in diagnoses.numbers()))
+            raise UnknownTopic("link", text, tuple(str(each) for each in diagnoses.numbers()))
         return diagnosis
 
 
@@ -105,13 +96,8 @@ def _read_view(time_s: float, sender: str, data: bytes, number: int) -> ReadView
     return {"t": round(time_s, 6), "dir": sender, "hex": data.hex(), "conn": number}
 
 
-def _is_number(text: str) -> bool:
-    """Whether the text is a whole number of at most MAX_DIGITS digits."""
-    return text.isdecimal() and len(text) <= MAX_DIGITS
-
-
 def _parse_position(text: str) -> tuple[int, int]:
-    from_device, dash, to_device = text.partition("-")
-    if not (dash and _is_number(from_device) and _is_number(to_device)):
+    from_device, _, to_device = (whole_number(part, MAX_DIGITS) for part in text.partition("-"))
+    if from_device is None or to_device is None:
         raise UnknownTopic("position", text, ("0-0", "a position of an earlier answer"))
-    return int(from_device), int(to_device)
+    return from_device, to_device

@@ -3,7 +3,7 @@
 import asyncio
 import itertools
 from collections import deque
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Coroutine, Hashable
 from dataclasses import dataclass, field
 from typing import Any, Generic, NamedTuple, NoReturn, Protocol, TypedDict, TypeVar
 
@@ -23,6 +23,7 @@ MAX_MESSAGES = 256  # decoded or not; more wait in the socket
 MAX_BYTES = 64 * 1024  # or one larger message
 
 Content = TypeVar("Content")
+Spawn = Callable[[Coroutine[Any, Any, None]], object]  # runs a coroutine in the client's task group
 
 
 class VelocityOf(NamedTuple):
@@ -153,8 +154,11 @@ def velocity_of_payload(topic: Topic | None, payload: bytes, terms: Hashable = N
     if topic is None or not topic.is_gated or topic.type is None or topic.type_name not in _TWISTS:
         return NOT_A_VELOCITY
     try:
-        fields: Any = topic.type.decode(payload)
-        twist = Twist.from_fields(fields.get("twist", fields))
+        if topic.type_name == TWIST_TYPE:
+            twist = Twist.decode(payload)
+        else:
+            fields: Any = topic.type.decode(payload)
+            twist = Twist.from_fields(fields["twist"])
     except BadPayload:
         return NOT_A_VELOCITY
     components = (twist.is_finite, twist.is_planar, twist.linear_y_m_s != 0)
@@ -237,11 +241,6 @@ class Client:
         self.backlog = backlog
         self.since_s = asyncio.get_running_loop().time()
         self.messages_from_client = self.messages_to_client = self.bytes_to_client = 0
-
-    def sent(self, size: int) -> None:
-        """Count a sent message."""
-        self.messages_to_client += 1
-        self.bytes_to_client += size
 
     def view(self, now_s: float) -> ClientView:
         """Return the client as the API shows it."""

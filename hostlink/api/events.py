@@ -283,8 +283,6 @@ class Events:
             Route(
                 "/api/events",
                 self._state,
-                "Events `robots`, `links` and `clients`: the JSON of their GETs; `recordings`: running ones, how"
-                " often their folder has changed, how many incidents are pending, saved, missed; `log`: a log line",
                 response=None,
                 media_type="text/event-stream",
                 fails=(HTTPStatus.SERVICE_UNAVAILABLE,),
@@ -292,7 +290,6 @@ class Events:
             Route(
                 "/api/robots/{name}/odometry/events",
                 self._odometry,
-                "An event `odometry` for each new pose: the JSON of its GET",
                 response=None,
                 media_type="text/event-stream",
                 fails=(HTTPStatus.SERVICE_UNAVAILABLE,),
@@ -300,6 +297,9 @@ class Events:
         ]
 
     async def _state(self, request: web.Request) -> web.StreamResponse:
+        """Events `robots`, `links` and `clients`: the JSON of their GETs; `recordings`: running ones, how often their
+        folder has changed, how many incidents are pending, saved, missed; `log`: a log line.
+        """
         reader = Reader(self._feed)
         async with self._stream(request, reader) as (response, send, _):
             with self._feed.reading(reader):
@@ -315,6 +315,7 @@ class Events:
         return response
 
     async def _odometry(self, request: web.Request) -> web.StreamResponse:
+        """An event `odometry` for each new pose: the JSON of its GET."""
         robot = self._hub.robots.find(request.match_info["name"])
         news = asyncio.Event()
         async with self._stream(request) as (response, send, client):
@@ -343,7 +344,8 @@ class Events:
         async def send(event: bytes) -> None:
             async with asyncio.timeout(SEND_TIMEOUT_S):
                 await response.write(event)
-            client.sent(len(event))
+            client.messages_to_client += 1
+            client.bytes_to_client += len(event)
 
         try:
             try:

@@ -11,14 +11,14 @@ import math
 import os
 import time
 from collections import defaultdict
-from collections.abc import Callable, Coroutine, Hashable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple, TypeVar, assert_never
 
 import msgspec
 import structlog
 
-from hostlink.api.clients import ClientQueue, Operation, Outgoing, put_json, velocity_of_payload
+from hostlink.api.clients import ClientQueue, Operation, Outgoing, Spawn, put_json, velocity_of_payload
 from hostlink.api.foxglove_protocol import (
     MAX_ITEMS,
     ROS1,
@@ -61,7 +61,6 @@ from hostlink.messages.message_type import MessageType, ServiceType
 from hostlink.rate_limit import REFUSED_VELOCITIES_S, RateLimit
 
 Names = Mapping[str, tuple[str, ...]]
-_Entry = TypeVar("_Entry")
 
 
 class FoxgloveChannel(NamedTuple):
@@ -139,8 +138,12 @@ class FoxgloveDirectory:
         services: dict[Hashable, tuple[str, ServiceType]] = {
             (name, type_.name, type_.md5): (name, type_) for name, type_ in typed if type_ is not None
         }
-        self._channels = _renewed(self._channels, channels, lambda offer: _channel(next(self._numbers), *offer))
-        self._services = _renewed(self._services, services, lambda offer: _service(next(self._numbers), *offer))
+        self._channels = {
+            key: self._channels.get(key) or _channel(next(self._numbers), *offer) for key, offer in channels.items()
+        }
+        self._services = {
+            key: self._services.get(key) or _service(next(self._numbers), *offer) for key, offer in services.items()
+        }
         return Offers(
             {channel.id: channel for channel in self._channels.values()},
             {service.id: service for service in self._services.values()},
@@ -157,16 +160,6 @@ class FoxgloveDirectory:
             _sorted({topic.name: set(map(node, receivers(topic))) for topic in topics}),
             _sorted(providers),
         )
-
-
-_Offer = TypeVar("_Offer")
-
-
-def _renewed(
-    before: Mapping[Hashable, _Entry], offers: Mapping[Hashable, _Offer], make: Callable[[_Offer], _Entry]
-) -> dict[Hashable, _Entry]:
-    """Return an entry for each offer, reusing the entry and id of one that existed before."""
-    return {key: before[key] if key in before else make(offer) for key, offer in offers.items()}
 
 
 def _channel(number: int, topic: str, type_: MessageType) -> FoxgloveChannel:
@@ -323,8 +316,8 @@ class FoxgloveSubscriptions:
 
     def unsubscribe(self, number: int) -> None:
         """End a subscription. An unknown id is ignored."""
-        channel, subscription = self._subscriptions.pop(number, (None, None))
-        if channel is not None and subscription is not None:
+        if number in self._subscriptions:
+            channel, subscription = self._subscriptions.pop(number)
             del self._of_channel[channel.id]
             self._queue.forget(channel.topic)
             subscription.close()
@@ -338,14 +331,8 @@ class FoxgloveSubscriptions:
 class FoxgloveServices:
     """Service calls of one client, serialised as in ROS 1. A failed call is answered with its reason."""
 
-    def __init__(
-        self,
-        participant: Participant,
-        queue: ClientQueue,
-        spawn: Callable[[Coroutine[Any, Any, None]], object],
-        share: Share,
-    ) -> None:
-        """Create the calls of one client. `spawn` runs a call in its task group; `share`: of all clients' calls."""
+    def __init__(self, participant: Participant, queue: ClientQueue, spawn: Spawn, share: Share) -> None:
+        """Create the calls of one client. `share`: budget of all clients' calls."""
         self.calls = 0
         self._share = share
         self._participant, self._queue, self._spawn = participant, queue, spawn
@@ -527,10 +514,10 @@ class FoxgloveClient:
         directory: FoxgloveDirectory,
         queue: ClientQueue,
         *,
-        spawn: Callable[[Coroutine[Any, Any, None]], object],
+        spawn: Spawn,
         role: Role = Role.DRIVE,
     ) -> None:
-        """Join the hub. `spawn` runs a service call in the client's task group."""
+        """Join the hub. `spawn` runs a service call."""
         self.participant = hub.join(name, role=role, on_end=queue.close)
         self._hub, self._directory, self._queue = hub, directory, queue
         self._time = FoxgloveTime(self.participant, hub.topics, queue)

@@ -175,45 +175,27 @@ class HistoryRoutes:
             Route(
                 "/api/recordings/{name}/history",
                 self._of_recording,
-                "Path, commands, plots and events of the first robot in a recording, or of `?robot=NAME`",
                 RecordingHistoryView,
                 fails=(HTTPStatus.BAD_REQUEST,),
             ),
-            Route("/api/incidents", self._all_incidents, "Incidents of robots, the newest first", IncidentsView),
+            Route("/api/incidents", self._all_incidents, IncidentsView),
             Route(
                 "/api/incidents",
                 self._save,
-                "Save the last minutes of a robot, and the next half minute",
                 IncidentView,
                 method="POST",
                 request=IncidentRequest,
                 role=Role.DRIVE,
                 fails=(HTTPStatus.NOT_FOUND, HTTPStatus.CONFLICT),
             ),
-            Route("/api/incidents/{name}", self._file, "The MCAP file of an incident", None, media_type=FILE),
-            Route(
-                "/api/incidents/{name}/history",
-                self._of_incident,
-                "Path, commands, plots and events of the robot around an incident",
-                IncidentHistoryView,
-            ),
-            Route(
-                "/api/history",
-                self._of_fleet,
-                "Path and events of every robot in its last minutes; `?chosen=NAME`: of this robot"
-                " also its commands and its plots",
-                HistoriesView,
-            ),
-            Route(
-                "/api/robots/{name}/history",
-                self._of_robot,
-                "Path, commands, plots and events of a robot in its last minutes",
-                HistoryView,
-            ),
+            Route("/api/incidents/{name}", self._file, None, media_type=FILE),
+            Route("/api/incidents/{name}/history", self._of_incident, IncidentHistoryView),
+            Route("/api/history", self._of_fleet, HistoriesView),
+            Route("/api/robots/{name}/history", self._of_robot, HistoryView),
         ]
 
     async def _of_recording(self, request: web.Request) -> web.Response:
-        """Read a recording.
+        """Path, commands, plots and events of the first robot in a recording, or of `?robot=NAME`.
 
         Raises:
             UnknownTopic: there is no such recording, or no such robot in it.
@@ -229,6 +211,7 @@ class HistoryRoutes:
         return reply_encoded(body)
 
     async def _all_incidents(self, _: web.Request) -> web.Response:
+        """Incidents of robots, the newest first."""
         box = self._black_box
         pending = list(box.pending)
         saved = await asyncio.to_thread(self._incidents.newest_first)
@@ -236,13 +219,16 @@ class HistoryRoutes:
         return reply({"incidents": views, "missed": box.missed, "folder": str(box.folder.path)})
 
     async def _save(self, request: web.Request) -> web.Response:
+        """Save the last minutes of a robot, and the next half minute."""
         body = decode_body(request[BODY], IncidentRequest, '{"robot": a name, "reason": a text}')
         return reply(_incident_view(self._black_box.save(body.robot, body.reason)))
 
     async def _file(self, request: web.Request) -> web.StreamResponse:
+        """The MCAP file of an incident."""
         return send_file(await find_file(self._black_box.folder, request, "incident"))
 
     async def _of_incident(self, request: web.Request) -> web.Response:
+        """Path, commands, plots and events of the robot around an incident."""
         path = await find_file(self._black_box.folder, request, "incident")
         async with self._turn:
             body = await asyncio.to_thread(stored_history, self._hub.catalog, path)
@@ -251,6 +237,7 @@ class HistoryRoutes:
         return reply_encoded(body)
 
     async def _of_robot(self, request: web.Request) -> web.Response:
+        """Path, commands, plots and events of a robot in its last minutes."""
         async with self._turn:
             found = self._hub.robots.find(request.match_info["name"])
             robot = self._hub.robots.get_here(found.name)
@@ -260,14 +247,16 @@ class HistoryRoutes:
         return reply_encoded(body)
 
     async def _of_fleet(self, request: web.Request) -> web.StreamResponse:
-        """Send one robot after the other, so that neither memory nor the event loop holds the whole fleet."""
+        """Path and events of every robot in its last minutes; `?chosen=NAME`: of this robot also its commands and its
+        plots.
+        """
         chosen = request.query.get("chosen", "")
         response = web.StreamResponse(headers={"Cache-Control": "no-store", "Content-Type": "application/json"})
         response.enable_compression()
         try:
             await response.prepare(request)
             before = b'{"robots":['
-            for robot in self._hub.robots.here():
+            for robot in self._hub.robots.here():  # one after the other: nothing holds the history of the whole fleet
                 async with self._turn:
                     collected = self._collect(robot)
                     body = await asyncio.to_thread(self._body, robot, *collected, is_chosen=robot.name == chosen)

@@ -159,6 +159,7 @@ class PacedReading(ForwardingProtocol, asyncio.BufferedProtocol):
         self.request_came_s = 0.0  # of the request that is being answered
         self.reads = 0  # number of reads so far
         self.unread_bytes = 0  # of an incomplete message
+        self.transport: asyncio.Transport
         self.has_room = False  # whether the byte budget has room for a large message
         self.is_writing_paused = False  # whether the transport's buffer is full
         self._connections, self._connection = connections, connection
@@ -167,7 +168,6 @@ class PacedReading(ForwardingProtocol, asyncio.BufferedProtocol):
         self._room_bytes = min(hub.config.api.max_message_bytes, self._share.max_bytes)
         self._timeout_s = hub.config.api.request_timeout_s
         self._loop = asyncio.get_running_loop()
-        self._transport: asyncio.Transport
         self._held = b""  # read, but not passed on; reading is paused
         self._is_behind = behind_since_s is not None  # whether more bytes may wait behind those read last
         self._next_request_came_s: float | None = None
@@ -218,7 +218,7 @@ class PacedReading(ForwardingProtocol, asyncio.BufferedProtocol):
     # -- what asyncio calls -------------------------------------------------------------------------------------------
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        self._transport = transport  # type: ignore[assignment]  # uvloop's is not a subclass
+        self.transport = transport  # type: ignore[assignment]  # uvloop's is not a subclass
         self._connection.transport = transport
         super().connection_made(transport)
 
@@ -266,16 +266,16 @@ class PacedReading(ForwardingProtocol, asyncio.BufferedProtocol):
     def _hold(self, data: bytes) -> None:
         self._held = b"" if self._is_refusing else self._held + data
         self._is_behind = True
-        self._transport.pause_reading()
+        self.transport.pause_reading()
 
     def _release(self) -> None:
         """Pass on the bytes held back. Reading resumes before, because the inner protocol may pause it again."""
         data, self._held = self._held, b""
         if self._is_lost or self._is_refusing:
             return
-        self._is_last_request = self._transport.is_closing()
+        self._is_last_request = self.transport.is_closing()
         if not self._is_last_request:
-            self._transport.resume_reading()
+            self.transport.resume_reading()
         self._pass_on(data)
 
     def _pass_on(self, data: bytes) -> None:
@@ -292,10 +292,10 @@ class PacedReading(ForwardingProtocol, asyncio.BufferedProtocol):
                 self._share.wait(self._try_again)
                 return
             self.has_room = True
-            self._deadline = self._loop.call_later(self._timeout_s, self._transport.abort)
+            self._deadline = self._loop.call_later(self._timeout_s, self.transport.abort)
         self._inner.data_received(data)
         self._on_read()
-        if not self._is_lost and not self._transport.is_reading():
+        if not self._is_lost and not self.transport.is_reading():
             self._is_behind = True
 
     def _try_again(self) -> None:
@@ -303,8 +303,8 @@ class PacedReading(ForwardingProtocol, asyncio.BufferedProtocol):
             return
         data, self._held = self._held, b""
         self.unread_bytes -= len(data)
-        if not self._transport.is_closing():
-            self._transport.resume_reading()
+        if not self.transport.is_closing():
+            self.transport.resume_reading()
         self._receive(data)
 
     def give_room(self) -> None:
@@ -349,7 +349,9 @@ class ApiListener:
             if leaving is not None:
                 leaving.abort()
             if new is None:
-                _refuse(sock, UNAVAILABLE if tls is None else b"")
+                with contextlib.suppress(OSError):
+                    sock.send(UNAVAILABLE if tls is None else b"")
+                sock.close()
             else:
                 new.accepted = sock
                 self._hub.spawn(self._open(sock, new, since_s, make_protocol, tls), name=f"connection of {address}")
@@ -377,13 +379,12 @@ class ApiListener:
     ) -> None:
         """Hand the socket to its protocol, after the TLS handshake if there is one. No command arrives before that."""
         behind_since_s = since_s if tls is None else None
-        timeout_s = None if tls is None else self.connections.request_timeout_s
         try:
             await asyncio.get_running_loop().connect_accepted_socket(
                 lambda: PacedReading(make_protocol(), self._hub, self.connections, connection, behind_since_s),
                 sock,
                 ssl=tls,
-                ssl_handshake_timeout=timeout_s,
+                ssl_handshake_timeout=None if tls is None else self.connections.request_timeout_s,
             )
         except OSError as error:  # of TLS too
             log.debug("client.broken", reason=printable(str(error)))
@@ -414,12 +415,6 @@ def reading_of(request: web.Request) -> PacedReading | None:
     """Return the protocol of a request's connection; None if the connection is closed."""
     protocol = None if request.transport is None else request.transport.get_protocol()
     return protocol if isinstance(protocol, PacedReading) else None
-
-
-def _refuse(sock: socket.socket, answer: bytes) -> None:
-    with contextlib.suppress(OSError):
-        sock.send(answer)
-    sock.close()
 
 
 def _now_s() -> float:

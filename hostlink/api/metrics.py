@@ -108,9 +108,10 @@ class Metrics:
 
     def route(self) -> Route:
         """Return the route GET /metrics."""
-        return Route("/metrics", self._show, "Metrics for Prometheus", response=None, media_type="text/plain")
+        return Route("/metrics", self._show, response=None, media_type="text/plain")
 
     async def _show(self, _: web.Request) -> web.Response:
+        """Metrics for Prometheus."""
         await self._observe_disk()
         body = await text_of(self._collect())
         return web.Response(body=body, headers={"Content-Type": CONTENT_TYPE_LATEST, "Cache-Control": "no-store"})

@@ -86,11 +86,10 @@ class RecordingRoutes:
         path = "/api/recordings"
         one = f"{path}/{{name}}"
         return [
-            Route(path, self._all, "Running recordings, and the files", RecordingsView),
+            Route(path, self._all, RecordingsView),
             Route(
                 path,
                 self._start,
-                "Record topics, events, log and parameters into an MCAP file",
                 RecordingView,
                 method="POST",
                 request=RecordingRequest,
@@ -98,17 +97,10 @@ class RecordingRoutes:
                 role=Role.DRIVE,
                 fails=(HTTPStatus.NOT_FOUND, _BUSY, _FULL),
             ),
-            Route(
-                one,
-                self._file,
-                "The MCAP file of that name, or ranges of it, also while it is written",
-                None,
-                media_type=FILE,
-            ),
+            Route(one, self._file, None, media_type=FILE),
             Route(
                 one,
                 self._store,
-                "Store an MCAP file as a recording of that name, at most recording.max_file_mb large, one at a time",
                 StoredView,
                 method="PUT",
                 is_upload=True,
@@ -121,26 +113,12 @@ class RecordingRoutes:
                     _FULL,
                 ),
             ),
-            Route(
-                f"{one}/stop",
-                self._stop,
-                "Stop a recording and complete its file",
-                RecordingView,
-                method="POST",
-                role=Role.DRIVE,
-            ),
-            Route(
-                one,
-                self._remove,
-                "Remove a file",
-                RemovedView,
-                method="DELETE",
-                role=Role.DRIVE,
-                fails=(_BUSY,),
-            ),
+            Route(f"{one}/stop", self._stop, RecordingView, method="POST", role=Role.DRIVE),
+            Route(one, self._remove, RemovedView, method="DELETE", role=Role.DRIVE, fails=(_BUSY,)),
         ]
 
     async def _all(self, _: web.Request) -> web.Response:
+        """Running recordings, and the files."""
         recordings, folder = self._recordings, self._recordings.folder
         files = await asyncio.to_thread(folder.files, recordings.open_files())
         return reply(
@@ -152,6 +130,7 @@ class RecordingRoutes:
         )
 
     async def _start(self, request: web.Request) -> web.Response:
+        """Record topics, events, log and parameters into an MCAP file."""
         shape = '{"topics": [names or patterns], "robots": [names], "name": letters, digits and . _ + -}, or empty'
         body = decode_body(request[BODY] or b"{}", RecordingRequest, shape)
         for robot in body.robots:
@@ -162,12 +141,15 @@ class RecordingRoutes:
         return reply(recording_view(await self._recordings.start(selection, name=body.name, owner=owner)))
 
     async def _stop(self, request: web.Request) -> web.Response:
+        """Stop a recording and complete its file."""
         return reply(recording_view(await self._recordings.stop(request.match_info["name"])))
 
     async def _file(self, request: web.Request) -> web.StreamResponse:
+        """The MCAP file of that name, or ranges of it, also while it is written."""
         return send_file(await find_file(self._recordings.folder, request, "recording"))
 
     async def _store(self, request: web.Request) -> web.Response:
+        """Store an MCAP file as a recording of that name, at most recording.max_file_mb large, one at a time."""
         size_bytes, most_bytes = request.content_length, int(self._max_file_mb * MEGABYTE)
         if size_bytes is None:
             raise BadRequest("the request has no Content-Length: the size of the file")
@@ -183,6 +165,7 @@ class RecordingRoutes:
         return reply(_stored_view(StoredFile(path.name, size_bytes, time.time())))
 
     async def _remove(self, request: web.Request) -> web.Response:
+        """Remove a file."""
         return reply({"removed": await self._recordings.remove(request.match_info["name"])})
 
 

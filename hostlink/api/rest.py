@@ -3,7 +3,7 @@
 import asyncio
 import ipaddress
 from collections import OrderedDict
-from collections.abc import Iterable, Sequence
+from collections.abc import Container, Iterable, Sequence
 from http import HTTPStatus
 from typing import Annotated, TypedDict, TypeVar
 
@@ -11,7 +11,7 @@ import msgspec
 from aiohttp import web
 
 from hostlink.api.access import GRANT
-from hostlink.api.bodies import decode_body
+from hostlink.api.bodies import decode_body, whole_number
 from hostlink.api.clients import Clients, ClientView
 from hostlink.api.routes import BODY, CAME, Route, refusal, reply
 from hostlink.api.views import (
@@ -48,10 +48,6 @@ from hostlink.robot.views import OdometryView, RobotView
 MAX_OWNERS = 64  # the number of sources that one robot distinguishes; a driving one sends a request in every lease
 
 
-def _participant_name(caller: str) -> str:
-    return f"rest {caller}"
-
-
 def _caller_name(request: web.Request) -> str:
     """Return the name of the token; without tokens the client's address."""
     return request[GRANT].who or request.remote or ""
@@ -59,7 +55,7 @@ def _caller_name(request: web.Request) -> str:
 
 def _caller(request: web.Request) -> str:
     """Return the name of the participant that a request has, or would have if it drove."""
-    return _participant_name(_caller_name(request))
+    return f"rest {_caller_name(request)}"
 
 
 class Owners:
@@ -76,22 +72,17 @@ class Owners:
     def __len__(self) -> int:
         return len(self._owners)
 
-    @property
-    def names(self) -> list[str]:
-        """Return the names: of tokens, or of addresses without tokens."""
-        return list(self._owners)
-
-    def end(self, names: Iterable[str]) -> None:
-        """Remove participants whose tokens are revoked: what they drive stops."""
-        for name in names:
-            if name in self._owners:
+    def end(self, revoked: Container[str]) -> None:
+        """Remove participants whose tokens are revoked: what they drive stops. Empty name: those without tokens."""
+        for name in list(self._owners):
+            if name in revoked or "" in revoked:
                 self._owners.pop(name).leave()
 
     def of(self, name: str, role: Role) -> Participant:
         """Return the participant of this name; create it if there is none."""
         owner = self._owners.pop(name, None)
         if owner is None or owner.has_left:
-            owner = self._hub.join(_participant_name(name), role=role)
+            owner = self._hub.join(f"rest {name}", role=role)
         self._owners[name] = owner
         if len(self._owners) > MAX_OWNERS:
             self._owners.popitem(last=False)[1].leave()
@@ -229,6 +220,7 @@ class DrivesView(TypedDict):
 
 
 def _drive_view(drive: Drive) -> DriveView:
+    seconds = max(drive.ended_ns - drive.began_ns, 0) / 1e9 if drive.seconds is None else drive.seconds
     return {
         "robot": drive.robot,
         "owner": drive.owner,
@@ -236,16 +228,12 @@ def _drive_view(drive: Drive) -> DriveView:
         "priority": drive.priority,
         "began": utc_text(drive.began_ns),
         "ended": utc_text(drive.ended_ns),
-        "seconds": round(_seconds(drive), 3),
+        "seconds": round(seconds, 3),
         "commands": drive.commands,
         "fastest_m_s": round(drive.fastest_m_s, 4),
         "fastest_rad_s": round(drive.fastest_rad_s, 4),
         "end": drive.end,
     }
-
-
-def _seconds(drive: Drive) -> float:
-    return max(drive.ended_ns - drive.began_ns, 0) / 1e9 if drive.seconds is None else drive.seconds
 
 
 Body = TypeVar("Body", bound=msgspec.Struct)
@@ -328,13 +316,12 @@ class Rest:
         """Return the routes."""
         robot = "/api/robots/{name}"
         return [
-            Route("/api/robots", self._robots, "Every robot", RobotsView),
-            Route(robot, self._robot, "One robot", RobotView),
-            Route(f"{robot}/odometry", self._odometry, "Pose and twist", OdometryView, fails=(UNAVAILABLE,)),
+            Route("/api/robots", self._robots, RobotsView),
+            Route(robot, self._robot, RobotView),
+            Route(f"{robot}/odometry", self._odometry, OdometryView, fails=(UNAVAILABLE,)),
             Route(
                 f"{robot}/velocity",
                 self._velocity,
-                "Drive for the length of a lease; repeat the request to keep driving",
                 VelocityAnswer,
                 method="PUT",
                 request=VelocityRequest,
@@ -346,8 +333,6 @@ class Rest:
             Route(
                 f"{robot}/stop",
                 self._stop,
-                "Stop the robot, whichever client drives it, with the role read. Answers with the measured result after"
-                " wait_s seconds at most (1.5)",
                 StoppedRobotView,
                 method="POST",
                 is_limited=False,
@@ -356,7 +341,6 @@ class Rest:
             Route(
                 "/api/stop",
                 self._stop_all,
-                "Stop every robot. Answers with the measured result after wait_s seconds at most (1.5)",
                 StoppedRobotsView,
                 method="POST",
                 is_limited=False,
@@ -365,84 +349,42 @@ class Rest:
             Route(
                 f"{robot}/lock",
                 self._lock,
-                "Emergency stop: zero velocity at once, commands are refused until unlock. Answers as stop does",
                 StoppedRobotView,
                 method="POST",
                 request=LockRequest,
                 max_body_bytes=LOCK_BYTES,
-                check_head=self._find,
                 is_body_optional=True,
                 on_head=lambda request: self._find(request).lock(by=_caller(request)),
                 is_limited=False,
                 fails=(UNAVAILABLE,),
             ),
-            Route(
-                f"{robot}/unlock",
-                self._unlock,
-                "Unlock the robot",
-                RobotView,
-                method="POST",
-                role=Role.DRIVE,
-                fails=(UNAVAILABLE,),
-            ),
+            Route(f"{robot}/unlock", self._unlock, RobotView, method="POST", role=Role.DRIVE, fails=(UNAVAILABLE,)),
             Route(
                 f"{robot}/odometry/reset",
                 self._reset_odometry,
-                "Set the origin of odometry to the present pose",
                 ResetAnswer,
                 method="POST",
                 role=Role.DRIVE,
                 fails=(UNAVAILABLE,),
             ),
-            Route(
-                f"{robot}/standstill",
-                self._standstill,
-                "Whether odometry says from now on that the robot is stopped; waits wait_s seconds at most (1.5)",
-                StoppedRobotView,
-                fails=(BAD_REQUEST,),
-            ),
-            Route(
-                "/api/standstill",
-                self._standstills,
-                "Whether odometry says that the robots are stopped",
-                StoppedRobotsView,
-                fails=(BAD_REQUEST,),
-            ),
-            Route("/api/links", self._links, "Every live connection of a device", LinksView),
-            Route("/api/topics", self._topics, "Every topic", TopicsView),
-            Route("/api/clients", self._all_clients, "Every client and its backlog", ClientsView),
-            Route(
-                "/api/drives",
-                self._all_drives,
-                "Drives of robots, the newest first; ?robot=NAME: of one robot, ?limit=N: at most N",
-                DrivesView,
-                fails=(BAD_REQUEST,),
-            ),
-            Route("/api/listening", self._listening, "Where devices connect", ListeningView),
-            Route(
-                "/api/diagnosis",
-                self._diagnosis,
-                "Findings that belong to no link, and what came in the last minute and is not a robot",
-                DaemonDiagnosisView,
-            ),
+            Route(f"{robot}/standstill", self._standstill, StoppedRobotView, fails=(BAD_REQUEST,)),
+            Route("/api/standstill", self._standstills, StoppedRobotsView, fails=(BAD_REQUEST,)),
+            Route("/api/links", self._links, LinksView),
+            Route("/api/topics", self._topics, TopicsView),
+            Route("/api/clients", self._all_clients, ClientsView),
+            Route("/api/drives", self._all_drives, DrivesView, fails=(BAD_REQUEST,)),
+            Route("/api/listening", self._listening, ListeningView),
+            Route("/api/diagnosis", self._diagnosis, DaemonDiagnosisView),
             Route(
                 "/api/reload",
                 self._reload,
-                "Read the configuration again: names and limits of robots, tokens, origins. An error changes nothing",
                 ReloadView,
                 method="POST",
                 role=Role.DRIVE,
                 fails=(CONFLICT, HTTPStatus.INTERNAL_SERVER_ERROR),
             ),
-            Route("/healthz", self._health, "Whether the daemon runs", HealthView, role=None),
-            Route(
-                "/readyz",
-                self._readiness,
-                "Whether every known robot is connected",
-                ReadinessView,
-                role=None,
-                fails=(UNAVAILABLE,),
-            ),
+            Route("/healthz", self._health, HealthView, role=None),
+            Route("/readyz", self._readiness, ReadinessView, role=None, fails=(UNAVAILABLE,)),
         ]
 
     def _find(self, request: web.Request) -> AnyRobot:
@@ -458,12 +400,15 @@ class Rest:
         return self._hub.robots.find(request.match_info["name"], driver=lambda: self._owner(request))
 
     async def _robots(self, _: web.Request) -> web.Response:
+        """Every robot."""
         return reply({"robots": [robot_view(robot) for robot in self._hub.robots.all()]})
 
     async def _robot(self, request: web.Request) -> web.Response:
+        """One robot."""
         return reply(robot_view(self._find(request)))
 
     async def _odometry(self, request: web.Request) -> web.Response:
+        """Pose and twist."""
         robot = self._find(request)
         odometry = robot.odometry.snapshot(_now_s())
         if odometry is None:
@@ -471,6 +416,7 @@ class Rest:
         return reply(odometry_view(odometry))
 
     async def _velocity(self, request: web.Request) -> web.Response:
+        """Drive for the length of a lease; repeat the request to keep driving."""
         robot = self._find_to_drive(request)
         body = decode_body(request[BODY], VelocityRequest, '{"linear": m/s, "linear_y_m_s": m/s, "angular": rad/s}')
         velocity = PlanarVelocity(body.linear, body.linear_y_m_s, body.angular)
@@ -485,6 +431,10 @@ class Rest:
         return owner
 
     async def _stop(self, request: web.Request) -> web.Response:
+        """Stop the robot, whichever client drives it, with the role read.
+
+        Answers with the measured result after wait_s seconds at most (1.5).
+        """
         robot, since_s = self._find(request), _now_s()
         robot.stop(by=_caller(request))
         await self._hub.gates.settled()
@@ -492,16 +442,19 @@ class Rest:
         return reply(view)
 
     async def _stop_all(self, request: web.Request) -> web.Response:
+        """Stop every robot. Answers with the measured result after wait_s seconds at most (1.5)."""
         since_s = _now_s()
         self._hub.robots.stop_all(by=_caller(request))
         await self._hub.gates.settled()
         return reply({"robots": await self._measured(request, self._hub.robots.all(), since_s)})
 
     async def _standstill(self, request: web.Request) -> web.Response:
+        """Whether odometry says from now on that the robot is stopped; waits wait_s seconds at most (1.5)."""
         (view,) = await self._measured(request, [self._find(request)], _now_s())
         return reply(view)
 
     async def _standstills(self, request: web.Request) -> web.Response:
+        """Whether odometry says that the robots are stopped."""
         return reply({"robots": await self._measured(request, self._hub.robots.all(), _now_s())})
 
     async def _measured(
@@ -512,9 +465,9 @@ class Rest:
         return [stopped_view(*each) for each in zip(robots, measured, strict=True)]
 
     async def _lock(self, request: web.Request) -> web.Response:
-        """Lock the robot, then check the body: an emergency stop does not fail because of an invalid reason."""
+        """Emergency stop: zero velocity at once, commands are refused until unlock. Answers as stop does."""
         robot, since_s = self._find(request), _now_s()
-        try:
+        try:  # an invalid reason locks the robot too
             body = decode_body(request[BODY] or b"{}", LockRequest, '{"reason": a text} or empty; the robot is locked')
         except BadRequest:
             robot.lock(by=_caller(request))
@@ -525,12 +478,14 @@ class Rest:
         return reply(view)
 
     async def _unlock(self, request: web.Request) -> web.Response:
+        """Unlock the robot."""
         robot = self._find(request)
         robot.unlock(by=_caller(request))
         await self._hub.gates.settled()
         return reply(robot_view(robot))
 
     async def _reset_odometry(self, request: web.Request) -> web.Response:
+        """Set the origin of odometry to the present pose."""
         robot = self._find(request)
         reset = robot.state(_now_s()).reset_topic
         if reset is None:
@@ -541,31 +496,36 @@ class Rest:
         return reply({"reset": reset})
 
     async def _links(self, _: web.Request) -> web.Response:
+        """Every live connection of a device."""
         return reply(await links_view(self._hub, Slices(self._hub)))
 
     async def _topics(self, _: web.Request) -> web.Response:
+        """Every topic."""
         return reply({"topics": topic_views(self._hub)})
 
     async def _all_clients(self, _: web.Request) -> web.Response:
+        """Every client and its backlog."""
         return reply({"clients": self._clients.views(), "refused": self._clients.refused})
 
     async def _all_drives(self, request: web.Request) -> web.Response:
-        """List drives.
+        """Drives of robots, the newest first; ?robot=NAME: of one robot, ?limit=N: at most N.
 
         Raises:
             BadRequest: the limit is not a number.
         """
-        limit = request.query.get("limit")
-        if limit is not None and not (limit.isascii() and limit.isdigit() and len(limit) <= MAX_DIGITS):
+        text = request.query.get("limit")
+        limit = None if text is None else whole_number(text, MAX_DIGITS)
+        if text is not None and limit is None:
             raise BadRequest("limit must be a number: how many drives")
-        count = None if limit is None else int(limit)
-        drives = self._drives.newest_first(robot=request.query.get("robot"), limit=count)
+        drives = self._drives.newest_first(robot=request.query.get("robot"), limit=limit)
         return reply({"drives": [_drive_view(drive) for drive in drives], "lost": self._drives.lost})
 
     async def _listening(self, _: web.Request) -> web.Response:
+        """Addresses and serial ports where devices connect."""
         return reply(listening_view(self._hub.listening, self._hub.config, own_address()))
 
     async def _diagnosis(self, _: web.Request) -> web.Response:
+        """Findings that belong to no link, and what came in the last minute and is not a robot."""
         diagnoses = self._hub.diagnoses
         arrivals: list[ArrivalView] = [
             {
@@ -583,16 +543,18 @@ class Rest:
         return reply({"findings": finding_views(findings), "arrivals": arrivals})
 
     async def _reload(self, _: web.Request) -> web.Response:
+        """Read the configuration again: names and limits of robots, tokens, origins. An error changes nothing."""
         reloaded = await self._reloader.reload()
         return reply(
             {"changed": reloaded.changed, "needs_restart": reloaded.needs_restart, "renamed": reloaded.renamed}
         )
 
     async def _health(self, _: web.Request) -> web.Response:
+        """Whether the daemon runs."""
         return reply({"status": "alive", "loop_time_s": round(asyncio.get_running_loop().time(), 3)})
 
     async def _readiness(self, _: web.Request) -> web.Response:
-        """Report ready if a robot is connected and no known robot of this daemon is disconnected."""
+        """Whether every known robot is connected."""
         robots = self._hub.robots.here()
         missing = [robot.name for robot in robots if robot.link is None]
         is_ready = bool(robots) and not missing

@@ -9,7 +9,7 @@ import reprlib
 import struct
 import time
 from collections import defaultdict
-from collections.abc import Awaitable, Callable, Coroutine, Mapping
+from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -23,6 +23,7 @@ from hostlink.api.clients import (
     ClientQueue,
     Operation,
     Outgoing,
+    Spawn,
     VelocityOf,
     put_json,
     velocity_of_payload,
@@ -75,20 +76,7 @@ class DriveOperation(msgspec.Struct, forbid_unknown_fields=True):
 class Request:
     """A JSON object with an `op`. Methods raise a BadRequest that names the invalid field."""
 
-    def __init__(self, fields: dict[str, Any], size_bytes: int = 0) -> None:
-        """Check `op`. `size_bytes`: size of the message."""
-        self.fields, self.size_bytes = fields, size_bytes
-        self.came_s: float | None = None  # earliest time of arrival; None: now
-        self.replaced: list[Request] = []  # velocities that this one replaces
-        self._drive: DriveOperation | None = None
-        self._payload: tuple[MessageType, bytes] | None = None
-        op = fields["op"]
-        if not isinstance(op, str) or not op:
-            raise BadRequest(f"{reprlib.repr(op)}: op must be a text")
-        self.op = op
-
-    @classmethod
-    def read(cls, text: str | bytes) -> "Request":
+    def __init__(self, text: str | bytes) -> None:
         """Decode one message of a client.
 
         Raises:
@@ -102,7 +90,14 @@ class Request:
             raise BadRequest("invalid JSON: nested too deeply") from None
         if not isinstance(fields, dict) or "op" not in fields:
             raise BadRequest('a message is a JSON object with an "op"')
-        return cls(fields, len(text))
+        op = fields["op"]
+        if not isinstance(op, str) or not op:
+            raise BadRequest(f"{reprlib.repr(op)}: op must be a text")
+        self.op, self.fields, self.size_bytes = op, fields, len(text)
+        self.came_s: float | None = None  # earliest time of arrival; None: now
+        self.replaced: list[Request] = []  # velocities that this one replaces
+        self._drive: DriveOperation | None = None
+        self._payload: tuple[MessageType, bytes] | None = None
 
     def drive_operation(self) -> DriveOperation:
         """Return the fields of a `drive`.
@@ -122,7 +117,10 @@ class Request:
             BadPayload: the bytes of `raw` are not a message of the type.
         """
         if self._payload is None or self._payload[0] is not type_:
-            payload = _raw_payload(self, type_) or type_.encode(fill_stamps(type_, self.table("msg"), time.time_ns()))
+            message = self.fields.get("msg", {})
+            if not isinstance(message, dict):
+                raise BadRequest("publish: msg must be an object")
+            payload = _raw_payload(self, type_) or type_.encode(fill_stamps(type_, message, time.time_ns()))
             self._payload = type_, payload
         return self._payload[1]
 
@@ -183,20 +181,10 @@ class Request:
             raise BadRequest(f"{self.op}: {key} must be an integer from 0 to {largest}")
         return value
 
-    def table(self, key: str) -> dict[str, Any]:
-        """Return an object; an empty one if the field is missing.
-
-        Raises:
-            BadRequest: the field is not an object.
-        """
-        value = self.fields.get(key, {})
-        if not isinstance(value, dict):
-            raise BadRequest(f"{self.op}: {key} must be an object")
-        return value
-
-    def is_set(self, key: str) -> bool:
-        """Whether a field is true."""
-        return self.fields.get(key) is True
+    @property
+    def is_latched(self) -> bool:
+        """Whether the topic is to be latched."""
+        return self.fields.get("latch") is True
 
 
 MAX_PENDING = 4  # incomplete messages of one client
@@ -365,7 +353,7 @@ def velocity_of_request(request: Request, topics: TopicGraph) -> tuple[VelocityO
         payload = request.payload(topic.type)
     except HostlinkError:
         return NOT_A_VELOCITY
-    return velocity_of_payload(topic, payload, (priority, type_name, request.is_set("latch")))
+    return velocity_of_payload(topic, payload, (priority, type_name, request.is_latched))
 
 
 _NS_PER_S = 1_000_000_000
@@ -550,7 +538,7 @@ class ClientTopics:
             BadRequest: the type is unknown, or more than MAX_ADVERTISED topics are advertised.
             WrongType: the topic is in use with another type.
         """
-        name, is_latched = resolve(request.text("topic")), request.is_set("latch")
+        name, is_latched = resolve(request.text("topic")), request.is_latched
         type_name = request.text("type")
         if sum(map(len, self._ids.values())) >= MAX_ADVERTISED:
             raise BadRequest(f"more than {MAX_ADVERTISED} topics advertised")
@@ -562,7 +550,7 @@ class ClientTopics:
     def publish(self, request: Request) -> None:
         """Advertise the topic of a `publish` that names its type, if that is not done yet. Raises as `advertise`."""
         name = resolve(request.text("topic"))
-        is_known = name in self._latched or (name in self._ids and not request.is_set("latch"))
+        is_known = name in self._latched or (name in self._ids and not request.is_latched)
         if not is_known and request.fields.get("type"):
             self.advertise(request)
 
@@ -596,9 +584,7 @@ class _PendingCall(NamedTuple):
 class ClientServices:
     """Services that a client provides: advertised, called and answered."""
 
-    def __init__(
-        self, participant: Participant, catalog: Catalog, queue: ClientQueue, warn: Callable[[str], None]
-    ) -> None:
+    def __init__(self, participant: Participant, catalog: Catalog, queue: ClientQueue, warn: Warn) -> None:
         """Create the services of one participant. `warn` sends the client a status of level warning."""
         self._participant, self._catalog, self._queue, self._warn = participant, catalog, queue, warn
         self._numbers = itertools.count(1)
@@ -611,10 +597,7 @@ class ClientServices:
             BadRequest: a field is wrong, there are too many services, or the name is reserved for the daemon.
         """
         name, type_name = request.text("service"), request.text("type")
-
-        async def answer(arguments: Values) -> Values:
-            return await self._call(name, type_name, arguments)
-
+        answer = functools.partial(self._call, name, type_name)
         self._participant.provide(name, type_name, answer, notify=self._warn)
 
     def unadvertise(self, request: Request) -> None:
@@ -678,15 +661,8 @@ class DriveCommands:
     answer is the velocity as sent.
     """
 
-    def __init__(
-        self,
-        participant: Participant,
-        robots: Robots,
-        queue: ClientQueue,
-        *,
-        spawn: Callable[[Coroutine[Any, Any, None]], object],
-    ) -> None:
-        """Create the commands of one client. `spawn` runs a wait for another daemon in the client's task group."""
+    def __init__(self, participant: Participant, robots: Robots, queue: ClientQueue, spawn: Spawn) -> None:
+        """Create the commands of one client. `spawn` runs a wait for another daemon."""
         self._participant, self._robots, self._queue, self._spawn = participant, robots, queue, spawn
         self._waiting = 0
 
@@ -835,16 +811,9 @@ class RosbridgeClient:
     """One participant and its rosbridge operations."""
 
     def __init__(
-        self,
-        name: str,
-        hub: Hub,
-        queue: ClientQueue,
-        *,
-        spawn: Callable[[Coroutine[Any, Any, None]], object],
-        role: Role = Role.DRIVE,
-        group: str = "",
+        self, name: str, hub: Hub, queue: ClientQueue, *, spawn: Spawn, role: Role = Role.DRIVE, group: str = ""
     ) -> None:
-        """Join the hub. `spawn` runs a service call in the client's task group; `group`: the mirrored graph."""
+        """Join the hub. `spawn` runs a service call; `group`: the mirrored graph."""
         self.participant = hub.join(name, role=role, group=group, on_end=queue.close)
         self._topics = ClientTopics(self.participant)
         services = ClientServices(self.participant, hub.catalog, queue, self._warn)
@@ -857,7 +826,7 @@ class RosbridgeClient:
         self._refused_velocities = RateLimit(REFUSED_VELOCITIES_S)
         self._unknown_ops: set[str] = set()
         self._fragments = Fragments(hub.config.api.max_message_bytes, hub.budget["fragments"])
-        self._drive = DriveCommands(self.participant, hub.robots, queue, spawn=spawn)
+        self._drive = DriveCommands(self.participant, hub.robots, queue, spawn)
         self._operations: dict[str, Callable[[Request], None]] = {
             "advertise": self._topics.advertise,
             "unadvertise": self._topics.unadvertise,
@@ -885,7 +854,7 @@ class RosbridgeClient:
     def read(self, data: str | bytes, came_s: float) -> Operation[Request | BadRequest]:
         """Decode a message. An error is returned as the content, and sent to the client by `do`."""
         try:
-            request = Request.read(data)
+            request = Request(data)
         except BadRequest as error:
             return Operation(error, came_s)
         request.came_s = came_s
@@ -903,7 +872,9 @@ class RosbridgeClient:
         try:
             act = self._operations.get(request.op)
             if act is None:
-                self._log_unknown(request.op)
+                if request.op not in self._unknown_ops and len(self._unknown_ops) < MAX_UNKNOWN_OPS:
+                    self._unknown_ops.add(request.op)
+                    log.warning("client.unknown_op", op=printable(request.op))
                 raise BadRequest(f"unknown op {printable(request.op)!r}")
             self.participant.check(Role.READ if request.op in _FOR_READERS else Role.DRIVE, request.op)
             act(request)
@@ -1012,11 +983,6 @@ class RosbridgeClient:
         if topic is None or not topic.is_gated:
             return False
         return self._refused_velocities.allows(topic.name, asyncio.get_running_loop().time())
-
-    def _log_unknown(self, op: str) -> None:
-        if op not in self._unknown_ops and len(self._unknown_ops) < MAX_UNKNOWN_OPS:
-            self._unknown_ops.add(op)
-            log.warning("client.unknown_op", op=printable(op))
 
 
 def _refuse_action(request: Request) -> None:

@@ -58,11 +58,10 @@ class ErrorView(TypedDict):
 
 @dataclass(frozen=True, slots=True)
 class Route:
-    """One path and method."""
+    """One path and method. Its summary is the docstring of its handler, up to `Raises:`."""
 
     path: str
     handler: Handler
-    summary: str
     response: type | None  # type of its JSON; None: not JSON
     _: KW_ONLY
     method: str = "GET"
@@ -114,10 +113,11 @@ def openapi(routes: Iterable[Route]) -> dict[str, Any]:
 def _operation(route: Route) -> dict[str, Any]:
     schema = {"type": "string"} if route.response is None else _schema(route.response)
     fails = set(route.fails)
+    summary = " ".join((inspect.getdoc(route.handler) or "").partition("Raises:")[0].split()).removesuffix(".")
     operation: dict[str, Any] = {
-        "summary": route.summary,
+        "summary": summary,
         "operationId": re.sub(r"\W+", "_", f"{route.method.lower()} {route.path}").strip("_"),
-        "responses": {"200": {"description": route.summary, "content": {route.media_type: {"schema": schema}}}},
+        "responses": {"200": {"description": summary, "content": {route.media_type: {"schema": schema}}}},
     }
     if route.role is None:
         operation["security"] = [{}]

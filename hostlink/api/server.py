@@ -50,6 +50,7 @@ from hostlink.errors import ConfigError
 from hostlink.hub.hub import Hub
 from hostlink.hub.node import Role
 from hostlink.hub.reloader import Reloader
+from hostlink.listening import spelled
 from hostlink.logs import printable
 from hostlink.rate_limit import RateLimit
 from hostlink.recording.recordings import Recordings
@@ -89,8 +90,6 @@ MAX_GROUP = 64  # characters of a group's name
 ALLOWED_HEADERS = "Authorization, Content-Type, Range"
 EXPOSED_HEADERS = "Accept-Ranges, Content-Length, Content-Range, ETag, Last-Modified"  # for readers of recordings
 
-Program = RosbridgeClient | FoxgloveClient
-
 
 class OpenApiView(TypedDict):
     """An OpenAPI 3.1 document."""
@@ -101,11 +100,11 @@ class OpenApiView(TypedDict):
 class ApiServer:
     """The HTTP server and its WebSocket clients."""
 
-    def __init__(self, hub: Hub, config: ApiConfig, recordings: Recordings, reloader: Reloader) -> None:
+    def __init__(self, hub: Hub, recordings: Recordings, reloader: Reloader) -> None:
         self._hub, self._recordings, self._reloader = hub, recordings, reloader
         reloader.prepares.append(self._prepare_access)
         self._grants = Grants()
-        self._config = config
+        self._config = config = hub.config.api
         self._access = Access(config)
         self._limit = RateLimit(config.max_requests_s)
         connections = ApiConnections(
@@ -123,33 +122,26 @@ class ApiServer:
         self._metrics = Metrics(hub, self._clients, self._limit, connections, self._owners, recordings)
         self._sockets: set[web.WebSocketResponse] = set()
         self._turns = hub.turns()  # shared by all requests
-        self._routes: list[Route] = []
         self._by_handler: dict[Handler, Route] = {}
         RosApi(hub).offer()
 
     def application(self) -> web.Application:
         """Return the aiohttp application with all routes."""
         app = web.Application(middlewares=[explain_errors, self._admit], client_max_size=self._config.max_message_bytes)
-        self._routes = [
+        routes = [
             *Rest(self._hub, self._clients, self._owners, self._recordings.drives, self._reloader).routes(),
             *Events(self._hub, self._clients, self._recordings).routes(),
             *Captures(self._hub).routes(),
             *RecordingRoutes(self._recordings, self._hub.config.recording.max_file_mb).routes(),
             *HistoryRoutes(self._hub, self._recordings.black_box, self._recordings.folder).routes(),
             self._metrics.route(),
-            Route(
-                "/api/openapi.json",
-                self._openapi,
-                "This document",
-                OpenApiView,
-                role=None,
-            ),
+            Route("/api/openapi.json", self._openapi, OpenApiView, role=None),
         ]
-        for route in self._routes:
+        for route in routes:
             app.router.add_route(route.method, route.path, route.handler)
             if route.media_type == FILE:  # programs request the length before they read ranges
                 app.router.add_route("HEAD", route.path, route.handler)
-        self._by_handler = {route.handler: route for route in self._routes}
+        self._by_handler = {route.handler: route for route in routes}
         app.router.add_get("/", self._root)
         app.router.add_get("/web/{file}", page_file)
         app.on_shutdown.append(self._close_sockets)
@@ -163,12 +155,13 @@ class ApiServer:
             revoked = self._access.revoked(new)
             self._access = new
             self._grants.end(revoked)
-            self._owners.end(self._owners.names if "" in revoked else revoked)
+            self._owners.end(revoked)
 
         return apply
 
     async def _openapi(self, _: web.Request) -> web.Response:
-        return reply(openapi(self._routes))
+        """The OpenAPI document."""
+        return reply(openapi(self._by_handler.values()))
 
     @web.middleware
     async def _admit(self, request: web.Request, handler: Handler) -> web.StreamResponse:
@@ -272,10 +265,13 @@ class ApiServer:
         with bound_contextvars(client=client.name, peer=request.remote):
             try:
                 await _open(socket, request)
-                reading, transport = reading_of(request), request.transport
-                if reading is None or transport is None:
+                reading = reading_of(request)
+                if reading is None:
                     raise ConnectionResetError("the connection was closed during the handshake")
-                _bound_buffers(transport)
+                # Behind the client's queue nothing drops or counts messages: little fits there.
+                reading.transport.set_write_buffer_limits(SEND_BUFFER_BYTES)
+                tcp = reading.transport.get_extra_info("socket")
+                tcp.setsockopt(sockets.SOL_SOCKET, sockets.SO_SNDBUF, SEND_BUFFER_BYTES)
                 self._sockets.add(socket)
                 log.info("client.connected", role=client.grant.role.name.lower(), program=printable(client.program))
                 async with asyncio.TaskGroup() as tasks:
@@ -283,7 +279,6 @@ class ApiServer:
                     program.participant.address = client.peer
                     connection = ClientSocket(
                         socket,
-                        transport,
                         reading,
                         client,
                         program,
@@ -308,7 +303,9 @@ class ApiServer:
         raise_if_cancelled()
         return socket if socket.prepared else web.Response(status=HTTPStatus.BAD_REQUEST)  # the client left before
 
-    def _program(self, client: Client, queue: ClientQueue, tasks: asyncio.TaskGroup, group: str) -> Program:
+    def _program(
+        self, client: Client, queue: ClientQueue, tasks: asyncio.TaskGroup, group: str
+    ) -> RosbridgeClient | FoxgloveClient:
         """Create the protocol that the client speaks."""
         name, role = client.name, client.grant.role
         if client.kind == "foxglove":
@@ -337,12 +334,6 @@ async def _open(socket: web.WebSocketResponse, request: web.Request) -> None:
         raise web.HTTPBadRequest(reason=reason) from None
 
 
-def _bound_buffers(transport: asyncio.Transport) -> None:
-    """Bound the buffers behind the client's queue, in the process and in the kernel: they drop and count nothing."""
-    transport.set_write_buffer_limits(SEND_BUFFER_BYTES)
-    transport.get_extra_info("socket").setsockopt(sockets.SOL_SOCKET, sockets.SO_SNDBUF, SEND_BUFFER_BYTES)
-
-
 def _too_large(most_bytes: int) -> web.HTTPRequestEntityTooLarge:
     reason = f"the body may have {most_bytes} bytes at most"
     return web.HTTPRequestEntityTooLarge(most_bytes, 0, reason=reason)
@@ -359,17 +350,17 @@ def _is_websocket(request: web.Request) -> bool:
 
 def url_of(host: str, port: int, *, has_tls: bool) -> str:
     """Return the URL of an address."""
-    return f"{'https' if has_tls else 'http'}://{f'[{host}]' if ':' in host else host}:{port}"
+    return f"{'https' if has_tls else 'http'}://{spelled(host, port)}"
 
 
 @contextlib.asynccontextmanager
-async def serve_api(config: ApiConfig, hub: Hub, recordings: Recordings, reloader: Reloader) -> AsyncIterator[str]:
+async def serve_api(hub: Hub, recordings: Recordings, reloader: Reloader) -> AsyncIterator[str]:
     """Serve within the block. Yields the address as a URL.
 
     Raises:
         ConfigError: the port is in use, or the address is invalid.
     """
-    server = ApiServer(hub, config, recordings, reloader)
+    server, config = ApiServer(hub, recordings, reloader), hub.config.api
     runner = web.AppRunner(
         server.application(),
         access_log=None,

@@ -182,20 +182,17 @@ class ClosedPortView(TypedDict):
     diagnosis: list[FindingView]
 
 
-class LinkHistoryView(TypedDict):
-    """The last ended connections, the newest first; closed serial ports; how many links an internal error of hostlink
-    ended; how many connections were refused, by cause.
+class LinksView(TypedDict):
+    """Every live connection, and the last ended ones, the newest first.
+
+    ports: closed serial ports. crashes: how many links an internal error of hostlink ended. refused: how many
+    connections were refused, by cause.
     """
 
     ended: list[EndedLinkView]
     ports: list[ClosedPortView]
     crashes: int
     refused: dict[str, int]
-
-
-class LinksView(LinkHistoryView):
-    """Every live connection, and the last ended ones."""
-
     links: list[LinkView]
 
 
@@ -334,23 +331,12 @@ def topic_info_views(hub: Hub, diagnosis: Diagnosis) -> list[TopicInfoView]:
     ]
 
 
-def link_views(hub: Hub) -> Iterator[LinkView]:
-    """Yield every live connection, each with its state at that moment."""
-    for link in hub.links.all():
-        diagnosis = hub.diagnoses.find(link.number)
-        if diagnosis is not None:
-            yield link_view(hub, diagnosis)
-
-
 async def links_view(hub: Hub, slices: Slices) -> dict[str, object]:
     """Return a LinksView, ready to be encoded. It is made in slices: topics of many devices are megabytes of JSON."""
     links: list[msgspec.Raw] = []
-    await slices.run(link_views(hub), lambda view: links.append(msgspec.Raw(msgspec.json.encode(view))))
-    return {"links": links, **link_history_view(hub)}
-
-
-def link_history_view(hub: Hub) -> LinkHistoryView:
-    """Return the last ended links, the newest first, and the closed ports."""
+    live = (hub.diagnoses.find(link.number) for link in hub.links.all())
+    views = (link_view(hub, diagnosis) for diagnosis in live if diagnosis is not None)
+    await slices.run(views, lambda view: links.append(msgspec.Raw(msgspec.json.encode(view))))
     now_s = asyncio.get_running_loop().time()
     ended: list[EndedLinkView] = [
         {
@@ -365,6 +351,7 @@ def link_history_view(hub: Hub) -> LinkHistoryView:
         for diagnosis in reversed(hub.diagnoses.ended)
     ]
     return {
+        "links": links,
         "ended": ended,
         "ports": [{"name": name, "diagnosis": finding_views([each])} for name, each in hub.diagnoses.ports.items()],
         "crashes": hub.isolation.crashes.total(),

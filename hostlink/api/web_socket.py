@@ -46,7 +46,6 @@ class ClientSocket:
     def __init__(
         self,
         socket: web.WebSocketResponse,
-        transport: asyncio.Transport,
         reading: PacedReading,
         client: Client,
         program: ClientProgram[Any],
@@ -60,7 +59,7 @@ class ClientSocket:
         to_client: Latency,
     ) -> None:
         """Take over the socket. `to_client`: latency from the arrival of a message to the socket, of all clients."""
-        self._socket, self._transport, self._reading = socket, transport, reading
+        self._socket, self._transport, self._reading = socket, reading.transport, reading
         self._client, self._program, self._queue = client, program, queue
         self._turns, self._gates, self._tasks, self._to_client = turns, gates, tasks, to_client
         self._loop = asyncio.get_running_loop()

@@ -144,7 +144,7 @@ async def _listening(
 ) -> AsyncIterator[Addresses]:
     """Open the listeners for devices and programs, and the serial ports."""
     async with (
-        serve_api(config.api, hub, recordings, reloader) as api,
+        serve_api(hub, recordings, reloader) as api,
         contextlib.AsyncExitStack() as last,  # mDNS may be slow
     ):
         acceptor = TcpAcceptor(hub, config.tcp)

@@ -141,7 +141,7 @@ class ApiMemory:
             config, recording=RecordingConfig(folder=folder, drives=False), black_box=BlackBoxConfig(enabled=False)
         )
         self.hub = Hub(config, CATALOG, reraises=True)
-        self.server = ApiServer(self.hub, config.api, Recordings(self.hub), Reloader(self.hub))
+        self.server = ApiServer(self.hub, Recordings(self.hub), Reloader(self.hub))
         self.make_protocol: MakeProtocol
         self.device: ScriptedDevice
 

@@ -1,6 +1,7 @@
 """Messages that a newer one may replace: velocities for gated topics and robots, but no zero."""
 
 import base64
+import json
 from typing import Any
 
 import pytest
@@ -14,6 +15,10 @@ from tests.support.fake_device import CATALOG
 
 TOPIC, STAMPED = "/robot_0/cmd_vel", "/robot_0/cmd_vel_stamped"
 MOVING = PlanarVelocity(x_m_s=0.2).encode()
+
+
+def read(fields: dict[str, Any]) -> Request:
+    return Request(json.dumps(fields))
 
 
 def topics() -> TopicGraph:
@@ -37,7 +42,7 @@ def topics() -> TopicGraph:
     ],
 )
 def test_message_on_a_velocity_topic_is_a_velocity(topic: str, fields: dict[str, Any], is_zero: bool) -> None:
-    request = Request({"op": "publish", "topic": topic[1:], "priority": 60} | fields)
+    request = read({"op": "publish", "topic": topic[1:], "priority": 60} | fields)
     terms = (60, None, False), (True, True, False)
     assert velocity_of_request(request, topics()) == (VelocityOf("publish", topic, terms), is_zero)
 
@@ -69,15 +74,15 @@ def test_message_on_a_velocity_topic_is_a_velocity(topic: str, fields: dict[str,
     ],
 )
 def test_invalid_velocity_is_never_replaced(fields: dict[str, Any]) -> None:
-    assert velocity_of_request(Request(fields), topics()) == (None, False)
+    assert velocity_of_request(read(fields), topics()) == (None, False)
 
 
 def test_drive_is_a_velocity_of_its_robot() -> None:
     drive = {"op": "drive", "robot": "/robot_0", "linear": 0, "angular": 0.0}
     of = VelocityOf("drive", "robot_0", (50, None, None, None, False, False, True))
-    assert velocity_of_request(Request(drive), topics()) == (of, True)
-    assert velocity_of_request(Request(drive | {"linear": 0.1}), topics()) == (of, False)
-    assert not velocity_of_request(Request(drive | {"is_planar": False}), topics())[1]
+    assert velocity_of_request(read(drive), topics()) == (of, True)
+    assert velocity_of_request(read(drive | {"linear": 0.1}), topics()) == (of, False)
+    assert not velocity_of_request(read(drive | {"is_planar": False}), topics())[1]
 
 
 @pytest.mark.parametrize(
@@ -94,19 +99,19 @@ def test_drive_is_a_velocity_of_its_robot() -> None:
 )
 def test_drive_with_other_terms_is_another_velocity(terms: dict[str, Any]) -> None:
     drive = {"op": "drive", "robot": "robot_0", "linear": 0.1, "angular": 0.0}
-    assert velocity_of_request(Request(drive | terms), topics()) != velocity_of_request(Request(drive), topics())
+    assert velocity_of_request(read(drive | terms), topics()) != velocity_of_request(read(drive), topics())
 
 
 @pytest.mark.parametrize("terms", [{"priority": 60}, {"type": TWIST_TYPE}, {"latch": True}])
 def test_message_with_other_terms_is_another_velocity(terms: dict[str, Any]) -> None:
     message: dict[str, Any] = {"op": "publish", "topic": TOPIC, "msg": {}}
-    assert velocity_of_request(Request(message | terms), topics()) != velocity_of_request(Request(message), topics())
+    assert velocity_of_request(read(message | terms), topics()) != velocity_of_request(read(message), topics())
 
 
 @pytest.mark.parametrize("linear", [{"y": 0.1}, {"z": 0.1}, {"x": None}])
 def test_message_that_a_robot_may_refuse_is_another_velocity(linear: dict[str, Any]) -> None:
     usual, other = ({"op": "publish", "topic": TOPIC, "msg": {"linear": each}} for each in ({"x": 0.1}, linear))
-    assert velocity_of_request(Request(other), topics()) != velocity_of_request(Request(usual), topics())
+    assert velocity_of_request(read(other), topics()) != velocity_of_request(read(usual), topics())
 
 
 def test_serialised_velocity_counts_only_on_a_velocity_topic() -> None:

@@ -35,6 +35,7 @@ class Socket:
         self.came_s = 0.0
         self.reads = self.unread_bytes = 0
         self.has_room = False
+        self.transport = self
         self.kind = "rosbridge"
         self.messages_from_client = self.messages_to_client = self.bytes_to_client = 0
         self.on_read: Callable[[], None]
@@ -117,7 +118,6 @@ class Connected:
         self.program, self.latency, self.replaced = Echo(self.queue, tasks), Latency(), 0
         self.connection = ClientSocket(
             cast(web.WebSocketResponse, self.socket),
-            cast(asyncio.Transport, self.socket),
             cast(PacedReading, self.socket),
             cast(Client, self.socket),
             cast(Any, self.program),
