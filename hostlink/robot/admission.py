@@ -79,7 +79,7 @@ class Freshness:
 
 LEASE_S = 0.5  # the time-out of diff_drive_controller and of the robot's own watchdog
 MAX_SOURCES = 64  # that one robot keeps apart
-UNORDERED_S = 0.05  # between two arrivals whose order is not known; the clock of the gates ticks as often
+UNORDERED_S = 0.1  # between two arrivals whose order is not known: a loop that was late is noticed by its next beat
 EPOCH_BITS = 40  # the first epoch is drawn at random: that of an earlier daemon is never the current one
 EARLIER_EPOCH = -1  # of a motion that may have begun before an interruption
 NOT_SIDEWAYS = (

@@ -412,7 +412,7 @@ def test_velocity_that_waited_for_the_loop_does_not_move_a_robot_that_was_stoppe
     numbered(check)
 
 
-@pytest.mark.parametrize(("waited_s", "is_admitted"), [(0.2, False), (0.01, True)])
+@pytest.mark.parametrize(("waited_s", "is_admitted"), [(0.2, False), (0.05, True)])
 def test_velocity_that_waited_for_its_client_s_turn_while_another_stopped_the_robot(
     waited_s: float, is_admitted: bool, tmp_path: Path
 ) -> None:
