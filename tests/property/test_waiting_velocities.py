@@ -11,7 +11,9 @@ from typing import Any, NamedTuple
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from hostlink.robot.velocity import Kinematics
+from hostlink.api.clients import Operation, OperationQueue, VelocityOf
+from hostlink.robot.admission import UNORDERED_S, Admission, Command
+from hostlink.robot.velocity import Kinematics, PlanarVelocity
 from tests.support.api_memory import ApiMemory, ApiPeer, api_memory
 from tests.support.participants import VELOCITY_ID
 from tests.support.virtual_loop import run_virtual
@@ -217,3 +219,64 @@ def merges(sent: list[Sent]) -> list[list[Sent]]:
         queues = [[each for each, of in zip(sent, sources, strict=True) if of == source] for source in range(3)]
         found.append([queues[source].pop(0) for source in order])
     return found
+
+
+class Robot:
+    """Robot whose client's velocities wait in a queue."""
+
+    calls = 0
+
+    def __init__(self) -> None:
+        self.now_s, self.admission = 100.0, Admission("robot_0")
+        self.admission.connect(0.0)
+        self.queue = OperationQueue[PlanarVelocity](self, lambda: None, 1000.0)
+
+    def read(self, data: str | bytes, came_s: float) -> Operation[PlanarVelocity]:
+        velocity = PlanarVelocity(float(data))
+        return Operation(velocity, came_s, VelocityOf("drive", "robot_0"), velocity.is_zero)
+
+    def do(self, operation: Operation[PlanarVelocity]) -> None:
+        velocity = operation.content
+        decision = self.admission.decide(Command(velocity, "client", 50, operation.came_s), self.now_s)
+        if velocity.is_zero and decision.is_admitted:
+            self.admission.end("")
+
+    def flush(self, now_s: float) -> float | None: ...
+    def close(self) -> None: ...
+
+    def work(self) -> None:
+        while self.queue.waiting:
+            self.queue.work()
+
+    def live(self, events: list[str], *, is_busy: bool) -> tuple[bool, bool]:
+        """Return whether it moves after the events, and whether one more velocity is admitted."""
+        for event in events:
+            if event == "wait":
+                self.now_s += STEP_S
+            elif event == "stop":
+                self.now_s += STEP_S
+                self.admission.interrupt(self.now_s)
+                self.now_s += STEP_S
+            else:
+                self.queue.put(event, self.now_s, self.now_s)
+                if not is_busy:
+                    self.work()
+        self.work()
+        moves = self.admission.driver("", self.now_s) is not None
+        return moves, self.admission.decide(
+            Command(PlanarVelocity(0.1), "client", 50, self.now_s), self.now_s
+        ).is_admitted
+
+
+STEP_S = UNORDERED_S + 0.01
+events = st.lists(st.sampled_from(("0.1", "0.2", "0.1", "0.0", "stop", "wait")), max_size=8)
+
+
+@given(events)
+@example(["0.1", "stop", "0.1"])
+@example(["0.1", "stop", "0.0", "0.1"])
+@example(["0.1", "wait", "0.1", "stop", "0.1"])
+def test_velocities_that_wait_while_others_stop_the_robot_move_it_no_more_than_at_once(events: list[str]) -> None:
+    waited, at_once = Robot().live(events, is_busy=True), Robot().live(events, is_busy=False)
+    assert waited[0] <= at_once[0]
+    assert waited[1] <= at_once[1]
