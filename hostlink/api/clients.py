@@ -16,6 +16,7 @@ from hostlink.errors import BadPayload
 from hostlink.hub.byte_budget import ByteBudget
 from hostlink.hub.queue import Queue
 from hostlink.hub.topic import Topic
+from hostlink.robot.admission import UNORDERED_S
 from hostlink.robot.velocity import TWIST_STAMPED_TYPE, TWIST_TYPE, Twist
 
 MANY = 64  # messages of one client while the loop is busy: more than a second of commands at 50 Hz
@@ -43,6 +44,10 @@ class Operation(Generic[Content]):
     velocity_of: VelocityOf | None = None  # None: not a velocity
     is_zero: bool = False
     replaced: list[Content] = field(default_factory=list)  # velocities that this one replaces
+    since_s: float = field(init=False)  # when the first of those came, or else this one
+
+    def __post_init__(self) -> None:
+        self.since_s = self.came_s
 
 
 class ClientProgram(Protocol[Content]):
@@ -70,7 +75,8 @@ class OperationQueue(Generic[Content]):
 
     A velocity replaces the pending one of its robot or topic if they differ in the velocity alone, and only velocities
     for others, by the same operation, came between them: anything else may change what is decided about the newer one.
-    A zero replaces likewise, and is never replaced.
+    So may an interruption: a velocity from before it disarms its source. It is not replaced by one that came
+    UNORDERED_S later. A zero replaces velocities of any age, and is never replaced.
     """
 
     def __init__(self, program: ClientProgram[Content], on_replaced: Callable[[], None], messages_s: float) -> None:
@@ -120,9 +126,9 @@ class OperationQueue(Generic[Content]):
                     velocities.clear()
                     self._velocities_by = velocity_of.operation
                 older = velocities.pop(velocity_of.target, None)
-                if older is not None and operations[older].velocity_of == velocity_of:
+                if older is not None and _is_replaced(operations[older], new):
                     replaced = operations.pop(older)
-                    new.replaced = [*replaced.replaced, replaced.content]
+                    new.replaced, new.since_s = [*replaced.replaced, replaced.content], replaced.since_s
                     self.waiting -= 1
                     self._on_replaced()
                 if not new.is_zero:
@@ -140,6 +146,11 @@ class OperationQueue(Generic[Content]):
                 self._bytes, self.is_flooding = 0, False
             if len(operations) <= MAX_MESSAGES // 2 and (not operations or self._bytes <= MAX_BYTES):
                 self.has_room = True
+
+
+def _is_replaced(older: Operation[Content], newer: Operation[Content]) -> bool:
+    is_soon = newer.is_zero or newer.came_s < older.since_s + UNORDERED_S
+    return is_soon and older.velocity_of == newer.velocity_of
 
 
 _TWISTS = frozenset({TWIST_TYPE, TWIST_STAMPED_TYPE})

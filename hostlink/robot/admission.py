@@ -19,8 +19,8 @@ A *source* of commands is a program, a REST owner, a publisher of another graph.
 | any      | non-zero command from before the newest interruption      | disarmed | refused: disarmed     |
 | any      | the source leaves                                         | quiet    | its robot stops       |
 
-Before that, in this order, each of which leaves a source that was quiet or driving as it is, unless the epoch of the
-command is not the current one: that disarms it all the same.
+Before that, in this order, each of which leaves a source that was quiet or driving as it is, unless the command has an
+epoch that is not the current one or is from before the newest interruption: that disarms it all the same.
 
 | event                                                               | decision             |
 |---------------------------------------------------------------------|----------------------|
@@ -41,6 +41,7 @@ and a lock do not shorten the time for which the robot is held.
 
 A command without the current epoch is from before an interruption if it has waited, here or on its way, since more than
 UNORDERED_S before it. Two arrivals that are closer have no known order, because a loop that is late reads both at once.
+A pause counts from its beginning.
 
 An interruption increments the epoch. Answers to commands carry the epoch, so that a program can say that it has seen
 the interruption. A reconnection disarms the sources that were driving when the device left, too. A reconnection within
@@ -79,7 +80,7 @@ class Freshness:
 
 LEASE_S = 0.5  # the time-out of diff_drive_controller and of the robot's own watchdog
 MAX_SOURCES = 64  # that one robot keeps apart
-UNORDERED_S = 0.05  # between two arrivals whose order is not known; the clock of the gates ticks as often
+UNORDERED_S = 0.1  # between two arrivals whose order is not known: a loop that was late is noticed by its next beat
 EPOCH_BITS = 40  # the first epoch is drawn at random: that of an earlier daemon is never the current one
 EARLIER_EPOCH = -1  # of a motion that may have begun before an interruption
 NOT_SIDEWAYS = (
@@ -251,7 +252,12 @@ class Admission:
         joined = self._joined.pop(owner, None)
         if joined is not None and command.epoch is None:
             command = command._replace(epoch=joined.pop_epoch(command.received_s))
-        if command.epoch not in (None, self.epoch):
+        waited_s = source.waited_s(command, now_s)
+        if command.epoch is None:
+            is_earlier = now_s - waited_s < self._interrupted_s - UNORDERED_S
+        else:
+            is_earlier = command.epoch != self.epoch
+        if is_earlier:
             source.is_armed = False  # also if this command is refused: the next one continues its motion
         if not velocity.is_finite:
             return self._refuse(RefusalKind.NOT_FINITE, "a velocity must consist of finite numbers")
@@ -263,13 +269,10 @@ class Admission:
             return self._refuse(RefusalKind.UNSUPPORTED, NOT_SIDEWAYS)
         if not self.is_connected:
             return self._refuse(RefusalKind.NOT_CONNECTED, "its device is not connected")
-        waited_s = source.waited_s(command, now_s)
         if waited_s >= self.lease_s or command.stamp_age_s is not None:
             late = self._late_text(command, waited_s)
             if late:
                 return self._refuse(RefusalKind.LATE, late)
-        if now_s - waited_s < self._interrupted_s - UNORDERED_S:
-            source.is_armed = False  # it was commanding already when the robot was interrupted
         if command.epoch == self.epoch:
             source.is_armed = True
         if not source.is_armed:
@@ -388,7 +391,7 @@ class Admission:
         """
         since_s = now_s if since_s is None else since_s
         self.epoch += 1
-        self.interrupted_by, self._interrupted_s = by, now_s
+        self.interrupted_by, self._interrupted_s = by, max(self._interrupted_s, since_s)
         self._drivers.clear()
         for source in self._sources.values():
             if source.has_lost_device or since_s < source.commanded_s + self.lease_s:

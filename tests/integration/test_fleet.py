@@ -98,6 +98,7 @@ async def test_robots_of_one_name_receive_commands_of_their_own(
                 assert await device.velocity_other_than((0.0, 0.0)) == (velocity.x_m_s, 0.0)
                 host.hub.robots.find(name).stop()
                 assert await device.velocity_other_than((velocity.x_m_s, 0.0)) == (0.0, 0.0)
+                await asyncio.sleep(0.1)  # a busy machine does not know the order of what is closer to the stop
 
 
 async def test_robots_of_one_name_have_topics_under_their_names_and_share_global_topics() -> None:

@@ -9,6 +9,7 @@ import itertools
 import struct
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -26,6 +27,7 @@ from hostlink.protocol.stream import FrameStream
 from hostlink.robot.admission import LEASE_S
 from hostlink.robot.velocity import ZERO, PlanarVelocity
 from hostlink.sim.robot import SimulatedRobot
+from tests.support.api_memory import api_memory
 from tests.support.fake_device import robot_topics
 from tests.support.gates import drive_gate
 from tests.support.memory_hub import MemoryHub, in_hub
@@ -408,6 +410,27 @@ def test_velocity_that_waited_for_the_loop_does_not_move_a_robot_that_was_stoppe
         drive(made, SLOW)
 
     numbered(check)
+
+
+@pytest.mark.parametrize(("waited_s", "is_admitted"), [(0.2, False), (0.05, True)])
+def test_velocity_that_waited_for_its_client_s_turn_while_another_stopped_the_robot(
+    waited_s: float, is_admitted: bool, tmp_path: Path
+) -> None:
+    async def run() -> None:
+        async with api_memory(tmp_path) as api:
+            waiting = await api.web_socket()
+            await asyncio.sleep(1.0)
+            waiting.send_text(op="drive", robot="robot_0", linear=0.1, angular=0.0)
+            loop().burn(waited_s)
+            api.hub.robots.find("robot_0").stop(by="another client")
+            await asyncio.sleep(0.05)
+            (answer,) = waiting.texts()
+            assert answer["result"] is is_admitted
+            if not is_admitted:
+                assert (answer["kind"], answer["by"]) == ("disarmed", "a stop by another client")
+
+    with capture_logs():
+        run_virtual(run())
 
 
 def test_a_zero_is_obeyed_however_old_it_is() -> None:

@@ -102,7 +102,7 @@ class History(RuleBasedStateMachine):
         strongest = max((self.sources[other].priority for other in holders), default=0)
         if heard.is_armed(self.now_s):
             heard.interrupted_s, heard.has_missed, heard.commanded_s = None, False, []
-        if seen == 0:
+        if seen == 0 or (seen is None and self.now_s - waited_s < self.interrupted_s - UNORDERED_S):
             heard.has_missed = True
         expected = None
         if self.is_locked:
@@ -117,8 +117,6 @@ class History(RuleBasedStateMachine):
             if seen is not None:
                 heard.has_seen, heard.has_missed = bool(seen), not seen
                 heard.interrupted_s = None if seen else heard.interrupted_s
-            elif self.now_s - waited_s < self.interrupted_s - UNORDERED_S:
-                heard.has_missed = True
             if not seen and (heard.has_missed or not heard.is_armed(self.now_s)):
                 expected = RefusalKind.DISARMED
             elif priority < strongest:
@@ -153,7 +151,7 @@ class History(RuleBasedStateMachine):
 
     def interruption(self, since_s: float) -> None:
         self.drives.clear()
-        self.interrupted_s = self.now_s
+        self.interrupted_s = max(self.interrupted_s, since_s)
         for heard in self.sources.values():
             last_s = max(heard.commanded_s, default=float("-inf"))
             if heard.has_lost_device or since_s < last_s + LEASE_S:

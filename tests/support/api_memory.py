@@ -109,6 +109,11 @@ class ApiPeer:
         head = bytes((0x81, 0x80 | len(data))) if len(data) < 126 else b"\x81\xfe" + len(data).to_bytes(2, "big")
         self.send(head + MASK + masked)
 
+    def send_close(self) -> None:
+        """Let the frame arrive that ends a WebSocket."""
+        code = (1000).to_bytes(2, "big")
+        self.send(b"\x88\x82" + MASK + bytes(byte ^ mask for byte, mask in zip(code, MASK, strict=False)))
+
     def texts(self) -> list[Any]:
         """Return and remove the text messages of the server."""
         found, data = [], bytes(self.transport.written)

@@ -383,14 +383,17 @@ class FleetRequests:
         return answer
 
     def tick(self) -> None:
-        """Repeat requests without an answer, and forget those that are too old."""
+        """Repeat stops and locks without an answer, and forget requests that are too old.
+
+        An unlock is sent once: a repetition would end a later lock.
+        """
         now_s = _now_s()
         for number, each in list(self._unsettled.items()):
             if now_s > each.since_s + 2 * ANSWER_TIMEOUT_S:
                 del self._unsettled[number]
                 if each.missing:
                     self._log_unanswered(each)
-            elif each.missing:
+            elif each.missing and not isinstance(each.request, Unlock):
                 self._transport.put(each.verb, each.request, to=each.to)
         for number, command in list(self._waiting.items()):
             if now_s < command.sent_at_s + 2 * ANSWER_TIMEOUT_S:
@@ -421,7 +424,7 @@ class FleetRequests:
         self._send(_Unsettled(request, "stop", "", missing, _now_s(), what))
 
     def _send(self, unsettled: _Unsettled) -> None:
-        """Send a request, and repeat it until the daemons that are missing have answered."""
+        """Send a request. `tick` repeats a stop or a lock until the daemons that are missing have answered."""
         if unsettled.missing:
             self._unsettled[unsettled.request.number] = unsettled
             if len(self._unsettled) > MAX_UNSETTLED:

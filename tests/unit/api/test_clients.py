@@ -20,6 +20,7 @@ from hostlink.api.clients import (
     VelocityOf,
 )
 from hostlink.hub.node import Role
+from hostlink.robot.admission import UNORDERED_S
 from tests.support.virtual_loop import run_virtual
 
 
@@ -71,6 +72,28 @@ def test_velocities_of_one_robot_only_the_newest_is_executed() -> None:
     program = outcome("a=1", "a=2", "b=1", "a=3")
     assert program.done == ["b=1", "a=3"]
     assert program.replaced == ["a=1", "a=2"]
+
+
+def test_velocity_that_came_much_before_a_newer_one_is_not_replaced_but_by_a_zero() -> None:
+    """An interruption that came between them disarms its source by the older one."""
+
+    def done(*came_s: float, last: str) -> list[str]:
+        async def run() -> list[str]:
+            program = Program()
+            box = operations(program)
+            for number, at_s in enumerate(came_s, 1):
+                box.put(last if number == len(came_s) else f"a={number}", at_s, at_s)
+            while box.waiting:
+                box.work()
+            return program.done
+
+        return run_virtual(run())
+
+    step_s = 0.6 * UNORDERED_S
+    assert done(0.0, step_s, last="a=9") == ["a=9"]
+    assert done(0.0, step_s, 2 * step_s, 3 * step_s, last="a=9") == ["a=2", "a=9"]
+    assert done(0.0, step_s, 2 * step_s, 3 * step_s, last="a=0") == ["a=2", "a=0"]
+    assert done(0.0, 9.0, last="a=0") == ["a=0"]
 
 
 def test_zero_is_never_replaced_and_replaces_velocities() -> None:

@@ -172,6 +172,15 @@ def test_command_from_before_a_stop_is_refused_and_disarms_its_source(driven: Ti
     assert driven.command().is_admitted
 
 
+def test_late_command_from_before_a_stop_disarms_its_source(driven: Timeline) -> None:
+    driven.wait(2 * LEASE_S)
+    driven.stop()
+    driven.wait(0.1)
+    assert driven.command(waited_s=LEASE_S).kind is RefusalKind.LATE
+    driven.wait(0.1)
+    assert driven.command().kind is RefusalKind.DISARMED
+
+
 def test_command_that_the_network_delayed_beyond_a_stop_is_refused(robot: Timeline) -> None:
     assert robot.command(sent_s=0.0).is_admitted
     waited_s = interrupt_while_waiting(robot)

@@ -236,6 +236,23 @@ def test_lock_at_one_daemon_holds_at_all_until_any_unlocks() -> None:
     with_fleet(test)
 
 
+def test_unlock_without_an_answer_is_not_repeated_after_a_later_lock() -> None:
+    async def test(world: World) -> None:
+        here = world.scene.hub.robots.find(ROBOT)
+        here.lock("smoke")
+        await asyncio.sleep(0.1)
+        world.network.deaf.add("2b")
+        world.robot().unlock()
+        await asyncio.sleep(0.02)
+        assert here.gate.lock_reason is None
+        here.lock("fire")
+        with pytest.raises(DeviceGone, match="has not answered the unlock"):
+            await world.desk.gates.settled()
+        assert here.gate.lock_reason == "fire"
+
+    with_fleet(test)
+
+
 def test_stop_of_a_dead_daemon_is_reported() -> None:
     async def test(world: World) -> None:
         world.network.deaf.add("1a")
