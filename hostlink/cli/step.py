@@ -14,7 +14,7 @@ from typing import Annotated, Any
 import typer
 
 from hostlink.cli.arguments import Token, Url, not_empty
-from hostlink.cli.connecting import connected
+from hostlink.cli.connecting import ask
 from hostlink.cli.files import check_picture
 from hostlink.cli.output import show_progress, table, write, write_error
 from hostlink.cli.robots import require_free, require_robot
@@ -651,41 +651,39 @@ def command(
         full_pwm=full_pwm,
         picture=picture,
     )
-    way = asyncio.run(_describe(url, token, request))  # the connection is closed while the person reads
+    way = ask(url, token, lambda host: _describe(host, request))  # the connection is closed while the person reads
     if not json:
         write_error(f"{way}.")
     if not yes:
         typer.confirm("Is there room?", abort=True, err=True)
-    asyncio.run(_step(url, token, request))
+    ask(url, token, lambda host: _step(host, request))
 
 
-async def _describe(url: str, token: str | None, request: _Request) -> str:
-    async with connected(url, token) as host:
-        robot = await require_robot(host, request.robot)
-        state = await connected_state(robot)
-        separation_m = await separation_of(host, robot.name)
-        await find_source(host, state, request.wheel, separation_m)
-        return describe_way(robot.name, _stages(request, separation_m), request.wheel, separation_m)
+async def _describe(host: Host, request: _Request) -> str:
+    robot = await require_robot(host, request.robot)
+    state = await connected_state(robot)
+    separation_m = await separation_of(host, robot.name)
+    await find_source(host, state, request.wheel, separation_m)
+    return describe_way(robot.name, _stages(request, separation_m), request.wheel, separation_m)
 
 
-async def _step(url: str, token: str | None, request: _Request) -> None:
-    async with connected(url, token) as host:
-        robot = await require_robot(host, request.robot)
-        separation_m = await separation_of(host, robot.name)
-        source = await find_source(host, await connected_state(robot), request.wheel, separation_m)
-        stages = _stages(request, separation_m)
-        try:
-            recording = await StepRecorder(host, robot, source, show=show_progress).record(stages)
-        finally:
-            show_progress("")
-        notes = notes_of(stages[-1], recording.accepted, recording.records)
-        if request.picture is not None:
-            title = f"{robot.name}: {'rising steps' if request.tunes else 'step'} to {request.speed_m_s:g} m/s"
-            notes += _draw(request.picture, title, recording)
-        if request.tunes:
-            await _report_tuning(host, robot.name, recording, notes, request)
-        else:
-            _report_step(robot.name, recording, notes, request)
+async def _step(host: Host, request: _Request) -> None:
+    robot = await require_robot(host, request.robot)
+    separation_m = await separation_of(host, robot.name)
+    source = await find_source(host, await connected_state(robot), request.wheel, separation_m)
+    stages = _stages(request, separation_m)
+    try:
+        recording = await StepRecorder(host, robot, source, show=show_progress).record(stages)
+    finally:
+        show_progress("")
+    notes = notes_of(stages[-1], recording.accepted, recording.records)
+    if request.picture is not None:
+        title = f"{robot.name}: {'rising steps' if request.tunes else 'step'} to {request.speed_m_s:g} m/s"
+        notes += _draw(request.picture, title, recording)
+    if request.tunes:
+        await _report_tuning(host, robot.name, recording, notes, request)
+    else:
+        _report_step(robot.name, recording, notes, request)
 
 
 def _draw(picture: Path, title: str, recording: StepRecording) -> list[str]:
