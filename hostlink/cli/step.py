@@ -15,7 +15,7 @@ import typer
 
 from hostlink.cli.arguments import Token, Url, not_empty
 from hostlink.cli.connecting import ask
-from hostlink.cli.files import check_picture
+from hostlink.cli.files import check_folder, check_picture
 from hostlink.cli.output import show_progress, table, write, write_error
 from hostlink.cli.robots import require_free, require_robot
 from hostlink.client import DEFAULT_URL, PRIORITY, Host, Mailbox, Robot, RobotState
@@ -640,6 +640,7 @@ def command(
         )
     if picture is not None:
         check_picture("--picture", picture, extra="pictures")
+        check_folder("--picture", picture)
     request = _Request(
         robot=robot,
         speed_m_s=speed,

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hostlink.cli.files import check_picture
+from hostlink.cli.files import check_folder, check_picture
 from hostlink.cli.step import (
     RobotTopics,
     Stage,
@@ -112,7 +112,7 @@ def test_a_picture_that_cannot_be_is_refused_before_the_robot_moves(
     with pytest.raises(ConfigError, match=r"must end in one of \.pdf, \.png, \.svg"):
         check_picture("--picture", tmp_path / "step.gif", extra="pictures")
     with pytest.raises(ConfigError, match=r"the folder .* cannot be written"):
-        check_picture("--picture", tmp_path / "nowhere" / "step.png", extra="pictures")
+        check_folder("--picture", tmp_path / "nowhere" / "step.png")
     monkeypatch.setattr("importlib.util.find_spec", lambda _: None)
     with pytest.raises(
         ConfigError, match=r"needs matplotlib, of the extra 'pictures': run  .* -m pip install 'matplotlib<"
