@@ -384,21 +384,19 @@ def echo(
 
 
 async def _echo(url: str, token: str | None, echo: Echo, type_name: str) -> None:
-    async with contextlib.AsyncExitStack() as stack:
-        host = await stack.enter_async_context(connected(url, token))
+    async with connected(url, token) as host:
         if not echo.field:
             echo = with_field(echo, [topic["name"] for topic in await host.topics()])
-        messages = await stack.enter_async_context(
-            host.subscribe(echo.topic, type_name=type_name, throttle_rate_ms=echo.throttle_ms)
-        )
-        if not echo.as_json:
-            await write_hint(host, echo.topic)
-        printed = 0
-        async for message in _within(messages, echo):
-            write(*message_lines(message, echo, is_first=not printed))
-            printed += 1
-            if printed == echo.count:
-                return
+        throttle_ms = echo.throttle_ms
+        async with host.subscribe(echo.topic, type_name=type_name, throttle_rate_ms=throttle_ms) as messages:
+            if not echo.as_json:
+                await write_hint(host, echo.topic)
+            printed = 0
+            async for message in _within(messages, echo):
+                write(*message_lines(message, echo, is_first=not printed))
+                printed += 1
+                if printed == echo.count:
+                    return
 
 
 def message_lines(message: dict[str, Any], echo: Echo, *, is_first: bool) -> list[str]:
@@ -672,6 +670,16 @@ async def _measure(
             write(figures.line(measured) if measured.messages > before else "no new messages")
 
 
+def _spread(seconds: Distribution) -> str:
+    least, most, deviation = map(duration, (seconds.least, seconds.most, seconds.deviation))
+    return f"{duration(seconds.mean)} (min {least}, max {most}, std dev {deviation})"
+
+
+def _spread_view(seconds: Distribution) -> dict[str, float]:
+    figures = {"min_s": seconds.least, "max_s": seconds.most, "std_dev_s": seconds.deviation}
+    return {name: round(value, 6) for name, value in figures.items()}
+
+
 # -- hz ---------------------------------------------------------------------------------------------------------------
 
 
@@ -679,19 +687,14 @@ def _hz_view(measured: MessageWindow) -> dict[str, Any]:
     between_s = measured.between_s
     if between_s is None:
         return {"rate_hz": None}
-    seconds = {"min_s": between_s.least, "max_s": between_s.most, "std_dev_s": between_s.deviation}
-    rounded = {key: round(value, 6) for key, value in seconds.items()}
-    return {"rate_hz": round(measured.rate_hz, 4), "window": between_s.count + 1} | rounded
+    return {"rate_hz": round(measured.rate_hz, 4), "window": between_s.count + 1, **_spread_view(between_s)}
 
 
 def _hz_line(measured: MessageWindow) -> str:
     between_s = measured.between_s
     if between_s is None:
         return "one message"
-    return (
-        f"{measured.rate_hz:8.2f} Hz   every {duration(between_s.mean)} (min {duration(between_s.least)}, "
-        f"max {duration(between_s.most)}, std dev {duration(between_s.deviation)}) of {between_s.count + 1} messages"
-    )
+    return f"{measured.rate_hz:8.2f} Hz   every {_spread(between_s)} of {between_s.count + 1} messages"
 
 
 hz = command_of(
@@ -765,18 +768,14 @@ def _delay_view(measured: MessageWindow) -> dict[str, Any]:
     age_s = measured.figures
     if age_s is None:
         return {"delay_s": None}
-    seconds = {"delay_s": age_s.mean, "min_s": age_s.least, "max_s": age_s.most, "std_dev_s": age_s.deviation}
-    return {key: round(value, 6) for key, value in seconds.items()} | {"window": age_s.count}
+    return {"delay_s": round(age_s.mean, 6), **_spread_view(age_s), "window": age_s.count}
 
 
 def _delay_line(measured: MessageWindow) -> str:
     age_s = measured.figures
     if age_s is None:
         return "no messages yet"
-    return (
-        f"delay {duration(age_s.mean)} (min {duration(age_s.least)}, max {duration(age_s.most)}, "
-        f"std dev {duration(age_s.deviation)}) of {age_s.count} messages"
-    )
+    return f"delay {_spread(age_s)} of {quantity(age_s.count, 'message')}"
 
 
 delay = command_of(
