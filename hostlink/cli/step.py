@@ -126,22 +126,13 @@ class StepRecording:
     accepted: tuple[float, float]  # m/s, rad/s of the last stage, within the limits of the robot
 
 
-class RobotTopics:
-    """Topics of a robot's link, found by their last part."""
-
-    def __init__(self, state: RobotState, links: Sequence[Mapping[str, Any]]) -> None:
-        self._namespace = state["velocity_topic"].rpartition("/")[0] + "/"
-        self._topics = [topic for link in links if link["number"] == state["link"] for topic in link["topics"]]
-
-    def find(self, leaf: str, type_name: str) -> str | None:
-        """Find a topic; one in the robot's namespace takes precedence. None without one."""
-        found = [
-            topic["name"]
-            for topic in self._topics
-            if topic["type"] == type_name and topic["name"].rpartition("/")[2] == leaf
-        ]
-        wanted = self._namespace + leaf
-        return wanted if wanted in found else next(iter(found), None)
+def find_topic(state: RobotState, links: Sequence[Mapping[str, Any]], leaf: str, type_name: str) -> str | None:
+    """Find a topic of the robot's link by its last part; one in the robot's namespace takes precedence."""
+    topics = [topic for link in links if link["number"] == state["link"] for topic in link["topics"]]
+    names = [topic["name"] for topic in topics if topic["type"] == type_name]
+    found = [name for name in names if name.rpartition("/")[2] == leaf]
+    wanted = f"{state['velocity_topic'].rpartition('/')[0]}/{leaf}"
+    return wanted if wanted in found else next(iter(found), None)
 
 
 async def connected_state(robot: Robot) -> RobotState:
@@ -163,7 +154,7 @@ async def find_source(host: Host, state: RobotState, wheel: Wheel | None, separa
     Raises:
         HostlinkError: the robot has neither.
     """
-    plot = RobotTopics(state, await host.links()).find("plot_data", PLOT_TYPE)
+    plot = find_topic(state, await host.links(), "plot_data", PLOT_TYPE)
     if plot is not None:
         return Source(plot, PLOT_TYPE, "ticks/s", _plot_reader(wheel), STANDING_TICKS_S)
     odometry = f"/{state['name']}/odom"
@@ -544,8 +535,8 @@ async def tune(host: Host, robot: str, records: Mapping[str, Record], *, sends: 
 
 
 async def _send(host: Host, robot: str, wheels: Mapping[str, TunedWheel]) -> None:
-    topics = RobotTopics(await host.robot(robot).state(), await host.links())
-    found = {side: topics.find(f"pid_tune_{side[0]}", GAINS_TYPE) for side in wheels}
+    state, links = await host.robot(robot).state(), await host.links()
+    found = {side: find_topic(state, links, f"pid_tune_{side[0]}", GAINS_TYPE) for side in wheels}
     for side, topic in found.items():
         if topic is None:
             raise HostlinkError(

@@ -9,11 +9,11 @@ import pytest
 
 from hostlink.cli.files import check_folder, check_picture
 from hostlink.cli.step import (
-    RobotTopics,
     Stage,
     Wheel,
     describe_way,
     draw_picture,
+    find_topic,
     make_stage,
     notes_of,
     record_views,
@@ -136,7 +136,7 @@ def test_own_topic_of_a_robot_takes_precedence() -> None:
         odometry=None,
     )
     other, own = "/arm/pid_tune_l", "/robot_0/pid_tune_l"
-    assert RobotTopics(state, [topics(other, own)]).find("pid_tune_l", GAINS) == own
-    assert RobotTopics(state, [topics(other)]).find("pid_tune_l", GAINS) == other
-    assert RobotTopics(state, [topics(own, link=2)]).find("pid_tune_l", GAINS) is None
-    assert RobotTopics(state, [topics(own)]).find("pid_tune_l", "geometry_msgs/Twist") is None
+    assert find_topic(state, [topics(other, own)], "pid_tune_l", GAINS) == own
+    assert find_topic(state, [topics(other)], "pid_tune_l", GAINS) == other
+    assert find_topic(state, [topics(own, link=2)], "pid_tune_l", GAINS) is None
+    assert find_topic(state, [topics(own)], "pid_tune_l", "geometry_msgs/Twist") is None
