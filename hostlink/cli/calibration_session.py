@@ -11,7 +11,7 @@ from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 from typing import Any, Literal
 
 from hostlink.cli.calibration_plan import UNITS_M, Step, UnitMissing, parse_angle, parse_length
-from hostlink.cli.connecting import connected
+from hostlink.cli.connecting import connected, rosapi
 from hostlink.cli.output import show_progress, show_question, write, write_error
 from hostlink.cli.robots import chosen, require_free
 from hostlink.client import Host, RobotState
@@ -79,8 +79,7 @@ class Drives:
         link = next((each for each in await host.links() if each["number"] == state["link"]), {})
         for name in OWN_PARAMETERS:
             answered = link.get("parameters", {}).get(f"/{self.robot}/{name}")
-            text = (await host.call("/rosapi/get_param", {"name": f"/{self.robot}/{name}", "default": "[]"}))["value"]
-            now = _values(str(text))
+            now = _values(await self._text(host, name))
             if answered is not None and answered != now:
                 was, become = (", ".join(map(str, values)) for values in (answered, now))
                 raise HostlinkError(
@@ -108,8 +107,10 @@ class Drives:
                 await host.call("/rosapi/set_param", {"name": name, "value": value})
 
     async def _parameter(self, host: Host, name: str, usual: list[float]) -> list[float]:
-        answer = await host.call("/rosapi/get_param", {"name": f"/{self.robot}/{name}", "default": "[]"})
-        return numbers_of(str(answer["value"])) or usual
+        return numbers_of(await self._text(host, name)) or usual
+
+    async def _text(self, host: Host, name: str) -> str:
+        return str(await rosapi(host, "get_param", "value", name=f"/{self.robot}/{name}", default="[]"))
 
 
 class _CourseDrive:

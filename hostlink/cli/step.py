@@ -14,7 +14,7 @@ from typing import Annotated, Any
 import typer
 
 from hostlink.cli.arguments import Token, Url, not_empty
-from hostlink.cli.connecting import ask
+from hostlink.cli.connecting import ask, rosapi
 from hostlink.cli.files import check_folder, check_picture
 from hostlink.cli.output import show_progress, table, write, write_error
 from hostlink.cli.robots import require_free, require_robot
@@ -318,15 +318,10 @@ async def wheel_parameter(host: Host, robot: str, leaf: str) -> list[float]:
     Raises:
         HostlinkError: the daemon is not connected.
     """
-    answer = await host.call("/rosapi/get_param", {"name": f"/{robot}/{leaf}", "default": ""})
-    return _numbers(str(answer["value"]))
-
-
-def _numbers(text: str) -> list[float]:
-    try:
-        return [float(word) for word in text.strip("[] ").split(",")] if text.strip("[] ") else []
-    except ValueError:
-        return []
+    text = await rosapi(host, "get_param", "value", name=f"/{robot}/{leaf}", default="")
+    with contextlib.suppress(ValueError):  # it is not set, or has another type
+        return [float(word) for word in str(text).strip("[] ").split(",")]
+    return []
 
 
 async def separation_of(host: Host, robot: str) -> float:

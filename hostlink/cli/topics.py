@@ -34,18 +34,13 @@ from hostlink.cli.arguments import (
     json_object,
     not_empty,
 )
-from hostlink.cli.connecting import PATIENCE_S, ask, connected, run_until_interrupted, waiting, write_hint
+from hostlink.cli.connecting import PATIENCE_S, ask, connected, rosapi, run_until_interrupted, waiting, write_hint
 from hostlink.cli.names import natural, unknown
 from hostlink.cli.output import duration, is_terminal, quantity, show_progress, size, write, write_error, write_table
 from hostlink.client import DEFAULT_URL, Host, Mailbox, RawMessage, TopicState
 from hostlink.errors import ConfigError, HostlinkError, WrongType
 
-# -- rosapi -----------------------------------------------------------------------------------------------------------
-
-
-async def rosapi(host: Host, service: str, field: str, /, **request: str) -> Any:
-    """Call a service of rosapi; return one field of its answer."""
-    return (await host.call(f"/rosapi/{service}", request))[field]
+# -- services and types -----------------------------------------------------------------------------------------------
 
 
 async def service_facts(host: Host, name: str) -> dict[str, Any]:
