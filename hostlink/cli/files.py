@@ -74,8 +74,8 @@ def _removed_if_empty(target: Path) -> Iterator[BinaryIO]:
 PICTURES = (".pdf", ".png", ".svg")
 
 
-def check_picture(option: str, file: Path, *, extra: str, suffixes: Sequence[str] = PICTURES) -> None:
-    """Refuse a picture of another format, or without the library that draws it. `extra` of hostlink has matplotlib.
+def check_picture(option: str, file: Path, *, needs: str, extra: str, suffixes: Sequence[str] = PICTURES) -> None:
+    """Refuse a picture of another format, or without the library that draws it: what `needs` it, of an `extra`.
 
     Raises:
         ConfigError: the suffix is wrong.
@@ -84,7 +84,7 @@ def check_picture(option: str, file: Path, *, extra: str, suffixes: Sequence[str
     if file.suffix not in suffixes:
         raise ConfigError(option, f"{file} must end in {'one of ' if len(suffixes) > 1 else ''}{', '.join(suffixes)}")
     if importlib.util.find_spec("matplotlib") is None:
-        raise LibraryMissing(option, "matplotlib", extra)
+        raise LibraryMissing(needs, "matplotlib", extra)
 
 
 def check_folder(option: str, file: Path) -> None:

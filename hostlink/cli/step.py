@@ -625,7 +625,7 @@ def command(
             "--yes", "the robot will move, and this command cannot ask whether there is room; add --yes if there is"
         )
     if picture is not None:
-        check_picture("--picture", picture, extra="pictures")
+        check_picture("--picture", picture, needs="--picture", extra="pictures")
         check_folder("--picture", picture)
     request = _Request(
         robot=robot,
