@@ -221,49 +221,18 @@ def _platformio() -> str:
 def _keywords(selection: TypeSelection) -> str:
     """Write keywords.txt for the Arduino IDE's highlighting. The separator is a tab."""
     classes = {name.partition("/")[2] for name in selection.names}
-    rows = [f"{name}\tKEYWORD1" for name in sorted({*classes, *_CLASSES})]
-    return "\n".join([*rows, *(f"{name}\tKEYWORD2" for name in sorted(_METHODS))]) + "\n"
+    rows = [f"{name}\tKEYWORD1" for name in sorted({*classes, *_CLASSES.split()})]
+    return "\n".join([*rows, *(f"{name}\tKEYWORD2" for name in sorted(_METHODS.split()))]) + "\n"
 
 
-_CLASSES: Final = (
-    "CommandWatchdog",
-    "DiagnosticsPublisher",
-    "Duration",
-    "KeyedLink",
-    "NodeHandle",
-    "Parameter",
-    "Publisher",
-    "ServiceClient",
-    "ServiceServer",
-    "BoardSettings",
-    "Subscriber",
-    "Time",
-    "TransformBroadcaster",
-    "Updates",
-    "WifiStation",
-)
-_METHODS: Final = (
-    "advertise",
-    "advertiseService",
-    "attach",
-    "call",
-    "connected",
-    "getParam",
-    "initNode",
-    "logdebug",
-    "logerror",
-    "logfatal",
-    "loginfo",
-    "logwarn",
-    "now",
-    "publish",
-    "requestParam",
-    "serviceClient",
-    "setNamespace",
-    "spinOnce",
-    "subscribe",
-)
-
+_CLASSES: Final = """
+    CommandWatchdog DiagnosticsPublisher Duration KeyedLink NodeHandle Parameter Publisher ServiceClient
+    ServiceServer BoardSettings Subscriber Time TransformBroadcaster Updates WifiStation
+"""
+_METHODS: Final = """
+    advertise advertiseService attach call connected getParam initNode logdebug logerror logfatal loginfo logwarn
+    now publish requestParam serviceClient setNamespace spinOnce subscribe
+"""
 _CMAKE: Final = """\
 # add_subdirectory(hostlink_rosserial), then target_link_libraries(your_program hostlink::rosserial).
 cmake_minimum_required(VERSION 3.12)

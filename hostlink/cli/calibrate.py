@@ -162,7 +162,7 @@ def command(
             "run the same command to continue",
         )
         raise
-    settings = settings_of(name, found, chosen, write_to)
+    settings = settings_of(name, found.geometry, found.correction, chosen, write_to)
     if json:
         write(json_text.dumps(_as_json(found, confirmation, settings)))
     else:
@@ -294,14 +294,10 @@ class GuidedCalibration:
                 )
 
 
-def settings_of(robot: str, found: Calibration, target: str, file: Path | None) -> Tables:
-    """Return the settings for hostlink.toml, with the keys that the file has already."""
-    return _settings(robot, found.geometry, found.correction, target, file)
-
-
-def _settings(
+def settings_of(
     robot: str, geometry: WheelGeometry, correction: OdometryCorrection, target: str, file: Path | None
 ) -> Tables:
+    """Return the settings for hostlink.toml, with the keys that the file has already."""
     if target == "hostlink":
         values = {
             "left_factor": f"{correction.left_factor:.6f}",
@@ -309,11 +305,11 @@ def _settings(
             "nominal_separation_m": f"{correction.nominal_separation_m:.6g}",
             "separation_m": f"{correction.separation_m:.6f}",
         }
-        table = f"robots.{_key(robot)}"
+        table = f"robots.{robot if _BARE_KEY.fullmatch(robot) else json_text.dumps(robot)}"
         return {table: {"kinematics": '"differential"'}, f"{table}.calibration": values}
     radii = f"[{geometry.left_radius_m:.7f}, {geometry.right_radius_m:.7f}]"
     own = {"wheel_radius": radii, "wheel_separation": f"{geometry.separation_m:.6f}"}
-    known = _parameters_of(file)
+    known = [] if file is None else list(load(file).parameters)
     return {"parameters": {_spelling(f"/{robot}/{name}", known): value for name, value in own.items()}}
 
 
@@ -339,20 +335,12 @@ def _check_file(file: Path | None, robot: str, target: str) -> None:
             str(file),
             f"has [robots.{robot}.calibration], which would correct the device's new numbers again; remove it",
         )
-    require_changeable(file, _settings(robot, WheelGeometry(), OdometryCorrection(), target, file))
-
-
-def _parameters_of(file: Path | None) -> list[str]:
-    return [] if file is None else list(load(file).parameters)
+    require_changeable(file, settings_of(robot, WheelGeometry(), OdometryCorrection(), target, file))
 
 
 def _spelling(name: str, known: list[str]) -> str:
     """Return the file's spelling of a parameter: `~robot_0/x` and `robot_0/x` are the same as `/robot_0/x`."""
     return json_text.dumps(next((key for key in known if key.lstrip("/~") == name.lstrip("/~")), name))
-
-
-def _key(name: str) -> str:
-    return name if _BARE_KEY.fullmatch(name) else json_text.dumps(name)
 
 
 def _world(changes: list[str]) -> Any:

@@ -11,9 +11,10 @@ from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 from typing import Any, Literal
 
 from hostlink.cli.calibration_plan import UNITS_M, Step, UnitMissing, parse_angle, parse_length
+from hostlink.cli.connecting import connected, rosapi
 from hostlink.cli.output import show_progress, show_question, write, write_error
 from hostlink.cli.robots import chosen, require_free
-from hostlink.client import Host, RobotState, connect
+from hostlink.client import Host, RobotState
 from hostlink.client.robot import Robot
 from hostlink.client.topics import Subscription
 from hostlink.errors import HostlinkError, RefusalKind
@@ -51,7 +52,7 @@ class Drives:
         Raises:
             HostlinkError: the drive is refused or broken off; the robot was sent a stop.
         """
-        async with self._connected() as host:
+        async with connected(self._url, self._token) as host:
             state = await _state(host, self.robot)
             robot = host.robot(self.robot, priority=PRIORITY)
             async with host.subscribe(state["odometry_topic"]) as poses, _stopping(robot):
@@ -65,7 +66,7 @@ class Drives:
             HostlinkError: no daemon answers, the robot is unknown, or its parameters have changed since it connected.
         """
         usual = WheelGeometry()
-        async with self._connected() as host:
+        async with connected(self._url, self._token) as host:
             state = await _state(host, self.robot)
             await self._require_current(host, state)
             radii = await self._parameter(host, "wheel_radius", [usual.left_radius_m, usual.right_radius_m])
@@ -78,8 +79,7 @@ class Drives:
         link = next((each for each in await host.links() if each["number"] == state["link"]), {})
         for name in OWN_PARAMETERS:
             answered = link.get("parameters", {}).get(f"/{self.robot}/{name}")
-            text = (await host.call("/rosapi/get_param", {"name": f"/{self.robot}/{name}", "default": "[]"}))["value"]
-            now = _values(str(text))
+            now = _values(await self._text(host, name))
             if answered is not None and answered != now:
                 was, become = (", ".join(map(str, values)) for values in (answered, now))
                 raise HostlinkError(
@@ -93,7 +93,7 @@ class Drives:
         Raises:
             HostlinkError: no daemon answers.
         """
-        async with self._connected() as host:
+        async with connected(self._url, self._token) as host:
             return any(topic["name"] == f"/{self.robot}/{OWN_TOPIC}" for topic in await host.topics())
 
     async def set_parameters(self, parameters: Mapping[str, str]) -> None:
@@ -102,16 +102,15 @@ class Drives:
         Raises:
             HostlinkError: the daemon refuses them.
         """
-        async with self._connected() as host:
+        async with connected(self._url, self._token) as host:
             for name, value in parameters.items():
                 await host.call("/rosapi/set_param", {"name": name, "value": value})
 
-    def _connected(self) -> contextlib.AbstractAsyncContextManager[Host]:
-        return connect(self._url, token=self._token, reconnect=False)
-
     async def _parameter(self, host: Host, name: str, usual: list[float]) -> list[float]:
-        answer = await host.call("/rosapi/get_param", {"name": f"/{self.robot}/{name}", "default": "[]"})
-        return numbers_of(str(answer["value"])) or usual
+        return numbers_of(await self._text(host, name)) or usual
+
+    async def _text(self, host: Host, name: str) -> str:
+        return str(await rosapi(host, "get_param", "value", name=f"/{self.robot}/{name}", default="[]"))
 
 
 class _CourseDrive:

@@ -83,16 +83,16 @@ def fitted(config: Config, descriptors: int) -> Config:
 # -- checks -----------------------------------------------------------------------------------------------------------
 
 _ROS_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*(?:/[A-Za-z][A-Za-z0-9_]*)*")  # http://wiki.ros.org/Names
-_SENSIBLE = (  # setting, the smallest value that works, and the reason
-    ("api.max_message_bytes", 1024, "a message of a program is a few hundred bytes of JSON"),
-    ("api.max_requests_s", 10, "a program that drives sends ten commands a second"),
-    ("api.request_timeout_s", 0.1, "a radio link takes longer"),
-    ("link.max_topics", 2, "a robot has a velocity and an odometry"),
-    ("link.uart_bytes_s", 120, "no UART is slower than 1200 baud"),
-    ("link.silence_timeout_s", 2.5, "a device requests the time every 2.5 s"),
-    ("link.idle_timeout_s", 2.5, "a device requests the time every 2.5 s"),
-    ("link.write_timeout_s", 0.1, "a radio link takes longer"),
-)
+_SENSIBLE = {  # setting -> the smallest value that works, and the reason
+    "api.max_message_bytes": (1024, "a message of a program is a few hundred bytes of JSON"),
+    "api.max_requests_s": (10, "a program that drives sends ten commands a second"),
+    "api.request_timeout_s": (0.1, "a radio link takes longer"),
+    "link.max_topics": (2, "a robot has a velocity and an odometry"),
+    "link.uart_bytes_s": (120, "no UART is slower than 1200 baud"),
+    "link.silence_timeout_s": (2.5, "a device requests the time every 2.5 s"),
+    "link.idle_timeout_s": (2.5, "a device requests the time every 2.5 s"),
+    "link.write_timeout_s": (0.1, "a radio link takes longer"),
+}
 
 
 async def check(config: Config, *, descriptors: int, is_listening: bool = False) -> list[str]:
@@ -234,10 +234,9 @@ def _suspicious(config: Config) -> Iterator[str]:
         from hostlink.graphs.zenoh.settings import reach_of, settings_of  # noqa: PLC0415 - only a daemon with Zenoh needs it
 
         yield from reach_of(settings_of(config.zenoh), config.zenoh).warnings
-    if config.tcp.keyless and config.tcp.key_file is None:
-        yield "tcp.keyless has no effect without tcp.key_file, because no device needs a key"
-    if config.udp is not None and config.udp.keyless and config.udp.key_file is None:
-        yield "udp.keyless has no effect without udp.key_file, because no device needs a key"
+    for name, part in {"tcp": config.tcp, "udp": config.udp}.items():
+        if part is not None and part.keyless and part.key_file is None:
+            yield f"{name}.keyless has no effect without {name}.key_file, because no device needs a key"
     for port in config.serial:
         try:
             find_port(port)
@@ -253,11 +252,10 @@ def _suspicious(config: Config) -> Iterator[str]:
 
 def _too_small(config: Config) -> Iterator[str]:
     """Warn of values that are allowed, but too small to work with."""
-    robots = ((f"robots.{name}.uart_bytes_s", robot.uart_bytes_s) for name, robot in config.robots.items())
-    least_of = {setting: (least, reason) for setting, least, reason in _SENSIBLE}
-    values = ((setting, operator.attrgetter(setting)(config)) for setting in least_of)
-    for setting, value in (*values, *robots):
-        least, reason = least_of.get(setting, least_of["link.uart_bytes_s"])
+    values = [(setting, operator.attrgetter(setting)(config), *known) for setting, known in _SENSIBLE.items()]
+    uart = _SENSIBLE["link.uart_bytes_s"]
+    values += [(f"robots.{name}.uart_bytes_s", robot.uart_bytes_s, *uart) for name, robot in config.robots.items()]
+    for setting, value, least, reason in values:
         if value is not None and value < least:
             yield f"{setting} {value:g} is very small: {reason}"
 

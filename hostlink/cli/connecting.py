@@ -44,6 +44,11 @@ def ask(url: str, token: str | None, work: Callable[[Host], Awaitable[Answer]]) 
     return asyncio.run(run())
 
 
+async def rosapi(host: Host, service: str, field: str, /, **request: str) -> Any:
+    """Call a service of rosapi; return one field of its answer."""
+    return (await host.call(f"/rosapi/{service}", request))[field]
+
+
 # -- waiting ----------------------------------------------------------------------------------------------------------
 
 PATIENCE_S = 2.0

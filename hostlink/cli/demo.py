@@ -10,6 +10,7 @@ from typing import Annotated
 import typer
 
 from hostlink import logs
+from hostlink.cancellation import meanwhile
 from hostlink.cli.ending import Ending, stop_signals
 from hostlink.cli.output import write, write_above, write_over
 from hostlink.cli.serve import running
@@ -88,30 +89,24 @@ class Output:
 
 
 async def _demo(config: Config, robots: int, kind: RobotKind) -> None:
+    own: dict[str, str] = {}  # addresses of the simulated robots, by name
+
+    def note_own(name: str, address: SocketAddress) -> None:
+        own[name] = spelled(*address[:2])
+
     with stop_signals() as ending:
         output = Output(ending)
-        async with running(config) as (hub, addresses), asyncio.TaskGroup() as tasks:
-            host, port = addresses.tcp
-            own: dict[str, str] = {}  # addresses of the simulated robots, by name
-
-            def note_own(name: str, address: SocketAddress) -> None:
-                own[name] = spelled(*address[:2])
-
-            fleet = tasks.create_task(
-                run_fleet(host, port, robots=robots, kind=kind, on_connected=note_own), name="simulated robots"
-            )
+        async with running(config) as (hub, addresses):
+            fleet = run_fleet(*addresses.tcp, robots=robots, kind=kind, on_connected=note_own)
             participant = hub.join(OWNER, priority=DEMO_PRIORITY)
             demo = DemoDriver(hub, participant, lambda peer: peer in own.values())
-            driver = tasks.create_task(demo.run(), name="demo driver")
-            line = tasks.create_task(_show(hub, demo, output), name="live line")
-            output.show(write, *_welcome(addresses.api))
-            await ending.wait()
-            line.cancel()
-            driver.cancel()
-            output.show(write, "", "stopping the robots ...")
-            participant.leave()
-            await asyncio.sleep(LINE_INTERVAL_S)  # so that the simulated robots receive the stop
-            fleet.cancel()
+            async with meanwhile(("simulated robots", fleet)):
+                async with meanwhile(("demo driver", demo.run()), ("live line", _show(hub, demo, output))):
+                    output.show(write, *_welcome(addresses.api))
+                    await ending.wait()
+                output.show(write, "", "stopping the robots ...")
+                participant.leave()
+                await asyncio.sleep(LINE_INTERVAL_S)  # so that the simulated robots receive the stop
     output.raise_error()
 
 

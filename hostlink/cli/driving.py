@@ -13,7 +13,6 @@ ARROWS = {"A": "up", "B": "down", "C": "right", "D": "left"}
 CONTROL = 4  # bit of Ctrl in the modifiers of the kitty keyboard protocol, less 1
 _SEQUENCE = re.compile(rb"\x1b\[(\??)([\d;:]*)([A-Za-z~])")
 _UNFINISHED = re.compile(rb"\x1b(\[[\d;:?]*)?$")
-_ENTER_KITTY, _LEAVE_KITTY = "\x1b[>11u", "\x1b[<u"  # distinct keys, also releases, all keys as sequences
 
 
 class Action(Enum):
@@ -34,8 +33,7 @@ class Key(NamedTuple):
 class KeyReader:
     """Parser of a terminal's bytes into keys; a sequence may arrive in pieces."""
 
-    ENTER = _ENTER_KITTY
-    LEAVE = _LEAVE_KITTY
+    ENTER, LEAVE = "\x1b[>11u", "\x1b[<u"  # distinct keys, also releases, all keys as sequences
 
     def __init__(self) -> None:
         self._pending = b""

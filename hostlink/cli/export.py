@@ -114,7 +114,7 @@ def plot(
         raise ConfigError("plot", "--map draws paths instead of fields; leave the fields or --map out")
     if not fields and not map_:
         raise ConfigError("plot", "name fields, for example /robot_0/odometry.x, or use --map")
-    check_picture("--output", target, extra="plot")
+    check_picture("--output", target, needs="plot", extra="plot")
     check_absent(target)
     # matplotlib and the codec are imported after the checks that need neither
     from hostlink.recording.plot import draw_fields, draw_map, read_lines, read_paths  # noqa: PLC0415

@@ -74,19 +74,27 @@ def _removed_if_empty(target: Path) -> Iterator[BinaryIO]:
 PICTURES = (".pdf", ".png", ".svg")
 
 
-def check_picture(option: str, file: Path, *, extra: str, suffixes: Sequence[str] = PICTURES) -> None:
-    """Refuse a picture that cannot be written, before the work begins. `extra` of hostlink has matplotlib.
+def check_picture(option: str, file: Path, *, needs: str, extra: str, suffixes: Sequence[str] = PICTURES) -> None:
+    """Refuse a picture of another format, or without the library that draws it: what `needs` it, of an `extra`.
 
     Raises:
-        ConfigError: the suffix or the folder is wrong.
+        ConfigError: the suffix is wrong.
         LibraryMissing: matplotlib is not installed.
     """
     if file.suffix not in suffixes:
         raise ConfigError(option, f"{file} must end in {'one of ' if len(suffixes) > 1 else ''}{', '.join(suffixes)}")
+    if importlib.util.find_spec("matplotlib") is None:
+        raise LibraryMissing(needs, "matplotlib", extra)
+
+
+def check_folder(option: str, file: Path) -> None:
+    """Refuse a file whose folder cannot be written, before a robot moves for it.
+
+    Raises:
+        ConfigError: the folder does not exist, or belongs to another user.
+    """
     if not os.access(file.parent, os.W_OK):
         raise ConfigError(option, f"the folder {file.parent} cannot be written; create it, or name another")
-    if importlib.util.find_spec("matplotlib") is None:
-        raise LibraryMissing(option, "matplotlib", extra)
 
 
 def check_absent(output: Path) -> None:

@@ -9,7 +9,7 @@ from typing import Annotated, assert_never
 
 import typer
 
-from hostlink.cli.files import check_picture
+from hostlink.cli.files import check_folder, check_picture
 from hostlink.cli.output import show_progress, write
 from hostlink.cli.sim import read_world
 from hostlink.errors import ConfigError, LibraryMissing
@@ -65,9 +65,10 @@ def command(
             f"is an option of `hostlink lab tables` and `hostlink lab pictures`, not of `hostlink lab {what.value}`",
         )
     if what is What.PICTURES:
-        check_picture("--output", output, extra="lab", suffixes=[".png"])
+        check_picture("--output", output, needs="hostlink lab", extra="lab", suffixes=[".png"])
+        check_folder("--output", output)
     if fit and importlib.util.find_spec("scipy") is None:
-        raise LibraryMissing("--fit", "scipy", "lab")
+        raise LibraryMissing("hostlink lab", "scipy", "lab")
     require_wasmtime("hostlink lab")
     chosen = CASTER_WORLD if world is None else read_world(world)
     try:

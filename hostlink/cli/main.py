@@ -411,16 +411,13 @@ def in_words(text: str, kind: Any) -> str:
     if found is None:
         return text
     number = "a whole number" if "int" in getattr(kind, "name", "") else "a number"
-    least, most = (f"{bound:.15g}" if bound is not None else "" for bound in (_bound(kind, "min"), _bound(kind, "max")))
+    bounds = (getattr(kind, name, None) for name in ("min", "max"))
+    least, most = ("" if bound is None else f"{bound:.15g}" for bound in bounds)
     if least and most:
         number += f" from {least} to {most}"
     elif least or most:
         number += f" of at least {least}" if least else f" of at most {most}"
     return f"{found[1]} is not {number}"
-
-
-def _bound(kind: Any, name: str) -> float | None:
-    return getattr(kind, name, None)
 
 
 _TEXTS = (  # of click, and the sentence of hostlink

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from hostlink.cli.arguments import Json, ParameterName, Token, Url, parameter_names
-from hostlink.cli.connecting import ask
+from hostlink.cli.connecting import ask, rosapi
 from hostlink.cli.names import unknown
 from hostlink.cli.output import quantity, write, write_error, write_table
 from hostlink.client import DEFAULT_URL, Host
@@ -103,22 +103,18 @@ def load(
     write_error(f"{quantity(len(values), 'parameter')} set")
 
 
-async def _names(host: Host) -> list[str]:
-    names: list[str] = (await host.call("/rosapi/get_param_names", {}))["names"]
-    return names
-
-
 async def _values(host: Host) -> dict[str, Any]:
-    return {name: await _read_value(host, name) for name in await _names(host)}
+    return {name: await _read_value(host, name) for name in await rosapi(host, "get_param_names", "names")}
 
 
 async def _read_value(host: Host, name: str) -> Any:
-    return json_text.loads((await host.call("/rosapi/get_param", {"name": name}))["value"])
+    return json_text.loads(await rosapi(host, "get_param", "value", name=name))
 
 
 async def _get(host: Host, name: str) -> Any:
-    if not (await host.call("/rosapi/has_param", {"name": name}))["exists"]:
-        raise unknown("parameter", name, await _names(host), command="params list")
+    if not await rosapi(host, "has_param", "exists", name=name):
+        known = await rosapi(host, "get_param_names", "names")
+        raise unknown("parameter", name, known, command="params list")
     return await _read_value(host, name)
 
 

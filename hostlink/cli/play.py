@@ -8,7 +8,7 @@ import sys
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, TypeVar
 
 import typer
 
@@ -21,7 +21,7 @@ from hostlink.cli.robots import require_robot
 from hostlink.client import DEFAULT_URL, Robot, connect
 from hostlink.errors import BadRequest, ConfigError, HostlinkError, system_text
 from hostlink.recording.channel import DEVICE, ROS1, VELOCITY, Channel
-from hostlink.recording.playing import Due, drives, is_drive, may_move, robots_of, schedule
+from hostlink.recording.playing import Due, DueVelocity, drives, is_drive, may_move, robots_of, schedule
 from hostlink.recording.reader import McapReader, StoredMessage, Wanted
 from hostlink.recording.tables import Decoders
 from hostlink.sim.played_device import PlayedDevice, PlayedTopic
@@ -34,6 +34,7 @@ PROGRESS_S = 0.5
 SOON_S = 0.001
 
 Put = Callable[[StoredMessage], Awaitable[None]]
+AnyDue = TypeVar("AnyDue", Due, DueVelocity)
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,7 +141,7 @@ async def play_devices(file: Path, playback: Playback, address: tuple[str, int],
 
     async with _connected(devices, address):
         write_error(f"playing {', '.join(sorted(devices))}; Ctrl-C ends")
-        count = await _play(file, playback, is_wanted, put)
+        count = await _play_messages(file, playback, is_wanted, put)
     dropped = sum(device.dropped for device in devices.values())
     left_out = sum(device.left_out for device in devices.values())
     without = f", {dropped} of them without a connection to the host" if dropped else ""
@@ -155,6 +156,7 @@ async def _connected(devices: dict[str, PlayedDevice], address: tuple[str, int])
         HostlinkError: no host answers, or the host requests no topics.
     """
     problem: BaseException | None = None
+    at = "{}:{}".format(*address)
     try:
         async with meanwhile(*((name, device.run(*address)) for name, device in devices.items())):
             async with asyncio.timeout(READY_TIMEOUT_S):
@@ -163,28 +165,18 @@ async def _connected(devices: dict[str, PlayedDevice], address: tuple[str, int])
             await asyncio.sleep(SETTLE_S)
             yield
     except* TimeoutError:
-        problem = HostlinkError(
-            "the program at {}:{} does not request topics; is it hostlink? `hostlink doctor` examines it".format(
-                *address
-            )
-        )
+        advice = "is it hostlink? `hostlink doctor` examines it"
+        problem = HostlinkError(f"the program at {at} does not request topics; {advice}")
     except* OSError as error:
-        problem = HostlinkError(
-            "no host answers at {}:{} ({}); start one with `hostlink serve`, or name another with --connect".format(
-                *address, _why(error)
-            )
-        )
+        first = error.exceptions[0]
+        why = system_text(first) if isinstance(first, OSError) else str(first)
+        advice = "start one with `hostlink serve`, or name another with --connect"
+        problem = HostlinkError(f"no host answers at {at} ({why}); {advice}")
     except* HostlinkError as error:
         problem = error.exceptions[0]
     raise_if_cancelled()
     if problem is not None:
         raise problem
-
-
-def _why(error: ExceptionGroup[OSError]) -> str:
-    """Text of the first error, without the words that asyncio adds."""
-    first = error.exceptions[0]
-    return system_text(first) if isinstance(first, OSError) else str(first)
 
 
 def _device(name: str, file: Path, channels: list[Channel]) -> PlayedDevice:
@@ -206,7 +198,9 @@ async def publish_topics(url: str, token: str | None, file: Path, playback: Play
 
     def is_wanted(channel: Channel) -> bool:
         is_readable = channel.encoding == ROS1 and not channel.content
-        return is_readable and not may_move(channel) and _matches(channel.topic, topics)
+        return (
+            is_readable and not may_move(channel) and any(fnmatch.fnmatchcase(channel.topic, each) for each in topics)
+        )
 
     if not any(map(is_wanted, _channels_of(file))):
         raise BadRequest(
@@ -220,7 +214,9 @@ async def publish_topics(url: str, token: str | None, file: Path, playback: Play
             if fields is not None:
                 await host.publish(message.channel.topic, fields, type_name=message.channel.type_name)
 
-        write_error(f"{quantity(await _play(file, playback, is_wanted, put), 'message')} of {' '.join(topics)} played")
+        write_error(
+            f"{quantity(await _play_messages(file, playback, is_wanted, put), 'message')} of {' '.join(topics)} played"
+        )
 
 
 async def drive_robot(
@@ -270,17 +266,14 @@ async def drive_as_recorded(driven: Robot, file: Path, playback: Playback, recor
     Raises:
         HostlinkError: a velocity is refused.
     """
-    count = 0
-    while True:
-        due_messages = _schedule(file, playback, is_drive)
-        clock = PlaybackClock(playback, "velocities")
-        for due in drives(due_messages, recorded, topic, rate=playback.rate):
-            await clock.reach(due.at_s)
-            await driven.drive(due.velocity.x_m_s, due.velocity.yaw_rad_s, due.velocity.y_m_s)
-            clock.count += 1
-        count += clock.done()
-        if not playback.is_looped:
-            break
+
+    async def drive(due: DueVelocity) -> None:
+        await driven.drive(due.velocity.x_m_s, due.velocity.yaw_rad_s, due.velocity.y_m_s)
+
+    def due_velocities() -> Iterator[DueVelocity]:
+        return drives(_schedule(file, playback, is_drive), recorded, topic, rate=playback.rate)
+
+    count = await _play(playback, "velocities", due_velocities, drive)
     await driven.stop(wait_s=0.0)
     return count
 
@@ -325,7 +318,7 @@ class PlaybackClock:
 
 def _schedule(file: Path, playback: Playback, wanted: Wanted) -> Iterator[Due]:
     """Yield the messages of the wanted channels by monotonic time; report each pause that is shortened."""
-    begin_ns = _begin_ns(file)
+    begin_ns = next((message.steady_ns for message in McapReader(file).messages()), None)
     messages = McapReader(file).messages(wanted, after_s=playback.start_s)
     for due in schedule(
         messages, begin_ns=begin_ns, rate=playback.rate, start_s=playback.start_s, max_pause_s=playback.max_pause_s
@@ -337,35 +330,37 @@ def _schedule(file: Path, playback: Playback, wanted: Wanted) -> Iterator[Due]:
         yield due
 
 
-def _begin_ns(file: Path) -> int | None:
-    """Return the monotonic time of the first message; None for an empty recording."""
-    return next((message.steady_ns for message in McapReader(file).messages()), None)
-
-
-async def _play(file: Path, playback: Playback, wanted: Wanted, put: Put) -> int:
-    """Send every wanted message when it is due; return their number.
+async def _play_messages(file: Path, playback: Playback, wanted: Wanted, put: Put) -> int:
+    """Send every wanted message when it is due, or when Enter is pressed; return their number.
 
     Raises:
         RecordingFailed: the file cannot be read.
     """
-    count = 0
-    while True:
-        count += await _play_once(file, playback, wanted, put)
-        if not playback.is_looped:
-            return count
 
-
-async def _play_once(file: Path, playback: Playback, wanted: Wanted, put: Put) -> int:
-    clock = PlaybackClock(playback, "messages")
-    for due in _schedule(file, playback, wanted):
+    async def send(due: Due) -> None:
         if playback.is_stepped:
             await _ask(due)
-        else:
-            await clock.reach(due.at_s)
         await put(due.message)
-        clock.count += 1
-        await clock.show()
-    return clock.done()
+
+    return await _play(playback, "messages", lambda: _schedule(file, playback, wanted), send)
+
+
+async def _play(
+    playback: Playback, what: str, read: Callable[[], Iterator[AnyDue]], put: Callable[[AnyDue], Awaitable[None]]
+) -> int:
+    """Put what is read when it is due, again and again if the playback is looped; return the number."""
+    count = 0
+    while True:
+        clock = PlaybackClock(playback, what)
+        for due in read():
+            if not playback.is_stepped:
+                await clock.reach(due.at_s)
+            await put(due)
+            clock.count += 1
+            await clock.show()
+        count += clock.done()
+        if not playback.is_looped:
+            return count
 
 
 async def _ask(due: Due) -> None:
@@ -373,12 +368,8 @@ async def _ask(due: Due) -> None:
     show_question(
         f"{due.at_s:9.3f} s  {message.channel.topic}  {quantity(len(message.payload), 'byte')}; Enter sends it "
     )
-    if not await asyncio.to_thread(_read_line):
+    if not await asyncio.to_thread(sys.stdin.readline):
         raise HostlinkError("--step: standard input is closed; run this command in a terminal")
-
-
-def _read_line() -> str:
-    return sys.stdin.readline()
 
 
 def _channels_of(file: Path) -> list[Channel]:
@@ -388,7 +379,3 @@ def _channels_of(file: Path) -> list[Channel]:
         return McapReader(file).read_channels()
     finally:
         show_progress("")
-
-
-def _matches(topic: str, patterns: list[str]) -> bool:
-    return any(fnmatch.fnmatchcase(topic, pattern) for pattern in patterns)

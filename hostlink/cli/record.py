@@ -13,7 +13,7 @@ import msgspec
 import typer
 
 from hostlink.cli.arguments import Json, RobotName, Token, Url
-from hostlink.cli.connecting import ask
+from hostlink.cli.connecting import ask, connected
 from hostlink.cli.files import check_output, fetch
 from hostlink.cli.names import named
 from hostlink.cli.output import BYTES_PER_MB, megabytes, quantity, show_progress, write, write_error, write_table
@@ -89,7 +89,7 @@ def record(
         ask(url, token, lambda host: _stop(host, stop, output, as_json=as_json))
     else:
         request = {"topics": topics or [], "robots": robot or [], "name": name}
-        ask(url, token, lambda host: _record(host, request, output, seconds, as_json=as_json))
+        asyncio.run(_record(url, token, request, output, seconds, as_json=as_json))
 
 
 def _check_format(output: Path) -> None:
@@ -107,27 +107,28 @@ def _check_format(output: Path) -> None:
 
 
 async def _record(
-    host: Host, request: dict[str, Any], output: Path | None, seconds: float | None, *, as_json: bool
+    url: str, token: str | None, request: dict[str, Any], output: Path | None, seconds: float | None, *, as_json: bool
 ) -> None:
     ending = asyncio.Event()
     loop = asyncio.get_running_loop()
     for number in (signal.SIGINT, signal.SIGTERM):
         loop.add_signal_handler(number, ending.set)
-    view = await host.post(_PATH, request)
-    name = view["name"]
-    write_error(f"recording {name}; Ctrl-C ends")
-    until_s = float("inf") if seconds is None else loop.time() + seconds
-    while not ending.is_set() and loop.time() < until_s:
-        view = await _find(host, name)
-        show_progress(_line(view))
-        try:
-            async with asyncio.timeout(max(0.0, min(POLL_S, until_s - loop.time()))):
-                await ending.wait()
-        except TimeoutError:
-            continue
-    show_progress("")
-    view = await host.post(f"{_PATH}/{name}/stop")
-    await _finish(host, view, output, as_json=as_json)
+    async with connected(url, token) as host:
+        view = await host.post(_PATH, request)
+        name = view["name"]
+        write_error(f"recording {name}; Ctrl-C ends")
+        until_s = float("inf") if seconds is None else loop.time() + seconds
+        while not ending.is_set() and loop.time() < until_s:
+            view = await _find(host, name)
+            show_progress(_line(view))
+            try:
+                async with asyncio.timeout(max(0.0, min(POLL_S, until_s - loop.time()))):
+                    await ending.wait()
+            except TimeoutError:
+                continue
+        show_progress("")
+        view = await host.post(f"{_PATH}/{name}/stop")
+        await _finish(host, view, output, as_json=as_json)
 
 
 async def _find(host: Host, name: str) -> dict[str, Any]:

@@ -23,6 +23,7 @@ from hostlink.errors import HostlinkError
 # -- questions --------------------------------------------------------------------------------------------------------
 
 Answers = Mapping[str, str]
+Complaint = Callable[[str], str]  # what to answer with; empty if the answer is right
 
 WAYS = ("wifi", "usb", "both")
 REACHES = ("computer", "network")
@@ -31,14 +32,14 @@ MAX_BAUD = 4_000_000
 LEAST_NUMBER = 0.01  # m, m/s, m/s2
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class Question:
-    """Question with its default, the condition under which it is asked, and the check of an answer."""
+    """Question with its default, the check of an answer, and the condition under which it is asked."""
 
     key: str
     text: str
     default: str
-    complaint: Callable[[str], str]
+    complaint: Complaint
     is_asked: Callable[[Answers], bool] = lambda _: True
 
 
@@ -46,54 +47,46 @@ def questions(serial_ports: Sequence[str]) -> list[Question]:
     """Return all ten questions. `serial_ports` are those of this computer."""
     seen = f" (this computer has: {', '.join(serial_ports)})" if serial_ports else " (none is plugged in now)"
     port = serial_ports[0] if serial_ports else "/dev/ttyACM0"
+    path = _described("a path that begins with /dev/, for example /dev/ttyACM0", lambda answer: answer.startswith("/"))
+    name = _described("letters, digits and _, a letter first", lambda answer: answer == "-" or _is_name(answer))
     return [
-        Question(key="way", text="How do robots connect: wifi, usb or both?", default="wifi", complaint=_one_of(WAYS)),
+        Question("way", "How do robots connect: wifi, usb or both?", "wifi", _one_of(WAYS)),
         Question(
-            key="network",
-            text="From which network may robots connect, for example 192.168.4.0/24? Empty: any",
-            default="",
-            complaint=_network,
-            is_asked=_has_wifi,
+            "network",
+            "From which network may robots connect, for example 192.168.4.0/24? Empty: any",
+            "",
+            _network,
+            _has_wifi,
+        ),
+        Question("device_port", "TCP port for robots?", "11411", _whole(1, MAX_PORT), _has_wifi),
+        Question("serial", f"Which serial port{seen}?", port, path, _has_usb),
+        Question("baud", "Its baud rate?", "57600", _whole(300, MAX_BAUD), _has_usb),
+        Question(
+            "robot",
+            "The robot's name, as in its firmware? The next questions are its limits; -: no limits",
+            "robot_0",
+            name,
         ),
         Question(
-            key="device_port",
-            text="TCP port for robots?",
-            default="11411",
-            complaint=_whole(1, MAX_PORT),
-            is_asked=_has_wifi,
-        ),
-        Question(
-            key="serial",
-            text=f"Which serial port{seen}?",
-            default=port,
-            complaint=lambda answer: (
-                "" if answer.startswith("/") else "a path that begins with /dev/, for example /dev/ttyACM0"
-            ),
-            is_asked=_has_usb,
-        ),
-        Question(
-            key="baud", text="Its baud rate?", default="57600", complaint=_whole(300, MAX_BAUD), is_asked=_has_usb
-        ),
-        Question(
-            key="robot",
-            text="The robot's name, as in its firmware? The next questions are its limits; -: no limits",
-            default="robot_0",
-            complaint=lambda answer: (
-                "" if answer == "-" or _is_name(answer) else "letters, digits and _, a letter first"
-            ),
-        ),
-        _number(
             "separation_m",
             "Distance between the two driven wheels in m? Empty: unknown, or another kind of drive",
-            most=10.0,
+            "",
+            _number(10.0, may_be_empty=True),
+            _has_robot,
         ),
-        _number("speed_m_s", "The highest speed of the robot, in m/s?", most=20.0, default="0.5"),
-        _number("deceleration_m_s2", "The strongest braking, in m/s2? Empty: no limit", most=100.0),
+        Question("speed_m_s", "The highest speed of the robot, in m/s?", "0.5", _number(20.0), _has_robot),
         Question(
-            key="reach",
-            text="Who may use the page and the API: this computer, or the network (with a token)?",
-            default="computer",
-            complaint=_one_of(REACHES),
+            "deceleration_m_s2",
+            "The strongest braking, in m/s2? Empty: no limit",
+            "",
+            _number(100.0, may_be_empty=True),
+            _has_robot,
+        ),
+        Question(
+            "reach",
+            "Who may use the page and the API: this computer, or the network (with a token)?",
+            "computer",
+            _one_of(REACHES),
         ),
     ]
 
@@ -174,8 +167,13 @@ def _is_name(text: str) -> bool:
     return text.isascii() and text.isidentifier() and not text.startswith("_")
 
 
-def _one_of(known: Sequence[str]) -> Callable[[str], str]:
-    return lambda answer: "" if answer in known else f"one of {', '.join(known)}"
+def _described(wanted: str, is_right: Callable[[str], bool]) -> Complaint:
+    """Return the check of an answer, which complains with what is wanted."""
+    return lambda answer: "" if is_right(answer) else wanted
+
+
+def _one_of(known: Sequence[str]) -> Complaint:
+    return _described(f"one of {', '.join(known)}", lambda answer: answer in known)
 
 
 def _network(answer: str) -> str:
@@ -187,27 +185,21 @@ def _network(answer: str) -> str:
     return ""
 
 
-def _whole(least: int, most: int) -> Callable[[str], str]:
-    def complaint(answer: str) -> str:
-        is_right = answer.isascii() and answer.isdecimal() and len(answer) < 9 and least <= int(answer) <= most  # noqa: PLR2004
-        return "" if is_right else f"a whole number from {least} to {most}"
+def _whole(least: int, most: int) -> Complaint:
+    return _described(
+        f"a whole number from {least} to {most}",
+        lambda answer: answer.isascii() and answer.isdecimal() and len(answer) < 9 and least <= int(answer) <= most,  # noqa: PLR2004
+    )
 
-    return complaint
 
-
-def _number(key: str, text: str, *, most: float, default: str = "") -> Question:
-    """Question for a number of the robot; without a default the answer may be empty."""
-
-    def complaint(answer: str) -> str:
-        if not answer and not default:
-            return ""
+def _number(most: float, *, may_be_empty: bool = False) -> Complaint:
+    def is_right(answer: str) -> bool:
         try:
-            is_right = LEAST_NUMBER <= float(answer) <= most
+            return (may_be_empty and not answer) or LEAST_NUMBER <= float(answer) <= most
         except ValueError:
-            is_right = False
-        return "" if is_right else f"a number from {LEAST_NUMBER:g} to {most:g}"
+            return False
 
-    return Question(key=key, text=text, default=default, complaint=complaint, is_asked=_has_robot)
+    return _described(f"a number from {LEAST_NUMBER:g} to {most:g}", is_right)
 
 
 def _toml(text: str) -> str:

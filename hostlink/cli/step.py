@@ -14,8 +14,8 @@ from typing import Annotated, Any
 import typer
 
 from hostlink.cli.arguments import Token, Url, not_empty
-from hostlink.cli.connecting import connected
-from hostlink.cli.files import check_picture
+from hostlink.cli.connecting import ask, rosapi
+from hostlink.cli.files import check_folder, check_picture
 from hostlink.cli.output import show_progress, table, write, write_error
 from hostlink.cli.robots import require_free, require_robot
 from hostlink.client import DEFAULT_URL, PRIORITY, Host, Mailbox, Robot, RobotState
@@ -126,22 +126,13 @@ class StepRecording:
     accepted: tuple[float, float]  # m/s, rad/s of the last stage, within the limits of the robot
 
 
-class RobotTopics:
-    """Topics of a robot's link, found by their last part."""
-
-    def __init__(self, state: RobotState, links: Sequence[Mapping[str, Any]]) -> None:
-        self._namespace = state["velocity_topic"].rpartition("/")[0] + "/"
-        self._topics = [topic for link in links if link["number"] == state["link"] for topic in link["topics"]]
-
-    def find(self, leaf: str, type_name: str) -> str | None:
-        """Find a topic; one in the robot's namespace takes precedence. None without one."""
-        found = [
-            topic["name"]
-            for topic in self._topics
-            if topic["type"] == type_name and topic["name"].rpartition("/")[2] == leaf
-        ]
-        wanted = self._namespace + leaf
-        return wanted if wanted in found else next(iter(found), None)
+def find_topic(state: RobotState, links: Sequence[Mapping[str, Any]], leaf: str, type_name: str) -> str | None:
+    """Find a topic of the robot's link by its last part; one in the robot's namespace takes precedence."""
+    topics = [topic for link in links if link["number"] == state["link"] for topic in link["topics"]]
+    names = [topic["name"] for topic in topics if topic["type"] == type_name]
+    found = [name for name in names if name.rpartition("/")[2] == leaf]
+    wanted = f"{state['velocity_topic'].rpartition('/')[0]}/{leaf}"
+    return wanted if wanted in found else next(iter(found), None)
 
 
 async def connected_state(robot: Robot) -> RobotState:
@@ -163,7 +154,7 @@ async def find_source(host: Host, state: RobotState, wheel: Wheel | None, separa
     Raises:
         HostlinkError: the robot has neither.
     """
-    plot = RobotTopics(state, await host.links()).find("plot_data", PLOT_TYPE)
+    plot = find_topic(state, await host.links(), "plot_data", PLOT_TYPE)
     if plot is not None:
         return Source(plot, PLOT_TYPE, "ticks/s", _plot_reader(wheel), STANDING_TICKS_S)
     odometry = f"/{state['name']}/odom"
@@ -327,15 +318,10 @@ async def wheel_parameter(host: Host, robot: str, leaf: str) -> list[float]:
     Raises:
         HostlinkError: the daemon is not connected.
     """
-    answer = await host.call("/rosapi/get_param", {"name": f"/{robot}/{leaf}", "default": ""})
-    return _numbers(str(answer["value"]))
-
-
-def _numbers(text: str) -> list[float]:
-    try:
-        return [float(word) for word in text.strip("[] ").split(",")] if text.strip("[] ") else []
-    except ValueError:
-        return []
+    text = await rosapi(host, "get_param", "value", name=f"/{robot}/{leaf}", default="")
+    with contextlib.suppress(ValueError):  # it is not set, or has another type
+        return [float(word) for word in str(text).strip("[] ").split(",")]
+    return []
 
 
 async def separation_of(host: Host, robot: str) -> float:
@@ -544,8 +530,8 @@ async def tune(host: Host, robot: str, records: Mapping[str, Record], *, sends: 
 
 
 async def _send(host: Host, robot: str, wheels: Mapping[str, TunedWheel]) -> None:
-    topics = RobotTopics(await host.robot(robot).state(), await host.links())
-    found = {side: topics.find(f"pid_tune_{side[0]}", GAINS_TYPE) for side in wheels}
+    state, links = await host.robot(robot).state(), await host.links()
+    found = {side: find_topic(state, links, f"pid_tune_{side[0]}", GAINS_TYPE) for side in wheels}
     for side, topic in found.items():
         if topic is None:
             raise HostlinkError(
@@ -639,7 +625,8 @@ def command(
             "--yes", "the robot will move, and this command cannot ask whether there is room; add --yes if there is"
         )
     if picture is not None:
-        check_picture("--picture", picture, extra="pictures")
+        check_picture("--picture", picture, needs="--picture", extra="pictures")
+        check_folder("--picture", picture)
     request = _Request(
         robot=robot,
         speed_m_s=speed,
@@ -651,41 +638,39 @@ def command(
         full_pwm=full_pwm,
         picture=picture,
     )
-    way = asyncio.run(_describe(url, token, request))  # the connection is closed while the person reads
+    way = ask(url, token, lambda host: _describe(host, request))  # the connection is closed while the person reads
     if not json:
         write_error(f"{way}.")
     if not yes:
         typer.confirm("Is there room?", abort=True, err=True)
-    asyncio.run(_step(url, token, request))
+    ask(url, token, lambda host: _step(host, request))
 
 
-async def _describe(url: str, token: str | None, request: _Request) -> str:
-    async with connected(url, token) as host:
-        robot = await require_robot(host, request.robot)
-        state = await connected_state(robot)
-        separation_m = await separation_of(host, robot.name)
-        await find_source(host, state, request.wheel, separation_m)
-        return describe_way(robot.name, _stages(request, separation_m), request.wheel, separation_m)
+async def _describe(host: Host, request: _Request) -> str:
+    robot = await require_robot(host, request.robot)
+    state = await connected_state(robot)
+    separation_m = await separation_of(host, robot.name)
+    await find_source(host, state, request.wheel, separation_m)
+    return describe_way(robot.name, _stages(request, separation_m), request.wheel, separation_m)
 
 
-async def _step(url: str, token: str | None, request: _Request) -> None:
-    async with connected(url, token) as host:
-        robot = await require_robot(host, request.robot)
-        separation_m = await separation_of(host, robot.name)
-        source = await find_source(host, await connected_state(robot), request.wheel, separation_m)
-        stages = _stages(request, separation_m)
-        try:
-            recording = await StepRecorder(host, robot, source, show=show_progress).record(stages)
-        finally:
-            show_progress("")
-        notes = notes_of(stages[-1], recording.accepted, recording.records)
-        if request.picture is not None:
-            title = f"{robot.name}: {'rising steps' if request.tunes else 'step'} to {request.speed_m_s:g} m/s"
-            notes += _draw(request.picture, title, recording)
-        if request.tunes:
-            await _report_tuning(host, robot.name, recording, notes, request)
-        else:
-            _report_step(robot.name, recording, notes, request)
+async def _step(host: Host, request: _Request) -> None:
+    robot = await require_robot(host, request.robot)
+    separation_m = await separation_of(host, robot.name)
+    source = await find_source(host, await connected_state(robot), request.wheel, separation_m)
+    stages = _stages(request, separation_m)
+    try:
+        recording = await StepRecorder(host, robot, source, show=show_progress).record(stages)
+    finally:
+        show_progress("")
+    notes = notes_of(stages[-1], recording.accepted, recording.records)
+    if request.picture is not None:
+        title = f"{robot.name}: {'rising steps' if request.tunes else 'step'} to {request.speed_m_s:g} m/s"
+        notes += _draw(request.picture, title, recording)
+    if request.tunes:
+        await _report_tuning(host, robot.name, recording, notes, request)
+    else:
+        _report_step(robot.name, recording, notes, request)
 
 
 def _draw(picture: Path, title: str, recording: StepRecording) -> list[str]:

@@ -34,11 +34,25 @@ from hostlink.cli.arguments import (
     json_object,
     not_empty,
 )
-from hostlink.cli.connecting import PATIENCE_S, ask, connected, run_until_interrupted, waiting, write_hint
+from hostlink.cli.connecting import PATIENCE_S, ask, connected, rosapi, run_until_interrupted, waiting, write_hint
 from hostlink.cli.names import natural, unknown
 from hostlink.cli.output import duration, is_terminal, quantity, show_progress, size, write, write_error, write_table
 from hostlink.client import DEFAULT_URL, Host, Mailbox, RawMessage, TopicState
 from hostlink.errors import ConfigError, HostlinkError, WrongType
+
+# -- services and types -----------------------------------------------------------------------------------------------
+
+
+async def service_facts(host: Host, name: str) -> dict[str, Any]:
+    """Return the type and the node of a service."""
+    facts = {"type": "service_type", "node": "service_node"}
+    return {key: await rosapi(host, asked, key, service=name) for key, asked in facts.items()}
+
+
+def no_type(topic: str) -> HostlinkError:
+    """Error of a topic whose type is not known yet."""
+    return HostlinkError(f"{topic} has no type yet, because it has no publisher; `hostlink topics` lists all topics")
+
 
 # -- topics -----------------------------------------------------------------------------------------------------------
 
@@ -105,7 +119,7 @@ def nodes(*, url: Url = DEFAULT_URL, token: Token = None, json: Json = False) ->
 
 
 async def _nodes(host: Host) -> list[dict[str, Any]]:
-    names: list[str] = (await host.call("/rosapi/nodes", {}))["nodes"]
+    names: list[str] = await rosapi(host, "nodes", "nodes")
     return [
         {"node": name, **(await host.call("/rosapi/node_details", {"node": name}))}
         for name in sorted(names, key=natural)
@@ -128,36 +142,16 @@ def show_name(name: str, url: str, token: str | None, *, as_json: bool) -> None:
 async def _find_name(host: Host, name: str) -> dict[str, Any]:
     topics = {topic["name"]: topic for topic in await host.topics()}
     if name in topics:
-        return await _topic(host, name, topics[name]["type"], topics[name]["messages"])
-    nodes: list[str] = (await host.call("/rosapi/nodes", {}))["nodes"]
+        both = {each: await rosapi(host, each, each, topic=name) for each in ("publishers", "subscribers")}
+        return {"topic": name, "type": topics[name]["type"], **both, "messages": topics[name]["messages"]}
+    nodes: list[str] = await rosapi(host, "nodes", "nodes")
     if name in nodes:
         details: dict[str, Any] = await host.call("/rosapi/node_details", {"node": name})
         return {"node": name, **details}
-    services: list[str] = (await host.call("/rosapi/services", {}))["services"]
+    services: list[str] = await rosapi(host, "services", "services")
     if name in services:
-        return await _service(host, name)
+        return {"service": name, **(await service_facts(host, name))}
     raise unknown("topic, node or service", name, [*topics, *nodes, *services], command="topics")
-
-
-async def _topic(host: Host, name: str, type_name: str, messages: int) -> dict[str, Any]:
-    publishers = (await host.call("/rosapi/publishers", {"topic": name}))["publishers"]
-    subscribers = (await host.call("/rosapi/subscribers", {"topic": name}))["subscribers"]
-    return {
-        "topic": name,
-        "type": type_name,
-        "publishers": publishers,
-        "subscribers": subscribers,
-        "messages": messages,
-    }
-
-
-async def _service(host: Host, name: str) -> dict[str, Any]:
-    type_name = (await host.call("/rosapi/service_type", {"service": name}))["type"]
-    return {
-        "service": name,
-        "type": type_name,
-        "node": (await host.call("/rosapi/service_node", {"service": name}))["node"],
-    }
 
 
 def _fact_lines(found: dict[str, Any]) -> list[str]:
@@ -247,11 +241,11 @@ def _field_list(fields: list[dict[str, str]]) -> list[str]:
 
 async def _find_type(host: Host, name: str, *, with_fields: bool) -> dict[str, Any]:
     topics = {topic["name"]: topic["type"] for topic in await host.topics()}
-    services: list[str] = [] if name in topics else (await host.call("/rosapi/services", {}))["services"]
+    services: list[str] = [] if name in topics else await rosapi(host, "services", "services")
     if name in topics:
         type_name, details = topics[name], "message_details"
     elif name in services:
-        type_name = (await host.call("/rosapi/service_type", {"service": name}))["type"]
+        type_name = await rosapi(host, "service_type", "type", service=name)
         details = "service_request_details"
     else:
         type_name = name.removeprefix("/").replace("/msg/", "/").replace("/srv/", "/")
@@ -261,7 +255,7 @@ async def _find_type(host: Host, name: str, *, with_fields: bool) -> dict[str, A
             raise unknown("topic, service or type", asked, [*topics, *services], command="topics")
         return of_type
     if not type_name:
-        raise HostlinkError(f"{name} has no type yet, because it has no publisher; `hostlink topics` lists all topics")
+        raise no_type(name)
     found: dict[str, Any] = {"name": name, "type": type_name}
     return found | {"fields": await _fields(host, details, type_name)} if with_fields else found
 
@@ -279,7 +273,7 @@ async def _of_type(host: Host, type_name: str) -> dict[str, Any] | None:
 
 async def _fields(host: Host, details: str, type_name: str) -> list[dict[str, str]]:
     """Return the fields of the type and of the types that it contains, by their paths."""
-    typedefs = (await host.call(f"/rosapi/{details}", {"type": type_name}))["typedefs"]
+    typedefs = await rosapi(host, details, "typedefs", type=type_name)
     known = {each["type"]: each for each in typedefs}
 
     def walk(typedef: dict[str, Any], prefix: str) -> list[dict[str, str]]:
@@ -306,8 +300,8 @@ def find(type_name: TypeName, *, url: Url = DEFAULT_URL, token: Token = None, js
 
 
 async def _find_of_type(host: Host, type_name: str) -> tuple[list[str], list[str]]:
-    topics: list[str] = (await host.call("/rosapi/topics_for_type", {"type": type_name}))["topics"]
-    services: list[str] = (await host.call("/rosapi/services_for_type", {"type": type_name}))["services"]
+    topics: list[str] = await rosapi(host, "topics_for_type", "topics", type=type_name)
+    services: list[str] = await rosapi(host, "services_for_type", "services", type=type_name)
     if not topics and not services:
         known = {topic["type"] for topic in await host.topics()} - {""}
         raise unknown("topic or service of a type", type_name, known, command="topics")
@@ -385,21 +379,19 @@ def echo(
 
 
 async def _echo(url: str, token: str | None, echo: Echo, type_name: str) -> None:
-    async with contextlib.AsyncExitStack() as stack:
-        host = await stack.enter_async_context(connected(url, token))
+    async with connected(url, token) as host:
         if not echo.field:
             echo = with_field(echo, [topic["name"] for topic in await host.topics()])
-        messages = await stack.enter_async_context(
-            host.subscribe(echo.topic, type_name=type_name, throttle_rate_ms=echo.throttle_ms)
-        )
-        if not echo.as_json:
-            await write_hint(host, echo.topic)
-        printed = 0
-        async for message in _within(messages, echo):
-            write(*message_lines(message, echo, is_first=not printed))
-            printed += 1
-            if printed == echo.count:
-                return
+        throttle_ms = echo.throttle_ms
+        async with host.subscribe(echo.topic, type_name=type_name, throttle_rate_ms=throttle_ms) as messages:
+            if not echo.as_json:
+                await write_hint(host, echo.topic)
+            printed = 0
+            async for message in _within(messages, echo):
+                write(*message_lines(message, echo, is_first=not printed))
+                printed += 1
+                if printed == echo.count:
+                    return
 
 
 def message_lines(message: dict[str, Any], echo: Echo, *, is_first: bool) -> list[str]:
@@ -673,6 +665,16 @@ async def _measure(
             write(figures.line(measured) if measured.messages > before else "no new messages")
 
 
+def _spread(seconds: Distribution) -> str:
+    least, most, deviation = map(duration, (seconds.least, seconds.most, seconds.deviation))
+    return f"{duration(seconds.mean)} (min {least}, max {most}, std dev {deviation})"
+
+
+def _spread_view(seconds: Distribution) -> dict[str, float]:
+    figures = {"min_s": seconds.least, "max_s": seconds.most, "std_dev_s": seconds.deviation}
+    return {name: round(value, 6) for name, value in figures.items()}
+
+
 # -- hz ---------------------------------------------------------------------------------------------------------------
 
 
@@ -680,19 +682,14 @@ def _hz_view(measured: MessageWindow) -> dict[str, Any]:
     between_s = measured.between_s
     if between_s is None:
         return {"rate_hz": None}
-    seconds = {"min_s": between_s.least, "max_s": between_s.most, "std_dev_s": between_s.deviation}
-    rounded = {key: round(value, 6) for key, value in seconds.items()}
-    return {"rate_hz": round(measured.rate_hz, 4), "window": between_s.count + 1} | rounded
+    return {"rate_hz": round(measured.rate_hz, 4), "window": between_s.count + 1, **_spread_view(between_s)}
 
 
 def _hz_line(measured: MessageWindow) -> str:
     between_s = measured.between_s
     if between_s is None:
         return "one message"
-    return (
-        f"{measured.rate_hz:8.2f} Hz   every {duration(between_s.mean)} (min {duration(between_s.least)}, "
-        f"max {duration(between_s.most)}, std dev {duration(between_s.deviation)}) of {between_s.count + 1} messages"
-    )
+    return f"{measured.rate_hz:8.2f} Hz   every {_spread(between_s)} of {between_s.count + 1} messages"
 
 
 hz = command_of(
@@ -746,10 +743,10 @@ _HEADER = struct.Struct("<III")  # seq, secs, nsecs: the beginning of a std_msgs
 
 async def _check_header(host: Host, topic: str) -> None:
     """Raise HostlinkError for a topic whose type has no header."""
-    type_name = (await host.call("/rosapi/topic_type", {"topic": topic}))["type"]
+    type_name = await rosapi(host, "topic_type", "type", topic=topic)
     if not type_name:
-        raise HostlinkError(f"{topic} has no type yet, because it has no publisher; `hostlink topics` lists all topics")
-    fields = (await host.call("/rosapi/message_details", {"type": type_name}))["typedefs"][0]["fieldtypes"]
+        raise no_type(topic)
+    fields = (await rosapi(host, "message_details", "typedefs", type=type_name))[0]["fieldtypes"]
     if fields[:1] != ["std_msgs/Header"]:
         raise HostlinkError(
             f"{topic}: {type_name} has no header, so its age cannot be measured; "
@@ -766,18 +763,14 @@ def _delay_view(measured: MessageWindow) -> dict[str, Any]:
     age_s = measured.figures
     if age_s is None:
         return {"delay_s": None}
-    seconds = {"delay_s": age_s.mean, "min_s": age_s.least, "max_s": age_s.most, "std_dev_s": age_s.deviation}
-    return {key: round(value, 6) for key, value in seconds.items()} | {"window": age_s.count}
+    return {"delay_s": round(age_s.mean, 6), **_spread_view(age_s), "window": age_s.count}
 
 
 def _delay_line(measured: MessageWindow) -> str:
     age_s = measured.figures
     if age_s is None:
         return "no messages yet"
-    return (
-        f"delay {duration(age_s.mean)} (min {duration(age_s.least)}, max {duration(age_s.most)}, "
-        f"std dev {duration(age_s.deviation)}) of {age_s.count} messages"
-    )
+    return f"delay {_spread(age_s)} of {quantity(age_s.count, 'message')}"
 
 
 delay = command_of(
@@ -896,7 +889,7 @@ async def _object(host: Host, details: str, type_name: str, message: Message) ->
     """
     if isinstance(message, dict):
         return message
-    typedefs = (await host.call(f"/rosapi/{details}", {"type": type_name}))["typedefs"]
+    typedefs = await rosapi(host, details, "typedefs", type=type_name)
     return filled({each["type"]: each for each in typedefs}, typedefs[0], message)
 
 
@@ -934,7 +927,7 @@ async def _pub(
 ) -> None:
     async with daemon as host:
         if isinstance(words, list) and not type_name:
-            type_name = (await host.call("/rosapi/topic_type", {"topic": topic}))["type"]
+            type_name = await rosapi(host, "topic_type", "type", topic=topic)
             if not type_name:
                 raise HostlinkError(
                     f"{topic} has no type yet; name it, as in `hostlink pub {topic} std_msgs/Bool true`"
@@ -976,16 +969,9 @@ def services(
 
 
 async def _services(host: Host, *, with_own: bool) -> list[dict[str, Any]]:
-    names: list[str] = (await host.call("/rosapi/services", {}))["services"]
-    return [
-        {
-            "name": name,
-            "type": (await host.call("/rosapi/service_type", {"service": name}))["type"],
-            "node": (await host.call("/rosapi/service_node", {"service": name}))["node"],
-        }
-        for name in sorted(names, key=natural)
-        if with_own or not name.startswith(_OWN)
-    ]
+    names: list[str] = await rosapi(host, "services", "services")
+    shown = [name for name in sorted(names, key=natural) if with_own or not name.startswith(_OWN)]
+    return [{"name": name, **(await service_facts(host, name))} for name in shown]
 
 
 # -- call -------------------------------------------------------------------------------------------------------------
@@ -1019,7 +1005,7 @@ def call(
 
 async def _call(host: Host, service: str, type_name: str, words: Message, timeout_s: float) -> object:
     if type_name or isinstance(words, list):
-        known: str = (await host.call("/rosapi/service_type", {"service": service}))["type"]
+        known: str = await rosapi(host, "service_type", "type", service=service)
         if type_name and known and known != type_name:
             raise WrongType(service, known, type_name)
         type_name = type_name or known

@@ -1,7 +1,7 @@
 """Reports of the laboratory: lines for people and one object for programs."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from itertools import combinations
 from typing import Any
 
@@ -25,7 +25,6 @@ from hostlink.lab.tables import tables as driven_tables
 from hostlink.lab.turns import (
     BestTurns,
     Needed,
-    TurnErrors,
     best_turns,
     chance_of_table_2,
     mean_of,
@@ -224,12 +223,12 @@ def claims(laboratory: Laboratory, runs: int, progress: Progress) -> LabReport:
     return LabReport(
         lines,
         {
-            "radius": _needed_view(radius),
-            "twists": [_needed_view(twist) for twist in twists],
-            "table_2": {"chance": chance, **_turns_view(chance_turns)},
+            "radius": asdict(radius),
+            "twists": [asdict(twist) for twist in twists],
+            "table_2": {"chance": chance, **asdict(chance_turns)},
             "best": [_best_view(found) for found in best.values()],
             "software_alone": [
-                {"threshold_pwm": each.threshold_pwm, "pattern": each.pattern.name, **_needed_view(each.distance_cm)}
+                {"threshold_pwm": each.threshold_pwm, "pattern": each.pattern.name, **asdict(each.distance_cm)}
                 for each in alone
             ],
         },
@@ -271,7 +270,7 @@ def _alone_row(alone: SoftwareAlone) -> list[str]:
 
 
 def _best_view(found: BestTurns) -> dict[str, Any]:
-    return {**_turns_view(found.turns), "p": found.p_value, "means_cm": found.means_cm.tolist()}
+    return {**asdict(found.turns), "p": found.p_value, "means_cm": found.means_cm.tolist()}
 
 
 def apart(needed: Sequence[Needed]) -> list[tuple[str, str]]:
@@ -281,14 +280,6 @@ def apart(needed: Sequence[Needed]) -> list[tuple[str, str]]:
 
 def _needed_row(needed: Needed) -> list[str]:
     return [needed.what, f"{needed.mean:.3f}", f"{needed.low:.3f} to {needed.high:.3f}"]
-
-
-def _needed_view(needed: Needed) -> dict[str, Any]:
-    return {"what": needed.what, "mean": needed.mean, "low": needed.low, "high": needed.high}
-
-
-def _turns_view(turns: TurnErrors) -> dict[str, float]:
-    return {"mean_rad": turns.mean_rad, "random_rad": turns.random_rad, "loss_m": turns.loss_m}
 
 
 def _best_lines(found: BestTurns, *, has_loss: bool) -> list[str]:

@@ -1,8 +1,9 @@
 """SimulatedRobot: the firmware on its own board, in real time, and its faults. Pure: time is an argument."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Container
 from dataclasses import dataclass
+from typing import Any
 
 from hostlink.protocol.control import decode_topic_info, encode_topic_info
 from hostlink.protocol.frame import Frame, Id, byte_sum, encode
@@ -72,7 +73,7 @@ class SimulatedRobot(Firmware):
 
 RUN_S = 3.0  # interval of the restarts of a faulty board
 _TEXT = b"left 12 right 13 battery 11.8 V\r\n"
-_SMALL_BUFFER_BYTES = 48  # as long as the payload of a Twist, without the frame around it
+_TWIST_BYTES = 48  # the payload of a Twist, without the frame around it
 _READ_RATIO = 115200 / 57600  # the device at rosserial's usual rate, the reader at 115200
 _BOOT_RATIO = 115200 / 74880
 _BOOT_TEXT = (
@@ -81,52 +82,34 @@ _BOOT_TEXT = (
 )
 
 
-def _as_it_is(frame: Frame) -> bytes:
-    return encode(*frame)
-
-
-def _nothing(_: Frame) -> bytes:
-    return b""
+def _in_protocol_1(frame: Frame) -> bytes:
+    body = frame.topic_id.to_bytes(2, "little") + len(frame.payload).to_bytes(2, "little") + frame.payload
+    return b"\xff\xff" + body + bytes([~byte_sum(body) & 0xFF])
 
 
 def _at_another_speed(frame: Frame) -> bytes:
     return resample(encode(*frame), ratio=_READ_RATIO)
 
 
-def _in_protocol_1(frame: Frame) -> bytes:
-    body = frame.topic_id.to_bytes(2, "little") + len(frame.payload).to_bytes(2, "little") + frame.payload
-    return b"\xff\xff" + body + bytes([~byte_sum(body) & 0xFF])
+def _without(ids: Container[int]) -> Callable[[Frame], bytes]:
+    return lambda frame: b"" if frame.topic_id in ids else encode(*frame)
 
 
-def _with_text(frame: Frame) -> bytes:
-    return _TEXT + encode(*frame)
+def _announcing(kind: Id, **changes: Any) -> Callable[[Frame], bytes]:
+    """Change what the announcements of topics of one kind say."""
 
+    def transform(frame: Frame) -> bytes:
+        info = decode_topic_info(kind, frame.payload) if frame.topic_id == kind else None
+        return encode(*frame) if info is None else encode(kind, encode_topic_info(info._replace(**changes)))
 
-def _without_topics(frame: Frame) -> bytes:
-    return b"" if frame.topic_id <= Id.SERVICE_CLIENT_SUBSCRIBER else encode(*frame)
-
-
-def _with_other_md5(frame: Frame) -> bytes:
-    info = decode_topic_info(Id.PUBLISHER, frame.payload) if frame.topic_id == Id.PUBLISHER else None
-    return encode(*frame) if info is None else encode(Id.PUBLISHER, encode_topic_info(info._replace(md5="0" * 32)))
-
-
-def _without_time_requests(frame: Frame) -> bytes:
-    return b"" if frame.topic_id == Id.TIME else encode(*frame)
-
-
-def _with_small_buffers(frame: Frame) -> bytes:
-    info = decode_topic_info(Id.SUBSCRIBER, frame.payload) if frame.topic_id == Id.SUBSCRIBER else None
-    if info is None:
-        return encode(*frame)
-    return encode(Id.SUBSCRIBER, encode_topic_info(info._replace(buffer_bytes=_SMALL_BUFFER_BYTES)))
+    return transform
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Fault:
     """Fault of a robot. The default is a healthy robot."""
 
-    transform: Callable[[Frame], bytes] = _as_it_is  # changes each frame to the host
+    transform: Callable[[Frame], bytes] = lambda frame: encode(*frame)  # changes each frame to the host
     at_power_up: bytes = b""  # bytes before the first frame
     clock_rate: float = 1.0  # seconds of the device's clock per second
     runs_s: float | None = None  # interval of its restarts; None: it does not restart
@@ -135,14 +118,16 @@ class Fault:
 
 HEALTHY = Fault()
 FAULTS = {
-    "silence": Fault(transform=_nothing),  # the device sends nothing
+    "silence": Fault(transform=lambda _: b""),  # the device sends nothing
     "wrong_baud": Fault(transform=_at_another_speed),  # its UART is slower than its reader
     "protocol_1": Fault(transform=_in_protocol_1),  # a library of before 2013
-    "text": Fault(transform=_with_text),  # Serial.print between the frames
-    "no_topics": Fault(transform=_without_topics),  # TopicInfos never come
-    "wrong_md5": Fault(transform=_with_other_md5),  # an old definition of a message
-    "time_stops": Fault(transform=_without_time_requests),  # requests for the time never come
-    "small_buffer": Fault(transform=_with_small_buffers),  # an input buffer smaller than a Twist
+    "text": Fault(transform=lambda frame: _TEXT + encode(*frame)),  # Serial.print between the frames
+    "no_topics": Fault(transform=_without(range(Id.SERVICE_CLIENT_SUBSCRIBER + 1))),  # TopicInfos never come
+    "wrong_md5": Fault(transform=_announcing(Id.PUBLISHER, md5="0" * 32)),  # an old definition of a message
+    "time_stops": Fault(transform=_without([Id.TIME])),  # requests for the time never come
+    "small_buffer": Fault(
+        transform=_announcing(Id.SUBSCRIBER, buffer_bytes=_TWIST_BYTES)
+    ),  # a frame of a Twist is longer
     "reboots": Fault(runs_s=RUN_S),  # starts anew every RUN_S seconds
     "boot_noise": Fault(at_power_up=resample(_BOOT_TEXT, ratio=_BOOT_RATIO)),  # an ESP8266's boot message
     "clock": Fault(clock_rate=1.25),  # its clock is a quarter too fast

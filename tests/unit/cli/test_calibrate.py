@@ -142,7 +142,7 @@ def test_apply_to_a_simulated_robot_is_refused(tmp_path: Path) -> None:
 
 def test_a_robot_that_keeps_its_numbers_gets_factors() -> None:
     found = calibrated(ExactRobot(WheelGeometry(), TRUE).drives(1), WheelGeometry())
-    tables = settings_of("lab 2", found, "hostlink", None)
+    tables = settings_of("lab 2", found.geometry, found.correction, "hostlink", None)
     lines = tables['robots."lab 2".calibration']
     assert float(lines["left_factor"]) == pytest.approx(0.0448 / 0.045, rel=1e-5)
     assert float(lines["separation_m"]) == pytest.approx(0.2142, rel=1e-5)

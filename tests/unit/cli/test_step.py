@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hostlink.cli.files import check_picture
+from hostlink.cli.files import check_folder, check_picture
 from hostlink.cli.step import (
-    RobotTopics,
     Stage,
     Wheel,
     describe_way,
     draw_picture,
+    find_topic,
     make_stage,
     notes_of,
     record_views,
@@ -94,7 +94,7 @@ def test_limits_and_a_drive_that_was_too_short_are_noted() -> None:
 @pytest.mark.parametrize("suffix", [".svg", *(pytest.param(each, marks=pytest.mark.long) for each in (".png", ".pdf"))])
 def test_a_picture_is_drawn(suffix: str, tmp_path: Path) -> None:
     path = tmp_path / f"step{suffix}"
-    check_picture("--picture", path, extra="pictures")
+    check_picture("--picture", path, needs="--picture", extra="pictures")
     draw_picture(path, "robot_0: step", {"left": record(), "right": record(pwm=False)})
     assert path.stat().st_size > 5000
 
@@ -110,14 +110,14 @@ def test_a_picture_that_cannot_be_is_refused_before_the_robot_moves(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with pytest.raises(ConfigError, match=r"must end in one of \.pdf, \.png, \.svg"):
-        check_picture("--picture", tmp_path / "step.gif", extra="pictures")
+        check_picture("--picture", tmp_path / "step.gif", needs="--picture", extra="pictures")
     with pytest.raises(ConfigError, match=r"the folder .* cannot be written"):
-        check_picture("--picture", tmp_path / "nowhere" / "step.png", extra="pictures")
+        check_folder("--picture", tmp_path / "nowhere" / "step.png")
     monkeypatch.setattr("importlib.util.find_spec", lambda _: None)
     with pytest.raises(
         ConfigError, match=r"needs matplotlib, of the extra 'pictures': run  .* -m pip install 'matplotlib<"
     ):
-        check_picture("--picture", tmp_path / "step.png", extra="pictures")
+        check_picture("--picture", tmp_path / "step.png", needs="--picture", extra="pictures")
 
 
 def topics(*names: str, link: int = 1) -> dict[str, Any]:
@@ -136,7 +136,7 @@ def test_own_topic_of_a_robot_takes_precedence() -> None:
         odometry=None,
     )
     other, own = "/arm/pid_tune_l", "/robot_0/pid_tune_l"
-    assert RobotTopics(state, [topics(other, own)]).find("pid_tune_l", GAINS) == own
-    assert RobotTopics(state, [topics(other)]).find("pid_tune_l", GAINS) == other
-    assert RobotTopics(state, [topics(own, link=2)]).find("pid_tune_l", GAINS) is None
-    assert RobotTopics(state, [topics(own)]).find("pid_tune_l", "geometry_msgs/Twist") is None
+    assert find_topic(state, [topics(other, own)], "pid_tune_l", GAINS) == own
+    assert find_topic(state, [topics(other)], "pid_tune_l", GAINS) == other
+    assert find_topic(state, [topics(own, link=2)], "pid_tune_l", GAINS) is None
+    assert find_topic(state, [topics(own)], "pid_tune_l", "geometry_msgs/Twist") is None
