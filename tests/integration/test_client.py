@@ -21,7 +21,7 @@ from hostlink.robot.admission import LEASE_S
 from hostlink.robot.velocity import PlanarVelocity
 from tests.support.daemon import Daemon, daemon
 from tests.support.device_codec import encode_log
-from tests.support.fake_device import fake_device, pose, robot_topics, topic
+from tests.support.fake_device import fake_device, pose, robot_topics, service_server, topic
 from tests.support.gates import drive_gate
 from tests.support.memory_client import memory_host
 from tests.support.memory_hub import MemoryHub, in_hub
@@ -31,10 +31,7 @@ ZERO = (0.0, 0.0)
 HELD_BY_PERSON = "robot_0: a person drives it with a higher priority; wait until it lets go, or use stop"
 INTERRUPTED = "it was stopped, locked or reconnected while this source was driving"
 LED = topic(Id.SUBSCRIBER, 100, "/led", "std_msgs/Bool")
-TRIGGER = [
-    topic(Id.SERVICE_SERVER_PUBLISHER, 125, "/trigger", "std_srvs/Trigger"),
-    topic(Id.SERVICE_SERVER_SUBSCRIBER, 101, "/trigger", "std_srvs/Trigger"),
-]
+TRIGGER = service_server("/trigger", "std_srvs/Trigger", 125, 101)
 
 
 class Unanswered(RemoteHosts):

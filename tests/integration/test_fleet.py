@@ -18,7 +18,16 @@ from hostlink.robot.velocity import PlanarVelocity
 from hostlink.sim.run import run_fleet
 from tests.support.daemon import Daemon, daemon
 from tests.support.device_codec import encode_parameter_request
-from tests.support.fake_device import FakeDevice, fake_device, pose, repeating, robot_topics, topic
+from tests.support.fake_device import (
+    FakeDevice,
+    fake_device,
+    pose,
+    repeating,
+    robot_topics,
+    service_client,
+    service_server,
+    topic,
+)
 from tests.support.gates import drive_gate
 from tests.support.memory_hub import MemoryHub, in_hub, velocities
 from tests.support.participants import publish, subscribe
@@ -32,11 +41,9 @@ CONFIGURED = Config(robots={"a": RobotConfig(address=ONE), "b": RobotConfig(addr
 MORE = [
     topic(Id.SUBSCRIBER, 102, "/robot_0/pid_tune_l", "geometry_msgs/Vector3"),
     topic(Id.SUBSCRIBER, 103, "/chatter_in", "std_msgs/Bool"),
-    topic(Id.SERVICE_SERVER_PUBLISHER, 126, "/robot_0/reset", "std_srvs/SetBool"),
-    topic(Id.SERVICE_SERVER_SUBSCRIBER, 104, "/robot_0/reset", "std_srvs/SetBool"),
+    *service_server("/robot_0/reset", "std_srvs/SetBool", 126, 104),
     topic(Id.PUBLISHER, 127, "/chatter", "std_msgs/Bool"),
-    topic(Id.SERVICE_CLIENT_PUBLISHER, 128, "/robot_0/ask", "std_srvs/SetBool"),
-    topic(Id.SERVICE_CLIENT_SUBSCRIBER, 105, "/robot_0/ask", "std_srvs/SetBool"),
+    *service_client("/robot_0/ask", "std_srvs/SetBool", 128, 105),
 ]
 
 

@@ -4,11 +4,11 @@ import asyncio
 
 import pytest
 
-from hostlink.protocol.control import TopicInfo, encode_topic_info
-from hostlink.protocol.frame import Id, encode
+from hostlink.protocol.control import TopicInfo
+from hostlink.protocol.frame import Id
 from hostlink.robot.velocity import PlanarVelocity
 from tests.support.daemon import Daemon, daemon
-from tests.support.fake_device import FakeDevice, fake_device, robot_topics, topic
+from tests.support.fake_device import FakeDevice, announcement, fake_device, robot_topics, topic
 from tests.support.gates import drive_gate
 from tests.support.waiting import TIMEOUT_S, expect
 
@@ -22,16 +22,8 @@ VELOCITY_LAST = [
 ]
 
 
-def announced(infos: list[TopicInfo]) -> bytes:
-    return (
-        encode(Id.TIME, bytes(8))
-        + b"".join(encode(info.kind, encode_topic_info(info)) for info in infos)
-        + encode(Id.TIME, bytes(8))
-    )
-
-
 def without(type_name: str, infos: list[TopicInfo]) -> bytes:
-    return announced([info for info in infos if info.type != type_name])
+    return announcement([info for info in infos if info.type != type_name])
 
 
 def without_velocity(infos: list[TopicInfo]) -> bytes:
@@ -61,7 +53,7 @@ async def test_a_stop_still_reaches_it_and_its_topics_are_requested_again() -> N
         assert (await host.rest("POST", "/api/stop"))[0] == 200
         assert await velocity(device, topic_id, other_than=driven) == bytes(48)
         await expect(lambda: host.hub.links.all()[0].session.counts.topic_requests > topic_requests)
-        await device.send(announced(infos))
+        await device.send(announcement(infos))
         await expect(lambda: host.hub.links.all()[0].session.counts.negotiations == 3)
         assert await moving(host, device, topic_id) == driven
 
@@ -93,7 +85,7 @@ async def test_a_robot_whose_odometry_is_lost_drives_on_and_its_topics_are_reque
         assert robot.link is not None
         assert robot.gate.may_move
         await expect(lambda: session.counts.topic_requests > topic_requests)
-        await device.send(announced(VELOCITY_FIRST))
+        await device.send(announcement(VELOCITY_FIRST))
         await expect(lambda: session.counts.negotiations == 3)
         assert robot.link is not None
 

@@ -21,11 +21,11 @@ from hostlink.api.rest import MAX_OWNERS
 from hostlink.config import BlackBoxConfig, Config, RecordingConfig
 from hostlink.hub.message import Message
 from hostlink.hub.topic import MAX_WAITING
-from hostlink.protocol.frame import Id, encode
+from hostlink.protocol.frame import encode
 from hostlink.recording.folder import DiskUsage, Folder
 from tests.support.daemon import Daemon, daemon
 from tests.support.device_reports import BATTERY, battery
-from tests.support.fake_device import fake_device, pose, robot_topics, topic
+from tests.support.fake_device import fake_device, pose, robot_topics, service_server
 from tests.support.rosbridge import client
 from tests.support.waiting import TIMEOUT_S, expect
 
@@ -82,10 +82,7 @@ async def test_an_empty_daemon_has_metrics_too() -> None:
 
 
 async def test_late_answers_of_services() -> None:
-    infos = [
-        topic(Id.SERVICE_SERVER_PUBLISHER, 125, "/set_led", "std_srvs/SetBool"),
-        topic(Id.SERVICE_SERVER_SUBSCRIBER, 100, "/set_led", "std_srvs/SetBool"),
-    ]
+    infos = service_server("/set_led", "std_srvs/SetBool")
     async with daemon() as host:
         assert (await metrics(host))["hostlink_service_late_answers_total[]"] == 0
         for count in (1, 2):  # of devices that are gone, too

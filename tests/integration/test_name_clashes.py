@@ -9,7 +9,7 @@ from hostlink.protocol.control import TopicInfo
 from hostlink.protocol.frame import Id, encode
 from hostlink.robot.velocity import PlanarVelocity
 from tests.support.daemon import Daemon, daemon
-from tests.support.fake_device import CATALOG, FakeDevice, fake_device, pose, robot_topics, topic
+from tests.support.fake_device import CATALOG, FakeDevice, fake_device, pose, robot_topics, service_server, topic
 from tests.support.gates import drive_gate
 from tests.support.participants import publish, subscribe
 from tests.support.waiting import expect
@@ -108,10 +108,7 @@ async def test_two_robots_that_share_a_velocity_topic_are_both_driven_by_it() ->
 
 @pytest.mark.parametrize("is_first", [True, False])
 async def test_emergency_stop_service_cannot_be_replaced(is_first: bool) -> None:
-    own = [
-        topic(Id.SERVICE_SERVER_PUBLISHER, 130, "/robot_0/lock", "std_srvs/Trigger"),
-        topic(Id.SERVICE_SERVER_SUBSCRIBER, 105, "/robot_0/lock", "std_srvs/Trigger"),
-    ]
+    own = service_server("/robot_0/lock", "std_srvs/Trigger", 130, 105)
     announcements = [own, robot_topics()] if is_first else [robot_topics(), own]
     async with (
         daemon() as host,

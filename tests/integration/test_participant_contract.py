@@ -223,13 +223,15 @@ def test_a_part_of_the_daemon_stays_when_a_callback_of_it_fails() -> None:
     play(test)
 
 
+async def never(_: Mapping[str, object]) -> Mapping[str, object]:
+    """Answer no call."""
+    await asyncio.sleep(1000)
+    return {}
+
+
 @pytest.mark.parametrize("make", ALL)
 def test_participant_that_leaves_during_its_call_fails_the_call_at_once(make: Make) -> None:
     async def test(made: Scene) -> None:
-        async def never(_: Mapping[str, object]) -> Mapping[str, object]:
-            await asyncio.sleep(1000)
-            return {}
-
         made.hub.join("slow").provide("/slow", "std_srvs/Trigger", never)
         one = make(made, Role.DRIVE)
         calling = made.tasks.create_task(_refused(one.call("/slow", {})))
@@ -246,10 +248,6 @@ def test_participant_that_leaves_during_its_call_fails_the_call_at_once(make: Ma
 @pytest.mark.parametrize("make", ALL)
 def test_participant_that_leaves_while_it_is_called_fails_its_callers_at_once(make: Make) -> None:
     async def test(made: Scene) -> None:
-        async def never(_: Mapping[str, object]) -> Mapping[str, object]:
-            await asyncio.sleep(1000)
-            return {}
-
         one, other = make(made, Role.DRIVE), plain(made, Role.DRIVE)
         one.serve(never)
         calling = made.tasks.create_task(_refused(other.call(SERVICE, {"data": True})))
@@ -267,10 +265,6 @@ def test_participant_that_leaves_while_it_is_called_fails_its_callers_at_once(ma
 @pytest.mark.parametrize("make", PROGRAMS)
 def test_participant_that_leaves_as_a_call_of_its_service_times_out_releases_everything(make: Make) -> None:
     async def test(made: Scene) -> None:
-        async def never(_: Mapping[str, object]) -> Mapping[str, object]:
-            await asyncio.sleep(1000)
-            return {}
-
         one, loop = make(made, Role.DRIVE), asyncio.get_running_loop()
         one.serve(never)
         caller = made.hub.join("asker")

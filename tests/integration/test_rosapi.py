@@ -7,14 +7,11 @@ from hostlink.protocol.control import Log, Parameter, decode_parameter
 from hostlink.protocol.frame import Id, encode
 from tests.support.daemon import daemon
 from tests.support.device_codec import encode_log, encode_parameter_request
-from tests.support.fake_device import fake_device, pose, robot_topics, topic
+from tests.support.fake_device import fake_device, pose, robot_topics, service_client
 from tests.support.rosbridge import client
 from tests.support.waiting import expect
 
-TOGGLE = [
-    topic(Id.SERVICE_CLIENT_PUBLISHER, 125, "/toggle", "std_srvs/SetBool"),
-    topic(Id.SERVICE_CLIENT_SUBSCRIBER, 100, "/toggle", "std_srvs/SetBool"),
-]
+TOGGLE = service_client("/toggle", "std_srvs/SetBool")
 
 
 async def test_topics_types_and_definitions() -> None:

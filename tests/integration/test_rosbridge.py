@@ -6,9 +6,9 @@ import contextlib
 import aiohttp
 import pytest
 
-from hostlink.protocol.frame import Id, encode
+from hostlink.protocol.frame import encode
 from tests.support.daemon import Daemon, daemon
-from tests.support.fake_device import fake_device, pose, robot_topics, topic
+from tests.support.fake_device import fake_device, pose, robot_topics, service_server
 from tests.support.rosbridge import client
 from tests.support.waiting import expect
 
@@ -46,10 +46,7 @@ async def test_programs_talk_to_each_other_without_a_device() -> None:
 
 
 async def test_a_service_of_a_device_is_called_and_a_failure_has_a_reason() -> None:
-    topics = [
-        topic(Id.SERVICE_SERVER_PUBLISHER, 125, "/trigger", "std_srvs/Trigger"),
-        topic(Id.SERVICE_SERVER_SUBSCRIBER, 100, "/trigger", "std_srvs/Trigger"),
-    ]
+    topics = service_server("/trigger", "std_srvs/Trigger")
     async with daemon() as host, fake_device(host.tcp, topics) as device, client(host) as program:
         await program.send(op="call_service", id="x1", service="/trigger", args={})
         assert await device.frame(100) == b""

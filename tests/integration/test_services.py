@@ -7,31 +7,19 @@ import pytest
 
 from hostlink.errors import DeviceGone, ServiceFailed
 from hostlink.hub.services import DeviceService, Services
-from hostlink.protocol.control import TopicInfo, encode_topic_info
 from hostlink.protocol.frame import Id, encode
 from tests.support.daemon import daemon
-from tests.support.fake_device import fake_device, robot_topics, topic
+from tests.support.fake_device import announcement, fake_device, robot_topics, service_client, service_server, topic
 from tests.support.virtual_loop import run_virtual
 from tests.support.waiting import expect
 
-SET_LED = [
-    topic(Id.SERVICE_SERVER_PUBLISHER, 125, "/set_led", "std_srvs/SetBool"),
-    topic(Id.SERVICE_SERVER_SUBSCRIBER, 100, "/set_led", "std_srvs/SetBool"),
-]
-TOGGLE = [
-    topic(Id.SERVICE_CLIENT_PUBLISHER, 125, "/toggle", "std_srvs/SetBool"),
-    topic(Id.SERVICE_CLIENT_SUBSCRIBER, 100, "/toggle", "std_srvs/SetBool"),
-]
+SET_LED = service_server("/set_led", "std_srvs/SetBool")
+TOGGLE = service_client("/toggle", "std_srvs/SetBool")
 
 
 def answer(message: str, *, success: bool = True) -> bytes:
     """The payload of a SetBool response."""
     return bytes([success]) + struct.pack("<I", len(message)) + message.encode()
-
-
-def announced(infos: list[TopicInfo]) -> bytes:
-    wire = b"".join(encode(info.kind, encode_topic_info(info)) for info in infos)
-    return encode(Id.TIME, bytes(8)) + wire + encode(Id.TIME, bytes(8))
 
 
 async def refused(services: Services, error: type[Exception]) -> None:
@@ -54,7 +42,7 @@ async def test_an_answer_to_a_call_of_before_other_topics_is_not_taken_for_the_n
         async with asyncio.TaskGroup() as tasks:
             call = tasks.create_task(refused(host.hub.services, DeviceGone))
             assert await device.frame(100) == b"\x01"
-            await device.send(announced([*SET_LED, more]))
+            await device.send(announcement([*SET_LED, more]))
             await call
         async with asyncio.TaskGroup() as tasks:
             again = tasks.create_task(host.hub.services.call("/set_led", {"data": False}))

@@ -19,20 +19,14 @@ from hostlink.protocol.control import decode_parameter
 from hostlink.protocol.frame import Id, encode
 from tests.support.daemon import Daemon, daemon
 from tests.support.device_codec import encode_parameter_request
-from tests.support.fake_device import FakeDevice, fake_device, pose, robot_topics, topic
+from tests.support.fake_device import FakeDevice, fake_device, pose, robot_topics, service_client, service_server, topic
 from tests.support.participants import publish
 from tests.support.rosbridge import client
 from tests.support.stopwatch import Stopwatch
 from tests.support.waiting import expect
 
-SERVICE_CLIENT = [
-    topic(Id.SERVICE_CLIENT_PUBLISHER, 125, "/toggle", "std_srvs/SetBool"),
-    topic(Id.SERVICE_CLIENT_SUBSCRIBER, 100, "/toggle", "std_srvs/SetBool"),
-]
-SERVICE_SERVER = [
-    topic(Id.SERVICE_SERVER_PUBLISHER, 125, "/set_led", "std_srvs/SetBool"),
-    topic(Id.SERVICE_SERVER_SUBSCRIBER, 100, "/set_led", "std_srvs/SetBool"),
-]
+SERVICE_CLIENT = service_client("/toggle", "std_srvs/SetBool")
+SERVICE_SERVER = service_server("/set_led", "std_srvs/SetBool")
 NO_SUCH_SERVICE = b"no service named /toggle"
 ODOMETRY = "/robot_0/odometry"
 

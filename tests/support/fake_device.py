@@ -4,7 +4,7 @@ import asyncio
 import contextlib
 import socket
 import struct
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Iterable
 
 from hostlink.messages.catalog import Catalog
 from hostlink.protocol.control import TopicInfo, encode_topic_info
@@ -28,6 +28,28 @@ def topic(kind: Id, topic_id: int, name: str, type_name: str, *, buffer_bytes: i
     return TopicInfo(
         kind, topic_id, name, type_name, (service.request if is_request else service.response).md5, buffer_bytes
     )
+
+
+def service_server(name: str, type_name: str, response_id: int = 125, request_id: int = 100) -> list[TopicInfo]:
+    """Return the endpoints of a service that a device offers."""
+    return [
+        topic(Id.SERVICE_SERVER_PUBLISHER, response_id, name, type_name),
+        topic(Id.SERVICE_SERVER_SUBSCRIBER, request_id, name, type_name),
+    ]
+
+
+def service_client(name: str, type_name: str, request_id: int = 125, response_id: int = 100) -> list[TopicInfo]:
+    """Return the endpoints of a service that a device calls."""
+    return [
+        topic(Id.SERVICE_CLIENT_PUBLISHER, request_id, name, type_name),
+        topic(Id.SERVICE_CLIENT_SUBSCRIBER, response_id, name, type_name),
+    ]
+
+
+def announcement(infos: Iterable[TopicInfo]) -> bytes:
+    """Return what a device answers to a request for topics: the time, each topic, a request for the time."""
+    wire = b"".join(encode(info.kind, encode_topic_info(info)) for info in infos)
+    return encode(Id.TIME, bytes(8)) + wire + encode(Id.TIME, bytes(8))
 
 
 def robot_topics(name: str = "robot_0") -> list[TopicInfo]:
@@ -60,8 +82,7 @@ class FakeDevice:
     async def announce(self, topics: list[TopicInfo]) -> None:
         """Wait for the request for topics, and answer as a device does: the time first, then each topic."""
         await self.frame(Id.PUBLISHER)
-        infos = b"".join(encode(info.kind, encode_topic_info(info)) for info in topics)
-        await self.send(encode(Id.TIME, bytes(8)) + infos + encode(Id.TIME, bytes(8)))
+        await self.send(announcement(topics))
         await self.frame(Id.TIME)
 
     async def next(self) -> Frame:

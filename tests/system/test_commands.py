@@ -10,15 +10,12 @@ from pathlib import Path
 import pytest
 
 from hostlink.protocol.frame import Id, encode
-from tests.support.fake_device import FakeDevice, fake_device, robot_topics, topic
+from tests.support.fake_device import FakeDevice, fake_device, robot_topics, service_server, topic
 from tests.support.process import HOSTLINK, run, serve, simulated
 from tests.support.waiting import TIMEOUT_S
 
 LED = [topic(Id.SUBSCRIBER, 100, "/led", "std_msgs/Bool")]
-TRIGGER = [
-    topic(Id.SERVICE_SERVER_PUBLISHER, 125, "/trigger", "std_srvs/Trigger"),
-    topic(Id.SERVICE_SERVER_SUBSCRIBER, 101, "/trigger", "std_srvs/Trigger"),
-]
+TRIGGER = service_server("/trigger", "std_srvs/Trigger", 125, 101)
 
 
 async def test_topics_echo_pub_and_call() -> None:

@@ -12,17 +12,14 @@ import pytest
 
 from hostlink.protocol.frame import Id, encode
 from tests.support.daemon import Daemon, daemon
-from tests.support.fake_device import FakeDevice, fake_device, pose, repeating, robot_topics, topic
+from tests.support.fake_device import FakeDevice, fake_device, pose, repeating, robot_topics, service_server, topic
 from tests.support.process import HOSTLINK, run
 from tests.support.screen import screen
 from tests.support.tcp_server import say_nothing, tcp_server
 from tests.support.waiting import TIMEOUT_S
 
 POINT = topic(Id.PUBLISHER, 126, "/robot_0/point", "geometry_msgs/PointStamped")
-TRIGGER = [
-    topic(Id.SERVICE_SERVER_PUBLISHER, 127, "/trigger", "std_srvs/Trigger"),
-    topic(Id.SERVICE_SERVER_SUBSCRIBER, 102, "/trigger", "std_srvs/Trigger"),
-]
+TRIGGER = service_server("/trigger", "std_srvs/Trigger", 127, 102)
 
 
 @asynccontextmanager

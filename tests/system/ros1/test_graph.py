@@ -11,7 +11,7 @@ import pytest
 
 from hostlink.messages.catalog import Catalog
 from hostlink.protocol.frame import Id, encode
-from tests.support.fake_device import FakeDevice, pose, repeating, robot_topics, topic
+from tests.support.fake_device import FakeDevice, pose, repeating, robot_topics, service_client, service_server, topic
 from tests.support.process import Process, simulated
 from tests.support.ros1.debian import Graph, Node, graph, living_device
 from tests.support.waiting import TIMEOUT_S
@@ -130,14 +130,8 @@ async def test_a_publisher_of_another_type_is_logged_and_the_others_are_heard(ro
 
 # -- services ---------------------------------------------------------------------------------------------------------
 
-SERVER = [
-    topic(Id.SERVICE_SERVER_PUBLISHER, 126, "/robot_0/arm", "std_srvs/SetBool"),
-    topic(Id.SERVICE_SERVER_SUBSCRIBER, 103, "/robot_0/arm", "std_srvs/SetBool"),
-]
-CLIENT = [
-    topic(Id.SERVICE_CLIENT_PUBLISHER, 127, "/door", "std_srvs/SetBool"),
-    topic(Id.SERVICE_CLIENT_SUBSCRIBER, 104, "/door", "std_srvs/SetBool"),
-]
+SERVER = service_server("/robot_0/arm", "std_srvs/SetBool", 126, 103)
+CLIENT = service_client("/door", "std_srvs/SetBool", 127, 104)
 SET_BOOL = CATALOG.service("std_srvs/SetBool")
 assert SET_BOOL is not None
 

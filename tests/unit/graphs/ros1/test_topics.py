@@ -5,6 +5,7 @@ import math
 
 import pytest
 
+from hostlink.errors import BadPayload
 from hostlink.graphs.ros1 import topics
 from hostlink.graphs.ros1.tcpros import BadHeader, encode_header, encode_message
 from hostlink.graphs.ros1.topics import RosPublication, RosPublisher
@@ -253,6 +254,14 @@ def test_malformed_message_is_counted_and_not_sent_to_the_robot() -> None:
         driver.connection.wire.close()
 
     play(test)
+
+
+@pytest.mark.parametrize(("type_name", "payload"), [("std_msgs/Bool", bytes(2)), (TEXT_TYPE, text("a") + b"b")])
+def test_payload_of_another_size_than_one_message_is_refused(type_name: str, payload: bytes) -> None:
+    type_ = CATALOG.message(type_name)
+    assert type_ is not None
+    with pytest.raises(BadPayload):
+        topics._check(payload, type_)
 
 
 @pytest.mark.parametrize(
