@@ -438,17 +438,12 @@ def stored_history(catalog: Catalog, path: Path) -> bytes | None:
         if incident is None:
             return None
         rest, reader, history = Pauses(), McapReader(path), RobotHistory(incident.robot)
-        zero_ns, nearest_ns = incident.stamp_ns, NEVER_NS
         for message in reader.messages(history.is_wanted):
             rest()
             at_s = (message.steady_ns - incident.stamp_ns) / NS_PER_S
             history.add(Entry(message.channel, message.stamp_ns, message.payload, at_s))
-            apart_ns = incident.stamp_ns - message.stamp_ns
-            if not reader.has_steady_times and abs(apart_ns) < nearest_ns:  # the clock may have been set before
-                zero_ns, nearest_ns = message.steady_ns + apart_ns, abs(apart_ns)
         view = _saved_view(SavedIncident(incident, StoredFile(path.name, reader.size_bytes, 0.0, is_open=False)))
-        zero_s = (zero_ns - incident.stamp_ns) / NS_PER_S
-        shown = encode_history(history_view(catalog, history, OdometryEstimator(), None, zero_s, rest), rest)
+        shown = encode_history(history_view(catalog, history, OdometryEstimator(), None, 0.0, rest), rest)
         head = msgspec.json.encode({**view, "damage": reader.damage})
         return b'%s,"history":%s}' % (head[:-1], shown)
     return None

@@ -29,7 +29,7 @@ class HubSource:
         """Whether it is subscribed to."""
         return self._participant is not None
 
-    def follow(self, is_read: bool) -> None:
+    def set_read(self, is_read: bool) -> None:
         """Subscribe, or leave; a subscription that was refused is tried again."""
         if is_read == self.is_read:
             return
@@ -41,5 +41,5 @@ class HubSource:
         try:
             self._participant.subscribe(self._topic, self._receive, type_name=self._type_name)
         except HostlinkError as error:
-            self.follow(False)
+            self.set_read(False)
             self._on_refusal(error)

@@ -148,7 +148,7 @@ class SimTime:
         """Start or stop following /clock."""
         if not self._clock.is_read:
             self._now_ns = 0
-        self._clock.follow(is_wanted)
+        self._clock.set_read(is_wanted)
         self._hub.links.wall_ns = self._read_ns if is_wanted else time.time_ns
 
     def _fail(self, error: HostlinkError) -> None:

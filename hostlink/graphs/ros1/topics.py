@@ -58,7 +58,7 @@ class RosPublication:
         wire.on_end = lambda: self._remove(wire)
         self._send_latched(wire)
         self.subscribers[wire] = printable(header["callerid"])
-        self._source.follow(True)
+        self._source.set_read(True)
 
     def close(self) -> None:
         """Disconnect every subscriber."""
@@ -74,7 +74,7 @@ class RosPublication:
         self._node.counts.dropped_to_slow_subscribers += wire.outgoing.dropped
         self.subscribers.pop(wire, None)
         if not self.subscribers:
-            self._source.follow(False)
+            self._source.set_read(False)
 
     def _send_latched(self, wire: Wire) -> None:
         """Send the latched message to a later subscriber; the first gets it from the hub."""

@@ -37,6 +37,7 @@ from hostlink.graphs.ros2.plan import (
 from hostlink.graphs.ros2.velocity import VelocityDriver
 from hostlink.graphs.ros2_names import ros1_type, ros2_type
 from hostlink.graphs.wire_layout import ros1_layout, ros2_layout
+from hostlink.log_budget import Budget
 from hostlink.mirror.inbox import ThreadInbox
 from hostlink.robot.velocity import Twist
 
@@ -97,12 +98,12 @@ class Routes:
     """Coroutines of the routes, with the node, the connection and the types that they share."""
 
     def __init__(self, node: "Ros2Node", host: Host, velocity: VelocityDriver) -> None:
+        self._malformed = Budget()
         self._node, self._host, self._velocity = node, host, velocity
         self._types = Types()
         self._echoes: defaultdict[str, Echoes] = defaultdict(Echoes)
         self._publishers: dict[PublicationRoute, asyncio.Future[Any]] = {}
         self._tasks: asyncio.TaskGroup | None = None
-        self.malformed = 0  # messages that were none of their type
 
     @contextlib.asynccontextmanager
     async def running(self) -> AsyncIterator[None]:
@@ -157,7 +158,7 @@ class Routes:
                 try:
                     data = conversion.to_cdr(message.payload, type_name)
                 except BadPayload:
-                    self.malformed += 1
+                    self._note_malformed(route.topic)
                     continue
                 if has_header and (stamp := self._node.stamp()):
                     data = stamped(data, stamp)
@@ -180,9 +181,13 @@ class Routes:
         try:
             payload = self._types.conversion.to_ros1(data, route.ros2_type)
         except BadPayload:
-            self.malformed += 1
+            self._note_malformed(route.topic)
             return
         await self._host.publish_raw(route.topic, payload, type_name=route.type_name)
+
+    def _note_malformed(self, topic: str) -> None:
+        if counts := self._malformed.due(topic, asyncio.get_running_loop().time()):
+            self._node.warn(f"{topic}: messages that are not of the topic's type are left out: {counts.total()}")
 
     async def _drive(self, route: VelocityInput) -> None:
         cls, is_stamped = load_type(route.ros2_type), route.ros2_type == TWIST_STAMPED

@@ -57,11 +57,11 @@ class _Export:
             lambda message: self._publisher.put(message.payload),
             lambda _: transport.counts.update(("refused",)),
         )
-        self._publisher.watch(self._source.follow)
+        self._publisher.watch(self._source.set_read)
 
     def close(self) -> None:
         """Withdraw the topic from the fleet."""
-        self._source.follow(False)
+        self._source.set_read(False)
         self._publisher.close()
 
 

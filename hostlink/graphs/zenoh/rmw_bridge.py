@@ -129,13 +129,13 @@ class RmwPublication:
             lambda _: node.counts.update(("failed_endpoints",)),
         )
         if topic.is_latched:
-            self._source.follow(True)
+            self._source.set_read(True)
         else:
-            self._publisher.watch(self._source.follow)
+            self._publisher.watch(self._source.set_read)
 
     def close(self) -> None:
         """Withdraw the publication."""
-        self._source.follow(False)
+        self._source.set_read(False)
         self._endpoint.close()
         self._publisher.close()
 

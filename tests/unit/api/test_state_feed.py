@@ -31,7 +31,9 @@ def with_feed(test: Callable[[Hub, StateFeed], Awaitable[None]]) -> None:
         async with asyncio.TaskGroup() as tasks:
             running = tasks.create_task(hub.run())
             await hub.is_running.wait()
-            await test(hub, StateFeed(hub, Clients(8, max_per_address=8), Recordings(hub)))
+            recordings = Recordings(hub)
+            await test(hub, StateFeed(hub, Clients(8, max_per_address=8), recordings))
+            await recordings.aclose()
             running.cancel()
 
     with capture_logs():
@@ -237,6 +239,7 @@ def test_recordings_are_sent_on_change_and_to_new_readers() -> None:
                     recordings.black_box.pending.append(Incident("robot_0", "requested", "", 0))
                     assert (await counted(reader, 3.0))["recordings"] == 1
                 await asyncio.sleep(1.0)
+            await recordings.aclose()
             running.cancel()
 
     with capture_logs():
@@ -246,7 +249,8 @@ def test_recordings_are_sent_on_change_and_to_new_readers() -> None:
 def test_streams_end_with_the_hub() -> None:
     async def run() -> None:
         hub = Hub(Config(), CATALOG, reraises=True)
-        feed = StateFeed(hub, Clients(8, max_per_address=8), Recordings(hub))
+        recordings = Recordings(hub)
+        feed = StateFeed(hub, Clients(8, max_per_address=8), recordings)
         reader = Reader(feed)
         async with asyncio.TaskGroup() as tasks:
             running = tasks.create_task(hub.run())
@@ -257,5 +261,6 @@ def test_streams_end_with_the_hub() -> None:
                 running.cancel()
                 await reader.news.wait()
                 assert not feed.is_running
+        await recordings.aclose()
 
     run_virtual(run())

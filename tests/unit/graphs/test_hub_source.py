@@ -36,12 +36,12 @@ def test_source_receives_while_it_is_read_and_has_one_participant_then(readers: 
         made = Made(scene)
         scene.neighbour.advertise(TEXT, TEXT_TYPE)
         for number, is_read in enumerate(readers):
-            made.source.follow(is_read)
+            made.source.set_read(is_read)
             scene.neighbour.publish(TEXT, text(str(number)))
             assert made.source.is_read is is_read
             assert sum(not each.has_left for each in made.joined) == is_read
         assert made.received == [text(str(number)) for number, is_read in enumerate(readers) if is_read]
-        made.source.follow(False)
+        made.source.set_read(False)
 
     play(test)
 
@@ -50,12 +50,12 @@ def test_source_that_is_refused_leaves_and_is_tried_again() -> None:
     async def test(scene: Scene) -> None:
         made = Made(scene, "std_msgs/Int32")
         scene.neighbour.advertise(TEXT, TEXT_TYPE)
-        made.source.follow(True)
+        made.source.set_read(True)
         assert (made.source.is_read, made.joined[0].has_left, len(made.refusals)) == (False, True, 1)
         scene.neighbour.unadvertise(TEXT)
         await asyncio.sleep(0.1)
-        made.source.follow(True)
+        made.source.set_read(True)
         assert (made.source.is_read, len(made.joined), len(made.refusals)) == (True, 2, 1)
-        made.source.follow(False)
+        made.source.set_read(False)
 
     play(test)

@@ -163,6 +163,9 @@ class FakeNode:
         )
         self.node = SimpleNamespace(get_logger=lambda: logger)
 
+    def warn(self, text: str) -> None:
+        self.lines.append(("warning", text))
+
     async def graph(self, _topics: Iterable[str]) -> Ros2Graph:
         return self.ros2
 
@@ -343,6 +346,8 @@ def test_topic_of_ros_2_reaches_the_daemon_without_echoes_and_malformed_messages
             world.node.subscriptions[NOTE](data)
         await asyncio.sleep(0.1)
         assert world.host.published == [(NOTE, text(b"theirs"), "std_msgs/String")]
+        warning = f"{NOTE}: messages that are not of the topic's type are left out: 1"
+        assert ("warning", warning) in world.node.lines
         await world.show()
         assert (world.host.advertised, world.node.subscriptions) == ({}, {})
 
