@@ -239,6 +239,7 @@ def test_recordings_are_sent_on_change_and_to_new_readers() -> None:
                     recordings.black_box.pending.append(Incident("robot_0", "requested", "", 0))
                     assert (await counted(reader, 3.0))["recordings"] == 1
                 await asyncio.sleep(1.0)
+            recordings.black_box.pending.clear()
             await recordings.aclose()
             running.cancel()
 
