@@ -417,8 +417,11 @@ class Admission:
     def connect(self, now_s: float) -> bool:
         """The device is connected, or has other topics; returns whether that is an interruption."""
         is_interruption = now_s >= self._disconnected_s + self.resume_after_reconnect_s
+        is_first, before_s = not self.is_connected and self._disconnected_s == float("-inf"), self._interrupted_s
         if is_interruption:
             self.interrupt(now_s, by="a reconnection of its device")
+        if is_first:  # a command that waited for a late loop beside this connection is from before nothing
+            self._interrupted_s = before_s
         self.is_connected = True
         self._drop_holds()
         for source in self._sources.values():

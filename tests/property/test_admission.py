@@ -65,7 +65,6 @@ class History(RuleBasedStateMachine):
         self.away_s = self.interrupted_s = float("-inf")
         if is_connected:
             self.admission.connect(self.now_s)
-            self.interrupted_s = self.now_s
 
     @rule(ticks=st.integers(0, 6))
     def time_passes(self, ticks: int) -> None:
@@ -159,7 +158,8 @@ class History(RuleBasedStateMachine):
 
     @rule(event=st.sampled_from(["stop", "pause", "lock", "unlock", "connect", "disconnect"]), ticks=st.integers(5, 40))
     def robot_is_interrupted(self, event: str, ticks: int) -> None:
-        epoch = self.admission.epoch
+        epoch, before_s = self.admission.epoch, self.interrupted_s
+        is_first = event == "connect" and not self.is_connected and self.away_s == float("-inf")
         match event:
             case "stop":
                 self.admission.interrupt(self.now_s)
@@ -190,6 +190,8 @@ class History(RuleBasedStateMachine):
                     heard.has_lost_device |= self.now_s < max(heard.commanded_s, default=float("-inf")) + LEASE_S
         if is_one:
             self.interruption(self.now_s)
+        if is_first:
+            self.interrupted_s = before_s
         if event == "connect":
             for heard in self.sources.values():
                 heard.has_lost_device = False

@@ -64,11 +64,11 @@ async def test_a_device_receives_what_a_program_publishes(ros: Graph) -> None:
         ros.node("talk", "/text", STRING, "{data: before}", "0"),
         ros.daemon() as daemon,
         living_device(daemon.tcp, topics) as robot,
-        ros.node("talk", "/text", STRING, "{data: häßlich}", "20"),
     ):
         assert await robot.frame(102) == encoded(STRING, data="before")  # what was latched, as ROS has it
-        while await robot.frame(102) != encoded(STRING, data="häßlich"):
-            pass
+        async with ros.node("talk", "/text", STRING, "{data: häßlich}", "20"):
+            while await robot.frame(102) != encoded(STRING, data="häßlich"):
+                pass
 
 
 @pytest.mark.long

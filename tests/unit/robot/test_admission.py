@@ -197,6 +197,18 @@ def test_command_that_a_slightly_late_loop_read_after_a_stop_is_admitted(driven:
     assert driven.command(waited_s=waited_s - 0.02).is_admitted
 
 
+@pytest.mark.parametrize("is_first", [True, False])
+def test_command_that_waited_beside_a_connection_is_admitted_if_it_is_the_first(is_first: bool) -> None:
+    """A late loop reads both at once; nobody can have stopped a robot that was never there."""
+    robot = Timeline()
+    robot.admission = Admission("robot_0")
+    if not is_first:
+        robot.admission.connect(robot.now_s - 10.0)
+        robot.admission.disconnect(robot.now_s - 5.0)
+    robot.admission.connect(robot.now_s)
+    assert robot.command(waited_s=UNORDERED_S + 0.1).is_admitted == is_first
+
+
 def test_velocity_behind_a_zero_that_waited_through_a_stop_is_refused(driven: Timeline) -> None:
     waited_s = interrupt_while_waiting(driven)
     assert driven.command(ZERO, waited_s=waited_s).is_admitted
