@@ -75,8 +75,8 @@ class OperationQueue(Generic[Content]):
 
     A velocity replaces the pending one of its robot or topic if they differ in the velocity alone, and only velocities
     for others, by the same operation, came between them: anything else may change what is decided about the newer one.
-    So may an interruption: a velocity from before it disarms its source. It is not replaced by one that came
-    UNORDERED_S later. A zero replaces velocities of any age, and is never replaced.
+    So may a stop by another client: a velocity from before it disarms its source. So a velocity that came UNORDERED_S
+    later does not replace it. A zero replaces velocities of any age, and is never replaced.
     """
 
     def __init__(self, program: ClientProgram[Content], on_replaced: Callable[[], None], messages_s: float) -> None:

@@ -185,8 +185,10 @@ async def _show(hub: Hub, demo: DemoDriver, output: Output) -> None:
 
 
 def _describe(robot: LocalRobot) -> str:
+    if robot.link is None:
+        return f"{robot.name} is not connected"
     estimate = robot.odometry.snapshot(asyncio.get_running_loop().time())
-    if estimate is None or robot.link is None:
+    if estimate is None:
         return f"{robot.name} waits for its odometry"
     pose, twist = estimate.pose, estimate.twist
     return (

@@ -4,6 +4,7 @@ import asyncio
 import contextlib
 import fnmatch
 import math
+import os
 import sys
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
 from dataclasses import dataclass
@@ -368,8 +369,29 @@ async def _ask(due: Due) -> None:
     show_question(
         f"{due.at_s:9.3f} s  {message.channel.topic}  {quantity(len(message.payload), 'byte')}; Enter sends it "
     )
-    if not await asyncio.to_thread(sys.stdin.readline):
+    if not await _read_line():
         raise HostlinkError("--step: standard input is closed; run this command in a terminal")
+
+
+async def _read_line() -> bytes:
+    """Read a line of standard input, empty at its end, without a thread: the process would wait for it after Ctrl-C."""
+    loop, line, is_readable = asyncio.get_running_loop(), b"", asyncio.Event()
+    number = sys.stdin.fileno()
+    try:
+        loop.add_reader(number, is_readable.set)
+    except PermissionError:  # a file, which can be read at once
+        return sys.stdin.buffer.readline()
+    try:
+        while not line.endswith(b"\n"):
+            await is_readable.wait()
+            is_readable.clear()
+            byte = os.read(number, 1)
+            if not byte:
+                break
+            line += byte
+    finally:
+        loop.remove_reader(number)
+    return line
 
 
 def _channels_of(file: Path) -> list[Channel]:

@@ -2,6 +2,7 @@
 
 import contextlib
 import functools
+import inspect
 import ssl
 from collections.abc import AsyncIterator, Callable, Coroutine
 from typing import Any, Concatenate, Generic, ParamSpec, TypeVar
@@ -61,7 +62,7 @@ def _stream(
     def call(self: Blocking[Inner], /, *args: P.args, **kwargs: P.kwargs) -> Stream[Item]:
         return Stream(self._loop, method(self._inner, *args, **kwargs), method.__name__)
 
-    return call
+    return _returning(Stream, call)
 
 
 def _messages(
@@ -71,6 +72,12 @@ def _messages(
     def call(self: Blocking[Inner], /, *args: P.args, **kwargs: P.kwargs) -> Messages[Item]:
         return Messages(self._loop, method(self._inner, *args, **kwargs))
 
+    return _returning(Messages, call)
+
+
+def _returning(made: type, call: Callable[P, Result]) -> Callable[P, Result]:
+    """Let `help()` name what the method returns, instead of what the asynchronous one does."""
+    call.__signature__ = inspect.signature(call).replace(return_annotation=made)  # type: ignore[attr-defined]
     return call
 
 

@@ -361,7 +361,7 @@ class Gates:
         since_s = self._stalls.pop_pause(now_s)
         if since_s is not None:
             for admission in tuple(self._admissions):  # also of a robot at rest: its sources may be disarmed
-                admission.interrupt(now_s, since_s=since_s, by="a pause of hostlink")
+                admission.interrupt(now_s, since_s=since_s, came_s=since_s, by="a pause of hostlink")
             for drivable in [each for each in self._active if each.gate.may_move]:
                 self._step(drivable, now_s)  # its zero replaces a velocity that is not written yet
 
@@ -399,7 +399,7 @@ class Gates:
         drivables, now_s, refusal = list(drivables), _now_s(), None
         driven = [(drivable, str(drivable.gate.owner)) for drivable in drivables if drivable.gate.owner is not None]
         for admission in {drivable.admission for drivable in drivables}:  # velocity topics of one robot share one
-            admission.interrupt(now_s, by=named("a stop", by))
+            admission.interrupt(now_s, came_s=self.came_s(now_s), by=named("a stop", by))
         for drivable in drivables:
             drivable.gate.counts.stops += 1
             drivable.gate.stop(now_s=now_s)

@@ -16,7 +16,7 @@ A *source* of commands is a program, a REST owner, a publisher of another graph.
 | disarmed | non-zero command with the current epoch                   | driving  | admitted for a lease  |
 | disarmed | zero that is not late, or a lease without a command       | quiet    | a zero is admitted    |
 | any      | non-zero command with an epoch that is not the current one | disarmed | refused: disarmed     |
-| any      | non-zero command from before the newest interruption      | disarmed | refused: disarmed     |
+| any      | non-zero command from before the newest stop or pause     | disarmed | refused: disarmed     |
 | any      | the source leaves                                         | quiet    | its robot stops       |
 
 Before that, in this order, each of which leaves a source that was quiet or driving as it is, unless the command has an
@@ -39,7 +39,7 @@ zero that is refused arms its source all the same. An admitted command holds the
 source of the same priority takes the robot over. The lease of a command that waited is shorter by that time. A stop
 and a lock do not shorten the time for which the robot is held.
 
-A command without the current epoch is from before an interruption if it has waited, here or on its way, since more than
+A command without the current epoch is from before a stop if it has waited, here or on its way, since more than
 UNORDERED_S before it. Two arrivals that are closer have no known order, because a loop that is late reads both at once.
 A pause counts from its beginning.
 
@@ -233,7 +233,7 @@ class Admission:
     _drivers: dict[Hashable, Lease] = field(default_factory=dict)  # by velocity topic
     _joined: dict[Hashable, EarlierMotion] = field(default_factory=dict)
     _disconnected_s: float = float("-inf")
-    _interrupted_s: float = float("-inf")
+    _stopped_s: float = float("-inf")
 
     # -- commands -----------------------------------------------------------------------------------------------------
 
@@ -254,7 +254,7 @@ class Admission:
             command = command._replace(epoch=joined.pop_epoch(command.received_s))
         waited_s = source.waited_s(command, now_s)
         if command.epoch is None:
-            is_earlier = now_s - waited_s < self._interrupted_s - UNORDERED_S
+            is_earlier = now_s - waited_s < self._stopped_s - UNORDERED_S
         else:
             is_earlier = command.epoch != self.epoch
         if is_earlier:
@@ -384,14 +384,20 @@ class Admission:
 
     # -- interruptions ------------------------------------------------------------------------------------------------
 
-    def interrupt(self, now_s: float, *, since_s: float | None = None, by: str | None = None) -> None:
+    def interrupt(
+        self, now_s: float, *, since_s: float | None = None, came_s: float | None = None, by: str | None = None
+    ) -> None:
         """Stop the robot: disarm every source that was commanding within a lease before `since_s`, or now.
 
+        `came_s` is the earliest time at which a stop arrived, by the clock of commands: what came before it is from
+        before the stop. A lock, an unlock and a connection have none: commands are refused until then anyway.
         `by` names the interruption for refusals; None: it is unknown.
         """
         since_s = now_s if since_s is None else since_s
         self.epoch += 1
-        self.interrupted_by, self._interrupted_s = by, max(self._interrupted_s, since_s)
+        self.interrupted_by = by
+        if came_s is not None:
+            self._stopped_s = max(self._stopped_s, came_s)
         self._drivers.clear()
         for source in self._sources.values():
             if source.has_lost_device or since_s < source.commanded_s + self.lease_s:
@@ -417,11 +423,8 @@ class Admission:
     def connect(self, now_s: float) -> bool:
         """The device is connected, or has other topics; returns whether that is an interruption."""
         is_interruption = now_s >= self._disconnected_s + self.resume_after_reconnect_s
-        is_first, before_s = not self.is_connected and self._disconnected_s == float("-inf"), self._interrupted_s
         if is_interruption:
             self.interrupt(now_s, by="a reconnection of its device")
-        if is_first:  # a command that waited for a late loop beside this connection is from before nothing
-            self._interrupted_s = before_s
         self.is_connected = True
         self._drop_holds()
         for source in self._sources.values():

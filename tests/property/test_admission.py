@@ -62,7 +62,7 @@ class History(RuleBasedStateMachine):
         self.sources: dict[str, Heard] = {}
         self.drives: dict[str, tuple[str, float]] = {}  # by topic: the source of the last admitted command, and when
         self.is_locked, self.is_connected = False, is_connected
-        self.away_s = self.interrupted_s = float("-inf")
+        self.away_s = self.stopped_s = float("-inf")
         if is_connected:
             self.admission.connect(self.now_s)
 
@@ -101,7 +101,7 @@ class History(RuleBasedStateMachine):
         strongest = max((self.sources[other].priority for other in holders), default=0)
         if heard.is_armed(self.now_s):
             heard.interrupted_s, heard.has_missed, heard.commanded_s = None, False, []
-        if seen == 0 or (seen is None and self.now_s - waited_s < self.interrupted_s - UNORDERED_S):
+        if seen == 0 or (seen is None and self.now_s - waited_s < self.stopped_s - UNORDERED_S):
             heard.has_missed = True
         expected = None
         if self.is_locked:
@@ -150,7 +150,6 @@ class History(RuleBasedStateMachine):
 
     def interruption(self, since_s: float) -> None:
         self.drives.clear()
-        self.interrupted_s = max(self.interrupted_s, since_s)
         for heard in self.sources.values():
             last_s = max(heard.commanded_s, default=float("-inf"))
             if heard.has_lost_device or since_s < last_s + LEASE_S:
@@ -158,16 +157,17 @@ class History(RuleBasedStateMachine):
 
     @rule(event=st.sampled_from(["stop", "pause", "lock", "unlock", "connect", "disconnect"]), ticks=st.integers(5, 40))
     def robot_is_interrupted(self, event: str, ticks: int) -> None:
-        epoch, before_s = self.admission.epoch, self.interrupted_s
-        is_first = event == "connect" and not self.is_connected and self.away_s == float("-inf")
+        epoch = self.admission.epoch
         match event:
             case "stop":
-                self.admission.interrupt(self.now_s)
-                is_one = True
+                came_s = self.now_s - ticks % 8 * TICK_S  # the loop may be late
+                self.admission.interrupt(self.now_s, came_s=came_s)
+                self.stopped_s, is_one = max(self.stopped_s, came_s), True
             case "pause":
                 began_s = self.now_s
                 self.now_s += ticks * TICK_S
-                self.admission.interrupt(self.now_s, since_s=began_s)
+                self.admission.interrupt(self.now_s, since_s=began_s, came_s=began_s)
+                self.stopped_s = max(self.stopped_s, began_s)
                 self.interruption(began_s)
                 is_one = False
                 epoch += 1
@@ -190,8 +190,6 @@ class History(RuleBasedStateMachine):
                     heard.has_lost_device |= self.now_s < max(heard.commanded_s, default=float("-inf")) + LEASE_S
         if is_one:
             self.interruption(self.now_s)
-        if is_first:
-            self.interrupted_s = before_s
         if event == "connect":
             for heard in self.sources.values():
                 heard.has_lost_device = False

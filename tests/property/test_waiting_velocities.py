@@ -255,7 +255,7 @@ class Robot:
                 self.now_s += STEP_S
             elif event == "stop":
                 self.now_s += STEP_S
-                self.admission.interrupt(self.now_s)
+                self.admission.interrupt(self.now_s, came_s=self.now_s)
                 self.now_s += STEP_S
             else:
                 self.queue.put(event, self.now_s, self.now_s)

@@ -6,6 +6,7 @@ import os
 import random
 import signal
 import sys
+from asyncio.subprocess import PIPE
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -17,7 +18,7 @@ from hostlink.client import Host, connect
 from hostlink.recording.reader import McapReader, StoredMessage
 from tests.support.background import meanwhile
 from tests.support.fork_server import start
-from tests.support.process import TIMEOUT_S, Process, run, serve, simulated
+from tests.support.process import HOSTLINK, TIMEOUT_S, Process, run, serve, simulated
 from tests.support.stopwatch import Stopwatch
 
 KILLS = int(os.environ.get("HOSTLINK_RECORDING_KILLS", "3"))
@@ -116,6 +117,26 @@ async def test_played_robot_is_marked_and_obeys_no_command(tmp_path: Path) -> No
                 assert {"x", "y", "theta"} == set(await anext(aiter(poses)))
             child.send_signal(signal.SIGINT)
             assert await child.wait() == 130
+
+
+async def test_ctrl_c_at_the_question_of_a_stepped_play_ends_it(tmp_path: Path) -> None:
+    first = tmp_path / "first.mcap"
+    async with serve(*settings(tmp_path)) as daemon:
+        async with simulated(daemon.tcp):
+            await until_connected(daemon.url)
+            await record(daemon, first, seconds=0.5)
+        words = ("play", str(first), "--step", "--connect", "{}:{}".format(*daemon.tcp))
+        child = await asyncio.create_subprocess_exec(HOSTLINK, *words, stdin=PIPE, stderr=PIPE)
+        assert child.stdin is not None
+        assert child.stderr is not None
+        async with asyncio.timeout(TIMEOUT_S):
+            await child.stderr.readuntil(b"Enter sends it")
+            child.stdin.write(b"\n")
+            await child.stderr.readuntil(b"Enter sends it")
+            child.send_signal(signal.SIGINT)
+            await child.stderr.read()
+            assert await child.wait() == 130
+        child.stdin.close()
 
 
 async def velocities(host: Host) -> int:

@@ -142,6 +142,8 @@ class _Owner:
         if route not in self._motions:
             self._motions[route] = EarlierMotion() if older_until_s is None else EarlierMotion(older_until_s)
         epoch, before = self._motions[route].pop_epoch(now_s), self._waiting.get(route)
+        if before is not None and before.twist.is_planar and not twist.is_planar:
+            return  # the daemon would refuse it, and what waits would be lost
         if before is not None and epoch is None:
             epoch = before.epoch  # of the motion that this velocity continues, and which the daemon does not know yet
         self._waiting[route] = _WaitingVelocity(route.robot, twist, None if twist.is_zero else epoch, now_s)

@@ -139,6 +139,19 @@ def test_sideways_velocity_and_one_out_of_the_plane_are_commanded(x_m_s: float) 
     run_virtual(check())
 
 
+def test_velocity_out_of_the_plane_replaces_no_zero_that_waits() -> None:
+    async def check() -> None:
+        world = World()
+        async with world.driver.running():
+            await world.stream(FORWARD, for_s=0.3)
+            world.driver.receive(ROUTE, Twist(), b"a")
+            world.driver.receive(ROUTE, Twist(angular_x_rad_s=0.1), b"a")
+            await asyncio.sleep(0.1)
+        assert [twist for _, twist, _ in world.daemon.commands] == [FORWARD] * 3 + [Twist()]
+
+    run_virtual(check())
+
+
 def test_velocity_out_of_the_plane_has_the_earlier_epoch_of_its_motion() -> None:
     async def check() -> None:
         world = World(is_updated=False)
