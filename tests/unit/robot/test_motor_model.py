@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from hostlink.errors import HostlinkError
 from hostlink.robot.motor_model import MotorModel, driven_part, identify_motor, simc_gains
 from hostlink.robot.step_response import Record, Sample, make_record
+from tests.support.strategies import fewer_examples
 
 LOOP_S = 1 / 30
 SETTLE_S = 1.5
@@ -47,6 +48,7 @@ def drive(
     return Record("ticks/s", t_s, sign * set_point, sign * measured_, sign * pwm_)
 
 
+@fewer_examples(2)
 @given(
     st.floats(0.05, 0.09),
     st.floats(0.0, 600.0),
