@@ -19,7 +19,7 @@ from hostlink.hub.topic import Topic
 from hostlink.robot.admission import UNORDERED_S
 from hostlink.robot.velocity import TWIST_STAMPED_TYPE, TWIST_TYPE, Twist
 
-MANY = 64  # messages of one client while the loop is busy: more than a second of commands at 50 Hz
+MANY = 64  # waiting messages above which a client floods: more than a second of commands at 50 Hz
 MAX_MESSAGES = 256  # decoded or not; more wait in the socket
 MAX_BYTES = 64 * 1024  # or one larger message
 
@@ -73,10 +73,11 @@ class ClientProgram(Protocol[Content]):
 class OperationQueue(Generic[Content]):
     """Received operations of one client, executed in their order of arrival.
 
-    A velocity replaces the pending one of its robot or topic if they differ in the velocity alone, and only velocities
-    for others, by the same operation, came between them: anything else may change what is decided about the newer one.
-    So may a stop by another client: a velocity from before it disarms its source. So a velocity that came UNORDERED_S
-    later does not replace it. A zero replaces velocities of any age, and is never replaced.
+    A velocity replaces the waiting one for the same robot or topic under three conditions. Priority, epoch and all
+    other terms are equal. Between the two came only velocities for other robots or topics, by the same operation: any
+    other message may change the decision about the newer one. And the newer one came less than UNORDERED_S after the
+    older one: if another client stopped the robot between them, the older one must disarm its source. A zero replaces
+    velocities of any age, and is never replaced.
     """
 
     def __init__(self, program: ClientProgram[Content], on_replaced: Callable[[], None], messages_s: float) -> None:
@@ -97,7 +98,7 @@ class OperationQueue(Generic[Content]):
         self.debt_s = 0.0  # time for which the client must be silent to be within its message rate again
 
     def put(self, data: str | bytes, came_s: float, now_s: float, *, is_behind: bool = False) -> None:
-        """Add a message. One that was available without waiting, `is_behind`, may be as old as the one before it."""
+        """Add a message. `is_behind`: it was read together with the one before it, and may be as old."""
         credit = self._credit + (now_s - self._credit_at_s) * self._messages_s
         self._credit = (credit if credit < self._messages_s else self._messages_s) - 1
         self._credit_at_s = now_s
@@ -154,13 +155,14 @@ def _is_replaced(older: Operation[Content], newer: Operation[Content]) -> bool:
 
 
 _TWISTS = frozenset({TWIST_TYPE, TWIST_STAMPED_TYPE})
-NOT_A_VELOCITY = (None, False)  # or an invalid one, which is refused and replaces nothing
+NOT_A_VELOCITY = (None, False)  # also for an invalid velocity, which is refused and replaces nothing
 
 
 def velocity_of_payload(topic: Topic | None, payload: bytes, terms: Hashable = None) -> tuple[VelocityOf | None, bool]:
     """Return what a serialised message is a velocity of (None: it is not a valid one) and whether it is zero.
 
-    The components for which a robot may refuse it are terms, too: it must not replace one that the robot obeys.
+    The components for which a robot may refuse a velocity are among its terms, because a velocity replaces only one
+    with equal terms: one that will be refused must not replace one that the robot obeys.
     """
     if topic is None or not topic.is_gated or topic.type is None or topic.type_name not in _TWISTS:
         return NOT_A_VELOCITY

@@ -16,8 +16,8 @@ from hostlink.transport.base import Transport
 TRY_S: Final = 1.0  # long enough for a slow loop of the sketch
 EXCHANGE_BITS: Final = 10_000  # the longest request with its answer: 1,000 bytes of 10 bits
 STORE_TRIES: Final = 3
-LOST: Final = "error lost"
-NUMBERS: Final = 65536
+LOST: Final = "error lost"  # the board restarted after settings were sent, and has not all of them
+NUMBERS: Final = 65536  # requests are numbered modulo this
 _ERRORS: Final = {
     "unknown": "the sketch does not know this setting; flash a sketch with the current library",
     "short": "too short",
@@ -171,7 +171,7 @@ SETTINGS: Final = {
 
 
 class BoardAnswer(NamedTuple):
-    """BoardAnswer line of the board. `words` is the text between number and checksum."""
+    """Line with which the board answers a request. `words` is the text between number and checksum."""
 
     number: int
     words: str

@@ -151,7 +151,7 @@ def finding_lines(found: dict[str, str], about: str = "") -> list[str]:
 
 # -- figures of the daemon's events -----------------------------------------------------------------------------------
 
-EARLY_S = 0.05  # events arrive by tenths of a second: an event that is half of one early is in time
+EARLY_S = 0.05  # events arrive each tenth of a second: one that is half of that too early is in time
 
 
 async def live_figures(host: Host, interval_s: float) -> AsyncIterator[dict[str, Any]]:

@@ -100,8 +100,8 @@ def _row(client: dict[str, Any]) -> list[str]:
 
 # -- capture ----------------------------------------------------------------------------------------------------------
 
-POLL_S = 0.5  # 64 KiB last longer at any speed of a serial line
-_START = "0-0"
+POLL_S = 0.5  # a serial line needs longer for the 64 KiB that the daemon keeps
+_START = "0-0"  # position from which all kept bytes are fetched
 
 
 def capture(

@@ -13,8 +13,8 @@ from hostlink.robot.admission import Freshness
 MAX_DAEMONS = 256
 MAX_GONE = 64  # daemons that are gone, whose robots are still shown
 MAX_REMOTE_ROBOTS = 1024  # names; each change of so many keeps the loop for 40 ms
-MAX_NAMESAKES = 4  # daemons that have a robot of one name; from two on other daemons drive neither
-SILENT_S = 3.0  # a daemon sends its state each second; one whose token lives but which sends nothing has stopped
+MAX_NAMESAKES = 4  # daemons that have a robot of one name; if there are two, no other daemon may drive either robot
+SILENT_S = 3.0  # a daemon sends its state each second; one that has a token and sends nothing has stopped
 
 
 @dataclass(slots=True, eq=False)
@@ -25,7 +25,7 @@ class Neighbour:
     heard_at_s: float
     gone_at_s: float = math.inf
     robots: dict[str, RobotMessage] = field(default_factory=dict)
-    topics: int = -1  # the number of its list of topics
+    topics: int = -1  # version of its list of topics
     listed: dict[str, list[FleetTopic]] = field(default_factory=dict)  # that list, by robot
     freshness: Freshness = field(default_factory=Freshness)
     is_silent: bool = False
@@ -50,7 +50,7 @@ class Place(NamedTuple):
 
 
 class FleetRoster:
-    """Known by the ids of their sessions. Each method returns the names of the robots that it touched.
+    """All other daemons, by the ids of their Zenoh sessions. Each method returns the names of the robots that changed.
 
     `counts`: `met`: daemons that began to send, or did again; `excess_daemons` and `excess_robots` over a bound;
     `foreign_topics`: robots with topics that are not theirs; `unannounced`: states of daemons that have no token.
@@ -72,7 +72,7 @@ class FleetRoster:
         return neighbour if neighbour is not None and neighbour.sender == sender else None
 
     def announced(self, sender: Sender | None) -> Neighbour | None:
-        """Find a daemon, and count what one without a token sends."""
+        """Return the daemon that has sent a state. Count the state if the daemon has no token."""
         neighbour = self.find(sender)
         self._counts["unannounced"] += neighbour is None
         return neighbour
