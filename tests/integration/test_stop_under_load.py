@@ -412,7 +412,7 @@ def test_velocity_that_waited_while_another_client_stopped_the_robot_disarms_its
 
 
 def test_stop_and_velocity_that_a_late_loop_reads_at_once_have_no_order() -> None:
-    """A source that begins to drive after the stop must not be refused for as long as it goes on."""
+    """A source that began to drive after the stop is not refused until it pauses."""
 
     async def check(made: World, robot: NumberedRobot) -> None:
         robot_0, program = await ready(made), made.hub.join("program")
