@@ -88,7 +88,7 @@ COMMANDS: dict[str, Callable[[Path, Path], list[str]]] = {
 }
 
 
-#: All commands read by recording/reader.py: make test runs one without an index, and play with one.
+#: All commands read by recording/reader.py: make test runs one, without an index.
 RUNS = [("unfinished", "csv")]
 MORE_RUNS = [
     *(("finished", command) for command in COMMANDS),
@@ -114,12 +114,10 @@ PLAYS = {
 }
 
 
-MORE_PLAYS = [("finished", "program"), ("unfinished", "devices"), ("damaged", "devices")]
-
-
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("large", "play"),
-    [("finished", "devices"), *(pytest.param(*each, marks=pytest.mark.long) for each in MORE_PLAYS)],
+    [("finished", "devices"), ("finished", "program"), ("unfinished", "devices"), ("damaged", "devices")],
     indirect=["large"],
 )
 def test_play_reads_a_large_recording_in_bounded_memory(large: Path, play: str) -> None:
