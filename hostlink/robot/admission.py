@@ -20,7 +20,7 @@ A *source* of commands is a program, a REST owner, a publisher of another graph.
 | any      | the source leaves                                         | quiet    | its robot stops       |
 
 Before that, in this order, each of which leaves a source that was quiet or driving as it is, unless the command has an
-epoch that is not the current one or is from before the newest interruption: that disarms it all the same.
+epoch that is not the current one or is from before the newest stop or pause: that disarms it all the same.
 
 | event                                                               | decision             |
 |---------------------------------------------------------------------|----------------------|
