@@ -13,7 +13,7 @@ from hostlink.robot.admission import LEASE_S
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import fake_device, robot_topics
 from tests.support.proxy import Line, Proxy, proxy
-from tests.support.waiting import TIMEOUT_S, expect
+from tests.support.waiting import expect
 
 ZERO = (0.0, 0.0)
 
