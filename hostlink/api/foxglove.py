@@ -3,7 +3,6 @@
 https://github.com/foxglove/ws-protocol/blob/main/docs/spec.md
 """
 
-import asyncio
 import contextlib
 import functools
 import itertools
@@ -56,6 +55,7 @@ from hostlink.hub.node import Role
 from hostlink.hub.participant import MAX_ADVERTISED, MAX_CALLS, Participant
 from hostlink.hub.subscription import Subscription
 from hostlink.hub.topic_graph import TopicGraph, resolve
+from hostlink.loop_time import loop_time_s
 from hostlink.messages.catalog import CLOCK, CLOCK_TYPE, decode_clock
 from hostlink.messages.message_type import MessageType, ServiceType
 from hostlink.rate_limit import REFUSED_VELOCITIES_S, RateLimit
@@ -540,7 +540,7 @@ class FoxgloveClient:
 
     def receive(self, data: str | bytes) -> None:
         """Execute one message of the client. An error becomes a status and is never raised."""
-        self.do(self.read(data, _now_s()))
+        self.do(self.read(data, loop_time_s()))
 
     def read(self, data: str | bytes, came_s: float) -> Operation[_Received]:
         """Decode a message. An error is returned as the content, and sent to the client by `do`."""
@@ -678,7 +678,7 @@ class FoxgloveClient:
             known = self._hub.topics.find_or_none(topic)
             is_velocity = known is not None and known.is_gated
             is_new = self._refused.get(number) != str(error)
-            if is_new and (not is_velocity or self._refused_velocities.allows(topic, _now_s())):
+            if is_new and (not is_velocity or self._refused_velocities.allows(topic, loop_time_s())):
                 self._refused[number] = str(error)
                 self._put_status(_ERROR, str(error), topic)
         else:
@@ -751,7 +751,3 @@ def _check(type_: MessageType, payload: bytes) -> None:
         type_.decode(payload)
     elif len(payload) != type_.fixed_bytes:
         raise BadPayload(type_.name, f"{len(payload)} bytes instead of {type_.fixed_bytes}")
-
-
-def _now_s() -> float:
-    return asyncio.get_running_loop().time()
