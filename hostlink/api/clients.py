@@ -10,7 +10,7 @@ from typing import Any, Generic, NamedTuple, NoReturn, Protocol, TypedDict, Type
 import msgspec
 from aiohttp import web
 
-from hostlink.api.access import Grant
+from hostlink.api.access import GRANT
 from hostlink.api.routes import readable
 from hostlink.errors import BadPayload
 from hostlink.hub.byte_budget import ByteBudget
@@ -245,11 +245,11 @@ class ClientView(TypedDict):
 class Client:
     """One WebSocket or event stream."""
 
-    def __init__(self, number: int, kind: str, request: web.Request, grant: Grant, backlog: Backlog | None) -> None:
+    def __init__(self, number: int, kind: str, request: web.Request, backlog: Backlog | None) -> None:
+        self.grant = grant = request[GRANT]
         self.kind = kind
         self.name = f"client {number}" + (f" ({grant.who})" if grant.who else "")
         self.peer = request.remote or ""
-        self.grant = grant
         self.program = readable(request.headers.get("User-Agent", ""))[:120]
         self.backlog = backlog
         self.since_s = asyncio.get_running_loop().time()
@@ -286,7 +286,7 @@ class Clients:
         self._numbers = itertools.count(1)
         self._clients: list[Client] = []  # in order of arrival
 
-    def enter(self, kind: str, request: web.Request, grant: Grant, backlog: Backlog | None = None) -> Client:
+    def enter(self, kind: str, request: web.Request, backlog: Backlog | None = None) -> Client:
         """Add a client. Raise 503 when there are too many."""
         if len(self._clients) >= self._max_clients:
             self._refuse(f"{self._max_clients} clients are connected: close one, or raise api.max_clients")
@@ -295,7 +295,7 @@ class Clients:
                 f"{self._max_per_address} clients of {request.remote} are connected: close one, "
                 "or raise api.max_connections_per_address"
             )
-        client = Client(next(self._numbers), kind, request, grant, backlog)
+        client = Client(next(self._numbers), kind, request, backlog)
         self._clients.append(client)
         return client
 

@@ -339,7 +339,7 @@ class Events:
         """Open a response for the length of the block. A disconnected reader ends the block."""
         role = request[GRANT].role.name.lower()
         response = web.StreamResponse(headers={**HEADERS, ROLE_HEADER: role})
-        client = self._clients.enter("events", request, request[GRANT], backlog)
+        client = self._clients.enter("events", request, backlog)
 
         async def send(event: bytes) -> None:
             async with asyncio.timeout(SEND_TIMEOUT_S):

@@ -252,7 +252,7 @@ class ApiServer:
     async def _serve_client(self, request: web.Request) -> web.StreamResponse:
         kind = "foxglove" if is_foxglove(request) else "rosbridge"
         queue = ClientQueue(self._hub.budget)
-        client = self._clients.enter(kind, request, request[GRANT], queue)
+        client = self._clients.enter(kind, request, queue)
         socket = web.WebSocketResponse(
             heartbeat=PING_INTERVAL_S,
             autoping=False,

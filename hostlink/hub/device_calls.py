@@ -9,7 +9,7 @@ import asyncio
 import contextlib
 from collections import deque
 from collections.abc import AsyncIterator, Callable, Coroutine, Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import structlog
 
@@ -24,18 +24,19 @@ from hostlink.errors import (
     UnknownTopic,
     WrongType,
 )
-from hostlink.hub.isolation import Spawn
-from hostlink.hub.services import DEVICE_TIMEOUT_S, Services
+from hostlink.hub.services import DEVICE_TIMEOUT_S
 from hostlink.link.fair_share import Turns
 from hostlink.link.link import Link
 from hostlink.logs import printable
-from hostlink.messages.catalog import Catalog
 from hostlink.messages.fitting import encode_within
 from hostlink.messages.message_type import MessageType
 from hostlink.protocol.control import TopicInfo
 from hostlink.protocol.events import ServiceRequested
 from hostlink.protocol.frame import OVERHEAD_BYTES
 from hostlink.protocol.session import response_bytes
+
+if TYPE_CHECKING:
+    from hostlink.hub.hub import Hub
 
 log = structlog.get_logger()
 
@@ -81,19 +82,15 @@ class DeviceCalls:
 
     def __init__(
         self,
-        services: Services,
-        catalog: Catalog,
+        hub: "Hub",
         *,
-        spawn: Spawn,
         give_up: Callable[[Link], Coroutine[Any, Any, None]],
         name_of: Callable[[Link, str], str],
-        turns: Turns,
     ) -> None:
         """`give_up` ends the link of a device that cannot be answered; `name_of`: the service that a device means."""
         self.refused = 0  # calls over a bound
-        self._services, self._catalog = services, catalog
-        self._spawn, self._give_up, self._name_of = spawn, give_up, name_of
-        self._turns = turns
+        self._services, self._catalog, self._spawn = hub.services, hub.catalog, hub.spawn
+        self._give_up, self._name_of, self._turns = give_up, name_of, Turns(hub.share)
         self._calls: dict[int, dict[int, deque[_DeviceCall]]] = {}  # by link, by endpoint
 
     def accept(self, link: Link, event: ServiceRequested) -> None:

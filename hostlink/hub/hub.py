@@ -21,7 +21,7 @@ from hostlink.hub.links import Links, addresses_of
 from hostlink.hub.message import PROGRAM_PRIORITY
 from hostlink.hub.node import Node, Role
 from hostlink.hub.participant import Participant
-from hostlink.hub.robot import LocalRobot, limits_of
+from hostlink.hub.robot import limits_of
 from hostlink.hub.robot_events import RobotEvents
 from hostlink.hub.robot_topic_publisher import RobotTopicPublisher
 from hostlink.hub.robots import Robots
@@ -85,13 +85,7 @@ class Hub:
         self.events = RobotEvents()
         self.gates = Gates(self.isolation, guard, self.events)
         self.diagnoses = Diagnoses(self.isolation, self.events, self.gates.pauses)
-        self.robots = Robots(
-            config.robots,
-            self.gates,
-            forget_after_s=config.link.forget_robot_after_s,
-            on_forgotten=self._forget_robot,
-            on_change=self._note_robot,
-        )
+        self.robots = Robots(self)
         self.robot_topics = RobotTopicPublisher(self.topics, self.node, catalog)
         self.standstills = Standstills()
         self._lock_services = LockServices(self.robots, self.gates, self.standstills, self.join_daemon())
@@ -104,7 +98,7 @@ class Hub:
         async with asyncio.TaskGroup() as self._tasks:
             self.spawn(self.diagnoses.run(), name="diagnoses")
             self.spawn(self.robots.run(), name="known robots")
-            self.spawn(self._diagnostics().run(), name="diagnostics")
+            self.spawn(DiagnosticsTopic(self).run(), name="diagnostics")
             self.spawn(_log_what_is_missing(), name="log")
             self.is_running.set()
             await self.gates.run()
@@ -173,23 +167,10 @@ class Hub:
                 await self.links.silence()
         self.links.end_all()
 
-    def _note_robot(self, name: str) -> None:
+    def note_robot(self, name: str) -> None:
         """Note that a robot of this name connected, disconnected or was forgotten."""
         self.changes.note(GraphKind.ROBOT, name)
         self._lock_services.update(name)
-
-    def _forget_robot(self, robot: LocalRobot) -> None:
-        self.links.forget_robot(robot)
-
-    def _diagnostics(self) -> DiagnosticsTopic:
-        return DiagnosticsTopic(
-            self.join_daemon(),
-            self.diagnoses,
-            self.robots,
-            self.isolation,
-            self.counts.refused,
-            namespace=self.config.ros1.namespace,
-        )
 
 
 def places_of(config: Config) -> Places:

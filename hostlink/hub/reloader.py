@@ -14,22 +14,12 @@ from hostlink.config import Config, RobotConfig
 from hostlink.detached import DetachedThread
 from hostlink.errors import HostlinkError, ReloadRefused
 from hostlink.hub.hub import Hub, places_of
+from hostlink.hub.robot import LIMITS
 from hostlink.robot.names import Places
 
 log = structlog.get_logger()
 
-ROBOT = (
-    "address",
-    "kinematics",
-    "wheel_separation_m",
-    "max_linear_m_s",
-    "max_angular_rad_s",
-    "max_wheel_m_s",
-    "max_linear_acceleration_m_s2",
-    "max_angular_acceleration_rad_s2",
-    "max_linear_deceleration_m_s2",
-    "max_angular_deceleration_rad_s2",
-)
+ROBOT = ("address", "kinematics", *LIMITS)
 API = ("tokens", "origins")
 
 
