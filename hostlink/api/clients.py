@@ -44,10 +44,7 @@ class Operation(Generic[Content]):
     velocity_of: VelocityOf | None = None  # None: not a velocity
     is_zero: bool = False
     replaced: list[Content] = field(default_factory=list)  # velocities that this one replaces
-    since_s: float = field(init=False)  # when the first of those came, or else this one
-
-    def __post_init__(self) -> None:
-        self.since_s = self.came_s
+    since_s: float = field(init=False)  # when the first of those came, or else this one; set by the queue
 
 
 class ClientProgram(Protocol[Content]):
@@ -118,6 +115,7 @@ class OperationQueue(Generic[Content]):
         operations, velocities = self._operations, self._velocities
         while self._messages:
             new = self._program.read(*self._messages.popleft())
+            new.since_s = new.came_s
             self._last_number += 1
             velocity_of = new.velocity_of
             if velocity_of is None:

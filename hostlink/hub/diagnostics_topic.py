@@ -142,12 +142,13 @@ class DiagnosticsTopic:
     async def run(self) -> None:
         """Publish until cancelled."""
         while True:
-            with self._hub.isolation.around("task", task="diagnostics"):
-                await self._publish()
+            if self._topic.has_subscribers:
+                with self._hub.isolation.around("task", task="diagnostics"):
+                    await self._publish()
             await asyncio.sleep(INTERVAL_S)
 
     async def _publish(self) -> None:
-        makers = self._makers() if self._topic.has_subscribers else iter(())
+        makers = self._makers()
         while statuses := [self._named(make()) for make in itertools.islice(makers, ARRAY_STATUSES)]:
             if self._topic.type is None:
                 return
