@@ -8,6 +8,7 @@ import asyncio
 import reprlib
 from collections import defaultdict
 from collections.abc import Awaitable, Callable, Hashable, Iterable, Mapping
+from dataclasses import KW_ONLY, dataclass, field
 from typing import TypeVar
 
 import structlog
@@ -129,35 +130,21 @@ class DeviceService:
         raise DeviceGone(self.name)
 
 
+@dataclass(slots=True, eq=False)
 class Provider:
     """Provider of a service other than a device: a program, or the daemon itself."""
 
-    __slots__ = (
-        "_calls", "_is_withdrawn", "answer", "fail", "ignores_request", "is_reading", "key", "name", "notify",
-        "type_name",
-    )  # fmt: skip
-
-    def __init__(
-        self,
-        name: str,
-        type_name: str,
-        key: Hashable,
-        answer: Answer,
-        notify: Notify | None = None,
-        *,
-        fail: Callable[[Exception], None] = lambda _: None,
-        is_reading: bool = False,
-        ignores_request: bool = False,
-    ) -> None:
-        """`notify` is called with a text when another provider gets the calls; `fail` with the error of a bug.
-
-        `is_reading`: a call changes nothing. `ignores_request`: a call with unknown fields is answered, too.
-        """
-        self.name, self.type_name, self.key, self.answer = name, type_name, key, answer
-        self.notify: Notify = _ignore if notify is None else notify
-        self.fail, self.is_reading, self.ignores_request = fail, is_reading, ignores_request
-        self._is_withdrawn = False
-        self._calls: set[asyncio.Timeout] | None = None  # none so far: most services are never called
+    name: str
+    type_name: str
+    key: Hashable
+    answer: Answer
+    notify: Notify | None = None  # called with a text when another provider gets the calls
+    _: KW_ONLY
+    fail: Callable[[Exception], None] = lambda _: None  # called with the error of a bug
+    is_reading: bool = False  # a call changes nothing
+    ignores_request: bool = False  # a call with unknown fields is answered, too
+    _is_withdrawn: bool = field(default=False, init=False)
+    _calls: set[asyncio.Timeout] | None = field(default=None, init=False)  # none so far: most are never called
 
     async def call(self, name: str, request: Mapping[str, object], *, timeout_s: float) -> Mapping[str, object]:
         """Call the service, and return the answer. `name` is the caller's spelling.
@@ -238,7 +225,8 @@ class Services:
             for key in [key for key, each in self._offers.get(name, {}).items() if isinstance(each, DeviceService)]:
                 self._remove(name, key)
         elif self.of_device(name) is not None:
-            provider.notify(f"{name} is a service of a device's, which gets the calls")
+            if provider.notify is not None:
+                provider.notify(f"{name} is a service of a device's, which gets the calls")
         elif before is not None and before.key != provider.key:
             self._log_takeover(name, provider.key, before)
         self._add(provider)
@@ -352,7 +340,8 @@ class Services:
 
     def _log_takeover(self, name: str, key: Hashable, before: Provider) -> None:
         log.warning("service.taken_over", service=printable(name), by=str(key), before=str(before.key))
-        before.notify(f"{name}: {key} offers it too and gets the calls, as long as it is there")
+        if before.notify is not None:
+            before.notify(f"{name}: {key} offers it too and gets the calls, as long as it is there")
 
 
 def _check_fields(name: str, request: Mapping[str, object], known: list[str]) -> None:
@@ -361,10 +350,6 @@ def _check_fields(name: str, request: Mapping[str, object], known: list[str]) ->
     Raises:
         BadRequest: a field is unknown.
     """
-    for field in request:
-        if field not in known:
-            raise BadRequest(f"{name}: the request has no field {reprlib.repr(field)}{nearest_field(field, known)}")
-
-
-def _ignore(text: str) -> None:
-    """Ignore a text: `notify` of a provider that needs none."""
+    for each in request:
+        if each not in known:
+            raise BadRequest(f"{name}: the request has no field {reprlib.repr(each)}{nearest_field(each, known)}")

@@ -23,7 +23,7 @@ from hostlink.loop_time import loop_time_s
 from hostlink.rate_limit import RateLimit
 from hostlink.transport.base import Transport
 from hostlink.transport.connection import ignore
-from hostlink.transport.keyed import HELLO, KeyProof, read_key
+from hostlink.transport.keyed import HELLO, exchange_proofs, read_key
 from hostlink.transport.serial import SerialTransport, open_serial
 from hostlink.transport.udp import Datagram, UdpPort, UdpTransport
 
@@ -156,7 +156,7 @@ class _Acceptor:
         if self._key is None or not self._needs_key(transport.address):
             return trust
         count = partial(self._count, peer=transport.peer, address=transport.address)
-        return KeyProof(transport, self._key, on_refused=count, on_proven=on_proven).authenticate
+        return partial(exchange_proofs, transport, self._key, on_refused=count, on_proven=on_proven)
 
 
 # -- tcp acceptor -----------------------------------------------------------------------------------------------------
