@@ -283,11 +283,8 @@ class ApiServer:
                         client,
                         program,
                         queue,
-                        self._hub.turns(),
-                        self._hub.gates,
+                        self._hub,
                         tasks=tasks,
-                        max_messages_s=self._config.max_requests_s,
-                        on_replaced=lambda: self._hub.counts.velocities_replaced.update((kind,)),
                         to_client=self._metrics.to_client,
                     )
                     tasks.create_task(connection.receive(), name=client.name)
