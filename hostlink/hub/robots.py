@@ -6,7 +6,7 @@ import itertools
 import math
 import secrets
 from collections import OrderedDict
-from collections.abc import Callable, Hashable, Mapping
+from collections.abc import Callable, Hashable
 from typing import TYPE_CHECKING
 
 import structlog
@@ -289,7 +289,7 @@ class Robots:
             self._hub.note_robot(name)
         return robot
 
-    def reconfigure(self, configs: Mapping[str, RobotConfig]) -> None:
+    def reconfigure(self, configs: dict[str, RobotConfig]) -> None:
         """Replace the settings of robots: their limits, and which ones are never forgotten."""
         self.max_robots += len(configs) - len(self._configs)
         before, self._configs = self._configs, configs
