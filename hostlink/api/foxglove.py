@@ -17,6 +17,7 @@ from typing import Any, NamedTuple, TypeVar, assert_never
 import msgspec
 import structlog
 
+from hostlink.api.bodies import size_bytes_of
 from hostlink.api.clients import ClientQueue, Operation, Outgoing, Spawn, put_json, velocity_of_payload
 from hostlink.api.foxglove_protocol import (
     MAX_ITEMS,
@@ -417,7 +418,7 @@ class FoxgloveParameters:
         wanted = list(map(resolve, names)) or list(values)
         if len(self._watched.keys() | set(wanted)) > MAX_ITEMS:
             raise BadRequest(f"more than {MAX_ITEMS} parameters watched")
-        more_bytes = sum(map(_size, set(wanted) - self._watched.keys()))
+        more_bytes = sum(map(size_bytes_of, set(wanted) - self._watched.keys()))
         if not self._share.take(more_bytes):
             raise BadRequest(f"the names that all clients watch have more than {self._share.max_bytes} bytes")
         self._watched = {name: values.get(name) for name in wanted} | self._watched
@@ -427,7 +428,7 @@ class FoxgloveParameters:
         for name in map(resolve, names or list(self._watched)):
             if name in self._watched:
                 del self._watched[name]
-                self._share.give(_size(name))
+                self._share.give(size_bytes_of(name))
 
     def flush(self, now_s: float) -> float | None:
         """Send changed parameters. Return when to compare again."""
@@ -448,10 +449,6 @@ class FoxgloveParameters:
     def _put(self, values: Mapping[str, ParameterValue | None], request_id: str | None) -> None:
         answer = {"op": "parameterValues", "parameters": [_view(*each) for each in values.items()]}
         put_json(self._queue, answer | ({} if request_id is None else {"id": request_id}))
-
-
-def _size(name: str) -> int:
-    return len(name.encode("utf-8", "surrogatepass"))
 
 
 def _view(name: str, value: ParameterValue | None) -> dict[str, Any]:

@@ -17,7 +17,7 @@ import cbor2
 import msgspec
 import structlog
 
-from hostlink.api.bodies import convert_fields
+from hostlink.api.bodies import convert_fields, size_bytes_of
 from hostlink.api.clients import (
     NOT_A_VELOCITY,
     ClientQueue,
@@ -224,7 +224,7 @@ class Fragments:
         if problem:
             self._drop(key)
             raise BadRequest(f"fragment: {problem}; the message is dropped")
-        size = _size(data)
+        size = size_bytes_of(data)
         if not self._share.take(size):
             self._drop(key)
             raise BadRequest(
@@ -252,7 +252,7 @@ class Fragments:
             return f"num must be from 0 to {total - 1}"
         if number in pending.pieces:
             return f"fragment {number} was sent twice"
-        if self._bytes + _size(data) > self._max_bytes:
+        if self._bytes + size_bytes_of(data) > self._max_bytes:
             return f"more than {self._max_bytes} bytes of fragments"
         return ""
 
@@ -261,13 +261,9 @@ class Fragments:
             self._drop(key)
 
     def _drop(self, key: object) -> None:
-        size = sum(map(_size, self._pending.pop(key).pieces.values()))
+        size = sum(map(size_bytes_of, self._pending.pop(key).pieces.values()))
         self._bytes -= size
         self._share.give(size)
-
-
-def _size(data: str) -> int:
-    return len(data.encode("utf-8", "surrogatepass"))
 
 
 HEADER = "std_msgs/Header"
