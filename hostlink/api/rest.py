@@ -1,5 +1,6 @@
 """The REST API: robots, their velocity and odometry, links and topics; for curl and for scripts."""
 
+import dataclasses
 import ipaddress
 from collections import OrderedDict
 from collections.abc import Container, Iterable
@@ -18,7 +19,6 @@ from hostlink.api.views import (
     LinksView,
     Slices,
     StoppedRobotView,
-    TopicView,
     VelocityAnswer,
     finding_views,
     links_view,
@@ -43,7 +43,7 @@ from hostlink.loop_time import loop_time_s
 from hostlink.recording.drives import Drive, DriveLog
 from hostlink.robot.state import MAX_PRIORITY
 from hostlink.robot.velocity import PlanarVelocity
-from hostlink.robot.views import OdometryView, RobotView
+from hostlink.robot.views import OdometryView, RobotView, TopicView
 
 MAX_OWNERS = 64  # the number of sources that one robot distinguishes; a driving one sends a request in every lease
 
@@ -536,10 +536,7 @@ class Rest:
 
     async def _reload(self, _: web.Request) -> web.Response:
         """Read the configuration again: names and limits of robots, tokens, origins. An error changes nothing."""
-        reloaded = await self._reloader.reload()
-        return reply(
-            {"changed": reloaded.changed, "needs_restart": reloaded.needs_restart, "renamed": reloaded.renamed}
-        )
+        return reply(dataclasses.asdict(await self._reloader.reload()))
 
     async def _health(self, _: web.Request) -> web.Response:
         """Whether the daemon runs."""

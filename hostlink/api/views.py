@@ -16,7 +16,7 @@ from hostlink.hub.topic import Topic
 from hostlink.robot.odometry import OdometrySnapshot
 from hostlink.robot.standstill import Standstill
 from hostlink.robot.velocity import PlanarVelocity
-from hostlink.robot.views import OdometryView, RobotView, VelocityView
+from hostlink.robot.views import OdometryView, RobotView, TopicView, VelocityView
 
 View = TypeVar("View")
 
@@ -193,16 +193,6 @@ class LinksView(TypedDict):
     crashes: int
     refused: dict[str, int]
     links: list[LinkView]
-
-
-class TopicView(TypedDict):
-    """A topic of the graph."""
-
-    name: str
-    type: str
-    publishers: int
-    subscribers: int
-    messages: int
 
 
 def utc_text(stamp_ns: int) -> str:

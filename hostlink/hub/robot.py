@@ -59,12 +59,7 @@ def correction_of(config: RobotConfig) -> OdometryCorrection | None:
     calibration = config.calibration
     if calibration == CalibrationConfig():
         return None
-    return OdometryCorrection(
-        calibration.left_factor,
-        calibration.right_factor,
-        calibration.nominal_separation_m,
-        calibration.separation_m,
-    )
+    return OdometryCorrection(**dataclasses.asdict(calibration))
 
 
 @functools.lru_cache(maxsize=256)  # most robots have the same settings
