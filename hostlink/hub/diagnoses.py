@@ -229,8 +229,7 @@ class Diagnoses:
         diagnosis.findings = found
         for each in found:
             if each.code in news:
-                self._note(diagnosis, each)
-                self._log(diagnosis, each)
+                self._announce(diagnosis, each)
 
     def _evidence(self, diagnosis: Diagnosis, now_s: float) -> Evidence:
         pauses = self._pauses(now_s)
@@ -253,30 +252,13 @@ class Diagnoses:
             numbered=diagnosis.renaming(),
         )
 
-    def _note(self, diagnosis: Diagnosis, found: Finding) -> None:
-        self._events.note(
-            EventKind.DIAGNOSED,
-            diagnosis.robot,
-            link=diagnosis.link.number,
-            code=found.code,
-            cause=found.cause,
-            next_step=found.next_step,
-            detail=found.detail,
-        )
-
-    def _log(self, diagnosis: Diagnosis, found: Finding) -> None:
-        """Log a finding once in LOG_AGAIN_S for each address."""
-        if not self._lines.allows((diagnosis.link.address, found.code), loop_time_s()):
-            return
-        log.warning(
-            "link.diagnosed",
-            link=diagnosis.link.number,
-            peer=printable(diagnosis.link.peer),
-            code=found.code,
-            cause=found.cause,
-            next_step=found.next_step,
-            detail=printable(found.detail),
-        )
+    def _announce(self, diagnosis: Diagnosis, found: Finding) -> None:
+        """Note a new finding as an event. Log it once in LOG_AGAIN_S for each address."""
+        link, facts = diagnosis.link, dataclasses.asdict(found)
+        self._events.note(EventKind.DIAGNOSED, diagnosis.robot, link=link.number, **facts)
+        if self._lines.allows((link.address, found.code), loop_time_s()):
+            facts["detail"] = printable(found.detail)
+            log.warning("link.diagnosed", link=link.number, peer=printable(link.peer), **facts)
 
 
 def _arrival(diagnosis: Diagnosis, now_s: float) -> Arrival:
