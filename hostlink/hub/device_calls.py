@@ -8,12 +8,12 @@ with the reason in `message` where the type has one, and a device that cannot re
 import asyncio
 import contextlib
 from collections import deque
-from collections.abc import AsyncIterator, Callable, Coroutine, Mapping
+from collections.abc import Callable, Coroutine, Mapping
 from typing import TYPE_CHECKING, Any
 
 import structlog
 
-from hostlink.cancellation import expire
+from hostlink.cancellation import expire, within
 from hostlink.errors import (
     BadRequest,
     DeviceBusy,
@@ -28,6 +28,7 @@ from hostlink.hub.services import DEVICE_TIMEOUT_S
 from hostlink.link.fair_share import Turns
 from hostlink.link.link import Link
 from hostlink.logs import printable
+from hostlink.loop_time import loop_time_s
 from hostlink.messages.fitting import encode_within
 from hostlink.messages.message_type import MessageType
 from hostlink.protocol.control import TopicInfo
@@ -58,23 +59,13 @@ class _DeviceCall:
         self.negotiations = link.session.counts.negotiations  # before the call
         self.deadline_s = now_s + DEVICE_TIMEOUT_S
         self.is_over = False  # the device no longer waits for the answer
-        self._timeout: asyncio.Timeout | None = None
-
-    @contextlib.asynccontextmanager
-    async def until(self, deadline_s: float) -> AsyncIterator[None]:
-        """Limit the block to the deadline, or to the end of the call. Then raise TimeoutError."""
-        async with asyncio.timeout_at(deadline_s) as timeout:
-            self._timeout = timeout
-            try:
-                yield
-            finally:
-                self._timeout = None
+        self.ends: set[asyncio.Timeout] = set()  # of what is done for it now
 
     def drop(self) -> None:
         """End the call: the device no longer waits for the answer."""
         self.is_over = True
-        if self._timeout is not None:
-            expire(self._timeout)
+        for end in self.ends:
+            expire(end)
 
 
 class DeviceCalls:
@@ -95,7 +86,7 @@ class DeviceCalls:
 
     def accept(self, link: Link, event: ServiceRequested) -> None:
         """Start a call of a device, or queue it behind earlier ones."""
-        call = _DeviceCall(link, event, asyncio.get_running_loop().time())
+        call = _DeviceCall(link, event, loop_time_s())
         of_link = self._calls.setdefault(link.number, {})
         waiting = of_link.get(event.service.topic_id)
         if waiting is None and _count(of_link) < MAX_CALLS:
@@ -141,12 +132,10 @@ class DeviceCalls:
     async def _finish(self, call: _DeviceCall) -> None:
         outcome: _Outcome = ServiceFailed.timeout(call.endpoint.name, DEVICE_TIMEOUT_S)
         with contextlib.suppress(TimeoutError):
-            async with call.until(call.deadline_s):
-                outcome = await self._outcome(call)
-        last_s = max(call.deadline_s, asyncio.get_running_loop().time() + LAST_S)
+            outcome = await within(call.deadline_s - loop_time_s(), self._outcome(call), call.ends)
+        left_s = max(call.deadline_s - loop_time_s(), LAST_S)
         try:
-            async with call.until(last_s):
-                await self._deliver(call, outcome)
+            await within(left_s, self._deliver(call, outcome), call.ends)
         except (TimeoutError, HostlinkError) as error:
             await self._end(call, error)
 
