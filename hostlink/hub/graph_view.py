@@ -4,7 +4,6 @@ import bisect
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Generic, Protocol, TypeVar
-from weakref import WeakValueDictionary
 
 from hostlink.hub.graph_changes import GraphChanges, GraphKind
 from hostlink.hub.node import Node, is_of
@@ -165,18 +164,3 @@ class _Table(Generic[Entry]):
         if self._entries is None:
             self._entries = tuple(map(self._by_name.__getitem__, self._names))
         return self._entries
-
-
-class GraphViews:
-    """Views by group. A view lives as long as a participant uses it."""
-
-    def __init__(self, topics: TopicGraph, services: Services, changes: GraphChanges) -> None:
-        self._parts = topics, services, changes
-        self._views: WeakValueDictionary[str, GraphView] = WeakValueDictionary()
-
-    def of(self, group: str) -> GraphView:
-        """Return the view of a group."""
-        view = self._views.get(group)
-        if view is None:
-            view = self._views[group] = GraphView(*self._parts, group)
-        return view

@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Callable, Coroutine, Mapping
 from dataclasses import dataclass, field
 from typing import Any
+from weakref import WeakValueDictionary
 
 import structlog
 
@@ -15,7 +16,7 @@ from hostlink.hub.diagnoses import Diagnoses
 from hostlink.hub.diagnostics_topic import DiagnosticsTopic
 from hostlink.hub.gates import Gates, Guard
 from hostlink.hub.graph_changes import GraphChanges, GraphKind
-from hostlink.hub.graph_view import GraphViews
+from hostlink.hub.graph_view import GraphView
 from hostlink.hub.isolation import Isolation
 from hostlink.hub.links import Links, addresses_of
 from hostlink.hub.message import PROGRAM_PRIORITY
@@ -81,7 +82,9 @@ class Hub:
         self.node = Node(DAEMON, is_daemon=True)  # publishes and subscribes the topics of robots that have names of ROS
         self.topics = TopicGraph(catalog, self.changes, self.budget)
         self.services = Services(catalog, self.changes)
-        self.views = GraphViews(self.topics, self.services, self.changes)
+        self._views: WeakValueDictionary[str, GraphView] = (
+            WeakValueDictionary()
+        )  # by group, while participants use them
         self.events = RobotEvents()
         self.gates = Gates(self.isolation, guard, self.events)
         self.diagnoses = Diagnoses(self.isolation, self.events, self.gates.pauses)
@@ -113,6 +116,13 @@ class Hub:
     async def _isolated(self, work: Coroutine[Any, Any, object], name: str) -> None:
         with self.isolation.around("task", task=name):
             await work
+
+    def view(self, group: str) -> GraphView:
+        """Return the view of the graph for all participants of one group."""
+        view = self._views.get(group)
+        if view is None:
+            view = self._views[group] = GraphView(self.topics, self.services, self.changes, group)
+        return view
 
     def turns(self) -> Turns:
         """Create the share of one more link or participant in the event loop."""
