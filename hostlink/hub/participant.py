@@ -340,11 +340,8 @@ class Participant(Node):
         """
         self.check(Role.READ, "follow")
 
-        robot.followers[self] = partial(self._follow, receive)
+        robot.followers[self] = lambda _: self._notify(receive)
         self._followed.add(robot)
-
-    def _follow(self, receive: Callable[[], None], _: object) -> None:
-        self._notify(receive)
 
     # -- the graph ----------------------------------------------------------------------------------------------------
 
