@@ -67,8 +67,9 @@ class HostConnection:
         self._socket = await self._http.open_socket(self._group)
         self.is_connected = True
         await self.send({"op": "set_level", "level": "error"})  # so that refusals are reported
-        for request in list(self._kept.values()):
-            await self.send(request)
+        for key, request in list(self._kept.items()):
+            if self._kept.get(key) is request:  # else it has ended meanwhile
+                await self.send(request)
         for restore in self.on_open:
             await restore()
         self._is_open.set()
