@@ -224,7 +224,7 @@ class ClientSocket:
             return
         if self._reading.is_writing_paused:
             self._stuck_timer = self._loop.call_later(SEND_TIMEOUT_S, self._fail, TimeoutError("it does not read"))
-        elif queue.waiting_messages:
+        elif waiting is not None:  # a bound of this write was reached, and more may wait
             self._note_news()
 
     def _flush(self, now_s: float) -> None:
