@@ -25,7 +25,6 @@ from hostlink.errors import (
     WrongType,
 )
 from hostlink.hub.services import DEVICE_TIMEOUT_S
-from hostlink.link.fair_share import Turns
 from hostlink.link.link import Link
 from hostlink.logs import printable
 from hostlink.loop_time import loop_time_s
@@ -81,7 +80,7 @@ class DeviceCalls:
         """`give_up` ends the link of a device that cannot be answered; `name_of`: the service that a device means."""
         self.refused = 0  # calls over a bound
         self._services, self._catalog, self._spawn = hub.services, hub.catalog, hub.spawn
-        self._give_up, self._name_of, self._turns = give_up, name_of, Turns(hub.share)
+        self._give_up, self._name_of, self._turns = give_up, name_of, hub.turns()
         self._calls: dict[int, dict[int, deque[_DeviceCall]]] = {}  # by link, by endpoint
 
     def accept(self, link: Link, event: ServiceRequested) -> None:

@@ -19,7 +19,6 @@ from hostlink.hub.parameters import ParameterAnswers, ParameterSource
 from hostlink.hub.robot import LocalRobot
 from hostlink.hub.robot_events import EventKind
 from hostlink.link.capture_buffer import CaptureRoom
-from hostlink.link.fair_share import Turns
 from hostlink.link.link import Link
 from hostlink.link.serving import Authenticate, LinkEnd, trust
 from hostlink.logs import of_peer, printable
@@ -53,7 +52,7 @@ class Links:
         self.late_answers = 0  # answers of devices' services after the timeout of the call
         self._hub, self._devices = hub, hub.robots.devices
         self._directory = Directory(addresses_of(hub.config))
-        self._ends = Turns(hub.share)
+        self._ends = hub.turns()
         self.calls = DeviceCalls(hub, give_up=self._give_up, name_of=self._service_name)
         # What every session and link gets, made once.
         self._capture_room = CaptureRoom()
