@@ -142,6 +142,11 @@ def token_of(request: web.Request) -> str | None:
     return token.strip() if scheme.lower() == "bearer" else request.query.get("token")
 
 
+def caller_name(request: web.Request) -> str:
+    """Return the name of the token of a request; without tokens the client's address."""
+    return request[GRANT].who or request.remote or ""
+
+
 def tls_context(config: ApiConfig) -> ssl.SSLContext | None:
     """Return the TLS context; None without TLS.
 

@@ -1,4 +1,4 @@
-"""Decoding of what a client sends: bodies and numbers of REST requests, and fields of rosbridge operations.
+"""Decoding of what a client sends: bodies and numbers of REST requests, fields of rosbridge operations, sizes of texts.
 
 An unknown field is refused with the nearest known one: a field that is misspelled must not be ignored.
 """
@@ -41,6 +41,11 @@ def convert_fields(fields: Mapping[str, Any], type_: type[Body], operation: str)
 def whole_number(text: str, max_digits: int) -> int | None:
     """Convert a number of a path or of a query; None for another text, or more digits."""
     return int(text) if text.isascii() and text.isdigit() and len(text) <= max_digits else None
+
+
+def size_bytes_of(text: str) -> int:
+    """Return the size of a text of a client, which may have lone surrogates."""
+    return len(text.encode("utf-8", "surrogatepass"))
 
 
 def _hint(problem: str, type_: type[msgspec.Struct]) -> str:

@@ -10,7 +10,7 @@ from typing import Any, Generic, NamedTuple, NoReturn, Protocol, TypedDict, Type
 import msgspec
 from aiohttp import web
 
-from hostlink.api.access import Grant
+from hostlink.api.access import GRANT
 from hostlink.api.routes import readable
 from hostlink.errors import BadPayload
 from hostlink.hub.byte_budget import ByteBudget
@@ -44,10 +44,7 @@ class Operation(Generic[Content]):
     velocity_of: VelocityOf | None = None  # None: not a velocity
     is_zero: bool = False
     replaced: list[Content] = field(default_factory=list)  # velocities that this one replaces
-    since_s: float = field(init=False)  # when the first of those came, or else this one
-
-    def __post_init__(self) -> None:
-        self.since_s = self.came_s
+    since_s: float = field(init=False)  # when the first of those came, or else this one; set by the queue
 
 
 class ClientProgram(Protocol[Content]):
@@ -118,6 +115,7 @@ class OperationQueue(Generic[Content]):
         operations, velocities = self._operations, self._velocities
         while self._messages:
             new = self._program.read(*self._messages.popleft())
+            new.since_s = new.came_s
             self._last_number += 1
             velocity_of = new.velocity_of
             if velocity_of is None:
@@ -245,11 +243,11 @@ class ClientView(TypedDict):
 class Client:
     """One WebSocket or event stream."""
 
-    def __init__(self, number: int, kind: str, request: web.Request, grant: Grant, backlog: Backlog | None) -> None:
+    def __init__(self, number: int, kind: str, request: web.Request, backlog: Backlog | None) -> None:
+        self.grant = grant = request[GRANT]
         self.kind = kind
         self.name = f"client {number}" + (f" ({grant.who})" if grant.who else "")
         self.peer = request.remote or ""
-        self.grant = grant
         self.program = readable(request.headers.get("User-Agent", ""))[:120]
         self.backlog = backlog
         self.since_s = asyncio.get_running_loop().time()
@@ -286,7 +284,7 @@ class Clients:
         self._numbers = itertools.count(1)
         self._clients: list[Client] = []  # in order of arrival
 
-    def enter(self, kind: str, request: web.Request, grant: Grant, backlog: Backlog | None = None) -> Client:
+    def enter(self, kind: str, request: web.Request, backlog: Backlog | None = None) -> Client:
         """Add a client. Raise 503 when there are too many."""
         if len(self._clients) >= self._max_clients:
             self._refuse(f"{self._max_clients} clients are connected: close one, or raise api.max_clients")
@@ -295,7 +293,7 @@ class Clients:
                 f"{self._max_per_address} clients of {request.remote} are connected: close one, "
                 "or raise api.max_connections_per_address"
             )
-        client = Client(next(self._numbers), kind, request, grant, backlog)
+        client = Client(next(self._numbers), kind, request, backlog)
         self._clients.append(client)
         return client
 

@@ -13,6 +13,7 @@ import termios
 from collections import deque
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from http import HTTPStatus
 from itertools import islice
 from typing import NamedTuple
@@ -279,22 +280,8 @@ class Events:
 
     def routes(self) -> list[Route]:
         """Return the routes of both streams."""
-        return [
-            Route(
-                "/api/events",
-                self._state,
-                response=None,
-                media_type="text/event-stream",
-                fails=(HTTPStatus.SERVICE_UNAVAILABLE,),
-            ),
-            Route(
-                "/api/robots/{name}/odometry/events",
-                self._odometry,
-                response=None,
-                media_type="text/event-stream",
-                fails=(HTTPStatus.SERVICE_UNAVAILABLE,),
-            ),
-        ]
+        stream = partial(Route, response=None, media_type="text/event-stream", fails=(HTTPStatus.SERVICE_UNAVAILABLE,))
+        return [stream("/api/events", self._state), stream("/api/robots/{name}/odometry/events", self._odometry)]
 
     async def _state(self, request: web.Request) -> web.StreamResponse:
         """Events `robots`, `links` and `clients`: the JSON of their GETs; `recordings`: running ones, how often their
@@ -339,7 +326,7 @@ class Events:
         """Open a response for the length of the block. A disconnected reader ends the block."""
         role = request[GRANT].role.name.lower()
         response = web.StreamResponse(headers={**HEADERS, ROLE_HEADER: role})
-        client = self._clients.enter("events", request, request[GRANT], backlog)
+        client = self._clients.enter("events", request, backlog)
 
         async def send(event: bytes) -> None:
             async with asyncio.timeout(SEND_TIMEOUT_S):

@@ -3,7 +3,6 @@
 https://github.com/foxglove/ws-protocol/blob/main/docs/spec.md
 """
 
-import asyncio
 import contextlib
 import functools
 import itertools
@@ -18,6 +17,7 @@ from typing import Any, NamedTuple, TypeVar, assert_never
 import msgspec
 import structlog
 
+from hostlink.api.bodies import size_bytes_of
 from hostlink.api.clients import ClientQueue, Operation, Outgoing, Spawn, put_json, velocity_of_payload
 from hostlink.api.foxglove_protocol import (
     MAX_ITEMS,
@@ -56,6 +56,7 @@ from hostlink.hub.node import Role
 from hostlink.hub.participant import MAX_ADVERTISED, MAX_CALLS, Participant
 from hostlink.hub.subscription import Subscription
 from hostlink.hub.topic_graph import TopicGraph, resolve
+from hostlink.loop_time import loop_time_s
 from hostlink.messages.catalog import CLOCK, CLOCK_TYPE, decode_clock
 from hostlink.messages.message_type import MessageType, ServiceType
 from hostlink.rate_limit import REFUSED_VELOCITIES_S, RateLimit
@@ -417,7 +418,7 @@ class FoxgloveParameters:
         wanted = list(map(resolve, names)) or list(values)
         if len(self._watched.keys() | set(wanted)) > MAX_ITEMS:
             raise BadRequest(f"more than {MAX_ITEMS} parameters watched")
-        more_bytes = sum(map(_size, set(wanted) - self._watched.keys()))
+        more_bytes = sum(map(size_bytes_of, set(wanted) - self._watched.keys()))
         if not self._share.take(more_bytes):
             raise BadRequest(f"the names that all clients watch have more than {self._share.max_bytes} bytes")
         self._watched = {name: values.get(name) for name in wanted} | self._watched
@@ -427,7 +428,7 @@ class FoxgloveParameters:
         for name in map(resolve, names or list(self._watched)):
             if name in self._watched:
                 del self._watched[name]
-                self._share.give(_size(name))
+                self._share.give(size_bytes_of(name))
 
     def flush(self, now_s: float) -> float | None:
         """Send changed parameters. Return when to compare again."""
@@ -448,10 +449,6 @@ class FoxgloveParameters:
     def _put(self, values: Mapping[str, ParameterValue | None], request_id: str | None) -> None:
         answer = {"op": "parameterValues", "parameters": [_view(*each) for each in values.items()]}
         put_json(self._queue, answer | ({} if request_id is None else {"id": request_id}))
-
-
-def _size(name: str) -> int:
-    return len(name.encode("utf-8", "surrogatepass"))
 
 
 def _view(name: str, value: ParameterValue | None) -> dict[str, Any]:
@@ -540,7 +537,7 @@ class FoxgloveClient:
 
     def receive(self, data: str | bytes) -> None:
         """Execute one message of the client. An error becomes a status and is never raised."""
-        self.do(self.read(data, _now_s()))
+        self.do(self.read(data, loop_time_s()))
 
     def read(self, data: str | bytes, came_s: float) -> Operation[_Received]:
         """Decode a message. An error is returned as the content, and sent to the client by `do`."""
@@ -678,7 +675,7 @@ class FoxgloveClient:
             known = self._hub.topics.find_or_none(topic)
             is_velocity = known is not None and known.is_gated
             is_new = self._refused.get(number) != str(error)
-            if is_new and (not is_velocity or self._refused_velocities.allows(topic, _now_s())):
+            if is_new and (not is_velocity or self._refused_velocities.allows(topic, loop_time_s())):
                 self._refused[number] = str(error)
                 self._put_status(_ERROR, str(error), topic)
         else:
@@ -751,7 +748,3 @@ def _check(type_: MessageType, payload: bytes) -> None:
         type_.decode(payload)
     elif len(payload) != type_.fixed_bytes:
         raise BadPayload(type_.name, f"{len(payload)} bytes instead of {type_.fixed_bytes}")
-
-
-def _now_s() -> float:
-    return asyncio.get_running_loop().time()

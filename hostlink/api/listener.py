@@ -17,6 +17,7 @@ from hostlink.forwarding_protocol import ForwardingProtocol
 from hostlink.hub.hub import Hub
 from hostlink.log_budget import Budget
 from hostlink.logs import printable
+from hostlink.loop_time import loop_time_s
 from hostlink.transport.base import READ_BYTES
 
 IDLE_TIMEOUT_S = 75.0  # after an answer, as in nginx: browsers and proxies reuse connections
@@ -345,7 +346,7 @@ class ApiListener:
         """Accept connections within the block. Connections that are open at its end belong to their protocols."""
 
         def accepted(sock: socket.socket, address: str, since_s: float) -> None:
-            new, leaving = self.connections.enter(address, _now_s())
+            new, leaving = self.connections.enter(address, loop_time_s())
             if leaving is not None:
                 leaving.abort()
             if new is None:
@@ -396,7 +397,7 @@ class ApiListener:
 
     def _sweep(self) -> None:
         self._sweeper = asyncio.get_running_loop().call_later(SWEEP_INTERVAL_S, self._sweep)
-        for connection in self.connections.overdue(_now_s()):
+        for connection in self.connections.overdue(loop_time_s()):
             connection.abort()
 
     def _note_exhausted(self) -> None:
@@ -405,7 +406,7 @@ class ApiListener:
 
     def _log_crowd(self, address: str) -> None:
         """Log refused and closed connections, within the budget of repeated lines."""
-        if self._lines.due("client.crowded", _now_s()):
+        if self._lines.due("client.crowded", loop_time_s()):
             news = self.connections.closed - self._logged
             self._logged = self.connections.closed.copy()
             log.warning("client.crowded", peer=address, connections=len(self.connections), **news)
@@ -415,7 +416,3 @@ def reading_of(request: web.Request) -> PacedReading | None:
     """Return the protocol of a request's connection; None if the connection is closed."""
     protocol = None if request.transport is None else request.transport.get_protocol()
     return protocol if isinstance(protocol, PacedReading) else None
-
-
-def _now_s() -> float:
-    return asyncio.get_running_loop().time()

@@ -11,7 +11,7 @@ import msgspec
 from aiohttp import web
 from aiohttp.http_exceptions import HttpProcessingError
 
-from hostlink.api.access import GRANT
+from hostlink.api.access import caller_name
 from hostlink.api.bodies import decode_body
 from hostlink.api.routes import BODY, FILE, Route, reply
 from hostlink.errors import BadRequest, UnknownTopic
@@ -135,10 +135,9 @@ class RecordingRoutes:
         body = decode_body(request[BODY] or b"{}", RecordingRequest, shape)
         for robot in body.robots:
             self._recordings.check_robot(robot)
-        grant = request[GRANT]
         selection = TopicSelection(tuple(body.topics), tuple(body.robots))
-        owner = grant.who or request.remote or ""
-        return reply(recording_view(await self._recordings.start(selection, name=body.name, owner=owner)))
+        recording = await self._recordings.start(selection, name=body.name, owner=caller_name(request))
+        return reply(recording_view(recording))
 
     async def _stop(self, request: web.Request) -> web.Response:
         """Stop a recording and complete its file."""

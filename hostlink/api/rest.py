@@ -1,16 +1,16 @@
 """The REST API: robots, their velocity and odometry, links and topics; for curl and for scripts."""
 
-import asyncio
+import dataclasses
 import ipaddress
 from collections import OrderedDict
-from collections.abc import Container, Iterable, Sequence
+from collections.abc import Container, Iterable
 from http import HTTPStatus
 from typing import Annotated, TypedDict, TypeVar
 
 import msgspec
 from aiohttp import web
 
-from hostlink.api.access import GRANT
+from hostlink.api.access import GRANT, caller_name
 from hostlink.api.bodies import decode_body, whole_number
 from hostlink.api.clients import Clients, ClientView
 from hostlink.api.routes import BODY, CAME, Route, refusal, reply
@@ -19,7 +19,6 @@ from hostlink.api.views import (
     LinksView,
     Slices,
     StoppedRobotView,
-    TopicView,
     VelocityAnswer,
     finding_views,
     links_view,
@@ -40,22 +39,18 @@ from hostlink.hub.reloader import Reloader
 from hostlink.hub.robot import LOCK_REASON, AnyRobot
 from hostlink.hub.standstills import MAX_WAIT_S, WAIT_S
 from hostlink.listening import own_address, spelled
+from hostlink.loop_time import loop_time_s
 from hostlink.recording.drives import Drive, DriveLog
 from hostlink.robot.state import MAX_PRIORITY
 from hostlink.robot.velocity import PlanarVelocity
-from hostlink.robot.views import OdometryView, RobotView
+from hostlink.robot.views import OdometryView, RobotView, TopicView
 
 MAX_OWNERS = 64  # the number of sources that one robot distinguishes; a driving one sends a request in every lease
 
 
-def _caller_name(request: web.Request) -> str:
-    """Return the name of the token; without tokens the client's address."""
-    return request[GRANT].who or request.remote or ""
-
-
 def _caller(request: web.Request) -> str:
     """Return the name of the participant that a request has, or would have if it drove."""
-    return f"rest {_caller_name(request)}"
+    return f"rest {caller_name(request)}"
 
 
 class Owners:
@@ -410,7 +405,7 @@ class Rest:
     async def _odometry(self, request: web.Request) -> web.Response:
         """Pose and twist."""
         robot = self._find(request)
-        odometry = robot.odometry.snapshot(_now_s())
+        odometry = robot.odometry.snapshot(loop_time_s())
         if odometry is None:
             raise DeviceGone(f"{robot.name}: no odometry has arrived yet")
         return reply(odometry_view(odometry))
@@ -426,7 +421,7 @@ class Rest:
         return reply(velocity_answer(robot, velocity, limited))
 
     def _owner(self, request: web.Request) -> Participant:
-        owner = self._owners.of(_caller_name(request), request[GRANT].role)
+        owner = self._owners.of(caller_name(request), request[GRANT].role)
         owner.address = request.remote or ""
         return owner
 
@@ -435,38 +430,36 @@ class Rest:
 
         Answers with the measured result after wait_s seconds at most (1.5).
         """
-        robot, since_s = self._find(request), _now_s()
+        robot, since_s = self._find(request), loop_time_s()
         robot.stop(by=_caller(request))
         await self._hub.gates.settled()
-        (view,) = await self._measured(request, [robot], since_s)
-        return reply(view)
+        return await self._measured(request, since_s, robot)
 
     async def _stop_all(self, request: web.Request) -> web.Response:
         """Stop every robot. Answers with the measured result after wait_s seconds at most (1.5)."""
-        since_s = _now_s()
+        since_s = loop_time_s()
         self._hub.robots.stop_all(by=_caller(request))
         await self._hub.gates.settled()
-        return reply({"robots": await self._measured(request, self._hub.robots.all(), since_s)})
+        return await self._measured(request, since_s)
 
     async def _standstill(self, request: web.Request) -> web.Response:
         """Whether odometry says from now on that the robot is stopped; waits wait_s seconds at most (1.5)."""
-        (view,) = await self._measured(request, [self._find(request)], _now_s())
-        return reply(view)
+        return await self._measured(request, loop_time_s(), self._find(request))
 
     async def _standstills(self, request: web.Request) -> web.Response:
         """Whether odometry says that the robots are stopped."""
-        return reply({"robots": await self._measured(request, self._hub.robots.all(), _now_s())})
+        return await self._measured(request, loop_time_s())
 
-    async def _measured(
-        self, request: web.Request, robots: Sequence[AnyRobot], since_s: float
-    ) -> list[StoppedRobotView]:
-        """Measure whether the robots are stopped. Every stop has been sent before this waits."""
+    async def _measured(self, request: web.Request, since_s: float, robot: AnyRobot | None = None) -> web.Response:
+        """Measure whether the robot is stopped, or whether all are. Every stop has been sent before this waits."""
+        robots = self._hub.robots.all() if robot is None else [robot]
         measured = await self._hub.standstills.measure(robots, since_s, wait_s=_wait_s(request))
-        return [stopped_view(*each) for each in zip(robots, measured, strict=True)]
+        views = [stopped_view(*each) for each in zip(robots, measured, strict=True)]
+        return reply({"robots": views} if robot is None else views[0])
 
     async def _lock(self, request: web.Request) -> web.Response:
         """Emergency stop: zero velocity at once, commands are refused until unlock. Answers as stop does."""
-        robot, since_s = self._find(request), _now_s()
+        robot, since_s = self._find(request), loop_time_s()
         try:  # an invalid reason locks the robot too
             body = decode_body(request[BODY] or b"{}", LockRequest, '{"reason": a text} or empty; the robot is locked')
         except BadRequest:
@@ -474,8 +467,7 @@ class Rest:
             raise
         robot.lock(body.reason, by=_caller(request))
         await self._hub.gates.settled()
-        (view,) = await self._measured(request, [robot], since_s)
-        return reply(view)
+        return await self._measured(request, since_s, robot)
 
     async def _unlock(self, request: web.Request) -> web.Response:
         """Unlock the robot."""
@@ -487,7 +479,7 @@ class Rest:
     async def _reset_odometry(self, request: web.Request) -> web.Response:
         """Set the origin of odometry to the present pose."""
         robot = self._find(request)
-        reset = robot.state(_now_s()).reset_topic
+        reset = robot.state(loop_time_s()).reset_topic
         if reset is None:
             raise UnknownTopic("reset topic", f"{robot.name}/reset_odometry")
         if robot.link is None:
@@ -544,14 +536,11 @@ class Rest:
 
     async def _reload(self, _: web.Request) -> web.Response:
         """Read the configuration again: names and limits of robots, tokens, origins. An error changes nothing."""
-        reloaded = await self._reloader.reload()
-        return reply(
-            {"changed": reloaded.changed, "needs_restart": reloaded.needs_restart, "renamed": reloaded.renamed}
-        )
+        return reply(dataclasses.asdict(await self._reloader.reload()))
 
     async def _health(self, _: web.Request) -> web.Response:
         """Whether the daemon runs."""
-        return reply({"status": "alive", "loop_time_s": round(asyncio.get_running_loop().time(), 3)})
+        return reply({"status": "alive", "loop_time_s": round(loop_time_s(), 3)})
 
     async def _readiness(self, _: web.Request) -> web.Response:
         """Whether every known robot is connected."""
@@ -577,7 +566,3 @@ def _wait_s(request: web.Request) -> float:
     if not 0.0 <= wait_s <= MAX_WAIT_S:
         raise BadRequest(f"wait_s must be a number of seconds from 0 to {MAX_WAIT_S:g}, not {text!r}")
     return wait_s
-
-
-def _now_s() -> float:
-    return asyncio.get_running_loop().time()

@@ -8,7 +8,6 @@ from typing import Any
 
 import msgspec
 
-from hostlink.api.rosbridge import to_time
 from hostlink.api.views import node_name, receivers
 from hostlink.config import ParameterScalar, ParameterValue
 from hostlink.errors import BadRequest, UnknownTopic
@@ -16,6 +15,7 @@ from hostlink.hub.hub import DAEMON, Hub
 from hostlink.hub.parameters import to_parameter
 from hostlink.hub.topic import Topic
 from hostlink.hub.topic_graph import resolve
+from hostlink.messages.catalog import to_time
 from hostlink.messages.fields import BUILT_IN, FLOATS, SCALAR, Constant, Field, bool_value
 from hostlink.messages.message_type import MessageType, ServiceType
 
@@ -173,6 +173,8 @@ Request = Mapping[str, Any]
 Response = dict[str, Any]
 
 _WRITERS = frozenset({"set_param", "delete_param"})
+# Of services whose type has another name than they.
+_TYPE_NAMES = {"action_servers": "GetActionServers", "get_ros_version": "GetROSVersion"}
 
 
 class RosApi:
@@ -186,44 +188,38 @@ class RosApi:
 
     def offer(self) -> None:
         """Register every service under /rosapi/."""
-        answers: dict[str, tuple[str, Callable[[Request], Response]]] = {
-            "topics": ("Topics", self._topics),
-            "topics_and_raw_types": ("TopicsAndRawTypes", self._topics_and_raw_types),
-            "topics_for_type": ("TopicsForType", self._topics_for_type),
-            "topic_type": ("TopicType", self._topic_type),
-            "message_details": ("MessageDetails", self._message_details),
-            "service_request_details": (
-                "ServiceRequestDetails",
-                lambda of: {"typedefs": describe(self._service(of).request)},
-            ),
-            "service_response_details": (
-                "ServiceResponseDetails",
-                lambda of: {"typedefs": describe(self._service(of).response)},
-            ),
-            "services": ("Services", lambda _: {"services": self._service_names()}),
-            "services_for_type": ("ServicesForType", self._services_for_type),
-            "service_type": ("ServiceType", self._service_type),
-            "service_node": ("ServiceNode", lambda of: {"node": self._node_of_service(_text(of, "service"))}),
-            "service_host": ("ServiceHost", self._service_host),
-            "service_providers": ("ServiceProviders", self._service_providers),
-            "nodes": ("Nodes", self._nodes),
-            "node_details": ("NodeDetails", self._node_details),
-            "publishers": ("Publishers", self._publishers),
-            "subscribers": ("Subscribers", self._subscribers),
-            "action_servers": ("GetActionServers", lambda _: {"action_servers": []}),
-            "get_param": ("GetParam", self._get_param),
-            "set_param": ("SetParam", self._set_param),
-            "has_param": ("HasParam", lambda of: {"exists": self._parameters.has(_text(of, "name"))}),
-            "search_param": ("SearchParam", self._search_param),
-            "delete_param": ("DeleteParam", self._delete_param),
-            "get_param_names": ("GetParamNames", lambda _: {"names": self._parameters.names()}),
-            "get_time": ("GetTime", lambda _: {"time": to_time(time.time_ns())}),
-            "get_ros_version": ("GetROSVersion", lambda _: {"version": 1, "distro": "noetic"}),  # of the types
+        answers: dict[str, Callable[[Request], Response]] = {
+            "topics": self._topics,
+            "topics_and_raw_types": self._topics_and_raw_types,
+            "topics_for_type": self._topics_for_type,
+            "topic_type": self._topic_type,
+            "message_details": self._message_details,
+            "service_request_details": lambda of: {"typedefs": describe(self._service(of).request)},
+            "service_response_details": lambda of: {"typedefs": describe(self._service(of).response)},
+            "services": lambda _: {"services": self._service_names()},
+            "services_for_type": self._services_for_type,
+            "service_type": self._service_type,
+            "service_node": lambda of: {"node": self._node_of_service(_text(of, "service"))},
+            "service_host": self._service_host,
+            "service_providers": self._service_providers,
+            "nodes": self._nodes,
+            "node_details": self._node_details,
+            "publishers": self._publishers,
+            "subscribers": self._subscribers,
+            "action_servers": lambda _: {"action_servers": []},
+            "get_param": self._get_param,
+            "set_param": self._set_param,
+            "has_param": lambda of: {"exists": self._parameters.has(_text(of, "name"))},
+            "search_param": self._search_param,
+            "delete_param": self._delete_param,
+            "get_param_names": lambda _: {"names": self._parameters.names()},
+            "get_time": lambda _: {"time": to_time(time.time_ns())},
+            "get_ros_version": lambda _: {"version": 1, "distro": "noetic"},  # of the types
         }
-        for name, (type_name, answer) in answers.items():
-            self._participant.provide(
-                f"/rosapi/{name}", f"rosapi/{type_name}", _waiting(answer), is_reading=name not in _WRITERS
-            )
+        for name, answer in answers.items():
+            type_name = _TYPE_NAMES.get(name) or "".join(map(str.capitalize, name.split("_")))
+            is_reading = name not in _WRITERS
+            self._participant.provide(f"/rosapi/{name}", f"rosapi/{type_name}", _waiting(answer), is_reading=is_reading)
 
     # -- topics and types ---------------------------------------------------------------------------------------------
 
@@ -284,11 +280,8 @@ class RosApi:
         return {"providers": sorted({self._node_of_service(name) for name in names})}
 
     def _node_of_service(self, name: str) -> str:
-        try:
-            found = self._hub.services.find(name)
-        except UnknownTopic:
-            return ""
-        return self._node(found.key)
+        found = self._hub.services.find_or_none(name)
+        return "" if found is None else self._node(found.key)
 
     # -- nodes: hostlink itself, every device, every client -----------------------------------------------------------
 

@@ -17,7 +17,7 @@ import cbor2
 import msgspec
 import structlog
 
-from hostlink.api.bodies import convert_fields
+from hostlink.api.bodies import convert_fields, size_bytes_of
 from hostlink.api.clients import (
     NOT_A_VELOCITY,
     ClientQueue,
@@ -42,7 +42,7 @@ from hostlink.hub.robots import Robots
 from hostlink.hub.subscription import Subscription
 from hostlink.hub.topic_graph import TopicGraph, resolve
 from hostlink.logs import printable
-from hostlink.messages.catalog import Catalog
+from hostlink.messages.catalog import Catalog, to_time
 from hostlink.messages.fields import SCALAR
 from hostlink.messages.message_type import MessageType, ServiceType
 from hostlink.rate_limit import REFUSED_VELOCITIES_S, RateLimit
@@ -224,7 +224,7 @@ class Fragments:
         if problem:
             self._drop(key)
             raise BadRequest(f"fragment: {problem}; the message is dropped")
-        size = _size(data)
+        size = size_bytes_of(data)
         if not self._share.take(size):
             self._drop(key)
             raise BadRequest(
@@ -252,7 +252,7 @@ class Fragments:
             return f"num must be from 0 to {total - 1}"
         if number in pending.pieces:
             return f"fragment {number} was sent twice"
-        if self._bytes + _size(data) > self._max_bytes:
+        if self._bytes + size_bytes_of(data) > self._max_bytes:
             return f"more than {self._max_bytes} bytes of fragments"
         return ""
 
@@ -261,18 +261,13 @@ class Fragments:
             self._drop(key)
 
     def _drop(self, key: object) -> None:
-        size = sum(map(_size, self._pending.pop(key).pieces.values()))
+        size = sum(map(size_bytes_of, self._pending.pop(key).pieces.values()))
         self._bytes -= size
         self._share.give(size)
 
 
-def _size(data: str) -> int:
-    return len(data.encode("utf-8", "surrogatepass"))
-
-
 HEADER = "std_msgs/Header"
 MAX_PARTS = 2000  # about 15 ms; a path of a small robot has a few hundred poses
-_NS_PER_S = 1_000_000_000
 
 
 def fill_stamps(type_: MessageType, message: dict[str, Any], now_ns: int) -> dict[str, Any]:
@@ -282,12 +277,6 @@ def fill_stamps(type_: MessageType, message: dict[str, Any], now_ns: int) -> dic
         BadRequest: more than MAX_PARTS parts have times; walking through them would delay commands.
     """
     return _Filler(to_time(now_ns)).fill(type_, message) if type_.has_time else message
-
-
-def to_time(stamp_ns: int) -> dict[str, int]:
-    """Return a time as a message has it."""
-    secs, nsecs = divmod(stamp_ns, _NS_PER_S)
-    return {"secs": secs, "nsecs": nsecs}
 
 
 class _Filler:
@@ -356,7 +345,6 @@ def velocity_of_request(request: Request, topics: TopicGraph) -> tuple[VelocityO
     return velocity_of_payload(topic, payload, (priority, type_name, request.is_latched))
 
 
-_NS_PER_S = 1_000_000_000
 # RFC 8746, little-endian: the tags that roslibjs reads.
 _TAGS = {
     "uint16": (69, "H"),
@@ -384,8 +372,7 @@ def encode_cbor(topic: str, message: Message) -> bytes:
 
 def encode_cbor_raw(topic: str, message: Message) -> bytes:
     """Encode the `publish` operation with the serialised message: rosserial and ROS 1 serialise alike."""
-    secs, nsecs = divmod(message.stamp_ns, _NS_PER_S)
-    raw = {"secs": secs, "nsecs": nsecs, "bytes": message.payload}
+    raw = {**to_time(message.stamp_ns), "bytes": message.payload}
     return cbor2.dumps({"op": "publish", "topic": topic, "msg": raw})
 
 

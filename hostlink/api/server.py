@@ -252,7 +252,7 @@ class ApiServer:
     async def _serve_client(self, request: web.Request) -> web.StreamResponse:
         kind = "foxglove" if is_foxglove(request) else "rosbridge"
         queue = ClientQueue(self._hub.budget)
-        client = self._clients.enter(kind, request, request[GRANT], queue)
+        client = self._clients.enter(kind, request, queue)
         socket = web.WebSocketResponse(
             heartbeat=PING_INTERVAL_S,
             autoping=False,
@@ -283,11 +283,8 @@ class ApiServer:
                         client,
                         program,
                         queue,
-                        self._hub.turns(),
-                        self._hub.gates,
+                        self._hub,
                         tasks=tasks,
-                        max_messages_s=self._config.max_requests_s,
-                        on_replaced=lambda: self._hub.counts.velocities_replaced.update((kind,)),
                         to_client=self._metrics.to_client,
                     )
                     tasks.create_task(connection.receive(), name=client.name)

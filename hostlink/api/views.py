@@ -2,7 +2,6 @@
 
 import asyncio
 import dataclasses
-import functools
 from collections.abc import Callable, Hashable, Iterable, Iterator
 from datetime import UTC, datetime
 from typing import TypedDict, TypeVar, cast
@@ -10,14 +9,14 @@ from typing import TypedDict, TypeVar, cast
 import msgspec
 
 from hostlink.diagnosis.finding import Finding
-from hostlink.hub.diagnoses import Diagnosis
+from hostlink.hub.device import Device
 from hostlink.hub.hub import Hub
 from hostlink.hub.robot import AnyRobot
 from hostlink.hub.topic import Topic
 from hostlink.robot.odometry import OdometrySnapshot
 from hostlink.robot.standstill import Standstill
 from hostlink.robot.velocity import PlanarVelocity
-from hostlink.robot.views import OdometryView, RobotView, VelocityView
+from hostlink.robot.views import OdometryView, RobotView, TopicView, VelocityView
 
 View = TypeVar("View")
 
@@ -196,16 +195,6 @@ class LinksView(TypedDict):
     links: list[LinkView]
 
 
-class TopicView(TypedDict):
-    """A topic of the graph."""
-
-    name: str
-    type: str
-    publishers: int
-    subscribers: int
-    messages: int
-
-
 def utc_text(stamp_ns: int) -> str:
     """Format a wall time: `2026-11-22T07:43:29.123+00:00`."""
     return datetime.fromtimestamp(stamp_ns / 1e9, UTC).isoformat(timespec="milliseconds")
@@ -278,9 +267,9 @@ def odometry_view(known: OdometrySnapshot) -> OdometryView:
     }
 
 
-def link_view(hub: Hub, diagnosis: Diagnosis) -> LinkView:
+def link_view(device: Device) -> LinkView:
     """Return the present state of one live connection."""
-    link = diagnosis.link
+    link, diagnosis = device.link, device.diagnosis
     facts = link.facts()
     clock = facts.clock
     view = {
@@ -290,10 +279,9 @@ def link_view(hub: Hub, diagnosis: Diagnosis) -> LinkView:
         "robot": diagnosis.robot or None,
         "silent_s": round(link.silent_s, 3),
         "diagnosis": finding_views(diagnosis.findings),
-        "topics": topic_info_views(hub, diagnosis),
+        "topics": topic_info_views(device),
         "parameters": {
-            name: [*answer.ints, *answer.floats, *answer.strings]
-            for name, answer in hub.links.answered_parameters(link).items()
+            name: [*answer.ints, *answer.floats, *answer.strings] for name, answer in device.parameters.items()
         },
         "seconds": round(facts.seconds, 3),
         **dataclasses.asdict(facts.counts),
@@ -314,28 +302,26 @@ def link_view(hub: Hub, diagnosis: Diagnosis) -> LinkView:
     return cast(LinkView, view)
 
 
-def topic_info_views(hub: Hub, diagnosis: Diagnosis) -> list[TopicInfoView]:
+def topic_info_views(device: Device) -> list[TopicInfoView]:
     """Return the topics of one device, under the graph's names and the device's own."""
-    shown_name = functools.partial(hub.links.shown_name, diagnosis.link)
     return [
         {
             "kind": info.kind.name.lower(),
             "id": info.topic_id,
-            "name": shown_name(info.name),
+            "name": device.shown.of(info.name),
             "own_name": info.name,
             "type": info.type,
             "md5": info.md5,
             "buffer_bytes": info.buffer_bytes,
         }
-        for info in diagnosis.link.topics
+        for info in device.link.topics
     ]
 
 
 async def links_view(hub: Hub, slices: Slices) -> dict[str, object]:
     """Return a LinksView, ready to be encoded. It is made in slices: topics of many devices are megabytes of JSON."""
     links: list[msgspec.Raw] = []
-    live = (hub.diagnoses.find(link.number) for link in hub.links.all())
-    views = (link_view(hub, diagnosis) for diagnosis in live if diagnosis is not None)
+    views = map(link_view, list(hub.robots.devices.values()))
     await slices.run(views, lambda view: links.append(msgspec.Raw(msgspec.json.encode(view))))
     now_s = asyncio.get_running_loop().time()
     ended: list[EndedLinkView] = [

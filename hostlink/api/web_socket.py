@@ -13,9 +13,8 @@ from aiohttp import WSCloseCode, WSMsgType, web
 
 from hostlink.api.clients import Client, ClientProgram, ClientQueue, OperationQueue
 from hostlink.api.listener import PacedReading
-from hostlink.hub.gates import Gates
+from hostlink.hub.hub import Hub
 from hostlink.latency import Latency
-from hostlink.link.fair_share import Turns
 
 log = structlog.get_logger()
 
@@ -50,23 +49,21 @@ class ClientSocket:
         client: Client,
         program: ClientProgram[Any],
         queue: ClientQueue,
-        turns: Turns,
-        gates: Gates,
+        hub: Hub,
         *,
         tasks: asyncio.TaskGroup,
-        max_messages_s: float,
-        on_replaced: Callable[[], None],
         to_client: Latency,
     ) -> None:
         """Take over the socket. `to_client`: latency from the arrival of a message to the socket, of all clients."""
         self._socket, self._transport, self._reading = socket, reading.transport, reading
         self._client, self._program, self._queue = client, program, queue
-        self._turns, self._gates, self._tasks, self._to_client = turns, gates, tasks, to_client
+        self._turns, self._gates, self._tasks, self._to_client = hub.turns(), hub.gates, tasks, to_client
         self._loop = asyncio.get_running_loop()
         self._context = contextvars.copy_context()  # so that log lines of callbacks name the client
-        self._operations = OperationQueue[Any](program, on_replaced, max_messages_s)
+        self._max_messages_s = hub.config.api.max_requests_s
+        note_replaced = partial(hub.counts.velocities_replaced.update, (client.kind,))
+        self._operations = OperationQueue[Any](program, note_replaced, self._max_messages_s)
         self._progress = asyncio.Event()  # set when an operation was executed
-        self._max_messages_s = max_messages_s
         self._is_ended = False
         self._is_work_due = self._is_send_due = False  # whether a callback is scheduled
         self._is_ready = client.kind != "foxglove"  # rosbridge clients send first
@@ -227,7 +224,7 @@ class ClientSocket:
             return
         if self._reading.is_writing_paused:
             self._stuck_timer = self._loop.call_later(SEND_TIMEOUT_S, self._fail, TimeoutError("it does not read"))
-        elif queue.waiting_messages:
+        elif waiting is not None:  # a bound of this write was reached, and more may wait
             self._note_news()
 
     def _flush(self, now_s: float) -> None:

@@ -7,7 +7,7 @@ import random
 import socket
 import struct
 from collections import defaultdict
-from collections.abc import AsyncGenerator, Awaitable, Callable, Iterator, Mapping
+from collections.abc import AsyncGenerator, AsyncIterator, Awaitable, Callable, Iterator, Mapping
 from typing import Any
 
 import aiohttp
@@ -49,6 +49,7 @@ class HostConnection:
         )  # by op, for messages that do not answer a `request`
         self.on_open: list[Callable[[], Awaitable[None]]] = []
         self.on_lost: list[Callable[[HostlinkError], None]] = []
+        self._kept: dict[str, Mapping[str, Any]] = {}  # requests that are sent again after each reconnection
         self._http = http
         self._reconnects, self._group = reconnects, group
         self._socket: aiohttp.ClientWebSocketResponse | None = None
@@ -65,6 +66,10 @@ class HostConnection:
         """
         self._socket = await self._http.open_socket(self._group)
         self.is_connected = True
+        await self.send({"op": "set_level", "level": "error"})  # so that refusals are reported
+        for key, request in list(self._kept.items()):
+            if self._kept.get(key) is request:  # else it has ended meanwhile
+                await self.send(request)
         for restore in self.on_open:
             await restore()
         self._is_open.set()
@@ -91,6 +96,25 @@ class HostConnection:
             await self._socket.send_str(text)
         except (aiohttp.ClientError, OSError) as error:  # `run` notices it too
             raise self.lost(str(error)) from error
+
+    @contextlib.asynccontextmanager
+    async def keeping(self, key: str, request: Mapping[str, Any], withdrawal: Mapping[str, Any]) -> AsyncIterator[None]:
+        """Send a request, also after each reconnection, for the length of the block; then send its withdrawal.
+
+        A later request with this key replaces it; then its end withdraws nothing.
+
+        Raises:
+            HostlinkError: there is no connection.
+        """
+        await self.send(request)
+        self._kept[key] = request
+        try:
+            yield
+        finally:
+            if self._kept.get(key) is request:
+                del self._kept[key]
+                with contextlib.suppress(HostlinkError):  # with the connection gone, so is what was requested
+                    await self.send(withdrawal)
 
     async def request(self, request: Mapping[str, Any], *, timeout_s: float = REQUEST_TIMEOUT_S) -> Message:
         """Send an operation that is answered.

@@ -34,7 +34,6 @@ class Host:
         self.url = http.url
         self._http = http
         self._connection = HostConnection(http, reconnects=reconnect, group=group)
-        self._connection.on_open.append(self._set_level)
         self._connection.on_lost.append(self._lose)
         self._topics = Topics(self._connection)
         self._services = ProvidedServices(self._connection)
@@ -323,9 +322,6 @@ class Host:
     async def _round_trip(self) -> None:
         self._topics.is_settled = True  # nothing that is published from now on
         await self._connection.request({"op": "call_service", "service": "/rosapi/get_time", "args": {}})
-
-    async def _set_level(self) -> None:
-        await self.send({"op": "set_level", "level": "error"})
 
     async def _report_return(self) -> None:
         if self._lost is not None:

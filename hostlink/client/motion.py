@@ -17,11 +17,10 @@ result: reached.
 """
 
 import asyncio
-import contextlib
 import math
 from collections.abc import AsyncIterator, Callable
 from dataclasses import replace
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 from hostlink.cancellation import raise_if_cancelled
 from hostlink.client.driver import REPEAT_INTERVAL_S, VelocitySender
@@ -188,7 +187,7 @@ class CoursePilot:
 
 
 class _Held:
-    """The velocity of one motion, as long as no other call ends it, from the beginning of the motion on."""
+    """The velocity of one motion for the length of a block, as long as no other call ends it."""
 
     def __init__(self, driver: VelocitySender, robot: str, priority: int) -> None:
         self._driver, self._robot, self._priority = driver, robot, priority
@@ -216,20 +215,14 @@ class _Held:
         by = "this program" if end.kind == MotionKind.PROGRAM else end.by
         return Motion(MotionOutcome.STOPPED, elapsed_s, kind=end.kind, by=by, reason=end.reason)
 
-    async def let_go(self) -> None:
+    async def __aenter__(self) -> Self:
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
         """Command a zero, unless another command of this program has replaced the motion."""
         if self._has_driven and not self.is_lost:
             self._driver.stop_repeating(self._robot)
             await self._driver.send_zero(self._robot, self._priority)
-
-
-@contextlib.asynccontextmanager
-async def _held(driver: VelocitySender, robot: str, priority: int) -> AsyncIterator[_Held]:
-    held = _Held(driver, robot, priority)
-    try:
-        yield held
-    finally:
-        await held.let_go()
 
 
 def _refused(error: HostlinkError, elapsed_s: float) -> Motion:
@@ -247,7 +240,7 @@ async def drive_for(
     """
     now_s = asyncio.get_running_loop().time
     positive("for_s", for_s)
-    async with _held(driver, robot, priority) as held:
+    async with _Held(driver, robot, priority) as held:
         await held.drive(velocity)
         began_s = now_s()
         while (left_s := began_s + for_s - now_s()) > TIMER_S:
@@ -277,7 +270,7 @@ async def follow(
         async with asyncio.TaskGroup() as tasks:
             reading = tasks.create_task(_read(odometry, poses), name=f"odometry of {robot}")
             try:
-                async with _held(driver, robot, priority) as held:
+                async with _Held(driver, robot, priority) as held:
                     return await _follow(held, course, poses, on_progress)
             finally:
                 reading.cancel()

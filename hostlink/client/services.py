@@ -23,7 +23,6 @@ class ProvidedServices:
         self._tasks: asyncio.TaskGroup | None = None
         self._calls: set[asyncio.Task[None]] = set()
         connection.handlers["call_service"].append(self._receive)
-        connection.on_open.append(self._restore)
 
     def begin(self, tasks: asyncio.TaskGroup) -> None:
         """Calls are answered from now on, each by a task of this group."""
@@ -42,23 +41,15 @@ class ProvidedServices:
         Raises:
             HostlinkError: there is no connection.
         """
-        await self._offer(service, type_name)
-        mine = self._answers[service] = (type_name, answer)
-        try:
-            yield
-        finally:
-            if self._answers.get(service) is mine:  # else it was offered again meanwhile
-                del self._answers[service]
-                with contextlib.suppress(HostlinkError):  # with the connection gone, so is the service
-                    await self._connection.send({"op": "unadvertise_service", "service": service})
-
-    async def _offer(self, service: str, type_name: str) -> None:
         request = {"op": "advertise_service", "id": f"provide:{service}", "service": service, "type": type_name}
-        await self._connection.send(request)
-
-    async def _restore(self) -> None:
-        for service, (type_name, _) in list(self._answers.items()):
-            await self._offer(service, type_name)
+        withdrawal = {"op": "unadvertise_service", "service": service}
+        async with self._connection.keeping(f"provide:{service}", request, withdrawal):
+            mine = self._answers[service] = (type_name, answer)
+            try:
+                yield
+            finally:
+                if self._answers.get(service) is mine:  # else it was offered again meanwhile
+                    del self._answers[service]
 
     def _receive(self, call: Message) -> None:
         if self._tasks is not None:

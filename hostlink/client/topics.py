@@ -24,7 +24,6 @@ _NS_PER_S = 1_000_000_000
 @dataclass(slots=True)
 class _Subscribed:
     topic: str
-    request: Mapping[str, Any]
     read: Callable[[dict[str, Any]], Any]
     mailbox: Mailbox[Any]
 
@@ -36,12 +35,10 @@ class Topics:
         self._connection = connection
         self._numbers = itertools.count(1)
         self._subscribed: dict[str, _Subscribed] = {}
-        self._advertised: dict[str, Mapping[str, Any]] = {}
         self._refusals: dict[str, Refused] = {}  # by topic
         self.is_settled = True  # nothing was published since the daemon has read all of it
         connection.handlers["publish"].append(self._deliver)
         connection.handlers["status"].append(self._receive_refusal)
-        connection.on_open.append(self._restore)
 
     async def publish(self, topic: str, message: Mapping[str, Any], type_name: str, priority: int) -> None:
         """Send one message: {"msg": its fields} or {"raw": it is serialised, as base64}.
@@ -73,8 +70,9 @@ class Topics:
         if refusals:
             raise refusals[0]
 
-    @contextlib.asynccontextmanager
-    async def advertise(self, topic: str, type_name: str, *, is_latched: bool) -> AsyncIterator[None]:
+    def advertise(
+        self, topic: str, type_name: str, *, is_latched: bool
+    ) -> contextlib.AbstractAsyncContextManager[None]:
         """Be a publisher of the topic for the length of the block.
 
         Raises:
@@ -82,15 +80,7 @@ class Topics:
         """
         latch = {"latch": True} if is_latched else {}
         request = {"op": "advertise", "id": f"publish:{topic}", "topic": topic, "type": type_name, **latch}
-        await self._connection.send(request)
-        self._advertised[topic] = request
-        try:
-            yield
-        finally:
-            if self._advertised.get(topic) is request:  # else it was advertised again meanwhile
-                del self._advertised[topic]
-                with contextlib.suppress(HostlinkError):  # with the connection gone, so is the advertisement
-                    await self._connection.send({"op": "unadvertise", "topic": topic})
+        return self._connection.keeping(f"publish:{topic}", request, {"op": "unadvertise", "topic": topic})
 
     @contextlib.asynccontextmanager
     async def subscribe(
@@ -103,26 +93,18 @@ class Topics:
         """
         key = f"subscribe:{next(self._numbers)}"
         request = {"op": "subscribe", "id": key, "topic": topic, **options, **_typed(type_name)}
-        await self._connection.send(request)
-        mailbox: Mailbox[Item] = Mailbox(topic)
-        self._subscribed[key] = _Subscribed(topic, request, read, mailbox)
-        try:
-            yield mailbox
-        finally:
-            del self._subscribed[key]
-            with contextlib.suppress(HostlinkError):  # with the connection gone, so is the subscription
-                await self._connection.send({"op": "unsubscribe", "id": key, "topic": topic})
+        async with self._connection.keeping(key, request, {"op": "unsubscribe", "id": key, "topic": topic}):
+            mailbox: Mailbox[Item] = Mailbox(topic)
+            self._subscribed[key] = _Subscribed(topic, read, mailbox)
+            try:
+                yield mailbox
+            finally:
+                del self._subscribed[key]
 
     def end(self, error: HostlinkError) -> None:
         """End every subscription: each iteration raises the error."""
         for subscribed in self._subscribed.values():
             subscribed.mailbox.put(error)
-
-    async def _restore(self) -> None:
-        for request in list(self._advertised.values()):
-            await self._connection.send(request)
-        for subscribed in list(self._subscribed.values()):
-            await self._connection.send(subscribed.request)
 
     def _deliver(self, message: dict[str, Any]) -> None:
         for subscribed in self._subscribed.values():

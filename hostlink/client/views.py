@@ -2,25 +2,16 @@
 
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Any, NamedTuple, TypedDict
+from typing import Any, NamedTuple
 
-from hostlink.robot.views import OdometryView, PoseView, RobotView, VelocityView
+from hostlink.robot.views import OdometryView, PoseView, RobotView, TopicView, VelocityView
 
 # The names that users import.
 Pose = PoseView
 Twist = VelocityView
 Odometry = OdometryView
 RobotState = RobotView
-
-
-class TopicState(TypedDict):
-    """A topic of the graph."""
-
-    name: str
-    type: str  # as geometry_msgs/Twist; empty while it is unknown
-    publishers: int
-    subscribers: int
-    messages: int  # that have passed
+TopicState = TopicView
 
 
 class RawMessage(NamedTuple):

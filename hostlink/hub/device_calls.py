@@ -8,12 +8,12 @@ with the reason in `message` where the type has one, and a device that cannot re
 import asyncio
 import contextlib
 from collections import deque
-from collections.abc import AsyncIterator, Callable, Coroutine, Mapping
-from typing import Any
+from collections.abc import Callable, Coroutine, Mapping
+from typing import TYPE_CHECKING, Any
 
 import structlog
 
-from hostlink.cancellation import expire
+from hostlink.cancellation import expire, within
 from hostlink.errors import (
     BadRequest,
     DeviceBusy,
@@ -24,18 +24,19 @@ from hostlink.errors import (
     UnknownTopic,
     WrongType,
 )
-from hostlink.hub.isolation import Spawn
-from hostlink.hub.services import DEVICE_TIMEOUT_S, Services
-from hostlink.link.fair_share import Turns
+from hostlink.hub.services import DEVICE_TIMEOUT_S
 from hostlink.link.link import Link
 from hostlink.logs import printable
-from hostlink.messages.catalog import Catalog
+from hostlink.loop_time import loop_time_s
 from hostlink.messages.fitting import encode_within
 from hostlink.messages.message_type import MessageType
 from hostlink.protocol.control import TopicInfo
 from hostlink.protocol.events import ServiceRequested
 from hostlink.protocol.frame import OVERHEAD_BYTES
 from hostlink.protocol.session import response_bytes
+
+if TYPE_CHECKING:
+    from hostlink.hub.hub import Hub
 
 log = structlog.get_logger()
 
@@ -57,23 +58,13 @@ class _DeviceCall:
         self.negotiations = link.session.counts.negotiations  # before the call
         self.deadline_s = now_s + DEVICE_TIMEOUT_S
         self.is_over = False  # the device no longer waits for the answer
-        self._timeout: asyncio.Timeout | None = None
-
-    @contextlib.asynccontextmanager
-    async def until(self, deadline_s: float) -> AsyncIterator[None]:
-        """Limit the block to the deadline, or to the end of the call. Then raise TimeoutError."""
-        async with asyncio.timeout_at(deadline_s) as timeout:
-            self._timeout = timeout
-            try:
-                yield
-            finally:
-                self._timeout = None
+        self.ends: set[asyncio.Timeout] = set()  # of what is done for it now
 
     def drop(self) -> None:
         """End the call: the device no longer waits for the answer."""
         self.is_over = True
-        if self._timeout is not None:
-            expire(self._timeout)
+        for end in self.ends:
+            expire(end)
 
 
 class DeviceCalls:
@@ -81,24 +72,20 @@ class DeviceCalls:
 
     def __init__(
         self,
-        services: Services,
-        catalog: Catalog,
+        hub: "Hub",
         *,
-        spawn: Spawn,
         give_up: Callable[[Link], Coroutine[Any, Any, None]],
         name_of: Callable[[Link, str], str],
-        turns: Turns,
     ) -> None:
         """`give_up` ends the link of a device that cannot be answered; `name_of`: the service that a device means."""
         self.refused = 0  # calls over a bound
-        self._services, self._catalog = services, catalog
-        self._spawn, self._give_up, self._name_of = spawn, give_up, name_of
-        self._turns = turns
+        self._services, self._catalog, self._spawn = hub.services, hub.catalog, hub.spawn
+        self._give_up, self._name_of, self._turns = give_up, name_of, hub.turns()
         self._calls: dict[int, dict[int, deque[_DeviceCall]]] = {}  # by link, by endpoint
 
     def accept(self, link: Link, event: ServiceRequested) -> None:
         """Start a call of a device, or queue it behind earlier ones."""
-        call = _DeviceCall(link, event, asyncio.get_running_loop().time())
+        call = _DeviceCall(link, event, loop_time_s())
         of_link = self._calls.setdefault(link.number, {})
         waiting = of_link.get(event.service.topic_id)
         if waiting is None and _count(of_link) < MAX_CALLS:
@@ -144,12 +131,10 @@ class DeviceCalls:
     async def _finish(self, call: _DeviceCall) -> None:
         outcome: _Outcome = ServiceFailed.timeout(call.endpoint.name, DEVICE_TIMEOUT_S)
         with contextlib.suppress(TimeoutError):
-            async with call.until(call.deadline_s):
-                outcome = await self._outcome(call)
-        last_s = max(call.deadline_s, asyncio.get_running_loop().time() + LAST_S)
+            outcome = await within(call.deadline_s - loop_time_s(), self._outcome(call), call.ends)
+        left_s = max(call.deadline_s - loop_time_s(), LAST_S)
         try:
-            async with call.until(last_s):
-                await self._deliver(call, outcome)
+            await within(left_s, self._deliver(call, outcome), call.ends)
         except (TimeoutError, HostlinkError) as error:
             await self._end(call, error)
 

@@ -15,7 +15,7 @@ from hostlink.diagnosis.evidence import EarlierLink, Evidence, HostClock, port_f
 from hostlink.diagnosis.finding import Finding, words
 from hostlink.diagnosis.link_monitor import SAMPLE_INTERVAL_S, LinkMonitor
 from hostlink.diagnosis.rules import diagnose
-from hostlink.host_pauses import HostPauses, never_paused
+from hostlink.host_pauses import HostPauses
 from hostlink.hub.isolation import Isolation
 from hostlink.hub.robot_events import EventKind, RobotEvents
 from hostlink.hub.stall_watch import slept_s
@@ -23,9 +23,11 @@ from hostlink.link.capture_buffer import Captured
 from hostlink.link.link import Link
 from hostlink.link.serving import LinkEnd
 from hostlink.logs import printable
+from hostlink.loop_time import loop_time_s
 from hostlink.protocol import events
 from hostlink.protocol.control import TopicInfo, encode_topic_info
 from hostlink.protocol.frame import encode
+from hostlink.rate_limit import RateLimit
 from hostlink.robot.names import is_played
 
 log = structlog.get_logger()
@@ -34,7 +36,6 @@ ENDED_LINKS = 16  # with their buffers 2 MiB at most
 EARLIER_S = 60.0  # what ended before that explains nothing now
 AWAY_S = 12.0  # a device that gets no answers for 11 s gives up, as docs/protocol.md#time has it
 LOG_AGAIN_S = 60.0  # so that a device that reconnects every second does not fill the log
-MAX_LOGGED = 256
 MAX_ANNOUNCED = 4  # last announcements with changed topics; they are needed to read a capture
 
 Announced = tuple[TopicInfo, ...]
@@ -105,22 +106,15 @@ class Diagnosis:
 class Diagnoses:
     """Diagnoses of all links. `run` updates each of them once a second; the rest of the hub only passes events."""
 
-    def __init__(
-        self,
-        isolation: Isolation | None = None,
-        events: RobotEvents | None = None,
-        pauses: Callable[[float], HostPauses] = never_paused,
-    ) -> None:
+    def __init__(self, isolation: Isolation, events: RobotEvents, pauses: Callable[[float], HostPauses]) -> None:
         """`events` gets each new finding. `pauses` returns when the host itself did not run."""
-        self._pauses = pauses
-        self._events = RobotEvents() if events is None else events
+        self._isolation, self._events, self._pauses = isolation, events, pauses
         words()  # read now: later there may be no descriptor for it
-        self._isolation = Isolation(reraises=True) if isolation is None else isolation
         self.ended: deque[Diagnosis] = deque(maxlen=ENDED_LINKS)
         self._live: dict[int, Diagnosis] = {}
         self._clock = HostClock()
         self._host_clock = ""
-        self._logged_at_s: dict[tuple[str, str], float] = {}
+        self._lines = RateLimit(1 / LOG_AGAIN_S, burst=1)  # of each address and code
         self.ports: dict[str, Finding] = {}  # serial ports that cannot be opened
         self.refused = RefusedLately()
 
@@ -141,22 +135,20 @@ class Diagnoses:
         """Note the baud rate at which the link's serial port is read from now on."""
         diagnosis = self._live.get(link.number)
         if diagnosis is not None:
-            diagnosis.monitor.set_baud(baud, _now_s())
+            diagnosis.monitor.set_baud(baud, loop_time_s())
 
-    def note(self, link: Link, event: events.Event) -> None:
+    def note(self, diagnosis: Diagnosis, event: events.Event) -> None:
         """Note an event of a live link's session other than a message."""
-        diagnosis = self._live.get(link.number)
-        if diagnosis is not None:
-            if isinstance(event, events.TopicsNegotiated):
-                diagnosis.note_topics()
-            now_s = _now_s()
-            diagnosis.monitor.observe(event, now_s, has_waited=not self._pauses(now_s).has_recovered(now_s))
+        if isinstance(event, events.TopicsNegotiated):
+            diagnosis.note_topics()
+        now_s = loop_time_s()
+        diagnosis.monitor.observe(event, now_s, has_waited=not self._pauses(now_s).has_recovered(now_s))
 
     def finish(self, link: Link, end: LinkEnd) -> None:
         """End a link's diagnosis. It is kept among the last ENDED_LINKS, with the link's buffers."""
         diagnosis = self._live.pop(link.number, None)
         if diagnosis is not None:
-            diagnosis.end, diagnosis.ended_at_s = end, _now_s()
+            diagnosis.end, diagnosis.ended_at_s = end, loop_time_s()
             pauses = self._pauses(diagnosis.ended_at_s)
             diagnosis.was_host_away = pauses.was_paused(diagnosis.ended_at_s - AWAY_S)
             if pauses.was_paused(diagnosis.monitor.sampled_at_s):
@@ -180,14 +172,14 @@ class Diagnoses:
 
     def arrivals(self) -> list[Arrival]:
         """Return what came in the last minute and is not a robot, newest first."""
-        now_s = _now_s()
+        now_s = loop_time_s()
         ended = [each for each in self.ended if now_s - each.ended_at_s < RECENT_S]
         links = [each for each in (*self._live.values(), *ended) if not each.robot]
         return newest((*self.refused.recent(now_s), *(_arrival(each, now_s) for each in links)))
 
     def daemon_findings(self, listening: str) -> list[Finding]:
         """Return the findings that belong to no link. `listening`: where the daemon listens, as a text."""
-        now_s = _now_s()
+        now_s = loop_time_s()
         is_connected = bool(self._live) or any(now_s - each.ended_at_s < RECENT_S for each in self.ended)
         refused = self.refused.recent(now_s)
         return daemon_findings(self.ports.values(), refused, is_connected=is_connected, listening=listening)
@@ -199,7 +191,7 @@ class Diagnoses:
     async def run(self) -> None:
         """Update every diagnosis once a second, until cancelled."""
         while True:
-            now_s = _now_s()
+            now_s = loop_time_s()
             self._host_clock = self._clock.check(now_s + slept_s(), time.time_ns())
             for diagnosis in list(self._live.values()):
                 with self._isolation.around("diagnosis", link=diagnosis.link.number):
@@ -217,7 +209,7 @@ class Diagnoses:
 
         The findings are unchanged until the process has recovered.
         """
-        now_s = _now_s()
+        now_s = loop_time_s()
         pauses = self._pauses(now_s)
         if not pauses.has_recovered(now_s):
             return
@@ -237,8 +229,7 @@ class Diagnoses:
         diagnosis.findings = found
         for each in found:
             if each.code in news:
-                self._note(diagnosis, each)
-                self._log(diagnosis, each)
+                self._announce(diagnosis, each)
 
     def _evidence(self, diagnosis: Diagnosis, now_s: float) -> Evidence:
         pauses = self._pauses(now_s)
@@ -261,36 +252,13 @@ class Diagnoses:
             numbered=diagnosis.renaming(),
         )
 
-    def _note(self, diagnosis: Diagnosis, found: Finding) -> None:
-        self._events.note(
-            EventKind.DIAGNOSED,
-            diagnosis.robot,
-            link=diagnosis.link.number,
-            code=found.code,
-            cause=found.cause,
-            next_step=found.next_step,
-            detail=found.detail,
-        )
-
-    def _log(self, diagnosis: Diagnosis, found: Finding) -> None:
-        """Log a finding once in LOG_AGAIN_S for each address."""
-        now_s = _now_s()
-        key = (diagnosis.link.address, found.code)
-        if now_s < self._logged_at_s.get(key, float("-inf")) + LOG_AGAIN_S:
-            return
-        self._logged_at_s.pop(key, None)
-        self._logged_at_s[key] = now_s
-        if len(self._logged_at_s) > MAX_LOGGED:
-            del self._logged_at_s[next(iter(self._logged_at_s))]
-        log.warning(
-            "link.diagnosed",
-            link=diagnosis.link.number,
-            peer=printable(diagnosis.link.peer),
-            code=found.code,
-            cause=found.cause,
-            next_step=found.next_step,
-            detail=printable(found.detail),
-        )
+    def _announce(self, diagnosis: Diagnosis, found: Finding) -> None:
+        """Note a new finding as an event. Log it once in LOG_AGAIN_S for each address."""
+        link, facts = diagnosis.link, dataclasses.asdict(found)
+        self._events.note(EventKind.DIAGNOSED, diagnosis.robot, link=link.number, **facts)
+        if self._lines.allows((link.address, found.code), loop_time_s()):
+            facts["detail"] = printable(found.detail)
+            log.warning("link.diagnosed", link=link.number, peer=printable(link.peer), **facts)
 
 
 def _arrival(diagnosis: Diagnosis, now_s: float) -> Arrival:
@@ -300,7 +268,3 @@ def _arrival(diagnosis: Diagnosis, now_s: float) -> Arrival:
     at_s = link.received_at_s if end is None else diagnosis.ended_at_s
     findings = tuple(diagnosis.findings)
     return Arrival(link.kind, link.address, end or "connected", text, now_s - at_s, findings=findings)
-
-
-def _now_s() -> float:
-    return asyncio.get_running_loop().time()

@@ -8,19 +8,20 @@ import asyncio
 import contextlib
 import itertools
 import time
-from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from enum import IntEnum
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from hostlink.diagnosis.finding import Finding
 from hostlink.errors import HostlinkError
-from hostlink.hub.diagnoses import Diagnoses, Diagnosis
-from hostlink.hub.isolation import Isolation
-from hostlink.hub.participant import Participant
+from hostlink.hub.diagnoses import Diagnosis
 from hostlink.hub.robot import LocalRobot
-from hostlink.hub.robots import Robots
+from hostlink.loop_time import loop_time_s
+from hostlink.messages.catalog import to_time
+
+if TYPE_CHECKING:
+    from hostlink.hub.hub import Hub
 
 STALE_AFTER_S = 10.0  # a robot that reconnects sooner has only rebooted, or its network had a gap
 
@@ -62,38 +63,19 @@ def robot_status(robot: LocalRobot, diagnosis: Diagnosis, now_s: float) -> Statu
     return _connected(f"{robot.name} link", diagnosis, figures, "" if lock is None else f"locked: {lock}")
 
 
-def device_status(name: str, diagnosis: Diagnosis) -> Status:
-    """Build the status of a device that is not known to be a robot."""
-    return _connected(name, diagnosis, {}, "")
-
-
-def absent_status(robot: LocalRobot, address: str, gone_s: float | None, why: str) -> Status:
-    """Build the status of a robot without a device.
-
-    `gone_s` is None if the time is unknown; `why` is the reason of the last link's end.
-    """
-    is_stale = gone_s is None or gone_s >= STALE_AFTER_S
-    since = "" if gone_s is None else f" for {gone_s:.0f} s"
-    return _status(
-        f"{robot.name} link",
-        Level.STALE if is_stale else Level.ERROR,
-        f"not connected{since}" + (f": {why}" if why else ""),
-        address,
-        {"locked": robot.gate.lock_reason or "no"},
-    )
+def absent_status(robot: LocalRobot, last: Diagnosis | None, now_s: float) -> Status:
+    """Build the status of a robot without a device. `last`: of its last link, if that is known."""
+    address, level, message = robot.config.address or "", Level.STALE, "not connected"
+    if last is not None:
+        gone_s, address = now_s - last.ended_at_s, last.link.address
+        level = Level.STALE if gone_s >= STALE_AFTER_S else Level.ERROR
+        message += f" for {gone_s:.0f} s" + ("" if last.end is None else f": {last.end.value}")
+    return _status(f"{robot.name} link", level, message, address, {"locked": robot.gate.lock_reason or "no"})
 
 
 def port_status(name: str, found: Finding) -> Status:
     """Build the status of a serial port that cannot be opened."""
     return _status(f"port {name}", Level.ERROR, _line(found), name, {"next step": found.next_step})
-
-
-def daemon_status(counts: Mapping[str, int], refused: Mapping[str, int], crashes: int) -> Status:
-    """Build the status of the daemon itself."""
-    level = Level.ERROR if crashes else Level.OK
-    message = f"{crashes} faults of hostlink itself: see its log" if crashes else "running"
-    figures = {**counts, **{f"refused: {cause}": count for cause, count in refused.items()}}
-    return _status("daemon", level, message, "", {name: str(count) for name, count in figures.items()})
 
 
 def _connected(name: str, diagnosis: Diagnosis, figures: Mapping[str, str], remark: str) -> Status:
@@ -146,42 +128,31 @@ TOPIC, TYPE = "/diagnostics", "diagnostic_msgs/DiagnosticArray"
 NODE = "hostlink"
 INTERVAL_S = 1.0
 ARRAY_STATUSES = 8  # of one array: a status takes about a tenth of a millisecond
-_NS_PER_S = 1_000_000_000
 
 
 class DiagnosticsTopic:
     """Publisher of the daemon's diagnostics."""
 
-    def __init__(
-        self,
-        participant: Participant,
-        diagnoses: Diagnoses,
-        robots: Robots,
-        isolation: Isolation,
-        refused: Counter[str],
-        namespace: str,
-    ) -> None:
-        """`namespace` of the node distinguishes daemons that share the topic; "/" for a single daemon."""
-        self._participant = participant
-        self._node = "/".join([NODE, *filter(None, namespace.split("/"))])
-        self._diagnoses, self._robots, self._isolation = diagnoses, robots, isolation
-        self._refused = refused
-        self._topic = participant.advertise(TOPIC, TYPE)
+    def __init__(self, hub: "Hub") -> None:
+        self._hub, self._participant = hub, hub.join_daemon()
+        # The namespace distinguishes daemons that share the topic; a single daemon has "/".
+        self._node = "/".join([NODE, *filter(None, hub.config.ros1.namespace.split("/"))])
+        self._topic = self._participant.advertise(TOPIC, TYPE)
 
     async def run(self) -> None:
         """Publish until cancelled."""
         while True:
-            with self._isolation.around("task", task="diagnostics"):
-                await self._publish()
+            if self._topic.has_subscribers:
+                with self._hub.isolation.around("task", task="diagnostics"):
+                    await self._publish()
             await asyncio.sleep(INTERVAL_S)
 
     async def _publish(self) -> None:
-        makers = self._makers() if self._topic.has_subscribers else iter(())
+        makers = self._makers()
         while statuses := [self._named(make()) for make in itertools.islice(makers, ARRAY_STATUSES)]:
             if self._topic.type is None:
                 return
-            secs, nsecs = divmod(time.time_ns(), _NS_PER_S)
-            header = {"stamp": {"secs": secs, "nsecs": nsecs}}
+            header = {"stamp": to_time(time.time_ns())}
             with contextlib.suppress(HostlinkError):  # a device that subscribes may not take it
                 payload = self._topic.type.encode({"header": header, "status": statuses})
                 self._participant.publish(TOPIC, payload)
@@ -194,37 +165,33 @@ class DiagnosticsTopic:
     def _makers(self) -> Iterator[Callable[[], Status]]:
         """Yield a function for each status: the daemon's first, then robots by name, other devices, ports."""
         yield self._daemon
-        now_s = asyncio.get_running_loop().time()
-        absent: dict[str, Diagnosis] = {each.robot: each for each in self._diagnoses.ended if each.robot}
-        for robot in self._robots.here():
-            diagnosis = None if robot.link is None else self._diagnoses.find(robot.link.number)
+        diagnoses, robots, now_s = self._hub.diagnoses, self._hub.robots, loop_time_s()
+        absent: dict[str, Diagnosis] = {each.robot: each for each in diagnoses.ended if each.robot}
+        for robot in robots.here():
+            diagnosis = None if robot.link is None else diagnoses.find(robot.link.number)
             if diagnosis is None:
-                yield partial(_absent, robot, absent.get(robot.name), now_s)
+                yield partial(absent_status, robot, absent.get(robot.name), now_s)
             else:
                 yield partial(robot_status, robot, diagnosis, now_s)
         taken: set[str] = set()
-        for diagnosis in self._diagnoses.live():
-            if self._robots.of_link(diagnosis.link) is None:
+        for diagnosis in diagnoses.live():
+            if robots.of_link(diagnosis.link) is None:
                 name = f"device {diagnosis.link.address}"
                 name = f"{name} link {diagnosis.link.number}" if name in taken else name
                 taken.add(name)
-                yield partial(device_status, name, diagnosis)
-        for port, found in list(self._diagnoses.ports.items()):
+                yield partial(_connected, name, diagnosis, {}, "")
+        for port, found in list(diagnoses.ports.items()):
             yield partial(port_status, port, found)
 
     def _daemon(self) -> Status:
-        robots = self._robots.here()
+        hub = self._hub
+        robots, crashes = hub.robots.here(), hub.isolation.crashes.total()
         counts = {
-            "links": len(self._diagnoses.live()),
+            "links": len(hub.diagnoses.live()),
             "robots": len(robots),
             "robots connected": sum(robot.link is not None for robot in robots),
+            **{f"refused: {cause}": count for cause, count in hub.counts.refused.items()},
         }
-        return daemon_status(counts, self._refused, self._isolation.crashes.total())
-
-
-def _absent(robot: LocalRobot, last: Diagnosis | None, now_s: float) -> Status:
-    address = robot.config.address or ""
-    if last is None:
-        return absent_status(robot, address, None, "")
-    why = "" if last.end is None else last.end.value
-    return absent_status(robot, last.link.address, now_s - last.ended_at_s, why)
+        level = Level.ERROR if crashes else Level.OK
+        message = f"{crashes} faults of hostlink itself: see its log" if crashes else "running"
+        return _status("daemon", level, message, "", {name: str(count) for name, count in counts.items()})

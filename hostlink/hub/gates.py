@@ -10,13 +10,12 @@ from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable, Hashable, Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import structlog
 
 from hostlink.errors import CommandRefused, DeviceGone, HostlinkError, RefusalKind, WrongType
 from hostlink.host_pauses import HostPauses
-from hostlink.hub.diagnoses import Diagnosis
 from hostlink.hub.isolation import Isolation
 from hostlink.hub.message import Message
 from hostlink.hub.node import address_of
@@ -35,6 +34,7 @@ from hostlink.hub.topic import Topic
 from hostlink.link.link import Link
 from hostlink.link.serving import LinkEnd
 from hostlink.log_budget import Budget
+from hostlink.loop_time import loop_time_s
 from hostlink.protocol.control import TopicInfo
 from hostlink.protocol.frame import Id
 from hostlink.robot.admission import LEASE_S, Admission, Command, named
@@ -48,6 +48,9 @@ from hostlink.robot.velocity import (
     Twist,
 )
 from hostlink.robot.velocity_gate import V, VelocityGate
+
+if TYPE_CHECKING:
+    from hostlink.hub.device import Device
 
 log = structlog.get_logger()
 
@@ -92,7 +95,7 @@ class Refusals:
         self.cause = str(error)
         if self.lines is None:
             self.lines = Budget()
-        if counts := self.lines.due("refused", asyncio.get_running_loop().time()):
+        if counts := self.lines.due("refused", loop_time_s()):
             log.warning("robot.unreachable", robot=robot, cause=self.cause, **counts)
 
 
@@ -112,7 +115,7 @@ class VelocityTarget(ABC):
 
     def join(self, topic: Topic) -> None:
         """Note the publishers from before it subscribed to a topic."""
-        self.admission.join((*topic.publishers, *topic.earlier), _now_s())
+        self.admission.join((*topic.publishers, *topic.earlier), loop_time_s())
 
     @abstractmethod
     def command(self, command: Command[Any]) -> Any:
@@ -162,15 +165,6 @@ class VelocityTarget(ABC):
                 raise
 
 
-class RegisteredDevice(Protocol):
-    """Device in the registry of links (`Robots.devices`), as gates and robots use it."""
-
-    link: Link
-    drivables: list["Drivable"]  # velocity topics of the link, the robot's own first
-    guarded_ids: list[int]  # ids of the velocity topics that the guardian stops
-    diagnosis: Diagnosis
-
-
 @dataclass(eq=False, kw_only=True)
 class Drivable(VelocityTarget):
     """Velocity topic of a device, with its gate, which is the only subscriber in the graph.
@@ -182,7 +176,7 @@ class Drivable(VelocityTarget):
     velocity_topic: str  # name that the device uses
     gate: VelocityGate[Any]  # of a PlanarVelocity for a robot, else of a Twist
     gates: "Gates"
-    connection: RegisteredDevice | None = None
+    connection: "Device | None" = None  # in the registry of links (`Robots.devices`)
     echoes: dict[str, Topic] = field(default_factory=dict)  # topics on which the sent velocities are published
     last_frame: bytes = b""  # frame of a zero
     resumed_link: int = 0  # number of the link since which no reconnection was an interruption
@@ -253,11 +247,11 @@ class Gates:
 
     # -- which there are ----------------------------------------------------------------------------------------------
 
-    def attach(self, drivable: Drivable, connection: RegisteredDevice) -> None:
+    def attach(self, drivable: Drivable, connection: "Device") -> None:
         """Attach a velocity topic to its device. Earlier commands are void: the first velocity is zero."""
         drivable.connection, drivable.last_frame = connection, b""
         self.register(drivable.admission)
-        if drivable.gate.admission.connect(_now_s()):
+        if drivable.gate.admission.connect(loop_time_s()):
             drivable.resumed_link = connection.link.number
         drivable.gate.restart()
         if not connection.drivables:
@@ -266,7 +260,7 @@ class Gates:
         self._guard(drivable, connection)
         self._activate(drivable)
 
-    def detach(self, connection: RegisteredDevice) -> None:
+    def detach(self, connection: "Device") -> None:
         """Detach all velocity topics from a link, after a last zero to those that may move."""
         drivables, connection.drivables = connection.drivables, []
         for drivable in drivables:
@@ -274,7 +268,7 @@ class Gates:
                 self._send_last_zero(drivable, connection.link)
             drivable.connection = None
             drivable.echoes.clear()
-            drivable.gate.admission.disconnect(_now_s())
+            drivable.gate.admission.disconnect(loop_time_s())
             self.unregister(drivable.admission)
             drivable.gate.restart()
             self._activate(drivable)
@@ -367,7 +361,7 @@ class Gates:
 
     def _overrule(self, beside: list[Drivable], drivable: Drivable, owner: Hashable, priority: int) -> None:
         """Stop velocity topics of the robot that a source of lower priority drives. Its next command is refused."""
-        now_s = _now_s()
+        now_s = loop_time_s()
         for other in beside:
             gate = other.gate
             is_other = gate is not drivable.gate and gate.admission is drivable.gate.admission
@@ -382,7 +376,7 @@ class Gates:
             self.hosts.release(owner)
         for admission in self._admissions:
             admission.withdraw(owner)
-        now_s = _now_s()
+        now_s = loop_time_s()
         for drivable in list(self._active):
             gate = drivable.gate
             if gate.owner == owner:
@@ -396,7 +390,7 @@ class Gates:
         Raises:
             HostlinkError: the zero does not fit a device; all others have been stopped.
         """
-        drivables, now_s, refusal = list(drivables), _now_s(), None
+        drivables, now_s, refusal = list(drivables), loop_time_s(), None
         driven = [(drivable, str(drivable.gate.owner)) for drivable in drivables if drivable.gate.owner is not None]
         for admission in {drivable.admission for drivable in drivables}:  # velocity topics of one robot share one
             admission.interrupt(now_s, came_s=self.came_s(now_s), by=named("a stop", by))
@@ -420,7 +414,7 @@ class Gates:
 
     def stop_at_once(self, drivables: Iterable[Drivable]) -> None:
         """Send zero at once, without the limits. Devices that it does not fit are skipped."""
-        now_s = _now_s()
+        now_s = loop_time_s()
         for drivable in drivables:
             drivable.gate.stop_at_once()
             self._step(drivable, now_s, is_news=True)
@@ -431,7 +425,7 @@ class Gates:
         Raises:
             HostlinkError: the zero does not fit a device; its gate is locked nevertheless.
         """
-        drivables, now_s, refusal = list(drivables), _now_s(), None
+        drivables, now_s, refusal = list(drivables), loop_time_s(), None
         for admission in {drivable.admission for drivable in drivables}:
             admission.lock(reason, now_s, by=by)
         for drivable in drivables:
@@ -443,7 +437,7 @@ class Gates:
     def unlock(self, drivables: Iterable[Drivable], *, by: str | None = None) -> None:
         """Admit commands again. Unlocking moves nothing."""
         for admission in {drivable.admission for drivable in drivables}:
-            admission.unlock(_now_s(), by=by)
+            admission.unlock(loop_time_s(), by=by)
 
     def pauses(self, now_s: float) -> HostPauses:
         """Return the pauses of this process. One that has just ended interrupts every robot first."""
@@ -570,7 +564,7 @@ class Gates:
         if self._guardian is not None:
             self._guardian.beat(driven)
 
-    def _guard(self, drivable: Drivable, connection: RegisteredDevice) -> None:
+    def _guard(self, drivable: Drivable, connection: "Device") -> None:
         """Give link and guardian the frame that stops the device when this process cannot."""
         link, guarded_ids = connection.link, connection.guarded_ids
         with contextlib.suppress(HostlinkError):
@@ -580,7 +574,3 @@ class Gates:
                 guarded_ids.append(link.session.topic_id(drivable.velocity_topic))
                 longest_bytes = link.session.longest_to_device_bytes
                 self._guardian.watch(link.number, link.descriptor, topic_ids=guarded_ids, claim_bytes=longest_bytes)
-
-
-def _now_s() -> float:
-    return asyncio.get_running_loop().time()

@@ -4,7 +4,6 @@ import bisect
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Generic, Protocol, TypeVar
-from weakref import WeakValueDictionary
 
 from hostlink.hub.graph_changes import GraphChanges, GraphKind
 from hostlink.hub.node import Node, is_of
@@ -47,8 +46,10 @@ class Graph:
     services: tuple[GraphService, ...]
 
 
-def graph_topic(topic: Topic, group: str) -> GraphTopic | None:
-    """Return the topic as the group sees it; None if it has no user outside of the group."""
+def graph_topic(topic: Topic | None, group: str) -> GraphTopic | None:
+    """Return the topic as the group sees it; None if there is none, or none with a user outside of the group."""
+    if topic is None:
+        return None
     publishers = [key for key in topic.publishers if not is_of(key, group)]
     subscribers = [each.key for each in topic.subscribers if not is_of(each.key, OBSERVERS)]
     found = GraphTopic(
@@ -64,10 +65,11 @@ def graph_topic(topic: Topic, group: str) -> GraphTopic | None:
     return found if found.is_published or found.is_subscribed else None
 
 
-def graph_service(name: str, service: DeviceService | Provider, group: str) -> GraphService | None:
-    """Return the service as the group sees it; None if the group provides it, or if it is one of ROSAPI."""
-    is_shown = not name.startswith(ROSAPI) and not is_of(service.key, group)
-    return GraphService(name, service.type_name) if is_shown else None
+def graph_service(service: DeviceService | Provider | None, group: str) -> GraphService | None:
+    """Return the service as the group sees it; None if there is none, of the group itself, or one of ROSAPI."""
+    if service is None or service.name.startswith(ROSAPI) or is_of(service.key, group):
+        return None
+    return GraphService(service.name, service.type_name)
 
 
 class _Named(Protocol):
@@ -125,17 +127,9 @@ class GraphView:
             changed += [(GraphKind.SERVICE, name) for name in {*self._services.names(), *self._all_services.names()}]
         for kind, name in changed:
             if kind is GraphKind.TOPIC:
-                self._topics.put(name, self._make_topic(name))
+                self._topics.put(name, graph_topic(self._all_topics.find_or_none(name), self._group))
             elif kind is GraphKind.SERVICE:
-                self._services.put(name, self._make_service(name))
-
-    def _make_topic(self, name: str) -> GraphTopic | None:
-        topic = self._all_topics.find_or_none(name)
-        return None if topic is None else graph_topic(topic, self._group)
-
-    def _make_service(self, name: str) -> GraphService | None:
-        service = self._all_services.find_or_none(name)
-        return None if service is None else graph_service(name, service, self._group)
+                self._services.put(name, graph_service(self._all_services.find_or_none(name), self._group))
 
 
 class _Table(Generic[Entry]):
@@ -170,18 +164,3 @@ class _Table(Generic[Entry]):
         if self._entries is None:
             self._entries = tuple(map(self._by_name.__getitem__, self._names))
         return self._entries
-
-
-class GraphViews:
-    """Views by group. A view lives as long as a participant uses it."""
-
-    def __init__(self, topics: TopicGraph, services: Services, changes: GraphChanges) -> None:
-        self._parts = topics, services, changes
-        self._views: WeakValueDictionary[str, GraphView] = WeakValueDictionary()
-
-    def of(self, group: str) -> GraphView:
-        """Return the view of a group."""
-        view = self._views.get(group)
-        if view is None:
-            view = self._views[group] = GraphView(*self._parts, group)
-        return view

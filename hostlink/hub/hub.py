@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Callable, Coroutine, Mapping
 from dataclasses import dataclass, field
 from typing import Any
+from weakref import WeakValueDictionary
 
 import structlog
 
@@ -15,13 +16,13 @@ from hostlink.hub.diagnoses import Diagnoses
 from hostlink.hub.diagnostics_topic import DiagnosticsTopic
 from hostlink.hub.gates import Gates, Guard
 from hostlink.hub.graph_changes import GraphChanges, GraphKind
-from hostlink.hub.graph_view import GraphViews
+from hostlink.hub.graph_view import GraphView
 from hostlink.hub.isolation import Isolation
 from hostlink.hub.links import Links, addresses_of
 from hostlink.hub.message import PROGRAM_PRIORITY
 from hostlink.hub.node import Node, Role
 from hostlink.hub.participant import Participant
-from hostlink.hub.robot import LocalRobot, limits_of
+from hostlink.hub.robot import limits_of
 from hostlink.hub.robot_events import RobotEvents
 from hostlink.hub.robot_topic_publisher import RobotTopicPublisher
 from hostlink.hub.robots import Robots
@@ -81,17 +82,13 @@ class Hub:
         self.node = Node(DAEMON, is_daemon=True)  # publishes and subscribes the topics of robots that have names of ROS
         self.topics = TopicGraph(catalog, self.changes, self.budget)
         self.services = Services(catalog, self.changes)
-        self.views = GraphViews(self.topics, self.services, self.changes)
+        self._views: WeakValueDictionary[str, GraphView] = (
+            WeakValueDictionary()
+        )  # by group, while participants use them
         self.events = RobotEvents()
         self.gates = Gates(self.isolation, guard, self.events)
         self.diagnoses = Diagnoses(self.isolation, self.events, self.gates.pauses)
-        self.robots = Robots(
-            config.robots,
-            self.gates,
-            forget_after_s=config.link.forget_robot_after_s,
-            on_forgotten=self._forget_robot,
-            on_change=self._note_robot,
-        )
+        self.robots = Robots(self)
         self.robot_topics = RobotTopicPublisher(self.topics, self.node, catalog)
         self.standstills = Standstills()
         self._lock_services = LockServices(self.robots, self.gates, self.standstills, self.join_daemon())
@@ -104,7 +101,7 @@ class Hub:
         async with asyncio.TaskGroup() as self._tasks:
             self.spawn(self.diagnoses.run(), name="diagnoses")
             self.spawn(self.robots.run(), name="known robots")
-            self.spawn(self._diagnostics().run(), name="diagnostics")
+            self.spawn(DiagnosticsTopic(self).run(), name="diagnostics")
             self.spawn(_log_what_is_missing(), name="log")
             self.is_running.set()
             await self.gates.run()
@@ -119,6 +116,13 @@ class Hub:
     async def _isolated(self, work: Coroutine[Any, Any, object], name: str) -> None:
         with self.isolation.around("task", task=name):
             await work
+
+    def view(self, group: str) -> GraphView:
+        """Return the view of the graph for all participants of one group."""
+        view = self._views.get(group)
+        if view is None:
+            view = self._views[group] = GraphView(self.topics, self.services, self.changes, group)
+        return view
 
     def turns(self) -> Turns:
         """Create the share of one more link or participant in the event loop."""
@@ -173,23 +177,10 @@ class Hub:
                 await self.links.silence()
         self.links.end_all()
 
-    def _note_robot(self, name: str) -> None:
+    def note_robot(self, name: str) -> None:
         """Note that a robot of this name connected, disconnected or was forgotten."""
         self.changes.note(GraphKind.ROBOT, name)
         self._lock_services.update(name)
-
-    def _forget_robot(self, robot: LocalRobot) -> None:
-        self.links.forget_robot(robot)
-
-    def _diagnostics(self) -> DiagnosticsTopic:
-        return DiagnosticsTopic(
-            self.join_daemon(),
-            self.diagnoses,
-            self.robots,
-            self.isolation,
-            self.counts.refused,
-            namespace=self.config.ros1.namespace,
-        )
 
 
 def places_of(config: Config) -> Places:

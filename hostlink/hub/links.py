@@ -5,7 +5,7 @@ import contextlib
 import dataclasses
 import functools
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import structlog
@@ -19,12 +19,10 @@ from hostlink.hub.parameters import ParameterAnswers, ParameterSource
 from hostlink.hub.robot import LocalRobot
 from hostlink.hub.robot_events import EventKind
 from hostlink.link.capture_buffer import CaptureRoom
-from hostlink.link.fair_share import Turns
 from hostlink.link.link import Link
 from hostlink.link.serving import Authenticate, LinkEnd, trust
 from hostlink.logs import of_peer, printable
 from hostlink.protocol import events
-from hostlink.protocol.control import Parameter
 from hostlink.protocol.session import Session
 from hostlink.robot.names import Accepted, Directory, Places, RobotTopicNames, Undecided
 from hostlink.transport.base import Transport
@@ -54,25 +52,18 @@ class Links:
         self.late_answers = 0  # answers of devices' services after the timeout of the call
         self._hub, self._devices = hub, hub.robots.devices
         self._directory = Directory(addresses_of(hub.config))
-        self._ends = Turns(hub.share)
-        self.calls = DeviceCalls(
-            hub.services,
-            hub.catalog,
-            spawn=hub.spawn,
-            give_up=self._give_up,
-            name_of=self._service_name,
-            turns=Turns(hub.share),
-        )
+        self._ends = hub.turns()
+        self.calls = DeviceCalls(hub, give_up=self._give_up, name_of=self._service_name)
         # What every session and link gets, made once.
         self._capture_room = CaptureRoom()
         self._check = functools.partial(check_type, hub.catalog)
         self._react, self._wall_ns, self._pauses = self.react, self._read_wall_ns, hub.gates.pauses
         self._parameters = ParameterAnswers(hub.parameters, lambda: self.parameter_source, hub.spawn)
-        self._reactions: dict[type[Any], Callable[[Link, Any], None]] = {
+        self._reactions: dict[type[Any], Callable[[Device, Any], None]] = {
             events.TopicsNegotiated: self._announce,
             events.TopicRefused: _log_refused_topic,
             events.TopicsRequested: _log_request,
-            events.ServiceRequested: self.calls.accept,
+            events.ServiceRequested: lambda device, event: self.calls.accept(device.link, event),
             events.ServiceResponded: self._pass_answer,
             events.ParameterRequested: self._answer_parameter,
             events.DeviceLogged: self._log_line,
@@ -154,11 +145,6 @@ class Links:
         device = self._devices.get(link.number)
         return name if device is None else device.shown.of(name)
 
-    def answered_parameters(self, link: Link) -> Mapping[str, Parameter]:
-        """Return the parameters that were sent to a device, by name in the graph."""
-        device = self._devices.get(link.number)
-        return {} if device is None else device.parameters
-
     def _read_wall_ns(self) -> int:
         return self.wall_ns()
 
@@ -190,38 +176,36 @@ class Links:
             return
         device.presence.note_read(link.received_at_s)
         if not isinstance(event, events.MessageReceived):
-            self._hub.diagnoses.note(link, event)
+            self._hub.diagnoses.note(device.diagnosis, event)
             reaction = self._reactions.get(type(event))
             if reaction is not None:  # otherwise the session alone has reacted
-                reaction(link, event)
+                reaction(device, event)
         elif device.is_undecided:
             self.undelivered += device.early.add(event, link.received_at_s)
         elif not self._hub.gates.is_closed:
             device.receive(event)
 
-    def _announce(self, link: Link, event: events.TopicsNegotiated) -> None:
+    def _announce(self, device: Device, event: events.TopicsNegotiated) -> None:
         log.info("topics.negotiated", count=len(event.topics), gap_at=event.gap_at, is_changed=event.is_changed)
-        device = self._devices[link.number]
         if event.is_changed:
-            link.last_frame = b""  # its id may belong to another topic now
+            device.link.last_frame = b""  # its id may belong to another topic now
             device.infos = event.topics
             self._identify(device)
         else:
             device.announced_again()
 
-    def _log_line(self, link: Link, event: events.DeviceLogged) -> None:
-        robot = self._devices[link.number].robot
+    def _log_line(self, device: Device, event: events.DeviceLogged) -> None:
+        robot, link = device.robot, device.link
         name = "" if robot is None else robot.name
         self._hub.events.note(EventKind.LOGGED, name, link=link.number, level=event.level, text=event.text)
         self._hub.rosout.log(name or link.peer, event)
 
-    def _answer_parameter(self, link: Link, event: events.ParameterRequested) -> None:
-        device = self._devices[link.number]
+    def _answer_parameter(self, device: Device, event: events.ParameterRequested) -> None:
         shown = device.shown.of(event.name)
-        self._parameters.answer(link, event.name, shown, functools.partial(device.note_parameter, shown))
+        self._parameters.answer(device.link, event.name, shown, functools.partial(device.note_parameter, shown))
 
-    def _pass_answer(self, link: Link, event: events.ServiceResponded) -> None:
-        service = self._devices[link.number].services.get(event.service.name)
+    def _pass_answer(self, device: Device, event: events.ServiceResponded) -> None:
+        service = device.services.get(event.service.name)
         if service is None or not service.answered(event.payload):
             self.late_answers += 1
             log.warning("service.late", service=printable(event.service.name))
@@ -416,15 +400,15 @@ async def _end_replaced(link: Link) -> None:
     link.end(LinkEnd.REPLACED)
 
 
-def _log_refused_topic(_: Link, event: events.TopicRefused) -> None:
+def _log_refused_topic(_: Device, event: events.TopicRefused) -> None:
     log.warning("topic.refused", topic=printable(event.topic.name), reason=str(event.reason))
 
 
-def _log_request(_: Link, event: events.TopicsRequested) -> None:
+def _log_request(_: Device, event: events.TopicsRequested) -> None:
     log.debug("topics.requested", reason=event.reason)
 
 
-def _log_protocol_1(_: Link, __: events.Protocol1Recognised) -> None:
+def _log_protocol_1(_: Device, __: events.Protocol1Recognised) -> None:
     log.error(
         "protocol.version_1", advice="the device speaks rosserial of before 2013: rebuild it with a newer library"
     )

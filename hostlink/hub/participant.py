@@ -61,7 +61,7 @@ class Participant(Node):
         super().__init__(name, is_daemon=is_daemon, group=group)
         self.role, self.priority = role, priority
         self.has_left = False
-        self.view = hub.views.of(group)  # of the graph, with the changes since a version
+        self.view = hub.view(group)  # of the graph, with the changes since a version
         self._hub, self._on_end = hub, on_end
         self._advertised: dict[str, bool] = {}  # topic -> whether it is latched
         self._subscriptions: dict[Subscription, None] = {}
@@ -340,11 +340,8 @@ class Participant(Node):
         """
         self.check(Role.READ, "follow")
 
-        robot.followers[self] = partial(self._follow, receive)
+        robot.followers[self] = lambda _: self._notify(receive)
         self._followed.add(robot)
-
-    def _follow(self, receive: Callable[[], None], _: object) -> None:
-        self._notify(receive)
 
     # -- the graph ----------------------------------------------------------------------------------------------------
 

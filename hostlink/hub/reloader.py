@@ -14,22 +14,11 @@ from hostlink.config import Config, RobotConfig
 from hostlink.detached import DetachedThread
 from hostlink.errors import HostlinkError, ReloadRefused
 from hostlink.hub.hub import Hub, places_of
-from hostlink.robot.names import Places
+from hostlink.hub.robot import LIMITS
 
 log = structlog.get_logger()
 
-ROBOT = (
-    "address",
-    "kinematics",
-    "wheel_separation_m",
-    "max_linear_m_s",
-    "max_angular_rad_s",
-    "max_wheel_m_s",
-    "max_linear_acceleration_m_s2",
-    "max_angular_acceleration_rad_s2",
-    "max_linear_deceleration_m_s2",
-    "max_angular_deceleration_rad_s2",
-)
+ROBOT = ("address", "kinematics", *LIMITS)
 API = ("tokens", "origins")
 
 
@@ -100,14 +89,6 @@ class Reloaded:
     renamed: dict[str, str] = field(default_factory=dict)
 
 
-class _Prepared(NamedTuple):
-    """Checked settings. `applies` change the parts outside of the hub."""
-
-    change: Change
-    places: Places
-    applies: list[Callable[[], None]]
-
-
 class Reloader:
     """Reload of the settings. Files are read, and settings are compared and checked, in a thread.
 
@@ -162,21 +143,27 @@ class Reloader:
             raise ReloadRefused("an earlier reload still waits for a file; check the disk or network that has it")
         read = self._read
         try:
-            prepared = await self._thread.run(lambda: self._prepare(read), timeout_s=self._read_timeout_s)
+            apply = await self._thread.run(lambda: self._prepare(read), timeout_s=self._read_timeout_s)
         except TimeoutError:
             raise ReloadRefused(
                 f"the settings, or a file that they name, could not be read within {self._read_timeout_s:g} s; "
                 "nothing has changed"
             ) from None
-        renamed = self._hub.reconfigure(prepared.change.config, prepared.places)
-        for apply in prepared.applies:
-            apply()
-        return Reloaded(prepared.change.changed, prepared.change.needs_restart, renamed)
+        return apply()
 
-    def _prepare(self, read: Read) -> _Prepared:
-        """Read, compare and check the settings. Runs in the thread."""
+    def _prepare(self, read: Read) -> Callable[[], Reloaded]:
+        """Read, compare and check the settings, in the thread. Return the function that applies them."""
         changes = change(self._hub.config, read())
-        return _Prepared(changes, places_of(changes.config), [prepare(changes.config) for prepare in self.prepares])
+        places = places_of(changes.config)
+        applies = [prepare(changes.config) for prepare in self.prepares]
+
+        def apply() -> Reloaded:
+            renamed = self._hub.reconfigure(changes.config, places)
+            for each in applies:
+                each()
+            return Reloaded(changes.changed, changes.needs_restart, renamed)
+
+        return apply
 
 
 def _shown(names: tuple[str, ...]) -> tuple[str, ...]:

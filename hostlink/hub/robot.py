@@ -1,6 +1,5 @@
 """AnyRobot: interface of a robot. `LocalRobot` is connected to this daemon, `RemoteRobot` to another one."""
 
-import asyncio
 import dataclasses
 import functools
 import math
@@ -23,6 +22,7 @@ from hostlink.hub.topic import DeviceSubscription
 from hostlink.hub.topic_graph import TopicGraph
 from hostlink.link.link import Link
 from hostlink.logs import printable
+from hostlink.loop_time import loop_time_s
 from hostlink.robot.admission import EPOCH_BITS, Admission, Command
 from hostlink.robot.names import SURE_S, RobotTopicNames
 from hostlink.robot.odometry import READERS, OdometryCorrection, OdometryEstimator, OdometrySnapshot
@@ -35,6 +35,7 @@ log = structlog.get_logger()
 
 
 _DEFAULTS = RobotConfig()
+LIMITS = tuple(each.name for each in dataclasses.fields(Limits) if each.init)  # settings of a robot have the same names
 
 
 def of_namesake(config: RobotConfig | None) -> RobotConfig:
@@ -58,12 +59,7 @@ def correction_of(config: RobotConfig) -> OdometryCorrection | None:
     calibration = config.calibration
     if calibration == CalibrationConfig():
         return None
-    return OdometryCorrection(
-        calibration.left_factor,
-        calibration.right_factor,
-        calibration.nominal_separation_m,
-        calibration.separation_m,
-    )
+    return OdometryCorrection(**dataclasses.asdict(calibration))
 
 
 @functools.lru_cache(maxsize=256)  # most robots have the same settings
@@ -73,16 +69,7 @@ def limits_of(config: RobotConfig) -> Limits:
     Raises:
         ConfigError: a limit is invalid.
     """
-    return Limits(
-        max_linear_m_s=config.max_linear_m_s,
-        max_angular_rad_s=config.max_angular_rad_s,
-        max_wheel_m_s=config.max_wheel_m_s,
-        wheel_separation_m=config.wheel_separation_m,
-        max_linear_acceleration_m_s2=config.max_linear_acceleration_m_s2,
-        max_angular_acceleration_rad_s2=config.max_angular_acceleration_rad_s2,
-        max_linear_deceleration_m_s2=config.max_linear_deceleration_m_s2,
-        max_angular_deceleration_rad_s2=config.max_angular_deceleration_rad_s2,
-    )
+    return Limits(**{name: getattr(config, name) for name in LIMITS})
 
 
 LOCK_REASON = "emergency stop"  # default
@@ -281,7 +268,7 @@ class LocalRobot(Drivable, AnyRobot):
     def is_surely_there(self) -> bool:
         """Whether a locked robot still has the link on which it was locked, and the device sends on it."""
         link = self.link
-        return link is not None and link is self.locked_link and link.received_at_s > _now_s() - SURE_S
+        return link is not None and link is self.locked_link and link.received_at_s > loop_time_s() - SURE_S
 
     def why_moving(self) -> str:
         """Return the reason why the robot moves after a stop."""
@@ -428,9 +415,9 @@ class RemoteRobot(AnyRobot):
             DeviceGone: several robots have this name, or the robot's daemon does not answer.
             FrameTooLarge, WrongType: the answer to the previous command of this source.
         """
-        command = self.gates.timed(self.name, command, _now_s())
+        command = self.gates.timed(self.name, command, loop_time_s())
         self._check_unique()
-        decision = self.admission.decide(command, _now_s())
+        decision = self.admission.decide(command, loop_time_s())
         if decision.kind is not None:
             raise CommandRefused(self.name, decision.kind, decision.reason, holder=decision.holder, by=decision.by)
         epoch = None if command.epoch is None else self._epoch
@@ -490,13 +477,13 @@ class RemoteRobot(AnyRobot):
         self.known = known
         self.admission.lease_s = known.lease_s
         self.note_epoch(epoch, lock_reason=known.lock_reason)
-        if known.odometry is not None and self.odometry.update(known.odometry, _now_s()):
+        if known.odometry is not None and self.odometry.update(known.odometry, loop_time_s()):
             for follow in tuple(self.followers.values()):
                 follow(None)
 
     def note_epoch(self, epoch: int | None, *, lock_reason: str | None) -> None:
         """Note epoch and lock of the other daemon's admission."""
-        admission, now_s = self.admission, _now_s()
+        admission, now_s = self.admission, loop_time_s()
         if lock_reason is not None and admission.lock_reason != lock_reason:
             admission.lock(lock_reason, now_s)
         elif lock_reason is None and admission.lock_reason is not None:
@@ -513,13 +500,13 @@ class RemoteRobot(AnyRobot):
         """
         if own_number is None:
             if self.link is not None:
-                self.admission.disconnect(_now_s())
+                self.admission.disconnect(loop_time_s())
             self.link = None
         elif self.link is None or self.link.own_number != own_number:
             self.link = RemoteLink(new_number(), own_number)
             is_resumed = epoch is not None and epoch == self._epoch
             self.admission.resume_after_reconnect_s = math.inf if is_resumed else 0.0
-            if self.admission.connect(_now_s()):
+            if self.admission.connect(loop_time_s()):
                 self.resumed_link = self.link.number
             self._epoch = epoch  # also if it is lower: the other daemon may have restarted
 
@@ -582,7 +569,3 @@ def _why_moving(
     if not all(velocity.is_zero for velocity in velocities):
         return "it slows down within its deceleration limits"
     return "the stop was sent, and its device has not obeyed it yet"
-
-
-def _now_s() -> float:
-    return asyncio.get_running_loop().time()

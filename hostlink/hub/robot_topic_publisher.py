@@ -13,7 +13,7 @@ from hostlink.hub.node import Node
 from hostlink.hub.robot import LocalRobot
 from hostlink.hub.topic import DeviceSubscription, Topic
 from hostlink.hub.topic_graph import TopicGraph, resolve
-from hostlink.messages.catalog import Catalog
+from hostlink.messages.catalog import Catalog, to_time
 from hostlink.messages.message_type import MessageType
 from hostlink.robot.ros_messages import FrameIds, odometry_of, transform_of, variances_of
 from hostlink.robot.velocity import TWIST_STAMPED_TYPE, TWIST_TYPE
@@ -22,7 +22,6 @@ log = structlog.get_logger()
 
 TF_TOPIC = "/tf"
 ODOMETRY_TYPE, TF_TYPE = "nav_msgs/Odometry", "tf2_msgs/TFMessage"
-_NS_PER_S = 1_000_000_000
 
 
 @dataclass(slots=True)
@@ -100,7 +99,7 @@ class RobotTopicPublisher:
         estimate = offer.robot.odometry.snapshot(message.at_s)
         if estimate is None:
             return
-        stamp = dict(zip(("secs", "nsecs"), divmod(estimate.stamp_ns, _NS_PER_S), strict=True))
+        stamp = to_time(estimate.stamp_ns)
         odometry = odometry_of(estimate.pose, estimate.twist, offer.frames, stamp, variances_of(message.decoded))
         for topic in topics:
             fields = odometry if topic is offer.odom else transform_of(odometry)

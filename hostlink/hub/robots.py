@@ -6,22 +6,27 @@ import itertools
 import math
 import secrets
 from collections import OrderedDict
-from collections.abc import Callable, Hashable, Mapping
+from collections.abc import Callable, Hashable
+from typing import TYPE_CHECKING
 
 import structlog
 
 from hostlink.config import RobotConfig
 from hostlink.errors import UnknownTopic
 from hostlink.hub.device import Device
-from hostlink.hub.gates import Drivable, Gates
+from hostlink.hub.gates import Drivable
 from hostlink.hub.robot import AnyRobot, LocalRobot, RemoteRobot, correction_of, limits_of, of_namesake
 from hostlink.hub.robot_events import EventKind
 from hostlink.link.link import Link
+from hostlink.loop_time import loop_time_s
 from hostlink.robot.admission import EPOCH_BITS, Admission, EarlierCommands
 from hostlink.robot.names import RobotTopicNames
 from hostlink.robot.odometry import OdometryEstimator
 from hostlink.robot.velocity import ZERO, Kinematics, PlanarVelocity
 from hostlink.robot.velocity_gate import VelocityGate
+
+if TYPE_CHECKING:
+    from hostlink.hub.hub import Hub
 
 log = structlog.get_logger()
 
@@ -78,36 +83,28 @@ class Robots:
     The Directory decides from the announced topics which robot a device is; the registry keeps the decisions. No other
     part has a table of links or robots.
 
-    A robot is forgotten after `forget_after_s` without a connection, or when MAX_AWAY others disconnected after it. A
-    configured or locked robot is never forgotten. A robot that only a recording has played is forgotten when that ends.
+    A robot is forgotten after `link.forget_robot_after_s` without a connection, or when MAX_AWAY others disconnected
+    after it. A configured or locked robot is never forgotten. A robot that only a recording has played is forgotten
+    when that ends.
     """
 
-    def __init__(
-        self,
-        configs: Mapping[str, RobotConfig],
-        gates: Gates,
-        *,
-        forget_after_s: float = math.inf,
-        on_forgotten: Callable[[LocalRobot], None] = lambda _: None,
-        on_change: Callable[[str], None] = lambda _: None,
-    ) -> None:
-        """Create an empty registry. `on_change` is called with the name of a robot that is added, removed or changed.
+    def __init__(self, hub: "Hub") -> None:
+        """Create an empty registry.
 
         Raises:
             ConfigError: limits of a robot are invalid. They are checked at the start, not at its first connection.
         """
+        self._hub, self._gates, self._configs = hub, hub.gates, hub.config.robots
+        for config in self._configs.values():
+            limits_of(config)
         self.forgotten = 0
-        self.max_robots = MAX_ROBOTS + len(configs)
+        self.max_robots = MAX_ROBOTS + len(self._configs)
         self.devices: dict[int, Device] = {}  # oldest first
         self.remote: dict[str, RemoteRobot] = {}  # other code only reads it
         self._numbers = itertools.count(1)
-        self._configs, self._gates = configs, gates
-        for config in configs.values():
-            limits_of(config)
-        self._on_forgotten, self._on_change = on_forgotten, on_change
         self._robots: dict[str, LocalRobot] = {}
         self._earlier = EarlierCommands()
-        self._away = RetentionPolicy(forget_after_s)  # robots that may be forgotten
+        self._away = RetentionPolicy(hub.config.link.forget_robot_after_s)  # robots that may be forgotten
         self._wake = asyncio.Event()
 
     # -- links --------------------------------------------------------------------------------------------------------
@@ -162,11 +159,11 @@ class Robots:
 
     def _note_early(self, name: str, driver: Callable[[], Hashable] | None) -> None:
         if driver is not None:
-            self._earlier.note(name, driver(), _now_s())
+            self._earlier.note(name, driver(), loop_time_s())
 
     def _join_early(self, robot: AnyRobot) -> None:
         """Note sources that commanded this name before the robot existed: they are in the middle of a motion."""
-        now_s = _now_s()
+        now_s = loop_time_s()
         robot.admission.join(self._earlier.sources(robot.name, now_s), now_s)
 
     def has(self, name: str) -> bool:
@@ -255,7 +252,7 @@ class Robots:
         device.robot = robot
         self._away.remove(name)
         self._gates.attach(robot, device)
-        self._on_change(name)
+        self._hub.note_robot(name)
         link = device.link
         self._gates.events.note(EventKind.APPEARED, name, link=link.number, peer=link.peer)
         log.info("robot.appeared", robot=name, velocity=shown.velocity, odometry=shown.odometry)
@@ -272,7 +269,7 @@ class Robots:
         log.warning("robot.gone", robot=robot.name)
         self._gates.events.note(EventKind.GONE, robot.name, link=device.link.number, was_moving=was_moving)
         self._put_away(robot)
-        self._on_change(robot.name)
+        self._hub.note_robot(robot.name)
         return robot
 
     def put_remote(self, robot: RemoteRobot) -> None:
@@ -281,7 +278,7 @@ class Robots:
         self.remote[robot.name] = robot
         self._gates.register(robot.admission)
         self._join_early(robot)
-        self._on_change(robot.name)
+        self._hub.note_robot(robot.name)
 
     def pop_remote(self, name: str) -> RemoteRobot | None:
         """Remove and return a robot of another daemon; None if there is none of this name."""
@@ -289,20 +286,16 @@ class Robots:
         if robot is not None:
             robot.leave()
             self._gates.unregister(robot.admission)
-            self._on_change(name)
+            self._hub.note_robot(name)
         return robot
 
-    def reconfigure(self, configs: Mapping[str, RobotConfig]) -> None:
+    def reconfigure(self, configs: dict[str, RobotConfig]) -> None:
         """Replace the settings of robots: their limits, and which ones are never forgotten."""
         self.max_robots += len(configs) - len(self._configs)
         before, self._configs = self._configs, configs
         for robot in list(self._robots.values()):
             robot.config = self._config_of(robot.name, robot.topics.name)
-            robot.odometry.change_fastest(_fastest(robot.config))
-            robot.odometry.is_differential = _is_differential(robot.config)
-            _configure(robot.gate.admission, robot.config)
-            for drivable in robot.beside:
-                drivable.gate.change_limits(limits_of(robot.config))
+            _configure(robot)
             if robot.name in configs:
                 self._away.remove(robot.name)
             elif robot.name in before:
@@ -330,7 +323,7 @@ class Robots:
     def _put_away(self, robot: LocalRobot) -> None:
         """Start the retention of a robot, unless it is connected, configured or locked."""
         if robot.link is None and robot.gate.lock_reason is None and robot.name not in self._configs:
-            self._away.put(robot.name, _now_s())
+            self._away.put(robot.name, loop_time_s())
             self._forget_some()
             self._wake.set()
 
@@ -346,31 +339,28 @@ class Robots:
 
     def _make(self, name: str, topics: RobotTopicNames, shown: RobotTopicNames) -> LocalRobot:
         config = self._config_of(name, topics.name)
-        odometry = OdometryEstimator(
-            continues=config.odometry_after_restart == "continue",
-            fastest=_fastest(config),
-            correction=correction_of(config),
-            is_differential=_is_differential(config),
-        )
         admission = Admission(name, epoch=secrets.randbits(EPOCH_BITS))
-        _configure(admission, config)
-        return LocalRobot(
+        robot = LocalRobot(
             name=name,
             gates=self._gates,
             on_lock=self._note_lock,
             velocity_topic=topics.velocity,
             gate=VelocityGate(admission, limits_of(config), ZERO),
             config=config,
-            odometry=odometry,
+            odometry=OdometryEstimator(
+                continues=config.odometry_after_restart == "continue", correction=correction_of(config)
+            ),
             topics=topics,
             shown=shown,
         )
+        _configure(robot)
+        return robot
 
     def _config_of(self, name: str, own_name: str) -> RobotConfig:
         return self._configs.get(name) or of_namesake(self._configs.get(own_name))
 
     def _forget_some(self) -> None:
-        for name in self._away.pop_forgotten(_now_s()):
+        for name in self._away.pop_forgotten(loop_time_s()):
             self._forget(name)
 
     def _forget(self, name: str | None) -> None:
@@ -380,23 +370,17 @@ class Robots:
             self.forgotten += 1
             log.info("robot.forgotten", robot=name)
             self._gates.events.note(EventKind.FORGOTTEN, name)
-            self._on_forgotten(robot)
-            self._on_change(name)
+            self._hub.links.forget_robot(robot)
+            self._hub.note_robot(name)
 
 
-def _configure(admission: Admission, config: RobotConfig) -> None:
+def _configure(robot: LocalRobot) -> None:
+    """Apply the settings that a reload may change."""
+    config, admission, odometry = robot.config, robot.admission, robot.odometry
     admission.resume_after_reconnect_s = config.resume_after_reconnect_s
     admission.kinematics = Kinematics(config.kinematics)
     admission.max_stamp_age_s = math.inf if config.cmd_vel_max_age_s is None else config.cmd_vel_max_age_s
-
-
-def _fastest(config: RobotConfig) -> PlanarVelocity:
-    return PlanarVelocity(config.max_linear_m_s, yaw_rad_s=config.max_angular_rad_s)
-
-
-def _is_differential(config: RobotConfig) -> bool:
-    return Kinematics(config.kinematics) is Kinematics.DIFFERENTIAL
-
-
-def _now_s() -> float:
-    return asyncio.get_running_loop().time()
+    odometry.is_differential = admission.kinematics is Kinematics.DIFFERENTIAL
+    odometry.change_fastest(PlanarVelocity(config.max_linear_m_s, yaw_rad_s=config.max_angular_rad_s))
+    for drivable in robot.beside:
+        drivable.gate.change_limits(limits_of(config))

@@ -8,13 +8,13 @@ import structlog
 from hostlink.errors import HostlinkError
 from hostlink.hub.participant import Participant
 from hostlink.logs import printable
+from hostlink.messages.catalog import to_time
 from hostlink.protocol.control import LOG_LEVELS
 from hostlink.protocol.events import DeviceLogged
 
 log = structlog.get_logger()
 
 TOPIC, TYPE = "/rosout", "rosgraph_msgs/Log"
-_NS_PER_S = 1_000_000_000
 _WARNING = 2  # of rosserial's levels
 _METHODS = ("debug", "info", "warning", "error", "error")  # methods of the log, for each of rosserial's levels
 
@@ -38,8 +38,7 @@ class Rosout:
 
     def _publish(self, level: int, name: str, text: str) -> None:
         if self._topic.has_subscribers and self._topic.type is not None:
-            secs, nsecs = divmod(time.time_ns(), _NS_PER_S)
             line = {"level": 1 << level, "name": name, "msg": text}
-            header = {"stamp": {"secs": secs, "nsecs": nsecs}}
+            header = {"stamp": to_time(time.time_ns())}
             with contextlib.suppress(HostlinkError):  # a device that subscribes may not take it
                 self._participant.publish(TOPIC, self._topic.type.encode({"header": header, **line}))

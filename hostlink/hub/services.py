@@ -5,10 +5,10 @@ taken for the answer to the next call.
 """
 
 import asyncio
-import itertools
 import reprlib
 from collections import defaultdict
 from collections.abc import Awaitable, Callable, Hashable, Iterable, Mapping
+from dataclasses import KW_ONLY, dataclass, field
 from typing import TypeVar
 
 import structlog
@@ -40,7 +40,7 @@ MAX_WAITING = 256  # calls of one service of a device, each with its own deadlin
 Send = Callable[[bytes], None]
 Answer = Callable[[Mapping[str, object]], Awaitable[Mapping[str, object]]]
 Notify = Callable[[str], None]
-_Offer = TypeVar("_Offer")
+_Service = TypeVar("_Service", "DeviceService", "Provider")
 
 
 class DeviceService:
@@ -130,35 +130,21 @@ class DeviceService:
         raise DeviceGone(self.name)
 
 
+@dataclass(slots=True, eq=False)
 class Provider:
     """Provider of a service other than a device: a program, or the daemon itself."""
 
-    __slots__ = (
-        "_calls", "_is_withdrawn", "answer", "fail", "ignores_request", "is_reading", "key", "name", "notify",
-        "type_name",
-    )  # fmt: skip
-
-    def __init__(
-        self,
-        name: str,
-        type_name: str,
-        key: Hashable,
-        answer: Answer,
-        notify: Notify | None = None,
-        *,
-        fail: Callable[[Exception], None] = lambda _: None,
-        is_reading: bool = False,
-        ignores_request: bool = False,
-    ) -> None:
-        """`notify` is called with a text when another provider gets the calls; `fail` with the error of a bug.
-
-        `is_reading`: a call changes nothing. `ignores_request`: a call with unknown fields is answered, too.
-        """
-        self.name, self.type_name, self.key, self.answer = name, type_name, key, answer
-        self.notify: Notify = _ignore if notify is None else notify
-        self.fail, self.is_reading, self.ignores_request = fail, is_reading, ignores_request
-        self._is_withdrawn = False
-        self._calls: set[asyncio.Timeout] | None = None  # none so far: most services are never called
+    name: str
+    type_name: str
+    key: Hashable
+    answer: Answer
+    notify: Notify | None = None  # called with a text when another provider gets the calls
+    _: KW_ONLY
+    fail: Callable[[Exception], None] = lambda _: None  # called with the error of a bug
+    is_reading: bool = False  # a call changes nothing
+    ignores_request: bool = False  # a call with unknown fields is answered, too
+    _is_withdrawn: bool = field(default=False, init=False)
+    _calls: set[asyncio.Timeout] | None = field(default=None, init=False)  # none so far: most are never called
 
     async def call(self, name: str, request: Mapping[str, object], *, timeout_s: float) -> Mapping[str, object]:
         """Call the service, and return the answer. `name` is the caller's spelling.
@@ -183,7 +169,7 @@ class Provider:
             self.fail(error)
             raise ServiceFailed(self.name, f"{type(error).__name__}: {error}") from error
 
-    def withdraw(self) -> None:
+    def close(self) -> None:
         """Fail every waiting call at once, because the service is withdrawn."""
         self._is_withdrawn = True
         for end in self._calls or ():
@@ -206,8 +192,7 @@ class Services:
         """`changes` is notified of every added and removed service."""
         self._catalog = catalog
         self._changes = GraphChanges() if changes is None else changes
-        self._devices: dict[str, dict[Hashable, DeviceService]] = {}
-        self._providers: dict[str, dict[Hashable, Provider]] = {}
+        self._offers: dict[str, dict[Hashable, DeviceService | Provider]] = {}  # by name; the newest is the last one
         self._names: defaultdict[Hashable, set[str]] = defaultdict(set)  # names of each provider
 
     def add_device_service(self, service: DeviceService) -> None:
@@ -216,20 +201,15 @@ class Services:
         Raises:
             BadRequest: the name is the daemon's own.
         """
-        program = self.provider(service.name)
+        name, program = service.name, self.provider(service.name)
         if program is not None and program.is_daemon:
-            raise BadRequest(f"{service.name} is a service of hostlink's own")
-        offers = self._devices.setdefault(service.name, {})
-        before = offers.pop(service.key, None)
-        if before is not None:
-            before.close()
+            raise BadRequest(f"{name} is a service of hostlink's own")
+        self._remove(name, service.key)
         if program is not None:
-            self._log_takeover(service.name, service.key, program)
-        elif offers:
-            log.warning("service.taken_over", service=printable(service.name), by=str(service.key))
-        offers[service.key] = service
-        self._names[service.key].add(service.name)
-        self._changes.note(GraphKind.SERVICE, service.name)
+            self._log_takeover(name, service.key, program)
+        elif self.of_device(name) is not None:
+            log.warning("service.taken_over", service=printable(name), by=str(service.key))
+        self._add(service)
 
     def provide(self, provider: Provider) -> None:
         """Add a service of a program or of the daemon.
@@ -242,49 +222,54 @@ class Services:
         if before is not None and before.is_daemon and not provider.is_daemon:
             raise BadRequest(f"{name} is a service of hostlink's own")
         if provider.is_daemon:  # no device may answer the emergency stop
-            self._remove_device_services(name)
+            for key in [key for key, each in self._offers.get(name, {}).items() if isinstance(each, DeviceService)]:
+                self._remove(name, key)
         elif self.of_device(name) is not None:
-            provider.notify(f"{name} is a service of a device's, which gets the calls")
+            if provider.notify is not None:
+                provider.notify(f"{name} is a service of a device's, which gets the calls")
         elif before is not None and before.key != provider.key:
             self._log_takeover(name, provider.key, before)
-        offers = self._providers.setdefault(name, {})
-        offers.pop(provider.key, None)
-        offers[provider.key] = provider
-        self._names[provider.key].add(name)
-        self._changes.note(GraphKind.SERVICE, name)
+        self._add(provider)
 
-    def _remove_device_services(self, name: str) -> None:
-        for key, service in self._devices.pop(name, {}).items():
+    def _add(self, service: DeviceService | Provider) -> None:
+        offers = self._offers.setdefault(service.name, {})
+        offers.pop(service.key, None)
+        offers[service.key] = service
+        self._names[service.key].add(service.name)
+        self._changes.note(GraphKind.SERVICE, service.name)
+
+    def _remove(self, name: str, key: Hashable) -> None:
+        """Remove the service of one provider, whose calls fail. Do nothing if it provides none of this name."""
+        offers = self._offers.get(name, {})
+        service = offers.pop(key, None)
+        if service is not None:
+            if not offers:
+                del self._offers[name]
             service.close()
             self._names[key].discard(name)
+            self._changes.note(GraphKind.SERVICE, name)
 
     def withdraw(self, name: str, key: Hashable) -> None:
         """Remove a service of a program."""
-        name = resolve(name)
-        provider = _remove(self._providers, name, key)
-        if provider is not None:
-            provider.withdraw()
-            self._names[key].discard(name)
-            self._changes.note(GraphKind.SERVICE, name)
+        self._remove(resolve(name), key)
 
     def leave(self, key: Hashable) -> None:
         """Remove all services of a provider."""
-        for name in self._names.pop(key, set()):
-            self._changes.note(GraphKind.SERVICE, name)
-            service = _remove(self._devices, name, key)
-            if service is not None:
-                service.close()
-            provider = _remove(self._providers, name, key)
-            if provider is not None:
-                provider.withdraw()
+        for name in list(self._names.get(key, ())):
+            self._remove(name, key)
+        self._names.pop(key, None)
 
     def of_device(self, name: str) -> DeviceService | None:
         """Return the newest service of this name of a device."""
-        return _newest(self._devices, resolve(name))
+        return self._newest(name, DeviceService)
 
     def provider(self, name: str) -> Provider | None:
         """Return the newest service of this name of a program or of the daemon."""
-        return _newest(self._providers, resolve(name))
+        return self._newest(name, Provider)
+
+    def _newest(self, name: str, kind: type[_Service]) -> _Service | None:
+        offers = self._offers.get(resolve(name), {})
+        return next((each for each in reversed(offers.values()) if isinstance(each, kind)), None)
 
     def is_offered(self, name: str) -> bool:
         """Whether a service of this name exists."""
@@ -297,7 +282,7 @@ class Services:
 
     def names(self) -> Iterable[str]:
         """Return the names of all services, in no order."""
-        return self._providers.keys() | self._devices.keys()
+        return self._offers.keys()
 
     def all(self) -> list[tuple[str, str]]:
         """Return (name, type) of all services."""
@@ -311,8 +296,7 @@ class Services:
         """
         found = self.find_or_none(name)
         if found is None:
-            others = itertools.chain(self._devices, self._providers)
-            raise UnknownTopic("service", name, (known for known in others if not known.startswith("/rosapi/")))
+            raise UnknownTopic("service", name, (known for known in self._offers if not known.startswith("/rosapi/")))
         return found
 
     def find_or_none(self, name: str) -> DeviceService | Provider | None:
@@ -356,7 +340,8 @@ class Services:
 
     def _log_takeover(self, name: str, key: Hashable, before: Provider) -> None:
         log.warning("service.taken_over", service=printable(name), by=str(key), before=str(before.key))
-        before.notify(f"{name}: {key} offers it too and gets the calls, as long as it is there")
+        if before.notify is not None:
+            before.notify(f"{name}: {key} offers it too and gets the calls, as long as it is there")
 
 
 def _check_fields(name: str, request: Mapping[str, object], known: list[str]) -> None:
@@ -365,23 +350,6 @@ def _check_fields(name: str, request: Mapping[str, object], known: list[str]) ->
     Raises:
         BadRequest: a field is unknown.
     """
-    for field in request:
-        if field not in known:
-            raise BadRequest(f"{name}: the request has no field {reprlib.repr(field)}{nearest_field(field, known)}")
-
-
-def _newest(offers: Mapping[str, dict[Hashable, _Offer]], name: str) -> _Offer | None:
-    of_name = offers.get(name)
-    return next(reversed(of_name.values())) if of_name else None
-
-
-def _remove(offers: dict[str, dict[Hashable, _Offer]], name: str, key: Hashable) -> _Offer | None:
-    of_name = offers.get(name, {})
-    found = of_name.pop(key, None)
-    if not of_name:
-        offers.pop(name, None)
-    return found
-
-
-def _ignore(text: str) -> None:
-    """Ignore a text: `notify` of a provider that needs none."""
+    for each in request:
+        if each not in known:
+            raise BadRequest(f"{name}: the request has no field {reprlib.repr(each)}{nearest_field(each, known)}")

@@ -51,7 +51,7 @@ class StallWatch:
         self._paused_s = 0.0
         self._void_until_s = float("-inf")
         self._pause_began_s: float | None = None  # start of a pause that was not popped yet
-        self._pauses = HostPauses()
+        self.noticed = HostPauses()  # pauses so far, without reading the clocks again
 
     def beat(self, now_s: float) -> None:
         """Note that the process runs. The next beat is due in BEAT_S, or at the time of `expect`."""
@@ -80,20 +80,15 @@ class StallWatch:
         gap_s = now_s - self._beat_s + slept_s
         if gap_s > STALL_S:
             self._paused_s, self._void_until_s, self._pause_began_s = gap_s, now_s + GRACE_S, self._beat_s
-            self._pauses.add(self._beat_s, now_s, settled_at_s=self._void_until_s)
+            self.noticed.add(self._beat_s, now_s, settled_at_s=self._void_until_s)
             self._beat_s, self._slept_before_s = now_s, all_slept_s
             log.warning("daemon.stalled", seconds=round(self._paused_s, 3))
         return slept_s
 
-    @property
-    def noticed(self) -> HostPauses:
-        """Pauses that were noticed so far, without reading the clocks again."""
-        return self._pauses
-
     def pauses(self, now_s: float) -> HostPauses:
         """Return the pauses until now, including one that has just ended."""
         self._notice(now_s)
-        return self._pauses
+        return self.noticed
 
     def pop_pause(self, now_s: float) -> float | None:
         """Return the start of a pause that ended since the last call; None if there was none."""

@@ -4,7 +4,7 @@ import asyncio
 import itertools
 import time
 from collections import deque
-from collections.abc import Callable, Hashable, Set
+from collections.abc import Callable, Hashable, Iterator, Set
 from typing import NamedTuple, Protocol, TypeVar
 
 import structlog
@@ -334,23 +334,23 @@ class Topic:
 
     def deliver_latched(self, subscriber: Listener) -> None:
         """Pass all latched messages to a subscriber. An exception of its callback is raised."""
-        at_s = asyncio.get_running_loop().time() if self.latched else 0.0
-        for source, payload in list(self.latched.items()):  # the callback may let one of them leave
-            if payload is not None:
-                subscriber.receive(self._message(payload, source, at_s))
+        for message in self._latched_messages():
+            subscriber.receive(message)
 
     def send_latched(self, key: Hashable) -> None:
         """Send all latched messages to the device `key`, except those that it refuses."""
         device = self.devices.get(key)
-        if device is None or not device.takes_latched or not self.latched:
-            return
-        at_s = asyncio.get_running_loop().time()
-        for source, payload in list(self.latched.items()):
-            if payload is not None:
+        if device is not None and device.takes_latched:
+            for message in self._latched_messages():
                 try:
-                    device.receive(self._message(payload, source, at_s))
+                    device.receive(message)
                 except HostlinkError as error:
                     log.debug("message.refused", topic=self.name, reason=str(error))
+
+    def _latched_messages(self) -> Iterator[Message]:
+        for source, payload in list(self.latched.items()):  # a callback may let one of them leave
+            if payload is not None:
+                yield self._message(payload, source, asyncio.get_running_loop().time())
 
 
 def rank_of(key: Hashable) -> int:

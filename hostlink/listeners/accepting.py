@@ -5,8 +5,9 @@ import dataclasses
 import ipaddress
 import itertools
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import structlog
 
@@ -18,54 +19,15 @@ from hostlink.link.serving import Authenticate, LinkEnd, trust
 from hostlink.listening import spelled
 from hostlink.log_budget import Budget
 from hostlink.logs import printable
+from hostlink.loop_time import loop_time_s
+from hostlink.rate_limit import RateLimit
 from hostlink.transport.base import Transport
-from hostlink.transport.keyed import HELLO, KeyProof, read_key
+from hostlink.transport.connection import ignore
+from hostlink.transport.keyed import HELLO, exchange_proofs, read_key
 from hostlink.transport.serial import SerialTransport, open_serial
 from hostlink.transport.udp import Datagram, UdpPort, UdpTransport
 
-# -- refusals ---------------------------------------------------------------------------------------------------------
-
 log = structlog.get_logger()
-
-PAUSE_S = 5.0  # a refused device reconnects at once, when there is still no room
-
-
-class RefusedPeers:
-    """Counts and pauses of one acceptor's refused peers."""
-
-    def __init__(self, hub: Hub, way: str) -> None:
-        self._hub, self._way = hub, way
-        self._paused_until_s: dict[str, float] = {}
-        self._lines = Budget()
-
-    def pause(self, address: str) -> None:
-        """Refuse this address for PAUSE_S."""
-        self._paused_until_s[address] = _now_s() + PAUSE_S
-
-    def is_paused(self, address: str) -> bool:
-        """Whether the address is refused because of a pause."""
-        now_s = _now_s()
-        self._paused_until_s = {each: until_s for each, until_s in self._paused_until_s.items() if until_s > now_s}
-        return address in self._paused_until_s
-
-    def count(self, cause: str, peer: str, address: str) -> None:
-        """Count a refusal. Log the first one, then at most one line per LOG_INTERVAL_S with the counts since."""
-        self._hub.counts.refused[cause] += 1
-        now_s = _now_s()
-        self._hub.diagnoses.refused.note(self._way, address, cause, now_s)
-        if counts := self._lines.due("connection.refused", now_s, cause):
-            log.warning("connection.refused", cause=cause, peer=printable(peer), **counts)
-
-    def note_exhausted(self) -> None:
-        """Count a connection that waits because no descriptor is free. Log at most one line per LOG_INTERVAL_S."""
-        self._hub.counts.refused["no_descriptors"] += 1
-        if counts := self._lines.due("descriptors.exhausted", _now_s(), "tries"):
-            log.error("descriptors.exhausted", **counts)
-
-
-def _now_s() -> float:
-    return asyncio.get_running_loop().time()
-
 
 # -- admission --------------------------------------------------------------------------------------------------------
 
@@ -139,24 +101,73 @@ def is_within(address: str, networks: Sequence[ipaddress.IPv4Network | ipaddress
     return any(found in network for network in networks)
 
 
-# -- tcp acceptor -----------------------------------------------------------------------------------------------------
+# -- acceptors --------------------------------------------------------------------------------------------------------
+
+PAUSE_S = 5.0  # a refused device reconnects at once, when there is still no room
 
 
-class TcpAcceptor:
-    """Acceptor of TCP connections."""
+class _Acceptor:
+    """Both acceptors: the admission, the key, and counts and pauses of refused peers."""
 
-    def __init__(self, hub: Hub, config: TcpConfig) -> None:
-        """Create the acceptor.
+    def __init__(self, hub: Hub, config: TcpConfig | UdpConfig, way: str) -> None:
+        """Create the acceptor. `way`: tcp or udp.
 
         Raises:
             ConfigError: the key file cannot be used.
         """
-        self._hub = hub
+        self._hub, self._way = hub, way
         self._admission = ConnectionAdmission(config)
-        self._key = None if config.key_file is None else read_key(config.key_file, "tcp.key_file")
+        self._key = None if config.key_file is None else read_key(config.key_file, f"{way}.key_file")
+        self._paused_until_s: dict[str, float] = {}
+        self._lines = Budget()
+
+    def note_exhausted(self) -> None:
+        """Count a connection that waits because no descriptor is free. Log at most one line per LOG_INTERVAL_S."""
+        self._hub.counts.refused["no_descriptors"] += 1
+        if counts := self._lines.due("descriptors.exhausted", loop_time_s(), "tries"):
+            log.error("descriptors.exhausted", **counts)
+
+    def _pause(self, address: str) -> None:
+        """Refuse this address for PAUSE_S."""
+        self._paused_until_s[address] = loop_time_s() + PAUSE_S
+
+    def _is_paused(self, address: str) -> bool:
+        now_s = loop_time_s()
+        self._paused_until_s = {each: until_s for each, until_s in self._paused_until_s.items() if until_s > now_s}
+        return address in self._paused_until_s
+
+    def _count(self, cause: str, peer: str, address: str) -> None:
+        """Count a refusal. Log the first one, then at most one line per LOG_INTERVAL_S with the counts since."""
+        self._hub.counts.refused[cause] += 1
+        now_s = loop_time_s()
+        self._hub.diagnoses.refused.note(self._way, address, cause, now_s)
+        if counts := self._lines.due("connection.refused", now_s, cause):
+            log.warning("connection.refused", cause=cause, peer=printable(peer), **counts)
+
+    def _evict(self, link: Link) -> None:
+        self._count(LinkEnd.EVICTED.value, link.peer, link.address)
+        link.end(LinkEnd.EVICTED)
+
+    def _needs_key(self, address: str) -> bool:
+        return self._key is not None and self._admission.needs_key(address)
+
+    def _authentication(self, transport: Transport, on_proven: Callable[[], None] = ignore) -> Authenticate:
+        """Return what a device must do before rosserial begins. `on_proven` is called when it has proven the key."""
+        if self._key is None or not self._needs_key(transport.address):
+            return trust
+        count = partial(self._count, peer=transport.peer, address=transport.address)
+        return partial(exchange_proofs, transport, self._key, on_refused=count, on_proven=on_proven)
+
+
+# -- tcp acceptor -----------------------------------------------------------------------------------------------------
+
+
+class TcpAcceptor(_Acceptor):
+    """Acceptor of TCP connections."""
+
+    def __init__(self, hub: Hub, config: TcpConfig) -> None:
+        super().__init__(hub, config, "tcp")
         self._links: dict[int, Link] = {}  # oldest first
-        self._refusals = RefusedPeers(hub, "tcp")
-        self.note_exhausted = self._refusals.note_exhausted
 
     def accept(self, transport: Transport) -> None:
         """Accept or refuse a new connection."""
@@ -165,33 +176,21 @@ class TcpAcceptor:
             for link in self._links.values()
         ]
         verdict = self._admission.judge(transport.address, connections)
-        refusal = "too_many_robots" if self._refusals.is_paused(transport.address) else verdict.refusal
+        refusal = "too_many_robots" if self._is_paused(transport.address) else verdict.refusal
         if refusal is not None:
-            self._refusals.count(refusal, transport.peer, transport.address)
+            self._count(refusal, transport.peer, transport.address)
             self._hub.spawn(transport.aclose(), name=f"refusal of {transport.peer}")
             return
         if verdict.evicts is not None:
-            leaving = self._links.pop(verdict.evicts)
-            self._refusals.count(LinkEnd.EVICTED.value, leaving.peer, leaving.address)
-            leaving.end(LinkEnd.EVICTED)
+            self._evict(self._links.pop(verdict.evicts))
         link = self._hub.links.open(transport)
         self._links[link.number] = link
         self._hub.spawn(self._serve(link, self._authentication(transport)), name=f"link to {transport.peer}")
 
-    def _authentication(self, transport: Transport) -> Authenticate:
-        if self._key is None or not self._admission.needs_key(transport.address):
-            return trust
-        proof = KeyProof(
-            transport,
-            self._key,
-            on_refused=lambda cause: self._refusals.count(cause, transport.peer, transport.address),
-        )
-        return proof.authenticate
-
     async def _serve(self, link: Link, authenticate: Authenticate) -> None:
         try:
             if await self._hub.links.serve(link, authenticate) is LinkEnd.REFUSED:
-                self._refusals.pause(link.address)
+                self._pause(link.address)
         finally:
             self._links.pop(link.number, None)
 
@@ -213,23 +212,16 @@ class _Session:
         return OpenConnection(self.link.number, self.link.address, is_identified=is_identified)
 
 
-class UdpAcceptor:
+class UdpAcceptor(_Acceptor):
     """Acceptor of UDP sessions."""
 
     def __init__(self, hub: Hub, config: UdpConfig) -> None:
-        """Create the acceptor.
-
-        Raises:
-            ConfigError: the key file cannot be used.
-        """
-        self._hub, self._config = hub, config
-        self._admission = ConnectionAdmission(config)
-        self._key = None if config.key_file is None else read_key(config.key_file, "udp.key_file")
+        super().__init__(hub, config, "udp")
+        self._config = config
         self._trusted = [ipaddress.ip_network(network) for network in config.trusted]
         self._devices = config.device_addresses()
         self._sessions: dict[tuple[str, int], _Session] = {}  # by source address, oldest first
-        self._refusals = RefusedPeers(hub, "udp")
-        self._rates = {is_verified: _Rate() for is_verified in (False, True)}
+        self._openings = RateLimit(OPENED_A_SECOND)  # of verified and of other addresses
 
     def receive(self, port: UdpPort, datagram: Datagram) -> bool:
         """Handle a datagram from the shared port. Return whether it opened a session."""
@@ -240,7 +232,7 @@ class UdpAcceptor:
         if self._is_greeting(datagram):
             return self._open(port, datagram)
         self._hub.counts.datagrams_dropped["not_rosserial"] += 1
-        self._hub.diagnoses.refused.note("udp", datagram.source[0], "not_rosserial", _now_s())
+        self._hub.diagnoses.refused.note("udp", datagram.source[0], "not_rosserial", loop_time_s())
         return False
 
     async def invite(self, ports: Sequence[UdpPort]) -> None:
@@ -256,21 +248,18 @@ class UdpAcceptor:
     def _is_greeting(self, datagram: Datagram) -> bool:
         return datagram.data == HELLO if self._needs_key(datagram.source[0]) else has_frame(datagram.data)
 
-    def _needs_key(self, address: str) -> bool:
-        return self._key is not None and self._admission.needs_key(address)
-
     def _open(self, port: UdpPort, datagram: Datagram) -> bool:
         address, peer = datagram.source[0], spelled(*datagram.source[:2])
         is_verified = not self._needs_key(address) and self._is_trusted(datagram.source[:2])
         refusal = self._refusal(address, peer, is_verified=is_verified)
         if refusal is not None:
-            self._refusals.count(refusal, peer, address)
+            self._count(refusal, peer, address)
             return False
         try:
             connection = port.connect(datagram)
         except OSError as error:
             cause = "no_descriptor" if error.errno in EXHAUSTED else "unreachable"
-            self._refusals.count(cause, peer, address)
+            self._count(cause, peer, address)
             return False
         transport = UdpTransport(
             connection,
@@ -278,7 +267,7 @@ class UdpAcceptor:
             is_verified=is_verified,
             dropped=self._hub.counts.datagrams_dropped,
             on_other=lambda other: self.receive(port, other),
-            on_limited=lambda: self._refusals.count("unverified", peer, address),
+            on_limited=lambda: self._count("unverified", peer, address),
         )
         session = _Session(self._hub.links.open(transport), transport)
         self._sessions[datagram.source[:2]] = session
@@ -290,9 +279,9 @@ class UdpAcceptor:
 
     def _refusal(self, address: str, peer: str, *, is_verified: bool) -> str | None:
         """Return why the peer gets no session, or None. May evict another session to make room."""
-        if self._refusals.is_paused(peer):
+        if self._is_paused(peer):
             return "too_many_robots"
-        if not self._rates[is_verified].allows(asyncio.get_running_loop().time()):
+        if not self._openings.allows(is_verified, loop_time_s()):
             return "too_fast"
         verified = [each for each in self._sessions.values() if each.transport.is_verified]
         others = [each for each in self._sessions.values() if not each.transport.is_verified]
@@ -301,47 +290,17 @@ class UdpAcceptor:
         rivals = [*verified, *others] if is_verified else others
         verdict = self._admission.judge(address, [each.as_connection() for each in rivals], room=room)
         if verdict.evicts is not None:
-            self._evict(next(each for each in rivals if each.link.number == verdict.evicts))
+            self._evict(next(each.link for each in rivals if each.link.number == verdict.evicts))
         return verdict.refusal
-
-    def _evict(self, session: _Session) -> None:
-        self._refusals.count(LinkEnd.EVICTED.value, session.link.peer, session.link.address)
-        session.link.end(LinkEnd.EVICTED)
-
-    def _authentication(self, transport: UdpTransport) -> Authenticate:
-        if self._key is None or not self._needs_key(transport.address):
-            return trust
-        proof = KeyProof(
-            transport,
-            self._key,
-            on_refused=lambda cause: self._refusals.count(cause, transport.peer, transport.address),
-            on_proven=transport.verify,
-        )
-        return proof.authenticate
 
     async def _serve(self, session: _Session, source: tuple[str, int]) -> None:
         try:
-            if await self._hub.links.serve(session.link, self._authentication(session.transport)) is LinkEnd.REFUSED:
-                self._refusals.pause(session.link.peer)
+            authenticate = self._authentication(session.transport, session.transport.verify)
+            if await self._hub.links.serve(session.link, authenticate) is LinkEnd.REFUSED:
+                self._pause(session.link.peer)
         finally:
             if self._sessions.get(source) is session:
                 del self._sessions[source]
-
-
-class _Rate:
-    """Rate limit: OPENED_A_SECOND a second, with a burst of the same number."""
-
-    def __init__(self) -> None:
-        self._left = OPENED_A_SECOND
-        self._at_s = 0.0
-
-    def allows(self, now_s: float) -> bool:
-        self._left = min(OPENED_A_SECOND, self._left + (now_s - self._at_s) * OPENED_A_SECOND)
-        self._at_s = now_s
-        if self._left < 1:
-            return False
-        self._left -= 1
-        return True
 
 
 # -- serial ports -----------------------------------------------------------------------------------------------------

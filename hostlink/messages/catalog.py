@@ -165,7 +165,7 @@ class _Builder:
         return message
 
 
-# -- clock ------------------------------------------------------------------------------------------------------------
+# -- time -------------------------------------------------------------------------------------------------------------
 
 CLOCK: Final = "/clock"
 CLOCK_TYPE: Final = "rosgraph_msgs/Clock"
@@ -179,6 +179,12 @@ def decode_clock(payload: bytes) -> int | None:
         return None
     secs, nsecs = _TIME.unpack(payload)
     return int(secs * _NS_PER_S + nsecs)
+
+
+def to_time(stamp_ns: int) -> dict[str, int]:
+    """Return a time as a message has it."""
+    secs, nsecs = divmod(stamp_ns, _NS_PER_S)
+    return {"secs": secs, "nsecs": nsecs}
 
 
 # -- catalog ----------------------------------------------------------------------------------------------------------

@@ -53,15 +53,6 @@ class PidGains:
         return f"Kp {self.kp:.1f}  Ki {self.ki:.1f}  Kd {self.kd:.1f}"
 
 
-@dataclass(frozen=True, slots=True)
-class _MotorFit:
-    error: float  # sum of squares
-    time_constant_s: float
-    dead_time_s: float
-    gain: float
-    offset_pwm: float
-
-
 def simc_gains(model: MotorModel) -> PidGains:
     """PI gains after S. Skogestad, J. Process Control 13 (2003) 291-309, with his choice tau_c = dead time."""
     dead_time_s = max(model.dead_time_s, LEAST_DEAD_TIME_S)
@@ -76,24 +67,13 @@ def identify_motor(record: Record) -> MotorModel:
     Raises:
         HostlinkError: the robot sends no PWM, was hardly driven, or is not like such a motor.
     """
-    driven = driven_part(record.forwards())
-    assert driven.pwm is not None  # noqa: S101 - of driven_part
-    fit = _search(driven)
-    measured = driven.measured[_compared(driven.t_s)]
-    spread = float(((measured - measured.mean()) ** 2).sum())
-    explained = 1 - fit.error / spread if spread > 0 else 0.0
-    if explained < LEAST_EXPLAINED or fit.gain <= 0:
+    model = _search(driven_part(record.forwards()))
+    if model.explained < LEAST_EXPLAINED or model.gain <= 0:
         raise HostlinkError(
-            f"PWM and speed do not belong together as a motor's (explained: {100 * max(explained, 0.0):.0f} %); "
+            f"PWM and speed do not belong together as a motor's (explained: {100 * max(model.explained, 0.0):.0f} %); "
             "drive it on the floor, straight and undisturbed"
         )
-    return MotorModel(
-        gain=fit.gain,
-        offset_pwm=fit.offset_pwm,
-        time_constant_s=fit.time_constant_s,
-        dead_time_s=fit.dead_time_s,
-        explained=explained,
-    )
+    return model
 
 
 def driven_part(record: Record) -> Record:
@@ -123,12 +103,13 @@ def _longest_run(flags: Flags) -> tuple[int, int]:
     return max(runs, key=lambda run: run[1] - run[0], default=(0, 0))
 
 
-def _search(record: Record) -> _MotorFit:
+def _search(record: Record) -> MotorModel:
     """A grid of time constants and dead times, then finer ones around the best; the rest is linear."""
     constants_s = np.geomspace(LEAST_TIME_CONSTANT_S, MOST_TIME_CONSTANT_S, _TIME_CONSTANTS)
     dead_times_s = np.linspace(0, MOST_DEAD_TIME_S, _DEAD_TIMES)
     for _ in range(_ROUNDS):
-        best = min((fit for dead_s in dead_times_s for fit in _fits(record, constants_s, float(dead_s))), key=_error)
+        fits = (fit for dead_s in dead_times_s for fit in _fits(record, constants_s, float(dead_s)))
+        best = max(fits, key=lambda fit: fit.explained)
         ratio = constants_s[1] / constants_s[0]
         width_s = dead_times_s[1] - dead_times_s[0]
         constants_s = np.geomspace(best.time_constant_s / ratio, best.time_constant_s * ratio, 7)
@@ -136,32 +117,26 @@ def _search(record: Record) -> _MotorFit:
     return best
 
 
-def _error(fit: _MotorFit) -> float:
-    return fit.error
-
-
-def _fits(record: Record, constants_s: Floats, dead_time_s: float) -> list[_MotorFit]:
+def _fits(record: Record, constants_s: Floats, dead_time_s: float) -> list[MotorModel]:
     """For each time constant the gain, offset and initial speed that fit best."""
-    compared = _compared(record.t_s)
-    responses = _responses(record, constants_s, dead_time_s)
-    return [
-        _fit_linear(record, response, float(constant_s), dead_time_s, compared)
-        for response, constant_s in zip(responses, constants_s, strict=True)
-    ]
-
-
-def _fit_linear(record: Record, response: Floats, constant_s: float, dead_time_s: float, compared: Flags) -> _MotorFit:
-    left = np.exp(-(record.t_s - record.t_s[0]) / constant_s)  # of the state at the beginning
-    columns = np.column_stack((response, left - 1, left))[compared]
+    compared = record.t_s >= record.t_s[0] + MOST_DEAD_TIME_S  # before, the PWM of a dead time ago is not in the record
     measured = record.measured[compared]
-    (gain, gain_offset, start), *_ = np.linalg.lstsq(columns, measured, rcond=None)
-    error = float(((columns @ (gain, gain_offset, start) - measured) ** 2).sum())
-    return _MotorFit(error, constant_s, dead_time_s, float(gain), float(gain_offset / gain) if gain else 0.0)
-
-
-def _compared(t_s: Floats) -> Flags:
-    """Samples that count. For earlier ones the PWM of a dead time ago is not in the record."""
-    return np.asarray(t_s >= t_s[0] + MOST_DEAD_TIME_S)
+    spread = float(((measured - measured.mean()) ** 2).sum())
+    fits = []
+    for response, constant_s in zip(_responses(record, constants_s, dead_time_s), constants_s, strict=True):
+        left = np.exp(-(record.t_s - record.t_s[0]) / constant_s)  # of the state at the beginning
+        columns = np.column_stack((response, left - 1, left))[compared]
+        (gain, gain_offset, start), *_ = np.linalg.lstsq(columns, measured, rcond=None)
+        error = float(((columns @ (gain, gain_offset, start) - measured) ** 2).sum())
+        fit = MotorModel(
+            gain=float(gain),
+            offset_pwm=float(gain_offset / gain) if gain else 0.0,
+            time_constant_s=float(constant_s),
+            dead_time_s=dead_time_s,
+            explained=1 - error / spread if spread > 0 else 0.0,
+        )
+        fits.append(fit)
+    return fits
 
 
 def _responses(record: Record, constants_s: Floats, dead_time_s: float) -> Floats:

@@ -111,18 +111,11 @@ class RobotNames:
 
     def __init__(self, addresses: Mapping[str, str | None]) -> None:
         """`addresses`: robot name -> where it is configured to be: IP address, also with a port, or serial port."""
-        self._places = Places(addresses)
+        self.places = Places(addresses)
         self.links: dict[str, int] = {}  # of the names that a device has now
         self._owners: dict[str, Origin] = {}
         self._of_origin: defaultdict[tuple[str, str], dict[str, None]] = defaultdict(dict)  # in the order of coming
         self._of_own: defaultdict[str, dict[str, None]] = defaultdict(dict)
-
-    def reconfigure(self, places: Places) -> None:
-        """Replace the address-to-name table. Forget every name that the new table contradicts."""
-        misplaced = self.misplaced(places)
-        self._places = places
-        for name in misplaced:
-            self.forget(name)
 
     def misplaced(self, places: Places) -> list[str]:
         """Return the names that these places give to another device, or whose device they give another name."""
@@ -135,7 +128,7 @@ class RobotNames:
 
     def choose(self, origin: Origin) -> Named:
         """Choose the name of a device that has none."""
-        here = self._places.at(origin)
+        here = self.places.at(origin)
         free = [name for name in here if name not in self.links]
         is_only_one = len(here) == 1
         if origin.own in free:
@@ -181,7 +174,7 @@ class RobotNames:
 
         A recording is not a device.
         """
-        return origin.address != PLAYED and name != origin.own and name not in self._places.at(origin)
+        return origin.address != PLAYED and name != origin.own and name not in self.places.at(origin)
 
     def _names_of(self, origin: Origin) -> list[str]:
         return list(self._of_origin.get((origin.own, origin.address), ()))
@@ -189,15 +182,15 @@ class RobotNames:
     def _is_free(self, origin: Origin) -> bool:
         name, owner = origin.own, self._owners.get(origin.own)
         if owner is not None and owner.address == PLAYED != origin.address:
-            return not self._places.has(name)
-        if name in self.links or self._places.has(name):
+            return not self.places.has(name)
+        if name in self.links or self.places.has(name):
             return False
         return owner is None or (owner.own == name and len(self._of_own.get(name, ())) <= 1)
 
     def _numbered(self, own: str) -> str:
         numbers = (f"_{number}" for number in itertools.count(2))
         names = (own[: LONGEST_NAME - len(number)] + number for number in numbers)
-        return next(name for name in names if name not in self._owners and not self._places.has(name))
+        return next(name for name in names if name not in self._owners and not self.places.has(name))
 
 
 def _drop(names: defaultdict[Key, dict[str, None]], key: Key, name: str) -> None:
@@ -371,10 +364,11 @@ class Directory:
         Returns what was `misplaced`.
         """
         misplaced = self.misplaced(places)
-        for link in misplaced.values():
+        self._names.places = places
+        for name, link in misplaced.items():
             if link is not None:
                 self._release(link)
-        self._names.reconfigure(places)
+            self._names.forget(name)
         return misplaced
 
     def leave(self, link: int) -> None:

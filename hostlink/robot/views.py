@@ -1,4 +1,4 @@
-"""The JSON of a robot that REST, the events and the client show. Numbers carry their unit. Pure."""
+"""The JSON of robots and topics that REST, the events and the client show. Numbers carry their unit. Pure."""
 
 from typing import TypedDict
 
@@ -72,3 +72,13 @@ class RobotView(TypedDict):
     signal_dbm: int | None
     device_errors: list[str]
     firmware: str | None
+
+
+class TopicView(TypedDict):
+    """A topic of the graph."""
+
+    name: str
+    type: str  # as geometry_msgs/Twist; empty while it is unknown
+    publishers: int
+    subscribers: int
+    messages: int  # that have passed

@@ -1,7 +1,8 @@
 """Pre-shared key of host and device. Both prove it at the start of a connection, before the first rosserial byte.
 
-host -> device   "HLK1", 16 random bytes device -> host   "HLK1", 16 random bytes, HMAC-SHA256(key, "device", both
-randoms) host -> device   HMAC-SHA256(key, "host", both randoms)
+    host -> device   "HLK1", 16 random bytes
+    device -> host   "HLK1", 16 random bytes, HMAC-SHA256(key, "device", both randoms)
+    host -> device   HMAC-SHA256(key, "host", both randoms)
 
 The proof covers only the start of the connection: later bytes are neither encrypted nor authenticated.
 """
@@ -14,6 +15,7 @@ from pathlib import Path
 
 from hostlink.errors import ConfigError
 from hostlink.transport.base import Transport
+from hostlink.transport.connection import ignore
 
 MAGIC = b"HLK1"
 RANDOM_BYTES = 16
@@ -46,54 +48,41 @@ def proof(key: bytes, side: bytes, host_random: bytes, device_random: bytes) -> 
     return hmac.digest(key, side + host_random + device_random, "sha256")
 
 
-class KeyProof:
-    """Mutual proof of the key at the start of a connection."""
+async def exchange_proofs(
+    transport: Transport, key: bytes, *, on_refused: Callable[[str], None], on_proven: Callable[[], None] = ignore
+) -> None:
+    """Prove the key to the device and check the device's proof, at the start of a connection.
 
-    def __init__(
-        self,
-        transport: Transport,
-        key: bytes,
-        *,
-        on_refused: Callable[[str], None],
-        on_proven: Callable[[], None] = lambda: None,
-    ) -> None:
-        """`on_refused` is called with "no_key" or "wrong_key" before `authenticate` raises.
+    `on_refused` is called with "no_key" or "wrong_key". `on_proven` is called when the device has proven the key, which
+    also verifies its address.
 
-        `on_proven` is called when the device has proven the key, which also verifies its address.
-        """
-        self._transport = transport
-        self._key = key
-        self._on_refused, self._on_proven = on_refused, on_proven
+    Raises:
+        ConnectionRefusedError: the device cannot prove the key.
+    """
+    refusal = await _refusal(transport, key, on_proven)
+    if refusal is not None:
+        on_refused(refusal)
+        raise ConnectionRefusedError(refusal)
 
-    async def authenticate(self) -> None:
-        """Prove the key to the device and check the device's proof.
 
-        Raises:
-            ConnectionRefusedError: the device cannot prove the key.
-        """
-        refusal = await self._prove()
-        if refusal is not None:
-            self._on_refused(refusal)
-            raise ConnectionRefusedError(refusal)
-
-    async def _prove(self) -> str | None:
-        host_random = secrets.token_bytes(RANDOM_BYTES)
-        answer = b""
-        try:
-            async with asyncio.timeout(PROOF_TIMEOUT_S):
-                await self._transport.send(MAGIC + host_random)
-                while len(answer) < ANSWER_BYTES and (data := await self._transport.receive()):
-                    answer += data
-                    while self._transport.kind == "udp" and answer.startswith(HELLO):
-                        answer = answer[len(HELLO) :]  # a repeated hello, sent before the host's random arrived
-        except TimeoutError:
-            return "no_key"
-        # A device sends nothing more before the host's proof.
-        if len(answer) != ANSWER_BYTES or not answer.startswith(MAGIC):
-            return "no_key"
-        device_random, claimed = answer[len(MAGIC) : -PROOF_BYTES], answer[-PROOF_BYTES:]
-        if not hmac.compare_digest(claimed, proof(self._key, b"device", host_random, device_random)):
-            return "wrong_key"
-        self._on_proven()
-        await self._transport.send(proof(self._key, b"host", host_random, device_random))
-        return None
+async def _refusal(transport: Transport, key: bytes, on_proven: Callable[[], None]) -> str | None:
+    host_random = secrets.token_bytes(RANDOM_BYTES)
+    answer = b""
+    try:
+        async with asyncio.timeout(PROOF_TIMEOUT_S):
+            await transport.send(MAGIC + host_random)
+            while len(answer) < ANSWER_BYTES and (data := await transport.receive()):
+                answer += data
+                while transport.kind == "udp" and answer.startswith(HELLO):
+                    answer = answer[len(HELLO) :]  # a repeated hello, sent before the host's random arrived
+    except TimeoutError:
+        return "no_key"
+    # A device sends nothing more before the host's proof.
+    if len(answer) != ANSWER_BYTES or not answer.startswith(MAGIC):
+        return "no_key"
+    device_random, claimed = answer[len(MAGIC) : -PROOF_BYTES], answer[-PROOF_BYTES:]
+    if not hmac.compare_digest(claimed, proof(key, b"device", host_random, device_random)):
+        return "wrong_key"
+    on_proven()
+    await transport.send(proof(key, b"host", host_random, device_random))
+    return None

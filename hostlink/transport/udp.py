@@ -18,6 +18,7 @@ from hostlink.config import UdpConfig
 from hostlink.errors import ConfigError
 from hostlink.listening import spelled
 from hostlink.transport.base import READ_BYTES
+from hostlink.transport.connection import ignore
 from hostlink.transport.tcp import explain
 
 # -- allowance --------------------------------------------------------------------------------------------------------
@@ -251,7 +252,7 @@ class UdpTransport:
         self._socket, self._first = connection, first
         self._allowance = Allowance(is_limited=not is_verified)
         self._dropped, self._on_other, self._on_limited = dropped, on_other, on_limited
-        self._on_readable: Callable[[], None] = _ignore
+        self._on_readable: Callable[[], None] = ignore
         self._received = bytearray()
         self._unsent: list[bytes] = []
         self._is_reading = self._is_closed = False
@@ -477,9 +478,5 @@ class UdpTransport:
         with contextlib.suppress(OSError):  # a duplicate in another process receives no more datagrams of the device
             self._socket.connect(self._socket.getsockname())
         self._socket.close()
-        on_readable, self._on_readable = self._on_readable, _ignore
+        on_readable, self._on_readable = self._on_readable, ignore
         on_readable()
-
-
-def _ignore() -> None:
-    """Do nothing: no reader is registered yet."""

@@ -151,7 +151,7 @@ async def test_a_parameter_of_any_kind_that_came_after_the_connection_is_found(v
 
 def answered(host: Daemon) -> list[str]:
     """The parameters that the robots have been answered."""
-    return [name for link in host.hub.links.all() for name in host.hub.links.answered_parameters(link)]
+    return [name for device in host.hub.robots.devices.values() for name in device.parameters]
 
 
 async def test_a_robot_with_a_setting_of_its_separation_believes_in_that() -> None:

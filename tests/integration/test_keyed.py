@@ -12,7 +12,7 @@ from structlog.testing import capture_logs
 from hostlink.config import Config, TcpConfig
 from hostlink.errors import ConfigError
 from hostlink.protocol.frame import TOPICS_REQUEST
-from hostlink.transport.keyed import ANSWER_BYTES, PROOF_TIMEOUT_S, KeyProof, read_key
+from hostlink.transport.keyed import ANSWER_BYTES, PROOF_TIMEOUT_S, exchange_proofs, read_key
 from tests.support.daemon import daemon
 from tests.support.fake_device import FakeDevice, fake_device, pose, robot_topics
 from tests.support.keyed_device import prove_key
@@ -81,9 +81,8 @@ async def test_an_address_that_needs_no_key_talks_rosserial_at_once(config: Conf
 async def wait_for_a_silent_device() -> tuple[list[str], float]:
     host, device = memory_pair()
     causes: list[str] = []
-    proof = KeyProof(host, KEY, on_refused=causes.append)
     with pytest.raises(ConnectionRefusedError):
-        await proof.authenticate()
+        await exchange_proofs(host, KEY, on_refused=causes.append)
     assert len(await device.receive()) == 20
     return causes, asyncio.get_running_loop().time()
 

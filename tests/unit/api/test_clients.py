@@ -8,7 +8,7 @@ from aiohttp.test_utils import make_mocked_request
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hostlink.api.access import Grant
+from hostlink.api.access import GRANT, Grant
 from hostlink.api.clients import (
     MANY,
     MAX_BYTES,
@@ -219,13 +219,14 @@ def test_client_that_waits_for_its_debt_never_exceeds_rate_and_burst(messages_s:
 
 
 async def test_clients_count_dropped_messages_of_disconnected_clients() -> None:
-    clients, request, grant = Clients(2, max_per_address=2), make_mocked_request("GET", "/"), Grant("", Role.DRIVE)
+    clients, request = Clients(2, max_per_address=2), make_mocked_request("GET", "/")
+    request[GRANT] = Grant("", Role.DRIVE)
     queue = ClientQueue()
     queue.dropped = 3
-    slow, stream = clients.enter("rosbridge", request, grant, queue), clients.enter("events", request, grant)
+    slow, stream = clients.enter("rosbridge", request, queue), clients.enter("events", request)
     assert [view["kind"] for view in clients.views()] == ["rosbridge", "events"]
     with pytest.raises(web.HTTPServiceUnavailable):
-        clients.enter("events", request, grant)
+        clients.enter("events", request)
     clients.leave(slow)
     clients.leave(stream)
     assert (clients.gone_dropped, clients.refused, clients.views()) == (3, 1, [])

@@ -13,11 +13,11 @@ from structlog.testing import capture_logs
 from hostlink.api.clients import Client, ClientQueue, Operation, Outgoing, VelocityOf
 from hostlink.api.listener import PacedReading
 from hostlink.api.web_socket import READY_TIMEOUT_S, SEND_BATCH, SEND_TIMEOUT_S, WRITE_BYTES, ClientSocket, frame_head
-from hostlink.hub.gates import Gates
-from hostlink.hub.isolation import Isolation
+from hostlink.config import ApiConfig, Config
+from hostlink.hub.hub import Hub
 from hostlink.hub.queue import MAX_RESULTS
 from hostlink.latency import Latency
-from hostlink.link.fair_share import FairShare, Turns
+from tests.support.fake_device import CATALOG
 from tests.support.virtual_loop import run_virtual
 
 TEXT, BINARY = 0x81, 0x82
@@ -115,24 +115,23 @@ class Connected:
     def __init__(self, tasks: asyncio.TaskGroup, kind: str, max_messages_s: float) -> None:
         self.socket, self.queue = Socket(), ClientQueue()
         self.socket.kind = kind
-        self.program, self.latency, self.replaced = Echo(self.queue, tasks), Latency(), 0
+        self.program, self.latency = Echo(self.queue, tasks), Latency()
+        self.hub = Hub(Config(api=ApiConfig(max_requests_s=max_messages_s)), CATALOG)
         self.connection = ClientSocket(
             cast(web.WebSocketResponse, self.socket),
             cast(PacedReading, self.socket),
             cast(Client, self.socket),
             cast(Any, self.program),
             self.queue,
-            Turns(FairShare()),
-            Gates(Isolation()),
+            self.hub,
             tasks=tasks,
-            max_messages_s=max_messages_s,
-            on_replaced=self._note_replaced,
             to_client=self.latency,
         )
         tasks.create_task(self.connection.receive())
 
-    def _note_replaced(self) -> None:
-        self.replaced += 1
+    @property
+    def replaced(self) -> int:
+        return self.hub.counts.velocities_replaced.total()
 
     def written(self) -> list[bytes]:
         """Payloads of short frames, one list item for each write."""

@@ -197,7 +197,7 @@ def test_parameter_request_is_answered_by_the_name_and_remembered() -> None:
         await asyncio.sleep(0.05)
         answers = [decode_parameter(payload) for payload in device.payloads(Id.PARAMETER)]
         assert answers == [Parameter(ints=(3,)), Parameter()]
-        assert made.hub.links.answered_parameters(device.link) == {
+        assert made.hub.robots.devices[device.link.number].parameters == {
             "/gain": Parameter(ints=(3,)),
             "/missing": Parameter(),
         }
@@ -316,13 +316,12 @@ def test_topic_with_another_type_than_a_robot_s_own_is_ended() -> None:
     in_hub(test)
 
 
-def test_link_that_is_not_known_has_no_names_or_parameters() -> None:
+def test_link_that_is_not_known_has_no_names() -> None:
     async def test(made: MemoryHub) -> None:
         device = await made.connect()
         await device.aclose()
         await asyncio.sleep(0.05)
         assert made.hub.links.shown_name(device.link, "imu") == "imu"
-        assert made.hub.links.answered_parameters(device.link) == {}
 
     in_hub(test)
 
