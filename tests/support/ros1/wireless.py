@@ -5,11 +5,12 @@ from collections.abc import Callable
 from typing import Any, cast
 
 from hostlink.config import Ros1Config
-from hostlink.graphs.ros1.connections import SendQueue, Wire
+from hostlink.graphs.ros1.connections import Wire
 from hostlink.graphs.ros1.local_node import LocalNode, Rpc
 from hostlink.graphs.ros1.tcpros import MAX_HEADER_BYTES, Header, MessageStream
 from hostlink.graphs.ros1.xml_rpc import Unreachable
 from hostlink.hub.hub import Hub
+from hostlink.hub.queue import Queue
 
 MASTER = "http://master:11311/"
 
@@ -44,7 +45,8 @@ class FakeWire:
         self.sent: list[bytes] = []
         self.refusals: list[str] = []
         self.is_closed, self.is_replaceable, self.peer = False, True, "10.0.0.9:5"
-        self.stream, self.outgoing = MessageStream(MAX_HEADER_BYTES), SendQueue()
+        self.stream = MessageStream(MAX_HEADER_BYTES)
+        self.outgoing: Queue[bytes] = Queue(len, asyncio.get_running_loop().time)
         self.receive: Callable[[list[bytes]], None] = lambda _: None
         self.on_end: Callable[[], None] = lambda: None
 
