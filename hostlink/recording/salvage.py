@@ -208,9 +208,8 @@ def repair(path: Path, on_progress: Callable[[int], None] = lambda _: None) -> R
     unchanged.
 
     Raises:
-        RecordingFailed: the file cannot be read or written, is not an MCAP file, is a damaged file of another program,
-            or
-            is still being written.
+        RecordingFailed: the file cannot be read or written, is not an MCAP file, is a damaged file of another
+            program, or is still being written.
     """
     _check_left(path)
     reader = McapReader(path)
