@@ -23,7 +23,6 @@ from hostlink.graphs.ros2.conversion import (
     to_json,
 )
 from hostlink.graphs.ros2.plan import (
-    COMMAND,
     TWIST_STAMPED,
     Caller,
     Feed,
@@ -35,7 +34,7 @@ from hostlink.graphs.ros2.plan import (
     publisher_qos,
 )
 from hostlink.graphs.ros2.velocity import VelocityDriver
-from hostlink.graphs.ros2_names import ros1_type, ros2_type
+from hostlink.graphs.ros2_names import COMMANDS, ros1_type, ros2_type
 from hostlink.graphs.wire_layout import ros1_layout, ros2_layout
 from hostlink.log_budget import Budget
 from hostlink.mirror.inbox import ThreadInbox
@@ -197,7 +196,7 @@ class Routes:
             inbox.put("", (message, info))
 
         with self._velocity.driving(route):
-            async with self._node.subscription(route.topic, cls, COMMAND, receive, is_raw=False):
+            async with self._node.subscription(route.topic, cls, COMMANDS, receive, is_raw=False):
                 async for message, info in inbox:
                     twist = _twist(message.twist if is_stamped else message)
                     is_first = info.get("publication_sequence_number") == 1

@@ -4,10 +4,10 @@ from collections import Counter
 
 import pytest
 
+from hostlink.graphs.ros2_names import Qos
 from hostlink.graphs.zenoh import rmw_protocol
 from hostlink.graphs.zenoh.rmw_protocol import (
     OWN_ENCLAVE,
-    TELEMETRY,
     Attachment,
     EndpointToken,
     NodeToken,
@@ -25,7 +25,7 @@ def key_of(
     session: str, *, topic: str = SUBJECT[0], kind: TokenKind = TokenKind.PUBLISHER, domain: int = 0, enclave: str = ""
 ) -> str:
     node = NodeToken(domain, session, 0, "/", "driver", enclave)
-    return EndpointToken(kind, node, 1, topic, SUBJECT[1], "RIHS01_0", TELEMETRY).encode()
+    return EndpointToken(kind, node, 1, topic, SUBJECT[1], "RIHS01_0", Qos()).encode()
 
 
 def graph_of(*keys: str) -> RemoteGraph:
