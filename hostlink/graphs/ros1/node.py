@@ -1,4 +1,4 @@
-"""Ros1Node: the daemon as one node of a ROS 1 graph. It listens, takes part, and leaves in order."""
+"""The daemon as one node of a ROS 1 graph: it listens, takes part, and leaves in order."""
 
 import asyncio
 import contextlib
@@ -27,63 +27,6 @@ log = structlog.get_logger()
 RETRY_S = 2.0  # until the master's name has an address
 
 
-class Ros1Node:
-    """The daemon as one node of a ROS 1 graph. `run` serves until the node is shut down; the daemon continues."""
-
-    def __init__(self, hub: Hub, config: Ros1Config) -> None:
-        self._names = NameResolver.of(config.namespace, config.name, config.remappings)
-        self._hub, self._config = hub, config
-
-    async def run(self) -> str:
-        """Take part in the graph; returns why the node was shut down."""
-        host = await self._find_host()
-        async with asyncio.TaskGroup() as tasks:
-            node = LocalNode(self._hub, self._config, self._names.node, tasks)
-            try:
-                async with self._serving(node, host) as member:
-                    registering = node.spawn(member.keep_registered(), name="ROS 1 registrar")
-                    try:
-                        return await member.ended
-                    finally:
-                        registering.cancel()  # before everything is unregistered
-            finally:
-                await node.aclose()
-
-    @contextlib.asynccontextmanager
-    async def _serving(self, node: LocalNode, host: str) -> AsyncIterator[Member]:
-        """Listen for the length of the block. At its end no graph contains a part of this node."""
-        config = self._config
-        make_port = partial(Port, node.counts, allow=config.allow, max_connections=config.max_connections)
-        api, tcpros = make_port(), make_port()
-        listen = _listening_address(host)
-        try:
-            api_port = await _bound(api, listen, config.port, "ros1.port")
-            tcpros_port = await _bound(tcpros, listen, config.tcpros_port, "ros1.tcpros_port")
-            node.uri = f"http://{spelled(host, api_port)}/"
-            member = Member(node, self._names, f"rosrpc://{spelled(host, tcpros_port)}")
-            slave_api = SlaveApi(member, node, (host, tcpros_port))
-            async with member.taking_part(), slave_api.serving() as connect:
-                api.accept(connect, node.spawn)
-                tcpros.accept(member.make_wire, node.spawn)
-                log.info("ros1.started", node=node.name, master=config.master, uri=node.uri)
-                yield member
-        finally:
-            api.close()
-            tcpros.close()
-
-    async def _find_host(self) -> str:
-        """Find the name or address of this node for others. Repeat until the master's name has an address."""
-        is_logged = False
-        while True:
-            try:
-                return self._config.host or await _own_address(self._config.master)
-            except OSError as error:
-                if not is_logged:
-                    log.warning("ros1.master_lost", master=self._config.master, reason=system_text(error))
-                is_logged = True
-            await asyncio.sleep(RETRY_S)
-
-
 @contextlib.asynccontextmanager
 async def ros1_running(hub: Hub, config: Ros1Config, on_end: Callable[[str], None]) -> AsyncIterator[None]:
     """Take part in the graph for the length of the block, or until the node is shut down.
@@ -101,14 +44,66 @@ async def ros1_running(hub: Hub, config: Ros1Config, on_end: Callable[[str], Non
 async def _serve(hub: Hub, config: Ros1Config, on_end: Callable[[str], None]) -> None:
     reason = CRASHED
     with hub.isolation.around("task", task="ROS 1"):
-        node = Ros1Node(hub, config)
         try:
-            reason = await node.run()
+            reason = await run_node(hub, config)
         except* ConfigError as group:
             reason = str(group.exceptions[0])
     raise_if_cancelled()
     log.warning("ros1.ended", reason=reason, advice="robots are served on; start hostlink again to be in the graph")
     on_end(reason)
+
+
+async def run_node(hub: Hub, config: Ros1Config) -> str:
+    """Take part in the graph until the node is shut down. Return why."""
+    names = NameResolver.of(config.namespace, config.name, config.remappings)
+    host = await find_host(config)
+    async with asyncio.TaskGroup() as tasks:
+        node = LocalNode(hub, config, names.node, tasks)
+        try:
+            async with _serving(node, names, host) as member:
+                registering = node.spawn(member.keep_registered(), name="ROS 1 registrar")
+                try:
+                    return await member.ended
+                finally:
+                    registering.cancel()  # before everything is unregistered
+        finally:
+            await node.aclose()
+
+
+async def find_host(config: Ros1Config) -> str:
+    """Find the name or address of this node for others. Repeat until the master's name has an address."""
+    is_logged = False
+    while True:
+        try:
+            return config.host or await _own_address(config.master)
+        except OSError as error:
+            if not is_logged:
+                log.warning("ros1.master_lost", master=config.master, reason=system_text(error))
+            is_logged = True
+        await asyncio.sleep(RETRY_S)
+
+
+@contextlib.asynccontextmanager
+async def _serving(node: LocalNode, names: NameResolver, host: str) -> AsyncIterator[Member]:
+    """Listen for the length of the block. At its end no graph contains a part of this node."""
+    config = node.config
+    make_port = partial(Port, node.counts, allow=config.allow, max_connections=config.max_connections)
+    api, tcpros = make_port(), make_port()
+    listen = _listening_address(host)
+    try:
+        api_port = await _bound(api, listen, config.port, "ros1.port")
+        tcpros_port = await _bound(tcpros, listen, config.tcpros_port, "ros1.tcpros_port")
+        node.uri = f"http://{spelled(host, api_port)}/"
+        member = Member(node, names, f"rosrpc://{spelled(host, tcpros_port)}")
+        slave_api = SlaveApi(member, node, (host, tcpros_port))
+        async with member.taking_part(), slave_api.serving() as connect:
+            api.accept(connect, node.spawn)
+            tcpros.accept(member.make_wire, node.spawn)
+            log.info("ros1.started", node=node.name, master=config.master, uri=node.uri)
+            yield member
+    finally:
+        api.close()
+        tcpros.close()
 
 
 async def _bound(port: Port, host: str, number: int, setting: str) -> int:
