@@ -14,8 +14,7 @@ from hostlink.errors import ConfigError
 from hostlink.graphs.ros1 import node as module
 from hostlink.graphs.ros1.connections import Port
 from hostlink.graphs.ros1.local_node import Ros1Counts
-from hostlink.graphs.ros1.member import CRASHED
-from hostlink.graphs.ros1.node import RETRY_S, find_host, ros1_running
+from hostlink.graphs.ros1.node import CRASHED, RETRY_S, find_host, ros1_running
 from hostlink.hub.hub import Hub
 from tests.support.fake_device import CATALOG
 from tests.support.virtual_loop import run_virtual
