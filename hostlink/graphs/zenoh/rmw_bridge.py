@@ -53,26 +53,6 @@ MAX_CALLS_OF_CLIENT = 8  # under way at once, of one client and one service
 CALL_TIMEOUT_S = 30.0  # of a service of ROS 2
 
 
-class RmwEndpoint:
-    """One end of a topic or service in ROS 2: its token, and the gid by which it signs."""
-
-    def __init__(self, session: ZenohSession, token: EndpointToken, key: str) -> None:
-        """`key`: the key of the endpoint's data."""
-        text = token.encode()
-        self.key, self.gid = key, gid_of(text)
-        self._numbers = itertools.count(1)
-        self._declaration: Declaration = session.declare_token(text)
-
-    def signed(self, source_ns: int | None = None) -> tuple[int, bytes]:
-        """The number of its next message or request, and the attachment with it."""
-        number = next(self._numbers)
-        return number, Attachment(number, time.time_ns() if source_ns is None else source_ns, self.gid).encode()
-
-    def close(self) -> None:
-        """Leave the graph."""
-        self._declaration.close()
-
-
 @dataclass(slots=True)
 class RmwNode:
     """Node of this daemon in ROS 2, which its endpoints share. `counts`: losses by cause."""
@@ -82,16 +62,31 @@ class RmwNode:
     types: Ros2Types
     token: NodeToken
     counts: Counter[str] = field(default_factory=Counter)
-    _numbers: "itertools.count[int]" = field(default_factory=lambda: itertools.count(1))
+    numbers: "itertools.count[int]" = field(default_factory=lambda: itertools.count(1))  # of its endpoints
 
-    def endpoint(self, kind: TokenKind, name: str, type_name: str, type_hash: str, qos: Qos) -> RmwEndpoint:
-        """Declare an endpoint of this node.
+
+class RmwEndpoint:
+    """One end of a topic or service in ROS 2: its token, the key of its data, and the gid by which it signs."""
+
+    def __init__(self, node: RmwNode, kind: TokenKind, name: str, type_: Ros2Message | Ros2Service, qos: Qos) -> None:
+        """Declare it.
 
         Raises:
             ConfigError: the session is closed.
         """
-        token = EndpointToken(kind, self.token, next(self._numbers), name, type_name, type_hash, qos)
-        return RmwEndpoint(self.session, token, data_key(self.token.domain, name, type_name, type_hash))
+        token = EndpointToken(kind, node.token, next(node.numbers), name, type_.name, type_.type_hash, qos).encode()
+        self.key, self.gid = data_key(node.token.domain, name, type_.name, type_.type_hash), gid_of(token)
+        self._numbers = itertools.count(1)
+        self._declaration: Declaration = node.session.declare_token(token)
+
+    def signed(self, source_ns: int | None = None) -> tuple[int, bytes]:
+        """The number of its next message or request, and the attachment with it."""
+        number = next(self._numbers)
+        return number, Attachment(number, time.time_ns() if source_ns is None else source_ns, self.gid).encode()
+
+    def close(self) -> None:
+        """Leave the graph."""
+        self._declaration.close()
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,9 +108,9 @@ class RmwPublication:
         Raises:
             ConfigError: the session is closed.
         """
-        qos, type_ = LATCHED if topic.is_latched else Qos(), topic.type
+        qos = LATCHED if topic.is_latched else Qos()
         self._node, self._topic = node, topic
-        self._endpoint = node.endpoint(TokenKind.PUBLISHER, topic.topic, type_.name, type_.type_hash, qos)
+        self._endpoint = RmwEndpoint(node, TokenKind.PUBLISHER, topic.topic, topic.type, qos)
         self._publisher = node.session.declare_publisher(self._endpoint.key, kept=1 if topic.is_latched else 0)
         self._source = HubSource(
             lambda: node.hub.join(f"ros2 {topic.topic}", group=GROUP),
@@ -169,7 +164,7 @@ class OfferedService:
         self._node, self._name, self._known, self._type = node, offered.name, offered.known, offered.type
         self._calls: Counter[bytes] = Counter()
         self._participant = node.hub.join(f"ros2 {self._name}", group=GROUP)
-        self._endpoint = node.endpoint(TokenKind.SERVER, self._name, self._type.name, self._type.type_hash, Qos())
+        self._endpoint = RmwEndpoint(node, TokenKind.SERVER, self._name, self._type, Qos())
         self._queryable = node.session.serve(self._endpoint.key, self._receive)
 
     def close(self) -> None:
@@ -231,7 +226,7 @@ class CalledService:
         """
         self._node, self._name, self._known, self._type = node, token.name, known, type_
         self._participant: Participant = node.hub.join(f"ros2 {token.node.full_name}", group=GROUP)
-        self._endpoint = node.endpoint(TokenKind.CLIENT, token.name, type_.name, type_.type_hash, Qos())
+        self._endpoint = RmwEndpoint(node, TokenKind.CLIENT, token.name, type_, Qos())
         try:
             self._participant.provide(token.name, known.name, self._answer)
         except BadRequest:
@@ -438,7 +433,7 @@ class RmwSubscription:
         """
         self._node, self._wanted, self._publishers = node, wanted, publishers
         type_ = wanted.type
-        self._endpoint = node.endpoint(TokenKind.SUBSCRIPTION, wanted.name, type_.name, type_.type_hash, wanted.qos)
+        self._endpoint = RmwEndpoint(node, TokenKind.SUBSCRIPTION, wanted.name, type_, wanted.qos)
         if wanted.is_velocity:
             publishers.join((wanted.name, type_.name))
         self._subscription = node.session.subscribe(
