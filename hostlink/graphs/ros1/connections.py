@@ -149,12 +149,17 @@ class Wire(BufferedConnection):
         self.send_header({"error": reason})
         self.close()
 
-    def send(self, data: bytes) -> None:
-        """Queue a message. A slow peer loses the oldest ones."""
+    def send(self, data: bytes, *, is_answer: bool = False) -> None:
+        """Queue a message or an answer. A slow peer loses its oldest messages; one that reads no answers is cut off."""
         if self.is_closed:
             return
-        self.outgoing.put_message("", data)
-        if not self._is_flush_due and not self.is_writing_paused:
+        if is_answer:
+            self.outgoing.put_result(data)
+        else:
+            self.outgoing.put_message("", data)
+        if self.outgoing.is_too_slow:
+            self.close()
+        elif not self._is_flush_due and not self.is_writing_paused:
             self._is_flush_due = True
             asyncio.get_running_loop().call_soon(self._flush)
 

@@ -232,10 +232,6 @@ class FleetRobots:
         senders = [neighbour.sender for neighbour in self._roster.all()]
         self._live.want({sender.zid: sender for sender in senders if sender.zid in wanted})
 
-    def lose(self, zid: str) -> None:
-        """Unsubscribe from the poses of a daemon that is gone."""
-        self._live.put(zid, None)
-
     def _subscribe(self, _: str, sender: Sender) -> Declaration:
         key = self._transport.keys.key("live", sender)
         return self._transport.session.subscribe(key, self._receive, max_bytes=MAX_STATE_BYTES, max_waiting=MAX_WAITING)
@@ -383,7 +379,6 @@ class Fleet:
             return
         log.warning("fleet.daemon_gone", host=printable(sender.name), zid=printable(sender.zid))
         self._drivers.leave(sender.zid)
-        self._robots.lose(sender.zid)
         self._robots.apply_soon(self._roster.leave(sender.zid, _now_s()))
 
     def _receive_state(self, sample: ZenohSample) -> None:

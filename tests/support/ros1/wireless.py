@@ -43,6 +43,7 @@ class FakeWire:
     def __init__(self) -> None:
         self.headers: list[Header] = []
         self.sent: list[bytes] = []
+        self.answers: list[bytes] = []
         self.refusals: list[str] = []
         self.is_closed, self.is_replaceable, self.peer = False, True, "10.0.0.9:5"
         self.stream = MessageStream(MAX_HEADER_BYTES)
@@ -53,8 +54,8 @@ class FakeWire:
     def send_header(self, fields: Header) -> None:
         self.headers.append(fields)
 
-    def send(self, data: bytes) -> None:
-        self.sent.append(data)
+    def send(self, data: bytes, *, is_answer: bool = False) -> None:
+        (self.answers if is_answer else self.sent).append(data)
 
     def refuse(self, reason: str) -> None:
         self.refusals.append(reason)
