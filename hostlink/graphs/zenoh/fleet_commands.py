@@ -7,7 +7,7 @@ import functools
 import itertools
 from collections.abc import Awaitable, Hashable
 from dataclasses import dataclass, field
-from typing import assert_never
+from typing import Any, assert_never
 
 import msgspec
 import structlog
@@ -66,9 +66,7 @@ class FleetDrivers:
         """Answer a request to all daemons. Reading is enough to stop."""
         self._receive(sample, STOP_REQUEST)
 
-    def _receive(
-        self, sample: ZenohSample, decoder: "msgspec.json.Decoder[Request] | msgspec.json.Decoder[StopRequest]"
-    ) -> None:
+    def _receive(self, sample: ZenohSample, decoder: "msgspec.json.Decoder[Any]") -> None:
         neighbour = self._roster.announced(self._transport.keys.sender(sample.key))
         request = None if neighbour is None else self._transport.decode(sample.payload, decoder)
         if neighbour is None or request is None:
