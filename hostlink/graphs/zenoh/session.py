@@ -390,7 +390,7 @@ async def opened(config: ZenohConfig, isolation: Isolation) -> AsyncIterator[Zen
     except (zenoh.ZError, ValueError) as error:
         raise ConfigError("zenoh", f"the session cannot be opened: {reason_of(error)}") from error
     session = ZenohSession(zenoh, raw, isolation)
-    log.info("zenoh.opened", zid=session.zid, mode=config.mode, reach="; ".join(reach_of(settings, config).lines))
+    log.info("zenoh.opened", zid=session.zid, mode=config.mode, reach="; ".join(reach_of(settings, config)))
     try:
         yield session
     finally:
