@@ -160,13 +160,10 @@ class SimTime:
         if not self._clock.is_read:
             self._now_ns = 0
         self._clock.set_read(is_wanted)
-        self._hub.links.wall_ns = self._read_ns if is_wanted else time.time_ns
+        self._hub.links.wall_ns = (lambda: self._now_ns) if is_wanted else time.time_ns
 
     def _fail(self, error: HostlinkError) -> None:
         self._log_once("ros1.clock_unusable", reason=str(error))
-
-    def _read_ns(self) -> int:
-        return self._now_ns
 
     def _receive(self, message: Message) -> None:
         now_ns = decode_clock(message.payload)

@@ -530,7 +530,6 @@ class RmwBridge:
         self._called.close()
         for each in self._declared:
             each.close()
-        self._remote.clear()
 
     # -- from ROS 2 ---------------------------------------------------------------------------------------------------
 

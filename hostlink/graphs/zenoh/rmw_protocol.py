@@ -316,10 +316,6 @@ class RemoteGraph:
         self._forget(publisher)
         return Removed(token, publisher, self._unbind(publisher))
 
-    def clear(self) -> None:
-        for key in list(self._tokens):
-            self.remove(key)
-
     def publisher(self, gid: bytes, subject: Subject) -> RemotePublisher | None:
         """Return the publisher that signed a message of this subject; None if it is unknown."""
         found = self._by_gid.get(gid)
