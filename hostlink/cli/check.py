@@ -161,7 +161,7 @@ def _describe_zenoh(zenoh: ZenohConfig) -> str:
     from hostlink.graphs.zenoh.settings import reach_of, settings_of  # noqa: PLC0415 - only a daemon with Zenoh needs it
 
     parts = [f"the fleet {zenoh.fleet_name}"] * zenoh.fleet + [f"ROS 2, domain {zenoh.ros_domain_id}"] * zenoh.ros2
-    reach = reach_of(settings_of(zenoh), zenoh).lines
+    reach = reach_of(settings_of(zenoh), zenoh)
     return "; ".join([f"Zenoh, a {zenoh.mode}: {' and '.join(parts) or 'nothing'}", *reach])
 
 
@@ -231,9 +231,9 @@ def _suspicious(config: Config) -> Iterator[str]:
     yield from _shared_frames(config)
     yield from _suspicious_api(config)
     if config.zenoh is not None:
-        from hostlink.graphs.zenoh.settings import reach_of, settings_of  # noqa: PLC0415 - only a daemon with Zenoh needs it
+        from hostlink.graphs.zenoh.settings import settings_of, warnings_of  # noqa: PLC0415 - only a daemon with Zenoh needs it
 
-        yield from reach_of(settings_of(config.zenoh), config.zenoh).warnings
+        yield from warnings_of(settings_of(config.zenoh), config.zenoh)
     for name, part in {"tcp": config.tcp, "udp": config.udp}.items():
         if part is not None and part.keyless and part.key_file is None:
             yield f"{name}.keyless has no effect without {name}.key_file, because no device needs a key"

@@ -1,6 +1,29 @@
-"""Names of message and service types in ROS 1 and in ROS 2. Pure."""
+"""Names, types and quality of service of ROS 2, for both bridges to it. Pure."""
 
-from typing import Final, Literal
+import re
+from typing import Final, Literal, NamedTuple
+
+NAME_CHARS_MAX: Final = 255
+_NAME: Final = re.compile(r"(?:/[A-Za-z_][A-Za-z0-9_]*)+")
+
+
+def is_ros2_name(name: str) -> bool:
+    """Whether ROS 2 allows it as the full name of a topic or service.
+
+    rosserial also allows parts that begin with a digit.
+    """
+    return len(name) <= NAME_CHARS_MAX and _NAME.fullmatch(name) is not None
+
+
+class Qos(NamedTuple):
+    """Policies of a publisher or a subscription. `depth`: messages that are kept; None: all."""
+
+    is_reliable: bool = True
+    is_latched: bool = False  # TRANSIENT_LOCAL
+    depth: int | None = 10  # as `ros2 topic pub` and rclpy's examples have it
+
+
+COMMANDS: Final = Qos(is_reliable=False, depth=1)  # every publisher matches it, and a newer velocity replaces an older
 
 _RENAMED: Final = {  # ROS 1's name -> ROS 2's, where it is not "pkg/msg/Type"
     "tf/tfMessage": "tf2_msgs/msg/TFMessage",

@@ -6,6 +6,7 @@ have, such as a user's own, has the catalog's fields, with names in lower case a
 
 import struct
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any, Final, Literal
 
 import numpy as np
@@ -40,7 +41,7 @@ _EMPTY: Final = (PLACEHOLDER, (Nodetype.BASE, ("uint8", 0)))
 _SHADOW: Final = "hostlink_ros1/msg/"  # the catalog's fields of a type that ROS 2 has with others
 _MALFORMED: Final = (SerdeError, ArithmeticError, AssertionError, LookupError, TypeError, ValueError, struct.error)
 
-Convert = Callable[[bytes], bytes]
+Convert = Callable[[bytes], bytes | memoryview]
 _Desc = Any  # rosbags' description of a field, a nested tuple
 
 
@@ -73,7 +74,7 @@ class Ros2Message:
 
     def _converted(self, convert: Convert, data: bytes) -> bytes:
         try:
-            return convert(data)
+            return bytes(convert(data))
         except _MALFORMED as error:
             raise BadPayload(self.name, str(error) or type(error).__name__) from None
 
@@ -120,24 +121,15 @@ class Ros2Types:
         if name not in store.fielddefs:
             self._register(known, name)
         type_hash = store.hash_rihs01(name) if self._has_hashes else NO_HASH
-        if self._is_same_on_wire(known, name):
-            return Ros2Message(
-                name,
-                type_hash,
-                lambda payload: bytes(store.ros1_to_cdr(payload, name)),
-                lambda data: bytes(store.cdr_to_ros1(data, name)),
-                is_flat=_is_flat(known),
-            )
-        shadow = f"{_SHADOW}{known.name.replace('/', '_')}"
-        if shadow not in store.fielddefs:
-            self._register(known, shadow)
-        return Ros2Message(
-            name,
-            type_hash,
-            lambda payload: self._to_other(payload, shadow, name),
-            lambda data: self._from_other(data, name, shadow),
-            is_flat=_is_flat(known),
-        )
+        to_cdr: Convert = partial(store.ros1_to_cdr, typename=name)
+        from_cdr: Convert = partial(store.cdr_to_ros1, typename=name)
+        if not self._is_same_on_wire(known, name):
+            shadow = f"{_SHADOW}{known.name.replace('/', '_')}"
+            if shadow not in store.fielddefs:
+                self._register(known, shadow)
+            to_cdr = partial(self._to_other, shadow=shadow, name=name)
+            from_cdr = partial(self._from_other, shadow=shadow, name=name)
+        return Ros2Message(name, type_hash, to_cdr, from_cdr, is_flat=_is_flat(known))
 
     def _build_service(self, name: str) -> Ros2Service | None:
         known = self._catalog.service(name)
@@ -179,17 +171,17 @@ class Ros2Types:
 
     # -- types with other fields --------------------------------------------------------------------------------------
 
-    def _to_other(self, payload: bytes, shadow: str, name: str) -> bytes:
+    def _to_other(self, payload: bytes, *, shadow: str, name: str) -> memoryview:
         source: Any = self._store.deserialize_cdr(self._store.ros1_to_cdr(payload, shadow), shadow)
         made = self._copied(source, name)
         if name == _LOG:
             made.level = _LOG_LEVELS.get(source.level, 0)
             made.stamp = source.header.stamp
-        return bytes(self._store.serialize_cdr(made, name, little_endian=True))
+        return self._store.serialize_cdr(made, name, little_endian=True)
 
-    def _from_other(self, data: bytes, name: str, shadow: str) -> bytes:
+    def _from_other(self, data: bytes, *, shadow: str, name: str) -> memoryview:
         made = self._copied(self._store.deserialize_cdr(data, name), shadow)
-        return bytes(self._store.cdr_to_ros1(self._store.serialize_cdr(made, shadow, little_endian=True), shadow))
+        return self._store.cdr_to_ros1(self._store.serialize_cdr(made, shadow, little_endian=True), shadow)
 
     def _copied(self, source: object, name: str) -> Any:
         """A message of that type with the fields of the source that it has; the others are zero."""

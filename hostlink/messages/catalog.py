@@ -233,11 +233,11 @@ class Catalog:
 
     def message(self, name: str) -> MessageType | None:
         """Return the type named "pkg/Type" or "pkg/msg/Type"; None if unknown."""
-        return self._types.find(_short(name))
+        return self._types.find(short_name(name))
 
     def service(self, name: str) -> ServiceType | None:
         """Return the service type named "pkg/Type" or "pkg/srv/Type"; None if unknown."""
-        name = _short(name)
+        name = short_name(name)
         if name not in self._services and name in self._service_files:
             path = self._service_files[name]
             request, response = parse_service(name, read_definition(path), str(path))
@@ -275,7 +275,7 @@ class Catalog:
         return None if text is None else parse_message(name, text, f"built-in {name}")
 
 
-def _short(name: str) -> str:
+def short_name(name: str) -> str:
     """Shorten "pkg/msg/Type" to "pkg/Type"."""
     package, _, rest = name.partition("/")
     kind, _, base = rest.rpartition("/")

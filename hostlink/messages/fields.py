@@ -78,8 +78,7 @@ class Layout:
     @cached_property
     def fixed_bytes(self) -> int | None:
         """Serialised size if every value has the same size, else None."""
-        sizes = [self._fixed_bytes(field) for field in self.fields]
-        return None if None in sizes else sum(size for size in sizes if size is not None)
+        return self.minimum_bytes if all(map(self._is_fixed, self.fields)) else None
 
     @cached_property
     def minimum_bytes(self) -> int:
@@ -102,12 +101,10 @@ class Layout:
             return COUNT_BYTES
         return abs(field.array_length) * self.element_minimum_bytes(field)
 
-    def _fixed_bytes(self, field: Field) -> int | None:
+    def _is_fixed(self, field: Field) -> bool:
         if field.array_length == VARIABLE or field.type == "string":
-            return None
-        if field.type in self.nested and self.nested[field.type].fixed_bytes is None:
-            return None
-        return self.field_minimum_bytes(field)
+            return False
+        return field.type not in self.nested or self.nested[field.type].fixed_bytes is not None
 
     def _room(self, field: Field) -> int:
         if field.type in self.nested and field.array_length != VARIABLE:

@@ -146,4 +146,4 @@ class ThreadInbox(Generic[Item]):
 
 def _size_bytes(item: object) -> int:
     """Return the size of the part whose size a peer chooses."""
-    return len(getattr(item, "payload", b""))
+    return len(item if isinstance(item, bytes) else getattr(item, "payload", b""))

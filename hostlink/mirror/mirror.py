@@ -15,13 +15,6 @@ class Endpoint(Protocol):
         """Close the endpoint, without waiting."""
 
 
-class Cancellable(Protocol):
-    """Task, or an object that can be cancelled like one."""
-
-    def cancel(self) -> object:
-        """Let the task end soon."""
-
-
 Made = TypeVar("Made", bound=Endpoint)
 
 
@@ -57,7 +50,7 @@ class Mirror(Generic[Key, Spec, Made]):
     def of_tasks(
         cls,
         serve: Callable[[Key, Spec], Coroutine[Any, Any, None]],
-        spawn: Callable[[Coroutine[Any, Any, None]], Cancellable],
+        spawn: Callable[[Coroutine[Any, Any, None]], asyncio.Task[None]],
         on_failure: Callable[[Key, Exception], None],
         **bounds: Any,
     ) -> "Mirror[Key, Spec, Served[Key]]":
@@ -158,7 +151,7 @@ class Served(Generic[Key]):
     """An endpoint that is a task."""
 
     def __init__(self, key: Key, mirror: Mirror[Key, Any, Any]) -> None:
-        self.task: Cancellable | None = None
+        self.task: asyncio.Task[None] | None = None
         self._key, self._mirror = key, mirror
 
     def close(self) -> None:

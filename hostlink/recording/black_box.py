@@ -69,7 +69,7 @@ class BlackBox:
         self._turn = asyncio.Lock()  # one file at a time, because the thread slows the loop
         self._thread = DetachedThread("incident")
         self._ends_at_s: float | None = None  # monotonic end of writing when the daemon ends
-        self._recorder = Recorder(hub, self, TopicSelection(has_derived=False, has_remote=False))
+        self._recorder = Recorder(hub, self, TopicSelection(is_local=True))
         self._observer = hub.join_daemon()
 
     def start(self, on_last_commands: Callable[[list[LastCommand]], None] = lambda _: None) -> None:

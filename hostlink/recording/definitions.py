@@ -20,12 +20,6 @@ def ros2_name(type_name: str) -> str:
     return f"{package.removesuffix('/msg')}/msg/{base}"
 
 
-def ros1_name(type_name: str) -> str:
-    """Convert a type name to the form of ROS 1: geometry_msgs/Pose2D."""
-    package, _, base = type_name.rpartition("/")
-    return f"{package.removesuffix('/msg')}/{base}"
-
-
 def ros1_type(channel: Channel) -> MessageType:
     """Return the type of a channel with ROS 1 payloads.
 

@@ -131,7 +131,7 @@ def export_csv(
     channels = chosen_channels(source.path, topics, done, skips_unknown=skips_unknown)
     files: dict[_Key, _File] = {}
     opened: dict[_Key, _File] = {}  # the last one is the one written to last
-    names = _Names()
+    names = Counter[str]()
     columns = _columns(open_source(source.path), channels)
     with new_output(folder):
         folder.mkdir()
@@ -139,7 +139,7 @@ def export_csv(
             for channel, stamp_ns, cells in _decoded(source, channels, done):
                 key = _key(channel)
                 if key not in files:
-                    files[key] = _File(folder / f"{names.free(file_name(channel.topic))}.csv", columns[key])
+                    files[key] = _File(folder / f"{_free_name(file_name(channel.topic), names)}.csv", columns[key])
                 opened[key] = opened.pop(key, files[key])
                 if len(opened) > MAX_OPEN_FILES:
                     opened.pop(next(iter(opened))).close()
@@ -157,20 +157,14 @@ def file_name(topic: str) -> str:
     return re.sub(r"[^A-Za-z0-9_.-]", ".", topic.strip("/")).strip(".")[:_LONGEST_NAME] or "topic"
 
 
-class _Names:
-    """File names of one folder, unique also on disks that ignore case."""
-
-    def __init__(self) -> None:
-        self._tries: Counter[str] = Counter()  # also the used names
-
-    def free(self, name: str) -> str:
-        """Return a free name, with a number if another topic has it."""
-        free, wanted = name, name.lower()
-        while free.lower() in self._tries:
-            self._tries[wanted] += 1
-            free = f"{name}_{self._tries[wanted]}"
-        self._tries[free.lower()] += 1
-        return free
+def _free_name(name: str, tries: Counter[str]) -> str:
+    """Return a name that no file of the folder has, also on disks that ignore case. `tries`: of all names so far."""
+    free, wanted = name, name.lower()
+    while free.lower() in tries:
+        tries[wanted] += 1
+        free = f"{name}_{tries[wanted]}"
+    tries[free.lower()] += 1
+    return free
 
 
 def _columns(source: RecordingSource, channels: set[Channel]) -> dict[_Key, list[str]]:

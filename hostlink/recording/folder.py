@@ -45,10 +45,7 @@ NAME_PATTERN = r"^[A-Za-z0-9]([A-Za-z0-9_+-]|\.(?!\.)){0,99}$"  # cannot leave t
 
 
 def default_folder() -> Path:
-    """Default folder:
-
-    systemd's state directory for a service, otherwise the user's, by the XDG base directory rules.
-    """
+    """Return the default folder: below systemd's state directory for a service, otherwise below the user's of XDG."""
     of_service = os.environ.get("STATE_DIRECTORY", "").partition(":")[0]
     state = Path(os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state")
     return (Path(of_service) if of_service else state / "hostlink") / "recordings"

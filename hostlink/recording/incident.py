@@ -5,15 +5,14 @@ import re
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from itertools import islice
 from pathlib import Path
 from typing import Any, Literal, cast
 
+from hostlink.errors import RecordingFailed
 from hostlink.hub.robot_events import HOST_AWAY, LEASE_ENDED, EventKind, RobotEvent
 from hostlink.recording.channel import NS_PER_S, Channel
 from hostlink.recording.folder import Folder, StoredFile
-from hostlink.recording.mcap_format import Opcode, read_metadata
-from hostlink.recording.reader import stored_records
+from hostlink.recording.reader import McapReader
 from hostlink.recording.ring import Entry
 from hostlink.robot.velocity import ZERO
 
@@ -113,7 +112,6 @@ def _cause_of_line(text: str, level: object) -> tuple[Cause | None, str]:
 
 # -- incident files ---------------------------------------------------------------------------------------------------
 
-_FIRST_RECORDS = 2  # the header and the metadata
 MAX_LISTED = 1000
 
 
@@ -150,16 +148,14 @@ class IncidentFiles:
 
 def read_incident(path: Path) -> Incident | None:
     """Read the incident of a file from its metadata; None if it has none."""
+    reader = McapReader(path)
+    facts = reader.metadata
     try:
-        with path.open("rb") as file:
-            for opcode, body in islice(stored_records(file), _FIRST_RECORDS):
-                facts = read_metadata(body) if opcode == Opcode.METADATA else {}
-                if "cause" in facts:
-                    cause = cast("Cause", facts["cause"])
-                    return Incident(facts.get("robot", ""), cause, facts.get("detail", ""), int(facts["stamp_ns"]))
-    except (OSError, ValueError, KeyError):  # removed meanwhile, damaged, or not an incident's file
+        reader.read_beginning()
+        cause = cast("Cause", facts["cause"])
+        return Incident(facts.get("robot", ""), cause, facts.get("detail", ""), int(facts["stamp_ns"]))
+    except (RecordingFailed, ValueError, KeyError):  # removed meanwhile, damaged, or not an incident's file
         return None
-    return None
 
 
 # -- incident writer --------------------------------------------------------------------------------------------------

@@ -92,17 +92,6 @@ class Fields:
         return found
 
 
-def read_metadata(body: bytes) -> dict[str, str]:
-    """Return the values of a METADATA record.
-
-    Raises:
-        Damaged: the record is cut.
-    """
-    fields = Fields(body)
-    fields.text()  # its name
-    return fields.texts()
-
-
 def unpack_chunk(body: bytes, limit_bytes: int) -> bytes:
     """Return the records of a chunk, but not more than it states: a few bytes could expand to all memory.
 

@@ -30,7 +30,6 @@ from hostlink.recording.mcap_format import (
     Damaged,
     Fields,
     Opcode,
-    read_metadata,
     unpack_chunk,
 )
 
@@ -218,14 +217,14 @@ class McapReader:
             pass
         return self.channels
 
-    def reads_steady_times(self) -> bool:
-        """Whether the file has steady times; otherwise they are its wall times.
+    def read_beginning(self) -> None:
+        """Read the header, which says whether the file has steady times, and the metadata behind it.
 
         Raises:
             RecordingFailed: the file cannot be read, or is not an MCAP file.
         """
-        with self._opened():
-            return self.has_steady_times
+        with self._opened() as file, contextlib.suppress(*_DAMAGES):
+            self._note(*_read_record(file, file.tell()))
 
     @property
     def damage(self) -> list[str]:
@@ -265,7 +264,9 @@ class McapReader:
 
     def _read_header(self, file: IO[bytes]) -> None:
         try:
-            opcode, body = next(stored_records(file))
+            if file.read(len(MAGIC)) != MAGIC:
+                raise Damaged("it does not begin as an MCAP file does")
+            opcode, body = _read_record(file, len(MAGIC))
             if opcode != Opcode.HEADER:
                 raise RecordingFailed(f"{self.path} is not an MCAP file: it has no header")
             fields = Fields(body)
@@ -390,7 +391,9 @@ class McapReader:
         if len(body) > MAX_DEFINITION_BYTES:
             self._note_large(len(body))
         elif opcode == Opcode.METADATA:
-            for name, value in read_metadata(body).items():
+            fields = Fields(body)
+            fields.text()  # its name
+            for name, value in fields.texts().items():
                 if self.metadata.get(name) != value and self._has_room(name, value):
                     self.metadata[name] = value
         elif opcode == Opcode.SCHEMA:
@@ -435,21 +438,6 @@ class McapReader:
             )
             for number in range(last - 1):
                 index.is_wanted[number] = False
-
-
-def stored_records(file: IO[bytes]) -> Iterator[tuple[int, bytes]]:
-    """Yield (opcode, content) of the records of a file, with chunks as stored.
-
-    Raises:
-        Damaged: the file is damaged, or is not an MCAP file.
-    """
-    if file.read(len(MAGIC)) != MAGIC:
-        raise Damaged("it does not begin as an MCAP file does")
-    at, opcode = len(MAGIC), 0
-    while opcode != Opcode.FOOTER:
-        opcode, body = _read_record(file, at)
-        at += RECORD_HEAD.size + len(body)
-        yield opcode, body
 
 
 def _read_head(file: IO[bytes], at: int) -> tuple[int, int]:

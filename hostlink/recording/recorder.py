@@ -43,8 +43,9 @@ class TopicSelection:
 
     topics: tuple[str, ...] = ()  # names, or patterns with *; empty: all
     robots: tuple[str, ...] = ()  # only topics and events of these; empty: of all robots and of none
-    has_remote: bool = True  # include topics of other daemons and graphs, which are then transferred all the time
-    has_derived: bool = True  # include topics that hostlink derives from others, such as odom and tf
+    # Only what is published here: no topics of other daemons and graphs, which would then be transferred all the time,
+    # and none that hostlink derives from others, such as odom and tf.
+    is_local: bool = False
 
     def has(self, topic: str, robot: str) -> bool:
         """Whether a topic of this robot, or of no robot, is recorded."""
@@ -107,9 +108,7 @@ class Recorder:
             self._subscriptions.put(name, topic if topic is not None and self._is_wanted(topic) else None)
 
     def _is_wanted(self, topic: GraphTopic) -> bool:
-        if not topic.type_name or (topic.is_derived and not self._selection.has_derived):
-            return False
-        if not self._selection.has_remote and self._is_remote(topic.name):
+        if not topic.type_name or (self._selection.is_local and (topic.is_derived or self._is_remote(topic.name))):
             return False
         return self._selection.has(topic.name, self._robot_of(topic.name))
 

@@ -299,10 +299,7 @@ class Recordings:
         return next(name for name in names if not self._is_taken(name))
 
     def _is_taken(self, name: str) -> bool:
-        """Whether a recording or a file has the name:
-
-        from the same second, or from an hour repeated by a clock change.
-        """
+        """Whether the name is in use: since the same second, or since an hour that a clock change repeated."""
         if name in self._under_way or name in self._starting:
             return True
         try:

@@ -13,8 +13,9 @@ from rosbags.typesys.base import normalize_fieldname
 from rosbags.typesys.store import Typestore
 
 from hostlink.errors import BadPayload, UnknownFormat
+from hostlink.messages.catalog import short_name
 from hostlink.recording.channel import CDR, ROS1, Channel
-from hostlink.recording.definitions import MAX_REASON, encoding_of, ros1_name, ros1_type, ros2_name
+from hostlink.recording.definitions import MAX_REASON, encoding_of, ros1_type, ros2_name
 
 MAX_TYPE_BYTES = 64 * 1024 * 1024  # size of a type's smallest message
 MAX_DEPTH = 32  # nesting of messages
@@ -165,9 +166,9 @@ def _least_bytes(types: Types, name: str, known: dict[str, int], outer: tuple[st
     if name in known:
         return known[name]
     if name not in types:
-        raise UnknownFormat(f"the definition of {ros1_name(name)} is not in the recording")
+        raise UnknownFormat(f"the definition of {short_name(name)} is not in the recording")
     if name in outer or len(outer) > MAX_DEPTH:
-        raise UnknownFormat(f"{ros1_name(name)} contains itself, or is nested too deeply")
+        raise UnknownFormat(f"{short_name(name)} contains itself, or is nested too deeply")
     total = 0
     for _, (kind, content) in types[name][1]:
         if kind == Nodetype.NAME:
@@ -179,9 +180,9 @@ def _least_bytes(types: Types, name: str, known: dict[str, int], outer: tuple[st
             each = _least_bytes(types, inner, known, (*outer, name)) if inner_kind == Nodetype.NAME else 1
             total += each * count if kind == Nodetype.ARRAY else 1
             if each == 0 and types[inner][1]:
-                raise UnknownFormat(f"a list of {ros1_name(inner)} has no bytes per element")
+                raise UnknownFormat(f"a list of {short_name(inner)} has no bytes per element")
         if total > MAX_TYPE_BYTES:
-            raise UnknownFormat(f"a message of {ros1_name(name)} has more than {MAX_TYPE_BYTES} bytes")
+            raise UnknownFormat(f"a message of {short_name(name)} has more than {MAX_TYPE_BYTES} bytes")
     known[name] = total
     return total
 

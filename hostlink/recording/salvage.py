@@ -208,9 +208,8 @@ def repair(path: Path, on_progress: Callable[[int], None] = lambda _: None) -> R
     unchanged.
 
     Raises:
-        RecordingFailed: the file cannot be read or written, is not an MCAP file, is a damaged file of another program,
-            or
-            is still being written.
+        RecordingFailed: the file cannot be read or written, is not an MCAP file, is a damaged file of another
+            program, or is still being written.
     """
     _check_left(path)
     reader = McapReader(path)
@@ -218,7 +217,9 @@ def repair(path: Path, on_progress: Callable[[int], None] = lambda _: None) -> R
     original: Path | None = None
     try:
         part.unlink(missing_ok=True)
-        writer = McapWriter(part, metadata={}, has_steady_times=McapReader(path).reads_steady_times())
+        beginning = McapReader(path)
+        beginning.read_beginning()
+        writer = McapWriter(part, metadata={}, has_steady_times=beginning.has_steady_times)
         try:
             for message in reader.messages():
                 if not writer.write(*message):

@@ -15,6 +15,7 @@ from hostlink.errors import CommandRefused, HostlinkError, RefusalKind
 from hostlink.graphs.ros1.local_node import LocalNode
 from hostlink.graphs.ros1.tcpros import encode_header, encode_message
 from hostlink.graphs.ros1.topics import _PublisherConnection
+from hostlink.graphs.ros2_names import Qos
 from hostlink.graphs.ros2_types import Ros2Types
 from hostlink.graphs.zenoh.fleet import fleet_running
 from hostlink.graphs.zenoh.fleet_commands import FleetDrivers
@@ -29,7 +30,6 @@ from hostlink.graphs.zenoh.fleet_messages import (
 )
 from hostlink.graphs.zenoh.rmw_bridge import Publishers, RmwNode
 from hostlink.graphs.zenoh.rmw_protocol import (
-    TELEMETRY,
     Attachment,
     EndpointToken,
     NodeToken,
@@ -224,7 +224,7 @@ class RmwDriver:
         self._publishers = Publishers(node, graph, LogOnce(counts))
         self._topic = f"/{ROBOT}/cmd_vel"
         remote = NodeToken(0, "aa", 0, "/", "driver")
-        endpoint = EndpointToken(TokenKind.PUBLISHER, remote, 1, self._topic, ROS2_TWIST, "RIHS01_0", TELEMETRY)
+        endpoint = EndpointToken(TokenKind.PUBLISHER, remote, 1, self._topic, ROS2_TWIST, "RIHS01_0", Qos())
         self._gid, self._sent = gid_of(endpoint.encode()), 0
         token = graph.add(endpoint.encode())
         assert isinstance(token, EndpointToken)

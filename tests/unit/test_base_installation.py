@@ -33,7 +33,7 @@ def test_daemon_recorder_and_client_load_without_the_extras() -> None:
     modules = (
         "hostlink.cli.serve, hostlink.cli.check, hostlink.cli.record, hostlink.cli.play, hostlink.cli.topics, "
         "hostlink.cli.export, hostlink.recording.salvage, hostlink.recording.export, hostlink.client, "
-        "hostlink.graphs.ros1.member, hostlink.board.library"
+        "hostlink.graphs.ros1.node, hostlink.board.library"
     )
     done = run(f"import {modules}; hostlink.cli.serve.Catalog().message('nav_msgs/Odometry').md5")
     assert (done.returncode, done.stderr) == (0, "")

@@ -4,7 +4,6 @@ import asyncio
 import contextlib
 import ipaddress
 import socket
-from collections import deque
 from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
@@ -13,6 +12,7 @@ from hostlink.graphs.ros1.local_node import Ros1Counts
 from hostlink.graphs.ros1.tcpros import MAX_HEADER_BYTES, Header, MessageStream, encode_header
 from hostlink.hub.hub import Hub
 from hostlink.hub.isolation import Spawn
+from hostlink.hub.queue import Queue
 from hostlink.listening import close_all
 from hostlink.transport.connection import BufferedConnection, set_options
 
@@ -102,8 +102,6 @@ class Port:
         self._counts.refused_connections += 1
 
 
-MAX_MESSAGES = 256
-MAX_BYTES = 8 * 1024 * 1024
 BATCH_BYTES = 64 * 1024  # that one write passes to the system
 PIECE_BYTES = 512  # of small messages, between two of which others may have their turn
 SYSTEM_BYTES = 64 * 1024  # in the kernel, each way: what waits there cannot be replaced
@@ -113,36 +111,6 @@ USER_TIMEOUT_MS = 30_000  # a subscriber in a debugger may come back
 Receive = Callable[[list[bytes]], None]
 
 
-class SendQueue:
-    """Bounded send queue of one subscriber. When it is full, the oldest message is dropped and counted."""
-
-    def __init__(self) -> None:
-        self.dropped = 0
-        self._waiting: deque[bytes] = deque()
-        self._bytes = 0
-
-    def __bool__(self) -> bool:
-        return bool(self._waiting)
-
-    def put(self, data: bytes) -> None:
-        """Add a message."""
-        self._waiting.append(data)
-        self._bytes += len(data)
-        while len(self._waiting) > MAX_MESSAGES or (self._bytes > MAX_BYTES and len(self._waiting) > 1):
-            self._bytes -= len(self._waiting.popleft())
-            self.dropped += 1
-
-    def pop_batch(self) -> bytes:
-        """Remove and return the oldest messages: BATCH_BYTES, or a little more."""
-        batch: list[bytes] = []
-        size = 0
-        while self._waiting and size < BATCH_BYTES:
-            batch.append(self._waiting.popleft())
-            size += len(batch[-1])
-        self._bytes -= size
-        return batch[0] if len(batch) == 1 else b"".join(batch)
-
-
 class Wire(BufferedConnection):
     """TCPROS connection. Calls `receive` with the messages of each read, and `on_end` once."""
 
@@ -150,7 +118,7 @@ class Wire(BufferedConnection):
         super().__init__()
         self.receive, self.on_end = receive, on_end
         self.stream = MessageStream(MAX_HEADER_BYTES)
-        self.outgoing = SendQueue()
+        self.outgoing: Queue[bytes] = Queue(len, asyncio.get_running_loop().time, hub.budget["queues"])
         self.peer = ""  # for people
         self.is_closed = False
         self.is_replaceable = True  # until it has sent a header
@@ -164,6 +132,7 @@ class Wire(BufferedConnection):
         if self.is_closed:
             return
         self.is_closed = True
+        self.outgoing.clear()
         self._reader.stop()
         if hasattr(self, "transport"):
             self.transport.close()
@@ -180,18 +149,34 @@ class Wire(BufferedConnection):
         self.send_header({"error": reason})
         self.close()
 
-    def send(self, data: bytes) -> None:
-        """Queue a message."""
-        self.outgoing.put(data)
-        if not self._is_flush_due and not self.is_writing_paused:
+    def send(self, data: bytes, *, is_answer: bool = False) -> None:
+        """Queue a message or an answer. A slow peer loses its oldest messages; one that reads no answers is cut off."""
+        if self.is_closed:
+            return
+        if is_answer:
+            self.outgoing.put_result(data)
+        else:
+            self.outgoing.put_message("", data)
+        if self.outgoing.is_too_slow:
+            self.close()
+        elif not self._is_flush_due and not self.is_writing_paused:
             self._is_flush_due = True
             asyncio.get_running_loop().call_soon(self._flush)
 
     def _flush(self) -> None:
         """Write the messages of one turn of the loop at once."""
         self._is_flush_due = False
-        while self.outgoing and not self.is_writing_paused and not self.is_closed:
-            self.transport.write(self.outgoing.pop_batch())
+        while not self.is_writing_paused and not self.is_closed and (batch := self._pop_batch()):
+            self.transport.write(batch)
+
+    def _pop_batch(self) -> bytes:
+        """Return the oldest messages: BATCH_BYTES, or a little more."""
+        batch: list[bytes] = []
+        size_bytes = 0
+        while size_bytes < BATCH_BYTES and (waiting := self.outgoing.pop()) is not None:
+            batch.append(waiting.item)
+            size_bytes += waiting.size_bytes
+        return b"".join(batch)
 
     # -- from the peer ------------------------------------------------------------------------------------------------
 

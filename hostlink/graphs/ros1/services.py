@@ -105,7 +105,7 @@ class _Caller:
     async def _work(self) -> None:
         try:
             while self._waiting and not self._wire.is_closed:
-                self._wire.send(await self._answer(self._waiting.pop(0)))
+                self._wire.send(await self._answer(self._waiting.pop(0)), is_answer=True)
         finally:
             self.is_working = False
 

@@ -17,7 +17,8 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 from rclpy.signals import SignalHandlerOptions
 
 from hostlink.errors import ConfigError
-from hostlink.graphs.ros2.plan import Qos, Ros2Graph, Ros2Publisher, ros2_name
+from hostlink.graphs.ros2.plan import Ros2Graph, Ros2Publisher, ros2_name
+from hostlink.graphs.ros2_names import Qos
 
 NODE_NAME = "hostlink"
 END_TIMEOUT_S = 2.0  # of the executor's thread

@@ -1,14 +1,12 @@
 """Plan of the routes between two graphs: names, types, quality of service, and what each graph has decide it. Pure."""
 
-import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any
 
-from hostlink.graphs.ros2_names import ros1_type, ros2_type
+from hostlink.graphs.ros2_names import Qos, is_ros2_name, ros1_type, ros2_type
 
 GLOBAL = frozenset({"/tf", "/tf_static", "/clock", "/diagnostics"})  # one for all namespaces, as in ROS 2
-_TOKENS = re.compile(r"(/?[A-Za-z_][A-Za-z0-9_]*)(/[A-Za-z_][A-Za-z0-9_]*)*")
 
 
 def ros2_name(name: str) -> str:
@@ -16,36 +14,17 @@ def ros2_name(name: str) -> str:
     return name if name in GLOBAL else name.removeprefix("/")
 
 
-def is_ros2_name(name: str) -> bool:
-    """Whether ROS 2 allows it: rosserial also allows parts that begin with a digit, ROS 2 does not."""
-    return _TOKENS.fullmatch(name) is not None
-
-
 def parameter_name(name: str) -> str:
     """`/robot_0/gain` as a parameter of the node: `robot_0.gain`."""
     return name.strip("/").replace("/", ".")
 
 
-DEPTH = 10  # as `ros2 topic pub` and rclpy's examples have it
-COMMAND_DEPTH = 1  # a newer velocity replaces an older one
 STATIC_DEPTH = 100  # transforms of other nodes that never change: each is sent once
-
-
-class Qos(NamedTuple):
-    """The policies that decide whether two ends match."""
-
-    is_reliable: bool
-    is_latched: bool  # TRANSIENT_LOCAL
-    depth: int = DEPTH
-
-
-COMMAND = Qos(is_reliable=False, is_latched=False, depth=COMMAND_DEPTH)  # every publisher matches it
 
 
 def publisher_qos(topic: str, *, is_latched: bool) -> Qos:
     """Reliable: a best-effort publisher reaches no subscription with default policies, and only a warning says so."""
-    is_static = topic == "/tf_static"
-    return Qos(is_reliable=True, is_latched=is_latched or is_static, depth=STATIC_DEPTH if is_static else DEPTH)
+    return Qos(is_latched=True, depth=STATIC_DEPTH) if topic == "/tf_static" else Qos(is_latched=is_latched)
 
 
 def subscription_qos(offers: Iterable[Qos]) -> Qos:
@@ -53,7 +32,7 @@ def subscription_qos(offers: Iterable[Qos]) -> Qos:
     offers = list(offers)
     is_latched = bool(offers) and all(offer.is_latched for offer in offers)
     is_reliable = bool(offers) and all(offer.is_reliable for offer in offers)
-    return Qos(is_reliable, is_latched, STATIC_DEPTH if is_latched else DEPTH)
+    return Qos(is_reliable, is_latched, STATIC_DEPTH) if is_latched else Qos(is_reliable)
 
 
 TWIST, TWIST_STAMPED = "geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"

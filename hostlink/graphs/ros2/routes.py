@@ -23,7 +23,6 @@ from hostlink.graphs.ros2.conversion import (
     to_json,
 )
 from hostlink.graphs.ros2.plan import (
-    COMMAND,
     TWIST_STAMPED,
     Caller,
     Feed,
@@ -35,7 +34,7 @@ from hostlink.graphs.ros2.plan import (
     publisher_qos,
 )
 from hostlink.graphs.ros2.velocity import VelocityDriver
-from hostlink.graphs.ros2_names import ros1_type, ros2_type
+from hostlink.graphs.ros2_names import COMMANDS, ros1_type, ros2_type
 from hostlink.graphs.wire_layout import ros1_layout, ros2_layout
 from hostlink.log_budget import Budget
 from hostlink.mirror.inbox import ThreadInbox
@@ -43,34 +42,6 @@ from hostlink.robot.velocity import Twist
 
 if TYPE_CHECKING:
     from hostlink.graphs.ros2.node import Ros2Node
-
-
-class Types:
-    """Message classes of rclpy, each checked against the daemon's definition before its first use."""
-
-    def __init__(self) -> None:
-        self.conversion = Conversion()
-        self._classes: dict[tuple[str, str], Any] = {}  # by the daemon's type and ROS 2's
-
-    async def message(self, host: Host, type_name: str, ros2: str = "") -> Any:
-        """The class for a message type of the daemon, which `conversion` knows from now on.
-
-        Raises:
-            HostlinkError: it is not installed, or another message has this name in ROS 2.
-        """
-        ros2 = ros2 or ros2_type(type_name)
-        key = (type_name, ros2)
-        if key not in self._classes:
-            cls = load_type(ros2)
-            types = definitions(ros2)
-            answer = await host.call("/rosapi/message_details", {"type": type_name})
-            here = ros1_layout(ros1_fields(answer["typedefs"]).get, type_name)
-            added = added_bytes(here, ros2_layout(types.__getitem__, ros2))
-            if added is None:
-                raise HostlinkError(f"{ros2} has other fields in ROS 2 than {type_name} here: it is not converted")
-            self.conversion.add(types, ros2, added_bytes=added)
-            self._classes[key] = cls
-        return self._classes[key]
 
 
 def definitions(type_name: str) -> dict[str, Fields]:
@@ -100,7 +71,8 @@ class Routes:
     def __init__(self, node: "Ros2Node", host: Host, velocity: VelocityDriver) -> None:
         self._malformed = Budget()
         self._node, self._host, self._velocity = node, host, velocity
-        self._types = Types()
+        self._conversion = Conversion()
+        self._classes: dict[tuple[str, str], Any] = {}  # of rclpy's messages, by the daemon's type and ROS 2's
         self._echoes: defaultdict[str, Echoes] = defaultdict(Echoes)
         self._publishers: dict[PublicationRoute, asyncio.Future[Any]] = {}
         self._tasks: asyncio.TaskGroup | None = None
@@ -133,8 +105,26 @@ class Routes:
             case _:
                 assert_never(route)
 
+    async def _message_class(self, type_name: str, ros2: str) -> Any:
+        """Return rclpy's class for a message type of the daemon, which `_conversion` knows from now on.
+
+        Raises:
+            HostlinkError: it is not installed, or another message has this name in ROS 2.
+        """
+        key = (type_name, ros2)
+        if key not in self._classes:
+            cls, types = load_type(ros2), definitions(ros2)
+            answer = await self._host.call("/rosapi/message_details", {"type": type_name})
+            here = ros1_layout(ros1_fields(answer["typedefs"]).get, type_name)
+            added = added_bytes(here, ros2_layout(types.__getitem__, ros2))
+            if added is None:
+                raise HostlinkError(f"{ros2} has other fields in ROS 2 than {type_name} here: it is not converted")
+            self._conversion.add(types, ros2, added_bytes=added)
+            self._classes[key] = cls
+        return self._classes[key]
+
     async def _publish(self, route: PublicationRoute) -> None:
-        cls = await self._types.message(self._host, route.type_name)
+        cls = await self._message_class(route.type_name, ros2_type(route.type_name))
         qos = publisher_qos(route.topic, is_latched=route.is_latched)
         async with self._node.publisher(route.topic, cls, qos) as publisher:
             self._publisher_of(route).set_result(publisher)
@@ -150,7 +140,7 @@ class Routes:
     async def _feed(self, route: PublicationRoute) -> None:
         """Bytes of the daemon to ROS 2."""
         publisher = await asyncio.shield(self._publisher_of(route))
-        type_name, conversion = ros2_type(route.type_name), self._types.conversion
+        type_name, conversion = ros2_type(route.type_name), self._conversion
         has_header = conversion.begins_with_header(type_name)
         echoes = self._echoes[route.topic]
         async with self._host.subscribe_raw(route.topic, type_name=route.type_name) as messages:
@@ -166,7 +156,7 @@ class Routes:
                 publisher.publish(data)
 
     async def _receive(self, route: Reception) -> None:
-        cls = await self._types.message(self._host, route.type_name, route.ros2_type)
+        cls = await self._message_class(route.type_name, route.ros2_type)
         inbox: ThreadInbox[bytes] = ThreadInbox(max_waiting=INBOX_DEPTH)
         echoes = self._echoes[route.topic]
         async with (
@@ -179,7 +169,7 @@ class Routes:
 
     async def _send(self, route: Reception, data: bytes) -> None:
         try:
-            payload = self._types.conversion.to_ros1(data, route.ros2_type)
+            payload = self._conversion.to_ros1(data, route.ros2_type)
         except BadPayload:
             self._note_malformed(route.topic)
             return
@@ -197,7 +187,7 @@ class Routes:
             inbox.put("", (message, info))
 
         with self._velocity.driving(route):
-            async with self._node.subscription(route.topic, cls, COMMAND, receive, is_raw=False):
+            async with self._node.subscription(route.topic, cls, COMMANDS, receive, is_raw=False):
                 async for message, info in inbox:
                     twist = _twist(message.twist if is_stamped else message)
                     is_first = info.get("publication_sequence_number") == 1

@@ -5,9 +5,9 @@ import contextlib
 import fnmatch
 import functools
 import itertools
-from collections.abc import Awaitable, Callable, Hashable
+from collections.abc import Awaitable, Hashable
 from dataclasses import dataclass, field
-from typing import TypeVar, assert_never
+from typing import Any, assert_never
 
 import msgspec
 import structlog
@@ -40,7 +40,6 @@ from hostlink.robot.velocity import PlanarVelocity, Twist
 
 MAX_DRIVERS = 64  # of one daemon; over it the driver leaves whose last command is the oldest
 IDLE_S = 10.0  # a driver without a command for so long holds no lease
-_Request = TypeVar("_Request")
 _PUBLISHER = 0  # the number of the one who publishes; drivers begin at 1
 
 
@@ -61,24 +60,19 @@ class FleetDrivers:
 
     def receive(self, sample: ZenohSample) -> None:
         """Answer a request to this daemon alone."""
-        self._receive(sample, REQUEST, self._answer)
+        self._receive(sample, REQUEST)
 
     def receive_stop(self, sample: ZenohSample) -> None:
         """Answer a request to all daemons. Reading is enough to stop."""
-        self._receive(sample, STOP_REQUEST, self._stop)
+        self._receive(sample, STOP_REQUEST)
 
-    def _receive(
-        self,
-        sample: ZenohSample,
-        decoder: "msgspec.json.Decoder[_Request]",
-        answer: Callable[[Neighbour, _Request], FleetAnswer],
-    ) -> None:
+    def _receive(self, sample: ZenohSample, decoder: "msgspec.json.Decoder[Any]") -> None:
         neighbour = self._roster.announced(self._transport.keys.sender(sample.key))
         request = None if neighbour is None else self._transport.decode(sample.payload, decoder)
         if neighbour is None or request is None:
             return
         with bound_contextvars(**of_peer(f"fleet {neighbour.sender.name}")):
-            answered = answer(neighbour, request)
+            answered = self._answer(neighbour, request)
         self._transport.put("answer", answered, to=neighbour.sender.zid)
 
     def publish(self, neighbour: Neighbour, topic: str, payload: bytes) -> None:
@@ -114,7 +108,7 @@ class FleetDrivers:
 
     # -- its parts ----------------------------------------------------------------------------------------------------
 
-    def _answer(self, neighbour: Neighbour, request: Request) -> FleetAnswer:
+    def _answer(self, neighbour: Neighbour, request: Request | StopRequest) -> FleetAnswer:
         robot = None
         try:
             match request:
@@ -134,6 +128,8 @@ class FleetDrivers:
                     robot = self._hub.robots.find_here(request.robot)
                     robot.unlock(by=str(printable(neighbour.sender.name)))
                     return FleetAnswer(number=request.number, robots=(state_of(robot),))
+                case Stop() | Lock():
+                    return self._stop(neighbour, request)
                 case _:
                     assert_never(request)
         except HostlinkError as error:
@@ -156,16 +152,13 @@ class FleetDrivers:
     def _stop(self, neighbour: Neighbour, request: StopRequest) -> FleetAnswer:
         name, by = request.robot, printable(neighbour.sender.name)
         robots = [robot for robot in self._hub.robots.here() if name in (None, robot.name)]
-        try:
-            if name is None:
-                self._hub.robots.stop_all_here(by=by)
-            for robot in robots if name is not None else ():
-                if isinstance(request, Lock):
-                    robot.lock_here(f"{request.reason} ({neighbour.sender.name})", by=by)
-                else:
-                    robot.stop_here(by=by)
-        except HostlinkError as error:
-            return _refusal(request.number, error)
+        if name is None:
+            self._hub.robots.stop_all_here(by=by)
+        for robot in robots if name is not None else ():
+            if isinstance(request, Lock):
+                robot.lock_here(f"{request.reason} ({neighbour.sender.name})", by=by)
+            else:
+                robot.stop_here(by=by)
         return FleetAnswer(number=request.number, robots=tuple(map(state_of, robots)))
 
     def _check_role(self, neighbour: Neighbour, what: str) -> None:
@@ -189,7 +182,7 @@ class FleetDrivers:
         return driver.participant
 
 
-def _refusal(number: int, error: HostlinkError, robot: LocalRobot | None = None) -> FleetAnswer:
+def _refusal(number: int, error: HostlinkError, robot: LocalRobot | None) -> FleetAnswer:
     holder = error.holder if isinstance(error, CommandRefused) else None
     owner = None if holder is None else str(holder)
     epoch = None if robot is None else robot.admission.epoch

@@ -49,7 +49,7 @@ class _Export:
             ConfigError: the session is closed.
         """
         robot, topic = exported
-        key = transport.key("out", *name.strip("/").split("/"))
+        key = transport.key("out", name.strip("/"))
         self._publisher = transport.session.declare_publisher(key)
         self._source = HubSource(
             lambda: hub.join(f"fleet {robot}", group=GROUP),
@@ -95,8 +95,8 @@ class _Import:
 
     def _publish(self, message: Message) -> None:
         """A program here publishes what a device over there subscribes."""
-        parts, transport = message.topic.strip("/").split("/"), self._transport
-        transport.session.put(transport.key("publish", *parts, to=self._neighbour.sender.zid), message.payload)
+        key = self._transport.key("publish", message.topic.strip("/"), to=self._neighbour.sender.zid)
+        self._transport.session.put(key, message.payload)
 
 
 class _RemoteTopics:
@@ -142,7 +142,7 @@ class _RemoteTopics:
         self._participant.leave()
 
     def _subscribe(self, name: str, topic: FleetTopic) -> Declaration:
-        key = self._transport.keys.key("out", self._neighbour.sender, *name.strip("/").split("/"))
+        key = self._transport.keys.key("out", self._neighbour.sender, name.strip("/"))
         deliver = self._deliver_velocity if topic.is_velocity else self._deliver
         return self._transport.session.subscribe(
             key,

@@ -16,29 +16,24 @@ import structlog
 from hostlink.config import ZenohConfig
 from hostlink.errors import BadPayload, BadRequest, CommandRefused, HostlinkError, RefusalKind, ServiceFailed, WrongType
 from hostlink.graphs.hub_source import HubSource
-from hostlink.graphs.ros2_names import ros1_type
+from hostlink.graphs.ros2_names import COMMANDS, Qos, is_ros2_name, ros1_type
 from hostlink.graphs.ros2_types import Ros2Message, Ros2Service, Ros2Types
 from hostlink.graphs.zenoh.rmw_protocol import (
-    COMMANDS,
     GID_BYTES,
     LATCHED,
     OWN_ENCLAVE,
-    SERVICE,
     SPACE,
-    TELEMETRY,
     Attachment,
     EndpointToken,
     NodeToken,
     RemoteGraph,
     Removed,
-    RmwQos,
     SourceClock,
     Subject,
     TokenKind,
     data_key,
     gid_of,
     is_hidden,
-    is_name,
 )
 from hostlink.graphs.zenoh.session import Declaration, Query, Token, ZenohSample, ZenohSession
 from hostlink.hub.graph_view import GraphService, GraphTopic
@@ -58,26 +53,6 @@ MAX_CALLS_OF_CLIENT = 8  # under way at once, of one client and one service
 CALL_TIMEOUT_S = 30.0  # of a service of ROS 2
 
 
-class RmwEndpoint:
-    """One end of a topic or service in ROS 2: its token, and the gid by which it signs."""
-
-    def __init__(self, session: ZenohSession, token: EndpointToken, key: str) -> None:
-        """`key`: the key of the endpoint's data."""
-        text = token.encode()
-        self.key, self.gid = key, gid_of(text)
-        self._numbers = itertools.count(1)
-        self._declaration: Declaration = session.declare_token(text)
-
-    def signed(self, source_ns: int | None = None) -> tuple[int, bytes]:
-        """The number of its next message or request, and the attachment with it."""
-        number = next(self._numbers)
-        return number, Attachment(number, time.time_ns() if source_ns is None else source_ns, self.gid).encode()
-
-    def close(self) -> None:
-        """Leave the graph."""
-        self._declaration.close()
-
-
 @dataclass(slots=True)
 class RmwNode:
     """Node of this daemon in ROS 2, which its endpoints share. `counts`: losses by cause."""
@@ -87,16 +62,31 @@ class RmwNode:
     types: Ros2Types
     token: NodeToken
     counts: Counter[str] = field(default_factory=Counter)
-    _numbers: "itertools.count[int]" = field(default_factory=lambda: itertools.count(1))
+    numbers: "itertools.count[int]" = field(default_factory=lambda: itertools.count(1))  # of its endpoints
 
-    def endpoint(self, kind: TokenKind, name: str, type_name: str, type_hash: str, qos: RmwQos) -> RmwEndpoint:
-        """Declare an endpoint of this node.
+
+class RmwEndpoint:
+    """One end of a topic or service in ROS 2: its token, the key of its data, and the gid by which it signs."""
+
+    def __init__(self, node: RmwNode, kind: TokenKind, name: str, type_: Ros2Message | Ros2Service, qos: Qos) -> None:
+        """Declare it.
 
         Raises:
             ConfigError: the session is closed.
         """
-        token = EndpointToken(kind, self.token, next(self._numbers), name, type_name, type_hash, qos)
-        return RmwEndpoint(self.session, token, data_key(self.token.domain, name, type_name, type_hash))
+        token = EndpointToken(kind, node.token, next(node.numbers), name, type_.name, type_.type_hash, qos).encode()
+        self.key, self.gid = data_key(node.token.domain, name, type_.name, type_.type_hash), gid_of(token)
+        self._numbers = itertools.count(1)
+        self._declaration: Declaration = node.session.declare_token(token)
+
+    def signed(self, source_ns: int | None = None) -> tuple[int, bytes]:
+        """The number of its next message or request, and the attachment with it."""
+        number = next(self._numbers)
+        return number, Attachment(number, time.time_ns() if source_ns is None else source_ns, self.gid).encode()
+
+    def close(self) -> None:
+        """Leave the graph."""
+        self._declaration.close()
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,9 +108,9 @@ class RmwPublication:
         Raises:
             ConfigError: the session is closed.
         """
-        qos, type_ = LATCHED if topic.is_latched else TELEMETRY, topic.type
+        qos = LATCHED if topic.is_latched else Qos()
         self._node, self._topic = node, topic
-        self._endpoint = node.endpoint(TokenKind.PUBLISHER, topic.topic, type_.name, type_.type_hash, qos)
+        self._endpoint = RmwEndpoint(node, TokenKind.PUBLISHER, topic.topic, topic.type, qos)
         self._publisher = node.session.declare_publisher(self._endpoint.key, kept=1 if topic.is_latched else 0)
         self._source = HubSource(
             lambda: node.hub.join(f"ros2 {topic.topic}", group=GROUP),
@@ -174,7 +164,7 @@ class OfferedService:
         self._node, self._name, self._known, self._type = node, offered.name, offered.known, offered.type
         self._calls: Counter[bytes] = Counter()
         self._participant = node.hub.join(f"ros2 {self._name}", group=GROUP)
-        self._endpoint = node.endpoint(TokenKind.SERVER, self._name, self._type.name, self._type.type_hash, SERVICE)
+        self._endpoint = RmwEndpoint(node, TokenKind.SERVER, self._name, self._type, Qos())
         self._queryable = node.session.serve(self._endpoint.key, self._receive)
 
     def close(self) -> None:
@@ -236,7 +226,7 @@ class CalledService:
         """
         self._node, self._name, self._known, self._type = node, token.name, known, type_
         self._participant: Participant = node.hub.join(f"ros2 {token.node.full_name}", group=GROUP)
-        self._endpoint = node.endpoint(TokenKind.CLIENT, token.name, type_.name, type_.type_hash, SERVICE)
+        self._endpoint = RmwEndpoint(node, TokenKind.CLIENT, token.name, type_, Qos())
         try:
             self._participant.provide(token.name, known.name, self._answer)
         except BadRequest:
@@ -300,7 +290,7 @@ class RmwPublisher:
             return
         token = self.token
         try:
-            self.participant.advertise(token.name, ros1_type(token.type_name), is_latched=token.qos.is_transient_local)
+            self.participant.advertise(token.name, ros1_type(token.type_name), is_latched=token.qos.is_latched)
         except WrongType as error:
             self._log_once("ros2.topic_refused", name=token.name, type=token.type_name, reason=str(error))
         except BadRequest as error:
@@ -425,11 +415,11 @@ class SubscriptionSpec:
     has_history: bool = False  # what publishers keep for those who come later is requested
 
     @property
-    def qos(self) -> RmwQos:
+    def qos(self) -> Qos:
         """Quality of service, as tools of ROS 2 show it."""
         if self.is_velocity:
             return COMMANDS
-        return RmwQos(is_transient_local=self.has_history, depth=TELEMETRY.depth)
+        return Qos(is_latched=self.has_history)
 
 
 class RmwSubscription:
@@ -443,7 +433,7 @@ class RmwSubscription:
         """
         self._node, self._wanted, self._publishers = node, wanted, publishers
         type_ = wanted.type
-        self._endpoint = node.endpoint(TokenKind.SUBSCRIPTION, wanted.name, type_.name, type_.type_hash, wanted.qos)
+        self._endpoint = RmwEndpoint(node, TokenKind.SUBSCRIPTION, wanted.name, type_, wanted.qos)
         if wanted.is_velocity:
             publishers.join((wanted.name, type_.name))
         self._subscription = node.session.subscribe(
@@ -487,13 +477,9 @@ def session_of(key: str) -> str:
 MAX_CALLED_SERVICES: Final = 256
 TROUBLE_INTERVAL_S: Final = 10.0
 SLICE_S: Final = 0.003  # of declarations: a hundred robots that come at once cost a second of Zenoh's
-TROUBLE: Final = frozenset(  # counts of what was lost, by cause
-    {
-        "crowded_calls", "crowded_publishers", "crowded_services", "crowded_tokens", "failed_calls",
-        "failed_endpoints", "late",
-        "malformed_from_ros2", "malformed_to_ros2", "malformed_tokens", "other_type", "unidentified", "unsigned",
-    }
-)  # fmt: skip
+NO_LOSS: Final = frozenset(  # counts of what was passed on, and of what has lines of its own
+    {"calls_from_ros2", "calls_to_ros2", "from_ros2", "refused", "to_ros2", "unlogged"}
+)
 REFUSED_NAME: Final = "ROS 2 allows letters, digits and _ in names"
 OWN_PACKAGES: Final = ("rcl_interfaces/", "type_description_interfaces/")  # services that every node of ROS 2 has
 
@@ -544,7 +530,6 @@ class RmwBridge:
         self._called.close()
         for each in self._declared:
             each.close()
-        self._remote.clear()
 
     # -- from ROS 2 ---------------------------------------------------------------------------------------------------
 
@@ -640,9 +625,7 @@ class RmwBridge:
         `stamped_topics`: velocities whose type is TwistStamped in the hub.
         """
         if not topic.is_velocity:
-            has_history = any(
-                each.token.qos.is_transient_local for each in self._remote.publishers((topic.name, type_.name))
-            )
+            has_history = any(each.token.qos.is_latched for each in self._remote.publishers((topic.name, type_.name)))
             return [SubscriptionSpec(topic.name, type_, topic.name, has_history=has_history)]
         wanted = [SubscriptionSpec(topic.name, type_, topic.name, is_velocity=True)]
         stamped = self._node.types.message(TWIST_STAMPED_TYPE)
@@ -669,9 +652,9 @@ class RmwBridge:
         is_elsewhere = remote is not None and self._node.hub.robots.find(robot) is remote
         if is_hidden(name) or is_elsewhere:
             return False
-        if not is_name(name):
+        if not is_ros2_name(name):
             self._log_once(refused, name=name, reason=REFUSED_NAME)
-        return is_name(name)
+        return is_ros2_name(name)
 
     def _service(self, service: GraphService) -> ServiceSpec | None:
         if not self._is_shown(service.name, "ros2.service_refused"):
@@ -713,7 +696,7 @@ async def log_trouble(counts: Counter[str]) -> None:
     before: Counter[str] = Counter()
     while True:
         await asyncio.sleep(TROUBLE_INTERVAL_S)
-        lost = {cause: count - before[cause] for cause, count in counts.items() if cause in TROUBLE}
-        before = Counter(counts)
-        if any(lost.values()):
-            log.warning("ros2.trouble", **{cause: count for cause, count in lost.items() if count})
+        lost = {cause: count for cause, count in (counts - before).items() if cause not in NO_LOSS}
+        before = counts.copy()
+        if lost:
+            log.warning("ros2.trouble", **lost)

@@ -13,11 +13,9 @@ from typing import Final, NamedTuple
 
 import xxhash
 
+from hostlink.graphs.ros2_names import Qos, is_ros2_name
 from hostlink.robot.admission import Freshness
 
-NAME_CHARS_MAX: Final = 255
-
-_NAME: Final = re.compile(r"(?:/[A-Za-z_][A-Za-z0-9_]*)+")
 _TYPE: Final = re.compile(r"([a-z][a-z0-9_]*)/(msg|srv|action)/([A-Za-z][A-Za-z0-9_]*)")
 _DDS_TYPE: Final = re.compile(r"([a-z][a-z0-9_]*)::(msg|srv|action)::dds_::([A-Za-z][A-Za-z0-9_]*)_")
 
@@ -39,11 +37,6 @@ _ENDPOINT_PARTS: Final = 13  # one more where a type has buffers; it is passed o
 
 
 # -- names ------------------------------------------------------------------------------------------------------------
-
-
-def is_name(name: str) -> bool:
-    """Whether ROS 2 allows it as the full name of a topic or service."""
-    return len(name) <= NAME_CHARS_MAX and _NAME.fullmatch(name) is not None
 
 
 def is_hidden(name: str) -> bool:
@@ -92,40 +85,29 @@ def data_key(domain: int, name: str, type_name: str, type_hash: str) -> str:
 # -- quality of service -----------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, slots=True)
-class RmwQos:
-    """`depth`: messages that are kept; None: all."""
-
-    is_reliable: bool = True
-    is_transient_local: bool = False
-    depth: int | None = DEFAULT_DEPTH
-
-    def encode(self) -> str:
-        """Return the text in a token."""
-        reliability = "" if self.is_reliable else _BEST_EFFORT
-        durability = _TRANSIENT_LOCAL if self.is_transient_local else ""
-        kind = _KEEP_ALL if self.depth is None else ""
-        depth = "" if self.depth in (None, DEFAULT_DEPTH) else self.depth
-        return f"{reliability}:{durability}:{kind},{depth}{_INFINITE}"
-
-    @classmethod
-    def decode(cls, text: str) -> "RmwQos | None":
-        """Decode the text in a token; None if it is malformed."""
-        found = _QOS.match(text)
-        if found is None:
-            return None
-        reliability, durability, kind, depth = found.groups()
-        return cls(
-            is_reliable=reliability != _BEST_EFFORT,
-            is_transient_local=durability == _TRANSIENT_LOCAL,
-            depth=None if kind == _KEEP_ALL else min(int(depth or 0), DEPTH_MAX) or DEFAULT_DEPTH,
-        )
+def encode_qos(qos: Qos) -> str:
+    """Return the text in a token."""
+    reliability = "" if qos.is_reliable else _BEST_EFFORT
+    durability = _TRANSIENT_LOCAL if qos.is_latched else ""
+    kind = _KEEP_ALL if qos.depth is None else ""
+    depth = "" if qos.depth in (None, DEFAULT_DEPTH) else qos.depth
+    return f"{reliability}:{durability}:{kind},{depth}{_INFINITE}"
 
 
-TELEMETRY: Final = RmwQos(depth=10)
-LATCHED: Final = RmwQos(is_transient_local=True, depth=1)
-COMMANDS: Final = RmwQos(is_reliable=False, depth=1)  # matches every publisher, in the eyes of a tool too
-SERVICE: Final = RmwQos(depth=10)
+def decode_qos(text: str) -> Qos | None:
+    """Decode the text in a token; None if it is malformed."""
+    found = _QOS.match(text)
+    if found is None:
+        return None
+    reliability, durability, kind, depth = found.groups()
+    return Qos(
+        is_reliable=reliability != _BEST_EFFORT,
+        is_latched=durability == _TRANSIENT_LOCAL,
+        depth=None if kind == _KEEP_ALL else min(int(depth or 0), DEPTH_MAX) or DEFAULT_DEPTH,
+    )
+
+
+LATCHED: Final = Qos(is_latched=True, depth=1)
 
 
 # -- signatures -------------------------------------------------------------------------------------------------------
@@ -205,7 +187,7 @@ class EndpointToken:
     name: str  # of the topic or service
     type_name: str  # "std_msgs/msg/String"
     type_hash: str
-    qos: RmwQos
+    qos: Qos
 
     def encode(self) -> str:
         """Return the key.
@@ -213,7 +195,7 @@ class EndpointToken:
         Raises:
             ValueError: the type name is not one of ROS 2.
         """
-        parts = (mangle(self.name), to_dds_type(self.type_name), self.type_hash, self.qos.encode())
+        parts = (mangle(self.name), to_dds_type(self.type_name), self.type_hash, encode_qos(self.qos))
         return "/".join((self.node.key(self.kind, self.number), *parts))
 
 
@@ -229,7 +211,7 @@ def parse_token(text: str) -> NodeToken | EndpointToken | None:
         return None
     enclave, namespace, name = (demangle(part) for part in parts[6:9])
     node = NodeToken(domain, parts[2], node_number, namespace, name, "" if enclave == "/" else enclave)
-    if not is_name(node.full_name):
+    if not is_ros2_name(node.full_name):
         return None
     return node if kind is TokenKind.NODE else _parse_endpoint(kind, node, number, parts)
 
@@ -242,8 +224,8 @@ def gid_of(token: str) -> bytes:
 def _parse_endpoint(kind: TokenKind, node: NodeToken, number: int, parts: list[str]) -> EndpointToken | None:
     if len(parts) < _ENDPOINT_PARTS:
         return None
-    name, type_name, qos = demangle(parts[9]), from_dds_type(parts[10]), RmwQos.decode(parts[12])
-    if not is_name(name) or type_name is None or qos is None:
+    name, type_name, qos = demangle(parts[9]), from_dds_type(parts[10]), decode_qos(parts[12])
+    if not is_ros2_name(name) or type_name is None or qos is None:
         return None
     return EndpointToken(kind, node, number, name, type_name, parts[11], qos)
 
@@ -333,10 +315,6 @@ class RemoteGraph:
         publisher = self._by_gid[gid_of(key)]
         self._forget(publisher)
         return Removed(token, publisher, self._unbind(publisher))
-
-    def clear(self) -> None:
-        for key in list(self._tokens):
-            self.remove(key)
 
     def publisher(self, gid: bytes, subject: Subject) -> RemotePublisher | None:
         """Return the publisher that signed a message of this subject; None if it is unknown."""

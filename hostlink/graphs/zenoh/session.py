@@ -6,7 +6,6 @@ import functools
 from collections import Counter
 from collections.abc import AsyncIterator, Callable, Hashable
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -94,41 +93,6 @@ class ZenohPublisher:
             self._publisher.undeclare()
 
 
-class Background:
-    """A thread for answers, which wait for a neighbour who calls more than he reads, until he is cut off.
-
-    Work is done in the order of the calls, and not after `close`.
-    """
-
-    def __init__(self, guarded: Callable[[str], AbstractContextManager[None]]) -> None:
-        """`guarded`: keeps what Zenoh raises from the thread."""
-        self._guarded = guarded
-        self._thread = ThreadPoolExecutor(1, "zenoh")
-
-    def replies(self, query: Any) -> tuple[Callable[..., None], Callable[[], None]]:
-        """Return functions that answer a query, and end it."""
-
-        def reply(payload: bytes, *, key: str = "", attachment: bytes | None = None) -> None:
-            self._run(lambda: query.reply(key or str(query.key_expr), payload, attachment=attachment))
-
-        def close() -> None:
-            self._run(query.drop)
-
-        return reply, close
-
-    def close(self) -> None:
-        """Stop without waiting."""
-        self._thread.shutdown(wait=False, cancel_futures=True)
-
-    def _run(self, work: Callable[[], None]) -> None:
-        def run() -> None:
-            with self._guarded("reply"):
-                work()
-
-        with contextlib.suppress(RuntimeError):  # it is closed
-            self._thread.submit(run)
-
-
 class ZenohSession:
     """One Zenoh session. Its methods are called in the loop, wait for nothing, and do not raise what Zenoh raises.
 
@@ -141,7 +105,7 @@ class ZenohSession:
         self.zid = str(session.info.zid())
         self._zenoh, self._session, self._isolation = zenoh, session, isolation
         self._is_closed = False
-        self._background = Background(self.guarded)
+        self._thread = ThreadPoolExecutor(1, "zenoh")  # for answers
 
     # -- what is sent -------------------------------------------------------------------------------------------------
 
@@ -241,7 +205,7 @@ class ZenohSession:
             with self.guarded("receive"):
                 key, payload = str(query.key_expr), _bytes(query.payload)
                 if self._fits(key, len(payload), MAX_PAYLOAD_BYTES, query.attachment):
-                    reply, close = self._background.replies(query)
+                    reply, close = self._replies(query)
                     inbox.put("", Query(payload, _bytes(query.attachment), reply, close))
 
         queryable = self._declare(self._session.declare_queryable, key_expr, self.callback(put), complete=True)
@@ -292,7 +256,7 @@ class ZenohSession:
     async def aclose(self) -> None:
         """End the session: tokens and declarations go, for everybody at once. It waits for a second at most."""
         self._is_closed = True
-        self._background.close()
+        self._thread.shutdown(wait=False, cancel_futures=True)
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(CLOSE_TIMEOUT_S):
                 await asyncio.to_thread(self._close)
@@ -328,6 +292,26 @@ class ZenohSession:
             max_waiting=max_waiting,
             is_known=is_known,
         )
+
+    def _replies(self, query: Any) -> tuple[Callable[..., None], Callable[[], None]]:
+        """Return functions that answer a query, and end it.
+
+        They work in a thread, in the order of the calls, and not after the end of the session: an answer waits for a
+        neighbour who calls more than he reads, until he is cut off.
+        """
+
+        def reply(payload: bytes, *, key: str = "", attachment: bytes | None = None) -> None:
+            submit(query.reply, key or str(query.key_expr), payload, attachment=attachment)
+
+        def submit(work: Callable[..., None], *arguments: Any, **options: Any) -> None:
+            with contextlib.suppress(RuntimeError):  # the session is closed
+                self._thread.submit(self._work, work, *arguments, **options)
+
+        return reply, lambda: submit(query.drop)
+
+    def _work(self, work: Callable[..., None], *arguments: Any, **options: Any) -> None:
+        with self.guarded("reply"):
+            work(*arguments, **options)
 
     def _fits(self, key: str, payload_bytes: int, max_bytes: int, attachment: Any = None) -> bool:
         attached_bytes = 0 if attachment is None else len(attachment)
@@ -406,7 +390,7 @@ async def opened(config: ZenohConfig, isolation: Isolation) -> AsyncIterator[Zen
     except (zenoh.ZError, ValueError) as error:
         raise ConfigError("zenoh", f"the session cannot be opened: {reason_of(error)}") from error
     session = ZenohSession(zenoh, raw, isolation)
-    log.info("zenoh.opened", zid=session.zid, mode=config.mode, reach="; ".join(reach_of(settings, config).lines))
+    log.info("zenoh.opened", zid=session.zid, mode=config.mode, reach="; ".join(reach_of(settings, config)))
     try:
         yield session
     finally:

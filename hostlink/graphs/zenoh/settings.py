@@ -10,7 +10,7 @@ import json
 import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from hostlink.config import ZenohConfig
 from hostlink.errors import ConfigError, LibraryMissing
@@ -96,13 +96,6 @@ TLS_ONLY: dict[str, object] = {  # with an authority; a file that says otherwise
 GOSSIP, EXPIRATION = "scouting/gossip/enabled", f"{TLS}/close_link_on_expiration"
 
 
-class Reach(NamedTuple):
-    """Access to a session. `lines`: addresses and who gets in; `warnings`: settings that may not be intended."""
-
-    lines: tuple[str, ...]
-    warnings: tuple[str, ...]
-
-
 def library() -> Any:
     """The module of eclipse-zenoh.
 
@@ -150,12 +143,8 @@ def is_secured(settings: Any) -> bool:
     return any(_value(settings, f"{TLS}/root_ca_certificate{kind}") is not None for kind in ("", "_base64"))
 
 
-def reach_of(settings: Any, config: ZenohConfig) -> Reach:
-    """Return who can reach a session with these settings, and drive by it."""
-    return Reach(tuple(_lines(settings, config)), tuple(_warnings(settings, config)))
-
-
-def _lines(settings: Any, config: ZenohConfig) -> Iterator[str]:
+def reach_of(settings: Any, config: ZenohConfig) -> Iterator[str]:
+    """Yield the addresses of a session with these settings, and who can reach it and drive by it."""
     places, others = _endpoints(settings, "listen"), _endpoints(settings, "connect")
     yield f"listens on {', '.join(places) or 'nothing'}"
     if others:
@@ -172,7 +161,8 @@ def _lines(settings: Any, config: ZenohConfig) -> Iterator[str]:
         yield f"of them {', '.join(config.drivers) or 'none'} may drive, by the name in the certificate"
 
 
-def _warnings(settings: Any, config: ZenohConfig) -> Iterator[str]:
+def warnings_of(settings: Any, config: ZenohConfig) -> Iterator[str]:
+    """Yield the settings that may not be intended."""
     if not is_secured(settings):
         where = ", ".join((*_endpoints(settings, "listen"), *_endpoints(settings, "connect")))
         yield (

@@ -5,11 +5,12 @@ from collections.abc import Callable
 from typing import Any, cast
 
 from hostlink.config import Ros1Config
-from hostlink.graphs.ros1.connections import SendQueue, Wire
+from hostlink.graphs.ros1.connections import Wire
 from hostlink.graphs.ros1.local_node import LocalNode, Rpc
 from hostlink.graphs.ros1.tcpros import MAX_HEADER_BYTES, Header, MessageStream
 from hostlink.graphs.ros1.xml_rpc import Unreachable
 from hostlink.hub.hub import Hub
+from hostlink.hub.queue import Queue
 
 MASTER = "http://master:11311/"
 
@@ -42,17 +43,19 @@ class FakeWire:
     def __init__(self) -> None:
         self.headers: list[Header] = []
         self.sent: list[bytes] = []
+        self.answers: list[bytes] = []
         self.refusals: list[str] = []
         self.is_closed, self.is_replaceable, self.peer = False, True, "10.0.0.9:5"
-        self.stream, self.outgoing = MessageStream(MAX_HEADER_BYTES), SendQueue()
+        self.stream = MessageStream(MAX_HEADER_BYTES)
+        self.outgoing: Queue[bytes] = Queue(len, asyncio.get_running_loop().time)
         self.receive: Callable[[list[bytes]], None] = lambda _: None
         self.on_end: Callable[[], None] = lambda: None
 
     def send_header(self, fields: Header) -> None:
         self.headers.append(fields)
 
-    def send(self, data: bytes) -> None:
-        self.sent.append(data)
+    def send(self, data: bytes, *, is_answer: bool = False) -> None:
+        (self.answers if is_answer else self.sent).append(data)
 
     def refuse(self, reason: str) -> None:
         self.refusals.append(reason)

@@ -174,6 +174,15 @@ async def test_the_bytes_that_wait_are_bounded() -> None:
     assert counts["dropped"] == 4
 
 
+async def test_the_bytes_that_wait_are_bounded_also_where_an_item_is_bytes_alone() -> None:
+    received: list[bytes] = []
+    inbox = ThreadInbox(received.append)
+    for _ in range(6):
+        inbox.put("", bytes(MAX_WAITING_BYTES // 4))
+    await settled()
+    assert (len(received), inbox.counts["dropped"]) == (4, 2)
+
+
 async def test_failing_callback_is_counted_and_the_next_item_is_delivered() -> None:
     received: list[int] = []
 

@@ -11,8 +11,8 @@ from structlog.testing import capture_logs
 
 from hostlink.graphs.ros1 import graph_sync
 from hostlink.graphs.ros1.local_node import RegistrationKind
-from hostlink.graphs.ros1.member import HEADER_TIMEOUT_S, KEEPALIVE_S, MAX_AGE_S, Member, SlaveApi
 from hostlink.graphs.ros1.names import NameResolver
+from hostlink.graphs.ros1.node import HEADER_TIMEOUT_S, KEEPALIVE_S, MAX_AGE_S, Member, SlaveApi
 from hostlink.graphs.ros1.tcpros import encode_header
 from hostlink.graphs.ros1.xml_rpc import CallRefused, decode_answer, encode_call
 from hostlink.messages.catalog import CLOCK_TYPE

@@ -1,4 +1,4 @@
-"""Ros1Node: its addresses, waiting for the master's name, and why it ended."""
+"""Node of ROS 1: its addresses, waiting for the master's name, and why it ended."""
 
 import asyncio
 import socket
@@ -14,8 +14,7 @@ from hostlink.errors import ConfigError
 from hostlink.graphs.ros1 import node as module
 from hostlink.graphs.ros1.connections import Port
 from hostlink.graphs.ros1.local_node import Ros1Counts
-from hostlink.graphs.ros1.member import CRASHED
-from hostlink.graphs.ros1.node import RETRY_S, Ros1Node, ros1_running
+from hostlink.graphs.ros1.node import CRASHED, RETRY_S, find_host, ros1_running
 from hostlink.hub.hub import Hub
 from tests.support.fake_device import CATALOG
 from tests.support.virtual_loop import run_virtual
@@ -40,8 +39,8 @@ def test_node_listens_on_loopback_only_for_a_loopback_host(host: str, listens_on
 
 
 def test_configured_host_is_not_looked_up() -> None:
-    node = Ros1Node(Hub(Config(), CATALOG), Ros1Config(master="http://master:11311/", host="10.0.0.1"))
-    assert run_virtual(node._find_host()) == "10.0.0.1"
+    config = Ros1Config(master="http://master:11311/", host="10.0.0.1")
+    assert run_virtual(find_host(config)) == "10.0.0.1"
 
 
 def test_own_address_is_looked_up_again_until_the_masters_name_has_one(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -56,7 +55,7 @@ def test_own_address_is_looked_up_again_until_the_masters_name_has_one(monkeypat
 
     monkeypatch.setattr(module, "_own_address", find)
     with capture_logs() as logs:
-        assert run_virtual(Ros1Node(Hub(Config(), CATALOG), CONFIG)._find_host()) == "10.0.0.7"
+        assert run_virtual(find_host(CONFIG)) == "10.0.0.7"
     assert asked == [0.0, RETRY_S, 2 * RETRY_S]
     assert [(each["event"], each["reason"]) for each in logs] == [("ros1.master_lost", "Name or service not known")]
 
@@ -84,13 +83,13 @@ def test_end_of_the_node_is_reported_and_the_daemon_continues(
     monkeypatch: pytest.MonkeyPatch, failure: Exception | None, reason: str
 ) -> None:
     @asynccontextmanager
-    async def serving(_self: Ros1Node, _node: object, host: str) -> AsyncIterator[Any]:
+    async def serving(_node: object, _names: object, host: str) -> AsyncIterator[Any]:
         assert host == "10.0.0.1"
         if failure is not None:
             raise failure
         yield FakeMember("another node has the name")
 
-    monkeypatch.setattr(Ros1Node, "_serving", serving)
+    monkeypatch.setattr(module, "_serving", serving)
     reasons: list[str] = []
 
     async def run() -> None:
@@ -108,11 +107,11 @@ def test_end_of_the_node_is_reported_and_the_daemon_continues(
 
 
 def test_end_of_the_daemon_reports_no_end_of_the_node(monkeypatch: pytest.MonkeyPatch) -> None:
-    async def forever(_: Ros1Node) -> str:
+    async def forever(_hub: Hub, _config: Ros1Config) -> str:
         await asyncio.sleep(1e6)
         return ""
 
-    monkeypatch.setattr(Ros1Node, "run", forever)
+    monkeypatch.setattr(module, "run_node", forever)
     reasons: list[str] = []
 
     async def run() -> None:

@@ -51,7 +51,7 @@ def test_calls_of_one_connection_are_answered_in_their_order() -> None:
         wire.receive([b"\x01", b"\x00"])
         wire.receive([b"\x01"])
         await asyncio.sleep(0.5)
-        assert wire.sent == [answered(), encode_failure("/enable: no"), answered()]
+        assert wire.answers == [answered(), encode_failure("/enable: no"), answered()]
         assert made._node.counts.failed_services == 1
         made.close()
         assert made.callers == {}
@@ -65,7 +65,7 @@ def test_malformed_request_is_answered_with_a_failure() -> None:
         made.accept(wire.wire, HEADER)
         wire.receive([b"too long"])
         await asyncio.sleep(0.5)
-        assert [data[:1] for data in wire.sent] == [b"\x00"]
+        assert [data[:1] for data in wire.answers] == [b"\x00"]
         made.close()
 
     play(test)
@@ -96,7 +96,7 @@ def test_caller_over_the_bound_takes_the_place_of_the_oldest_idle_one(monkeypatc
         with pytest.raises(BadHeader, match="more than 2 callers of /ros_enable"):
             made.accept(wires[3].wire, HEADER)
         await asyncio.sleep(0.5)
-        assert wires[0].sent == [answered()]
+        assert wires[0].answers == [answered()]
         made.close()
 
     play(test)

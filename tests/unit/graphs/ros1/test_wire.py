@@ -12,6 +12,7 @@ from hostlink.graphs.ros1.connections import BATCH_BYTES, CLOSE_TIMEOUT_S, PIECE
 from hostlink.graphs.ros1.local_node import Ros1Counts
 from hostlink.graphs.ros1.tcpros import decode_header, encode_message
 from hostlink.hub.hub import Hub
+from hostlink.hub.queue import MAX_MESSAGES, MAX_RESULTS
 from tests.support.api_memory import ApiTransport
 from tests.support.fake_device import CATALOG
 from tests.support.virtual_loop import run_virtual
@@ -98,12 +99,65 @@ def test_messages_wait_while_writing_is_paused_and_leave_afterwards() -> None:
         scene.wire.send(bytes(BATCH_BYTES))
         scene.wire.send(b"last")
         await asyncio.sleep(0.01)
-        assert (scene.transport.written, bool(scene.wire.outgoing)) == (b"", True)
+        assert (scene.transport.written, scene.wire.outgoing.waiting_messages) == (b"", 2)
         scene.wire.resume_writing()
         assert scene.transport.written == bytes(BATCH_BYTES) + b"last"
         scene.wire.send(b"more")
         await asyncio.sleep(0)
         assert scene.transport.written.endswith(b"more")
+
+    check(test)
+
+
+def test_batch_has_an_end() -> None:
+    async def test(scene: Scene) -> None:
+        scene.wire.pause_writing()
+        for _ in range(100):
+            scene.wire.send(bytes(1000))
+        written: list[bytes] = []
+        transport: Any = scene.transport
+        transport.write = written.append
+        scene.wire.resume_writing()
+        assert BATCH_BYTES <= len(written[0]) < BATCH_BYTES + 1000
+        assert sum(map(len, written)) == 100_000
+
+    check(test)
+
+
+def test_messages_for_a_slow_node_are_held_by_the_budget_of_all_clients_and_lost_with_it() -> None:
+    async def test(scene: Scene) -> None:
+        share = scene.hub.budget["queues"]
+        scene.wire.pause_writing()
+        for _ in range(MAX_MESSAGES + 3):
+            scene.wire.send(bytes(10))
+        assert (scene.wire.outgoing.dropped, share.held_bytes) == (3, 10 * MAX_MESSAGES)
+        scene.wire.close()
+        scene.wire.send(b"late")
+        assert share.held_bytes == 0
+
+    check(test)
+
+
+def test_answer_is_kept_where_messages_are_dropped() -> None:
+    async def test(scene: Scene) -> None:
+        scene.wire.pause_writing()
+        scene.wire.send(b"answer", is_answer=True)
+        for _ in range(MAX_MESSAGES + 1):
+            scene.wire.send(b"x")
+        scene.wire.resume_writing()
+        assert scene.transport.written == b"answer" + b"x" * MAX_MESSAGES
+
+    check(test)
+
+
+def test_node_that_reads_no_answers_is_cut_off() -> None:
+    async def test(scene: Scene) -> None:
+        scene.wire.pause_writing()
+        for _ in range(MAX_RESULTS):
+            scene.wire.send(b"answer", is_answer=True)
+        assert not scene.wire.is_closed
+        scene.wire.send(b"answer", is_answer=True)
+        assert scene.wire.is_closed
 
     check(test)
 

@@ -13,7 +13,8 @@ import pytest
 from hostlink.api.rosapi import describe
 from hostlink.errors import HostlinkError
 from hostlink.graphs.ros2.bridge import FIRST_RETRY_S, Bridge, write_line
-from hostlink.graphs.ros2.plan import COMMAND, Qos, Ros2Graph, Ros2Publisher, publisher_qos
+from hostlink.graphs.ros2.plan import Ros2Graph, Ros2Publisher, publisher_qos
+from hostlink.graphs.ros2_names import COMMANDS, Qos
 from tests.support.fake_device import CATALOG
 from tests.support.virtual_loop import run_virtual
 
@@ -290,7 +291,7 @@ def test_velocity_of_ros_2_reaches_the_driver_while_the_daemon_has_the_robot() -
     async def test(world: World) -> None:
         await world.show(robots=[ROBOT])
         receive = world.node.subscriptions["/robot_0/cmd_vel"]
-        assert world.node.qos["/robot_0/cmd_vel"] == (COMMAND, False)
+        assert world.node.qos["/robot_0/cmd_vel"] == (COMMANDS, False)
         receive(SimpleNamespace(linear=vector(0.2), angular=vector(z=-0.5)), {"publication_sequence_number": 1})
         receive(SimpleNamespace(linear=vector(y=0.1), angular=vector()), {"publisher_gid": {"data": [7, 8]}})
         await asyncio.sleep(0.1)

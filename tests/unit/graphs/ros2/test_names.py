@@ -2,8 +2,8 @@
 
 import pytest
 
-from hostlink.graphs.ros2.plan import is_ros2_name, parameter_name, ros2_name
-from hostlink.graphs.ros2_names import ros1_type, ros2_type
+from hostlink.graphs.ros2.plan import parameter_name, ros2_name
+from hostlink.graphs.ros2_names import is_ros2_name, ros1_type, ros2_type
 
 
 @pytest.mark.parametrize(
@@ -25,6 +25,10 @@ def test_a_topic_is_relative_so_that_namespace_and_remaps_count(name: str, expec
         ("/a/", False),
         ("/", False),
         ("", False),
+        ("a", False),
+        ("/a*", False),
+        ("/a\n", False),
+        ("/" + "a" * 300, False),
         ("/ä", False),
         ("/a b", False),
     ],

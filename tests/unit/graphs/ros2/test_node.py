@@ -12,7 +12,8 @@ from typing import Any
 import pytest
 
 from hostlink.errors import ConfigError
-from hostlink.graphs.ros2.plan import Qos, Ros2Publisher
+from hostlink.graphs.ros2.plan import Ros2Publisher
+from hostlink.graphs.ros2_names import Qos
 from tests.support.waiting import expect
 
 

@@ -8,7 +8,6 @@ from hostlink.graphs.ros2.plan import (
     Caller,
     Feed,
     PublicationRoute,
-    Qos,
     Reception,
     Ros2Graph,
     Ros2Publisher,
@@ -17,6 +16,7 @@ from hostlink.graphs.ros2.plan import (
     planned,
     watched_topics,
 )
+from hostlink.graphs.ros2_names import Qos
 
 RELIABLE, LATCHED = Qos(is_reliable=True, is_latched=False), Qos(is_reliable=True, is_latched=True)
 

@@ -3,7 +3,8 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hostlink.graphs.ros2.plan import COMMAND, Qos, publisher_qos, subscription_qos
+from hostlink.graphs.ros2.plan import publisher_qos, subscription_qos
+from hostlink.graphs.ros2_names import COMMANDS, Qos
 
 offers = st.lists(st.builds(Qos, st.booleans(), st.booleans()), max_size=4)
 
@@ -20,7 +21,7 @@ def test_a_subscription_matches_every_publisher(found: list[Qos]) -> None:
 
 @given(st.booleans(), st.booleans())
 def test_commands_match_every_publisher(is_reliable: bool, is_latched: bool) -> None:
-    assert matches(Qos(is_reliable, is_latched), COMMAND)
+    assert matches(Qos(is_reliable, is_latched), COMMANDS)
 
 
 def test_map_latched_by_every_publisher_reaches_later_subscribers() -> None:

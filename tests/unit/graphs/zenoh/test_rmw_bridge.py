@@ -9,19 +9,17 @@ from typing import cast
 import pytest
 from structlog.testing import capture_logs
 
+from hostlink.graphs.ros2_names import Qos
 from hostlink.graphs.ros2_types import Ros2Types
 from hostlink.graphs.zenoh import rmw_bridge
 from hostlink.graphs.zenoh.rmw_bridge import RmwBridge
 from hostlink.graphs.zenoh.rmw_protocol import (
     LATCHED,
     OWN_ENCLAVE,
-    SERVICE,
     SPACE,
-    TELEMETRY,
     Attachment,
     EndpointToken,
     NodeToken,
-    RmwQos,
     TokenKind,
     data_key,
     gid_of,
@@ -37,6 +35,7 @@ from tests.support.virtual_loop import run_virtual
 from tests.support.waiting import expect
 
 TYPES = Ros2Types(CATALOG, "kilted")
+USUAL = Qos()
 STRING, TWIST, TRIGGER = "std_msgs/msg/String", "geometry_msgs/msg/Twist", "std_srvs/srv/Trigger"
 CMD_VEL = f"/{ROBOT}/velocity_commands"
 
@@ -81,7 +80,7 @@ class World:
         }
 
     def declare(
-        self, kind: TokenKind, name: str, type_name: str, type_hash: str, qos: RmwQos = TELEMETRY
+        self, kind: TokenKind, name: str, type_name: str, type_hash: str, qos: Qos = USUAL
     ) -> tuple[Declaration, str]:
         self._numbers += 1
         node = NodeToken(0, "aa", 0, "/", "driver")
@@ -121,7 +120,7 @@ def with_bridge(test: Callable[[World], Awaitable[None]]) -> None:
 def test_topics_of_the_hub_are_declared_and_velocities_are_only_received() -> None:
     async def test(world: World) -> None:
         assert world.own(TokenKind.PUBLISHER)[TEXT].type_name == STRING
-        assert world.own(TokenKind.PUBLISHER)[TEXT].qos == TELEMETRY
+        assert world.own(TokenKind.PUBLISHER)[TEXT].qos == Qos()
         assert CMD_VEL not in world.own(TokenKind.PUBLISHER)
         assert CMD_VEL in world.own(TokenKind.SUBSCRIPTION)
         assert TEXT not in world.own(TokenKind.SUBSCRIPTION)
@@ -367,7 +366,7 @@ def test_service_of_ros_2_is_called_by_a_program_until_its_token_ends() -> None:
     async def test(world: World) -> None:
         ros2 = TYPES.service("std_srvs/Trigger")
         assert ros2 is not None
-        declaration, _ = world.declare(TokenKind.SERVER, "/reset", TRIGGER, ros2.type_hash, SERVICE)
+        declaration, _ = world.declare(TokenKind.SERVER, "/reset", TRIGGER, ros2.type_hash, Qos())
 
         def answer(query: Query) -> None:
             query.reply(trigger_response(success=True, message="reset"), attachment=query.attachment)
@@ -400,7 +399,7 @@ def test_service_of_ros_2_that_cannot_be_called_is_not_provided(
 ) -> None:
     async def test(world: World) -> None:
         with capture_logs() as logs:
-            world.declare(TokenKind.SERVER, name, type_name, type_hash, SERVICE)
+            world.declare(TokenKind.SERVER, name, type_name, type_hash, Qos())
             await asyncio.sleep(0.1)
         assert [line["event"] for line in logs if line["event"].startswith("ros2.")] == [event] * (event is not None)
         assert name not in world.own(TokenKind.CLIENT)
@@ -412,11 +411,11 @@ def test_tokens_of_hostlink_itself_and_of_another_domain_are_not_mirrored() -> N
     async def test(world: World) -> None:
         other = NodeToken(0, "bb", 0, "/", "hostlink_desk", OWN_ENCLAVE)
         world.ros2.declare_token(
-            EndpointToken(TokenKind.PUBLISHER, other, 1, "/theirs", STRING, hash_of(TEXT_TYPE), TELEMETRY).encode()
+            EndpointToken(TokenKind.PUBLISHER, other, 1, "/theirs", STRING, hash_of(TEXT_TYPE), Qos()).encode()
         )
         far = NodeToken(3, "cc", 0, "/", "far")
         world.ros2.declare_token(
-            EndpointToken(TokenKind.PUBLISHER, far, 1, "/far", STRING, hash_of(TEXT_TYPE), TELEMETRY).encode()
+            EndpointToken(TokenKind.PUBLISHER, far, 1, "/far", STRING, hash_of(TEXT_TYPE), Qos()).encode()
         )
         world.ros2.declare_token(f"{SPACE}/0/dd/nonsense")
         await asyncio.sleep(0.3)

@@ -4,10 +4,10 @@ from collections import Counter
 
 import pytest
 
+from hostlink.graphs.ros2_names import Qos
 from hostlink.graphs.zenoh import rmw_protocol
 from hostlink.graphs.zenoh.rmw_protocol import (
     OWN_ENCLAVE,
-    TELEMETRY,
     Attachment,
     EndpointToken,
     NodeToken,
@@ -25,7 +25,7 @@ def key_of(
     session: str, *, topic: str = SUBJECT[0], kind: TokenKind = TokenKind.PUBLISHER, domain: int = 0, enclave: str = ""
 ) -> str:
     node = NodeToken(domain, session, 0, "/", "driver", enclave)
-    return EndpointToken(kind, node, 1, topic, SUBJECT[1], "RIHS01_0", TELEMETRY).encode()
+    return EndpointToken(kind, node, 1, topic, SUBJECT[1], "RIHS01_0", Qos()).encode()
 
 
 def graph_of(*keys: str) -> RemoteGraph:
@@ -128,7 +128,8 @@ def test_tokens_are_bounded_for_each_session_and_for_all(monkeypatch: pytest.Mon
         graph.add(key_of(f"b{number}"))
     assert len(graph._tokens) == 5
     assert graph.counts["crowded_tokens"] == 7
-    graph.clear()
+    for key in list(graph._tokens):
+        graph.remove(key)
     assert len(graph._tokens) == 0
     assert graph.add(key_of("aa")) is not None
 

@@ -9,11 +9,11 @@ from typing import cast
 import pytest
 from structlog.testing import capture_logs
 
+from hostlink.graphs.ros2_names import Qos
 from hostlink.graphs.ros2_types import Ros2Types
 from hostlink.graphs.zenoh import rmw_bridge
 from hostlink.graphs.zenoh.rmw_bridge import Publishers, RmwNode
 from hostlink.graphs.zenoh.rmw_protocol import (
-    TELEMETRY,
     Attachment,
     EndpointToken,
     NodeToken,
@@ -55,7 +55,7 @@ class Remote:
             topic,
             type_name,
             "RIHS01_0",
-            TELEMETRY,
+            Qos(),
         ).encode()
         token = self.graph.add(key)
         assert isinstance(token, EndpointToken)

@@ -386,7 +386,7 @@ def test_opened_session_is_closed_at_the_end_of_its_block(monkeypatch: pytest.Mo
     zenoh = FakeZenoh()
     monkeypatch.setattr(module, "library", lambda: zenoh)
     monkeypatch.setattr(module, "settings_of", lambda _: "settings")
-    monkeypatch.setattr(module, "reach_of", lambda *_: SimpleNamespace(lines=("loopback",)))
+    monkeypatch.setattr(module, "reach_of", lambda *_: ("loopback",))
 
     async def run(config: ZenohConfig) -> None:
         async with opened(config, Isolation(reraises=True)) as session:

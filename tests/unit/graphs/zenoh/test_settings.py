@@ -8,7 +8,7 @@ import pytest
 
 from hostlink.config import Config, ZenohConfig, load
 from hostlink.errors import ConfigError
-from hostlink.graphs.zenoh.settings import reach_of, reason_of, settings_of
+from hostlink.graphs.zenoh.settings import reach_of, reason_of, settings_of, warnings_of
 
 
 def write(folder: Path, text: str) -> Path:
@@ -75,7 +75,7 @@ def certified(**settings: Any) -> ZenohConfig:
 def test_certificates_leave_no_listener_but_those_that_are_named() -> None:
     settings = settings_of(certified())
     assert settings.get_json("listen/endpoints") == "[]"
-    assert reach_of(settings, certified()).lines == (
+    assert tuple(reach_of(settings, certified())) == (
         "listens on nothing",
         "TLS alone: reached by certificates of /ca.pem",
         "all of them may drive",
@@ -125,7 +125,7 @@ def test_certificates_in_a_file_of_zenoh_close_as_much(tmp_path: Path, kind: str
     file.write_text(json.dumps({"transport": {"link": {"tls": {kind: "a"}}}}))
     settings = settings_of(ZenohConfig(file=file))
     assert settings.get_json("transport/link/protocols") == '["tls"]'
-    assert reach_of(settings, ZenohConfig(file=file)).warnings == ()
+    assert list(warnings_of(settings, ZenohConfig(file=file))) == []
 
 
 def test_neighbours_that_others_name_are_met_over_tls_where_that_is_chosen() -> None:
@@ -133,7 +133,7 @@ def test_neighbours_that_others_name_are_met_over_tls_where_that_is_chosen() -> 
     settings = settings_of(config)
     assert settings.get_json("scouting/gossip/enabled") == "true"
     assert settings.get_json("transport/link/protocols") == '["tls"]'
-    assert reach_of(settings, config).lines[:2] == (
+    assert tuple(reach_of(settings, config))[:2] == (
         "listens on tls/10.0.0.2:7447",
         "TLS alone, found by gossip: reached by certificates of /ca.pem",
     )
@@ -141,17 +141,17 @@ def test_neighbours_that_others_name_are_met_over_tls_where_that_is_chosen() -> 
 
 def test_without_certificates_it_says_that_everybody_may_drive() -> None:
     config = ZenohConfig(drivers=("desk",))
-    found = reach_of(settings_of(config), config)
-    assert found.lines == (
+    settings = settings_of(config)
+    assert tuple(reach_of(settings, config)) == (
         "listens on tcp/[::]:0",
         "no TLS, found by multicast and gossip: everybody who reaches it can drive",
     )
-    assert [warning.partition(" (")[0] for warning in found.warnings] == [
+    assert [warning.partition(" (")[0] for warning in warnings_of(settings, config)] == [
         "zenoh without certificates",
         "zenoh.drivers without certificates keeps out nobody: a daemon has the name that it gives itself",
     ]
     config = ZenohConfig(mode="client", connect=("tcp/10.0.0.2:7447",), multicast=False, gossip=False)
-    assert reach_of(settings_of(config), config).lines == (
+    assert tuple(reach_of(settings_of(config), config)) == (
         "listens on nothing",
         "connects to tcp/10.0.0.2:7447",
         "no TLS: everybody who reaches it can drive",
@@ -164,7 +164,7 @@ def test_drivers_are_bound_to_the_names_in_certificates() -> None:
     rules = json.loads(settings.get_json("access_control"))
     assert (rules["enabled"], rules["default_permission"]) == (True, "deny")
     assert [each.get("cert_common_names") for each in rules["subjects"]] == [None, ["desk"], ["lab-2"]]
-    assert reach_of(settings, config).lines[-1] == "of them desk, lab-2 may drive, by the name in the certificate"
+    assert tuple(reach_of(settings, config))[-1] == "of them desk, lab-2 may drive, by the name in the certificate"
 
 
 def test_access_rules_of_a_file_stand(tmp_path: Path) -> None:
@@ -175,14 +175,14 @@ def test_access_rules_of_a_file_stand(tmp_path: Path) -> None:
     config = certified(file=file, drivers=("desk",))
     settings = settings_of(config)
     assert json.loads(settings.get_json("access_control/default_permission")) == "allow"
-    assert reach_of(settings, config).lines[-1] == f"who may drive: the access rules of {file}"
+    assert tuple(reach_of(settings, config))[-1] == f"who may drive: the access rules of {file}"
 
 
 def test_an_administration_that_writes_is_a_warning(tmp_path: Path) -> None:
     file = tmp_path / "zenoh.json5"
     file.write_text("{adminspace: {enabled: true, permissions: {read: true, write: true}}}")
     config = certified(file=file)
-    assert "adminspace lets whoever is connected change" in reach_of(settings_of(config), config).warnings[0]
+    assert "adminspace lets whoever is connected change" in next(warnings_of(settings_of(config), config))
 
 
 def test_file_of_zenoh_precedes_the_defaults_of_hostlink(tmp_path: Path) -> None:
