@@ -9,7 +9,7 @@ import msgspec
 import typer
 
 from hostlink.cli.files import check_absent, check_picture
-from hostlink.cli.output import megabytes, quantity, show_progress, write, write_error, write_table
+from hostlink.cli.output import quantity, show_progress, size, write, write_error, write_table
 from hostlink.errors import ConfigError, HostlinkError
 from hostlink.recording.channel import NS_PER_S
 from hostlink.recording.definitions import need_rosbags, why_unknown
@@ -157,7 +157,7 @@ def show_recording(file: Path, *, as_json: bool) -> None:
     begin = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(found.begin_ns // NS_PER_S))
     messages = quantity(found.messages, "message")
     write(
-        f"{file}: {megabytes(found.size_bytes)}, {messages}, {found.seconds:.1f} s from {begin}",
+        f"{file}: {size(found.size_bytes)}, {messages}, {found.seconds:.1f} s from {begin}",
         *(f"  {name}: {value}" for name, value in found.metadata.items() if value),
         *(f"  the clock was set by {step.step_s:+.1f} s after {step.at_s:.1f} s" for step in found.clock_steps),
         *(f"  damage: {damage}{_mended(file)}" for damage in found.damage),

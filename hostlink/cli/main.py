@@ -20,13 +20,19 @@ from typing import Annotated, Any
 
 import typer
 
-from hostlink.cli.output import allow_any_text, write, write_error
+from hostlink.cli.output import allow_any_text, end_line, write, write_error
 from hostlink.cli.start import import_fast
 from hostlink.errors import ConfigError, HostlinkError
 
 # -- words of ROS and of other programs -------------------------------------------------------------------------------
 
-HABITS = {  # words that newcomers type, and the command that has their meaning
+PROGRAMS = {  # programs and packages of ROS, as rosrun takes them, and the command that does their work
+    "teleop_twist_keyboard": "teleop --layout twist",
+    "rosserial_python": "ros1",
+    "rosserial_server": "ros1",
+    "rosbridge_server": "serve",
+}
+HABITS = PROGRAMS | {  # words that newcomers type, and the command that has their meaning
     "drive": "teleop",
     "joy": "teleop",
     "go": "teleop",
@@ -77,6 +83,7 @@ ROS_OPTIONS = {  # option of a command of ROS, and the one of hostlink; empty: h
     ("play", "--topics"): "--as-program",
 }
 LISTS_TOPICS = {("record", "--topics"), ("play", "--topics")}
+_STARTS = "`hostlink serve` starts the daemon, and `hostlink ros1` starts it as a node of ROS 1"
 _IN_A_FILE = "`hostlink export FILE --to csv` writes the messages of a recording"
 _OF_TYPES = "`hostlink type TYPE` shows the fields of a type, and `hostlink topics` lists the types that are in use"
 LACKING = {  # commands and options of ROS that hostlink lacks, and the next step
@@ -150,7 +157,10 @@ def _own_command(words: Sequence[str]) -> list[str]:
         return _of_group(rest[0], f"ros2 {rest[0]}", rest[1:])
     if first in ("rosrun", "roslaunch") or (first == "ros2" and rest and not rest[0].startswith("-")):
         program = f"ros2 {rest[0]}" if first == "ros2" else first
-        raise ConfigError(program, "hostlink has no such command; `hostlink --help` lists all commands")
+        replacement = next((PROGRAMS[word] for word in rest if word in PROGRAMS), None)
+        other = _STARTS if program.endswith(("run", "launch")) else "`hostlink --help` lists all commands"
+        step = f"use `hostlink {replacement}`" if replacement else other
+        raise ConfigError(program, f"hostlink has no such command; {step}")
     group = first.removeprefix("ros").removesuffix("s")
     is_own = first in COMMANDS and (first == "params" or not rest or rest[0] not in ROS_GROUPS.get(group, ()))
     return list(words) if is_own or group not in ROS_GROUPS else _of_group(group, first, rest)
@@ -369,6 +379,7 @@ def main() -> None:
             _complain(with_next_step(type(error).__name__, text))
         sys.exit(FAILED)
     except (KeyboardInterrupt, typer.Abort):
+        end_line()
         sys.exit(128 + 2)
 
 

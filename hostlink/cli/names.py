@@ -32,6 +32,12 @@ def near(name: str, known: Iterable[str]) -> list[str]:
     return (close + parts)[:MOST]
 
 
+def similar(name: str, known: Iterable[str]) -> str:
+    """Return the names that are similar, as a part of a sentence; empty without any."""
+    found = near(name, known)
+    return f"similar names: {', '.join(found)}; " if found else ""
+
+
 def unknown(kind: str, name: str, known: Iterable[str], *, command: str) -> HostlinkError:
     """Error of an unknown name: similar names, or else known ones, and the command that lists them."""
     names = sorted(known, key=natural)

@@ -9,7 +9,6 @@ import sys
 from collections.abc import Collection, Sequence
 from typing import Any, TextIO
 
-BYTES_PER_MB = 1_000_000
 _CLEAR_LINE = "\r\x1b[2K"
 _AS_JSON = "hostlink.json"  # error handler for characters that the terminal's encoding does not have
 
@@ -66,6 +65,13 @@ def write_above(line: str) -> None:
 def show_question(text: str) -> None:
     """Write a question on standard error; the answer is typed behind it."""
     _write(sys.stderr, plain(text))
+
+
+def end_line() -> None:
+    """End the line on which the terminal has written ^C, so that the prompt of the shell begins a new one."""
+    with contextlib.suppress(OSError):  # the terminal is gone
+        if sys.stderr.isatty():
+            _write(sys.stderr, "\n")
 
 
 def show_progress(line: str) -> None:
@@ -225,8 +231,3 @@ def size(count: float) -> str:
 def quantity(count: int, noun: str, nouns: str = "") -> str:
     """Text of a number of things: 1 parameter, 2 parameters. `nouns` is a plural that does not end in s alone."""
     return f"{count} {noun if count == 1 else nouns or f'{noun}s'}"
-
-
-def megabytes(count: float) -> str:
-    """Text of a file's size, always in MB, so that a column or a progress line keeps its unit."""
-    return f"{count / BYTES_PER_MB:.1f} MB"

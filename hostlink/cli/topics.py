@@ -35,7 +35,7 @@ from hostlink.cli.arguments import (
     not_empty,
 )
 from hostlink.cli.connecting import PATIENCE_S, ask, connected, rosapi, run_until_interrupted, waiting, write_hint
-from hostlink.cli.names import natural, unknown
+from hostlink.cli.names import natural, similar, unknown
 from hostlink.cli.output import duration, is_terminal, quantity, show_progress, size, write, write_error, write_table
 from hostlink.client import DEFAULT_URL, Host, Mailbox, RawMessage, TopicState
 from hostlink.errors import ConfigError, HostlinkError, WrongType
@@ -251,13 +251,22 @@ async def _find_type(host: Host, name: str, *, with_fields: bool) -> dict[str, A
         type_name = name.removeprefix("/").replace("/msg/", "/").replace("/srv/", "/")
         of_type = await _of_type(host, type_name)
         if of_type is None:
-            asked = type_name if type_name.count("/") == 1 else name
-            raise unknown("topic, service or type", asked, [*topics, *services], command="topics")
+            is_type = type_name.count("/") == 1
+            known = [*topics, *services, *(standard_types() if is_type else ())]
+            raise unknown("topic, service or type", type_name if is_type else name, known, command="topics")
         return of_type
     if not type_name:
         raise no_type(name)
     found: dict[str, Any] = {"name": name, "type": type_name}
     return found | {"fields": await _fields(host, details, type_name)} if with_fields else found
+
+
+def standard_types() -> list[str]:
+    """List the types that every daemon knows. It may know others from its folders of messages."""
+    from hostlink.messages.catalog import Catalog  # noqa: PLC0415 - only for an error
+
+    catalog = Catalog()
+    return [*catalog.message_names(), *catalog.service_names()]
 
 
 async def _of_type(host: Host, type_name: str) -> dict[str, Any] | None:
@@ -882,15 +891,30 @@ def type_and_message(name: str, words: Sequence[str]) -> tuple[str, Message]:
 
 
 async def _object(host: Host, details: str, type_name: str, message: Message) -> dict[str, object]:
-    """Return the message as an object.
+    """Return the message as an object. Without the name of a type it must be one.
 
     Raises:
-        HostlinkError: the values do not match the fields of the type.
+        HostlinkError: the type is unknown, or the values do not match its fields.
     """
+    if not type_name and isinstance(message, dict):
+        return message
+    try:
+        typedefs = await rosapi(host, details, "typedefs", type=type_name)
+    except HostlinkError as error:
+        if f"type named {type_name}" not in str(error):
+            raise
+        raise unknown_type(type_name) from error
     if isinstance(message, dict):
         return message
-    typedefs = await rosapi(host, details, "typedefs", type=type_name)
     return filled({each["type"]: each for each in typedefs}, typedefs[0], message)
+
+
+def unknown_type(name: str) -> HostlinkError:
+    """Error of a type that the daemon does not know."""
+    return HostlinkError(
+        f"there is no type named {name}; {similar(name, standard_types())}for a type of your own, start the "
+        "daemon with `hostlink serve --messages FOLDER`"
+    )
 
 
 def filled(known: dict[str, Any], typedef: dict[str, Any], values: list[object]) -> dict[str, object]:
@@ -926,12 +950,7 @@ async def _pub(
     publishing: Publishing,
 ) -> None:
     async with daemon as host:
-        if isinstance(words, list) and not type_name:
-            type_name = await rosapi(host, "topic_type", "type", topic=topic)
-            if not type_name:
-                raise HostlinkError(
-                    f"{topic} has no type yet; name it, as in `hostlink pub {topic} std_msgs/Bool true`"
-                )
+        type_name = type_name or await _type_of(host, topic)
         message = await _object(host, "message_details", type_name, words)
         while not publishing.count or publishing.sent < publishing.count:
             if publishing.sent:
@@ -942,6 +961,22 @@ async def _pub(
             if sent > rate_hz * PATIENCE_S and not sent % max(1, round(rate_hz)):
                 show_progress(f"{sent} sent{f' of {publishing.count}' if publishing.count else ''}; Ctrl-C ends")
         await host.settle()
+
+
+async def _type_of(host: Host, topic: str) -> str:
+    """Return the type of a topic that has one.
+
+    Raises:
+        HostlinkError: the topic does not exist, or has no type yet.
+    """
+    full = "/" + topic.lstrip("/~")
+    types = {each["name"]: each["type"] for each in await host.topics()}
+    if found := types.pop(full, ""):
+        return found
+    raise HostlinkError(
+        f"{full} has no type, because no device or program publishes it; {similar(full, types)}name the type of a "
+        f"new topic, as in `hostlink pub {full} std_msgs/String 'data: hello'`"
+    )
 
 
 # -- services ---------------------------------------------------------------------------------------------------------

@@ -3,12 +3,15 @@
 import re
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from hostlink.cli.main import COMMANDS, _run, completed_words, module_of, own_completion, wanted_command, with_next_step
 from hostlink.errors import ConfigError
+from tests.support.documented import parser
 
 
 @pytest.mark.parametrize(
@@ -64,6 +67,20 @@ def test_completion_of_a_command_of_ros_is_that_of_hostlink(environment: dict[st
 def test_every_command_has_a_line_that_fits_a_terminal() -> None:
     assert len(COMMANDS) > 20
     assert all(text.endswith(".") and len(text) <= 86 for text in COMMANDS.values())
+
+
+def commands_of(found: Any, name: str) -> Iterator[tuple[str, Any]]:
+    inner = getattr(found, "commands", {})
+    yield from ([] if inner else [(name, found)])
+    for each, command in inner.items():
+        yield from commands_of(command, f"{name} {each}")
+
+
+def test_every_argument_and_option_has_a_help_text() -> None:
+    commands = [each for name in COMMANDS for each in commands_of(parser(name), name)]
+    bare = [f"{name}: {part.name}" for name, command in commands for part in command.params if not part.help]
+    assert len(commands) > len(COMMANDS)
+    assert bare == []
 
 
 DOCUMENTS = Path(__file__).parents[3] / "docs"
@@ -140,6 +157,7 @@ def test_other_errors_stay_as_they_are(text: str) -> None:
     [
         "play x.mcap --drive",
         "stop",
+        "stop robot_0",
         "lock",
         "unlock",
         "drive",
