@@ -296,7 +296,7 @@ MODULES = {  # modules whose name is not that of the command
     **dict.fromkeys(("clients", "capture"), "links"),
 }
 COMMANDS = {name: text for panel in PANELS.values() for name, text in panel.items()}
-FAILED, MISUSED = 1, 2
+FAILED, MISUSED, INTERRUPTED = 1, 2, 128 + 2
 UsageError: Any = typer.BadParameter.__base__  # click's class, which newer versions of typer contain
 
 
@@ -364,12 +364,12 @@ def main() -> None:
     allow_any_text()
     arguments = sys.argv[1:]
     try:
-        sys.exit(_run(arguments))
+        status = _run(arguments)
     except HostlinkError as error:
         if "--debug" in arguments:
             raise
         _complain(with_next_step(error.kind, str(error)))
-        sys.exit(MISUSED if isinstance(error, ConfigError) else FAILED)
+        status = MISUSED if isinstance(error, ConfigError) else FAILED
     except OSError as error:  # mostly: the program that read the output has ended, or the disk is full
         if "--debug" in arguments:
             raise
@@ -377,10 +377,12 @@ def main() -> None:
         if not isinstance(error, BrokenPipeError):
             text = f"{error.filename or 'a call of the system failed'}: {error.strerror or error}"
             _complain(with_next_step(type(error).__name__, text))
-        sys.exit(FAILED)
+        status = FAILED
     except (KeyboardInterrupt, typer.Abort):
+        status = INTERRUPTED
+    if status == INTERRUPTED:
         end_line()
-        sys.exit(128 + 2)
+    sys.exit(status)
 
 
 def _run(arguments: list[str]) -> int:

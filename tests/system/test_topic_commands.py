@@ -154,6 +154,13 @@ async def test_stop_lock_and_unlock() -> None:
         await run("lock", *at)
         status, _, err = await run("unlock", *at)
         assert (status, "several robots are locked: mule, robot_0;" in err) == (1, True)
+        both = "robot_0 may be driven\nmule may be driven\n"
+        assert await run("unlock", "robot_0", "mule", *at) == (0, both, "")
+        assert await run("stop", "robot_0", "mule", *at) == (1, f"mule: {unknown}robot_0: {unknown}", "")
+        status, out, err = await run("lock", "mull", "robot_0", "mule", *at)
+        assert (status, "there is no robot named mull; similar names: mule" in err) == (1, True)
+        assert "mule is locked" in out
+        assert all(robot.gate.lock_reason is not None for robot in host.hub.robots.all())
         assert (await run("unlock", "--all", *at))[1] == "mule may be driven\nrobot_0 may be driven\n"
         assert (await run("lock", "mull", *at))[2] == (
             "hostlink: there is no robot named mull; similar names: mule; `hostlink robots` lists them\n"
