@@ -232,6 +232,7 @@ def _answer(setting: Setting, before: str) -> str:
         try:
             answer = getpass.getpass(text) if setting.is_secret else input(text).strip()
         except EOFError:
+            write_error("")  # the question has no end of a line
             raise HostlinkError(
                 "standard input ended, and no setting was stored; give the settings as options"
             ) from None

@@ -54,7 +54,7 @@ def export(
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON, for programs.")] = False,
 ) -> None:
     """Write a recording in a format that other programs read: spreadsheets, `ros2 bag play`, `rosbag play`."""
-    target = output or file.with_name(f"{file.stem}{'.bag' if format_ is Format.ROS1 else f'_{format_.value}'}")
+    target = output or file.parent / (f"{file.stem}{'.bag' if format_ is Format.ROS1 else f'_{format_.value}'}")
     check_absent(target)
     show_progress(f"writing {target}")
     try:
@@ -109,7 +109,7 @@ def plot(
     ] = None,
 ) -> None:
     """Draw fields of a recording over time, or with --map the paths of the robots."""
-    target = output or file.with_suffix(".png")
+    target = output or file.parent / f"{file.stem}.png"
     if fields and map_:
         raise ConfigError("plot", "--map draws paths instead of fields; leave the fields or --map out")
     if not fields and not map_:

@@ -437,8 +437,8 @@ _TEXTS = (  # of click, and the sentence of hostlink
     (re.compile(r"Got unexpected extra arguments? ?(?:\(s\) )?\((.*)\)\.?"), r"there is an argument too many: \1"),
     (re.compile(r"Missing argument '(.*?)'\.?"), r"the argument \1 is missing"),
     (
-        re.compile(r"Missing option '(.*?)'(?: / '.*?')*\.? ?(?:Choose from: )?(.*?)\.?"),
-        r"the option \1 is missing; choose \2",
+        re.compile(r"Missing (argument|option) '(.*?)'(?: / '.*?')*\.? ?(?:Choose from: )?(.*?)\.?"),
+        r"the \1 \2 is missing; choose \3",
     ),
     (
         re.compile(r"Invalid value for '(.*?)'(?: / '.*?')*: (?:Value error, )?(.*?)\.?"),
@@ -448,6 +448,7 @@ _TEXTS = (  # of click, and the sentence of hostlink
 )
 _NO_OPTION = re.compile(r"No such option:? '?(-[^ ']*?)'?[. ]*(?:(?:Did you mean|\(?Possible options:) (.*?)[?)])?")
 _NO_QOS = "rosserial has no quality of service; leave the option out"
+_NEGATIVE = "write -- before a negative number, as in `hostlink pub /x std_msgs/Int8 -- -5`"
 _NO_CHOICE = re.compile(r"Invalid value for '(.*?)'(?: / '.*?')*: '(.*)' is not one of (.*?)\.?")
 _NO_COMMAND = re.compile(r"No such command '(.*?)'\.(?: Did you mean (.*)\?)?")
 
@@ -463,6 +464,7 @@ def complaint(command: str, text: str) -> tuple[str, str]:
     if (found := _NO_OPTION.fullmatch(text)) is not None:
         similar = found[2] and f"did you mean {_listed(found[2].split(', '))}? "
         step = LACKING.get((command, found[1])) or (_NO_QOS if found[1].startswith("--qos") else None)
+        step = _NEGATIVE if re.match(r"-[.\d]", found[1]) else step
         if command:
             return command, f"there is no option {found[1]}; {step or f'{similar or str()}{options}'}"
         return found[1], "there is no such option; write options behind the command, as in `hostlink robots --url URL`"
@@ -512,6 +514,8 @@ def with_next_step(kind: str, text: str) -> str:
         step = "`hostlink type TYPE` shows the fields of a type"
     elif text.endswith(os.strerror(errno.ENOENT)):
         step = "check its name"
+    elif text.endswith(os.strerror(errno.EISDIR)):
+        step = "name a file"
     elif text.endswith(" is not an MCAP file"):
         step = "`hostlink record` writes MCAP files"
     elif kind == "FrameTooLarge":

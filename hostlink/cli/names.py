@@ -42,8 +42,9 @@ def unknown(kind: str, name: str, known: Iterable[str], *, command: str) -> Host
     """Error of an unknown name: similar names, or else known ones, and the command that lists them."""
     names = sorted(known, key=natural)
     found = near(name, names)
-    others = f"known are: {', '.join(names[:LISTED])}" if names else "there are none yet"
-    hint = f"similar names: {', '.join(found)}" if found else others
+    if not names:
+        return HostlinkError(f"there is no {kind} named {name}; there are none yet")
+    hint = f"similar names: {', '.join(found)}" if found else f"known are: {', '.join(names[:LISTED])}"
     return HostlinkError(f"there is no {kind} named {name}; {hint}; `hostlink {command}` lists them")
 
 

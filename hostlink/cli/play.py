@@ -370,6 +370,7 @@ async def _ask(due: Due) -> None:
         f"{due.at_s:9.3f} s  {message.channel.topic}  {quantity(len(message.payload), 'byte')}; Enter sends it "
     )
     if not await _read_line():
+        write_error("")  # the question has no end of a line
         raise HostlinkError("--step: standard input is closed; run this command in a terminal")
 
 

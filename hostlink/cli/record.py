@@ -1,6 +1,7 @@
 """The commands for recordings of the daemon: `record`, `drives`, `incidents`."""
 
 import asyncio
+import fnmatch
 import json as json_text
 import signal
 import time
@@ -16,7 +17,7 @@ import typer
 from hostlink.cli.arguments import Json, RobotName, Token, Url
 from hostlink.cli.connecting import ask, connected
 from hostlink.cli.files import check_output, fetch
-from hostlink.cli.names import named
+from hostlink.cli.names import named, similar
 from hostlink.cli.output import quantity, show_progress, size, write, write_error, write_table
 from hostlink.client import DEFAULT_URL, Host
 from hostlink.errors import ConfigError, HostlinkError
@@ -89,7 +90,8 @@ def record(
     elif stop is not None:
         ask(url, token, lambda host: _stop(host, stop, output, as_json=as_json))
     else:
-        request = {"topics": topics or [], "robots": robot or [], "name": name}
+        wanted = [name if name[:1] in "*?[" else f"/{name.lstrip('/~')}" for name in topics or []]
+        request = {"topics": wanted, "robots": robot or [], "name": name}
         asyncio.run(_record(url, token, request, output, seconds, as_json=as_json))
 
 
@@ -117,6 +119,10 @@ async def _record(
     async with connected(url, token) as host:
         view = await host.post(_PATH, request)
         name = view["name"]
+        known = [topic["name"] for topic in await host.topics()] if request["topics"] else []
+        for pattern in request["topics"]:
+            if not fnmatch.filter(known, pattern):
+                write_error(f"there is no topic {pattern} yet; {similar(pattern, known)}`hostlink topics` lists all")
         write_error(f"recording {name}; Ctrl-C ends")
         until_s = float("inf") if seconds is None else loop.time() + seconds
         while not ending.is_set() and loop.time() < until_s:
@@ -245,15 +251,22 @@ def drives(
     json: Json = False,
 ) -> None:
     """List who drove a robot, or any robot, and when, with the newest drive first."""
-    query = "" if robot is None else "?" + urllib.parse.urlencode({"robot": robot.strip("/")})
-    view = ask(url, token, lambda host: host.get(f"/api/drives{query}"))
+    view, known = ask(url, token, lambda host: _drives(host, robot))
     if json:
         write(json_text.dumps({**view, "drives": view["drives"][:count]}))
     else:
         today = datetime.now(UTC).date().isoformat()
         write_newest(HEADS, [row(each, today) for each in view["drives"]], count, whole=HEADS[-1:])
         if not view["drives"]:
-            write(f"there are no drives of {'any robot' if robot is None else robot} yet")
+            names = similar(robot, known) if robot is not None and robot not in known else ""
+            write(f"there are no drives of {robot or 'any robot'} yet; {names}".rstrip("; "))
+
+
+async def _drives(host: Host, robot: str | None) -> tuple[dict[str, Any], list[str]]:
+    """Return the drives, and the names of robots if a robot has none."""
+    query = "" if robot is None else "?" + urllib.parse.urlencode({"robot": robot.strip("/")})
+    view = await host.get(f"/api/drives{query}")
+    return view, [] if view["drives"] else [state["name"] for state in await host.robots()]
 
 
 def row(drive: dict[str, Any], today: str) -> list[str]:
@@ -298,6 +311,8 @@ def incidents(
         raise ConfigError(
             "incidents", "name the file of an incident and where to write it, as in `hostlink incidents NAME -o FILE`"
         )
+    if reason and save is None:
+        raise ConfigError("--reason", "is the reason of --save; add --save ROBOT")
     if output is not None:
         check_output(output)
     if save is not None:

@@ -49,9 +49,17 @@ async def service_facts(host: Host, name: str) -> dict[str, Any]:
     return {key: await rosapi(host, asked, key, service=name) for key, asked in facts.items()}
 
 
-def no_type(topic: str) -> HostlinkError:
-    """Error of a topic whose type is not known yet."""
-    return HostlinkError(f"{topic} has no type yet, because it has no publisher; `hostlink topics` lists all topics")
+async def type_of(host: Host, topic: str, step: str = "`hostlink topics` lists all topics") -> str:
+    """Return the type of a topic. `step` ends the error.
+
+    Raises:
+        HostlinkError: the topic does not exist, or has no type yet.
+    """
+    full = "/" + topic.lstrip("/~")
+    types = {each["name"]: each["type"] for each in await host.topics()}
+    if found := types.pop(full, ""):
+        return found
+    raise HostlinkError(f"{full} has no type yet, because it has no publisher; {similar(full, types)}{step}")
 
 
 # -- topics -----------------------------------------------------------------------------------------------------------
@@ -243,7 +251,7 @@ async def _find_type(host: Host, name: str, *, with_fields: bool) -> dict[str, A
     topics = {topic["name"]: topic["type"] for topic in await host.topics()}
     services: list[str] = [] if name in topics else await rosapi(host, "services", "services")
     if name in topics:
-        type_name, details = topics[name], "message_details"
+        type_name, details = await type_of(host, name), "message_details"
     elif name in services:
         type_name = await rosapi(host, "service_type", "type", service=name)
         details = "service_request_details"
@@ -252,21 +260,19 @@ async def _find_type(host: Host, name: str, *, with_fields: bool) -> dict[str, A
         of_type = await _of_type(host, type_name)
         if of_type is None:
             is_type = type_name.count("/") == 1
-            known = [*topics, *services, *(standard_types() if is_type else ())]
+            known = [*topics, *services, *(itertools.chain(*standard_types()) if is_type else ())]
             raise unknown("topic, service or type", type_name if is_type else name, known, command="topics")
         return of_type
-    if not type_name:
-        raise no_type(name)
     found: dict[str, Any] = {"name": name, "type": type_name}
     return found | {"fields": await _fields(host, details, type_name)} if with_fields else found
 
 
-def standard_types() -> list[str]:
-    """List the types that every daemon knows. It may know others from its folders of messages."""
+def standard_types() -> tuple[list[str], list[str]]:
+    """List the types of messages and of services that every daemon knows."""
     from hostlink.messages.catalog import Catalog  # noqa: PLC0415 - only for an error
 
     catalog = Catalog()
-    return [*catalog.message_names(), *catalog.service_names()]
+    return catalog.message_names(), catalog.service_names()
 
 
 async def _of_type(host: Host, type_name: str) -> dict[str, Any] | None:
@@ -752,9 +758,7 @@ _HEADER = struct.Struct("<III")  # seq, secs, nsecs: the beginning of a std_msgs
 
 async def _check_header(host: Host, topic: str) -> None:
     """Raise HostlinkError for a topic whose type has no header."""
-    type_name = await rosapi(host, "topic_type", "type", topic=topic)
-    if not type_name:
-        raise no_type(topic)
+    type_name = await type_of(host, topic)
     fields = (await rosapi(host, "message_details", "typedefs", type=type_name))[0]["fieldtypes"]
     if fields[:1] != ["std_msgs/Header"]:
         raise HostlinkError(
@@ -903,16 +907,18 @@ async def _object(host: Host, details: str, type_name: str, message: Message) ->
     except HostlinkError as error:
         if f"type named {type_name}" not in str(error):
             raise
-        raise unknown_type(type_name) from error
+        raise unknown_type(details, type_name) from error
     if isinstance(message, dict):
         return message
     return filled({each["type"]: each for each in typedefs}, typedefs[0], message)
 
 
-def unknown_type(name: str) -> HostlinkError:
-    """Error of a type that the daemon does not know."""
+def unknown_type(details: str, name: str) -> HostlinkError:
+    """Error of a type of messages or of services that the daemon does not know."""
+    messages, services = standard_types()
+    kind, known = ("message", messages) if details == "message_details" else ("service", services)
     return HostlinkError(
-        f"there is no type named {name}; {similar(name, standard_types())}for a type of your own, start the "
+        f"there is no {kind} type named {name}; {similar(name, known)}for a type of your own, start the "
         "daemon with `hostlink serve --messages FOLDER`"
     )
 
@@ -950,7 +956,9 @@ async def _pub(
     publishing: Publishing,
 ) -> None:
     async with daemon as host:
-        type_name = type_name or await _type_of(host, topic)
+        type_name = type_name or await type_of(
+            host, topic, f"name the type of a new topic, as in `hostlink pub {topic} std_msgs/String 'data: hello'`"
+        )
         message = await _object(host, "message_details", type_name, words)
         while not publishing.count or publishing.sent < publishing.count:
             if publishing.sent:
@@ -961,22 +969,6 @@ async def _pub(
             if sent > rate_hz * PATIENCE_S and not sent % max(1, round(rate_hz)):
                 show_progress(f"{sent} sent{f' of {publishing.count}' if publishing.count else ''}; Ctrl-C ends")
         await host.settle()
-
-
-async def _type_of(host: Host, topic: str) -> str:
-    """Return the type of a topic that has one.
-
-    Raises:
-        HostlinkError: the topic does not exist, or has no type yet.
-    """
-    full = "/" + topic.lstrip("/~")
-    types = {each["name"]: each["type"] for each in await host.topics()}
-    if found := types.pop(full, ""):
-        return found
-    raise HostlinkError(
-        f"{full} has no type, because no device or program publishes it; {similar(full, types)}name the type of a "
-        f"new topic, as in `hostlink pub {full} std_msgs/String 'data: hello'`"
-    )
 
 
 # -- services ---------------------------------------------------------------------------------------------------------

@@ -77,6 +77,7 @@ async def test_rate_bandwidth_and_delay_are_measured() -> None:
         assert delay["delay_s"] > 1.7e9  # a device that does not know the time
         assert "geometry_msgs/Pose2D has no header" in (await run("delay", "/robot_0/odometry", *end))[2]
         assert "/x has no type yet" in (await run("delay", "/x", *end))[2]
+        assert "similar names: /robot_0/point; " in (await run("delay", "/robot_0/pont", *end))[2]
         assert " Hz   every " in (await run("hz", "/robot_0/odometry", "--seconds", "0.5", "--url", host.url))[1]
 
 
@@ -178,6 +179,9 @@ async def test_parameters_are_set_saved_and_loaded(tmp_path: Path) -> None:
             0, 'parameter  value\n/gain      1.5\n/name      "left"\n/pid/kp    [1, 2]\n', ""
         )  # fmt: skip
         assert (await run("params", "list", "/pid", *at))[1].splitlines()[1:] == ["/pid/kp    [1, 2]"]
+        assert (await run("params", "list", "none", *at))[2] == (
+            "there are no parameters in /none; `hostlink params list` lists all\n"
+        )
         assert (await run("params", "get", "/pid", *at))[1] == '{"kp": [1, 2]}\n'
         assert (await run("params", "dump", str(file), *at))[2] == f"3 parameters in {file}\n"
         assert (await run("params", "delete", "/pid", *at))[0] == 0
@@ -231,6 +235,47 @@ async def test_commands_of_ros_have_their_effect(tmp_path: Path) -> None:
         file = str(tmp_path / "run.mcap")
         await ros("rosbag", "record", "-a", "-O", file, "--duration=0.2")
         assert "/robot_0/odometry" in await ros("ros2", "bag", "info", file)
+
+
+async def test_record_adds_the_slash_of_a_name_and_reports_an_unknown_topic(tmp_path: Path) -> None:
+    file = str(tmp_path / "run.mcap")
+    async with publishing() as (host, _):
+        at = ("--seconds", "0.2", "--url", host.url)
+        _, out, err = await run("record", "-o", file, "robot_0/odometry", "/robot_0/odometrie", "*/odometry", *at)
+    assert " 0 messages " not in out
+    assert err.startswith("there is no topic /robot_0/odometrie yet; similar names: /robot_0/odometry, ")
+    assert err.splitlines()[1].startswith("recording ")
+    assert "/robot_0/odometry " in (await run("info", file))[1]
+
+
+@pytest.mark.parametrize(
+    ("line", "complaint"),
+    [
+        (
+            ["pub", "/new", "data: hi"],
+            "/new has no type yet, because it has no publisher; name the type of a new topic, as in `hostlink pub /new "
+            "std_msgs/String 'data: hello'`",
+        ),
+        (
+            ["pub", "/new", "std_msgs/Strin", "data: hi"],
+            "there is no message type named std_msgs/Strin; similar names: std_msgs/String, ",
+        ),
+        (["pub", "/new", "std_srvs/Trigger"], "there is no message type named std_srvs/Trigger; "),
+        (
+            ["call", "/new", "std_srvs/Triger"],
+            "there is no service type named std_srvs/Triger; similar names: std_srvs",
+        ),
+        (
+            ["type", "std_msgs/Strin"],
+            "there is no topic, service or type named std_msgs/Strin; similar names: std_msgs/S",
+        ),
+    ],
+)
+async def test_wrong_type_of_a_message_is_refused_with_the_similar_ones(line: list[str], complaint: str) -> None:
+    async with daemon() as host:
+        status, out, err = await run(*line, "--url", host.url)
+    assert (status, out, err.count("\n")) == (1, "", 1)
+    assert err.startswith(f"hostlink: {complaint}")
 
 
 async def test_an_empty_message_needs_no_text() -> None:

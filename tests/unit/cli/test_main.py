@@ -138,6 +138,7 @@ def test_a_command_that_queries_a_daemon_imports_no_daemon() -> None:
         ),
         ("FrameTooLarge", "/x: frame of 9 bytes", "/x: frame of 9 bytes; send less in one message; `hostlink doctor`"),
         ("RecordingFailed", "/x: No such file or directory", "/x: No such file or directory; check its name"),
+        ("RecordingFailed", "/x: Is a directory", "/x: Is a directory; name a file"),
         ("DeviceGone", "r: its device is gone", "r: its device is gone; `hostlink doctor` finds out why"),
     ],
 )

@@ -151,6 +151,12 @@ def test_options_that_hostlink_lacks_do_not_exist() -> None:
             "No such option: --qos-depth",
             "echo: there is no option --qos-depth; rosserial has no quality of ser",
         ),
+        ("pub", "No such option: -5", "pub: there is no option -5; write -- before a negative number, as in `hostli"),
+        (
+            "lab",
+            "Missing argument 'what'. Choose from: causes, tables",
+            "lab: the argument what is missing; choose causes, tables; `hostlink lab --help` lists the options",
+        ),
         ("hz", "No such option: --filter", "hz: there is no option --filter; `hostlink echo TOPIC --json` gives every"),
         ("", "No such option: --url", "--url: there is no such option; write options behind the command, as in"),
         (
