@@ -224,7 +224,7 @@ class HttpClient:
         return str(reason)
 
     def _refusal(self, status: int) -> str:
-        """What an answer without words of a hostlink means."""
+        """Return the error of an answer that has no words of a hostlink."""
         if status not in _ADVICE:
             what = f"what answers there (HTTP {status}) is no hostlink, or an older one"
             return f"no hostlink at {self.url}: {what}: look at the address and the port"
