@@ -450,6 +450,7 @@ _NO_OPTION = re.compile(r"No such option:? '?(-[^ ']*?)'?[. ]*(?:(?:Did you mean
 _NO_QOS = "rosserial has no quality of service; leave the option out"
 _NEGATIVE = "write -- before a negative number, as in `hostlink pub /x std_msgs/Int8 -- -5`"
 _NO_CHOICE = re.compile(r"Invalid value for '(.*?)'(?: / '.*?')*: '(.*)' is not one of (.*?)\.?")
+_NOT_READABLE = re.compile(r"Invalid value for '(.*?)'(?: / '.*?')*: Path '(.*)' is not readable\.?")
 _NO_COMMAND = re.compile(r"No such command '(.*?)'\.(?: Did you mean (.*)\?)?")
 
 
@@ -470,6 +471,8 @@ def complaint(command: str, text: str) -> tuple[str, str]:
         return found[1], "there is no such option; write options behind the command, as in `hostlink robots --url URL`"
     if (found := _NO_CHOICE.fullmatch(text)) is not None:
         return found[1], f"unknown value {found[2]!r}; choose {_listed(found[3].replace(chr(39), '').split(', '))}"
+    if (found := _NOT_READABLE.fullmatch(text)) is not None:
+        return found[1], f"{found[2]} cannot be read; check who may read it"
     if "unexpected extra" in text and command in SURPLUS:
         return command, SURPLUS[command]
     for pattern, sentence in _TEXTS:
@@ -516,6 +519,8 @@ def with_next_step(kind: str, text: str) -> str:
         step = "check its name"
     elif text.endswith(os.strerror(errno.EISDIR)):
         step = "name a file"
+    elif text.endswith(os.strerror(errno.EACCES)):
+        step = "choose a port above 1023" if "listened on" in text else "check who may read and write it"
     elif text.endswith(" is not an MCAP file"):
         step = "`hostlink record` writes MCAP files"
     elif kind == "FrameTooLarge":

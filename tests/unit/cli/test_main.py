@@ -138,6 +138,12 @@ def test_a_command_that_queries_a_daemon_imports_no_daemon() -> None:
         ),
         ("FrameTooLarge", "/x: frame of 9 bytes", "/x: frame of 9 bytes; send less in one message; `hostlink doctor`"),
         ("RecordingFailed", "/x: No such file or directory", "/x: No such file or directory; check its name"),
+        ("RecordingFailed", "/x: Permission denied", "/x: Permission denied; check who may read and write it"),
+        (
+            "ConfigError",
+            "port 80: cannot be listened on: Permission denied",
+            "port 80: cannot be listened on: Permission denied; choose a port above 1023",
+        ),
         ("RecordingFailed", "/x: Is a directory", "/x: Is a directory; name a file"),
         ("DeviceGone", "r: its device is gone", "r: its device is gone; `hostlink doctor` finds out why"),
     ],

@@ -151,6 +151,11 @@ def test_options_that_hostlink_lacks_do_not_exist() -> None:
             "No such option: --qos-depth",
             "echo: there is no option --qos-depth; rosserial has no quality of ser",
         ),
+        (
+            "sim",
+            "Invalid value for '--world': Path 'x' is not readable.",
+            "--world: x cannot be read; check who may read it",
+        ),
         ("pub", "No such option: -5", "pub: there is no option -5; write -- before a negative number, as in `hostli"),
         (
             "lab",
