@@ -115,6 +115,7 @@ RobotNames = Annotated[
     list[str] | None,
     typer.Argument(help="Names of robots; without one: all robots.", callback=not_empty, autocompletion=robot_names),
 ]
+AllRobots = Annotated[bool, typer.Option("--all", help="All robots, as without a name.")]
 ParameterName = Annotated[
     str, typer.Argument(help="Name of the parameter.", callback=not_empty, autocompletion=parameter_names)
 ]

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from hostlink.cli.arguments import Json, RobotNames, Token, Url, not_empty, robot_names
+from hostlink.cli.arguments import AllRobots, Json, RobotNames, Token, Url, not_empty, robot_names
 from hostlink.cli.connecting import ask
 from hostlink.cli.figures import robot_table
 from hostlink.cli.names import driver, natural, unknown_robot
@@ -82,12 +82,20 @@ def robots(*, url: Url = DEFAULT_URL, token: Token = None, json: Json = False) -
 # -- stop -------------------------------------------------------------------------------------------------------------
 
 
-def stop(robots: RobotNames = None, *, url: Url = DEFAULT_URL, token: Token = None, json: Json = False) -> None:
+def stop(
+    robots: RobotNames = None,
+    *,
+    everything: AllRobots = False,
+    url: Url = DEFAULT_URL,
+    token: Token = None,
+    json: Json = False,
+) -> None:
     """Stop robots, or all of them, and measure whether they are stopped; exit status 1: at least one is not.
 
     A program that was driving must let go before it can drive again. `hostlink lock` keeps a robot stopped.
     """
-    ask(url, token, lambda host: _stop(host, robots or [], json=json))
+    names = [] if everything else robots or []  # a stop of all is never refused because of a name
+    ask(url, token, lambda host: _stop(host, names, json=json))
 
 
 async def _stop(host: Host, names: list[str], *, json: bool) -> None:
@@ -149,6 +157,7 @@ async def _report(host: Host, measured: dict[str, Standstill], *, done: str = ""
 def lock(
     robots: RobotNames = None,
     *,
+    everything: AllRobots = False,
     reason: Annotated[str, typer.Option(help="Reason that the next driver is shown.")] = "a lock from the terminal",
     url: Url = DEFAULT_URL,
     token: Token = None,
@@ -158,8 +167,8 @@ def lock(
 
     Measures whether the robots are stopped; exit status 1: at least one is not.
     """
-    command = functools.partial(Robot.lock, reason=reason)
-    ask(url, token, lambda host: _halt(host, robots or [], command, done=f"is locked: {reason}", json=json))
+    command, names = functools.partial(Robot.lock, reason=reason), [] if everything else robots or []
+    ask(url, token, lambda host: _halt(host, names, command, done=f"is locked: {reason}", json=json))
 
 
 # -- unlock -----------------------------------------------------------------------------------------------------------

@@ -146,13 +146,14 @@ async def test_stop_lock_and_unlock() -> None:
         at = ("--url", host.url)
         unknown = "it is not known whether it is stopped: it sends no odometry\n"
         assert await run("stop", *at) == (1, f"mule: {unknown}robot_0: {unknown}", "")
+        assert await run("stop", "mull", "--all", *at) == (1, f"mule: {unknown}robot_0: {unknown}", "")
         assert await run("stop", "/mule", *at) == (1, f"mule: {unknown}", "")
         locked = f"mule is locked: my foot\nmule: {unknown}"
         assert await run("lock", "mule", "--reason", "my foot", *at) == (1, locked, "")
         assert [robot.gate.lock_reason for robot in host.hub.robots.all()] == ["my foot", None]
         assert await run("unlock", *at) == (0, "mule may be driven\n", "")
         assert await run("unlock", *at) == (1, "", "hostlink: no robot is locked; `hostlink robots` lists them\n")
-        await run("lock", *at)
+        await run("lock", "--all", *at)
         status, _, err = await run("unlock", *at)
         assert (status, "several robots are locked: mule, robot_0;" in err) == (1, True)
         both = "robot_0 may be driven\nmule may be driven\n"
