@@ -9,8 +9,8 @@ import msgspec
 import typer
 
 from hostlink.cli.files import check_absent, check_picture
-from hostlink.cli.output import quantity, show_progress, size, write, write_error, write_table
-from hostlink.errors import ConfigError, HostlinkError
+from hostlink.cli.output import quantity, show_progress, write, write_error, write_table
+from hostlink.errors import ConfigError, HostlinkError, size
 from hostlink.recording.channel import NS_PER_S
 from hostlink.recording.definitions import need_rosbags, why_unknown
 from hostlink.recording.reader import Contents, TopicContents, contents_of

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Annotated, BinaryIO
 
 import typer
 
-from hostlink.cli.output import show_progress, size
-from hostlink.errors import ConfigError, HostlinkError, LibraryMissing
+from hostlink.cli.output import show_progress
+from hostlink.errors import ConfigError, HostlinkError, LibraryMissing, size
 
 if TYPE_CHECKING:
     from hostlink.client import Host  # slow to import, and no part of a command that only writes files

@@ -10,9 +10,9 @@ from typing import Annotated, assert_never
 import typer
 
 from hostlink.cli.files import check_folder, check_picture
-from hostlink.cli.output import show_progress, size, write
+from hostlink.cli.output import show_progress, write
 from hostlink.cli.sim import read_world
-from hostlink.errors import ConfigError, LibraryMissing
+from hostlink.errors import ConfigError, LibraryMissing, size
 from hostlink.lab import reports
 from hostlink.lab.experiment import Laboratory
 from hostlink.lab.tables import CASTER_WORLD

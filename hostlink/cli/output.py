@@ -219,15 +219,6 @@ def duration(seconds: float) -> str:
     return f"{seconds * 1000:.1f} ms" if value >= 0.001 else f"{seconds * 1000:.3f} ms"  # noqa: PLR2004 - a millisecond
 
 
-def size(count: float) -> str:
-    """Text of a number of bytes: 320 B, 9.6 kB, 1.2 MB."""
-    for unit in ("B", "kB", "MB"):
-        if count < 1000:  # noqa: PLR2004 - orders of magnitude
-            return f"{count:.0f} {unit}" if unit == "B" else f"{count:.1f} {unit}"
-        count /= 1000
-    return f"{count:.1f} GB"
-
-
 def quantity(count: int, noun: str, nouns: str = "") -> str:
     """Text of a number of things: 1 parameter, 2 parameters. `nouns` is a plural that does not end in s alone."""
     return f"{count} {noun if count == 1 else nouns or f'{noun}s'}"

@@ -141,7 +141,7 @@ async def play_devices(file: Path, playback: Playback, address: tuple[str, int],
         await device.drained()
 
     async with _connected(devices, address):
-        write_error(f"playing {', '.join(sorted(devices))}; Ctrl-C ends")
+        write_error(f"playing {', '.join(sorted(devices))}; `hostlink robots` shows their names there; Ctrl-C ends")
         count = await _play_messages(file, playback, is_wanted, put)
     dropped = sum(device.dropped for device in devices.values())
     left_out = sum(device.left_out for device in devices.values())

@@ -18,9 +18,9 @@ from hostlink.cli.arguments import Json, RobotName, Token, Url
 from hostlink.cli.connecting import ask, connected
 from hostlink.cli.files import check_output, fetch
 from hostlink.cli.names import named, similar
-from hostlink.cli.output import quantity, show_progress, size, write, write_error, write_table
+from hostlink.cli.output import quantity, show_progress, write, write_error, write_table
 from hostlink.client import DEFAULT_URL, Host
-from hostlink.errors import ConfigError, HostlinkError
+from hostlink.errors import ConfigError, HostlinkError, size
 from hostlink.recording.folder import is_name
 
 # -- record -----------------------------------------------------------------------------------------------------------

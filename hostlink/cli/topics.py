@@ -36,9 +36,9 @@ from hostlink.cli.arguments import (
 )
 from hostlink.cli.connecting import PATIENCE_S, ask, connected, rosapi, run_until_interrupted, waiting, write_hint
 from hostlink.cli.names import natural, similar, unknown
-from hostlink.cli.output import duration, is_terminal, quantity, show_progress, size, write, write_error, write_table
+from hostlink.cli.output import duration, is_terminal, quantity, show_progress, write, write_error, write_table
 from hostlink.client import DEFAULT_URL, Host, Mailbox, RawMessage, TopicState
-from hostlink.errors import ConfigError, HostlinkError, WrongType
+from hostlink.errors import ConfigError, HostlinkError, WrongType, size
 
 # -- services and types -----------------------------------------------------------------------------------------------
 
