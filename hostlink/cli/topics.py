@@ -55,11 +55,12 @@ async def type_of(host: Host, topic: str, step: str = "`hostlink topics` lists a
     Raises:
         HostlinkError: the topic does not exist, or has no type yet.
     """
-    full = "/" + topic.lstrip("/~")
-    types = {each["name"]: each["type"] for each in await host.topics()}
-    if found := types.pop(full, ""):
+    found: str = await rosapi(host, "topic_type", "type", topic=topic)
+    if found:
         return found
-    raise HostlinkError(f"{full} has no type yet, because it has no publisher; {similar(full, types)}{step}")
+    full = "/" + topic.lstrip("/~")
+    names = {each["name"] for each in await host.topics()} - {full}
+    raise HostlinkError(f"{full} has no type yet, because it has no publisher; {similar(full, names)}{step}")
 
 
 # -- topics -----------------------------------------------------------------------------------------------------------
