@@ -20,6 +20,15 @@ def system_text(error: OSError) -> str:
     return os.strerror(error.errno)
 
 
+def size(count: float) -> str:
+    """Text of a number of bytes: 320 B, 9.6 kB, 1.2 MB."""
+    for unit in ("B", "kB", "MB"):
+        if count < 1000:  # noqa: PLR2004 - orders of magnitude
+            return f"{count:.0f} {unit}" if unit == "B" else f"{count:.1f} {unit}"
+        count /= 1000
+    return f"{count:.1f} GB"
+
+
 class HostlinkError(Exception):
     """Base class: a request cannot be fulfilled. The text names the next step.
 

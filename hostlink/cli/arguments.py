@@ -78,13 +78,13 @@ async def parameter_names(host: Host) -> Iterable[str]:
 # -- arguments --------------------------------------------------------------------------------------------------------
 
 
-def not_empty(name: str | None) -> str | None:
-    """Return the name that a command was given; None without one. A variable of a shell may be unset.
+def not_empty(name: Any) -> Any:
+    """Return the name or the names that a command was given; None without one. A variable of a shell may be unset.
 
     Raises:
-        typer.BadParameter: it is empty.
+        typer.BadParameter: one is empty.
     """
-    if name == "":
+    if name == "" or (not isinstance(name, str) and "" in (name or ())):
         raise typer.BadParameter("the name is empty; give one, or leave the argument out if it is optional")
     return name
 
@@ -103,10 +103,22 @@ Token = Annotated[
 Json = Annotated[bool, typer.Option("--json", help="Print JSON, for programs.")]
 JsonLines = Annotated[bool, typer.Option("--json", help="Print one JSON object a line, for programs.")]
 Seconds = Annotated[float, typer.Option(min=0.0, help="End after this time, for scripts; 0: run until Ctrl-C.")]
-TopicName = Annotated[str, typer.Argument(callback=not_empty, autocompletion=topic_names)]
-ServiceName = Annotated[str, typer.Argument(callback=not_empty, autocompletion=service_names)]
-RobotName = Annotated[str | None, typer.Argument(callback=not_empty, autocompletion=robot_names)]
-ParameterName = Annotated[str, typer.Argument(callback=not_empty, autocompletion=parameter_names)]
+TopicName = Annotated[str, typer.Argument(help="Name of the topic.", callback=not_empty, autocompletion=topic_names)]
+ServiceName = Annotated[
+    str, typer.Argument(help="Name of the service.", callback=not_empty, autocompletion=service_names)
+]
+RobotName = Annotated[
+    str | None,
+    typer.Argument(help="Name of a robot; without it: all robots.", callback=not_empty, autocompletion=robot_names),
+]
+RobotNames = Annotated[
+    list[str] | None,
+    typer.Argument(help="Names of robots; without one: all robots.", callback=not_empty, autocompletion=robot_names),
+]
+AllRobots = Annotated[bool, typer.Option("--all", help="All robots, as without a name.")]
+ParameterName = Annotated[
+    str, typer.Argument(help="Name of the parameter.", callback=not_empty, autocompletion=parameter_names)
+]
 TypeName = Annotated[
     str, typer.Argument(help="A type, for example geometry_msgs/Twist.", callback=not_empty, autocompletion=type_names)
 ]
@@ -121,9 +133,9 @@ def json_object(name: str, text: str) -> dict[str, object]:
     try:
         value = read_message(text)
     except (ValueError, RecursionError) as error:
-        raise ConfigError(name, f'is not JSON: {error}; write it as \'{{"linear": {{"x": 0.1}}}}\'') from error
+        raise ConfigError(name, f"cannot be read: {error}; write it as '{{linear: {{x: 0.1}}}}'") from error
     if not isinstance(value, dict):
-        raise ConfigError(name, 'is JSON, but not an object; write it as {"data": 1}')
+        raise ConfigError(name, "is not an object with fields; write it as '{data: 1}'")
     return value
 
 
@@ -136,7 +148,7 @@ def field_value(name: str, text: str) -> object:
     try:
         return _scalar(text)
     except (ValueError, RecursionError) as error:
-        raise ConfigError(name, f"is not JSON: {error}; write a list as '[0.1, 0, 0]'") from error
+        raise ConfigError(name, f"cannot be read: {error}; write a list as '[0.1, 0, 0]'") from error
 
 
 # -- ros text ---------------------------------------------------------------------------------------------------------
@@ -145,6 +157,9 @@ _TEXT = r'"(?:[^"\\]|\\.)*"'
 _SINGLE = re.compile(rf"({_TEXT})|'((?:[^']|'')*)'")
 _NAME = re.compile(rf"({_TEXT})|([A-Za-z_]\w*)(?=\s*:)")
 _WORD = re.compile(rf"({_TEXT})|(?<=[:\[,])(\s*)([A-Za-z_/][^,:\[\]{{}}\"]*?)(?=\s*[,\]}}])")
+_MARKS = re.compile(rf"(?:{_TEXT}|(?<!\w)'(?:[^']|'')*')|([{{}}\[\]\"]|(?<!\w)')")  # outside of quoted texts
+_CLOSING = {"{": "}", "[": "]"}
+_CITED = 30  # characters of a text in an error
 _LITERALS = {"true": "true", "false": "false", "null": "null", "yes": "true", "no": "false"}
 
 
@@ -152,7 +167,7 @@ def read_message(text: str) -> Any:
     """Read JSON, YAML in one line, with or without the braces, or the lines that `rostopic echo` prints.
 
     Raises:
-        ValueError: `text` is neither; the error says what is wrong with it as JSON, or in which line as YAML.
+        ValueError: `text` is neither; the error says what is wrong, or in which line.
         RecursionError: `text` is nested too deeply.
     """
     try:
@@ -160,11 +175,34 @@ def read_message(text: str) -> Any:
     except ValueError:
         if "\n" in text.strip():
             return _Lines(text).value()
-        try:
-            return json.loads(_as_json(text.strip()))
-        except ValueError:
-            pass
-        raise
+    try:
+        return json.loads(_as_json(text.strip()))
+    except json.JSONDecodeError as error:
+        raise ValueError(_fault(text.strip(), error.doc[error.pos :])) from error
+
+
+def _fault(text: str, rest: str) -> str:
+    """Say what is wrong with a text that is neither JSON nor YAML. `rest`: what was not read of it, as JSON."""
+    missing = ""
+    for found in _MARKS.finditer(text):
+        mark = found[1]
+        if mark in ("'", '"'):
+            return f"the quotation mark {mark} at {_begin(text[found.start() :])} is not closed"
+        if mark in _CLOSING:
+            missing = _CLOSING[mark] + missing
+        elif mark and not missing.startswith(mark):
+            return f"the {mark} at {_begin(text[found.start() :])} closes nothing"
+        elif mark:
+            missing = missing[1:]
+    if missing:
+        return f"{missing} is missing at the end"
+    if not text.startswith(("{", "[")):
+        rest = rest.removesuffix("}")  # of `_as_json`
+    return f"it is wrong from {_begin(rest)} on" if rest else "a value is missing at the end"
+
+
+def _begin(text: str) -> str:
+    return repr(text if len(text) <= _CITED else f"{text[:_CITED]}...")
 
 
 def _as_json(text: str) -> str:
@@ -201,7 +239,7 @@ class _Lines:
             ValueError: a line cannot be read.
         """
         if len(self._lines) == 1 and self._lines[0][2].startswith("{"):
-            return _scalar(self._lines[0][2])
+            return _in_line(*self._lines[0][::2])
         found = self._value(self._lines[-1][1]) if self._lines else {}
         if self._lines:
             raise ValueError(f"line {self._lines[-1][0]} is not indented as the lines before it")
@@ -216,7 +254,7 @@ class _Lines:
             number, _, text = self._lines.pop()
             if (found := _KEY.fullmatch(text)) is None:
                 raise ValueError(f"line {number} is not `name: value`: {text}")
-            fields[found[1]] = self._inner(indent, is_item=False) if found[2] is None else _scalar(found[2])
+            fields[found[1]] = self._inner(indent, is_item=False) if found[2] is None else _in_line(number, found[2])
         return fields
 
     def _items(self, indent: int) -> list[Any]:
@@ -231,7 +269,7 @@ class _Lines:
                 self._lines.append((number, inner, rest))
                 items.append(self._fields(inner))
             else:
-                items.append(_scalar(text if rest == text[1:] else rest))
+                items.append(_in_line(number, text if rest == text[1:] else rest))
         return items
 
     def _inner(self, indent: int, *, is_item: bool) -> Any:
@@ -241,6 +279,13 @@ class _Lines:
             if inner > indent or (inner == indent and text.startswith("-") and not is_item):
                 return self._value(inner)
         return None
+
+
+def _in_line(number: int, text: str) -> Any:
+    try:
+        return _scalar(text)
+    except ValueError as error:
+        raise ValueError(f"line {number}: {error}") from error
 
 
 def _scalar(text: str) -> Any:

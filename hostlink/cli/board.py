@@ -19,7 +19,7 @@ from hostlink.cli.files import check_new_file, replacing
 from hostlink.cli.names import LISTED, near
 from hostlink.cli.output import plain, quantity, show_progress, write, write_error
 from hostlink.config import SerialConfig
-from hostlink.errors import BadRequest, ConfigError, HostlinkError
+from hostlink.errors import BadRequest, ConfigError, HostlinkError, size
 from hostlink.messages.catalog import Catalog, check_not_empty
 from hostlink.transport.serial import open_serial
 
@@ -100,7 +100,7 @@ def _report(output: Path, selection: TypeSelection, size_bytes: int, *, as_json:
     counts = f"{quantity(len(selection.messages), 'message')} and {quantity(len(selection.services), 'service')}"
     packages = quantity(len(selection.packages), "package")
     write(
-        f"{output}: {counts} of {packages}, {size_bytes / 1000:.0f} kB. Next, one of:",
+        f"{output}: {counts} of {packages}, {size(size_bytes)}. Next, one of:",
         "  Arduino IDE: Sketch > Include Library > Add .ZIP Library...",
         f"  PlatformIO:  lib_deps = file://{output.resolve()}",  # unquoted: PlatformIO does not decode %20
         "  CMake:       unpack it, then add_subdirectory(hostlink_rosserial)",
@@ -232,6 +232,7 @@ def _answer(setting: Setting, before: str) -> str:
         try:
             answer = getpass.getpass(text) if setting.is_secret else input(text).strip()
         except EOFError:
+            write_error("")  # the question has no end of a line
             raise HostlinkError(
                 "standard input ended, and no setting was stored; give the settings as options"
             ) from None

@@ -348,7 +348,7 @@ def _world(changes: list[str]) -> Any:
     try:
         return read(DEFAULT_WORLD + "\n".join(changes))
     except ValueError as error:
-        raise ConfigError("--world", str(error)) from error
+        raise ConfigError("--world", str(error).partition(": ")[2]) from error  # without the number of the line
 
 
 def _chosen_nominal(session: CalibrationSession, nominal: WheelGeometry) -> WheelGeometry:

@@ -127,14 +127,19 @@ def open_state(path: Path, wanted: SavedCalibration, *, anew: bool) -> StateFile
     """Open the state file of the same calibration, or begin a new one.
 
     Raises:
-        HostlinkError: the file has drives of another calibration, or is not a state file.
+        HostlinkError: the file has drives of another calibration, or is not a state file, which `anew` keeps too.
     """
-    if anew or not path.exists():
-        return StateFile(path, wanted)
     try:
-        saved = msgspec.json.decode(path.read_bytes(), type=SavedCalibration)
+        data = path.read_bytes()
+        saved = wanted if anew and not data else msgspec.json.decode(data, type=SavedCalibration)
+    except (FileNotFoundError, NotADirectoryError):  # the error of writing says what is wrong with the folder
+        saved = wanted
     except (OSError, msgspec.DecodeError) as error:
-        raise HostlinkError(f"{path} is not the state file of a calibration ({error}); --anew begins again") from error
+        raise HostlinkError(
+            f"{path} is not the state file of a calibration ({error}); remove it, or name another with --state"
+        ) from error
+    if anew:
+        return StateFile(path, wanted)
     same = ("robot", "sizes", "nominal", "format")
     differs = [name for name in same if getattr(saved, name) != getattr(wanted, name)]
     if differs and saved.runs:

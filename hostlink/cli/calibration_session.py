@@ -367,6 +367,7 @@ def _prompt(question: str) -> str:
     show_question(question)
     answer = sys.stdin.readline()
     if not answer:
+        write_error("")  # the question has no end of a line
         raise HostlinkError("standard input is closed; run this command in a terminal")
     return answer
 

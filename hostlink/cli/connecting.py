@@ -3,13 +3,12 @@
 import asyncio
 import contextlib
 import signal
-import sys
 import time
 from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine, Iterable, Iterator
 from typing import Any, TypeVar
 
-from hostlink.cli.names import near
-from hostlink.cli.output import show_progress, write_error
+from hostlink.cli.names import similar
+from hostlink.cli.output import end_line, show_progress, write_error
 from hostlink.client import Host, connect
 
 Answer = TypeVar("Answer")
@@ -105,8 +104,7 @@ def run_until_interrupted(work: Coroutine[Any, Any, None]) -> None:
     try:
         asyncio.run(_cancelled_by_ctrl_c(work))
     except (KeyboardInterrupt, asyncio.CancelledError):
-        if sys.stderr.isatty():  # the terminal has written ^C
-            write_error("")
+        end_line()
 
 
 async def _cancelled_by_ctrl_c(work: Coroutine[Any, Any, None]) -> None:
@@ -124,6 +122,5 @@ async def write_hint(host: Host, topic: str) -> None:
     known = topics.pop(full, None)
     if known is not None and known["publishers"]:
         return
-    found = near(full, topics) if known is None or not known["messages"] else []
-    names = f"similar names: {', '.join(found)}; " if found else ""
+    names = similar(full, topics) if known is None or not known["messages"] else ""
     write_error(f"{full} has no publisher; {names}`hostlink topics` lists all topics; waiting, Ctrl-C ends")

@@ -9,8 +9,8 @@ import msgspec
 import typer
 
 from hostlink.cli.files import check_absent, check_picture
-from hostlink.cli.output import megabytes, quantity, show_progress, write, write_error, write_table
-from hostlink.errors import ConfigError, HostlinkError
+from hostlink.cli.output import quantity, show_progress, write, write_error, write_table
+from hostlink.errors import ConfigError, HostlinkError, size
 from hostlink.recording.channel import NS_PER_S
 from hostlink.recording.definitions import need_rosbags, why_unknown
 from hostlink.recording.reader import Contents, TopicContents, contents_of
@@ -54,7 +54,7 @@ def export(
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON, for programs.")] = False,
 ) -> None:
     """Write a recording in a format that other programs read: spreadsheets, `ros2 bag play`, `rosbag play`."""
-    target = output or file.with_name(f"{file.stem}{'.bag' if format_ is Format.ROS1 else f'_{format_.value}'}")
+    target = output or file.parent / (f"{file.stem}{'.bag' if format_ is Format.ROS1 else f'_{format_.value}'}")
     check_absent(target)
     show_progress(f"writing {target}")
     try:
@@ -109,7 +109,7 @@ def plot(
     ] = None,
 ) -> None:
     """Draw fields of a recording over time, or with --map the paths of the robots."""
-    target = output or file.with_suffix(".png")
+    target = output or file.parent / f"{file.stem}.png"
     if fields and map_:
         raise ConfigError("plot", "--map draws paths instead of fields; leave the fields or --map out")
     if not fields and not map_:
@@ -157,7 +157,7 @@ def show_recording(file: Path, *, as_json: bool) -> None:
     begin = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(found.begin_ns // NS_PER_S))
     messages = quantity(found.messages, "message")
     write(
-        f"{file}: {megabytes(found.size_bytes)}, {messages}, {found.seconds:.1f} s from {begin}",
+        f"{file}: {size(found.size_bytes)}, {messages}, {found.seconds:.1f} s from {begin}",
         *(f"  {name}: {value}" for name, value in found.metadata.items() if value),
         *(f"  the clock was set by {step.step_s:+.1f} s after {step.at_s:.1f} s" for step in found.clock_steps),
         *(f"  damage: {damage}{_mended(file)}" for damage in found.damage),

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Annotated, BinaryIO
 
 import typer
 
-from hostlink.cli.output import megabytes, show_progress
-from hostlink.errors import ConfigError, HostlinkError, LibraryMissing
+from hostlink.cli.output import show_progress
+from hostlink.errors import ConfigError, HostlinkError, LibraryMissing, size
 
 if TYPE_CHECKING:
     from hostlink.client import Host  # slow to import, and no part of a command that only writes files
@@ -43,13 +43,13 @@ async def fetch(host: "Host", path: str, target: Path) -> None:
     Raises:
         HostlinkError: the daemon refuses, the connection is lost, or the file cannot be written.
     """
-    size = 0
+    received = 0
     try:
         with _removed_if_empty(target) as out:
             async for piece in host.download(path):
                 out.write(piece)
-                size += len(piece)
-                show_progress(f"fetching: {megabytes(size)}")
+                received += len(piece)
+                show_progress(f"fetching: {size(received)}")
     except OSError as error:
         raise HostlinkError(
             f"{target} cannot be written: {error.strerror}; the daemon still has the recording"

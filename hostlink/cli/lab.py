@@ -12,7 +12,7 @@ import typer
 from hostlink.cli.files import check_folder, check_picture
 from hostlink.cli.output import show_progress, write
 from hostlink.cli.sim import read_world
-from hostlink.errors import ConfigError, LibraryMissing
+from hostlink.errors import ConfigError, LibraryMissing, size
 from hostlink.lab import reports
 from hostlink.lab.experiment import Laboratory
 from hostlink.lab.tables import CASTER_WORLD
@@ -105,8 +105,9 @@ def _draw(world: WorldParameters, runs: int, output: Path) -> reports.LabReport:
         draw_software(world, runs, output)
     except OSError as error:
         raise ConfigError(str(output), error.strerror or str(error)) from None
-    kibibytes = output.stat().st_size // 1024
-    return reports.LabReport([f"{output}: {kibibytes} KiB"], {"file": str(output), "kibibytes": kibibytes})
+    size_bytes = output.stat().st_size
+    view = {"file": str(output), "kibibytes": size_bytes // 1024}
+    return reports.LabReport([f"{output}: {size(size_bytes)}"], view)
 
 
 def _fit(laboratory: Laboratory, runs: int | None) -> reports.LabReport:

@@ -15,9 +15,9 @@ import typer
 from hostlink.cli.arguments import Json, Token, Url
 from hostlink.cli.connecting import ask, connected, run_until_interrupted
 from hostlink.cli.figures import LINK_COLUMNS, Snapshot, advice, figures, link_rows
-from hostlink.cli.output import duration, quantity, show_progress, size, write, write_error, write_table
+from hostlink.cli.output import duration, quantity, show_progress, write, write_error, write_table
 from hostlink.client import DEFAULT_URL, Host
-from hostlink.errors import BadRequest, ConfigError, HostlinkError
+from hostlink.errors import BadRequest, ConfigError, HostlinkError, size
 
 # -- links ------------------------------------------------------------------------------------------------------------
 

@@ -20,13 +20,19 @@ from typing import Annotated, Any
 
 import typer
 
-from hostlink.cli.output import allow_any_text, write, write_error
+from hostlink.cli.output import allow_any_text, end_line, write, write_error
 from hostlink.cli.start import import_fast
 from hostlink.errors import ConfigError, HostlinkError
 
 # -- words of ROS and of other programs -------------------------------------------------------------------------------
 
-HABITS = {  # words that newcomers type, and the command that has their meaning
+PROGRAMS = {  # programs and packages of ROS, as rosrun takes them, and the command that does their work
+    "teleop_twist_keyboard": "teleop --layout twist",
+    "rosserial_python": "ros1",
+    "rosserial_server": "ros1",
+    "rosbridge_server": "serve",
+}
+HABITS = PROGRAMS | {  # words that newcomers type, and the command that has their meaning
     "drive": "teleop",
     "joy": "teleop",
     "go": "teleop",
@@ -77,6 +83,7 @@ ROS_OPTIONS = {  # option of a command of ROS, and the one of hostlink; empty: h
     ("play", "--topics"): "--as-program",
 }
 LISTS_TOPICS = {("record", "--topics"), ("play", "--topics")}
+_STARTS = "`hostlink serve` starts the daemon, and `hostlink ros1` starts it as a node of ROS 1"
 _IN_A_FILE = "`hostlink export FILE --to csv` writes the messages of a recording"
 _OF_TYPES = "`hostlink type TYPE` shows the fields of a type, and `hostlink topics` lists the types that are in use"
 LACKING = {  # commands and options of ROS that hostlink lacks, and the next step
@@ -150,7 +157,10 @@ def _own_command(words: Sequence[str]) -> list[str]:
         return _of_group(rest[0], f"ros2 {rest[0]}", rest[1:])
     if first in ("rosrun", "roslaunch") or (first == "ros2" and rest and not rest[0].startswith("-")):
         program = f"ros2 {rest[0]}" if first == "ros2" else first
-        raise ConfigError(program, "hostlink has no such command; `hostlink --help` lists all commands")
+        replacement = next((PROGRAMS[word] for word in rest if word in PROGRAMS), None)
+        other = _STARTS if program.endswith(("run", "launch")) else "`hostlink --help` lists all commands"
+        step = f"use `hostlink {replacement}`" if replacement else other
+        raise ConfigError(program, f"hostlink has no such command; {step}")
     group = first.removeprefix("ros").removesuffix("s")
     is_own = first in COMMANDS and (first == "params" or not rest or rest[0] not in ROS_GROUPS.get(group, ()))
     return list(words) if is_own or group not in ROS_GROUPS else _of_group(group, first, rest)
@@ -286,7 +296,7 @@ MODULES = {  # modules whose name is not that of the command
     **dict.fromkeys(("clients", "capture"), "links"),
 }
 COMMANDS = {name: text for panel in PANELS.values() for name, text in panel.items()}
-FAILED, MISUSED = 1, 2
+FAILED, MISUSED, INTERRUPTED = 1, 2, 128 + 2
 UsageError: Any = typer.BadParameter.__base__  # click's class, which newer versions of typer contain
 
 
@@ -354,12 +364,12 @@ def main() -> None:
     allow_any_text()
     arguments = sys.argv[1:]
     try:
-        sys.exit(_run(arguments))
+        status = _run(arguments)
     except HostlinkError as error:
         if "--debug" in arguments:
             raise
         _complain(with_next_step(error.kind, str(error)))
-        sys.exit(MISUSED if isinstance(error, ConfigError) else FAILED)
+        status = MISUSED if isinstance(error, ConfigError) else FAILED
     except OSError as error:  # mostly: the program that read the output has ended, or the disk is full
         if "--debug" in arguments:
             raise
@@ -367,9 +377,12 @@ def main() -> None:
         if not isinstance(error, BrokenPipeError):
             text = f"{error.filename or 'a call of the system failed'}: {error.strerror or error}"
             _complain(with_next_step(type(error).__name__, text))
-        sys.exit(FAILED)
+        status = FAILED
     except (KeyboardInterrupt, typer.Abort):
-        sys.exit(128 + 2)
+        status = INTERRUPTED
+    if status == INTERRUPTED:
+        end_line()
+    sys.exit(status)
 
 
 def _run(arguments: list[str]) -> int:
@@ -424,8 +437,8 @@ _TEXTS = (  # of click, and the sentence of hostlink
     (re.compile(r"Got unexpected extra arguments? ?(?:\(s\) )?\((.*)\)\.?"), r"there is an argument too many: \1"),
     (re.compile(r"Missing argument '(.*?)'\.?"), r"the argument \1 is missing"),
     (
-        re.compile(r"Missing option '(.*?)'(?: / '.*?')*\.? ?(?:Choose from: )?(.*?)\.?"),
-        r"the option \1 is missing; choose \2",
+        re.compile(r"Missing (argument|option) '(.*?)'(?: / '.*?')*\.? ?(?:Choose from: )?(.*?)\.?"),
+        r"the \1 \2 is missing; choose \3",
     ),
     (
         re.compile(r"Invalid value for '(.*?)'(?: / '.*?')*: (?:Value error, )?(.*?)\.?"),
@@ -435,7 +448,9 @@ _TEXTS = (  # of click, and the sentence of hostlink
 )
 _NO_OPTION = re.compile(r"No such option:? '?(-[^ ']*?)'?[. ]*(?:(?:Did you mean|\(?Possible options:) (.*?)[?)])?")
 _NO_QOS = "rosserial has no quality of service; leave the option out"
+_NEGATIVE = "write -- before a negative number, as in `hostlink pub /x std_msgs/Int8 -- -5`"
 _NO_CHOICE = re.compile(r"Invalid value for '(.*?)'(?: / '.*?')*: '(.*)' is not one of (.*?)\.?")
+_NOT_READABLE = re.compile(r"Invalid value for '(.*?)'(?: / '.*?')*: Path '(.*)' is not readable\.?")
 _NO_COMMAND = re.compile(r"No such command '(.*?)'\.(?: Did you mean (.*)\?)?")
 
 
@@ -450,11 +465,14 @@ def complaint(command: str, text: str) -> tuple[str, str]:
     if (found := _NO_OPTION.fullmatch(text)) is not None:
         similar = found[2] and f"did you mean {_listed(found[2].split(', '))}? "
         step = LACKING.get((command, found[1])) or (_NO_QOS if found[1].startswith("--qos") else None)
+        step = _NEGATIVE if re.match(r"-[.\d]", found[1]) else step
         if command:
             return command, f"there is no option {found[1]}; {step or f'{similar or str()}{options}'}"
         return found[1], "there is no such option; write options behind the command, as in `hostlink robots --url URL`"
     if (found := _NO_CHOICE.fullmatch(text)) is not None:
         return found[1], f"unknown value {found[2]!r}; choose {_listed(found[3].replace(chr(39), '').split(', '))}"
+    if (found := _NOT_READABLE.fullmatch(text)) is not None:
+        return found[1], f"{found[2]} cannot be read; check who may read it"
     if "unexpected extra" in text and command in SURPLUS:
         return command, SURPLUS[command]
     for pattern, sentence in _TEXTS:
@@ -499,6 +517,10 @@ def with_next_step(kind: str, text: str) -> str:
         step = "`hostlink type TYPE` shows the fields of a type"
     elif text.endswith(os.strerror(errno.ENOENT)):
         step = "check its name"
+    elif text.endswith(os.strerror(errno.EISDIR)):
+        step = "name a file"
+    elif text.endswith(os.strerror(errno.EACCES)):
+        step = "choose a port above 1023" if "listened on" in text else "check who may read and write it"
     elif text.endswith(" is not an MCAP file"):
         step = "`hostlink record` writes MCAP files"
     elif kind == "FrameTooLarge":

@@ -32,12 +32,19 @@ def near(name: str, known: Iterable[str]) -> list[str]:
     return (close + parts)[:MOST]
 
 
+def similar(name: str, known: Iterable[str]) -> str:
+    """Return the names that are similar, as a part of a sentence; empty without any."""
+    found = near(name, known)
+    return f"similar names: {', '.join(found)}; " if found else ""
+
+
 def unknown(kind: str, name: str, known: Iterable[str], *, command: str) -> HostlinkError:
     """Error of an unknown name: similar names, or else known ones, and the command that lists them."""
     names = sorted(known, key=natural)
     found = near(name, names)
-    others = f"known are: {', '.join(names[:LISTED])}" if names else "there are none yet"
-    hint = f"similar names: {', '.join(found)}" if found else others
+    if not names:
+        return HostlinkError(f"there is no {kind} named {name}; there are none yet")
+    hint = f"similar names: {', '.join(found)}" if found else f"known are: {', '.join(names[:LISTED])}"
     return HostlinkError(f"there is no {kind} named {name}; {hint}; `hostlink {command}` lists them")
 
 

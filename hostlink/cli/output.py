@@ -9,7 +9,6 @@ import sys
 from collections.abc import Collection, Sequence
 from typing import Any, TextIO
 
-BYTES_PER_MB = 1_000_000
 _CLEAR_LINE = "\r\x1b[2K"
 _AS_JSON = "hostlink.json"  # error handler for characters that the terminal's encoding does not have
 
@@ -66,6 +65,13 @@ def write_above(line: str) -> None:
 def show_question(text: str) -> None:
     """Write a question on standard error; the answer is typed behind it."""
     _write(sys.stderr, plain(text))
+
+
+def end_line() -> None:
+    """End the line on which the terminal has written ^C, so that the prompt of the shell begins a new one."""
+    with contextlib.suppress(OSError):  # the terminal is gone
+        if sys.stderr.isatty():
+            _write(sys.stderr, "\n")
 
 
 def show_progress(line: str) -> None:
@@ -213,20 +219,6 @@ def duration(seconds: float) -> str:
     return f"{seconds * 1000:.1f} ms" if value >= 0.001 else f"{seconds * 1000:.3f} ms"  # noqa: PLR2004 - a millisecond
 
 
-def size(count: float) -> str:
-    """Text of a number of bytes: 320 B, 9.6 kB, 1.2 MB."""
-    for unit in ("B", "kB", "MB"):
-        if count < 1000:  # noqa: PLR2004 - orders of magnitude
-            return f"{count:.0f} {unit}" if unit == "B" else f"{count:.1f} {unit}"
-        count /= 1000
-    return f"{count:.1f} GB"
-
-
 def quantity(count: int, noun: str, nouns: str = "") -> str:
     """Text of a number of things: 1 parameter, 2 parameters. `nouns` is a plural that does not end in s alone."""
     return f"{count} {noun if count == 1 else nouns or f'{noun}s'}"
-
-
-def megabytes(count: float) -> str:
-    """Text of a file's size, always in MB, so that a column or a progress line keeps its unit."""
-    return f"{count / BYTES_PER_MB:.1f} MB"

@@ -37,6 +37,8 @@ def list_(
         write(json_text.dumps(found))
     elif found:
         write_table(["parameter", "value"], [[name, json_text.dumps(value)] for name, value in found.items()])
+    elif begin != "/":
+        write_error(f"there are no parameters in {begin[:-1]}; `hostlink params list` lists all")
     else:
         write_error(
             "there are no parameters; `hostlink params set NAME VALUE` or [parameters] of the configuration sets one"
@@ -142,7 +144,9 @@ def _read(file: Path) -> dict[str, Any]:
     except OSError as error:
         raise ConfigError("FILE", f"{file} cannot be read: {error.strerror}") from error
     except (ValueError, RecursionError) as error:
-        raise ConfigError("FILE", f"{file} is neither JSON nor TOML: {error}") from error
+        raise ConfigError(
+            "FILE", f"{file} is neither JSON nor TOML: {error}; `hostlink params dump` shows the form"
+        ) from error
     if not isinstance(values, dict):
         raise ConfigError("FILE", f"{file} has no parameters; write a JSON object, or [parameters] in a .toml file")
     return values

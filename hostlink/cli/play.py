@@ -141,7 +141,7 @@ async def play_devices(file: Path, playback: Playback, address: tuple[str, int],
         await device.drained()
 
     async with _connected(devices, address):
-        write_error(f"playing {', '.join(sorted(devices))}; Ctrl-C ends")
+        write_error(f"playing {', '.join(sorted(devices))}; `hostlink robots` shows their names there; Ctrl-C ends")
         count = await _play_messages(file, playback, is_wanted, put)
     dropped = sum(device.dropped for device in devices.values())
     left_out = sum(device.left_out for device in devices.values())
@@ -370,6 +370,7 @@ async def _ask(due: Due) -> None:
         f"{due.at_s:9.3f} s  {message.channel.topic}  {quantity(len(message.payload), 'byte')}; Enter sends it "
     )
     if not await _read_line():
+        write_error("")  # the question has no end of a line
         raise HostlinkError("--step: standard input is closed; run this command in a terminal")
 
 

@@ -1,10 +1,12 @@
 """The commands for recordings of the daemon: `record`, `drives`, `incidents`."""
 
 import asyncio
+import fnmatch
 import json as json_text
 import signal
 import time
 import urllib.parse
+from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated, Any
@@ -15,10 +17,10 @@ import typer
 from hostlink.cli.arguments import Json, RobotName, Token, Url
 from hostlink.cli.connecting import ask, connected
 from hostlink.cli.files import check_output, fetch
-from hostlink.cli.names import named
-from hostlink.cli.output import BYTES_PER_MB, megabytes, quantity, show_progress, write, write_error, write_table
+from hostlink.cli.names import named, similar
+from hostlink.cli.output import quantity, show_progress, write, write_error, write_table
 from hostlink.client import DEFAULT_URL, Host
-from hostlink.errors import ConfigError, HostlinkError
+from hostlink.errors import ConfigError, HostlinkError, size
 from hostlink.recording.folder import is_name
 
 # -- record -----------------------------------------------------------------------------------------------------------
@@ -88,7 +90,8 @@ def record(
     elif stop is not None:
         ask(url, token, lambda host: _stop(host, stop, output, as_json=as_json))
     else:
-        request = {"topics": topics or [], "robots": robot or [], "name": name}
+        wanted = [name if name[:1] in "*?[" else f"/{name.lstrip('/~')}" for name in topics or []]
+        request = {"topics": wanted, "robots": robot or [], "name": name}
         asyncio.run(_record(url, token, request, output, seconds, as_json=as_json))
 
 
@@ -116,11 +119,15 @@ async def _record(
     async with connected(url, token) as host:
         view = await host.post(_PATH, request)
         name = view["name"]
+        known = [topic["name"] for topic in await host.topics()] if request["topics"] else []
+        for pattern in request["topics"]:
+            if not fnmatch.filter(known, pattern):
+                write_error(f"there is no topic {pattern} yet; {similar(pattern, known)}`hostlink topics` lists all")
         write_error(f"recording {name}; Ctrl-C ends")
         until_s = float("inf") if seconds is None else loop.time() + seconds
         while not ending.is_set() and loop.time() < until_s:
             view = await _find(host, name)
-            show_progress(_line(view))
+            show_progress(progress(view))
             try:
                 async with asyncio.timeout(max(0.0, min(POLL_S, until_s - loop.time()))):
                     await ending.wait()
@@ -162,7 +169,7 @@ async def _finish(host: Host, view: dict[str, Any], output: Path | None, *, as_j
     if as_json:
         write(msgspec.json.encode(view | {"places": places}).decode())
     else:
-        write(_line(view), *places)
+        write(progress(view), *places)
     if "failure" in view:
         raise HostlinkError(f"recording {view['name']} ended early: {view['failure']}")
 
@@ -176,19 +183,20 @@ def _list(view: dict[str, Any], *, as_json: bool) -> None:
         write(msgspec.json.encode(view).decode())
         return
     rows = [
-        [file["file"], f"{file['bytes'] / BYTES_PER_MB:.1f}", file["modified"], "now" if file["is_open"] else ""]
+        [file["file"], size(file["bytes"]), file["modified"], "now" if file["is_open"] else ""]
         for file in view["files"]
     ]
     write(f"{quantity(len(view['files']), 'file')} in {view['folder']}")
     if rows:
         write("")
-    write_table(["file", "MB", "written", "recording"], rows, whole=["file"])
+    write_table(["file", "size", "written", "recording"], rows, whole=["file"])
 
 
-def _line(view: dict[str, Any]) -> str:
+def progress(view: dict[str, Any]) -> str:
+    """Return the line of a recording: duration, messages, size and what was dropped."""
     minutes, seconds = divmod(int(view["seconds"]), 60)
     messages = quantity(view["messages"], "message")
-    return f"{minutes}:{seconds:02d}  {messages}  {megabytes(view['bytes'])}  {view['dropped']} dropped"
+    return f"{minutes}:{seconds:02d}  {messages}  {size(view['bytes'])}  {view['dropped']} dropped"
 
 
 def _repair(file: Path, *, as_json: bool) -> None:
@@ -209,22 +217,56 @@ def _repair(file: Path, *, as_json: bool) -> None:
         write(f"{file}: {messages}; the file is not damaged, and was not changed")
 
 
+# -- lists ------------------------------------------------------------------------------------------------------------
+
+NEWEST = 20  # entries of a list that a person reads
+
+Count = Annotated[
+    int | None,
+    typer.Option("--count", "-n", min=1, help="List only the newest.", show_default=f"{NEWEST}, with --json all"),
+]
+
+
+def write_newest(
+    head: Sequence[str], rows: Sequence[Sequence[str]], count: int | None, *, whole: Sequence[str]
+) -> None:
+    """Write the first `count` rows, and how many older ones there are."""
+    shown = rows[: count or NEWEST]
+    write_table(head, shown, whole=whole)
+    if older := len(rows) - len(shown):
+        write_error(f"{quantity(older, 'older one is', 'older ones are')} not listed; -n {len(rows)} lists them too")
+
+
 # -- drives -----------------------------------------------------------------------------------------------------------
 
 HEADS = ["from UTC", "s", "robot", "who", "top m/s", "rad/s", "why it ended"]
 
 
-def drives(robot: RobotName = None, *, url: Url = DEFAULT_URL, token: Token = None, json: Json = False) -> None:
+def drives(
+    robot: RobotName = None,
+    *,
+    count: Count = None,
+    url: Url = DEFAULT_URL,
+    token: Token = None,
+    json: Json = False,
+) -> None:
     """List who drove a robot, or any robot, and when, with the newest drive first."""
-    query = "" if robot is None else "?" + urllib.parse.urlencode({"robot": robot.strip("/")})
-    view = ask(url, token, lambda host: host.get(f"/api/drives{query}"))
+    view, known = ask(url, token, lambda host: _drives(host, robot))
     if json:
-        write(json_text.dumps(view))
+        write(json_text.dumps({**view, "drives": view["drives"][:count]}))
     else:
         today = datetime.now(UTC).date().isoformat()
-        write_table(HEADS, [row(each, today) for each in view["drives"]], whole=HEADS[-1:])
+        write_newest(HEADS, [row(each, today) for each in view["drives"]], count, whole=HEADS[-1:])
         if not view["drives"]:
-            write(f"there are no drives of {'any robot' if robot is None else robot} yet")
+            names = similar(robot, known) if robot is not None and robot not in known else ""
+            write(f"there are no drives of {robot or 'any robot'} yet; {names}".rstrip("; "))
+
+
+async def _drives(host: Host, robot: str | None) -> tuple[dict[str, Any], list[str]]:
+    """Return the drives, and the names of robots if a robot has none."""
+    query = "" if robot is None else "?" + urllib.parse.urlencode({"robot": robot.strip("/")})
+    view = await host.get(f"/api/drives{query}")
+    return view, [] if view["drives"] else [state["name"] for state in await host.robots()]
 
 
 def row(drive: dict[str, Any], today: str) -> list[str]:
@@ -256,6 +298,7 @@ def incidents(
         typer.Option(metavar="ROBOT", help="Save this robot's last minutes now, after something that you saw."),
     ] = None,
     reason: Annotated[str, typer.Option(help="With --save: reason that the list shows.")] = "",
+    count: Count = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON, for programs.")] = False,
     url: Url = DEFAULT_URL,
     token: Token = None,
@@ -268,6 +311,8 @@ def incidents(
         raise ConfigError(
             "incidents", "name the file of an incident and where to write it, as in `hostlink incidents NAME -o FILE`"
         )
+    if reason and save is None:
+        raise ConfigError("--reason", "is the reason of --save; add --save ROBOT")
     if output is not None:
         check_output(output)
     if save is not None:
@@ -279,6 +324,7 @@ def incidents(
         return
     else:
         view = ask(url, token, lambda host: host.get(_INCIDENTS_PATH))
+        view["incidents"] = view["incidents"][: count if as_json else None]
     if as_json:
         write(msgspec.json.encode(view).decode())
     elif save is None:
@@ -287,6 +333,6 @@ def incidents(
             [time_text(each["at"], today), each["robot"], each["cause"], each["file"] or "being saved", each["detail"]]
             for each in view["incidents"]
         ]
-        write_table(["when UTC", "robot", "cause", "file", "detail"], rows, whole=["file", "detail"])
+        write_newest(["when UTC", "robot", "cause", "file", "detail"], rows, count, whole=["file", "detail"])
         if not rows:
             write("there are no incidents")

@@ -1,11 +1,13 @@
 """The commands for robots: robots, stop, lock, unlock."""
 
+import functools
 import json as json_text
+from collections.abc import Awaitable, Callable
 from typing import Annotated, Any
 
 import typer
 
-from hostlink.cli.arguments import Json, RobotName, Token, Url
+from hostlink.cli.arguments import AllRobots, Json, RobotNames, Token, Url, not_empty, robot_names
 from hostlink.cli.connecting import ask
 from hostlink.cli.figures import robot_table
 from hostlink.cli.names import driver, natural, unknown_robot
@@ -17,21 +19,20 @@ from hostlink.robot.standstill import sentence
 # -- choice of robots -------------------------------------------------------------------------------------------------
 
 
-async def chosen(host: Host, name: str | None) -> list[RobotState]:
-    """Return the robot of that name; without a name every robot, in natural order.
+async def chosen(host: Host, *names: str) -> list[RobotState]:
+    """Return the robots of these names; without a name every robot, in natural order.
 
     Raises:
-        HostlinkError: no robot has that name, or none has connected.
+        HostlinkError: no robot has one of the names, or none has connected.
     """
-    robots = await host.robots()
+    robots = {robot["name"]: robot for robot in await host.robots()}
     if not robots:
-        raise unknown_robot(name, ())
-    if name is None:
-        return sorted(robots, key=lambda robot: natural(robot["name"]))
-    found = [robot for robot in robots if robot["name"] == name.strip("/")]
-    if not found:
-        raise unknown_robot(name, (robot["name"] for robot in robots))
-    return found
+        raise unknown_robot(None, ())
+    wanted = [name.strip("/") for name in names] or sorted(robots, key=natural)
+    for name in wanted:
+        if name not in robots:
+            raise unknown_robot(name, robots)
+    return [robots[name] for name in wanted]
 
 
 async def require_robot(host: Host, name: str) -> Robot:
@@ -81,32 +82,66 @@ def robots(*, url: Url = DEFAULT_URL, token: Token = None, json: Json = False) -
 # -- stop -------------------------------------------------------------------------------------------------------------
 
 
-def stop(robot: RobotName = None, *, url: Url = DEFAULT_URL, token: Token = None, json: Json = False) -> None:
-    """Stop a robot, or all of them, and measure whether they are stopped; exit status 1: at least one is not.
+def stop(
+    robots: RobotNames = None,
+    *,
+    everything: AllRobots = False,
+    url: Url = DEFAULT_URL,
+    token: Token = None,
+    json: Json = False,
+) -> None:
+    """Stop robots, or all of them, and measure whether they are stopped; exit status 1: at least one is not.
 
     A program that was driving must let go before it can drive again. `hostlink lock` keeps a robot stopped.
     """
-    ask(url, token, lambda host: _stop(host, robot, json=json))
+    names = [] if everything else robots or []  # a stop of all is never refused because of a name
+    ask(url, token, lambda host: _stop(host, names, json=json))
 
 
-async def _stop(host: Host, name: str | None, *, json: bool) -> None:
-    if name is None:
-        measured = await host.stop_all()
+async def _stop(host: Host, names: list[str], *, json: bool) -> None:
+    if names:
+        await _halt(host, names, Robot.stop, json=json)
     else:
-        names = [robot["name"] for robot in await chosen(host, name)]
-        measured = {each: await host.robot(each).stop() for each in names}
-    await report(host, name, measured, json=json)
+        await _report(host, await host.stop_all(), json=json)
 
 
-async def report(
-    host: Host, name: str | None, measured: dict[str, Standstill], *, done: str = "", json: bool = False
+async def _halt(
+    host: Host, names: list[str], command: Callable[..., Awaitable[Standstill]], *, done: str = "", json: bool
 ) -> None:
+    """Stop or lock robots, and report what was measured. The failure of one does not keep the others from stopping.
+
+    Raises:
+        HostlinkError: no robot has one of the names, or a robot cannot be stopped.
+        typer.Exit: not every robot is known to be stopped.
+    """
+    known = [robot["name"] for robot in await chosen(host)]
+    wanted = [name.strip("/") for name in names] or known
+    no_wait = {"wait_s": 0.0} if len(wanted) > 1 else {}  # no stop waits for the measurement of another robot
+    measured, errors = dict[str, Standstill](), list[HostlinkError]()
+    for name in wanted:
+        try:
+            if name not in known:
+                raise unknown_robot(name, known)
+            measured[name] = await command(host.robot(name), **no_wait)
+        except HostlinkError as error:
+            errors.append(error)
+    if no_wait and measured:
+        measured = {name: found for name, found in (await host.standstill()).items() if name in measured}
+    try:
+        if measured:
+            await _report(host, measured, done=done, json=json)
+    finally:
+        if errors:
+            raise errors[0]
+
+
+async def _report(host: Host, measured: dict[str, Standstill], *, done: str = "", json: bool) -> None:
     """Write what was measured of each robot after a stop; `done` is what was done to each, for example "is locked".
 
     Raises:
         typer.Exit: not every robot is known to be stopped.
     """
-    robots = [robot for robot in await chosen(host, name) if robot["name"] in measured]
+    robots = [robot for robot in await chosen(host) if robot["name"] in measured]
     if json:
         write(json_text.dumps([{**robot, "standstill": measured[robot["name"]]._asdict()} for robot in robots]))
     else:
@@ -120,64 +155,64 @@ async def report(
 
 
 def lock(
-    robot: RobotName = None,
+    robots: RobotNames = None,
     *,
+    everything: AllRobots = False,
     reason: Annotated[str, typer.Option(help="Reason that the next driver is shown.")] = "a lock from the terminal",
     url: Url = DEFAULT_URL,
     token: Token = None,
     json: Json = False,
 ) -> None:
-    """Emergency stop of a robot, or of all of them: zero at once, and no command until `hostlink unlock`.
+    """Emergency stop of robots, or of all of them: zero at once, and no command until `hostlink unlock`.
 
     Measures whether the robots are stopped; exit status 1: at least one is not.
     """
-    ask(url, token, lambda host: _lock(host, robot, reason, json=json))
-
-
-async def _lock(host: Host, name: str | None, reason: str, *, json: bool) -> None:
-    names = [robot["name"] for robot in await chosen(host, name)]
-    if len(names) == 1:
-        measured = {names[0]: await host.robot(names[0]).lock(reason)}
-    else:  # no lock waits for the measurement of another robot
-        for each in names:
-            await host.robot(each).lock(reason, wait_s=0.0)
-        measured = {each: found for each, found in (await host.standstill()).items() if each in names}
-    await report(host, name, measured, done=f"is locked: {reason}", json=json)
+    command, names = functools.partial(Robot.lock, reason=reason), [] if everything else robots or []
+    ask(url, token, lambda host: _halt(host, names, command, done=f"is locked: {reason}", json=json))
 
 
 # -- unlock -----------------------------------------------------------------------------------------------------------
 
 
 def unlock(
-    robot: RobotName = None,
+    robots: Annotated[
+        list[str] | None,
+        typer.Argument(
+            help="Names of robots; may be left out if only one is locked.",
+            callback=not_empty,
+            autocompletion=robot_names,
+        ),
+    ] = None,
     *,
     everything: Annotated[bool, typer.Option("--all", help="Unlock every robot that is locked.")] = False,
     url: Url = DEFAULT_URL,
     token: Token = None,
     json: Json = False,
 ) -> None:
-    """Let a robot be driven again. The name is optional if only one robot is locked. No robot moves by this command."""
-    if robot is not None and everything:
-        raise ConfigError("--all", f"means every robot, but {robot!r} is named too; leave one of them out")
-    unlocked = ask(url, token, lambda host: _unlock(host, robot, everything=everything))
+    """Let robots be driven again. The name is optional if only one robot is locked. No robot moves by this command."""
+    if robots and everything:
+        raise ConfigError("--all", f"means every robot, but {robots[0]!r} is named too; leave one of them out")
+    unlocked = ask(url, token, lambda host: _unlock(host, robots or [], everything=everything))
     write(*([json_text.dumps(unlocked)] if json else (f"{each['name']} may be driven" for each in unlocked)))
 
 
-async def _unlock(host: Host, name: str | None, *, everything: bool) -> list[RobotState]:
-    meant = await _meant(host, name, everything=everything)
+async def _unlock(host: Host, names: list[str], *, everything: bool) -> list[RobotState]:
+    meant = await _meant(host, names, everything=everything)
     for each in meant:
         await host.robot(each["name"]).unlock()
     return [await host.robot(each["name"]).state() for each in meant]
 
 
-async def _meant(host: Host, name: str | None, *, everything: bool) -> list[RobotState]:
-    robots = await chosen(host, name)
-    if name is not None:
+async def _meant(host: Host, names: list[str], *, everything: bool) -> list[RobotState]:
+    robots = await chosen(host, *names)
+    if names:
         return robots
     locked = [robot for robot in robots if robot.get("locked")]
     if not locked:
         raise HostlinkError("no robot is locked; `hostlink robots` lists them")
     if len(locked) > 1 and not everything:
-        names = ", ".join(robot["name"] for robot in locked)
-        raise HostlinkError(f"several robots are locked: {names}; name one, as in `hostlink unlock NAME`, or use --all")
+        listed = ", ".join(robot["name"] for robot in locked)
+        raise HostlinkError(
+            f"several robots are locked: {listed}; name them, as in `hostlink unlock {locked[0]['name']}`, or use --all"
+        )
     return locked

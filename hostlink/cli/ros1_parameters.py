@@ -40,7 +40,10 @@ def read(
                 close_all(listening)
                 listening = []
                 if not is_told:
-                    write_error(f"hostlink: waiting for the master at {config.master}: {error}")
+                    write_error(
+                        f"hostlink: waiting for the master at {config.master}: {error}; start it with `roscore`, or "
+                        "name another with --master URL; Ctrl-C ends"
+                    )
                 is_told = True
             time.sleep(RETRY_S)
     finally:

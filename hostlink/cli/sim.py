@@ -1,14 +1,13 @@
 """`hostlink sim`: simulated robots that connect to a host."""
 
 import asyncio
-import contextlib
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from hostlink.cli.addresses import DEFAULT_HOST, HostAddress, parse_address
-from hostlink.cli.output import write_error
+from hostlink.cli.output import end_line, write_error
 from hostlink.errors import ConfigError
 from hostlink.sim.firmware_module import WorldParameters, read, require_wasmtime
 from hostlink.sim.firmware_world import RobotKind
@@ -49,8 +48,10 @@ def command(
     fleet = run_fleet(
         host, port, robots=robots, first=first, is_udp=udp, fault=chosen, world=parameters, kind=robot, log=write_error
     )
-    with contextlib.suppress(KeyboardInterrupt):
+    try:
         asyncio.run(fleet)
+    except KeyboardInterrupt:
+        end_line()
 
 
 def read_world(file: Path) -> WorldParameters:

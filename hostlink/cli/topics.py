@@ -35,10 +35,10 @@ from hostlink.cli.arguments import (
     not_empty,
 )
 from hostlink.cli.connecting import PATIENCE_S, ask, connected, rosapi, run_until_interrupted, waiting, write_hint
-from hostlink.cli.names import natural, unknown
-from hostlink.cli.output import duration, is_terminal, quantity, show_progress, size, write, write_error, write_table
+from hostlink.cli.names import natural, similar, unknown
+from hostlink.cli.output import duration, is_terminal, quantity, show_progress, write, write_error, write_table
 from hostlink.client import DEFAULT_URL, Host, Mailbox, RawMessage, TopicState
-from hostlink.errors import ConfigError, HostlinkError, WrongType
+from hostlink.errors import ConfigError, HostlinkError, WrongType, size
 
 # -- services and types -----------------------------------------------------------------------------------------------
 
@@ -49,9 +49,18 @@ async def service_facts(host: Host, name: str) -> dict[str, Any]:
     return {key: await rosapi(host, asked, key, service=name) for key, asked in facts.items()}
 
 
-def no_type(topic: str) -> HostlinkError:
-    """Error of a topic whose type is not known yet."""
-    return HostlinkError(f"{topic} has no type yet, because it has no publisher; `hostlink topics` lists all topics")
+async def type_of(host: Host, topic: str, step: str = "`hostlink topics` lists all topics") -> str:
+    """Return the type of a topic. `step` ends the error.
+
+    Raises:
+        HostlinkError: the topic does not exist, or has no type yet.
+    """
+    found: str = await rosapi(host, "topic_type", "type", topic=topic)
+    if found:
+        return found
+    full = "/" + topic.lstrip("/~")
+    names = {each["name"] for each in await host.topics()} - {full}
+    raise HostlinkError(f"{full} has no type yet, because it has no publisher; {similar(full, names)}{step}")
 
 
 # -- topics -----------------------------------------------------------------------------------------------------------
@@ -243,7 +252,7 @@ async def _find_type(host: Host, name: str, *, with_fields: bool) -> dict[str, A
     topics = {topic["name"]: topic["type"] for topic in await host.topics()}
     services: list[str] = [] if name in topics else await rosapi(host, "services", "services")
     if name in topics:
-        type_name, details = topics[name], "message_details"
+        type_name, details = await type_of(host, name), "message_details"
     elif name in services:
         type_name = await rosapi(host, "service_type", "type", service=name)
         details = "service_request_details"
@@ -251,13 +260,20 @@ async def _find_type(host: Host, name: str, *, with_fields: bool) -> dict[str, A
         type_name = name.removeprefix("/").replace("/msg/", "/").replace("/srv/", "/")
         of_type = await _of_type(host, type_name)
         if of_type is None:
-            asked = type_name if type_name.count("/") == 1 else name
-            raise unknown("topic, service or type", asked, [*topics, *services], command="topics")
+            is_type = type_name.count("/") == 1
+            known = [*topics, *services, *(itertools.chain(*standard_types()) if is_type else ())]
+            raise unknown("topic, service or type", type_name if is_type else name, known, command="topics")
         return of_type
-    if not type_name:
-        raise no_type(name)
     found: dict[str, Any] = {"name": name, "type": type_name}
     return found | {"fields": await _fields(host, details, type_name)} if with_fields else found
+
+
+def standard_types() -> tuple[list[str], list[str]]:
+    """List the types of messages and of services that every daemon knows."""
+    from hostlink.messages.catalog import Catalog  # noqa: PLC0415 - only for an error
+
+    catalog = Catalog()
+    return catalog.message_names(), catalog.service_names()
 
 
 async def _of_type(host: Host, type_name: str) -> dict[str, Any] | None:
@@ -743,9 +759,7 @@ _HEADER = struct.Struct("<III")  # seq, secs, nsecs: the beginning of a std_msgs
 
 async def _check_header(host: Host, topic: str) -> None:
     """Raise HostlinkError for a topic whose type has no header."""
-    type_name = await rosapi(host, "topic_type", "type", topic=topic)
-    if not type_name:
-        raise no_type(topic)
+    type_name = await type_of(host, topic)
     fields = (await rosapi(host, "message_details", "typedefs", type=type_name))[0]["fieldtypes"]
     if fields[:1] != ["std_msgs/Header"]:
         raise HostlinkError(
@@ -882,15 +896,32 @@ def type_and_message(name: str, words: Sequence[str]) -> tuple[str, Message]:
 
 
 async def _object(host: Host, details: str, type_name: str, message: Message) -> dict[str, object]:
-    """Return the message as an object.
+    """Return the message as an object. Without the name of a type it must be one.
 
     Raises:
-        HostlinkError: the values do not match the fields of the type.
+        HostlinkError: the type is unknown, or the values do not match its fields.
     """
+    if not type_name and isinstance(message, dict):
+        return message
+    try:
+        typedefs = await rosapi(host, details, "typedefs", type=type_name)
+    except HostlinkError as error:
+        if f"type named {type_name}" not in str(error):
+            raise
+        raise unknown_type(details, type_name) from error
     if isinstance(message, dict):
         return message
-    typedefs = await rosapi(host, details, "typedefs", type=type_name)
     return filled({each["type"]: each for each in typedefs}, typedefs[0], message)
+
+
+def unknown_type(details: str, name: str) -> HostlinkError:
+    """Error of a type of messages or of services that the daemon does not know."""
+    messages, services = standard_types()
+    kind, known = ("message", messages) if details == "message_details" else ("service", services)
+    return HostlinkError(
+        f"there is no {kind} type named {name}; {similar(name, known)}for a type of your own, start the "
+        "daemon with `hostlink serve --messages FOLDER`"
+    )
 
 
 def filled(known: dict[str, Any], typedef: dict[str, Any], values: list[object]) -> dict[str, object]:
@@ -926,12 +957,9 @@ async def _pub(
     publishing: Publishing,
 ) -> None:
     async with daemon as host:
-        if isinstance(words, list) and not type_name:
-            type_name = await rosapi(host, "topic_type", "type", topic=topic)
-            if not type_name:
-                raise HostlinkError(
-                    f"{topic} has no type yet; name it, as in `hostlink pub {topic} std_msgs/Bool true`"
-                )
+        type_name = type_name or await type_of(
+            host, topic, f"name the type of a new topic, as in `hostlink pub {topic} std_msgs/String 'data: hello'`"
+        )
         message = await _object(host, "message_details", type_name, words)
         while not publishing.count or publishing.sent < publishing.count:
             if publishing.sent:

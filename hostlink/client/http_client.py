@@ -75,7 +75,6 @@ _JSON = {"Content-Type": "application/json"}
 _ADVICE = {
     HTTPStatus.UNAUTHORIZED: "it wants a token that it knows: connect(url, token=...), or --token of a command",
     HTTPStatus.FORBIDDEN: "this token, or this place, may not do that: ask whoever runs it",
-    HTTPStatus.NOT_FOUND: "what answers there is no hostlink, or an older one: look at the address and the port",
     HTTPStatus.TOO_MANY_REQUESTS: "ask less often, or raise max_requests_s in its configuration",
     HTTPStatus.SERVICE_UNAVAILABLE: "it is not ready, or has its max_clients already: try again later",
 }
@@ -132,7 +131,7 @@ class HttpClient:
                 max_msg_size=0,
             )
         except aiohttp.WSServerHandshakeError as error:
-            raise HostlinkError(f"hostlink at {self.url} refuses: {self._advise(error.status)}") from error
+            raise HostlinkError(self._refusal(error.status)) from error
         except (aiohttp.ClientError, OSError, ValueError) as error:
             raise HostlinkError(self._explain(error)) from error
 
@@ -151,7 +150,7 @@ class HttpClient:
                 asyncio.timeout(timeout_s),
                 self._session.request(method, self.url + path, data=data, headers=headers) as response,
             ):
-                return self._read(path, response.status, await response.read())
+                return self._read(response.status, await response.read())
         except TimeoutError as error:
             raise HostlinkError(f"hostlink at {self.url} did not answer within {timeout_s:g} s") from error
         except (aiohttp.ClientError, OSError) as error:
@@ -175,7 +174,7 @@ class HttpClient:
         try:
             async with self._session.get(self.url + path, timeout=timeout) as response:
                 if response.status != HTTPStatus.OK:
-                    self._read(path, response.status, await response.read())
+                    self._read(response.status, await response.read())
                 async for piece in response.content.iter_chunked(64 * 1024):
                     yield piece
         except (aiohttp.ClientError, OSError) as error:
@@ -191,7 +190,7 @@ class HttpClient:
         try:
             async with self._session.get(self.url + path, timeout=timeout) as response:
                 if response.status != HTTPStatus.OK:
-                    self._read(path, response.status, await response.read())
+                    self._read(response.status, await response.read())
                 self._streams.add(response)
                 stream = EventStream()
                 async for chunk in response.content.iter_any():
@@ -200,13 +199,13 @@ class HttpClient:
         except (aiohttp.ClientError, OSError) as error:
             raise HostlinkError(self._explain(error)) from error
 
-    def _read(self, path: str, status: int, body: bytes) -> dict[str, Any]:
+    def _read(self, status: int, body: bytes) -> dict[str, Any]:
         try:
             answer: Any = msgspec.json.decode(body)
         except msgspec.DecodeError as error:
-            raise HostlinkError(f"{self.url}{path}: {self._advise(status)}") from error
+            raise HostlinkError(self._refusal(status)) from error
         if not isinstance(answer, dict):
-            raise HostlinkError(f"{self.url}{path}: {self._advise(status)}")
+            raise HostlinkError(self._refusal(status))
         if "error" in answer:
             told = answer["error"]
             kind, reason = (told.get("kind"), told.get("reason")) if isinstance(told, dict) else ("", told)
@@ -217,17 +216,20 @@ class HttpClient:
         """The daemon's own words, and what to do where they do not say it."""
         match status:
             case HTTPStatus.UNAUTHORIZED:
-                return f"hostlink at {self.url} refuses: {self._advise(status)}"
+                return self._refusal(status)
             case HTTPStatus.FORBIDDEN:
                 return f"{reason}; ask whoever runs it"
             case HTTPStatus.NOT_FOUND if kind == "HTTP":  # it has no such path
                 return f"hostlink at {self.url} is of another version than this one, and does not know what is wanted"
         return str(reason)
 
-    def _advise(self, status: int) -> str:
-        if status == HTTPStatus.UNAUTHORIZED and self._has_token:
-            return _NOT_KNOWN
-        return _ADVICE.get(HTTPStatus(status), f"HTTP {status}: what answers there may be no hostlink")
+    def _refusal(self, status: int) -> str:
+        """Return the error of an answer that has no words of a hostlink."""
+        if status not in _ADVICE:
+            what = f"what answers there (HTTP {status}) is no hostlink, or an older one"
+            return f"no hostlink at {self.url}: {what}: look at the address and the port"
+        is_unknown = status == HTTPStatus.UNAUTHORIZED and self._has_token
+        return f"hostlink at {self.url} refuses: {_NOT_KNOWN if is_unknown else _ADVICE[HTTPStatus(status)]}"
 
     def _explain(self, error: Exception) -> str:
         match error:

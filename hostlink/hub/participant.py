@@ -274,7 +274,7 @@ class Participant(Node):
         """
         self.check(Role.READ, "call_service")
         if self.role < Role.DRIVE and not self._hub.services.is_reading(service):
-            raise NoRole("the token may only read: it may call no service but those of rosapi")
+            raise NoRole("the token may only read: it may call only services that read; use one with the role drive")
         if len(self._calls) >= MAX_CALLS:
             raise BadRequest(f"more than {MAX_CALLS} calls under way")
         try:

@@ -327,10 +327,10 @@ class Services:
         """
         service = self.find(name)
         if isinstance(service, Provider):
-            if service.is_daemon and not service.ignores_request:
-                own = self._catalog.service(service.type_name)
-                if own is not None:
-                    _check_fields(service.name, request, [field.name for field in own.request.fields])
+            if not service.ignores_request:
+                known = self._catalog.service(service.type_name)
+                if known is not None:
+                    _check_fields(service.name, request, [field.name for field in known.request.fields])
             return await service.call(name, request, timeout_s=PROGRAM_TIMEOUT_S if timeout_s is None else timeout_s)
         if service.type is None:
             raise WrongType(service.name, "a service type with a definition", service.type_name)
@@ -345,7 +345,7 @@ class Services:
 
 
 def _check_fields(name: str, request: Mapping[str, object], known: list[str]) -> None:
-    """Refuse a request to the daemon itself, which reads it without a codec.
+    """Refuse a request to a program, or to the daemon itself, which reads it without a codec.
 
     Raises:
         BadRequest: a field is unknown.

@@ -93,9 +93,8 @@ def read_lines(source: RecordingSource, names: Iterable[str]) -> dict[str, list[
         if not lines[name]:
             if topic not in found_topics:
                 raise RecordingFailed(f"{topic} has no message in this recording; name another topic")
-            raise RecordingFailed(
-                f"{topic} has no numeric field {path!r}; available: {', '.join(numeric[topic]) or 'none'}"
-            )
+            what = f"has no numeric field {path!r}" if path else "is a whole topic; add one of its fields"
+            raise RecordingFailed(f"{topic} {what}; available: {', '.join(numeric[topic]) or 'none'}")
     return lines
 
 

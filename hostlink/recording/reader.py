@@ -577,7 +577,13 @@ RecordingSource = McapReader | BagReader
 
 
 def open_source(path: Path) -> RecordingSource:
-    """Choose the reader by name. The file itself is opened when it is read."""
+    """Choose the reader by name. The file itself is opened when it is read.
+
+    Raises:
+        RecordingFailed: it is a folder, but not a bag of ROS 2.
+    """
+    if path.is_dir() and not (path / "metadata.yaml").is_file():
+        raise RecordingFailed(f"{path} is a folder without metadata.yaml, so it is not a bag of ROS 2; name a file")
     is_bag = path.is_dir() or path.suffix in (ROS1_SUFFIX, ROS2_SUFFIX)
     return BagReader(path) if is_bag else McapReader(path)
 

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import structlog
 
-from hostlink.errors import BadRequest, RecordingBusy, RecordingFailed, UnknownTopic
+from hostlink.errors import BadRequest, RecordingBusy, RecordingFailed, UnknownTopic, size
 from hostlink.hub.hub import Hub
 from hostlink.recording.black_box import BlackBox
 from hostlink.recording.drives import DriveLog
@@ -211,9 +211,10 @@ class Recordings:
         usage = self.folder.usage()
         room_bytes = min(usage.budget_bytes - usage.used_bytes, usage.free_bytes - usage.min_free_bytes)
         if size_bytes > room_bytes:
-            room_mb = max(0, room_bytes) / MEGABYTE
-            size = f"{path.name} has {size_bytes / MEGABYTE:.0f} MB"
-            raise RecordingFailed(f"{size}, and there is room for {room_mb:.0f} MB; remove recordings")
+            room = size(max(0, room_bytes))
+            raise RecordingFailed(
+                f"{path.name} has {size(size_bytes)}, and there is room for {room}; remove recordings"
+            )
         self.folder.path.mkdir(parents=True, exist_ok=True)
 
     async def open(self) -> None:

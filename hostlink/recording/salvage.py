@@ -213,7 +213,7 @@ def repair(path: Path, on_progress: Callable[[int], None] = lambda _: None) -> R
     """
     _check_left(path)
     reader = McapReader(path)
-    part = path.with_name(f"{path.name}.repaired")
+    part = Path(f"{path}.repaired")
     original: Path | None = None
     try:
         part.unlink(missing_ok=True)

@@ -96,7 +96,7 @@ async def run_over_tcp(
                 last_error = ""
                 _give_up_soon(writer)
                 on_connected(robot.name, writer.get_extra_info("sockname"))
-                log(f"{robot.name}: connected to {host}:{port}")
+                log(f"{robot.name}: connected to {host}:{port}; `hostlink robots` shows its name there")
                 with contextlib.suppress(TimeoutError):
                     async with asyncio.timeout(fault.runs_s):
                         await _talk(board, reader, writer)
@@ -256,7 +256,7 @@ async def _talk_over_udp(
                 with contextlib.suppress(TimeoutError):
                     async with asyncio.timeout(GREETING_S):
                         await _until(lambda: robot.is_configured)
-            log(f"{robot.name}: {host}:{port} has answered")
+            log(f"{robot.name}: {host}:{port} has answered; `hostlink robots` shows its name there")
             await _until(lambda: not robot.is_configured)
     finally:
         transport.close()

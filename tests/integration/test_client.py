@@ -535,10 +535,10 @@ async def test_a_daemon_of_another_version_drives_nothing_that_the_program_does_
 @pytest.mark.parametrize(
     ("status", "advice"),
     [
-        (401, "it wants a token that it knows: connect(url, token=...)"),
-        (403, "this token, or this place, may not do that"),
-        (404, "what answers there is no hostlink"),
-        (500, "HTTP 500: what answers there may be no hostlink"),
+        (401, "hostlink at {} refuses: it wants a token that it knows: connect(url, token=...)"),
+        (403, "hostlink at {} refuses: this token, or this place, may not do that"),
+        (404, "no hostlink at {}: what answers there (HTTP 404) is no hostlink"),
+        (200, "no hostlink at {}: what answers there (HTTP 200) is no hostlink"),
     ],
 )
 async def test_a_refused_connection_raises_with_advice(status: int, advice: str) -> None:
@@ -549,10 +549,12 @@ async def test_a_refused_connection_raises_with_advice(status: int, advice: str)
         with pytest.raises(HostlinkError) as caught:
             async with connect(url):
                 pass
-        assert str(caught.value).startswith(f"hostlink at {url} refuses: {advice}")
-        with pytest.raises(HostlinkError, match="does not know this token" if status == 401 else advice):
+        assert str(caught.value).startswith(advice.format(url))
+        with pytest.raises(HostlinkError) as caught:
             async with connect(url, token="of yesterday"):
                 pass
+        of_token = f"hostlink at {url} refuses: it does not know this token"
+        assert str(caught.value).startswith(of_token if status == 401 else advice.format(url))
 
 
 async def test_a_token_with_the_end_of_a_line_is_told_so() -> None:

@@ -67,4 +67,10 @@ async def test_the_command_lists_them_or_says_that_there_are_none(tmp_path: Path
         assert "rest 127.0.0.1" in row
         assert " 0.20 " in row
         assert (await run("drives", "other", "--url", host.url))[1] == "there are no drives of other yet\n"
+        none = "there are no drives of robto_0 yet; similar names: robot_0\n"
+        assert await run("drives", "robto_0", "--url", host.url) == (0, none, "")
+        assert (
+            json.loads((await run("drives", "--json", "-n", "1", "--url", host.url))[1])["drives"][0]["robot"]
+            == "robot_0"
+        )
         assert json.loads((await run("drives", "other", "--json", "--url", host.url))[1])["drives"] == []

@@ -448,7 +448,7 @@ async def test_sent_file_becomes_a_recording_once(tmp_path: Path) -> None:
         ("other", {}, 400, "not an MCAP file"),
         (".hidden", {}, 400, "invalid recording name"),
         ("large", {"max_file_mb": 0.001}, 413, "recording.max_file_mb"),
-        ("crowded", {"max_disk_mb": 0.001}, 507, "there is room for 0 MB"),
+        ("crowded", {"max_disk_mb": 0.001}, 507, "has 9.0 kB, and there is room for 1.0 kB"),
     ],
 )
 async def test_sent_file_without_mcap_or_without_room_is_refused(

@@ -61,6 +61,12 @@ run_until_interrupted(work())
         ("ros2 topic echo /x --qos-profile y", "echo: there is no option --qos-profile; rosserial has no quality"),
         ("ros2 param get /robot_0 gain", "params get: a parameter belongs to no node; leave the node out"),
         ("robots --url ftp://x", "url: 'ftp://x' is not an address of a hostlink: write it as http://HOST:9090"),
+        ("incidents --reason x", "--reason: is the reason of --save; add --save ROBOT\n"),
+        ("lab", "lab: the argument what is missing; choose causes, tables, claims, pictures; `hostlink lab --help`"),
+        (
+            "pub /x std_msgs/Int8 -5",
+            "pub: there is no option -5; write -- before a negative number, as in `hostlink pub",
+        ),
         ("plot x.mcap", "plot: name fields, for example /robot_0/odometry.x, or use --map\n"),
         ("plot x.mcap /x.y --map", "plot: --map draws paths instead of fields; leave the fields or --map out\n"),
     ],

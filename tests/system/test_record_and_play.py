@@ -239,6 +239,8 @@ async def test_incidents_are_listed_and_fetched(tmp_path: Path) -> None:
         (("play", "none.mcap"), "No such file"),
         (("play", "/etc/passwd"), "is not an MCAP file"),
         (("record", "--repair", "/etc/passwd"), "is not an MCAP file"),
+        (("record", "--repair", "."), "Is a directory; name a file"),
+        (("export", "/usr", "--to", "csv", "-o", "none.csv"), "/usr is a folder without metadata.yaml"),
         (("record", "-o", "/no/such/folder/run.mcap"), "No such file"),
         (("play", "none.mcap", "/chat"), "--as-program"),
         (("play", "none.mcap", "--as-program"), "name the topics"),

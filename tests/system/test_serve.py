@@ -187,8 +187,8 @@ async def test_a_serial_port_that_is_not_there_is_waited_for() -> None:
         ),
         (["teleop", "--url", "http://127.0.0.1:1"], 1, "hostlink: no hostlink at http://127.0.0.1:1"),
         (["drive", "robot_0", "--url", "http://127.0.0.1:1"], 1, "hostlink: no hostlink at http://127.0.0.1:1"),
-        (["pub", "/x", "{"], 2, "hostlink: MESSAGE: is not JSON"),
-        (["call", "/x", '"a: b"'], 2, "hostlink: REQUEST: is JSON, but not an object"),
+        (["pub", "/x", "{"], 2, "hostlink: MESSAGE: cannot be read: } is missing at the end; write it as "),
+        (["call", "/x", '"a: b"'], 2, "hostlink: REQUEST: is not an object with fields"),
         (["teleop", "--layout", "dvorak"], 2, "hostlink: --layout: unknown value 'dvorak'; choose original or twist"),
     ],
 )

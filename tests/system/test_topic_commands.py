@@ -77,6 +77,7 @@ async def test_rate_bandwidth_and_delay_are_measured() -> None:
         assert delay["delay_s"] > 1.7e9  # a device that does not know the time
         assert "geometry_msgs/Pose2D has no header" in (await run("delay", "/robot_0/odometry", *end))[2]
         assert "/x has no type yet" in (await run("delay", "/x", *end))[2]
+        assert "similar names: /robot_0/point; " in (await run("delay", "/robot_0/pont", *end))[2]
         assert " Hz   every " in (await run("hz", "/robot_0/odometry", "--seconds", "0.5", "--url", host.url))[1]
 
 
@@ -145,15 +146,23 @@ async def test_stop_lock_and_unlock() -> None:
         at = ("--url", host.url)
         unknown = "it is not known whether it is stopped: it sends no odometry\n"
         assert await run("stop", *at) == (1, f"mule: {unknown}robot_0: {unknown}", "")
+        assert await run("stop", "mull", "--all", *at) == (1, f"mule: {unknown}robot_0: {unknown}", "")
         assert await run("stop", "/mule", *at) == (1, f"mule: {unknown}", "")
         locked = f"mule is locked: my foot\nmule: {unknown}"
         assert await run("lock", "mule", "--reason", "my foot", *at) == (1, locked, "")
         assert [robot.gate.lock_reason for robot in host.hub.robots.all()] == ["my foot", None]
         assert await run("unlock", *at) == (0, "mule may be driven\n", "")
         assert await run("unlock", *at) == (1, "", "hostlink: no robot is locked; `hostlink robots` lists them\n")
-        await run("lock", *at)
+        await run("lock", "--all", *at)
         status, _, err = await run("unlock", *at)
         assert (status, "several robots are locked: mule, robot_0;" in err) == (1, True)
+        both = "robot_0 may be driven\nmule may be driven\n"
+        assert await run("unlock", "robot_0", "mule", *at) == (0, both, "")
+        assert await run("stop", "robot_0", "mule", *at) == (1, f"mule: {unknown}robot_0: {unknown}", "")
+        status, out, err = await run("lock", "mull", "robot_0", "mule", *at)
+        assert (status, "there is no robot named mull; similar names: mule" in err) == (1, True)
+        assert "mule is locked" in out
+        assert all(robot.gate.lock_reason is not None for robot in host.hub.robots.all())
         assert (await run("unlock", "--all", *at))[1] == "mule may be driven\nrobot_0 may be driven\n"
         assert (await run("lock", "mull", *at))[2] == (
             "hostlink: there is no robot named mull; similar names: mule; `hostlink robots` lists them\n"
@@ -171,6 +180,9 @@ async def test_parameters_are_set_saved_and_loaded(tmp_path: Path) -> None:
             0, 'parameter  value\n/gain      1.5\n/name      "left"\n/pid/kp    [1, 2]\n', ""
         )  # fmt: skip
         assert (await run("params", "list", "/pid", *at))[1].splitlines()[1:] == ["/pid/kp    [1, 2]"]
+        assert (await run("params", "list", "none", *at))[2] == (
+            "there are no parameters in /none; `hostlink params list` lists all\n"
+        )
         assert (await run("params", "get", "/pid", *at))[1] == '{"kp": [1, 2]}\n'
         assert (await run("params", "dump", str(file), *at))[2] == f"3 parameters in {file}\n"
         assert (await run("params", "delete", "/pid", *at))[0] == 0
@@ -224,6 +236,47 @@ async def test_commands_of_ros_have_their_effect(tmp_path: Path) -> None:
         file = str(tmp_path / "run.mcap")
         await ros("rosbag", "record", "-a", "-O", file, "--duration=0.2")
         assert "/robot_0/odometry" in await ros("ros2", "bag", "info", file)
+
+
+async def test_record_adds_the_slash_of_a_name_and_reports_an_unknown_topic(tmp_path: Path) -> None:
+    file = str(tmp_path / "run.mcap")
+    async with publishing() as (host, _):
+        at = ("--seconds", "0.2", "--url", host.url)
+        _, out, err = await run("record", "-o", file, "robot_0/odometry", "/robot_0/odometrie", "*/odometry", *at)
+    assert " 0 messages " not in out
+    assert err.startswith("there is no topic /robot_0/odometrie yet; similar names: /robot_0/odometry, ")
+    assert err.splitlines()[1].startswith("recording ")
+    assert "/robot_0/odometry " in (await run("info", file))[1]
+
+
+@pytest.mark.parametrize(
+    ("line", "complaint"),
+    [
+        (
+            ["pub", "/new", "data: hi"],
+            "/new has no type yet, because it has no publisher; name the type of a new topic, as in `hostlink pub /new "
+            "std_msgs/String 'data: hello'`",
+        ),
+        (
+            ["pub", "/new", "std_msgs/Strin", "data: hi"],
+            "there is no message type named std_msgs/Strin; similar names: std_msgs/String, ",
+        ),
+        (["pub", "/new", "std_srvs/Trigger"], "there is no message type named std_srvs/Trigger; "),
+        (
+            ["call", "/new", "std_srvs/Triger"],
+            "there is no service type named std_srvs/Triger; similar names: std_srvs",
+        ),
+        (
+            ["type", "std_msgs/Strin"],
+            "there is no topic, service or type named std_msgs/Strin; similar names: std_msgs/S",
+        ),
+    ],
+)
+async def test_wrong_type_of_a_message_is_refused_with_the_similar_ones(line: list[str], complaint: str) -> None:
+    async with daemon() as host:
+        status, out, err = await run(*line, "--url", host.url)
+    assert (status, out, err.count("\n")) == (1, "", 1)
+    assert err.startswith(f"hostlink: {complaint}")
 
 
 async def test_an_empty_message_needs_no_text() -> None:

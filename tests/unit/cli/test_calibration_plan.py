@@ -111,12 +111,14 @@ def test_a_calibration_without_drives_is_not_kept(tmp_path: Path) -> None:
     assert open_state(tmp_path / "state.json", wanted, anew=False).saved is wanted
 
 
-@pytest.mark.parametrize("content", [b"", b"{}", b'{"robot": 1}', b"\xff"])
-def test_file_that_is_not_a_state_file_is_refused(tmp_path: Path, content: bytes) -> None:
+@pytest.mark.parametrize(
+    ("content", "anew"), [(b"", False), (b"{}", False), (b'{"robot": 1}', False), (b"\xff", False), (b"my notes", True)]
+)
+def test_file_that_is_not_a_state_file_is_refused(tmp_path: Path, content: bytes, *, anew: bool) -> None:
     path = tmp_path / "state.json"
     path.write_bytes(content)
     with pytest.raises(HostlinkError, match="is not the state file of a calibration"):
-        open_state(path, SavedCalibration("robot_0", Sizes(), WheelGeometry()), anew=False)
+        open_state(path, SavedCalibration("robot_0", Sizes(), WheelGeometry()), anew=anew)
 
 
 def test_a_state_that_cannot_be_written_is_one_line(tmp_path: Path) -> None:

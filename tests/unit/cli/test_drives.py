@@ -2,8 +2,10 @@
 
 from typing import Any
 
+import pytest
+
 from hostlink.cli.output import table
-from hostlink.cli.record import HEADS, row, time_text
+from hostlink.cli.record import HEADS, NEWEST, progress, row, time_text, write_newest
 
 
 def drive(**changes: Any) -> dict[str, Any]:
@@ -27,3 +29,20 @@ def test_the_lines_of_a_lesson_fit_80_columns() -> None:
 def test_time_of_an_incident_of_today_has_no_date() -> None:
     assert time_text("2026-11-22T08:40:57Z", "2026-11-22") == "08:40:57"
     assert time_text("2026-11-21T08:40:57Z", "2026-11-22") == "2026-11-21 08:40:57"
+
+
+def test_long_list_shows_the_newest_and_how_many_are_older(capsys: pytest.CaptureFixture[str]) -> None:
+    rows = [[f"row {number}"] for number in range(1001)]
+    write_newest(["when"], rows, None, whole=[])
+    out, err = capsys.readouterr()
+    assert out.splitlines()[1:] == [f"row {number}" for number in range(NEWEST)]
+    assert err == "981 older ones are not listed; -n 1001 lists them too\n"
+    write_newest(["when"], rows, 1000, whole=[])
+    assert capsys.readouterr().err == "1 older one is not listed; -n 1001 lists them too\n"
+    write_newest(["when"], rows, 1001, whole=[])
+    assert capsys.readouterr().err == ""
+
+
+def test_small_recording_has_its_size_in_kilobytes() -> None:
+    view = {"seconds": 3.2, "messages": 1, "bytes": 17_234, "dropped": 0}
+    assert progress(view) == "0:03  1 message  17.2 kB  0 dropped"

@@ -3,12 +3,15 @@
 import re
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from hostlink.cli.main import COMMANDS, _run, completed_words, module_of, own_completion, wanted_command, with_next_step
 from hostlink.errors import ConfigError
+from tests.support.documented import parser
 
 
 @pytest.mark.parametrize(
@@ -66,6 +69,20 @@ def test_every_command_has_a_line_that_fits_a_terminal() -> None:
     assert all(text.endswith(".") and len(text) <= 86 for text in COMMANDS.values())
 
 
+def commands_of(found: Any, name: str) -> Iterator[tuple[str, Any]]:
+    inner = getattr(found, "commands", {})
+    yield from ([] if inner else [(name, found)])
+    for each, command in inner.items():
+        yield from commands_of(command, f"{name} {each}")
+
+
+def test_every_argument_and_option_has_a_help_text() -> None:
+    commands = [each for name in COMMANDS for each in commands_of(parser(name), name)]
+    bare = [f"{name}: {part.name}" for name, command in commands for part in command.params if not part.help]
+    assert len(commands) > len(COMMANDS)
+    assert bare == []
+
+
 DOCUMENTS = Path(__file__).parents[3] / "docs"
 NAMED = re.compile(r"(?:`|^    |^    \.venv/bin/|\$ )hostlink ([a-z][a-z-]*[a-z])\b", re.MULTILINE)
 
@@ -121,6 +138,13 @@ def test_a_command_that_queries_a_daemon_imports_no_daemon() -> None:
         ),
         ("FrameTooLarge", "/x: frame of 9 bytes", "/x: frame of 9 bytes; send less in one message; `hostlink doctor`"),
         ("RecordingFailed", "/x: No such file or directory", "/x: No such file or directory; check its name"),
+        ("RecordingFailed", "/x: Permission denied", "/x: Permission denied; check who may read and write it"),
+        (
+            "ConfigError",
+            "port 80: cannot be listened on: Permission denied",
+            "port 80: cannot be listened on: Permission denied; choose a port above 1023",
+        ),
+        ("RecordingFailed", "/x: Is a directory", "/x: Is a directory; name a file"),
         ("DeviceGone", "r: its device is gone", "r: its device is gone; `hostlink doctor` finds out why"),
     ],
 )
@@ -140,6 +164,7 @@ def test_other_errors_stay_as_they_are(text: str) -> None:
     [
         "play x.mcap --drive",
         "stop",
+        "stop robot_0",
         "lock",
         "unlock",
         "drive",

@@ -4,8 +4,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hostlink.cli.output import duration, quantity, size
+from hostlink.cli.output import duration, quantity
 from hostlink.cli.topics import MessageWindow, distribution
+from hostlink.errors import size
 
 
 def test_a_rate_is_of_the_window() -> None:

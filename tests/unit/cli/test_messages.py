@@ -49,7 +49,7 @@ def test_message_has_a_type_before_it_or_values_of_its_fields(words: list[str], 
     [
         (["data:", "hi"], "put the message in quotes"),
         (["[1, 2"], "write a list as"),
-        (["{data"], "is not JSON"),
+        (["{data"], "MESSAGE: cannot be read: } is missing at the end; write it as"),
     ],
 )
 def test_message_that_cannot_be_read_names_the_next_step(words: list[str], complaint: str) -> None:
@@ -178,8 +178,8 @@ def test_lines_of_yaml_are_a_message(text: str, wanted: Any) -> None:
     [
         ("x: 1\n  y: 2", "line 2 is not indented"),
         ("x: 1\nhello", "line 2 is not `name: value`: hello"),
-        ("x: [1\ny: 2", "column"),
-        ('x: "a\ny: 2', "column"),
+        ("x: [1\ny: 2", "line 1: ] is missing at the end"),
+        ('x: "a\ny: 2', "line 1: Unterminated string"),
     ],
 )
 def test_lines_that_are_not_yaml_are_refused(text: str, complaint: str) -> None:

@@ -2,6 +2,7 @@
 
 import contextlib
 import json
+import re
 from typing import Any
 
 import pytest
@@ -39,9 +40,26 @@ def test_yaml_in_one_line_is_understood(text: str, message: dict[str, Any]) -> N
     assert read_message(text) == message
 
 
-@pytest.mark.parametrize("text", ["{", "linear {x: 0.1}", "{x: 0.1", "{x: , y: 1}", "{data: 'open}", "x: 1 2"])
-def test_text_that_is_neither_json_nor_yaml_is_refused_with_the_error_of_json(text: str) -> None:
-    with pytest.raises(ValueError, match=r"line 1 column"):
+@pytest.mark.parametrize(
+    ("text", "fault"),
+    [
+        ("{linear: {x: 1}", "} is missing at the end"),
+        ("{", "} is missing at the end"),
+        ("x: [{a: 1", "}] is missing at the end"),
+        ('{"a": "}"', "} is missing at the end"),
+        ("linear: {x: 0.1}}", "the } at '}' closes nothing"),
+        ("linear: [0.1}, y: 1", "the } at '}, y: 1' closes nothing"),
+        ("{data: 'open}", "the quotation mark ' at \"'open}\" is not closed"),
+        ('data: "open', "the quotation mark \" at '\"open' is not closed"),
+        ("linear {x: 0.1}", "it is wrong from 'linear {\"x\": 0.1}' on"),
+        ("{x: , y: 1}", "it is wrong from ', \"y\": 1}' on"),
+        ("x: 1 2", "it is wrong from '2' on"),
+        ("x:", "a value is missing at the end"),
+        (f"x: 1 {'2' * 31}", f"it is wrong from '{'2' * 30}...' on"),
+    ],
+)
+def test_text_that_is_neither_json_nor_yaml_is_refused_with_the_place_of_the_fault(text: str, fault: str) -> None:
+    with pytest.raises(ValueError, match=f"^{re.escape(fault)}$"):
         read_message(text)
 
 

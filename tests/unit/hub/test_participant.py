@@ -342,3 +342,23 @@ def test_node_belongs_to_its_group_alone() -> None:
     assert not is_of(Node("program"), "")
     assert not is_of("link", "ros2")
     assert (str(node), address_of(node), address_of("link")) == ("bridge", "10.0.0.7", "")
+
+
+def test_request_with_an_unknown_field_is_refused_before_a_program_is_called() -> None:
+    async def test(made: MemoryHub) -> None:
+        called: list[object] = []
+
+        async def note(request: Mapping[str, object]) -> Mapping[str, object]:
+            called.append(request)
+            return {"success": True}
+
+        made.hub.join("server").provide("/s", TRIGGER, note)
+        made.hub.join("server").provide("/own", "my_msgs/Unknown", note)
+        ann = made.hub.join("ann")
+        with pytest.raises(BadRequest, match="/s: the request has no field 'nonsense'; its fields: none"):
+            await ann.call("/s", {"nonsense": 1})
+        assert called == []
+        await ann.call("/own", {"any": 1})
+        assert called == [{"any": 1}]
+
+    in_hub(test)

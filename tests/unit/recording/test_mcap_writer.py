@@ -195,6 +195,12 @@ def test_file_that_is_not_a_recording_is_refused_and_unchanged(tmp_path: Path, c
     assert [each.name for each in tmp_path.iterdir()] == ["a.mcap"]
 
 
+def test_folder_is_not_repaired(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(RecordingFailed, match=r"^\.: Is a directory$"):
+        repair(Path())
+
+
 def test_file_that_is_being_written_is_not_repaired(tmp_path: Path) -> None:
     path, messages = tmp_path / "a.mcap", drawn(100)
     writer = McapWriter(path, metadata={})
