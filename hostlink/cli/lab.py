@@ -1,7 +1,6 @@
 """`hostlink lab`: repeat the paper's measurements in a simulated world."""
 
 import contextlib
-import importlib.util
 import json as json_text
 from enum import StrEnum
 from pathlib import Path
@@ -12,7 +11,7 @@ import typer
 from hostlink.cli.files import check_folder, check_picture
 from hostlink.cli.output import show_progress, write
 from hostlink.cli.sim import read_world
-from hostlink.errors import ConfigError, LibraryMissing
+from hostlink.errors import ConfigError
 from hostlink.lab import reports
 from hostlink.lab.experiment import Laboratory
 from hostlink.lab.tables import CASTER_WORLD
@@ -37,16 +36,13 @@ def command(
             min=2,
             max=1000,
             help="Runs of each pattern: more for narrower intervals.",
-            show_default="12; causes 4; of the fit 6",
+            show_default="12; causes 4",
         ),
     ] = None,
     world: Annotated[
         Path | None,
         typer.Option(help="tables, pictures: file of lines name=value, for another world than the paper's."),
     ] = None,
-    fit: Annotated[
-        bool, typer.Option("--fit", help="tables: also fit the causes to the paper's numbers, which takes minutes.")
-    ] = False,
     output: Annotated[Path, typer.Option("-o", "--output", help="pictures: PNG file to write.")] = Path(
         "laboratory.png"
     ),
@@ -57,8 +53,6 @@ def command(
     causes: the effect of each cause alone on each of the paper's patterns. tables: tables 2-5 with the paper's numbers.
     claims: which numbers the paper's tables need, with intervals. pictures: each path, true and by odometry.
     """
-    if fit and what is not What.TABLES:
-        raise ConfigError("--fit", f"is an option of `hostlink lab tables`, not of `hostlink lab {what.value}`")
     if world is not None and what not in (What.TABLES, What.PICTURES):
         raise ConfigError(
             "--world",
@@ -67,14 +61,11 @@ def command(
     if what is What.PICTURES:
         check_picture("--output", output, needs="hostlink lab", extra="lab", suffixes=[".png"])
         check_folder("--output", output)
-    if fit and importlib.util.find_spec("scipy") is None:
-        raise LibraryMissing("hostlink lab", "scipy", "lab")
     require_wasmtime("hostlink lab")
     chosen = CASTER_WORLD if world is None else read_world(world)
     try:
         with Laboratory() as laboratory:
             report = _report(laboratory, what, runs, chosen, output)
-            report = report + _fit(laboratory, runs) if fit else report
     finally:
         with contextlib.suppress(OSError):
             show_progress("")
@@ -108,8 +99,3 @@ def _draw(world: WorldParameters, runs: int, output: Path) -> reports.LabReport:
     kibibytes = output.stat().st_size // 1024
     return reports.LabReport([f"{output}: {kibibytes} KiB"], {"file": str(output), "kibibytes": kibibytes})
 
-
-def _fit(laboratory: Laboratory, runs: int | None) -> reports.LabReport:
-    from hostlink.lab.fit import FIT_RUNS, report_fit  # noqa: PLC0415 - needs scipy
-
-    return report_fit(laboratory, show_progress, runs=runs or FIT_RUNS)

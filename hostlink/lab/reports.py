@@ -1,11 +1,12 @@
 """Reports of the laboratory: lines for people and one object for programs."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from itertools import combinations
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hostlink.lab.experiment import (
     PAPER_WORLD,
@@ -20,7 +21,7 @@ from hostlink.lab.experiment import (
     Software,
     axes_of,
 )
-from hostlink.lab.tables import CAUSES, MISTAKES, Cause, Column, ErrorTable, measure_all
+from hostlink.lab.tables import CAUSES, MISTAKES, Cause, means_and_errors, measure_all
 from hostlink.lab.tables import tables as driven_tables
 from hostlink.lab.turns import (
     BestTurns,
@@ -39,6 +40,7 @@ PICTURE_RUNS = 5
 _THRESHOLDS_PWM = (690.0, 670.0, 650.0, 600.0, 550.0)
 
 Progress = Callable[[str], None]
+_Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,9 +49,6 @@ class LabReport:
 
     lines: list[str]
     view: dict[str, Any]
-
-    def __add__(self, other: "LabReport") -> "LabReport":
-        return LabReport([*self.lines, "", *other.lines], self.view | other.view)
 
 
 def text_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
@@ -139,8 +138,8 @@ def tables(laboratory: Laboratory, world: WorldParameters, runs: int, progress: 
         ConfigError: wasmtime is not installed, or has no library for this machine.
     """
     driven = driven_tables(world, laboratory, runs=runs, report=progress)
-    heads = ["table", "pattern", "axis", *(column.title for column in driven[0].columns)]
-    rows = [row for table in driven for row in _table_rows(table)]
+    heads = ["table", "pattern", "axis", *driven[PATTERNS[0]]]
+    rows = [row for pattern, columns in driven.items() for row in _table_rows(pattern, columns)]
     lines = [
         f"|error| in cm: mean +- standard error; the paper's of 3 runs (table 4: 5), others of {runs}.",
         "",
@@ -148,36 +147,30 @@ def tables(laboratory: Laboratory, world: WorldParameters, runs: int, progress: 
         "",
         "World: " + (", ".join(f"{name}={value:.6g}" for name, value in _changed(world)) or "without a flaw"),
     ]
-    views = [_table_view(table) for table in driven]
+    views = [_table_view(pattern, columns) for pattern, columns in driven.items()]
     return LabReport(lines, {"runs": runs, "world": dict(_changed(world)), "tables": views})
 
 
-def _table_rows(table: ErrorTable) -> list[list[str]]:
+def _table_rows(pattern: Pattern, columns: Mapping[str, _Array]) -> list[list[str]]:
+    found = [means_and_errors(sizes_cm) for sizes_cm in columns.values()]
     return [
-        [str(table.pattern.table), table.pattern.title, axis, *(_mean(column, i) for column in table.columns)]
-        for i, axis in enumerate(axes_of(table.pattern.table))
+        [
+            str(pattern.table),
+            pattern.title,
+            axis,
+            *(f"{means_cm[number]:.1f} +- {errors_cm[number]:.1f}" for means_cm, errors_cm in found),
+        ]
+        for number, axis in enumerate(axes_of(pattern.table))
     ]
 
 
-def _mean(column: Column, axis: int) -> str:
-    return f"{column.means_cm[axis]:.1f} +- {column.errors_cm[axis]:.1f}"
-
-
-def _table_view(table: ErrorTable) -> dict[str, Any]:
-    return {
-        "table": table.pattern.table,
-        "pattern": table.pattern.name,
-        "axes": axes_of(table.pattern.table),
-        "columns": [
-            {
-                "title": column.title,
-                "mean_cm": column.means_cm.tolist(),
-                "standard_error_cm": column.errors_cm.tolist(),
-                "runs_cm": column.sizes_cm.tolist(),
-            }
-            for column in table.columns
-        ],
-    }
+def _table_view(pattern: Pattern, columns: Mapping[str, _Array]) -> dict[str, Any]:
+    found = []
+    for title, sizes_cm in columns.items():
+        means_cm, errors_cm = means_and_errors(sizes_cm)
+        figures = {"mean_cm": means_cm.tolist(), "standard_error_cm": errors_cm.tolist(), "runs_cm": sizes_cm.tolist()}
+        found.append({"title": title, **figures})
+    return {"table": pattern.table, "pattern": pattern.name, "axes": axes_of(pattern.table), "columns": found}
 
 
 def _changed(world: WorldParameters) -> list[tuple[str, float]]:
