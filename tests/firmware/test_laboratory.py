@@ -60,7 +60,9 @@ def test_caster_twists_squares_in_both_directions_but_not_lines() -> None:
 @pytest.mark.long
 def test_tables_have_the_paper_s_values_and_calibration_gains_threefold() -> None:
     sizes = tables(CASTER_WORLD, LABORATORY, runs=RUNS, report=lambda _: None)
-    driven = {pattern: {title: each.mean(axis=0) for title, each in columns.items()} for pattern, columns in sizes.items()}
+    driven = {
+        pattern: {title: each.mean(axis=0) for title, each in columns.items()} for pattern, columns in sizes.items()
+    }
     assert [pattern.table for pattern in driven] == [2, 3, 4, 5]
     assert driven[LINE][PAPER] == pytest.approx([1.84])
     assert driven[LINE][REBUILT] == pytest.approx([1.84], abs=0.2)
