@@ -54,7 +54,6 @@ async def fetch(host: "Host", path: str, target: Path) -> None:
         raise HostlinkError(
             f"{target} cannot be written: {error.strerror}; the daemon still has the recording"
         ) from error
-    show_progress("")
 
 
 @contextlib.contextmanager

@@ -1,10 +1,8 @@
 """`hostlink lab`: repeat the paper's measurements in a simulated world."""
 
-import contextlib
 import json as json_text
-from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, assert_never
+from typing import Annotated, Literal, assert_never
 
 import typer
 
@@ -17,18 +15,11 @@ from hostlink.lab.experiment import Laboratory
 from hostlink.lab.tables import CASTER_WORLD
 from hostlink.sim.firmware_module import WorldParameters, require_wasmtime
 
-
-class What(StrEnum):
-    """Report of the laboratory."""
-
-    CAUSES = "causes"
-    TABLES = "tables"
-    CLAIMS = "claims"
-    PICTURES = "pictures"
+Report = Literal["causes", "tables", "claims", "pictures"]
 
 
 def command(
-    what: Annotated[What, typer.Argument(help="Report to make: causes, tables, claims or pictures.")],
+    what: Annotated[Report, typer.Argument(help="Report to make: causes, tables, claims or pictures.")],
     *,
     runs: Annotated[
         int | None,
@@ -53,36 +44,32 @@ def command(
     causes: the effect of each cause alone on each of the paper's patterns. tables: tables 2-5 with the paper's numbers.
     claims: which numbers the paper's tables need, with intervals. pictures: each path, true and by odometry.
     """
-    if world is not None and what not in (What.TABLES, What.PICTURES):
+    if world is not None and what not in ("tables", "pictures"):
         raise ConfigError(
             "--world",
-            f"is an option of `hostlink lab tables` and `hostlink lab pictures`, not of `hostlink lab {what.value}`",
+            f"is an option of `hostlink lab tables` and `hostlink lab pictures`, not of `hostlink lab {what}`",
         )
-    if what is What.PICTURES:
+    if what == "pictures":
         check_picture("--output", output, needs="hostlink lab", extra="lab", suffixes=[".png"])
         check_folder("--output", output)
     require_wasmtime("hostlink lab")
     chosen = CASTER_WORLD if world is None else read_world(world)
-    try:
-        with Laboratory() as laboratory:
-            report = _report(laboratory, what, runs, chosen, output)
-    finally:
-        with contextlib.suppress(OSError):
-            show_progress("")
+    with Laboratory() as laboratory:
+        report = _report(laboratory, what, runs, chosen, output)
     write(*([json_text.dumps(report.view)] if json else report.lines))
 
 
 def _report(
-    laboratory: Laboratory, what: What, runs: int | None, world: WorldParameters, output: Path
+    laboratory: Laboratory, what: Report, runs: int | None, world: WorldParameters, output: Path
 ) -> reports.LabReport:
     match what:
-        case What.CAUSES:
+        case "causes":
             return reports.causes(laboratory, runs or reports.CAUSE_RUNS, show_progress)
-        case What.TABLES:
+        case "tables":
             return reports.tables(laboratory, world, runs or reports.TABLE_RUNS, show_progress)
-        case What.CLAIMS:
+        case "claims":
             return reports.claims(laboratory, runs or reports.TABLE_RUNS, show_progress)
-        case What.PICTURES:
+        case "pictures":
             return _draw(world, runs or reports.PICTURE_RUNS, output)
         case _:
             assert_never(what)
@@ -98,4 +85,3 @@ def _draw(world: WorldParameters, runs: int, output: Path) -> reports.LabReport:
         raise ConfigError(str(output), error.strerror or str(error)) from None
     kibibytes = output.stat().st_size // 1024
     return reports.LabReport([f"{output}: {kibibytes} KiB"], {"file": str(output), "kibibytes": kibibytes})
-

@@ -20,7 +20,7 @@ from typing import Annotated, Any
 
 import typer
 
-from hostlink.cli.output import allow_any_text, write, write_error
+from hostlink.cli.output import allow_any_text, clear_progress, write, write_error
 from hostlink.cli.start import import_fast
 from hostlink.errors import ConfigError, HostlinkError
 
@@ -370,6 +370,9 @@ def main() -> None:
         sys.exit(FAILED)
     except (KeyboardInterrupt, typer.Abort):
         sys.exit(128 + 2)
+    finally:
+        with contextlib.suppress(OSError):  # standard error is closed
+            clear_progress()
 
 
 def _run(arguments: list[str]) -> int:

@@ -12,6 +12,7 @@ from typing import Any, TextIO
 BYTES_PER_MB = 1_000_000
 _CLEAR_LINE = "\r\x1b[2K"
 _AS_JSON = "hostlink.json"  # error handler for characters that the terminal's encoding does not have
+_has_progress = False  # standard error ends in a line of `show_progress`
 
 
 def allow_any_text() -> None:
@@ -69,9 +70,21 @@ def show_question(text: str) -> None:
 
 
 def show_progress(line: str) -> None:
-    """Write a line of standard error over the previous one on a terminal; write nothing to a file or a pipe."""
+    """Write a line of standard error over the previous one on a terminal; write nothing to a file or a pipe.
+
+    The next output of the command, and its end, clear the line.
+    """
+    global _has_progress  # noqa: PLW0603 - of the one terminal
     if sys.stderr.isatty():
+        _has_progress = False
         _write(sys.stderr, f"{_CLEAR_LINE}{_fitting(plain(line), sys.stderr)}")
+        _has_progress = bool(line)
+
+
+def clear_progress() -> None:
+    """Remove the line of `show_progress`, if there is one."""
+    if _has_progress:
+        show_progress("")
 
 
 def write_control(text: str) -> None:
@@ -114,6 +127,7 @@ def _write(stream: TextIO, text: str) -> None:
     """Raises:
     OSError: the stream cannot be written; `filename` is the stream's name.
     """
+    clear_progress()
     try:
         stream.write(text)
         stream.flush()
