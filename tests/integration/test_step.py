@@ -22,7 +22,7 @@ from hostlink.cli.step import (
     find_source,
     make_stage,
     separation_of,
-    tune,
+    tune_motors,
     wheel_parameter,
 )
 from hostlink.client import Host, connect
@@ -293,11 +293,11 @@ async def test_gains_are_sent_only_when_requested() -> None:
     records = {"left": motor_record(), "right": motor_record()}
     async with bench() as (_, robot, me):
         before = robot.controls
-        tuning = await tune(me, "robot_0", records, sends=False)
+        tuning = await tune_motors(me, "robot_0", records, sends=False)
         await me.settle()
         assert robot.controls == before
         assert not tuning.is_sent
-        await tune(me, "robot_0", records, sends=True)
+        await tune_motors(me, "robot_0", records, sends=True)
         expected = simc_gains(identify_motor(motor_record()))
         await expect(lambda: robot.controls[0].kp == pytest.approx(expected.kp))
         await expect(lambda: robot.controls[1].ki == pytest.approx(expected.ki))
@@ -315,7 +315,7 @@ async def test_present_gains_and_the_track_are_those_of_the_configuration() -> N
     async with bench(config) as (_, _, me):
         assert await separation_of(me, "robot_0") == 0.3
         assert await wheel_parameter(me, "robot_0", "x") == []
-        tuning = await tune(me, "robot_0", {"left": motor_record()}, sends=False)
+        tuning = await tune_motors(me, "robot_0", {"left": motor_record()}, sends=False)
     assert tuning.wheels["left"].present == PidGains(30.0, 50.0, 0.2)
     assert any("of the configuration" in line for line in tuning.lines())
 
@@ -349,4 +349,4 @@ async def test_a_robot_that_accepts_no_gains_is_named() -> None:
         with pytest.raises(
             HostlinkError, match="robot_0 accepts no gains, because it does not subscribe to pid_tune_l"
         ):
-            await tune(me, "robot_0", {"left": motor_record()}, sends=True)
+            await tune_motors(me, "robot_0", {"left": motor_record()}, sends=True)
