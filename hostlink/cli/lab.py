@@ -1,6 +1,5 @@
 """`hostlink lab`: repeat the paper's measurements in a simulated world."""
 
-import json as json_text
 from pathlib import Path
 from typing import Annotated, Literal, assert_never
 
@@ -37,7 +36,6 @@ def command(
     output: Annotated[Path, typer.Option("-o", "--output", help="pictures: PNG file to write.")] = Path(
         "laboratory.png"
     ),
-    json: Annotated[bool, typer.Option("--json", help="Print one JSON object, for programs.")] = False,
 ) -> None:
     """Repeat the paper's measurements in a simulated world, with the paper's software and with hostlink.
 
@@ -55,13 +53,10 @@ def command(
     require_wasmtime("hostlink lab")
     chosen = CASTER_WORLD if world is None else read_world(world)
     with Laboratory() as laboratory:
-        report = _report(laboratory, what, runs, chosen, output)
-    write(*([json_text.dumps(report.view)] if json else report.lines))
+        write(*_report(laboratory, what, runs, chosen, output))
 
 
-def _report(
-    laboratory: Laboratory, what: Report, runs: int | None, world: WorldParameters, output: Path
-) -> reports.LabReport:
+def _report(laboratory: Laboratory, what: Report, runs: int | None, world: WorldParameters, output: Path) -> list[str]:
     match what:
         case "causes":
             return reports.causes(laboratory, runs or reports.CAUSE_RUNS, show_progress)
@@ -75,7 +70,7 @@ def _report(
             assert_never(what)
 
 
-def _draw(world: WorldParameters, runs: int, output: Path) -> reports.LabReport:
+def _draw(world: WorldParameters, runs: int, output: Path) -> list[str]:
     from hostlink.lab.pictures import draw_software  # noqa: PLC0415 - needs matplotlib
 
     show_progress("drawing")
@@ -83,5 +78,4 @@ def _draw(world: WorldParameters, runs: int, output: Path) -> reports.LabReport:
         draw_software(world, runs, output)
     except OSError as error:
         raise ConfigError(str(output), error.strerror or str(error)) from None
-    kibibytes = output.stat().st_size // 1024
-    return reports.LabReport([f"{output}: {kibibytes} KiB"], {"file": str(output), "kibibytes": kibibytes})
+    return [f"{output}: {output.stat().st_size // 1024} KiB"]

@@ -1,6 +1,5 @@
 """The laboratory drives the firmware that the board executes (HOSTLINK_LAB_RUNS: runs of each pattern)."""
 
-import json
 import os
 from pathlib import Path
 
@@ -109,13 +108,14 @@ def test_a_push_spoils_any_software() -> None:
     assert np.abs(errors.xy_cm).max() > 4.0
 
 
-def test_the_command_prints_json_and_the_world(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_prints_the_tables_and_the_world(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     world = tmp_path / "world.txt"
     world.write_text(PAPER_WORLD.changed({"left.radius_m": 0.0452}).text())
-    build_app("lab")(["lab", "tables", "--runs", "2", "--world", str(world), "--json"], standalone_mode=False)
-    view = json.loads(capsys.readouterr().out)
-    assert [table["table"] for table in view["tables"]] == [2, 3, 4, 5]
-    assert view["world"]["left.radius_m"] == 0.0452
+    build_app("lab")(["lab", "tables", "--runs", "2", "--world", str(world)], standalone_mode=False)
+    lines = capsys.readouterr().out.splitlines()
+    firsts = [line.split("|")[1].strip() for line in lines if line.startswith("| ")]
+    assert firsts == ["table", "2", "2", "3", "3", "4", "5", "5"]
+    assert "left.radius_m=0.0452" in lines[-1]
 
 
 @pytest.mark.long
