@@ -51,19 +51,6 @@ def write_error(*lines: str) -> None:
     _write(sys.stderr, "".join(f"{plain(line)}\n" for line in lines))
 
 
-def write_over(line: str) -> None:
-    """Write a line over the previous one on a terminal; write a new line to a file or a pipe."""
-    if sys.stdout.isatty():
-        _write(sys.stdout, f"{_CLEAR_LINE}{_fitting(plain(line), sys.stdout)}")
-    else:
-        write(line)
-
-
-def write_above(line: str) -> None:
-    """Write a line that stays above the one of `write_over`."""
-    _write(sys.stdout, f"{_CLEAR_LINE if sys.stdout.isatty() else ''}{plain(line)}\n")
-
-
 def show_question(text: str) -> None:
     """Write a question on standard error; the answer is typed behind it."""
     _write(sys.stderr, plain(text))
