@@ -13,7 +13,7 @@ from typing import Any, Literal
 from hostlink.cli.calibration_plan import UNITS_M, Step, UnitMissing, parse_angle, parse_length
 from hostlink.cli.connecting import connected, rosapi
 from hostlink.cli.output import show_progress, show_question, write, write_error
-from hostlink.cli.robots import chosen, require_free
+from hostlink.cli.robots import free_robot
 from hostlink.client import Host, RobotState
 from hostlink.client.robot import Robot
 from hostlink.client.topics import Subscription
@@ -53,7 +53,7 @@ class Drives:
             HostlinkError: the drive is refused or broken off; the robot was sent a stop.
         """
         async with connected(self._url, self._token) as host:
-            state = await _state(host, self.robot)
+            state = await free_robot(host, self.robot)
             robot = host.robot(self.robot, priority=PRIORITY)
             async with host.subscribe(state["odometry_topic"]) as poses, _stopping(robot):
                 return await _drive(robot, CourseFollower(legs, self._speed), correction, poses, show)
@@ -66,7 +66,7 @@ class Drives:
         """
         usual = WheelGeometry()
         async with connected(self._url, self._token) as host:
-            state = await _state(host, self.robot)
+            state = await free_robot(host, self.robot)
             await self._require_current(host, state)
             radii = await self._parameter(host, "wheel_radius", [usual.left_radius_m, usual.right_radius_m])
             configured_m = state.get("wheel_separation_m") or usual.separation_m
@@ -166,12 +166,6 @@ async def _stopping(robot: Robot) -> AsyncIterator[None]:
             with contextlib.suppress(HostlinkError):  # with the connection gone the daemon has stopped it
                 await robot.stop(wait_s=0.0)
     await asyncio.sleep(STAND_S)
-
-
-async def _state(host: Host, name: str) -> RobotState:
-    (state,) = await chosen(host, name)
-    require_free(state)
-    return state
 
 
 def pose_of(message: Mapping[str, Any]) -> Pose:

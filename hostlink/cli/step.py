@@ -17,7 +17,7 @@ from hostlink.cli.arguments import Token, Url, not_empty
 from hostlink.cli.connecting import ask, rosapi
 from hostlink.cli.files import check_folder, check_picture
 from hostlink.cli.output import show_progress, table, write, write_error
-from hostlink.cli.robots import require_free, require_robot
+from hostlink.cli.robots import free_robot
 from hostlink.client import DEFAULT_URL, PRIORITY, Host, Mailbox, Robot, RobotState
 from hostlink.errors import (
     ConfigError,
@@ -135,19 +135,6 @@ def find_topic(state: RobotState, links: Sequence[Mapping[str, Any]], leaf: str,
     return wanted if wanted in found else next(iter(found), None)
 
 
-async def connected_state(robot: Robot) -> RobotState:
-    """Return the state of a robot that may be driven.
-
-    Raises:
-        HostlinkError: the robot is unknown, or a source of the same or a higher priority drives it.
-        DeviceGone: the robot is not connected.
-        CommandRefused: the robot is locked.
-    """
-    state = await robot.state()
-    require_free(state, below=PRIORITY)
-    return state
-
-
 async def find_source(host: Host, state: RobotState, wheel: Wheel | None, separation_m: float) -> Source:
     """Choose the topic of the speeds: plot_data, else the odometry that the daemon publishes.
 
@@ -261,7 +248,7 @@ class StepRecorder:
 
     async def _take_over(self) -> None:
         """Stop the robot, also when a source of lower priority drives it."""
-        state = await connected_state(self._robot)
+        state = await free_robot(self._host, self._robot.name, below=PRIORITY)
         if state["holder"] is not None:
             self._has_commanded = True
             await self._robot.command(CREEP_M_S, 0.0)
@@ -646,9 +633,9 @@ def command(
 
 async def _prepared(host: Host, name: str, wheel: Wheel | None) -> tuple[Robot, Source, float]:
     """Return a robot that may be driven, the source of its speeds, and its wheel separation in m."""
-    robot = await require_robot(host, name)
-    state, separation_m = await connected_state(robot), await separation_of(host, robot.name)
-    return robot, await find_source(host, state, wheel, separation_m), separation_m
+    state = await free_robot(host, name, below=PRIORITY)
+    separation_m = await separation_of(host, state["name"])
+    return host.robot(state["name"]), await find_source(host, state, wheel, separation_m), separation_m
 
 
 async def _describe(host: Host, name: str, wheel: Wheel | None, stages_of: Callable[[float], tuple[Stage, ...]]) -> str:

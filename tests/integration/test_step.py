@@ -11,21 +11,20 @@ import pytest
 
 from hostlink.cli import step as step_command
 from hostlink.cli.demo import DemoDriver
-from hostlink.cli.robots import require_robot
+from hostlink.cli.robots import free_robot, require_robot
 from hostlink.cli.step import (
     PAPER_GAINS,
     Stage,
     StepRecorder,
     StepRecording,
     Wheel,
-    connected_state,
     find_source,
     make_stage,
     separation_of,
     tune_motors,
     wheel_parameter,
 )
-from hostlink.client import Host, connect
+from hostlink.client import PRIORITY, Host, connect
 from hostlink.config import Config, ParameterValue, RobotConfig
 from hostlink.errors import CommandRefused, DeviceGone, HostlinkError, RefusalKind, Refused
 from hostlink.protocol.frame import Id, encode
@@ -53,7 +52,7 @@ async def bench(config: Config | None = None) -> AsyncIterator[tuple[Daemon, Dis
 
 async def record(me: Host, stages: Sequence[Stage] = (SLOW,), wheel: Wheel | None = None) -> StepRecording:
     robot = await require_robot(me, "robot_0")
-    source = await find_source(me, await connected_state(robot), wheel, 0.21)
+    source = await find_source(me, await free_robot(me, "robot_0", below=PRIORITY), wheel, 0.21)
     async with asyncio.timeout(TIMEOUT_S):
         while True:
             try:
@@ -180,14 +179,14 @@ async def test_a_robot_that_leaves_ends_the_step() -> None:
             await stepping(host)
         assert "robot_0" in await drive
         with pytest.raises(DeviceGone):
-            await connected_state(me.robot("robot_0"))
+            await free_robot(me, "robot_0", below=PRIORITY)
 
 
 async def test_driven_robot_is_refused() -> None:
     async with bench() as (host, _, me), connect(host.url) as other:
         await other.robot("robot_0").drive(0.1, 0.0)
         with pytest.raises(HostlinkError, match="; end that program first"):
-            await connected_state(me.robot("robot_0"))
+            await free_robot(me, "robot_0", below=PRIORITY)
 
 
 async def test_unknown_robot_is_refused_with_the_known_names() -> None:
@@ -202,7 +201,7 @@ async def test_a_locked_robot_is_refused() -> None:
     async with bench() as (_, _, me):
         await me.robot("robot_0").lock("a cat")
         with pytest.raises(CommandRefused, match="a cat"):
-            await connected_state(me.robot("robot_0"))
+            await free_robot(me, "robot_0", below=PRIORITY)
 
 
 async def refused(recording: object) -> str:
