@@ -1,6 +1,7 @@
 """The commands for recordings on this computer: `export`, `plot`, and the content that `info` shows."""
 
 import time
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -114,17 +115,11 @@ def plot(
 
     source = open_source(file)
     show_progress(f"reading {file}")
-    if map_:
-        paths = read_paths(source)
-    else:
-        lines = read_lines(source, fields or [])
+    draw = partial(draw_map, read_paths(source)) if map_ else partial(draw_fields, read_lines(source, fields or []))
     for damage in source.damage:
         write_error(f"{file}: {damage}")
     try:
-        if map_:
-            draw_map(paths, target)
-        else:
-            draw_fields(lines, target)
+        draw(target)
     except OSError as error:
         raise HostlinkError(f"{target} cannot be written: {error.strerror or error}; name another with -o") from error
     write(str(target))
