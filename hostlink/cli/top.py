@@ -3,6 +3,7 @@
 import asyncio
 import json as json_text
 import os
+import signal
 import sys
 from typing import Annotated, Any
 
@@ -13,7 +14,7 @@ from hostlink.cli.connecting import connected, run_until_interrupted
 from hostlink.cli.driving import KeyReader
 from hostlink.cli.figures import LINK_COLUMNS, advice, link_rows, live_figures, robot_table
 from hostlink.cli.output import draw, is_terminal, plain, table, terminal_size, write
-from hostlink.cli.teleop import QUIT_KEYS, Terminal, key_terminal
+from hostlink.cli.teleop import QUIT_KEYS, QUIT_SIGNALS, Terminal, key_terminal
 from hostlink.cli.teleop_screen import folded
 from hostlink.client import DEFAULT_URL
 from hostlink.errors import ConfigError
@@ -54,16 +55,16 @@ async def _print(url: str, token: str | None, interval_s: float, *, is_once: boo
 async def _show(url: str, token: str | None, interval_s: float) -> None:
     async with connected(url, token) as host:
         with key_terminal() as terminal:
-            _end_at_quit_key(terminal)
+            _end_in_order(terminal)
             async for shown in live_figures(host, interval_s):
                 draw(
                     [(f"hostlink top   {url}   q or Ctrl-C ends", _BOLD), *((line, "") for line in screen_lines(shown))]
                 )
 
 
-def _end_at_quit_key(terminal: Terminal) -> None:
-    """Cancel this task when a quit key is pressed, or the terminal is closed."""
-    task, keys = asyncio.current_task(), KeyReader()
+def _end_in_order(terminal: Terminal) -> None:
+    """Cancel this task at a quit key or a signal, so that the terminal is restored. Ctrl-Z does nothing."""
+    loop, task, keys = asyncio.get_running_loop(), asyncio.current_task(), KeyReader()
     assert task is not None  # noqa: S101 - a task runs this
 
     def read() -> None:
@@ -71,7 +72,10 @@ def _end_at_quit_key(terminal: Terminal) -> None:
         if not data or any(key.name in (*QUIT_KEYS, "q") for key in keys.feed(data)):
             task.cancel()
 
-    asyncio.get_running_loop().add_reader(terminal.input, read)
+    loop.add_reader(terminal.input, read)
+    for number in QUIT_SIGNALS:
+        loop.add_signal_handler(number, task.cancel)
+    loop.add_signal_handler(signal.SIGTSTP, lambda: None)
 
 
 def screen_lines(shown: dict[str, Any]) -> list[str]:

@@ -1,6 +1,9 @@
 """`hostlink top` on its screen, and as text."""
 
 import json
+import os
+import signal
+from pathlib import Path
 
 import pytest
 
@@ -48,3 +51,13 @@ async def test_top_without_a_terminal_prints_what_to_do() -> None:
     status, out, err = await run("top")
     assert (status, out) == (2, "")
     assert err == "hostlink: top: standard input or output is not a terminal; use --once or --json\n"
+
+
+async def test_a_terminated_top_restores_the_terminal(tmp_path: Path) -> None:
+    async with daemon() as host, screen() as terminal:
+        top = f"echo $$ > {tmp_path}/pid; exec {HOSTLINK} top --interval 0.1 --url {host.url}"
+        await terminal.keys(f"sh -c '{top}'; echo en''ded", "Enter")
+        await terminal.shows("no findings")
+        os.kill(int((tmp_path / "pid").read_text()), signal.SIGTERM)
+        await terminal.shows("ended")
+        assert (await terminal.tmux("display-message", "-p", "#{cursor_flag}")).strip() == "1"
