@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import msgspec
 import typer
 
-from hostlink.cli.files import check_absent, check_picture
+from hostlink.cli.files import check_absent, check_picture, writing
 from hostlink.cli.output import megabytes, quantity, show_progress, write, write_error, write_table
-from hostlink.errors import ConfigError, HostlinkError
+from hostlink.errors import ConfigError
 from hostlink.recording.channel import NS_PER_S
 from hostlink.recording.definitions import need_rosbags, why_unknown
 from hostlink.recording.reader import Contents, TopicContents, contents_of
@@ -52,10 +52,8 @@ def export(
     target = output or file.with_name(f"{file.stem}{suffix}")
     check_absent(target)
     show_progress(f"writing {target}")
-    try:
+    with writing(target, "name another with -o"):
         done = _export(file, target, format_, topics or [], skips_unknown=skip_unknown)
-    except OSError as error:
-        raise HostlinkError(f"{target} cannot be written: {error.strerror or error}; name another with -o") from error
     if as_json:
         facts = {
             "output": str(target),
@@ -118,10 +116,8 @@ def plot(
     draw = partial(draw_map, read_paths(source)) if map_ else partial(draw_fields, read_lines(source, fields or []))
     for damage in source.damage:
         write_error(f"{file}: {damage}")
-    try:
+    with writing(target, "name another with -o"):
         draw(target)
-    except OSError as error:
-        raise HostlinkError(f"{target} cannot be written: {error.strerror or error}; name another with -o") from error
     write(str(target))
 
 
