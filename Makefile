@@ -56,7 +56,7 @@ help:
 	@echo "make ros-mcp-venv  ros-mcp from PyPI, a client of rosbridge that the tests run, into build/ros-mcp-venv"
 	@echo "make firmware  build the boards' firmware in every way that runs here, and test it"
 	@echo "make world   build the firmware in its world as WebAssembly, for simulated robots (hostlink/sim/firmware.wasm)"
-	@echo "make lab     drive the paper's measurements again: causes, tables, fit, claims and pictures, into build/lab"
+	@echo "make lab     drive the paper's measurements again: causes, tables, claims and pictures, into build/lab"
 	@echo "make web     build the browser's page from $(WEB)/src (needs Node 20.19 or newer)"
 	@echo "make screenshots  pictures of the page, into build/screenshots"
 	@echo "make chain   hostlink, the ESP8266's sketch and the Due's firmware on an emulated Cortex-M3 (NATIVE=1: on the PC;"
@@ -238,7 +238,7 @@ world: $(VENV)/.dev
 
 lab: $(VENV)/.dev
 	@mkdir -p build/lab
-	set -o pipefail; $(BIN)/hostlink lab tables --fit | tee build/lab/tables.md
+	set -o pipefail; $(BIN)/hostlink lab tables | tee build/lab/tables.md
 	set -o pipefail; $(BIN)/hostlink lab claims | tee build/lab/claims.md
 	set -o pipefail; $(BIN)/hostlink lab causes | tee build/lab/causes.md
 	$(BIN)/hostlink lab pictures -o build/lab/paths.png

@@ -321,7 +321,7 @@ class Config:
 
 
 def load(path: Path) -> Config:
-    """Read and validate a TOML file.
+    """Read and validate a TOML file. Paths in it are relative to its folder.
 
     Raises:
         ConfigError: the file cannot be read or a setting is wrong; it names file, key and the nearest known key.
@@ -339,11 +339,19 @@ def load(path: Path) -> Config:
     except RecursionError:
         raise ConfigError(str(path), "is not a settings file: nested too deeply") from None
     _refuse_unknown_keys(raw, Config, str(path), "")
+
+    def read_path(_: type, value: object) -> Path:  # the one type that msgspec does not know
+        if not isinstance(value, str):
+            raise ValueError(f"a path is a text in quotes, not {value}")  # noqa: TRY004 - msgspec adds the place
+        try:
+            return path.parent / Path(value).expanduser()
+        except RuntimeError as error:  # there is no such user
+            raise ValueError(f"{value!r}: {error}") from error
+
     try:
-        config = msgspec.convert(raw, Config, dec_hook=_decode)
+        return msgspec.convert(raw, Config, dec_hook=read_path)
     except msgspec.ValidationError as error:
         raise ConfigError(str(path), str(error)) from error
-    return typing.cast("Config", _with_absolute_paths(config, path.parent))
 
 
 def is_address(text: str) -> bool:
@@ -370,26 +378,6 @@ def _is_master(text: str) -> bool:
     """
     url = urllib.parse.urlsplit(text)
     return url.scheme == "http" and bool(url.hostname) and url.port != 0
-
-
-def _with_absolute_paths(part: Any, folder: Path) -> Any:
-    """Make every path of the settings relative to the file's folder."""
-    if isinstance(part, Path):
-        return folder / part
-    if isinstance(part, tuple):
-        return tuple(_with_absolute_paths(each, folder) for each in part)
-    if dataclasses.is_dataclass(part) and not isinstance(part, type):
-        changes = {
-            each.name: _with_absolute_paths(getattr(part, each.name), folder) for each in dataclasses.fields(part)
-        }
-        return dataclasses.replace(part, **changes)
-    return part
-
-
-def _decode(wanted: type, value: object) -> object:
-    if wanted is Path and isinstance(value, str):
-        return Path(value).expanduser()
-    raise NotImplementedError(f"no way to read {wanted}")
 
 
 @functools.cache

@@ -33,7 +33,7 @@ DEBIANS = {"12": "3.11", "13": "3.13"}  # the version of Python of each Debian
 PLATFORMS = {"amd64": "x86_64", "arm64": "aarch64"}
 GLIBCS = ("2_17", "2_24", "2_26", "2_27", "2_28", "2_31", "2_34")  # of wheels; Debian 12 has 2.36
 HOME = "usr/lib/hostlink"
-# Extras that the package leaves out: for developers, or as large as all the rest (matplotlib, scipy: 200 MB).
+# Extras that the package leaves out: for developers, or as large as all the rest (matplotlib: 100 MB).
 LEFT_OUT = ("all", "compiled", "dev", "docs", "fuzz", "lab", "mutants", "pictures", "plot")
 SYSTEM_LIBRARIES = {  # what the libraries of the wheels may need of Debian, and the packages that have it
     "libgcc-s1": ("libgcc_s.so.1",),

@@ -5,7 +5,7 @@ from urllib.parse import urlsplit
 
 import typer
 
-from hostlink.config import SerialConfig
+from hostlink.config import MAX_PORT, SerialConfig
 from hostlink.errors import ConfigError
 
 HostAddress = Annotated[
@@ -13,7 +13,6 @@ HostAddress = Annotated[
     typer.Option("--connect", help="Address of the host for devices, if it is not on this computer: HOST:PORT."),
 ]
 DEFAULT_HOST = "127.0.0.1:11411"  # of HostAddress
-MAX_PORT = 0xFFFF
 MAX_DIGITS = 9  # of a port or a baud rate; Python refuses to read a number of thousands
 
 

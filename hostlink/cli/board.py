@@ -17,7 +17,7 @@ from hostlink.board.settings import SETTINGS, BoardSettings, Setting, check_valu
 from hostlink.cli.arguments import Json
 from hostlink.cli.files import check_new_file, replacing
 from hostlink.cli.names import LISTED, near
-from hostlink.cli.output import plain, quantity, show_progress, write, write_error
+from hostlink.cli.output import clear_progress, plain, quantity, show_progress, write, write_error
 from hostlink.config import SerialConfig
 from hostlink.errors import BadRequest, ConfigError, HostlinkError, size
 from hostlink.messages.catalog import Catalog, check_not_empty
@@ -57,7 +57,6 @@ def arduino_library(
     packed = pack(library(texts, selection))
     with replacing("--output", output) as beside:
         beside.write_bytes(packed)
-    show_progress("")
     _report(output, selection, len(packed), as_json=json)
 
 
@@ -206,7 +205,7 @@ async def _opened(port: str, baud: int, wait_s: float) -> AsyncIterator[BoardSet
         raise HostlinkError(text if text.startswith(port) else f"{port}: {text}") from error
     finally:
         await transport.aclose()
-        show_progress("")
+        clear_progress()
 
 
 def _ask(before: dict[str, str]) -> dict[str, str]:

@@ -21,6 +21,7 @@ from hostlink.cli.calibration_plan import (
     steps_of,
 )
 from hostlink.cli.calibration_session import AtTheTerminal, CalibrationSession, Drives, Mistake, Simulated, numbers_of
+from hostlink.cli.files import writing
 from hostlink.cli.output import quantity, table, write, write_error
 from hostlink.cli.settings_file import Tables, require_changeable, toml_lines, write_settings
 from hostlink.client import DEFAULT_URL
@@ -262,14 +263,9 @@ class GuidedCalibration:
         return confirmation
 
     def _draw(self, found: Calibration) -> None:
-        try:
+        with writing(self._picture, "the drives are kept, so run the same command with another --picture"):
             self._picture.parent.mkdir(parents=True, exist_ok=True)
             self._picture.write_text(draw(found, self._saved.runs, self._saved.checks), encoding="utf-8")
-        except OSError as error:
-            raise HostlinkError(
-                f"{self._picture} cannot be written: {error.strerror or error}; the drives are kept, so run the same "
-                "command with another --picture"
-            ) from error
 
     def _describe(self, found: Calibration) -> None:
         now, new, width, umbmark = found.nominal, found.geometry, found.deviations, found.umbmark_geometry

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import msgspec
 
+from hostlink.cli.files import writing
 from hostlink.cli.output import quantity
 from hostlink.errors import HostlinkError
 from hostlink.robot.calibration import MeasuredRun, RunKind, WheelGeometry
@@ -102,14 +103,10 @@ class StateFile:
             HostlinkError: the file cannot be written.
         """
         beside = self.path.with_suffix(".new")
-        try:
+        with writing(self.path, "name another file with --state"):
             self.path.parent.mkdir(parents=True, exist_ok=True)
             beside.write_bytes(msgspec.json.encode(self.saved))
             beside.replace(self.path)
-        except OSError as error:
-            raise HostlinkError(
-                f"{self.path} cannot be written: {error.strerror or error}; name another file with --state"
-            ) from error
 
     def remove(self) -> None:
         """Remove the file of a finished calibration."""

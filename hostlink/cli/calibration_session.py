@@ -13,7 +13,7 @@ from typing import Any, Literal
 from hostlink.cli.calibration_plan import UNITS_M, Step, UnitMissing, parse_angle, parse_length
 from hostlink.cli.connecting import connected, rosapi
 from hostlink.cli.output import show_progress, show_question, write, write_error
-from hostlink.cli.robots import chosen, require_free
+from hostlink.cli.robots import free_robot
 from hostlink.client import Host, RobotState
 from hostlink.client.robot import Robot
 from hostlink.client.topics import Subscription
@@ -53,11 +53,10 @@ class Drives:
             HostlinkError: the drive is refused or broken off; the robot was sent a stop.
         """
         async with connected(self._url, self._token) as host:
-            state = await _state(host, self.robot)
+            state = await free_robot(host, self.robot)
             robot = host.robot(self.robot, priority=PRIORITY)
             async with host.subscribe(state["odometry_topic"]) as poses, _stopping(robot):
-                drive = _CourseDrive(robot, CourseFollower(legs, self._speed), correction)
-                return await drive.run(poses, show)
+                return await _drive(robot, CourseFollower(legs, self._speed), correction, poses, show)
 
     async def nominal(self) -> WheelGeometry:
         """Return the wheels that the robot uses: of its parameters, else of the configuration, else of the paper.
@@ -67,7 +66,7 @@ class Drives:
         """
         usual = WheelGeometry()
         async with connected(self._url, self._token) as host:
-            state = await _state(host, self.robot)
+            state = await free_robot(host, self.robot)
             await self._require_current(host, state)
             radii = await self._parameter(host, "wheel_radius", [usual.left_radius_m, usual.right_radius_m])
             configured_m = state.get("wheel_separation_m") or usual.separation_m
@@ -113,50 +112,40 @@ class Drives:
         return str(await rosapi(host, "get_param", "value", name=f"/{self.robot}/{name}", default="[]"))
 
 
-class _CourseDrive:
-    """Drive along one course, with a command at each pose."""
-
-    def __init__(self, robot: Robot, follower: CourseFollower, correction: OdometryCorrection) -> None:
-        self._robot, self._follower, self._correction = robot, follower, correction
-        self._path: list[Pose] = []
-        self._shown = Pose()
-
-    async def run(self, poses: Subscription, show: Show) -> tuple[Pose, ...]:
-        now_s = asyncio.get_running_loop().time
-        start_s = now_s()
-        self._add(await self._next(poses, FIRST_POSE_S))
-        while not self._follower.is_done:
-            velocity = self._follower.update(self._shown, now_s())
-            if self._follower.is_stuck:
-                raise HostlinkError(
-                    f"the odometry did not change for {STUCK_S:g} s, and the robot was stopped; look for a wall "
-                    "or an encoder that does not count"
-                )
-            await self._robot.command(*velocity)
-            if self._robot.refusal is not None:
-                raise HostlinkError(f"a command for {self._robot.name} was refused: {self._robot.refusal.reason}")
-            show(self._follower.legs_left, now_s() - start_s)
-            self._add(await self._next(poses, SILENCE_S))
-        return tuple(self._path)
-
-    def _add(self, pose: Pose) -> None:
-        if self._path:
-            before = self._path[-1]
-            if math.dist(before[:2], pose[:2]) > JUMP_M or abs(wrap_angle(pose.theta_rad - before.theta_rad)) > 1.0:
-                raise HostlinkError(
-                    "the odometry jumped, so this drive does not count; put the robot back to the start"
-                )
-            self._shown = self._correction.advance(self._shown, before, pose)
-        self._path.append(pose)
-
-    async def _next(self, poses: Subscription, timeout_s: float) -> Pose:
-        try:
-            async with asyncio.timeout(timeout_s):
-                return pose_of(await anext(poses))
-        except TimeoutError:
+async def _drive(
+    robot: Robot, follower: CourseFollower, correction: OdometryCorrection, poses: Subscription, show: Show
+) -> tuple[Pose, ...]:
+    """Drive along a course, with a command at each pose. Return the poses."""
+    now_s = asyncio.get_running_loop().time
+    start_s = now_s()
+    path, shown = [await _next_pose(poses, FIRST_POSE_S)], Pose()
+    while not follower.is_done:
+        velocity = follower.update(shown, now_s())
+        if follower.is_stuck:
             raise HostlinkError(
-                f"no odometry arrived for {timeout_s:g} s, and the robot was stopped; `hostlink doctor` finds out why"
-            ) from None
+                f"the odometry did not change for {STUCK_S:g} s, and the robot was stopped; look for a wall "
+                "or an encoder that does not count"
+            )
+        await robot.command(*velocity)
+        if robot.refusal is not None:
+            raise HostlinkError(f"a command for {robot.name} was refused: {robot.refusal.reason}")
+        show(follower.legs_left, now_s() - start_s)
+        before, pose = path[-1], await _next_pose(poses, SILENCE_S)
+        if math.dist(before[:2], pose[:2]) > JUMP_M or abs(wrap_angle(pose.theta_rad - before.theta_rad)) > 1.0:
+            raise HostlinkError("the odometry jumped, so this drive does not count; put the robot back to the start")
+        shown = correction.advance(shown, before, pose)
+        path.append(pose)
+    return tuple(path)
+
+
+async def _next_pose(poses: Subscription, timeout_s: float) -> Pose:
+    try:
+        async with asyncio.timeout(timeout_s):
+            return pose_of(await anext(poses))
+    except TimeoutError:
+        raise HostlinkError(
+            f"no odometry arrived for {timeout_s:g} s, and the robot was stopped; `hostlink doctor` finds out why"
+        ) from None
 
 
 @contextlib.asynccontextmanager
@@ -172,18 +161,11 @@ async def _stopping(robot: Robot) -> AsyncIterator[None]:
     finally:
         for number in SIGNALS:
             loop.remove_signal_handler(number)
-        if (
-            robot.refusal is None or robot.refusal.kind != RefusalKind.HELD
-        ):  # a stop would also end another source's drive
+        refusal = robot.refusal
+        if refusal is None or refusal.kind != RefusalKind.HELD:  # a stop would also end another source's drive
             with contextlib.suppress(HostlinkError):  # with the connection gone the daemon has stopped it
                 await robot.stop(wait_s=0.0)
     await asyncio.sleep(STAND_S)
-
-
-async def _state(host: Host, name: str) -> RobotState:
-    (state,) = await chosen(host, name)
-    require_free(state)
-    return state
 
 
 def pose_of(message: Mapping[str, Any]) -> Pose:
@@ -263,8 +245,6 @@ class AtTheTerminal:
             return asyncio.run(self._drives.follow(legs, correction, show))
         except asyncio.CancelledError:  # by a signal; Ctrl-C raises KeyboardInterrupt itself
             raise KeyboardInterrupt from None
-        finally:
-            show_progress("")
 
     def measure(self, step: Step) -> Measurement:
         """Ask for the measurement after a drive."""
@@ -331,8 +311,6 @@ class Simulated:
             path, self._end = follow(self._robot, legs, correction)
         except TimeoutError as error:
             raise HostlinkError(str(error)) from error
-        finally:
-            show_progress("")
         return path
 
     def measure(self, step: Step) -> Measurement:

@@ -17,9 +17,9 @@ from collections.abc import Iterator
 from hostlink.acceptor import bind, why
 from hostlink.api.access import Access, is_loopback, tls_context
 from hostlink.api.listener import KEPT_FOR_REQUESTS
-from hostlink.cli.addresses import MAX_PORT, is_origin
+from hostlink.cli.addresses import is_origin
 from hostlink.cli.output import quantity
-from hostlink.config import Config, SerialConfig, TcpConfig, UdpConfig, ZenohConfig, is_address
+from hostlink.config import MAX_PORT, Config, SerialConfig, TcpConfig, UdpConfig, ZenohConfig, is_address
 from hostlink.errors import ConfigError, HostlinkError, LibraryMissing
 from hostlink.hub.hub import Hub
 from hostlink.hub.parameters import to_parameter

@@ -12,7 +12,7 @@ import typer
 from hostlink import logs
 from hostlink.cancellation import meanwhile
 from hostlink.cli.ending import Ending, stop_signals
-from hostlink.cli.output import write, write_above, write_over
+from hostlink.cli.output import show_progress, write
 from hostlink.cli.serve import running
 from hostlink.cli.serve_command import Origins, allow_origins, merge
 from hostlink.cli.sim import Kind
@@ -171,16 +171,15 @@ class DemoDriver:
 
 async def _show(hub: Hub, demo: DemoDriver, output: Output) -> None:
     """Show the robots in one line that is written over on a terminal, or in a line a second in a file or a pipe."""
-    is_terminal = sys.stdout.isatty()
+    is_terminal = sys.stdout.isatty() and sys.stderr.isatty()
     told = set[str]()  # the names of stopped robots for which a line was written
     while True:
         robots = hub.robots.here()
         for name in sorted(demo.stopped - told):
-            output.show(write_above, f"{name}: {START_AGAIN}")
+            output.show(write, f"{name}: {START_AGAIN}")
         told = set(demo.stopped)
         if robots:
-            text = "   ".join(map(_describe, robots[:2]))
-            output.show(write_over, text)
+            output.show(show_progress if is_terminal else write, "   ".join(map(_describe, robots[:2])))
         await asyncio.sleep(LINE_INTERVAL_S if is_terminal else 1.0)
 
 

@@ -1,7 +1,6 @@
 """`hostlink doctor`: diagnosis of the devices, with a next step for each finding."""
 
 import asyncio
-import contextlib
 import importlib
 import json as json_text
 from collections.abc import Iterator, Sequence
@@ -166,8 +165,6 @@ def command(
         report = asyncio.run(_listen(listen, seconds, folders))
     else:
         report = asyncio.run(_query_or_listen(url, token, seconds, folders))
-    with contextlib.suppress(OSError):
-        show_progress("")
     write(*([json_text.dumps(report)] if json else report_lines(report)))
     is_healthy = not report["findings"] and not any(link["diagnosis"] for link in report["links"])
     raise typer.Exit(0 if is_healthy else 1)

@@ -1,16 +1,16 @@
 """The commands for recordings on this computer: `export`, `plot`, and the content that `info` shows."""
 
 import time
-from enum import StrEnum
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import msgspec
 import typer
 
-from hostlink.cli.files import check_absent, check_picture
+from hostlink.cli.files import check_absent, check_picture, writing
 from hostlink.cli.output import quantity, show_progress, write, write_error, write_table
-from hostlink.errors import ConfigError, HostlinkError, size
+from hostlink.errors import ConfigError, size
 from hostlink.recording.channel import NS_PER_S
 from hostlink.recording.definitions import need_rosbags, why_unknown
 from hostlink.recording.reader import Contents, TopicContents, contents_of
@@ -21,13 +21,7 @@ if TYPE_CHECKING:
     from hostlink.recording.export import Exported
 
 
-class Format(StrEnum):
-    """Format of the exported recording."""
-
-    CSV = "csv"
-    ROS2 = "ros2"
-    ROSBAG2 = "rosbag2"
-    ROS1 = "ros1"
+Format = Literal["csv", "ros2", "rosbag2", "ros1"]
 
 
 def export(
@@ -54,15 +48,12 @@ def export(
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON, for programs.")] = False,
 ) -> None:
     """Write a recording in a format that other programs read: spreadsheets, `ros2 bag play`, `rosbag play`."""
-    target = output or file.parent / (f"{file.stem}{'.bag' if format_ is Format.ROS1 else f'_{format_.value}'}")
+    suffix = ".bag" if format_ == "ros1" else f"_{format_}"
+    target = output or file.parent / f"{file.stem}{suffix}"
     check_absent(target)
     show_progress(f"writing {target}")
-    try:
+    with writing(target, "name another with -o"):
         done = _export(file, target, format_, topics or [], skips_unknown=skip_unknown)
-    except OSError as error:
-        raise HostlinkError(f"{target} cannot be written: {error.strerror or error}; name another with -o") from error
-    finally:
-        show_progress("")
     if as_json:
         facts = {
             "output": str(target),
@@ -83,14 +74,14 @@ def _export(file: Path, target: Path, format_: Format, topics: list[str], *, ski
     from hostlink.recording.reader import open_source  # noqa: PLC0415 - numpy and the codec, only when they are used
 
     source = open_source(file)
-    if format_ is Format.CSV:
+    if format_ == "csv":
         from hostlink.recording.export import export_csv  # noqa: PLC0415 - as above
 
         return export_csv(source, target, topics=topics, skips_unknown=skips_unknown)[0]
-    need_rosbags(f"--to {format_.value}")
+    need_rosbags(f"--to {format_}")
     from hostlink.recording.bags import RosFormat, export_ros  # noqa: PLC0415 - of the extra `export`
 
-    return export_ros(source, target, RosFormat(format_.value), topics=topics, skips_unknown=skips_unknown)
+    return export_ros(source, target, RosFormat(format_), topics=topics, skips_unknown=skips_unknown)
 
 
 # -- plot -------------------------------------------------------------------------------------------------------------
@@ -122,22 +113,11 @@ def plot(
 
     source = open_source(file)
     show_progress(f"reading {file}")
-    try:
-        if map_:
-            paths = read_paths(source)
-        else:
-            lines = read_lines(source, fields or [])
-    finally:
-        show_progress("")
+    draw = partial(draw_map, read_paths(source)) if map_ else partial(draw_fields, read_lines(source, fields or []))
     for damage in source.damage:
         write_error(f"{file}: {damage}")
-    try:
-        if map_:
-            draw_map(paths, target)
-        else:
-            draw_fields(lines, target)
-    except OSError as error:
-        raise HostlinkError(f"{target} cannot be written: {error.strerror or error}; name another with -o") from error
+    with writing(target, "name another with -o"):
+        draw(target)
     write(str(target))
 
 

@@ -44,17 +44,11 @@ async def fetch(host: "Host", path: str, target: Path) -> None:
         HostlinkError: the daemon refuses, the connection is lost, or the file cannot be written.
     """
     received = 0
-    try:
-        with _removed_if_empty(target) as out:
-            async for piece in host.download(path):
-                out.write(piece)
-                received += len(piece)
-                show_progress(f"fetching: {size(received)}")
-    except OSError as error:
-        raise HostlinkError(
-            f"{target} cannot be written: {error.strerror}; the daemon still has the recording"
-        ) from error
-    show_progress("")
+    with writing(target, "the daemon still has the recording"), _removed_if_empty(target) as out:
+        async for piece in host.download(path):
+            out.write(piece)
+            received += len(piece)
+            show_progress(f"fetching: {size(received)}")
 
 
 @contextlib.contextmanager
@@ -66,6 +60,19 @@ def _removed_if_empty(target: Path) -> Iterator[BinaryIO]:
         finally:
             if not out.tell():
                 target.unlink()
+
+
+@contextlib.contextmanager
+def writing(file: Path, advice: str) -> Iterator[None]:
+    """Raise an error of the system in the block as one that names the file and the next step.
+
+    Raises:
+        HostlinkError: the file cannot be written.
+    """
+    try:
+        yield
+    except OSError as error:
+        raise HostlinkError(f"{file} cannot be written: {error.strerror or error}; {advice}") from error
 
 
 # -- new file ---------------------------------------------------------------------------------------------------------

@@ -1,20 +1,30 @@
 """`hostlink inspect`: decode the recorded bytes of a link."""
 
-import dataclasses
 import math
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Annotated, Any
 
 import msgspec
 import typer
 
+from hostlink.capture_file import Read, load_reads
 from hostlink.cli.connecting import counted
 from hostlink.cli.files import MessageFolders
 from hostlink.cli.output import fitted_table, write
-from hostlink.inspection import Inspection, Payload, Series, load_reads
+from hostlink.errors import BadPayload, WrongType
 from hostlink.messages.catalog import Catalog
-from hostlink.protocol.control import Parameter, TopicInfo
-from hostlink.protocol.frame import Id
+from hostlink.messages.message_type import MessageType
+from hostlink.protocol.control import (
+    Parameter,
+    TopicInfo,
+    decode_log,
+    decode_parameter,
+    decode_parameter_request,
+    decode_topic_info,
+)
+from hostlink.protocol.frame import FIRST_TOPIC_ID, MAX_PAYLOAD_BYTES, Frame, Id
+from hostlink.protocol.stream import DEFAULT_LIMIT_BYTES, FrameStream, Skipped
 
 LAST_LOGS = 8
 _KINDS = {
@@ -25,6 +35,7 @@ _KINDS = {
     Id.SERVICE_CLIENT_PUBLISHER: "service_client",
     Id.SERVICE_CLIENT_SUBSCRIBER: "service_client",
 }
+_REQUESTS = (Id.SERVICE_SERVER_SUBSCRIBER, Id.SERVICE_CLIENT_PUBLISHER)
 
 
 def command(
@@ -36,32 +47,189 @@ def command(
     """Decode a capture of a link in both directions, also when reads split the frames."""
     inspection = Inspection(Catalog(messages or ()))
     inspection.add_all(counted(load_reads(file), "lines"))
-    view = report_view(inspection)
+    view = inspection.view()
     if json:
         write(msgspec.json.encode(view).decode())
     else:
         write(*_lines(view))
 
 
-# -- JSON -------------------------------------------------------------------------------------------------------------
+# -- inspection -------------------------------------------------------------------------------------------------------
 
 
-def report_view(report: Inspection) -> dict[str, Any]:
-    """Return the whole capture as one JSON object."""
-    return {
-        "topics": [_topic_view(info) for info in report.topics.values()],
-        "messages": {name: _series_view(series) for name, series in report.messages.items()},
-        "to_device": {name: _series_view(series) for name, series in report.to_device.items()},
-        "logs": [{"level": log.level, "msg": log.text} for log in report.logs],
-        "parameters": [
-            {"name": each.name, "reply": None if each.reply is None else _parameter_view(each.reply)}
-            for each in report.parameters
-        ],
-        "services": {name: dataclasses.asdict(counts) for name, counts in report.services.items()},
-        "time_requests": report.time_requests,
-        "skipped_bytes": report.skipped_bytes,
-        "connections": len(report.connections),
-    }
+class Series:
+    """Message count of a topic, with the first and the last message."""
+
+    def __init__(self, type_: MessageType | None) -> None:
+        self._type = type_
+        self._count = 0
+        self._first = self._last = b""
+
+    def add(self, payload: bytes) -> None:
+        """Add a message."""
+        if not self._count:
+            self._first = payload
+        self._last = payload
+        self._count += 1
+
+    def view(self) -> dict[str, Any]:
+        """Return the count and the two messages for JSON."""
+        return {"count": self._count, "first": self._decode(self._first), "last": self._decode(self._last)}
+
+    def _decode(self, payload: bytes) -> Any:
+        """Return the fields; the bytes if the type is not known, or they do not fit it."""
+        if self._type is None:
+            return {"hex": payload.hex()}
+        try:
+            return json_value(self._type.decode(payload))
+        except BadPayload as error:
+            return {"hex": payload.hex(), "error": str(error)}
+
+
+class Inspection:
+    """Content of a capture, independent of how the reads were cut: sums over its reads."""
+
+    def __init__(self, catalog: Catalog) -> None:
+        self._connections: dict[int, _InspectedConnection] = {}
+        self._topics: dict[tuple[Id, int, str], TopicInfo] = {}
+        self._messages: dict[str, Series] = {}  # from the device
+        self._to_device: dict[str, Series] = {}
+        self._services: dict[str, dict[str, int]] = {}  # in the order of first use
+        self._parameters: list[dict[str, Any]] = []
+        self._logs: list[dict[str, Any]] = []
+        self._time_requests = 0
+        self._skipped_bytes = 0
+        self._catalog = catalog
+
+    def add_all(self, reads: Iterable[Read]) -> None:
+        """Add every read in order, then the incomplete frames at the end."""
+        for read in reads:
+            connection = self._connections.get(read.conn)
+            if connection is None:
+                connection = self._connections[read.conn] = _InspectedConnection(self._fixed_bytes)
+            connection.reads += 1
+            if read.dir == "device":
+                self._add_items(connection, connection.from_device.feed(bytes.fromhex(read.hex)), self._from_device)
+            else:
+                self._add_items(connection, connection.to_device.feed(bytes.fromhex(read.hex)), self._from_host)
+        for connection in self._connections.values():
+            self._finish(connection)
+
+    def view(self) -> dict[str, Any]:
+        """Return the whole capture as one JSON object."""
+        return {
+            "topics": [_topic_view(info) for info in self._topics.values()],
+            "messages": {name: series.view() for name, series in self._messages.items()},
+            "to_device": {name: series.view() for name, series in self._to_device.items()},
+            "logs": self._logs,
+            "parameters": self._parameters,
+            "services": self._services,
+            "time_requests": self._time_requests,
+            "skipped_bytes": self._skipped_bytes,
+            "connections": len(self._connections),
+        }
+
+    def _add_items(
+        self,
+        connection: "_InspectedConnection",
+        items: Iterator[Frame | Skipped],
+        add: Callable[["_InspectedConnection", Frame], None],
+    ) -> None:
+        for item in items:
+            if isinstance(item, Skipped):
+                self._skipped_bytes += len(item.data)
+            else:
+                add(connection, item)
+
+    def _finish(self, connection: "_InspectedConnection") -> None:
+        while connection.from_device.pending:
+            self._add_items(connection, connection.from_device.give_up(), self._from_device)
+        while connection.to_device.pending:
+            self._add_items(connection, connection.to_device.give_up(), self._from_host)
+        for frame in connection.early:  # sent to the device before the capture shows the meaning of its id
+            self._add_message(connection, frame, is_to_device=True)
+
+    def _from_device(self, connection: "_InspectedConnection", frame: Frame) -> None:
+        match frame.topic_id:
+            case Id.TIME:
+                self._time_requests += 1
+            case Id.LOG if (log := decode_log(frame.payload)) is not None:
+                self._logs.append({"level": log.level, "msg": log.text})
+            case Id.PARAMETER if (name := decode_parameter_request(frame.payload)) is not None:
+                self._parameters.append({"name": name, "reply": None})
+                connection.request_parameter(self._parameters[-1])
+            case kind if kind <= Id.SERVICE_CLIENT_SUBSCRIBER:
+                self._add_topic_info(connection, decode_topic_info(Id(kind), frame.payload))
+            case topic_id if topic_id >= FIRST_TOPIC_ID:
+                self._add_message(connection, frame, is_to_device=False)
+
+    def _add_topic_info(self, connection: "_InspectedConnection", info: TopicInfo | None) -> None:
+        if info is not None:
+            self._topics.setdefault((info.kind, info.topic_id, info.name), info)
+            connection.add_topic(info)
+
+    def _add_message(self, connection: "_InspectedConnection", frame: Frame, *, is_to_device: bool) -> None:
+        info = connection.topics.get(frame.topic_id)
+        if info is None or info.is_to_device is not is_to_device:
+            return
+        if info.kind in (Id.PUBLISHER, Id.SUBSCRIBER):
+            series = self._to_device if is_to_device else self._messages
+            series.setdefault(info.name, Series(self._type_of(info))).add(frame.payload)
+            return
+        counts = self._services.setdefault(info.name, {"requests": 0, "responses": 0})
+        counts["requests" if info.kind in _REQUESTS else "responses"] += 1
+
+    def _from_host(self, connection: "_InspectedConnection", frame: Frame) -> None:
+        if frame.topic_id == Id.PARAMETER:
+            parameter = decode_parameter(frame.payload)
+            if parameter is not None and connection.open_requests:
+                connection.open_requests.pop(0)["reply"] = _parameter_view(parameter)
+        elif frame.topic_id in connection.topics:
+            self._add_message(connection, frame, is_to_device=True)
+        elif frame.topic_id >= FIRST_TOPIC_ID:
+            connection.early.append(frame)
+
+    def _type_of(self, info: TopicInfo) -> MessageType | None:
+        try:
+            return self._catalog.check_message(info.name, info.type, info.md5)
+        except WrongType:
+            return None
+
+    def _fixed_bytes(self, info: TopicInfo) -> int | None:
+        type_ = self._type_of(info) if info.kind in (Id.PUBLISHER, Id.SUBSCRIBER) else None
+        return None if type_ is None else type_.fixed_bytes
+
+
+class _InspectedConnection:
+    """Streams and topics of one connection."""
+
+    def __init__(self, fixed_bytes_of: Callable[[TopicInfo], int | None]) -> None:
+        self.topics: dict[int, TopicInfo] = {}
+        self.reads = 0
+        self.open_requests: list[dict[str, Any]] = []  # parameter requests without a reply
+        self._requested_in_read = 0
+        self.early: list[Frame] = []
+        self._fixed_bytes_of = fixed_bytes_of
+        self._fixed_bytes: dict[int, int] = {}
+        self.from_device = FrameStream(fixed_bytes=self._fixed_bytes)
+        self.to_device = FrameStream(fixed_bytes=self._fixed_bytes, limit_bytes=MAX_PAYLOAD_BYTES)
+
+    def request_parameter(self, request: dict[str, Any]) -> None:
+        """Note a parameter request. A device makes one at a time, so requests of earlier reads were given up."""
+        if self._requested_in_read != self.reads:
+            self.open_requests.clear()
+        self._requested_in_read = self.reads
+        self.open_requests.append(request)
+
+    def add_topic(self, info: TopicInfo) -> None:
+        self.topics[info.topic_id] = info
+        fixed_bytes = self._fixed_bytes_of(info)
+        if fixed_bytes is None:
+            self._fixed_bytes.pop(info.topic_id, None)
+        else:
+            self._fixed_bytes[info.topic_id] = fixed_bytes
+        buffers = (known.buffer_bytes for known in self.topics.values() if not known.is_to_device)
+        self.from_device.limit_bytes = max(DEFAULT_LIMIT_BYTES, *buffers, 0)
 
 
 def _topic_view(info: TopicInfo) -> dict[str, Any]:
@@ -73,17 +241,6 @@ def _topic_view(info: TopicInfo) -> dict[str, Any]:
         "md5": info.md5,
         "buffer_size": info.buffer_bytes,
     }
-
-
-def _series_view(series: Series) -> dict[str, Any]:
-    return {"count": series.count, "first": _payload_view(series.first), "last": _payload_view(series.last)}
-
-
-def _payload_view(payload: Payload) -> Any:
-    if payload.fields is not None:
-        return json_value(payload.fields)
-    error = {"error": payload.error} if payload.error else {}
-    return {"hex": payload.data.hex(), **error}
 
 
 def _parameter_view(parameter: Parameter) -> dict[str, list[Any]]:

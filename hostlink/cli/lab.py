@@ -1,35 +1,24 @@
 """`hostlink lab`: repeat the paper's measurements in a simulated world."""
 
-import contextlib
-import importlib.util
-import json as json_text
-from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, assert_never
+from typing import Annotated, Literal, assert_never
 
 import typer
 
 from hostlink.cli.files import check_folder, check_picture
 from hostlink.cli.output import show_progress, write
 from hostlink.cli.sim import read_world
-from hostlink.errors import ConfigError, LibraryMissing, size
+from hostlink.errors import ConfigError, size
 from hostlink.lab import reports
 from hostlink.lab.experiment import Laboratory
 from hostlink.lab.tables import CASTER_WORLD
 from hostlink.sim.firmware_module import WorldParameters, require_wasmtime
 
-
-class What(StrEnum):
-    """Report of the laboratory."""
-
-    CAUSES = "causes"
-    TABLES = "tables"
-    CLAIMS = "claims"
-    PICTURES = "pictures"
+Report = Literal["causes", "tables", "claims", "pictures"]
 
 
 def command(
-    what: Annotated[What, typer.Argument(help="Report to make: causes, tables, claims or pictures.")],
+    what: Annotated[Report, typer.Argument(help="Report to make: causes, tables, claims or pictures.")],
     *,
     runs: Annotated[
         int | None,
@@ -37,67 +26,51 @@ def command(
             min=2,
             max=1000,
             help="Runs of each pattern: more for narrower intervals.",
-            show_default="12; causes 4; of the fit 6",
+            show_default="12; causes 4",
         ),
     ] = None,
     world: Annotated[
         Path | None,
         typer.Option(help="tables, pictures: file of lines name=value, for another world than the paper's."),
     ] = None,
-    fit: Annotated[
-        bool, typer.Option("--fit", help="tables: also fit the causes to the paper's numbers, which takes minutes.")
-    ] = False,
     output: Annotated[Path, typer.Option("-o", "--output", help="pictures: PNG file to write.")] = Path(
         "laboratory.png"
     ),
-    json: Annotated[bool, typer.Option("--json", help="Print one JSON object, for programs.")] = False,
 ) -> None:
     """Repeat the paper's measurements in a simulated world, with the paper's software and with hostlink.
 
     causes: the effect of each cause alone on each of the paper's patterns. tables: tables 2-5 with the paper's numbers.
     claims: which numbers the paper's tables need, with intervals. pictures: each path, true and by odometry.
     """
-    if fit and what is not What.TABLES:
-        raise ConfigError("--fit", f"is an option of `hostlink lab tables`, not of `hostlink lab {what.value}`")
-    if world is not None and what not in (What.TABLES, What.PICTURES):
+    if world is not None and what not in ("tables", "pictures"):
         raise ConfigError(
             "--world",
-            f"is an option of `hostlink lab tables` and `hostlink lab pictures`, not of `hostlink lab {what.value}`",
+            f"is an option of `hostlink lab tables` and `hostlink lab pictures`, not of `hostlink lab {what}`",
         )
-    if what is What.PICTURES:
+    if what == "pictures":
         check_picture("--output", output, needs="hostlink lab", extra="lab", suffixes=[".png"])
         check_folder("--output", output)
-    if fit and importlib.util.find_spec("scipy") is None:
-        raise LibraryMissing("hostlink lab", "scipy", "lab")
     require_wasmtime("hostlink lab")
     chosen = CASTER_WORLD if world is None else read_world(world)
-    try:
-        with Laboratory() as laboratory:
-            report = _report(laboratory, what, runs, chosen, output)
-            report = report + _fit(laboratory, runs) if fit else report
-    finally:
-        with contextlib.suppress(OSError):
-            show_progress("")
-    write(*([json_text.dumps(report.view)] if json else report.lines))
+    with Laboratory() as laboratory:
+        write(*_report(laboratory, what, runs, chosen, output))
 
 
-def _report(
-    laboratory: Laboratory, what: What, runs: int | None, world: WorldParameters, output: Path
-) -> reports.LabReport:
+def _report(laboratory: Laboratory, what: Report, runs: int | None, world: WorldParameters, output: Path) -> list[str]:
     match what:
-        case What.CAUSES:
+        case "causes":
             return reports.causes(laboratory, runs or reports.CAUSE_RUNS, show_progress)
-        case What.TABLES:
+        case "tables":
             return reports.tables(laboratory, world, runs or reports.TABLE_RUNS, show_progress)
-        case What.CLAIMS:
+        case "claims":
             return reports.claims(laboratory, runs or reports.TABLE_RUNS, show_progress)
-        case What.PICTURES:
+        case "pictures":
             return _draw(world, runs or reports.PICTURE_RUNS, output)
         case _:
             assert_never(what)
 
 
-def _draw(world: WorldParameters, runs: int, output: Path) -> reports.LabReport:
+def _draw(world: WorldParameters, runs: int, output: Path) -> list[str]:
     from hostlink.lab.pictures import draw_software  # noqa: PLC0415 - needs matplotlib
 
     show_progress("drawing")
@@ -105,12 +78,4 @@ def _draw(world: WorldParameters, runs: int, output: Path) -> reports.LabReport:
         draw_software(world, runs, output)
     except OSError as error:
         raise ConfigError(str(output), error.strerror or str(error)) from None
-    size_bytes = output.stat().st_size
-    view = {"file": str(output), "kibibytes": size_bytes // 1024}
-    return reports.LabReport([f"{output}: {size(size_bytes)}"], view)
-
-
-def _fit(laboratory: Laboratory, runs: int | None) -> reports.LabReport:
-    from hostlink.lab.fit import FIT_RUNS, report_fit  # noqa: PLC0415 - needs scipy
-
-    return report_fit(laboratory, show_progress, runs=runs or FIT_RUNS)
+    return [f"{output}: {size(output.stat().st_size)}"]

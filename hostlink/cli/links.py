@@ -130,7 +130,6 @@ def capture(
         raise ConfigError("capture", "name a link by its number, or use --last; `hostlink links` lists them")
     saved = CaptureProgress()
     run_until_interrupted(_capture(url, token, link, output, seconds, saved))
-    show_progress("")
     write_error(f"link {saved.link}: {quantity(saved.bytes, 'byte')}{f' in {output}' if output else ''}")
 
 

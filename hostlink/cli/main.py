@@ -20,7 +20,7 @@ from typing import Annotated, Any
 
 import typer
 
-from hostlink.cli.output import allow_any_text, end_line, write, write_error
+from hostlink.cli.output import allow_any_text, clear_progress, end_line, write, write_error
 from hostlink.cli.start import import_fast
 from hostlink.errors import ConfigError, HostlinkError
 
@@ -380,6 +380,8 @@ def main() -> None:
         status = FAILED
     except (KeyboardInterrupt, typer.Abort):
         status = INTERRUPTED
+    with contextlib.suppress(OSError):  # standard error is closed
+        clear_progress()
     if status == INTERRUPTED:
         end_line()
     sys.exit(status)

@@ -11,6 +11,7 @@ from typing import Any, TextIO
 
 _CLEAR_LINE = "\r\x1b[2K"
 _AS_JSON = "hostlink.json"  # error handler for characters that the terminal's encoding does not have
+_has_progress = False  # standard error ends in a line of `show_progress`
 
 
 def allow_any_text() -> None:
@@ -49,19 +50,6 @@ def write_error(*lines: str) -> None:
     _write(sys.stderr, "".join(f"{plain(line)}\n" for line in lines))
 
 
-def write_over(line: str) -> None:
-    """Write a line over the previous one on a terminal; write a new line to a file or a pipe."""
-    if sys.stdout.isatty():
-        _write(sys.stdout, f"{_CLEAR_LINE}{_fitting(plain(line), sys.stdout)}")
-    else:
-        write(line)
-
-
-def write_above(line: str) -> None:
-    """Write a line that stays above the one of `write_over`."""
-    _write(sys.stdout, f"{_CLEAR_LINE if sys.stdout.isatty() else ''}{plain(line)}\n")
-
-
 def show_question(text: str) -> None:
     """Write a question on standard error; the answer is typed behind it."""
     _write(sys.stderr, plain(text))
@@ -75,9 +63,21 @@ def end_line() -> None:
 
 
 def show_progress(line: str) -> None:
-    """Write a line of standard error over the previous one on a terminal; write nothing to a file or a pipe."""
+    """Write a line of standard error over the previous one on a terminal; write nothing to a file or a pipe.
+
+    The next output of the command, and its end, clear the line.
+    """
+    global _has_progress  # noqa: PLW0603 - of the one terminal
     if sys.stderr.isatty():
+        _has_progress = False
         _write(sys.stderr, f"{_CLEAR_LINE}{_fitting(plain(line), sys.stderr)}")
+        _has_progress = bool(line)
+
+
+def clear_progress() -> None:
+    """Remove the line of `show_progress`, if there is one."""
+    if _has_progress:
+        show_progress("")
 
 
 def write_control(text: str) -> None:
@@ -120,6 +120,7 @@ def _write(stream: TextIO, text: str) -> None:
     """Raises:
     OSError: the stream cannot be written; `filename` is the stream's name.
     """
+    clear_progress()
     try:
         stream.write(text)
         stream.flush()

@@ -309,7 +309,6 @@ class PlaybackClock:
         Raises:
             BadRequest: there was none, so that a loop would run for ever without waiting.
         """
-        show_progress("")
         if not self.count:
             raise BadRequest(
                 f"the recording has no {self._what} after {self._playback.start_s:g} s; use a smaller --start"
@@ -325,7 +324,6 @@ def _schedule(file: Path, playback: Playback, wanted: Wanted) -> Iterator[Due]:
         messages, begin_ns=begin_ns, rate=playback.rate, start_s=playback.start_s, max_pause_s=playback.max_pause_s
     ):
         if due.cut_s:
-            show_progress("")
             whole_s = due.cut_s + playback.max_pause_s
             write_error(f"a pause of {whole_s:.1f} s is shortened to {playback.max_pause_s:g} s (--max-pause)")
         yield due
@@ -398,7 +396,4 @@ async def _read_line() -> bytes:
 def _channels_of(file: Path) -> list[Channel]:
     """Read the channels of the file, with progress."""
     show_progress(f"reading {file}")
-    try:
-        return McapReader(file).read_channels()
-    finally:
-        show_progress("")
+    return McapReader(file).read_channels()

@@ -14,6 +14,7 @@ from typing import Any
 import msgspec
 
 from hostlink.api.views import Slices, finding_views, links_view, robot_view
+from hostlink.capture_file import load_reads
 from hostlink.cli.connecting import counted
 from hostlink.cli.doctor import Report, rates, report_of
 from hostlink.cli.serve import running
@@ -22,7 +23,6 @@ from hostlink.diagnosis.finding import Finding, finding
 from hostlink.diagnosis.replay import Replay, replay
 from hostlink.hub.device import check_type
 from hostlink.hub.hub import Hub
-from hostlink.inspection import load_reads
 from hostlink.listening import own_address
 from hostlink.messages.catalog import Catalog
 

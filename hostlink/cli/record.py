@@ -133,7 +133,6 @@ async def _record(
                     await ending.wait()
             except TimeoutError:
                 continue
-        show_progress("")
         view = await host.post(f"{_PATH}/{name}/stop")
         await _finish(host, view, output, as_json=as_json)
 
@@ -204,7 +203,6 @@ def _repair(file: Path, *, as_json: bool) -> None:
 
     began_s = time.monotonic()
     found = repair(file, lambda count: show_progress(quantity(count, "message")))
-    show_progress("")
     seconds, messages = time.monotonic() - began_s, quantity(found.messages, "message")
     if as_json:
         facts = {"file": str(file), "messages": found.messages, "damage": found.damage, "seconds": round(seconds, 3)}

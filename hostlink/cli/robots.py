@@ -45,14 +45,15 @@ async def require_robot(host: Host, name: str) -> Robot:
     return host.robot(found["name"])
 
 
-def require_free(state: RobotState, *, below: int = 0) -> None:
-    """Refuse a robot that cannot be driven now. A driver of a priority `below` this one is overruled.
+async def free_robot(host: Host, name: str, *, below: int = 0) -> RobotState:
+    """Return the state of a robot that may be driven now. A driver of a priority `below` this one is overruled.
 
     Raises:
         DeviceGone: the robot is not connected.
         CommandRefused: the robot is locked.
-        HostlinkError: another source drives it.
+        HostlinkError: no robot has that name, or another source drives it.
     """
+    (state,) = await chosen(host, name)
     name = state["name"]
     if not state["connected"]:
         raise DeviceGone(name)
@@ -62,6 +63,7 @@ def require_free(state: RobotState, *, below: int = 0) -> None:
     priority = state.get("priority")
     if state["holder"] is not None and (priority is None or priority >= below):
         raise HostlinkError(f"{name} is driven by {driver(state)}; end that program first")
+    return state
 
 
 # -- robots -----------------------------------------------------------------------------------------------------------

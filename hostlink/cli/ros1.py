@@ -11,12 +11,12 @@ from typing import Annotated, Any
 
 import typer
 
-from hostlink.cli.addresses import MAX_PORT, parse_serial
+from hostlink.cli.addresses import parse_serial
 from hostlink.cli.files import MessageFolders
 from hostlink.cli.output import write
 from hostlink.cli.serve_command import ApiAddress, ConfigFile, LogLevel, merge, open_device_port, with_master
 from hostlink.cli.start import import_fast
-from hostlink.config import Config, Ros1Config, SerialConfig, load
+from hostlink.config import MAX_PORT, Config, Ros1Config, SerialConfig, load
 from hostlink.errors import ConfigError
 from hostlink.graphs.ros1.names import NodeArguments, parse_arguments
 

@@ -17,7 +17,7 @@ from hostlink.cli.connecting import ask
 from hostlink.cli.files import check_new_file, replacing
 from hostlink.cli.output import write, write_error
 from hostlink.client import DEFAULT_URL
-from hostlink.config import load
+from hostlink.config import MAX_PORT, load
 from hostlink.errors import HostlinkError
 
 # -- questions --------------------------------------------------------------------------------------------------------
@@ -27,7 +27,6 @@ Complaint = Callable[[str], str]  # what to answer with; empty if the answer is 
 
 WAYS = ("wifi", "usb", "both")
 REACHES = ("computer", "network")
-MAX_PORT = 0xFFFF
 MAX_BAUD = 4_000_000
 LEAST_NUMBER = 0.01  # m, m/s, m/s2
 

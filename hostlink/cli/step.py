@@ -17,7 +17,7 @@ from hostlink.cli.arguments import Token, Url, not_empty
 from hostlink.cli.connecting import ask, rosapi
 from hostlink.cli.files import check_folder, check_picture
 from hostlink.cli.output import show_progress, table, write, write_error
-from hostlink.cli.robots import require_free, require_robot
+from hostlink.cli.robots import free_robot
 from hostlink.client import DEFAULT_URL, PRIORITY, Host, Mailbox, Robot, RobotState
 from hostlink.errors import (
     ConfigError,
@@ -135,19 +135,6 @@ def find_topic(state: RobotState, links: Sequence[Mapping[str, Any]], leaf: str,
     return wanted if wanted in found else next(iter(found), None)
 
 
-async def connected_state(robot: Robot) -> RobotState:
-    """Return the state of a robot that may be driven.
-
-    Raises:
-        HostlinkError: the robot is unknown, or a source of the same or a higher priority drives it.
-        DeviceGone: the robot is not connected.
-        CommandRefused: the robot is locked.
-    """
-    state = await robot.state()
-    require_free(state, below=PRIORITY)
-    return state
-
-
 async def find_source(host: Host, state: RobotState, wheel: Wheel | None, separation_m: float) -> Source:
     """Choose the topic of the speeds: plot_data, else the odometry that the daemon publishes.
 
@@ -261,7 +248,7 @@ class StepRecorder:
 
     async def _take_over(self) -> None:
         """Stop the robot, also when a source of lower priority drives it."""
-        state = await connected_state(self._robot)
+        state = await free_robot(self._host, self._robot.name, below=PRIORITY)
         if state["holder"] is not None:
             self._has_commanded = True
             await self._robot.command(CREEP_M_S, 0.0)
@@ -511,7 +498,7 @@ class Tuning:
         }
 
 
-async def tune(host: Host, robot: str, records: Mapping[str, Record], *, sends: bool) -> Tuning:
+async def tune_motors(host: Host, robot: str, records: Mapping[str, Record], *, sends: bool) -> Tuning:
     """Identify each motor; with `sends`, send the gains.
 
     Raises:
@@ -556,19 +543,6 @@ def _origin(wheel: TunedWheel) -> str:
 
 STEP_S = 6.0
 LEAST_SPEED_M_S, MOST_SPEED_M_S = 0.02, 2.0
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Request:
-    robot: str
-    speed_m_s: float
-    seconds: float
-    wheel: Wheel | None
-    tunes: bool
-    sends: bool
-    as_json: bool
-    full_pwm: float
-    picture: Path | None
 
 
 def command(
@@ -627,82 +601,62 @@ def command(
     if picture is not None:
         check_picture("--picture", picture, needs="--picture", extra="pictures")
         check_folder("--picture", picture)
-    request = _Request(
-        robot=robot,
-        speed_m_s=speed,
-        seconds=STEP_S if seconds is None else seconds,
-        wheel=wheel,
-        tunes=tune,
-        sends=send,
-        as_json=json,
-        full_pwm=full_pwm,
-        picture=picture,
-    )
-    way = ask(url, token, lambda host: _describe(host, request))  # the connection is closed while the person reads
+
+    def stages_of(separation_m: float) -> tuple[Stage, ...]:
+        if tune:
+            return rising_stages(speed, wheel, separation_m)
+        return (make_stage(speed, STEP_S if seconds is None else seconds, wheel, separation_m),)
+
+    # The connection is closed while the person reads.
+    way = ask(url, token, lambda host: _describe(host, robot, wheel, stages_of))
     if not json:
         write_error(f"{way}.")
     if not yes:
         typer.confirm("Is there room?", abort=True, err=True)
-    ask(url, token, lambda host: _step(host, request))
-
-
-async def _describe(host: Host, request: _Request) -> str:
-    robot = await require_robot(host, request.robot)
-    state = await connected_state(robot)
-    separation_m = await separation_of(host, robot.name)
-    await find_source(host, state, request.wheel, separation_m)
-    return describe_way(robot.name, _stages(request, separation_m), request.wheel, separation_m)
-
-
-async def _step(host: Host, request: _Request) -> None:
-    robot = await require_robot(host, request.robot)
-    separation_m = await separation_of(host, robot.name)
-    source = await find_source(host, await connected_state(robot), request.wheel, separation_m)
-    stages = _stages(request, separation_m)
-    try:
-        recording = await StepRecorder(host, robot, source, show=show_progress).record(stages)
-    finally:
-        show_progress("")
-    notes = notes_of(stages[-1], recording.accepted, recording.records)
-    if request.picture is not None:
-        title = f"{robot.name}: {'rising steps' if request.tunes else 'step'} to {request.speed_m_s:g} m/s"
-        notes += _draw(request.picture, title, recording)
-    if request.tunes:
-        await _report_tuning(host, robot.name, recording, notes, request)
+    recording, notes = ask(url, token, lambda host: _step(host, robot, wheel, stages_of))
+    records, name = recording.records, robot.strip("/")
+    if picture is not None:
+        notes += _draw(picture, f"{name}: {'rising steps' if tune else 'step'} to {speed:g} m/s", records)
+    if tune:
+        tuned = ask(url, token, lambda host: tune_motors(host, name, records, sends=send))
+        lines, results = tuned.lines(), tuned.view(records)
     else:
-        _report_step(robot.name, recording, notes, request)
+        figures = {side: step_figures(record, full_pwm=full_pwm) for side, record in records.items()}
+        lines = step_lines(figures, {side: record.unit for side, record in records.items()})
+        results = {"wheels": record_views(records, figures)}
+    if json:
+        view = {"robot": name, "source": recording.source, "speed_m_s": speed, "notes": notes}
+        write(json_text.dumps(view | results))
+    else:
+        write(*lines, *(f"note: {note}" for note in notes))
 
 
-def _draw(picture: Path, title: str, recording: StepRecording) -> list[str]:
+async def _prepared(host: Host, name: str, wheel: Wheel | None) -> tuple[Robot, Source, float]:
+    """Return a robot that may be driven, the source of its speeds, and its wheel separation in m."""
+    state = await free_robot(host, name, below=PRIORITY)
+    separation_m = await separation_of(host, state["name"])
+    return host.robot(state["name"]), await find_source(host, state, wheel, separation_m), separation_m
+
+
+async def _describe(host: Host, name: str, wheel: Wheel | None, stages_of: Callable[[float], tuple[Stage, ...]]) -> str:
+    robot, _, separation_m = await _prepared(host, name, wheel)
+    return describe_way(robot.name, stages_of(separation_m), wheel, separation_m)
+
+
+async def _step(
+    host: Host, name: str, wheel: Wheel | None, stages_of: Callable[[float], tuple[Stage, ...]]
+) -> tuple[StepRecording, list[str]]:
+    """Drive the stages. Return the recording, and notes on what distorts its figures."""
+    robot, source, separation_m = await _prepared(host, name, wheel)
+    stages = stages_of(separation_m)
+    recording = await StepRecorder(host, robot, source, show=show_progress).record(stages)
+    return recording, notes_of(stages[-1], recording.accepted, recording.records)
+
+
+def _draw(picture: Path, title: str, records: Mapping[str, Record]) -> list[str]:
     """Draw the picture. A failure is a note, because the robot has driven for the figures."""
     try:
-        draw_picture(picture, title, recording.records)
+        draw_picture(picture, title, records)
     except OSError as error:
         return [f"the picture {picture} cannot be written: {error.strerror or error}"]
     return []
-
-
-def _stages(request: _Request, separation_m: float) -> tuple[Stage, ...]:
-    if request.tunes:
-        return rising_stages(request.speed_m_s, request.wheel, separation_m)
-    return (make_stage(request.speed_m_s, request.seconds, request.wheel, separation_m),)
-
-
-def _report_step(name: str, recording: StepRecording, notes: list[str], request: _Request) -> None:
-    figures = {side: step_figures(record, full_pwm=request.full_pwm) for side, record in recording.records.items()}
-    if request.as_json:
-        wheels = record_views(recording.records, figures)
-        view = {"robot": name, "source": recording.source, "speed_m_s": request.speed_m_s, "wheels": wheels}
-        write(json_text.dumps(view | {"notes": notes}))
-        return
-    write(*step_lines(figures, {side: record.unit for side, record in recording.records.items()}))
-    write(*(f"note: {note}" for note in notes))
-
-
-async def _report_tuning(host: Host, name: str, recording: StepRecording, notes: list[str], request: _Request) -> None:
-    tuned = await tune(host, name, recording.records, sends=request.sends)
-    if request.as_json:
-        view = {"robot": name, "source": recording.source, "speed_m_s": request.speed_m_s, "notes": notes}
-        write(json_text.dumps(view | tuned.view(recording.records)))
-        return
-    write(*tuned.lines(), *(f"note: {note}" for note in notes))

@@ -54,15 +54,7 @@ class Terminal:
 
 @contextlib.contextmanager
 def key_terminal() -> Iterator[Terminal]:
-    """Switch the terminal to key mode for the length of the block.
-
-    Raises:
-        ConfigError: standard input or output is not a terminal.
-    """
-    if not (sys.stdin.isatty() and sys.stdout.isatty()):
-        raise ConfigError(
-            "teleop", "standard input or output is not a terminal; from a script, drive with `hostlink pub` or the API"
-        )
+    """Switch the terminal to key mode for the length of the block. Standard input and output must be a terminal."""
     terminal = Terminal()
     atexit.register(terminal.leave)
     terminal.enter()
@@ -217,6 +209,10 @@ def command(
 async def _teleop(url: str, token: str | None, name: str | None, driving: Driving, layout: str) -> None:
     async with connected(url, token) as host:
         found = await _choose(host, name)
+    if not (sys.stdin.isatty() and sys.stdout.isatty()):
+        raise ConfigError(
+            "teleop", "standard input or output is not a terminal; from a script, drive with `hostlink pub` or the API"
+        )
     with key_terminal() as terminal, _Keyboard(terminal, driving) as keyboard:
         while not keyboard.is_done:
             try:

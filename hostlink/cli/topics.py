@@ -97,7 +97,6 @@ async def _rated(host: Host) -> list[Any]:
     show_progress("measuring for a second ...")
     await asyncio.sleep(RATE_S)
     now_s, topics = loop.time(), await host.topics()
-    show_progress("")
 
     def rate_hz(topic: TopicState) -> float | None:
         known = before.get(topic["name"])
@@ -851,7 +850,6 @@ def pub(
     named_type, message = type_and_message("MESSAGE", words or [])
     publishing = Publishing(rate or PUB_RATE_HZ, message_count(rate, count, once=once))
     run_until_interrupted(_pub(connected(url, token), topic, message, type_name or named_type, publishing))
-    show_progress("")
     write_error(f"{publishing.sent} sent")
 
 

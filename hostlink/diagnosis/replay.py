@@ -5,10 +5,10 @@ from collections.abc import Callable, Iterable
 
 import msgspec
 
+from hostlink.capture_file import Read
 from hostlink.diagnosis.finding import Finding, words
 from hostlink.diagnosis.link_monitor import SAMPLE_INTERVAL_S, LinkMonitor
 from hostlink.diagnosis.rules import diagnose
-from hostlink.inspection import Read
 from hostlink.protocol.control import TopicInfo
 from hostlink.protocol.events import MessageReceived, TopicsRequested
 from hostlink.protocol.frame import MAX_PAYLOAD_BYTES, Frame, Id

@@ -1,11 +1,10 @@
-"""Reports of the laboratory: lines for people and one object for programs."""
+"""Reports of the laboratory, as lines."""
 
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Mapping, Sequence
 from itertools import combinations
-from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hostlink.lab.experiment import (
     PAPER_WORLD,
@@ -20,7 +19,7 @@ from hostlink.lab.experiment import (
     Software,
     axes_of,
 )
-from hostlink.lab.tables import CAUSES, MISTAKES, Cause, Column, ErrorTable, measure_all
+from hostlink.lab.tables import CAUSES, MISTAKES, Cause, means_and_errors, measure_all
 from hostlink.lab.tables import tables as driven_tables
 from hostlink.lab.turns import (
     BestTurns,
@@ -39,33 +38,21 @@ PICTURE_RUNS = 5
 _THRESHOLDS_PWM = (690.0, 670.0, 650.0, 600.0, 550.0)
 
 Progress = Callable[[str], None]
-
-
-@dataclass(frozen=True, slots=True)
-class LabReport:
-    """Report as lines for people and as an object for programs."""
-
-    lines: list[str]
-    view: dict[str, Any]
-
-    def __add__(self, other: "LabReport") -> "LabReport":
-        return LabReport([*self.lines, "", *other.lines], self.view | other.view)
+_Array = NDArray[np.float64]
 
 
 def text_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
     """Format a table as Markdown."""
     widths = [max(len(row[i]) for row in (head, *rows)) for i in range(len(head))]
-    lines = [
-        "| " + " | ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)) + " |" for row in rows
-    ]
-    first = "| " + " | ".join(cell.ljust(width) for cell, width in zip(head, widths, strict=True)) + " |"
-    return [first, "|" + "|".join("-" * (width + 2) for width in widths) + "|", *lines]
+    cells = [[cell.ljust(width) for cell, width in zip(row, widths, strict=True)] for row in (head, *rows)]
+    first, *others = [f"| {' | '.join(row)} |" for row in cells]
+    return [first, "|" + "|".join("-" * (width + 2) for width in widths) + "|", *others]
 
 
 # -- causes -----------------------------------------------------------------------------------------------------------
 
 
-def causes(laboratory: Laboratory, runs: int, progress: Progress) -> LabReport:
+def causes(laboratory: Laboratory, runs: int, progress: Progress) -> list[str]:
     """Report the effect of each cause alone on each pattern: means of |x| / |y|, of the line |length|, in cm.
 
     Raises:
@@ -81,7 +68,7 @@ def causes(laboratory: Laboratory, runs: int, progress: Progress) -> LabReport:
     measured = list(measure_all(laboratory, experiments, progress))
     width = len(PATTERNS) * len(Software)
     cells = {cause.name: measured[i * width : (i + 1) * width] for i, cause in enumerate(listed)}
-    lines = [
+    return [
         f"Means of {runs} runs: |x| / |y| in cm, of the line |length|. ccw, cw: the squares; back: there and back.",
         "",
         "A cause alone, with our firmware and with the paper's software:",
@@ -92,7 +79,6 @@ def causes(laboratory: Laboratory, runs: int, progress: Progress) -> LabReport:
         "",
         *_cause_table(MISTAKES, cells, "mistake", ("alone", "without")),
     ]
-    return LabReport(lines, {"runs": runs, "causes": [_cause_view(cause, cells[cause.name]) for cause in listed]})
 
 
 def _cause_table(
@@ -106,78 +92,38 @@ def _sizes(errors: Errors) -> str:
     return " / ".join(f"{mean:.1f}" for mean in errors.means_cm)
 
 
-def _cause_view(cause: Cause, cells: list[Errors]) -> dict[str, Any]:
-    half = len(PATTERNS)
-    names = ("alone", "without") if cause.mistake else ("ours", "paper")
-    return {
-        "name": cause.name,
-        "title": cause.title,
-        "values": dict(cause.values),
-        **{
-            name: {errors.pattern.name: _errors_view(errors) for errors in part}
-            for name, part in zip(names, (cells[:half], cells[half:]), strict=True)
-        },
-    }
-
-
-def _errors_view(errors: Errors) -> dict[str, Any]:
-    axes = axes_of(errors.pattern.table)
-    return {
-        "mean_abs_cm": dict(zip(axes, errors.means_cm.tolist(), strict=True)),
-        "xy_cm": errors.xy_cm.tolist(),
-        "length_cm": errors.length_cm.tolist(),
-    }
-
-
 # -- tables -----------------------------------------------------------------------------------------------------------
 
 
-def tables(laboratory: Laboratory, world: WorldParameters, runs: int, progress: Progress) -> LabReport:
+def tables(laboratory: Laboratory, world: WorldParameters, runs: int, progress: Progress) -> list[str]:
     """Report tables 2-5 for all software.
 
     Raises:
         ConfigError: wasmtime is not installed, or has no library for this machine.
     """
     driven = driven_tables(world, laboratory, runs=runs, report=progress)
-    heads = ["table", "pattern", "axis", *(column.title for column in driven[0].columns)]
-    rows = [row for table in driven for row in _table_rows(table)]
-    lines = [
+    heads = ["table", "pattern", "axis", *driven[PATTERNS[0]]]
+    rows = [row for pattern, columns in driven.items() for row in _table_rows(pattern, columns)]
+    return [
         f"|error| in cm: mean +- standard error; the paper's of 3 runs (table 4: 5), others of {runs}.",
         "",
         *text_table(heads, rows),
         "",
         "World: " + (", ".join(f"{name}={value:.6g}" for name, value in _changed(world)) or "without a flaw"),
     ]
-    views = [_table_view(table) for table in driven]
-    return LabReport(lines, {"runs": runs, "world": dict(_changed(world)), "tables": views})
 
 
-def _table_rows(table: ErrorTable) -> list[list[str]]:
+def _table_rows(pattern: Pattern, columns: Mapping[str, _Array]) -> list[list[str]]:
+    found = [means_and_errors(sizes_cm) for sizes_cm in columns.values()]
     return [
-        [str(table.pattern.table), table.pattern.title, axis, *(_mean(column, i) for column in table.columns)]
-        for i, axis in enumerate(axes_of(table.pattern.table))
+        [
+            str(pattern.table),
+            pattern.title,
+            axis,
+            *(f"{means_cm[number]:.1f} +- {errors_cm[number]:.1f}" for means_cm, errors_cm in found),
+        ]
+        for number, axis in enumerate(axes_of(pattern.table))
     ]
-
-
-def _mean(column: Column, axis: int) -> str:
-    return f"{column.means_cm[axis]:.1f} +- {column.errors_cm[axis]:.1f}"
-
-
-def _table_view(table: ErrorTable) -> dict[str, Any]:
-    return {
-        "table": table.pattern.table,
-        "pattern": table.pattern.name,
-        "axes": axes_of(table.pattern.table),
-        "columns": [
-            {
-                "title": column.title,
-                "mean_cm": column.means_cm.tolist(),
-                "standard_error_cm": column.errors_cm.tolist(),
-                "runs_cm": column.sizes_cm.tolist(),
-            }
-            for column in table.columns
-        ],
-    }
 
 
 def _changed(world: WorldParameters) -> list[tuple[str, float]]:
@@ -188,21 +134,21 @@ def _changed(world: WorldParameters) -> list[tuple[str, float]]:
 # -- claims -----------------------------------------------------------------------------------------------------------
 
 
-def claims(laboratory: Laboratory, runs: int, progress: Progress) -> LabReport:
+def claims(laboratory: Laboratory, runs: int, progress: Progress) -> list[str]:
     """Report which numbers the paper's tables need, whether one set explains all, and the error of its software alone.
 
     Raises:
         ConfigError: wasmtime is not installed, or has no library for this machine.
     """
     progress("driving the paper's software")
-    alone = software_alone(laboratory, runs)
+    alone = _software_alone(laboratory, runs)
     progress("solving")
     radius, twists = needed_radius(), needed_twists()
     progress("drawing squares like table 2")
     chance, chance_turns = chance_of_table_2()
     progress("drawing laboratories")
     best = {has_loss: best_turns(has_loss=has_loss) for has_loss in (False, True)}
-    lines = [
+    return [
         f"radius for table 4: +{radius.mean * 100:.2f} % [{radius.low * 100:.2f}, {radius.high * 100:.2f}]",
         "",
         "Overturning that each column needs, if all turns err equally (95 % of 3 runs):",
@@ -218,59 +164,28 @@ def claims(laboratory: Laboratory, runs: int, progress: Progress) -> LabReport:
         "",
         f"The paper's software alone, without caster and slip: distance in cm after a square, {runs} runs:",
         "",
-        *text_table(["motors turn from", "pattern", "mean", "95 % of the mean"], [_alone_row(each) for each in alone]),
+        *text_table(["motors turn from", "pattern", "mean", "95 % of the mean"], alone),
     ]
-    return LabReport(
-        lines,
-        {
-            "radius": asdict(radius),
-            "twists": [asdict(twist) for twist in twists],
-            "table_2": {"chance": chance, **asdict(chance_turns)},
-            "best": [_best_view(found) for found in best.values()],
-            "software_alone": [
-                {"threshold_pwm": each.threshold_pwm, "pattern": each.pattern.name, **asdict(each.distance_cm)}
-                for each in alone
-            ],
-        },
-    )
 
 
-@dataclass(frozen=True, slots=True)
-class SoftwareAlone:
-    """Error of the paper's software in a world without defects."""
-
-    threshold_pwm: float
-    pattern: Pattern
-    distance_cm: Needed
-
-
-def software_alone(laboratory: Laboratory, runs: int) -> list[SoftwareAlone]:
+def _software_alone(laboratory: Laboratory, runs: int) -> list[list[str]]:
     """Drive the squares with motors that start at different PWMs; the Due's pin turns 700 into 690.
 
-    Raises:
-        ConfigError: wasmtime is not installed, or has no library for this machine.
+    Return a row for each PWM and square: the mean distance from the start in cm, and its 95 % interval.
     """
     cases = [(pwm, pattern) for pwm in _THRESHOLDS_PWM for pattern in (SQUARE_LEFT, SQUARE_RIGHT)]
     setups = [Setup(software=Software.PAPER, world=_with_threshold(pwm)) for pwm, _ in cases]
     experiments = [Experiment(setup, pattern, runs) for setup, (_, pattern) in zip(setups, cases, strict=True)]
-    return [
-        SoftwareAlone(pwm, pattern, mean_of(pattern.name, np.hypot(*errors.xy_cm.T)))
-        for (pwm, pattern), errors in zip(cases, laboratory.measure(experiments), strict=True)
-    ]
+    rows = []
+    for (pwm, pattern), errors in zip(cases, laboratory.measure(experiments), strict=True):
+        distance_cm = mean_of(pattern.name, np.hypot(*errors.xy_cm.T))
+        interval = f"{distance_cm.low:.1f} to {distance_cm.high:.1f}"
+        rows.append([f"{pwm:.0f}", pattern.title, f"{distance_cm.mean:.1f}", interval])
+    return rows
 
 
 def _with_threshold(pwm: float) -> WorldParameters:
     return PAPER_WORLD.changed({"left.dead_zone_pwm": pwm, "right.dead_zone_pwm": pwm})
-
-
-def _alone_row(alone: SoftwareAlone) -> list[str]:
-    distance = alone.distance_cm
-    interval = f"{distance.low:.1f} to {distance.high:.1f}"
-    return [f"{alone.threshold_pwm:.0f}", alone.pattern.title, f"{distance.mean:.1f}", interval]
-
-
-def _best_view(found: BestTurns) -> dict[str, Any]:
-    return {**asdict(found.turns), "p": found.p_value, "means_cm": found.means_cm.tolist()}
 
 
 def apart(needed: Sequence[Needed]) -> list[tuple[str, str]]:

@@ -11,6 +11,7 @@ from dataclasses import dataclass, fields, replace
 from typing import Self
 
 from hostlink.robot.kinematics import DifferentialDrive, Pose
+from hostlink.robot.motor_model import PidGains
 from hostlink.sim.firmware_module import WorldParameters
 from hostlink.sim.firmware_world import Firmware, FirmwareWorld, SimulatedWheel
 
@@ -93,24 +94,14 @@ def names() -> list[str]:
     return [item.name for item in fields(Mistakes)]
 
 
-@dataclass(frozen=True, slots=True)
-class Gains:
-    """Gains of one wheel's PID with feedback; table 1 of the paper."""
-
-    kp: float
-    ki: float
-    kd: float
-    feedback: float = 0.05
-
-
-LEFT_GAINS = Gains(23.0, 36.0, 0.1)
-RIGHT_GAINS = Gains(24.0, 35.0, 0.1)
+LEFT_GAINS, RIGHT_GAINS = PidGains(23.0, 36.0, 0.1), PidGains(24.0, 35.0, 0.1)  # table 1 of the paper
+FEEDBACK = 0.05  # share of the last output that the PID subtracts from its error
 
 
 class PaperWheel:
     """One wheel of the paper's software: set-point, filter, PID and odometry."""
 
-    def __init__(self, gains: Gains, mistakes: Mistakes) -> None:
+    def __init__(self, gains: PidGains, mistakes: Mistakes) -> None:
         self.gains, self.mistakes = gains, mistakes
         self.pwm = 0
         self.speed_ticks_s = 0.0  # filtered
@@ -166,7 +157,7 @@ class PaperWheel:
             self._integral = self._last_error = self._steady_ticks_s = 0.0
             return 0.0
         gains, mistakes = self.gains, self.mistakes
-        error = self.set_point_ticks_s - self.speed_ticks_s - gains.feedback * self._fed_back_ticks_s()
+        error = self.set_point_ticks_s - self.speed_ticks_s - FEEDBACK * self._fed_back_ticks_s()
         slope = (error - self._last_error) / LOOP_S * (-1.0 if mistakes.wrong_derivative else 1.0)
         integral = max(-_INTEGRAL_LIMIT, min(_INTEGRAL_LIMIT, self._integral + error * LOOP_S))
         free = gains.kp * error + gains.ki * integral + gains.kd * slope

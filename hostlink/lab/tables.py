@@ -110,38 +110,10 @@ CASTER_WORLD = PAPER_WORLD.changed(
 )
 
 
-@dataclass(frozen=True, slots=True)
-class Column:
-    """Column of a table."""
-
-    title: str
-    sizes_cm: _Array  # one row for each run: |x| and |y|, or |length|
-
-    @property
-    def means_cm(self) -> _Array:
-        """Means, as in the last line of the paper's table."""
-        means: _Array = self.sizes_cm.mean(axis=0)
-        return means
-
-    @property
-    def errors_cm(self) -> _Array:
-        """Standard errors of the means."""
-        errors: _Array = self.sizes_cm.std(axis=0, ddof=1) / np.sqrt(len(self.sizes_cm))
-        return errors
-
-
-@dataclass(frozen=True, slots=True)
-class ErrorTable:
-    """Table of the paper, with a column for each software."""
-
-    pattern: Pattern
-    columns: tuple[Column, ...]
-
-
 def tables(
     world: WorldParameters, laboratory: Laboratory, *, runs: int, report: Callable[[str], None]
-) -> list[ErrorTable]:
-    """Drive all patterns with all software.
+) -> dict[Pattern, dict[str, _Array]]:
+    """Drive all patterns with all software. Return the sizes of the errors in cm: by pattern and column, a row a run.
 
     Raises:
         ConfigError: wasmtime is not installed, or has no library for this machine.
@@ -155,13 +127,15 @@ def tables(
     }
     experiments = [Experiment(setup, pattern, runs) for pattern in PATTERNS for setup in setups.values()]
     measured = measure_all(laboratory, experiments, report)
-    return [
-        ErrorTable(
-            pattern,
-            (Column(PAPER, PAPER_CM[pattern.table]), *(Column(title, next(measured).sizes_cm) for title in setups)),
-        )
+    return {
+        pattern: {PAPER: PAPER_CM[pattern.table], **{title: next(measured).sizes_cm for title in setups}}
         for pattern in PATTERNS
-    ]
+    }
+
+
+def means_and_errors(sizes_cm: _Array) -> tuple[_Array, _Array]:
+    """Return the means of the columns, as in the last line of the paper's table, and their standard errors."""
+    return sizes_cm.mean(axis=0), sizes_cm.std(axis=0, ddof=1) / np.sqrt(len(sizes_cm))
 
 
 def measure_all(

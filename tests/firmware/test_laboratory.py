@@ -1,6 +1,5 @@
 """The laboratory drives the firmware that the board executes (HOSTLINK_LAB_RUNS: runs of each pattern)."""
 
-import json
 import os
 from pathlib import Path
 
@@ -25,8 +24,7 @@ from hostlink.lab.experiment import (
     calibrated,
     measure,
 )
-from hostlink.lab.fit import FITTED, fit, world_of
-from hostlink.lab.tables import CALIBRATED, CASTER_WORLD, CAUSES, OURS, REBUILT, Cause, ErrorTable, tables
+from hostlink.lab.tables import CALIBRATED, CASTER_WORLD, CAUSES, OURS, PAPER, REBUILT, Cause, tables
 
 RUNS = int(os.environ.get("HOSTLINK_LAB_RUNS", "3"))
 LABORATORY = Laboratory(workers=1)
@@ -58,21 +56,19 @@ def test_caster_twists_squares_in_both_directions_but_not_lines() -> None:
     assert ours(NAMED["caster_twist"], LINE).means_cm < 0.2
 
 
-def column(table: ErrorTable, title: str) -> np.ndarray:
-    (found,) = [column.means_cm for column in table.columns if column.title == title]
-    return found
-
-
 @pytest.mark.long
 def test_tables_have_the_paper_s_values_and_calibration_gains_threefold() -> None:
-    driven = {table.pattern: table for table in tables(CASTER_WORLD, LABORATORY, runs=RUNS, report=lambda _: None)}
-    assert [table.pattern.table for table in driven.values()] == [2, 3, 4, 5]
-    assert driven[LINE].columns[0].means_cm == pytest.approx([1.84])
-    assert column(driven[LINE], REBUILT) == pytest.approx([1.84], abs=0.2)
+    sizes = tables(CASTER_WORLD, LABORATORY, runs=RUNS, report=lambda _: None)
+    driven = {
+        pattern: {title: each.mean(axis=0) for title, each in columns.items()} for pattern, columns in sizes.items()
+    }
+    assert [pattern.table for pattern in driven] == [2, 3, 4, 5]
+    assert driven[LINE][PAPER] == pytest.approx([1.84])
+    assert driven[LINE][REBUILT] == pytest.approx([1.84], abs=0.2)
     squares = [driven[SQUARE_LEFT], driven[SQUARE_RIGHT]]
-    before, after = (sum(column(table, title).sum() for table in squares) for title in (OURS, CALIBRATED))
+    before, after = (sum(table[title].sum() for table in squares) for title in (OURS, CALIBRATED))
     assert before > 3.0 * after
-    assert column(driven[LINE], CALIBRATED) < 0.2
+    assert driven[LINE][CALIBRATED] < 0.2
 
 
 @settings(max_examples=10, deadline=None)
@@ -107,29 +103,19 @@ def test_calibration_without_noise_finds_wheels_and_track() -> None:
         assert left_cm < error_cm / 100
 
 
-@pytest.mark.long
-def test_a_fit_finds_the_radius_that_made_the_lines() -> None:
-    made = [0.8, 0.0, 0.0, 0.0, 0.0]
-    lines = measure(Experiment(Setup(software=Software.PAPER, world=world_of(np.array(made))), LINE, 5))
-    measured = {table: np.zeros((3, 2)) for table in (2, 3, 5)} | {4: lines.sizes_cm}
-    found = fit(LABORATORY, (4,), runs=2, rounds=4, measured_cm=measured)
-    assert found.numbers[0] == pytest.approx(0.8, abs=0.1)
-    assert found.intervals[0] < 0.5
-    assert FITTED[0].name == "radius"
-
-
 def test_a_push_spoils_any_software() -> None:
     errors = ours(NAMED["push"], BACK)
     assert np.abs(errors.xy_cm).max() > 4.0
 
 
-def test_the_command_prints_json_and_the_world(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_prints_the_tables_and_the_world(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     world = tmp_path / "world.txt"
     world.write_text(PAPER_WORLD.changed({"left.radius_m": 0.0452}).text())
-    build_app("lab")(["lab", "tables", "--runs", "2", "--world", str(world), "--json"], standalone_mode=False)
-    view = json.loads(capsys.readouterr().out)
-    assert [table["table"] for table in view["tables"]] == [2, 3, 4, 5]
-    assert view["world"]["left.radius_m"] == 0.0452
+    build_app("lab")(["lab", "tables", "--runs", "2", "--world", str(world)], standalone_mode=False)
+    lines = capsys.readouterr().out.splitlines()
+    firsts = [line.split("|")[1].strip() for line in lines if line.startswith("| ")]
+    assert firsts == ["table", "2", "2", "3", "3", "4", "5", "5"]
+    assert "left.radius_m=0.0452" in lines[-1]
 
 
 @pytest.mark.long

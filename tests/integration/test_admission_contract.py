@@ -404,7 +404,7 @@ SITES: dict[str, tuple[type[EntryPoint], ...]] = {
     "cli/demo.py: self._participant.drive": (entry_points.Demo,),
     "cli/play.py: driven.drive": (entry_points.Play,),
     "cli/teleop.py: self._robot.command": (entry_points.Teleop,),
-    "cli/calibration_session.py: self._robot.command": (entry_points.ClientCommand,),
+    "cli/calibration_session.py: robot.command": (entry_points.ClientCommand,),
     "cli/step.py: self._robot.command": (entry_points.ClientCommand,),
     "cli/play.py: host.publish": (entry_points.RosbridgePublish,),  # --as-program; it leaves out what may move a robot
     "cli/topics.py: host.publish": (entry_points.RosbridgePublish,),

@@ -7,9 +7,9 @@ import msgspec
 import pytest
 from structlog.testing import capture_logs
 
-from hostlink.cli.inspect import report_view
+from hostlink.capture_file import Read, load_reads
+from hostlink.cli.inspect import Inspection
 from hostlink.cli.probe import probe_capture
-from hostlink.inspection import Inspection, Read, load_reads
 from hostlink.link.capture_buffer import CAPTURE_BYTES
 from hostlink.messages.catalog import Catalog
 from hostlink.protocol.control import encode_topic_info
@@ -30,7 +30,7 @@ def inspected(lines: bytes, folder: Path) -> dict[str, Any]:
     path.write_bytes(lines)
     inspection = Inspection(Catalog())
     inspection.add_all(load_reads(path))
-    return report_view(inspection)
+    return inspection.view()
 
 
 async def test_the_bytes_of_a_live_link_are_what_inspect_reads(tmp_path: Path) -> None:

@@ -11,21 +11,20 @@ import pytest
 
 from hostlink.cli import step as step_command
 from hostlink.cli.demo import DemoDriver
-from hostlink.cli.robots import require_robot
+from hostlink.cli.robots import free_robot, require_robot
 from hostlink.cli.step import (
     PAPER_GAINS,
     Stage,
     StepRecorder,
     StepRecording,
     Wheel,
-    connected_state,
     find_source,
     make_stage,
     separation_of,
-    tune,
+    tune_motors,
     wheel_parameter,
 )
-from hostlink.client import Host, connect
+from hostlink.client import PRIORITY, Host, connect
 from hostlink.config import Config, ParameterValue, RobotConfig
 from hostlink.errors import CommandRefused, DeviceGone, HostlinkError, RefusalKind, Refused
 from hostlink.protocol.frame import Id, encode
@@ -53,7 +52,7 @@ async def bench(config: Config | None = None) -> AsyncIterator[tuple[Daemon, Dis
 
 async def record(me: Host, stages: Sequence[Stage] = (SLOW,), wheel: Wheel | None = None) -> StepRecording:
     robot = await require_robot(me, "robot_0")
-    source = await find_source(me, await connected_state(robot), wheel, 0.21)
+    source = await find_source(me, await free_robot(me, "robot_0", below=PRIORITY), wheel, 0.21)
     async with asyncio.timeout(TIMEOUT_S):
         while True:
             try:
@@ -180,14 +179,14 @@ async def test_a_robot_that_leaves_ends_the_step() -> None:
             await stepping(host)
         assert "robot_0" in await drive
         with pytest.raises(DeviceGone):
-            await connected_state(me.robot("robot_0"))
+            await free_robot(me, "robot_0", below=PRIORITY)
 
 
 async def test_driven_robot_is_refused() -> None:
     async with bench() as (host, _, me), connect(host.url) as other:
         await other.robot("robot_0").drive(0.1, 0.0)
         with pytest.raises(HostlinkError, match="; end that program first"):
-            await connected_state(me.robot("robot_0"))
+            await free_robot(me, "robot_0", below=PRIORITY)
 
 
 async def test_unknown_robot_is_refused_with_the_known_names() -> None:
@@ -202,7 +201,7 @@ async def test_a_locked_robot_is_refused() -> None:
     async with bench() as (_, _, me):
         await me.robot("robot_0").lock("a cat")
         with pytest.raises(CommandRefused, match="a cat"):
-            await connected_state(me.robot("robot_0"))
+            await free_robot(me, "robot_0", below=PRIORITY)
 
 
 async def refused(recording: object) -> str:
@@ -293,11 +292,11 @@ async def test_gains_are_sent_only_when_requested() -> None:
     records = {"left": motor_record(), "right": motor_record()}
     async with bench() as (_, robot, me):
         before = robot.controls
-        tuning = await tune(me, "robot_0", records, sends=False)
+        tuning = await tune_motors(me, "robot_0", records, sends=False)
         await me.settle()
         assert robot.controls == before
         assert not tuning.is_sent
-        await tune(me, "robot_0", records, sends=True)
+        await tune_motors(me, "robot_0", records, sends=True)
         expected = simc_gains(identify_motor(motor_record()))
         await expect(lambda: robot.controls[0].kp == pytest.approx(expected.kp))
         await expect(lambda: robot.controls[1].ki == pytest.approx(expected.ki))
@@ -315,7 +314,7 @@ async def test_present_gains_and_the_track_are_those_of_the_configuration() -> N
     async with bench(config) as (_, _, me):
         assert await separation_of(me, "robot_0") == 0.3
         assert await wheel_parameter(me, "robot_0", "x") == []
-        tuning = await tune(me, "robot_0", {"left": motor_record()}, sends=False)
+        tuning = await tune_motors(me, "robot_0", {"left": motor_record()}, sends=False)
     assert tuning.wheels["left"].present == PidGains(30.0, 50.0, 0.2)
     assert any("of the configuration" in line for line in tuning.lines())
 
@@ -349,4 +348,4 @@ async def test_a_robot_that_accepts_no_gains_is_named() -> None:
         with pytest.raises(
             HostlinkError, match="robot_0 accepts no gains, because it does not subscribe to pid_tune_l"
         ):
-            await tune(me, "robot_0", {"left": motor_record()}, sends=True)
+            await tune_motors(me, "robot_0", {"left": motor_record()}, sends=True)

@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
-from hostlink.cli.inspect import report_view
-from hostlink.inspection import Inspection, Read, load_reads
+from hostlink.capture_file import Read, load_reads
+from hostlink.cli.inspect import Inspection
 from hostlink.messages.catalog import Catalog
 
 CAPTURES = Path(__file__).parent.parent / "captures"
@@ -39,7 +39,7 @@ def test_inspection_agrees_with_the_original_host(name: str, cut: Any) -> None:
     expected = json.loads((CAPTURES / f"{name}.expected.json").read_text())
     inspection = Inspection(Catalog())
     inspection.add_all(cut(list(load_reads(CAPTURES / f"{name}.jsonl"))))
-    report = report_view(inspection)
+    report = inspection.view()
     sessions = expected["sessions"]
 
     assert report["connections"] == expected["connections"]

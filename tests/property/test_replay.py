@@ -9,8 +9,8 @@ from typing import Any
 
 import pytest
 
+from hostlink.capture_file import Read, load_reads
 from hostlink.hub.device import check_type
-from hostlink.inspection import Read, load_reads
 from hostlink.messages.catalog import Catalog
 from hostlink.protocol import events
 from hostlink.protocol.control import TopicInfo

@@ -6,17 +6,13 @@ import struct
 from pathlib import Path
 
 import pytest
-from textual.widgets import DataTable
 
-from hostlink.cli.top_screen import TopScreen
-from hostlink.config import ApiConfig, Config, TokenConfig
 from hostlink.protocol.frame import Id, encode
-from hostlink.robot.admission import LEASE_S
 from tests.support.daemon import daemon
 from tests.support.fake_device import FakeDevice, fake_device, pose, robot_topics, topic
 from tests.support.process import run
 from tests.support.rosbridge import Client
-from tests.support.waiting import TIMEOUT_S, expect
+from tests.support.waiting import expect
 
 HOSTILE = "\x1b]0;x\x07\x1b[2J\x9b31m\u202e\u2066\x7f[red][/x]"
 TOPICS = [*robot_topics(), topic(Id.PUBLISHER, 126, "/robot_0/text", "std_msgs/String")]
@@ -83,24 +79,3 @@ async def test_a_recording_is_printable(tmp_path: Path) -> None:
         _, out, err = await run(command, str(file))
         assert [line for line in (out + err).split("\n") if not line.isprintable()] == []
         assert "\\u001b]0;x" in out or command == "doctor"
-
-
-async def test_the_screen_shows_names_as_they_are() -> None:
-    token = "a-token-of-somebody"
-    config = Config(api=ApiConfig(tokens=(TokenConfig(name=HOSTILE, role="drive", token=token),)))
-    async with daemon(config) as host, fake_device(host.tcp, TOPICS):
-        screen = TopScreen(host.url, token, 0.1)
-        path = f"/api/robots/robot_0/velocity?token={token}"
-        async with screen.run_test(size=(140, 30)):
-            robots = screen.query_one("#robots", DataTable)
-            shown = ""
-            async with asyncio.timeout(TIMEOUT_S):
-                while "[red][/x]" not in shown:
-                    status, _ = await host.rest("PUT", path, b'{"linear": 0.1, "angular": 0}')
-                    assert status in (200, 409)  # 409: this process was late, and who drives has to let go
-                    await asyncio.sleep(0.1 if status == 200 else 2 * LEASE_S)
-                    shown = "".join(segment.text for segment in robots.render_line(1))
-    assert screen.failure is None
-    assert shown.isprintable()
-    assert "\\u001b]0;x" in shown
-    assert "[red][/x]" in shown

@@ -13,8 +13,6 @@ EXTRAS = (
     "lz4",
     "matplotlib",
     "rosbags",
-    "scipy",
-    "textual",
     "uvloop",
     "wasmtime",
     "xxhash",
@@ -74,11 +72,11 @@ def test_recordings_without_zstd_name_the_installation() -> None:
 
 
 def test_advice_is_a_command_with_the_requirements_of_the_extra() -> None:
-    assert requirements_of("top") == ["textual<9,>=1"]
-    assert set(requirements_of("lab")) > {"scipy<2,>=1.11"}
+    assert requirements_of("export") == ["rosbags<0.12,>=0.10"]
     assert requirements_of("no such extra") == []
-    advice = str(LibraryMissing("top", "textual", "top"))
-    assert advice == f"top: needs textual, of the extra 'top': run  {sys.executable} -m pip install 'textual<9,>=1'"
+    advice = str(LibraryMissing("here", "rosbags", "export"))
+    wanted = f"{sys.executable} -m pip install 'rosbags<0.12,>=0.10'"
+    assert advice == f"here: needs rosbags, of the extra 'export': run  {wanted}"
 
 
 def test_advice_in_the_debian_package_is_the_wheel(monkeypatch: pytest.MonkeyPatch) -> None:

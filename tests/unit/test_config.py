@@ -99,3 +99,14 @@ def test_endless_file_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_missing_settings_file_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="No such file"):
         load(tmp_path / "none.toml")
+
+
+@pytest.mark.parametrize(
+    ("value", "problem"),
+    [("5", "a path is a text in quotes, not 5"), ('"~no-such-user/x"', "'~no-such-user/x': .*home directory")],
+)
+def test_a_path_that_cannot_be_read_is_refused_with_its_place(tmp_path: Path, value: str, problem: str) -> None:
+    file = tmp_path / "hostlink.toml"
+    file.write_text(f"[recording]\nfolder = {value}\n")
+    with pytest.raises(ConfigError, match=rf"{problem}.* - at `\$\.recording\.folder`"):
+        load(file)

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from hostlink.cli.export import Format, export, plot
+from hostlink.cli.export import export, plot
 from hostlink.cli.files import check_output
 from hostlink.cli.setup import setup as command
 from hostlink.errors import ConfigError
@@ -47,7 +47,7 @@ def test_plot_export_and_fetch_replace_no_file_and_no_link(tmp_path: Path, *, is
     for write in (
         lambda: plot(recording, ["/odometry.x"], output=file),
         lambda: plot(recording, ["/odometry.x"]),  # the default name
-        lambda: export(recording, format_=Format.CSV, output=file),
+        lambda: export(recording, format_="csv", output=file),
         lambda: check_output(file),
     ):
         with pytest.raises(ConfigError, match=r"run\.png exists already; choose another name, or remove it"):

@@ -34,7 +34,7 @@ def test_invalid_world_is_refused_with_its_line(tmp_path: Path, content: bytes |
 STARTS: dict[str, Callable[[], None]] = {
     "hostlink sim": sim.command,
     "hostlink demo": demo.command,
-    "hostlink lab": lambda: lab.command(lab.What.TABLES),
+    "hostlink lab": lambda: lab.command("tables"),
     "--simulate": lambda: calibrate.command("robot_0", simulate=True),
 }
 

@@ -4,10 +4,10 @@ from pathlib import Path
 
 import pytest
 
+from hostlink.capture_file import Read, load_reads
 from hostlink.diagnosis.finding import Finding
 from hostlink.diagnosis.replay import replay
 from hostlink.hub.device import check_type
-from hostlink.inspection import Read, load_reads
 from hostlink.messages.catalog import Catalog
 from hostlink.protocol.control import TopicInfo, encode_topic_info
 from hostlink.protocol.frame import Frame, Id, encode

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
+from hostlink.capture_file import load_reads
 from hostlink.diagnosis.speed import guess_speed
-from hostlink.inspection import load_reads
 from hostlink.protocol.frame import Id, encode
 from hostlink.protocol.resampling import resample
 

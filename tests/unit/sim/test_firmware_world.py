@@ -2,7 +2,9 @@
 
 import gc
 import math
+import re
 import struct
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -165,3 +167,10 @@ def test_world_is_valid_as_long_as_it_is_referenced() -> None:
     world = connected(WorldParameters({"battery_v": 11.0})).world
     gc.collect()
     assert world.now("battery_v") == 11.0
+
+
+def test_the_example_of_the_document_runs(capsys: pytest.CaptureFixture[str]) -> None:
+    text = (Path(__file__).parents[3] / "docs" / "simulated-world.md").read_text()
+    (example,) = re.findall(r"^```python\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
+    exec(compile(example, "docs/simulated-world.md", "exec"), {})  # noqa: S102 - of our own document
+    assert capsys.readouterr().out.count("Pose(") == 2

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from hostlink.cli.inspect import json_value, report_view
+from hostlink.capture_file import Read, load_reads
+from hostlink.cli.inspect import Inspection, json_value
 from hostlink.errors import BadRequest
-from hostlink.inspection import Inspection, Read, load_reads
 from hostlink.messages.catalog import Catalog
 from hostlink.protocol.frame import encode
 
@@ -19,9 +19,7 @@ def test_unknown_type_is_shown_as_bytes() -> None:
     info = (125).to_bytes(2, "little") + strings + (512).to_bytes(4, "little")
     inspection = Inspection(Catalog())
     inspection.add_all([Read("device", (encode(0, info) + encode(125, b"\x01\x02")).hex())])
-    assert report_view(inspection)["messages"] == {
-        "/x": {"count": 1, "first": {"hex": "0102"}, "last": {"hex": "0102"}}
-    }
+    assert inspection.view()["messages"] == {"/x": {"count": 1, "first": {"hex": "0102"}, "last": {"hex": "0102"}}}
 
 
 @pytest.mark.parametrize(
