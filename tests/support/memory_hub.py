@@ -44,6 +44,7 @@ class RecordingGuard:
 
     def release(self, number: int) -> None:
         self.released.append(number)
+        self.watched.pop(number, None)
 
 
 class MemoryHub:

@@ -11,6 +11,7 @@ import pytest
 
 from hostlink.api.server import url_of
 from hostlink.config import ApiConfig, Config, TokenConfig
+from hostlink.robot.admission import LEASE_S
 from hostlink.transport.base import READ_BYTES
 from tests.support.api_memory import Answer, ApiMemory, api_memory
 from tests.support.participants import VELOCITY_ID
@@ -158,10 +159,12 @@ def test_revoked_token_ends_its_web_socket_and_stops_what_it_drives(check: Calla
     async def test(api: ApiMemory) -> None:
         peer = await api.web_socket("/?token=a-token-that-drives")
         reader = await api.web_socket("/?token=a-token-that-reads")
+        await api.request("PUT", VELOCITY, FAST, Authorization="Bearer a-token-that-drives")
         peer.send_text(op="drive", id="1", robot="robot_0", linear=0.2, angular=0.0)
         await asyncio.sleep(0.05)
         assert speeds(api)[-1] == (0.2, 0.0)
         api.server._prepare_access(Config(api=ApiConfig(tokens=TOKENS[1:])))()
+        assert len(api.server._owners) == 0  # of REST
         await asyncio.sleep(0.05)
         assert speeds(api)[-1] == (0.0, 0.0)
         assert (peer.transport.is_closed, reader.transport.is_closed) == (True, False)
@@ -190,6 +193,21 @@ def test_odometry_events_begin_with_the_known_pose_and_continue_with_each_new_on
         peer.transport.close()
         await asyncio.sleep(1.0)
         assert json.loads((await api.request("GET", "/api/clients")).body)["clients"] == []
+
+    check(test)
+
+
+def test_velocity_whose_body_arrived_a_lease_after_its_head_is_refused_and_a_zero_is_not(
+    check: Callable[..., None],
+) -> None:
+    async def test(api: ApiMemory) -> None:
+        for body, status in ((FAST, 409), (b'{"linear": 0, "angular": 0}', 200)):
+            peer = api.connect()
+            peer.send_head("PUT", VELOCITY, {"Host": "localhost", "Content-Length": str(len(body))})
+            await asyncio.sleep(LEASE_S + 0.1)
+            peer.send(body)
+            assert (await api.answer(peer)).status == status
+        assert set(speeds(api)) == {(0.0, 0.0)}
 
     check(test)
 

@@ -236,8 +236,13 @@ def test_reconfigured_address_renames_a_connected_robot_unless_it_is_driven_or_l
         await asyncio.sleep(1.0)
         made.robot().lock("smoke")
         await asyncio.sleep(1.0)
-        with pytest.raises(ReloadRefused, match="robot_0 is locked"):
-            made.hub.reconfigure(config, places_of(config))
+        for is_away in (False, True):
+            if is_away:
+                await device.aclose()
+                await asyncio.sleep(1.0)
+            with pytest.raises(ReloadRefused, match="robot_0 is locked"):
+                made.hub.reconfigure(config, places_of(config))
+        device = await made.connect(address="10.0.0.2")
         made.robot().unlock()
         await asyncio.sleep(1.0)
         assert made.hub.reconfigure(config, places_of(config)) == {"robot_0": "mower"}
