@@ -64,7 +64,7 @@ class _Writer:
         self._end.break_off()
 
     async def wait_closed(self) -> None:
-        """It is closed at once."""
+        """Return at once, because the end is closed."""
 
 
 @contextlib.asynccontextmanager
