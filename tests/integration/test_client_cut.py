@@ -17,11 +17,10 @@ from tests.support.daemon import Daemon, daemon
 from tests.support.proxy import Line, Proxy, proxy
 from tests.support.simulated import simulated_robot
 from tests.support.stopwatch import Stopwatch
-from tests.support.waiting import expect, expect_never
+from tests.support.waiting import TIMEOUT_S, expect, expect_never
 
 NOTICED_S = 1.0
 STOPPED_M_S = 0.005
-BACK_S = 3.0
 
 
 @dataclass
@@ -41,7 +40,7 @@ class World:
         return self.host.hub.robots.find("robot_0")
 
     async def change(self) -> ConnectionChange:
-        async with asyncio.timeout(BACK_S):
+        async with asyncio.timeout(TIMEOUT_S):
             return await anext(self.changes)
 
     async def lost(self) -> ConnectionChange:

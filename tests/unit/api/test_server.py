@@ -347,6 +347,31 @@ def test_metrics_have_robots_links_and_graphs(check: Callable[..., None]) -> Non
     check(test)
 
 
+def test_metrics_have_the_motion_and_the_lock_of_a_robot(check: Callable[..., None]) -> None:
+    async def metrics(api: ApiMemory) -> dict[str, float]:
+        lines = (await api.request("GET", "/metrics")).body.decode().splitlines()
+        found = (
+            line.removeprefix("hostlink_robot_").rsplit(" ", 1) for line in lines if "hostlink_robot_" in line[:15]
+        )
+        return {name: float(value) for name, value in found}
+
+    async def test(api: ApiMemory) -> None:
+        for number in range(3):
+            await api.move_to(0.1 * number, 0.0, 0.0)  # within 0.05 s
+        await api.request("PUT", VELOCITY, b'{"linear": 0.3, "linear_y_m_s": 0.1, "angular": -0.5}')
+        found = await metrics(api)
+        assert (found['driven{robot="robot_0"}'], found['locked{robot="robot_0"}']) == (1, 0)
+        assert found['speed{axis="linear",robot="robot_0"}'] == pytest.approx(2.0)
+        commanded = {"linear": 0.3, "linear_y": 0.1, "angular": -0.5}
+        for axis, speed in commanded.items():
+            assert found[f'commanded_speed{{axis="{axis}",robot="robot_0"}}'] == speed
+        await api.request("POST", "/api/robots/robot_0/lock?wait_s=0")
+        found = await metrics(api)
+        assert (found['driven{robot="robot_0"}'], found['locked{robot="robot_0"}']) == (0, 1)
+
+    check(test)
+
+
 def test_recordings_are_listed_newest_first(check: Callable[..., None], tmp_path: Path) -> None:
     async def test(api: ApiMemory) -> None:
         for age_s, name in enumerate(("third", "second", "first")):

@@ -147,7 +147,7 @@ TWIST = channel("/robot_0/cmd_vel", "geometry_msgs/Twist", "")
 async def test_recorded_velocity_that_no_gate_sent_is_not_published(
     tmp_path: Path, recorded: play.Channel, payload: bytes
 ) -> None:
-    """The velocity was recorded while the robot was disconnected, from a device that drives another robot, or by ROS 2."""
+    """The robot was disconnected, a device drove another robot, or another program recorded it."""
     file = recording(tmp_path, [(0.1 * number, recorded, payload) for number in range(5)])
     async with robot() as (here, _):
         with pytest.raises(BadRequest, match="--drive plays velocities"):
