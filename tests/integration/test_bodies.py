@@ -61,13 +61,6 @@ async def test_a_body_that_the_head_refuses_is_not_read(method: str, path: str, 
         assert await sent_bytes(writer) < KERNEL_BYTES
 
 
-async def test_a_lock_whose_body_is_too_large_locks_the_robot_all_the_same() -> None:
-    async with daemon(CONFIG) as host, fake_device(host.tcp, robot_topics()), connection(host) as (reader, writer):
-        writer.write(head("POST", "/api/robots/robot_0/lock", READ, HUGE))
-        assert b"413" in await reader.readline()
-        assert host.hub.robots.find("robot_0").gate.lock_reason is not None
-
-
 async def test_a_large_body_does_not_stop_the_next_request_of_its_connection() -> None:
     """A small body over the limit is read to its end, because a program expects to keep its connection."""
     async with daemon() as host, fake_device(host.tcp, robot_topics()), connection(host) as (reader, writer):

@@ -9,7 +9,7 @@ import pytest
 import schemathesis
 from hypothesis import HealthCheck, Phase, given, settings
 
-from hostlink.config import ApiConfig, Config, LinkConfig
+from hostlink.config import ApiConfig, Config
 from hostlink.errors import DeviceGone
 from hostlink.hub.gates import RemoteHosts
 from tests.support.daemon import daemon
@@ -17,8 +17,7 @@ from tests.support.fake_device import fake_device, pose, robot_topics
 
 EXAMPLES = 8  # a path
 PROMISED = Path(__file__).with_name("openapi.json")
-PATIENT = LinkConfig(silence_timeout_s=None, idle_timeout_s=None)  # the device says nothing for as long as this takes
-GENEROUS = Config(api=ApiConfig(max_requests_s=1e6), link=PATIENT)
+GENEROUS = Config(api=ApiConfig(max_requests_s=1e6))
 
 
 def try_everything(url: str, document: dict[str, Any]) -> list[str]:

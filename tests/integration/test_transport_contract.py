@@ -24,7 +24,6 @@ from tests.support.pty_pair import pty_pair
 from tests.support.stopwatch import Stopwatch
 from tests.support.tcp_server import never
 
-pytestmark = pytest.mark.timeout(20)
 A_WHILE_S = 0.05
 DATA = bytes(range(256)) * 16
 CROWD = 40

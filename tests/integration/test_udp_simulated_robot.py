@@ -14,7 +14,6 @@ from tests.support.background import meanwhile
 from tests.support.daemon import daemon
 from tests.support.waiting import expect
 
-pytestmark = pytest.mark.timeout(60)
 HOST = "127.0.0.1"
 FORWARD = PlanarVelocity(x_m_s=0.2)
 

@@ -18,6 +18,7 @@ from tests.support.participants import VELOCITY_ID
 from tests.support.virtual_loop import run_virtual
 
 VELOCITY = "/api/robots/robot_0/velocity"
+LOCK = "/api/robots/robot_0/lock?wait_s=0"
 FAST = json.dumps({"linear": 0.2, "angular": 0.5}).encode()
 TOKENS = (
     TokenConfig(name="phone", token="a-token-that-drives", role="drive"),
@@ -219,6 +220,37 @@ def test_stop_does_not_wait_for_its_body(check: Callable[..., None]) -> None:
         peer.send_head("POST", "/api/stop", {"Host": "localhost", "Content-Length": "10"})
         await asyncio.sleep(0.05)
         assert speeds(api)[-1] == (0.0, 0.0)
+
+    check(test)
+
+
+def test_lock_waits_for_no_body_and_has_its_reason_when_the_body_arrives(check: Callable[..., None]) -> None:
+    async def test(api: ApiMemory) -> None:
+        gate, body = api.hub.robots.find_here("robot_0").gate, b'{"reason": "a hand"}'
+        await api.request("PUT", VELOCITY, FAST)
+        peer = api.connect()
+        peer.send_head("POST", LOCK, {"Host": "localhost", "Content-Length": str(len(body))})
+        peer.send(body[:10])
+        await asyncio.sleep(0.05)
+        assert gate.lock_reason == "emergency stop"
+        assert speeds(api)[-1] == (0.0, 0.0)
+        peer.send(body[10:])
+        assert (await api.answer(peer)).status == 200
+        assert gate.lock_reason == "a hand"
+
+    check(test)
+
+
+@pytest.mark.parametrize(("announced_bytes", "status"), [(20, 0), (10**9, 413)], ids=["cut off", "too large"])
+def test_lock_without_its_body_holds(check: Callable[..., None], announced_bytes: int, status: int) -> None:
+    async def test(api: ApiMemory) -> None:
+        peer = api.connect()
+        peer.send_head("POST", LOCK, {"Host": "localhost", "Content-Length": str(announced_bytes)})
+        await asyncio.sleep(0.05)
+        peer.transport.abort()
+        assert Answer(bytes(peer.transport.written)).status == status
+        assert (await api.request("PUT", VELOCITY, FAST)).status == 409
+        assert api.hub.robots.find_here("robot_0").gate.lock_reason == "emergency stop"
 
     check(test)
 
