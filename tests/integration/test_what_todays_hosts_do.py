@@ -232,6 +232,7 @@ async def test_a_wrong_md5() -> None:
             await device.send(encode(126, b"\x01") + pose(1.0))
             await messages(host, 1)
             assert host.hub.topics.find_or_none("/odd") is None
+            assert (await host.get("/api/links"))["links"][0]["refused_frames"] == 1
     reasons = [line["reason"] for line in lines if line["event"] == "topic.refused"]
     assert len(reasons) == 1
     assert wrong.md5 in reasons[0]
