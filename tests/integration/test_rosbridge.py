@@ -7,7 +7,7 @@ import aiohttp
 
 from hostlink.protocol.frame import encode
 from tests.support.daemon import daemon
-from tests.support.fake_device import fake_device, pose, robot_topics, service_server
+from tests.support.fake_device import fake_device, pose, robot_topics, service_client, service_server
 from tests.support.rosbridge import client
 from tests.support.waiting import expect
 
@@ -81,3 +81,19 @@ async def test_a_client_that_a_fault_of_hostlink_ends_is_closed_and_its_robot_st
         assert (closing.type, closing.data) == (aiohttp.WSMsgType.CLOSE, aiohttp.WSCloseCode.INTERNAL_ERROR)
         async with client(host) as other:
             assert "/chat" not in (await other.call("/rosapi/topics"))["topics"]
+
+
+async def test_a_program_offers_a_service_that_a_device_calls() -> None:
+    async with (
+        daemon() as host,
+        fake_device(host.tcp, service_client("/toggle", "std_srvs/SetBool")) as device,
+        client(host) as program,
+    ):
+        await program.send(op="advertise_service", service="/toggle", type="std_srvs/SetBool")
+        await expect(lambda: host.hub.services.provider("/toggle"))
+        await device.send(encode(125, b"\x01"))
+        call = await program.receive()
+        assert (call["op"], call["service"], call["args"]) == ("call_service", "/toggle", {"data": True})
+        values = {"success": True, "message": "ok"}
+        await program.send(op="service_response", id=call["id"], service="/toggle", values=values, result=True)
+        assert await device.frame(100) == b"\x01\x02\x00\x00\x00ok"

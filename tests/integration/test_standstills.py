@@ -93,18 +93,3 @@ async def test_the_standstill_can_be_read_without_a_stop() -> None:
         assert (await me.standstill())["robot_0"].state is StandstillState.STOPPED
         assert (await host.rest("GET", "/api/robots/robot_0/standstill"))[1]["standstill"]["state"] == "stopped"
         assert host.hub.robots.find("robot_0").gate.counts.stops == stops
-
-
-@pytest.mark.parametrize("is_moving", [False, True])
-async def test_the_service_that_locks_says_whether_the_robot_stands(is_moving: bool) -> None:
-    async with daemon() as host, connect(host.url) as me, contextlib.AsyncExitStack() as stack:
-        if is_moving:
-            device = await stack.enter_async_context(fake_device(host.tcp, robot_topics()))
-            await stack.enter_async_context(moving(device))
-        else:
-            await stack.enter_async_context(simulated_robot(host.tcp))
-        await expect(lambda: host.hub.robots.find("robot_0").odometry.count > 5)
-        answer = await me.call("/robot_0/lock")
-        assert answer["success"] is not is_moving
-        expected = "robot_0 still moves at 0.1" if is_moving else "robot_0 is stopped (0.00 m/s after "
-        assert answer["message"].startswith(f"robot_0 is locked until robot_0/unlock is called; {expected}")
