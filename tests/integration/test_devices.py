@@ -6,17 +6,12 @@ import struct
 import tracemalloc
 
 import pytest
-from structlog.testing import capture_logs
 
-from hostlink.config import Config, LinkConfig
-from hostlink.errors import UnknownTopic
 from hostlink.hub.message import Message
-from hostlink.protocol.control import Log
 from hostlink.protocol.frame import Id, encode
 from tests.support.daemon import daemon
-from tests.support.device_codec import encode_log
 from tests.support.fake_device import fake_device, pose, robot_topics, topic
-from tests.support.participants import publish, subscribe
+from tests.support.participants import subscribe
 from tests.support.waiting import expect
 
 
@@ -31,22 +26,6 @@ async def test_a_message_of_a_device_reaches_a_subscriber() -> None:
     assert message.type_name == "geometry_msgs/Pose2D"
 
 
-async def test_unknown_topic_is_refused_with_the_known_names() -> None:
-    topics = [topic(Id.SUBSCRIBER, 100, "/led", "std_msgs/Bool")]
-    async with daemon() as host, fake_device(host.tcp, topics):
-        with pytest.raises(UnknownTopic, match="no topic named /lid; known: /diagnostics, /led"):
-            publish(host.hub, "/lid", {}, source="test")
-
-
-async def test_a_device_log_is_in_the_daemon_log_without_escape_codes() -> None:
-    with capture_logs() as lines:
-        async with daemon() as host, fake_device(host.tcp, []) as device:
-            await device.send(encode(Id.LOG, encode_log(Log(2, "warm \x1b[31m"))))
-            await expect(lambda: any(line["event"] == "device.logged" for line in lines))
-    line = next(line for line in lines if line["event"] == "device.logged")
-    assert (line["log_level"], line["level_name"], line["text"]) == ("warning", "warn", "warm ?[31m")
-
-
 async def test_message_of_an_undefined_type_passes_as_bytes() -> None:
     uncommon = topic(Id.PUBLISHER, 125, "/odd", "std_msgs/Bool")._replace(type="my_msgs/Odd", md5="1" * 32)
     heard: asyncio.Queue[Message] = asyncio.Queue()
@@ -55,14 +34,6 @@ async def test_message_of_an_undefined_type_passes_as_bytes() -> None:
         await device.send(encode(125, b"raw"))
         message = await heard.get()
     assert (message.type_name, message.payload) == ("my_msgs/Odd", b"raw")
-
-
-async def test_a_silent_device_is_let_go() -> None:
-    config = Config(link=LinkConfig(idle_timeout_s=0.2))
-    with capture_logs() as lines:
-        async with daemon(config) as host, fake_device(host.tcp) as device:
-            await device.closed()
-    assert [line["reason"] for line in lines if line["event"] == "link.closed"] == ["idle"]
 
 
 STRING_OF_4_GB = struct.pack("<H", 125) + b"\xff\xff\xff\xff"
@@ -106,14 +77,6 @@ async def test_a_device_that_publishes_before_a_request_gets_one_request_and_is_
         await device.send(pose(1.0))
         await expect(lambda: host.hub.topics.find("/robot_0/odometry").messages == 1)
         assert (await host.get("/api/links"))["links"][0]["topic_requests"] == 1
-
-
-async def test_protocol_1_is_named() -> None:
-    body = b"\x0a\x00\x08\x00" + bytes(8)
-    with capture_logs() as lines:
-        async with daemon() as host, fake_device(host.tcp) as device:
-            await device.send(b"\xff\xff" + body + bytes([255 - sum(body) % 256]))
-            await expect(lambda: any(line["event"] == "protocol.version_1" for line in lines))
 
 
 async def test_connections_that_are_reset_at_once_disturb_no_robot() -> None:

@@ -99,6 +99,17 @@ def test_stop_sends_zero_and_reports_standstill() -> None:
     check(test)
 
 
+def test_stop_with_an_invalid_wait_is_refused_and_stops_the_robot() -> None:
+    async def test(api: RestMemory) -> None:
+        await api.call("PUT", VELOCITY, {"linear": 0.2, "angular": 0.0})
+        status, body = await api.call("POST", "/api/robots/robot_0/stop?wait_s=soon")
+        assert (status, body["error"]["kind"]) == (400, "BadRequest")
+        await asyncio.sleep(0.05)
+        assert speeds(api)[-1] == (0.0, 0.0, 0.0)
+
+    check(test)
+
+
 def test_stop_of_all_sends_zero_and_lists_every_robot() -> None:
     async def test(api: RestMemory) -> None:
         await api.call("PUT", VELOCITY, {"linear": 0.2, "angular": 0.0})
