@@ -159,3 +159,12 @@ async def test_without_a_free_descriptor_a_sick_device_is_diagnosed_and_a_robot_
             for descriptor in opened:
                 os.close(descriptor)
         assert not host.hub.isolation.crashes
+
+
+async def test_a_link_that_is_replaced_leaves_a_standing_robot() -> None:
+    """The robot is stopped also if the device has no watchdog."""
+    async with daemon() as host, fake_device(host.tcp, robot_topics()) as device:
+        await expect(lambda: host.hub.robots.find("robot_0").link)
+        await is_driven(host, "robot_0", device)
+        async with fake_device(host.tcp, robot_topics()):
+            await receives_zero_and_is_cut(device)

