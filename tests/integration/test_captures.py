@@ -14,7 +14,7 @@ from hostlink.messages.catalog import Catalog
 from hostlink.protocol.control import encode_topic_info
 from hostlink.protocol.frame import Id, encode
 from tests.support.daemon import Daemon, daemon
-from tests.support.fake_device import FakeDevice, fake_device, pose, robot_topics, topic
+from tests.support.fake_device import FakeDevice, fake_device, pose, repeating, robot_topics, topic
 from tests.support.waiting import expect
 
 
@@ -125,7 +125,7 @@ async def test_a_topic_with_another_md5_is_diagnosed_in_api_and_log_in_the_same_
     with capture_logs() as lines:
         async with daemon() as host:
             for _ in range(2):  # the second time within a minute is not told again
-                async with fake_device(host.tcp, [*robot_topics(), wrong]):
+                async with fake_device(host.tcp, [*robot_topics(), wrong]) as device, repeating(device, pose(0.0)):
                     await expect(lambda: host.hub.links.all() and host.hub.diagnoses.of(host.hub.links.all()[-1]))
                     diagnosis = (await host.get("/api/links"))["links"][-1]["diagnosis"]
     assert [each["code"] for each in diagnosis] == ["wrong_md5"]
