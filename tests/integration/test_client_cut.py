@@ -51,12 +51,12 @@ class World:
         assert (change.is_connected, self.me.is_connected) == (False, False)
         return change
 
-    async def moves(self) -> None:
+    async def moves(self, robot: Robot) -> None:
         """Drive until the robot moves, because a pause of this process breaks a drive off."""
         async with asyncio.timeout(TIMEOUT_S):
             while self.body.speed_m_s < 0.02:
                 with contextlib.suppress(HostlinkError):
-                    await self.robot.drive(0.2, 0.0)
+                    await robot.drive(0.2, 0.0)
                 await asyncio.sleep(0.1)
 
     async def stands(self) -> None:
@@ -82,7 +82,7 @@ async def driven() -> AsyncIterator[World]:
         robot = me.robot("robot_0")
         world = World(host, line, me, robot, body, me.connection())
         await expect(lambda: world.known.link is not None)
-        await world.moves()
+        await world.moves(robot)
         yield world
 
 
@@ -91,7 +91,7 @@ async def drive_is_dropped(world: World) -> None:
     assert not world.robot.is_driven
     with pytest.raises(HostlinkError, match="robot_0 was stopped, drive again if it is still meant: the connection"):
         await world.robot.drive(0.2, 0.0)
-    await world.moves()
+    await world.moves(world.robot)
 
 
 @pytest.mark.parametrize("line", [Line.SWALLOWS, pytest.param(Line.STALLS, marks=pytest.mark.long)])
@@ -205,8 +205,7 @@ async def test_the_block_can_be_left_while_the_line_is_dead() -> None:
     async with driven() as world:
         await world.robot.stop(wait_s=0.0)
         async with connect(world.line.url) as other:
-            await other.robot("robot_0").drive(0.2, 0.0)
-            await expect(lambda: world.body.speed_m_s > 0.02)
+            await world.moves(other.robot("robot_0"))
             world.line.set_line(Line.SWALLOWS)
             watch = Stopwatch()
         assert watch.seconds < 4.0 or world.host.was_paused
