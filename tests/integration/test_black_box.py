@@ -163,7 +163,7 @@ async def test_a_robots_history_is_where_it_drove_and_what_happened(tmp_path: Pa
         await expect(lambda: host.hub.topics.find("/robot_0/odometry").messages == 4)
         host.hub.robots.find("robot_0").stop()
         async with asyncio.timeout(TIMEOUT_S):
-            while not commanded(await host.get("/api/robots/robot_0/history")):
+            while not commanded(await host.get("/api/robots/robot_0/history")):  # noqa: ASYNC110 - there is no event
                 await asyncio.sleep(REQUEST_INTERVAL_S)
         host.hub.join("pilot").drive(host.hub.robots.find("robot_0"), PlanarVelocity(0.2))
         await host.rest("POST", "/api/robots/robot_0/lock?wait_s=0")
