@@ -1,4 +1,4 @@
-"""Results of a script's own calls: limits, refusals, names, and numpy numbers as arguments."""
+"""Results of a script's own calls: refusals, names, and numpy numbers as arguments."""
 
 import contextlib
 from collections.abc import AsyncIterator, Mapping
