@@ -298,7 +298,7 @@ def test_publisher_without_tcpros_address_is_refused(found: object) -> None:
 
 
 def test_new_publisher_that_is_connected_late_is_not_new(monkeypatch: pytest.MonkeyPatch) -> None:
-    """It waited for room, and may be in the middle of a motion."""
+    """A publisher that waited for room may be in the middle of a motion."""
     made: list[bool] = []
 
     def refuse(*_: object, is_new: bool) -> None:
