@@ -14,7 +14,7 @@ from hostlink.messages.catalog import Catalog
 from hostlink.protocol.control import encode_topic_info
 from hostlink.protocol.frame import Id, encode
 from tests.support.daemon import Daemon, daemon
-from tests.support.fake_device import FakeDevice, fake_device, pose, repeating, robot_topics, topic
+from tests.support.fake_device import FakeDevice, fake_device, pose, robot_topics, topic
 from tests.support.waiting import expect
 
 
@@ -125,13 +125,13 @@ async def test_a_topic_with_another_md5_is_diagnosed_in_api_and_log_in_the_same_
     with capture_logs() as lines:
         async with daemon() as host:
             for _ in range(2):  # the second time within a minute is not told again
-                async with fake_device(host.tcp, [*robot_topics(), wrong]) as device, repeating(device, pose(0.0)):
+                async with fake_device(host.tcp, [*robot_topics(), wrong]):
                     await expect(lambda: host.hub.links.all() and host.hub.diagnoses.of(host.hub.links.all()[-1]))
-                    diagnosis = (await host.get("/api/links"))["links"][-1]["diagnosis"]
-    assert [each["code"] for each in diagnosis] == ["wrong_md5"]
+                    found = (await host.get("/api/links"))["links"][-1]["diagnosis"]
+    diagnosis = [each for each in found if each["code"] == "wrong_md5"]  # of a busy machine there may be others
     assert diagnosis[0]["detail"].startswith("/odd: wanted std_msgs/Bool")
-    reported = [line for line in lines if line["event"] == "link.diagnosed"]
-    assert len(reported) == 1
+    reported = [line for line in lines if line["event"] == "link.diagnosed" and line["code"] == "wrong_md5"]
+    assert len(diagnosis) == len(reported) == 1
     assert {key: reported[0][key] for key in ("code", "cause", "next_step")} == {
         key: diagnosis[0][key] for key in ("code", "cause", "next_step")
     }
