@@ -199,8 +199,6 @@ async def test_call() -> None:
         assert calling.result() == {"success": True, "message": "ok"}
         with pytest.raises(HostlinkError, match="no service named /nope"):
             await me.call("/nope", {})
-        with pytest.raises(HostlinkError, match=r"/trigger: no answer within 0.05 s"):
-            await me.call("/trigger", {}, timeout_s=0.05)
 
 
 async def test_exception_in_the_block_is_raised_unchanged() -> None:
