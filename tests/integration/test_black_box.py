@@ -35,7 +35,7 @@ async def boxed(settings: Config, name: str = "robot_0") -> AsyncIterator[tuple[
     """A daemon with a robot that has said where it is."""
     async with daemon(settings, has_black_box=True) as host, fake_device(host.tcp, robot_topics(name)) as device:
         await expect(lambda: [robot.name for robot in host.hub.robots.all()] == [name])
-        await asyncio.sleep(0.1)
+        await expect(lambda: len(host.hub.topics.find(f"/{name}/odometry").subscribers) > 1)  # the black box is one
         await device.send(pose(1.0, 2.0, 0.5))
         await expect(lambda: host.hub.topics.find(f"/{name}/odometry").messages == 1)
         yield host, device
@@ -161,6 +161,10 @@ async def test_a_robots_history_is_where_it_drove_and_what_happened(tmp_path: Pa
         for number in range(1, 4):
             await device.send(pose(1.0 + number / 100, 2.0, 0.5))
         await expect(lambda: host.hub.topics.find("/robot_0/odometry").messages == 4)
+        host.hub.robots.find("robot_0").stop()
+        async with asyncio.timeout(TIMEOUT_S):
+            while not commanded(await host.get("/api/robots/robot_0/history")):  # noqa: ASYNC110 - there is no event
+                await asyncio.sleep(REQUEST_INTERVAL_S)
         host.hub.join("pilot").drive(host.hub.robots.find("robot_0"), PlanarVelocity(0.2))
         await host.rest("POST", "/api/robots/robot_0/lock?wait_s=0")
         history = await host.get("/api/robots/robot_0/history")

@@ -6,9 +6,7 @@ from collections.abc import AsyncIterator
 
 import pytest
 
-from hostlink.api.routes import MAX_BODY_BYTES
 from hostlink.config import ApiConfig, Config, TokenConfig
-from hostlink.hub.byte_budget import SHARES
 from tests.support.api_loads import head
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import fake_device, robot_topics
@@ -63,13 +61,6 @@ async def test_a_body_that_the_head_refuses_is_not_read(method: str, path: str, 
         assert await sent_bytes(writer) < KERNEL_BYTES
 
 
-async def test_a_lock_whose_body_is_too_large_locks_the_robot_all_the_same() -> None:
-    async with daemon(CONFIG) as host, fake_device(host.tcp, robot_topics()), connection(host) as (reader, writer):
-        writer.write(head("POST", "/api/robots/robot_0/lock", READ, HUGE))
-        assert b"413" in await reader.readline()
-        assert host.hub.robots.find("robot_0").gate.lock_reason is not None
-
-
 async def test_a_large_body_does_not_stop_the_next_request_of_its_connection() -> None:
     """A small body over the limit is read to its end, because a program expects to keep its connection."""
     async with daemon() as host, fake_device(host.tcp, robot_topics()), connection(host) as (reader, writer):
@@ -80,32 +71,3 @@ async def test_a_large_body_does_not_stop_the_next_request_of_its_connection() -
             assert status in answer.partition(b"\r\n")[0]
             length = next(line for line in answer.lower().split(b"\r\n") if line.startswith(b"content-length"))
             await reader.readexactly(int(length.partition(b":")[2]))
-
-
-async def test_a_lock_and_a_velocity_need_no_room_that_the_bodies_of_others_have() -> None:
-    async with daemon(CONFIG) as host, fake_device(host.tcp, robot_topics()), contextlib.AsyncExitStack() as open_:
-        for _ in range(SHARES["bodies"] // MAX_BODY_BYTES):
-            _, writer = await open_.enter_async_context(connection(host))
-            writer.write(head("POST", "/api/recordings", DRIVE, "Content-Length: 100"))
-        while host.hub.budget["bodies"].held_bytes < SHARES["bodies"]:  # noqa: ASYNC110 - it has no event
-            await asyncio.sleep(0.01)
-        for method, path, token, body in (
-            ("PUT", "/api/robots/robot_0/velocity", DRIVE, b'{"linear": 0, "angular": 0}'),
-            ("POST", "/api/robots/robot_0/lock", READ, b'{"reason": "fire"}'),
-        ):
-            reader, writer = await open_.enter_async_context(connection(host))
-            writer.write(head(method, path, token, f"Content-Length: {len(body)}") + body)
-            assert b"200" in await reader.readline()
-        assert host.hub.robots.find("robot_0").gate.lock_reason == "fire"
-
-
-async def test_velocity_whose_body_arrived_a_lease_after_its_head_is_refused_and_a_zero_stops() -> None:
-    async with daemon() as host, fake_device(host.tcp, robot_topics()):
-        for linear, status in (("0.2", b"409"), ("0", b"200")):
-            body = f'{{"linear": {linear}, "angular": 0}}'.encode()
-            async with connection(host) as (reader, writer):
-                writer.write(head("PUT", "/api/robots/robot_0/velocity", "", f"Content-Length: {len(body)}"))
-                await asyncio.sleep(0.6)
-                writer.write(body)
-                assert status in await reader.readline()
-        assert host.hub.robots.find("robot_0").gate.counts.commands == 1

@@ -5,7 +5,6 @@ import asyncio
 import msgspec
 import pytest
 
-from hostlink.api.listener import LARGE_BYTES
 from hostlink.config import ApiConfig, Config
 from hostlink.hub.byte_budget import OWN_LATCHED_BYTES, SHARES
 from tests.support.api_loads import frame, websocket_head
@@ -52,52 +51,12 @@ async def test_pieces_calls_watches_and_what_waits_are_given_back_when_a_client_
         await expect(lambda: not any(share.held_bytes for share in host.hub.budget.shares.values()))
 
 
-async def test_a_large_message_waits_for_room_and_small_ones_of_others_do_not() -> None:
-    async with daemon() as host, client(host) as large, client(host) as small:
-        receiving = host.hub.budget["receiving"]
-        assert receiving.take(SHARES["receiving"])
-        await large.send(op="publish", topic="/large", type="std_msgs/String", msg={"data": BODY})
-        assert await small.call("/rosapi/topic_type", topic="/large") == {"type": ""}
-        receiving.give(SHARES["receiving"])
-        await expect(lambda: host.hub.topics.find_or_none("/large") is not None)
-        await expect(lambda: receiving.held_bytes == 0)
-        assert await large.call("/rosapi/topic_type", topic="/large") == {"type": "std_msgs/String"}
-
-
 async def test_message_larger_than_the_budget_occupies_all_of_it_alone() -> None:
     config = Config(api=ApiConfig(max_message_bytes=2 * SHARES["receiving"]))
     async with daemon(config) as host, client(host) as large:
         await large.send(op="publish", topic="/large", type="std_msgs/String", msg={"data": BODY})
         assert await large.call("/rosapi/topic_type", topic="/large") == {"type": "std_msgs/String"}
         await expect(lambda: host.hub.budget["receiving"].held_bytes == 0)
-
-
-async def test_a_large_message_that_does_not_become_whole_closes_its_client_alone() -> None:
-    config = Config(api=ApiConfig(request_timeout_s=0.5))
-    async with daemon(config) as host, client(host) as other:
-        reader, writer = await asyncio.open_connection("127.0.0.1", int(host.url.rpartition(":")[2]))
-        writer.write(websocket_head(""))
-        await reader.readuntil(b"\r\n\r\n")
-        writer.write(frame(BODY.encode())[: len(BODY) // 2])
-        await expect(lambda: host.hub.budget["receiving"].held_bytes > 0)
-        assert await reader.read() == b""
-        await expect(lambda: host.hub.budget["receiving"].held_bytes == 0)
-        assert "topics" in await other.call("/rosapi/topics")
-        writer.close()
-
-
-async def test_pings_of_a_silent_client_do_not_count_as_a_large_message() -> None:
-    async with daemon() as host:
-        reader, writer = await asyncio.open_connection("127.0.0.1", int(host.url.rpartition(":")[2]))
-        writer.write(websocket_head(""))
-        await reader.readuntil(b"\r\n\r\n")
-        payload = bytes(100)
-        ping = bytes((0x89, 0x80 | len(payload))) + bytes(4) + payload
-        for _ in range(2 * LARGE_BYTES // len(ping)):
-            writer.write(ping)
-            assert await reader.readexactly(2 + len(payload)) == bytes((0x8A, len(payload))) + payload
-        assert host.hub.budget["receiving"].held_bytes == 0
-        writer.close()
 
 
 @pytest.mark.parametrize("broken", [frame(b"\xff\xfe\xfd"), frame(b"x", 3)], ids=["text", "kind"])

@@ -1,4 +1,4 @@
-"""Results of a script's own calls: limits, refusals, names, and numpy numbers as arguments."""
+"""Results of a script's own calls: refusals, names, and numpy numbers as arguments."""
 
 import contextlib
 from collections.abc import AsyncIterator, Mapping
@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hostlink.client import Driven, Host, connect
-from hostlink.config import Config, RobotConfig
+from hostlink.client import Host, connect
 from hostlink.errors import HostlinkError
 from hostlink.protocol.frame import Id
 from tests.support.daemon import Daemon, daemon
@@ -16,25 +15,16 @@ from tests.support.fake_device import FakeDevice, fake_device, robot_topics, top
 
 LED = topic(Id.SUBSCRIBER, 110, "/led", "std_msgs/Bool")
 ARRAY = topic(Id.SUBSCRIBER, 111, "/array", "std_msgs/Float32MultiArray")
-SLOW = Config(robots={"robot_0": RobotConfig(max_linear_m_s=0.3, max_angular_rad_s=1.0)})
 
 
 @contextlib.asynccontextmanager
-async def world(config: Config | None = None) -> AsyncIterator[tuple[Daemon, FakeDevice, Host]]:
+async def world() -> AsyncIterator[tuple[Daemon, FakeDevice, Host]]:
     async with (
-        daemon(config) as host,
+        daemon() as host,
         fake_device(host.tcp, [*robot_topics(), LED, ARRAY]) as device,
         connect(host.url) as me,
     ):
         yield host, device, me
-
-
-async def test_drive_returns_what_the_gate_made_of_it() -> None:
-    async with world(SLOW) as (_, _, me):
-        robot = me.robot("robot_0")
-        assert await robot.drive(0.2, 0.5) == Driven(0.2, 0.5, is_limited=False, limited_by=None)
-        assert await robot.drive(0.6, 1.0) == Driven(0.3, 0.5, is_limited=True, limited_by="max_linear_m_s")
-        assert (await robot.drive(0.0, -4.0)).limited_by == "max_angular_rad_s"
 
 
 async def test_a_refused_message_is_raised_by_settle_and_then_forgotten() -> None:
@@ -71,16 +61,12 @@ async def test_numbers_and_arrays_of_numpy_are_published_driven_and_called() -> 
         assert np.frombuffer((await device.frame(111))[-8:], "<f4").tolist() == [0.5, 1.5]
         await me.robot("robot_0").drive(np.float32(0.25), np.int64(0))
         assert await device.velocity_other_than((0.0, 0.0)) == (0.25, 0.0)
+        assert "/led" in (await me.call("/rosapi/topics"))["topics"]  # no body
         await me.call("/rosapi/set_param", {"name": "gain", "value": str(np.float64(2.0))})
         assert (await me.call("/rosapi/get_param", {"name": "gain"}))["value"] == "2.0"
         with pytest.raises(HostlinkError, match="a message cannot contain a object"):
             await me.publish("/array", {"data": object()})
         await me.settle()
-
-
-async def test_a_call_needs_no_body() -> None:
-    async with world() as (_, _, me):
-        assert "/led" in (await me.call("/rosapi/topics"))["topics"]
 
 
 async def test_a_service_is_answered_by_a_plain_function_and_a_wrong_answer_fails_the_call() -> None:

@@ -6,17 +6,12 @@ import struct
 import tracemalloc
 
 import pytest
-from structlog.testing import capture_logs
 
-from hostlink.config import Config, LinkConfig
-from hostlink.errors import FrameTooLarge, UnknownTopic
 from hostlink.hub.message import Message
-from hostlink.protocol.control import Log, decode_parameter
 from hostlink.protocol.frame import Id, encode
 from tests.support.daemon import daemon
-from tests.support.device_codec import encode_log, encode_parameter_request
 from tests.support.fake_device import fake_device, pose, robot_topics, topic
-from tests.support.participants import publish, subscribe
+from tests.support.participants import subscribe
 from tests.support.waiting import expect
 
 
@@ -31,75 +26,6 @@ async def test_a_message_of_a_device_reaches_a_subscriber() -> None:
     assert message.type_name == "geometry_msgs/Pose2D"
 
 
-async def test_messages_of_one_topic_keep_their_order_and_none_is_lost() -> None:
-    topics = [topic(Id.SUBSCRIBER, 100, "/steps", "std_msgs/Int32")]
-    async with daemon() as host, fake_device(host.tcp, topics) as device:
-        for number in range(10):
-            publish(host.hub, "/steps", {"data": number}, source="test")
-        assert [struct.unpack("<i", await device.frame(100))[0] for _ in range(10)] == list(range(10))
-
-
-async def test_a_message_of_one_device_reaches_another_that_subscribes() -> None:
-    async with (
-        daemon() as host,
-        fake_device(host.tcp, [topic(Id.SUBSCRIBER, 100, "/alarm", "std_msgs/Bool")]) as listener,
-        fake_device(host.tcp, [topic(Id.PUBLISHER, 125, "/alarm", "std_msgs/Bool")]) as speaker,
-    ):
-        await speaker.send(encode(125, b"\x01"))
-        assert await listener.frame(100) == b"\x01"
-
-
-async def test_a_frame_over_the_device_buffer_is_refused_before_it_is_sent() -> None:
-    topics = [topic(Id.SUBSCRIBER, 100, "/text", "std_msgs/String", buffer_bytes=64)]
-    async with daemon() as host, fake_device(host.tcp, topics) as device:
-        with pytest.raises(FrameTooLarge, match="/text: frame of 112 bytes, the device takes 64"):
-            publish(host.hub, "/text", {"data": "x" * 100}, source="test")
-        publish(host.hub, "/text", {"data": "short"}, source="test")
-        assert await device.frame(100) == b"\x05\x00\x00\x00short"
-
-
-async def test_unknown_topic_is_refused_with_the_known_names() -> None:
-    topics = [topic(Id.SUBSCRIBER, 100, "/led", "std_msgs/Bool")]
-    async with daemon() as host, fake_device(host.tcp, topics):
-        with pytest.raises(UnknownTopic, match="no topic named /lid; known: /diagnostics, /led"):
-            publish(host.hub, "/lid", {}, source="test")
-
-
-@pytest.mark.parametrize(
-    ("name", "ints", "floats", "strings"),
-    [("pid", (), (24.0, 0.5), ()), ("/missing", (), (), ())],
-)
-async def test_parameters_are_always_answered(
-    name: str, ints: tuple[int, ...], floats: tuple[float, ...], strings: tuple[str, ...]
-) -> None:
-    config = Config(parameters={"/pid": [24.0, 0.5]})
-    async with daemon(config) as host, fake_device(host.tcp, []) as device:
-        await device.send(encode(Id.PARAMETER, encode_parameter_request(name)))
-        assert decode_parameter(await device.frame(Id.PARAMETER)) == (ints, floats, strings)
-
-
-async def test_a_device_log_is_in_the_daemon_log_without_escape_codes() -> None:
-    with capture_logs() as lines:
-        async with daemon() as host, fake_device(host.tcp, []) as device:
-            await device.send(encode(Id.LOG, encode_log(Log(2, "warm \x1b[31m"))))
-            await expect(lambda: any(line["event"] == "device.logged" for line in lines))
-    line = next(line for line in lines if line["event"] == "device.logged")
-    assert (line["log_level"], line["level_name"], line["text"]) == ("warning", "warn", "warm ?[31m")
-
-
-async def test_a_wrong_md5_is_refused_and_named_and_the_other_topics_go_on() -> None:
-    wrong = topic(Id.PUBLISHER, 126, "/odd", "std_msgs/Bool")._replace(md5="0" * 32)
-    with capture_logs() as lines:
-        async with daemon() as host, fake_device(host.tcp, [*robot_topics(), wrong]) as device:
-            await device.send(encode(126, b"\x01") + pose(1.0))
-            await expect(lambda: host.hub.topics.find("/robot_0/odometry").messages == 1)
-            assert host.hub.topics.find_or_none("/odd") is None
-            assert (await host.get("/api/links"))["links"][0]["refused_frames"] == 1
-    reason = next(line["reason"] for line in lines if line["event"] == "topic.refused")
-    assert "0" * 32 in reason
-    assert "8b94c1b53db61fb6aed406028ad6332a" in reason
-
-
 async def test_message_of_an_undefined_type_passes_as_bytes() -> None:
     uncommon = topic(Id.PUBLISHER, 125, "/odd", "std_msgs/Bool")._replace(type="my_msgs/Odd", md5="1" * 32)
     heard: asyncio.Queue[Message] = asyncio.Queue()
@@ -108,14 +34,6 @@ async def test_message_of_an_undefined_type_passes_as_bytes() -> None:
         await device.send(encode(125, b"raw"))
         message = await heard.get()
     assert (message.type_name, message.payload) == ("my_msgs/Odd", b"raw")
-
-
-async def test_a_silent_device_is_let_go() -> None:
-    config = Config(link=LinkConfig(idle_timeout_s=0.2))
-    with capture_logs() as lines:
-        async with daemon(config) as host, fake_device(host.tcp) as device:
-            await device.closed()
-    assert [line["reason"] for line in lines if line["event"] == "link.closed"] == ["idle"]
 
 
 STRING_OF_4_GB = struct.pack("<H", 125) + b"\xff\xff\xff\xff"
@@ -159,14 +77,6 @@ async def test_a_device_that_publishes_before_a_request_gets_one_request_and_is_
         await device.send(pose(1.0))
         await expect(lambda: host.hub.topics.find("/robot_0/odometry").messages == 1)
         assert (await host.get("/api/links"))["links"][0]["topic_requests"] == 1
-
-
-async def test_protocol_1_is_named() -> None:
-    body = b"\x0a\x00\x08\x00" + bytes(8)
-    with capture_logs() as lines:
-        async with daemon() as host, fake_device(host.tcp) as device:
-            await device.send(b"\xff\xff" + body + bytes([255 - sum(body) % 256]))
-            await expect(lambda: any(line["event"] == "protocol.version_1" for line in lines))
 
 
 async def test_connections_that_are_reset_at_once_disturb_no_robot() -> None:

@@ -79,7 +79,7 @@ async def test_device_that_read_nothing_before_the_abort_receives_the_end() -> N
                     await transport.send(bytes(TOO_MUCH_BYTES))
             watch = Stopwatch()
             await transport.aclose()
-            assert watch.seconds < CLOSE_TIMEOUT_S + 0.5
+            assert watch.seconds < CLOSE_TIMEOUT_S + 3.0
             assert 0 < len(await read_to_end(peer)) < TOO_MUCH_BYTES
 
 

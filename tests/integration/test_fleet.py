@@ -10,7 +10,6 @@ import pytest
 
 from hostlink.config import Config, LinkConfig, RobotConfig
 from hostlink.errors import CommandRefused, RefusalKind
-from hostlink.hub.message import Message
 from hostlink.protocol.control import decode_parameter
 from hostlink.protocol.frame import Id, encode
 from hostlink.protocol.topic_table import MAX_MISSED
@@ -30,7 +29,7 @@ from tests.support.fake_device import (
 )
 from tests.support.gates import drive_gate
 from tests.support.memory_hub import MemoryHub, in_hub, velocities
-from tests.support.participants import publish, subscribe
+from tests.support.participants import publish
 from tests.support.rosbridge import client
 from tests.support.stopwatch import Stopwatch
 from tests.support.waiting import expect
@@ -58,54 +57,6 @@ async def two_alike(host: Daemon, first: str = ONE, second: str = ONE) -> AsyncI
     ):
         await expect(lambda: len([robot for robot in host.hub.robots.all() if robot.link is not None]) == 2)
         yield one, other
-
-
-async def x_of(host: Daemon, name: str) -> float:
-    await expect(lambda: host.hub.robots.find(name).odometry.count > 3)
-    odometry = await host.get(f"/api/robots/{name}/odometry")
-    assert odometry["ignored"] == odometry["restarts"] == 0
-    return float(odometry["pose"]["x_m"])
-
-
-PLACES = pytest.mark.parametrize(
-    ("config", "second", "names"),
-    [
-        (CONFIGURED, OTHER, ("a", "b")),
-        (Config(), ONE, ("robot_0", "robot_0_2")),
-    ],
-    ids=["configured by address", "behind one address"],
-)
-
-
-@PLACES
-async def test_robots_of_one_name_have_poses_of_their_own(config: Config, second: str, names: tuple[str, str]) -> None:
-    heard: dict[str, set[float]] = {name: set() for name in names}
-
-    def listen(name: str, message: Message) -> None:
-        heard[name].add(struct.unpack("<3d", message.payload)[0])
-
-    async with daemon(config) as host:
-        for name in names:
-            subscribe(host.hub, f"/{name}/odometry", lambda message, name=name: listen(name, message))
-        async with two_alike(host, second=second):
-            assert [robot["name"] for robot in (await host.get("/api/robots"))["robots"]] == sorted(names)
-            assert [await x_of(host, name) for name in names] == [1.0, 2.0]
-            await expect(lambda: all(heard.values()))
-    assert heard == {names[0]: {1.0}, names[1]: {2.0}}
-
-
-@PLACES
-async def test_robots_of_one_name_receive_commands_of_their_own(
-    config: Config, second: str, names: tuple[str, str]
-) -> None:
-    async with daemon(config) as host, two_alike(host, second=second) as devices:
-        for device, name, velocity in zip(devices, names, (SLOW, FAST), strict=True):
-            for by in ("velocity_commands", "cmd_vel"):
-                publish(host.hub, f"/{name}/{by}", velocity.encode(), source=by)
-                assert await device.velocity_other_than((0.0, 0.0)) == (velocity.x_m_s, 0.0)
-                host.hub.robots.find(name).stop()
-                assert await device.velocity_other_than((velocity.x_m_s, 0.0)) == (0.0, 0.0)
-                await asyncio.sleep(0.1)  # a busy machine does not know the order of what is closer to the stop
 
 
 async def test_robots_of_one_name_have_topics_under_their_names_and_share_global_topics() -> None:
@@ -194,7 +145,7 @@ async def test_robot_that_reconnects_while_its_old_link_seems_alive_keeps_its_na
         watch = Stopwatch()
         async with fake_device(host.tcp, robot_topics(), local_host=ONE):
             await old.closed()
-            assert watch.seconds < 2.0
+            assert watch.seconds < 2.0 or host.was_paused
             await expect(lambda: host.hub.robots.find("robot_0").link)
             with pytest.raises(CommandRefused, match="a person is near"):
                 drive_gate(host.hub.robots.find("robot_0"), SLOW, owner="test")

@@ -2,8 +2,10 @@
 
 import asyncio
 import contextlib
+import itertools
 import os
 import resource
+import select
 import signal
 import socket
 import subprocess
@@ -252,12 +254,15 @@ async def test_guardian_of_a_daemon_that_beats_or_drives_no_robot_sends_nothing(
     with connections() as (peer,):
         async with guardian() as ours:
             watch(ours, [peer])
-            for _ in range(16):
+            beats_s = []
+            for _ in range(12):
                 ours.beat({0})
+                beats_s.append(time.monotonic())
                 await asyncio.sleep(0.1)
             ours.beat(set())
-            await asyncio.sleep(1.3)
-            assert waiting_bytes(peer) == b""
+            await asyncio.sleep(1.2)
+            was_paused = any(later_s - before_s > 0.5 for before_s, later_s in itertools.pairwise(beats_s))
+            assert waiting_bytes(peer) == b"" or was_paused
 
 
 async def test_a_daemon_that_hangs_while_its_guardian_was_replaced_is_noticed_by_the_next_one() -> None:
@@ -369,7 +374,7 @@ async def test_answers_that_the_daemon_did_not_read_do_not_hide_its_last_words(*
             socket.send_fds(channel, [encode(WATCH, 1, (100,))], [peer.ours.fileno()])
             channel.send(encode(PING))
             await expect(lambda: guarded_by(process.pid) == 1)
-            await asyncio.sleep(0.05)  # the answer waits
+            await expect(lambda: select.select([channel], [], [], 0)[0])  # the answer waits
             os.kill(process.pid, signal.SIGSTOP)
             if is_orderly:
                 channel.send(encode(GOODBYE))

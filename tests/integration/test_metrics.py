@@ -168,31 +168,6 @@ def test_the_panels_do_not_overlap() -> None:
                 places.add((x, y))
 
 
-async def test_metrics_show_how_a_robot_is_driven() -> None:
-    async with daemon() as host, fake_device(host.tcp, [*robot_topics(), BATTERY]) as device:
-        await expect(lambda: host.hub.robots.has("robot_0"))
-        for number in range(3):
-            await device.send(pose(0.1 * number) + battery(7.5))
-            await asyncio.sleep(0.1)
-        await expect(lambda: host.hub.robots.find("robot_0").odometry.count == 3)
-        is_driven = "hostlink_robot_driven[('robot', 'robot_0')]"
-        found = {is_driven: 0.0}
-        while found[is_driven] != 1:  # the lease ends during a pause of the machine
-            await host.drive("robot_0", b'{"linear": 0.3, "linear_y_m_s": 0.1, "angular": -0.5}')
-            found = await metrics(host)
-        labels = "[('axis', '{}'), ('robot', 'robot_0')]"
-        assert found["hostlink_robot_locked[('robot', 'robot_0')]"] == 0
-        assert found["hostlink_robot_commanded_speed" + labels.format("linear")] == 0.3
-        assert found["hostlink_robot_commanded_speed" + labels.format("linear_y")] == 0.1
-        assert found["hostlink_robot_commanded_speed" + labels.format("angular")] == -0.5
-        assert found["hostlink_robot_speed" + labels.format("linear")] == pytest.approx(1.0, rel=0.4)
-        assert found["hostlink_robot_battery_volts[('robot', 'robot_0')]"] == 7.5
-        await host.rest("POST", "/api/robots/robot_0/lock")
-        found = await metrics(host)
-        assert found["hostlink_robot_driven[('robot', 'robot_0')]"] == 0
-        assert found["hostlink_robot_locked[('robot', 'robot_0')]"] == 1
-
-
 async def test_battery_of_a_robot_that_is_disconnected_or_has_none_is_not_a_metric() -> None:
     async with daemon() as host:
         async with fake_device(host.tcp, [*robot_topics(), BATTERY]) as device:

@@ -339,15 +339,17 @@ async def test_recording_whose_next_name_exists_continues_under_another(tmp_path
     (tmp_path / "run_2.mcap").write_bytes(b"of yesterday")
     async with recorded(config(tmp_path, max_file_s=0.5)) as (host, device):
         await start(host, name="run")
-        for _ in range(4):
+        sent = 0
+        while not (tmp_path / "run_3.mcap").exists():
             await send_poses(host, device)
-            await asyncio.sleep(0.5)
+            await asyncio.sleep(0.1)
+            sent += len(POSES)
         view = await stop(host, "run")
     assert "failure" not in view
     assert view["files"][:2] == ["run.mcap", "run_3.mcap"]
     assert (tmp_path / "run_2.mcap").read_bytes() == b"of yesterday"
     found = messages(*(tmp_path / name for name in view["files"]))
-    assert len(payloads(found, "/robot_0/odometry")) == 4 * len(POSES)
+    assert len(payloads(found, "/robot_0/odometry")) == sent
 
 
 class HeldFolder(Folder):

@@ -4,45 +4,12 @@ import asyncio
 import contextlib
 
 import aiohttp
-import pytest
 
 from hostlink.protocol.frame import encode
-from tests.support.daemon import Daemon, daemon
-from tests.support.fake_device import fake_device, pose, robot_topics, service_server
+from tests.support.daemon import daemon
+from tests.support.fake_device import fake_device, pose, robot_topics, service_client, service_server
 from tests.support.rosbridge import client
 from tests.support.waiting import expect
-
-
-async def subscribed(host: Daemon, name: str) -> None:
-    await expect(lambda: host.hub.topics.find(name).subscribers)
-
-
-async def test_message_has_the_topic_name_that_the_client_used() -> None:
-    name = "robot_0/odometry"
-    async with daemon() as host, fake_device(host.tcp, robot_topics()) as device, client(host) as program:
-        await program.send(op="subscribe", topic=name)
-        await expect(lambda: len(host.hub.topics.find(name).subscribers) == 2)  # the robot's own odometry too
-        await device.send(pose(1.0, 2.0, 0.5))
-        assert await program.receive() == {"op": "publish", "topic": name, "msg": {"x": 1.0, "y": 2.0, "theta": 0.5}}
-
-
-async def test_a_program_drives_a_robot_and_its_end_stops_it() -> None:
-    async with daemon() as host, fake_device(host.tcp, robot_topics()) as device:
-        async with client(host) as program:
-            await program.send(op="advertise", topic="/robot_0/velocity_commands", type="geometry_msgs/Twist")
-            await program.send(
-                op="publish", topic="/robot_0/velocity_commands", msg={"linear": {"x": 0.2}, "angular": {"z": 0.5}}
-            )
-            assert await device.velocity_other_than((0.0, 0.0)) == (0.2, 0.5)
-        assert await device.velocity_other_than((0.2, 0.5)) == (0.0, 0.0)
-
-
-async def test_programs_talk_to_each_other_without_a_device() -> None:
-    async with daemon() as host, client(host) as speaker, client(host) as listener:
-        await listener.send(op="subscribe", topic="/chat", type="std_msgs/String")
-        await subscribed(host, "/chat")
-        await speaker.send(op="publish", topic="/chat", type="std_msgs/msg/String", msg={"data": "hello"})
-        assert (await listener.receive())["msg"] == {"data": "hello"}
 
 
 async def test_a_service_of_a_device_is_called_and_a_failure_has_a_reason() -> None:
@@ -62,31 +29,6 @@ async def test_a_service_of_a_device_is_called_and_a_failure_has_a_reason() -> N
         False,
         "no service named /nope; known: /trigger",
     )
-
-
-@pytest.mark.parametrize(
-    ("request_text", "reason"),
-    [
-        ('{"op": "dance"}', "unknown op 'dance'"),
-        ('{"op": "publish", "topic": "/robot_0/velocity_commands", "msg": {"linear": {"x": null}}}', "finite"),
-        ("[" * 100_000, "nested too deeply"),
-        (
-            '{"op": "publish", "topic": "/robot_0/velocity_commands", "msg": '
-            + '{"linear":' * 50_000
-            + "1"
-            + "}" * 50_001,
-            "JSON",
-        ),
-    ],
-)
-async def test_invalid_request_is_reported_and_the_client_stays(request_text: str, reason: str) -> None:
-    async with daemon() as host, fake_device(host.tcp, robot_topics()) as device, client(host) as program:
-        await program.socket.send_str(request_text)
-        status = await program.receive()
-        assert (status["op"], status["level"]) == ("status", "error")
-        assert reason in status["msg"]
-        await program.send(op="publish", topic="/robot_0/velocity_commands", msg={"linear": {"x": 0.1}})
-        assert await device.velocity_other_than((0.0, 0.0)) == (0.1, 0.0)
 
 
 async def test_half_a_frame_and_a_huge_one_end_only_their_own_connection() -> None:
@@ -139,3 +81,19 @@ async def test_a_client_that_a_fault_of_hostlink_ends_is_closed_and_its_robot_st
         assert (closing.type, closing.data) == (aiohttp.WSMsgType.CLOSE, aiohttp.WSCloseCode.INTERNAL_ERROR)
         async with client(host) as other:
             assert "/chat" not in (await other.call("/rosapi/topics"))["topics"]
+
+
+async def test_a_program_offers_a_service_that_a_device_calls() -> None:
+    async with (
+        daemon() as host,
+        fake_device(host.tcp, service_client("/toggle", "std_srvs/SetBool")) as device,
+        client(host) as program,
+    ):
+        await program.send(op="advertise_service", service="/toggle", type="std_srvs/SetBool")
+        await expect(lambda: host.hub.services.provider("/toggle"))
+        await device.send(encode(125, b"\x01"))
+        call = await program.receive()
+        assert (call["op"], call["service"], call["args"]) == ("call_service", "/toggle", {"data": True})
+        values = {"success": True, "message": "ok"}
+        await program.send(op="service_response", id=call["id"], service="/toggle", values=values, result=True)
+        assert await device.frame(100) == b"\x01\x02\x00\x00\x00ok"

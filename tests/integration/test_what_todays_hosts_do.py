@@ -99,7 +99,7 @@ async def test_a_half_open_link_and_the_robot_on_a_new_connection() -> None:
             assert await back.velocity() == (0.0, 0.0)
             await back.send(pose(1.0))
             await messages(host, 1)
-        assert watch.seconds < 1.0
+        assert watch.seconds < 1.0 or host.was_paused
 
 
 async def test_a_robot_that_publishes_on_after_a_reconnect() -> None:
@@ -119,7 +119,7 @@ async def test_the_first_topic_request() -> None:
     async with daemon() as host, fake_device(host.tcp) as device:
         began_s, watch = time.monotonic(), Stopwatch()
         await device.frame(Id.PUBLISHER)
-        assert watch.seconds < 0.3
+        assert watch.seconds < 0.3 or host.was_paused
         await device.frame(Id.PUBLISHER)  # asked again after 2 s without an answer, on the same connection
         assert time.monotonic() - began_s > 1.5
 
@@ -145,7 +145,7 @@ async def test_a_missing_or_mixed_parameter(name: str) -> None:
         watch = Stopwatch()
         await device.send(encode(Id.PARAMETER, encode_parameter_request(name)))
         assert decode_parameter(await device.frame(Id.PARAMETER)) == ((), (), ())
-        assert watch.seconds < 0.3
+        assert watch.seconds < 0.3 or host.was_paused
 
 
 async def test_a_service_of_a_device_that_never_answers() -> None:
@@ -232,6 +232,7 @@ async def test_a_wrong_md5() -> None:
             await device.send(encode(126, b"\x01") + pose(1.0))
             await messages(host, 1)
             assert host.hub.topics.find_or_none("/odd") is None
+            assert (await host.get("/api/links"))["links"][0]["refused_frames"] == 1
     reasons = [line["reason"] for line in lines if line["event"] == "topic.refused"]
     assert len(reasons) == 1
     assert wrong.md5 in reasons[0]

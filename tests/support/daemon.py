@@ -1,21 +1,49 @@
-"""The daemon in the test's own process, on ports of its own."""
+"""The daemon in the test's own process, on ports of its own.
+
+The test and its devices stand still with this daemon on a busy machine, and what they send is not late by that. So the
+daemon takes no velocity for a late one, and no pause interrupts its robots, unless a test wants it (`notices_pauses`).
+tests/unit/hub/test_stall_watch.py, test_gates.py, tests/integration/test_admission_contract.py (every entry point) and
+tests/system/test_daemon_stalls.py (a process) test lateness and pauses.
+"""
 
 import asyncio
 import contextlib
 from collections.abc import AsyncIterator, Callable
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, cast
 
 import aiohttp
 import msgspec
 
 from hostlink.cli.serve import running
-from hostlink.config import BlackBoxConfig, Config
+from hostlink.config import BlackBoxConfig, Config, LinkConfig
+from hostlink.host_pauses import HostPauses
 from hostlink.hub.hub import Hub
+from hostlink.hub.robot_events import EventKind, RobotEvent
+from hostlink.hub.stall_watch import StallWatch
 from tests.support.driving import put_velocity
 from tests.support.waiting import expect
 
+PATIENT = LinkConfig(silence_timeout_s=None, idle_timeout_s=None)
 IN_TIME_S = 0.1  # of the event loop: later commands have most of their lease
+
+
+class PunctualWatch:
+    """StallWatch that reports no lateness. Links still learn of pauses: a silent device is not at fault then."""
+
+    def __init__(self, watch: StallWatch) -> None:
+        self.beat, self.expect, self.pauses = watch.beat, watch.expect, watch.pauses
+        self._watch = watch
+
+    @property
+    def noticed(self) -> HostPauses:
+        return self._watch.noticed
+
+    def late_s(self, _now_s: float) -> float:
+        return 0.0
+
+    def pop_pause(self, now_s: float) -> None:
+        self._watch.pop_pause(now_s)
 
 
 @dataclass
@@ -27,6 +55,11 @@ class Daemon:
     url: str
     session: aiohttp.ClientSession
     udp: tuple[str, int] | None = None
+
+    @property
+    def was_paused(self) -> bool:
+        """Whether this process stood still for a lease, which ends all driving."""
+        return self.hub.gates._stalls.pauses(asyncio.get_running_loop().time()).was_paused(0.0)
 
     async def rest(self, method: str, path: str, body: bytes | None = None) -> tuple[int, Any]:
         """(status, JSON)."""
@@ -44,9 +77,25 @@ class Daemon:
         return body
 
 
+def stops_of(host: Daemon, robot: str) -> list[object]:
+    """Return the list of reasons for which drives of a robot end from now on."""
+    reasons: list[object] = []
+
+    def note(event: RobotEvent) -> None:
+        if event.kind is EventKind.STOPPED and event.robot == robot:
+            reasons.append(event.facts["reason"])
+
+    host.hub.events.observe("stops", note)
+    return reasons
+
+
 @contextlib.asynccontextmanager
 async def daemon(
-    config: Config | None = None, *, has_black_box: bool = False, read: Callable[[], Config] | None = None
+    config: Config | None = None,
+    *,
+    has_black_box: bool = False,
+    read: Callable[[], Config] | None = None,
+    notices_pauses: bool = False,
 ) -> AsyncIterator[Daemon]:
     """Run a daemon within the block. Without a black box, only the test subscribes to topics.
 
@@ -56,14 +105,19 @@ async def daemon(
     def on_free_ports(config: Config) -> Config:
         black_box = config.black_box if has_black_box else BlackBoxConfig(enabled=False)
         recording = replace(config.recording, drives=config.recording.drives and has_black_box)
+        # A fake device sends what its test says, and no more: its silence lasts for as long as the machine is busy.
+        link = PATIENT if config.link == LinkConfig() else config.link
         tcp, api = replace(config.tcp, host="127.0.0.1", port=0), replace(config.api, port=0)
-        return replace(config, black_box=black_box, recording=recording, tcp=tcp, api=api)
+        return replace(config, black_box=black_box, recording=recording, tcp=tcp, api=api, link=link)
 
     read_again = None if read is None else (lambda: on_free_ports(read()))
     async with (
         running(on_free_ports(Config() if config is None else config), read=read_again) as (hub, addresses),
         aiohttp.ClientSession() as session,
     ):
-        now_s = asyncio.get_running_loop().time
-        await expect(lambda: now_s() - hub.gates.came_s(now_s()) < IN_TIME_S)  # a slow start counts as a pause
+        if notices_pauses:
+            now_s = asyncio.get_running_loop().time
+            await expect(lambda: now_s() - hub.gates.came_s(now_s()) < IN_TIME_S)  # a slow start counts as a pause
+        else:
+            hub.gates._stalls = cast(StallWatch, PunctualWatch(hub.gates._stalls))
         yield Daemon(hub, addresses.tcp, addresses.api, session, addresses.udp)

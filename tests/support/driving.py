@@ -3,18 +3,20 @@
 import asyncio
 import contextlib
 import json
+import time
 from collections.abc import AsyncIterator, Awaitable, Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 import aiohttp
 
-from hostlink.errors import CommandRefused, RefusalKind
+from hostlink.errors import CommandRefused, HostlinkError, RefusalKind
 from hostlink.hub.hub import Hub
 from hostlink.robot.admission import LEASE_S
 from hostlink.robot.velocity import ZERO, PlanarVelocity
 from tests.support.background import meanwhile
 
+Value = TypeVar("Value")
 REFUSED = 409
 COMMAND_INTERVAL_S = 0.1
 
@@ -73,6 +75,21 @@ async def driven(hub: Hub, name: str, linear: float) -> AsyncIterator[Driver]:
             yield driver
     finally:
         participant.leave()
+
+
+def obeyed(drive: Callable[[], Value]) -> Value:
+    """Drive from a thread, until the daemon does not refuse the velocity because of a pause of this machine."""
+    pause = Pause()
+    while True:
+        try:
+            return drive()
+        except CommandRefused as refused:
+            if not pause.explains(refused.kind):
+                raise
+            time.sleep(LEASE_S)
+        except HostlinkError as error:  # an earlier velocity was broken off
+            if "this program did not run" not in str(error):
+                raise
 
 
 async def answered(send: Callable[[], Awaitable[tuple[int, Any]]]) -> tuple[int, Any]:

@@ -297,7 +297,7 @@ class ClientDrive(_Program):
 
     goes_on: ClassVar = False
     cannot: ClassVar = _IS_DROPPED | {
-        **dict.fromkeys(_EPOCHS, "drive() sends the epoch by itself: tests/integration/test_client.py"),
+        **dict.fromkeys(_EPOCHS, "drive() sends the epoch by itself: tests/unit/client/test_driving.py"),
         "a lower priority goes on afterwards": "what is refused is dropped, and the program is told",
     }
 

@@ -1,36 +1,47 @@
-"""The Python client without a socket, in virtual time: its own driver, at the other end of a rosbridge client."""
+"""The Python client without a socket, in virtual time: at the other end of a rosbridge client and of REST."""
 
 import asyncio
 import contextlib
 import itertools
 import json
 from collections import defaultdict
-from collections.abc import AsyncIterator, Callable, Mapping
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
 from typing import Any, cast
+from weakref import WeakSet
+
+import cbor2
 
 from hostlink.api.clients import ClientQueue
 from hostlink.api.rosbridge import RosbridgeClient
 from hostlink.api.views import odometry_view
-from hostlink.client import Event, Host, Robot
+from hostlink.client import Event, Host
 from hostlink.client.connection import HostConnection
 from hostlink.client.driver import VelocitySender
-from hostlink.client.http_client import HttpClient
-from hostlink.errors import HostlinkError
+from hostlink.client.http_client import HttpClient, encode, measured
+from hostlink.client.services import ProvidedServices
+from hostlink.client.topics import Topics
+from hostlink.errors import HostlinkError, Refused
 from hostlink.hub.hub import Hub
 from hostlink.hub.node import Role
 from hostlink.hub.participant import Participant
+from hostlink.robot.standstill import Standstill
+from tests.support.rest_memory import RestCalls
 
 _numbers = itertools.count(1)
 
 
 class MemoryConnection:
-    """HostConnection as the client's driver uses it. `delay_s`: delay of messages that are sent from now on."""
+    """HostConnection to a hub. `delay_s`: delay of messages that are sent from now on."""
+
+    is_connected = True
 
     def __init__(self, hub: Hub, tasks: asyncio.TaskGroup) -> None:
         self.delay_s = 0.0
         self._hub = hub
         self.handlers: defaultdict[str, list[Callable[[dict[str, Any]], None]]] = defaultdict(list)
+        self.on_open: list[Callable[[], Awaitable[None]]] = []  # it is never opened again
         self._queue = ClientQueue()
+        self._queue.on_news = self._receive
         self._client = RosbridgeClient(f"program {next(_numbers)}", hub, self._queue, spawn=tasks.create_task)
         self._answers: dict[str, asyncio.Future[dict[str, Any]]] = {}
         self._numbers = itertools.count(1)
@@ -41,7 +52,7 @@ class MemoryConnection:
         return self._client.participant
 
     async def send(self, request: Mapping[str, Any]) -> None:
-        text = json.dumps(request)
+        text = encode(request).decode()
         if self.delay_s:
             asyncio.get_running_loop().call_later(self.delay_s, self._pass, text)
         else:
@@ -80,11 +91,14 @@ class MemoryConnection:
             self._client.close()
 
     def _pass(self, text: str) -> None:
-        if self.participant.has_left:
-            return
-        self._client.receive(text)
+        if not self.participant.has_left:
+            self._client.receive(text)
+
+    def _receive(self) -> None:
+        """Pass on what the daemon has sent."""
         for waiting in iter(self._queue.pop, None):
-            answer = json.loads(waiting.item.data)
+            data = waiting.item.data
+            answer = cbor2.loads(data) if waiting.item.is_binary else json.loads(data)
             future = self._answers.pop(str(answer.get("id")), None)
             if future is None:
                 for receive in self.handlers[answer["op"]]:
@@ -93,40 +107,41 @@ class MemoryConnection:
                 future.set_result(answer)
 
 
-class _Rest:
-    """The requests of a robot that is stopped."""
+class MemoryHttp:
+    """HttpClient, of a daemon in memory."""
 
     url = "memory"
 
     def __init__(self, hub: Hub) -> None:
-        self._hub = hub
+        self._api = RestCalls(hub)
 
-    async def request(self, method: str, path: str, *, timeout_s: float = 5.0) -> dict[str, Any]:  # noqa: ARG002 - as HttpClient has it
-        name, what = path.removeprefix("/api/robots/").split("/")
-        assert (method, what) == ("POST", "stop")
-        self._hub.robots.find(name).stop()
-        return {}
+    async def request(
+        self, method: str, path: str, body: Mapping[str, Any] | None = None, *, timeout_s: float = 5.0
+    ) -> dict[str, Any]:
+        async with asyncio.timeout(timeout_s):
+            _, answer = await self._api.call(method, path, b"" if body is None else body)
+        if "error" in answer:
+            raise Refused(answer["error"]["kind"], answer["error"]["reason"])
+        return cast(dict[str, Any], answer)
+
+    async def measure(self, path: str, wait_s: float) -> Standstill:
+        return measured(await self.request("GET", f"{path}?wait_s={wait_s:g}"))
 
 
-class MemoryHost:
-    """A connection of the client, as far as it drives."""
+class MemoryHost(Host):
+    """A connection of the client to a hub."""
 
     def __init__(self, hub: Hub, tasks: asyncio.TaskGroup) -> None:
+        self.url = MemoryHttp.url
         self.connection_ = MemoryConnection(hub, tasks)
-        self._rest = cast(HttpClient, _Rest(hub))
-        self._driver = VelocitySender(cast(HostConnection, self.connection_), asyncio.get_running_loop().time)
+        self._http = cast(HttpClient, MemoryHttp(hub))
+        self._connection = cast(HostConnection, self.connection_)
+        self._topics = Topics(self._connection)
+        self._services = ProvidedServices(self._connection)
+        self._services.begin(tasks)
+        self._driver = VelocitySender(self._connection, asyncio.get_running_loop().time)
+        self._watchers = WeakSet()
         self._repeating = tasks.create_task(self._driver.repeat())
-
-    def robot(self, name: str, *, priority: int = 50) -> Robot:
-        connection = cast(HostConnection, self.connection_)
-        return Robot(name, priority, http=self._rest, driver=self._driver, connection=connection)
-
-    def connection(self) -> "MemoryHost":
-        """Changes of the connection: there are none."""
-        return self
-
-    def pop_all(self) -> list[object]:
-        return []
 
     def stop_repeating(self, robot: str) -> None:
         """Let the commands of this robot end with their lease, as in a program that hangs."""
@@ -136,20 +151,23 @@ class MemoryHost:
         """The network is cut, and is there again afterwards."""
         self._driver.break_all("the network is cut")
 
-    async def stop_driven(self) -> None:
-        """Stop the robots that this program drives."""
-        await Host.stop_driven(cast(Host, self))
-
     def close(self) -> None:
         """The program ends."""
+        self._services.end()
         self._repeating.cancel()
         self.connection_.close()
+
+    async def _round_trip(self) -> None:
+        self._topics.is_settled = True
+        await asyncio.sleep(self.connection_.delay_s)
 
 
 @contextlib.asynccontextmanager
 async def memory_host(hub: Hub, tasks: asyncio.TaskGroup) -> AsyncIterator[MemoryHost]:
+    """Connect a program for the length of the block, as `connect` does."""
     host = MemoryHost(hub, tasks)
     try:
         yield host
+        await host.stop_driven()
     finally:
         host.close()

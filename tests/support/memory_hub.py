@@ -25,6 +25,7 @@ class RecordingGuard:
     """Guard that records its calls."""
 
     watched: dict[int, tuple[list[int], int]] = field(default_factory=dict)
+    connections: dict[int, Callable[[], int | None]] = field(default_factory=dict)
     released: list[int] = field(default_factory=list)
     driven: set[int] = field(default_factory=set)
     beats: int = 0
@@ -32,18 +33,19 @@ class RecordingGuard:
     def watch(
         self,
         number: int,
-        connection: Callable[[], int | None],  # noqa: ARG002 - of a Guard
+        connection: Callable[[], int | None],
         *,
         topic_ids: Sequence[int],
         claim_bytes: int,
     ) -> None:
-        self.watched[number] = (list(topic_ids), claim_bytes)
+        self.watched[number], self.connections[number] = (list(topic_ids), claim_bytes), connection
 
     def beat(self, driven: set[int]) -> None:
         self.driven, self.beats = set(driven), self.beats + 1
 
     def release(self, number: int) -> None:
         self.released.append(number)
+        self.watched.pop(number, None)
 
 
 class MemoryHub:

@@ -23,21 +23,13 @@ from tests.support.participants import ODOMETRY_ID, POSE, ROBOT
 from tests.support.scripted_device import ScriptedDevice
 
 
-class RestMemory:
-    """A daemon's REST API, and the device of its robot."""
+class RestCalls:
+    """Requests of the REST API of a hub."""
 
-    def __init__(self, topics: Sequence[TopicInfo], drives: Any, read: Read | None) -> None:
-        self.hub = Hub(Config(), CATALOG, reraises=True)
-        self.owners = Owners(self.hub)
-        self._topics, self._drives, self._read = topics, drives, read
+    def __init__(self, hub: Hub, drives: Any = None, read: Read | None = None) -> None:
+        self.hub, self.owners = hub, Owners(hub)
         self._app = web.Application()
-        self.device: ScriptedDevice
-
-    async def begin(self, settle_s: float) -> None:
-        clients, reloader = Clients(4, max_per_address=4), Reloader(self.hub, self._read)
-        self.add(Rest(self.hub, clients, self.owners, self._drives, reloader).routes())
-        self.device = ScriptedDevice(self.hub, self._topics, address="10.0.0.1")
-        await asyncio.sleep(settle_s)
+        self.add(Rest(hub, Clients(4, max_per_address=4), self.owners, drives, Reloader(hub, read)).routes())
 
     def add(self, routes: Sequence[Route]) -> None:
         """Offer more paths."""
@@ -63,6 +55,19 @@ class RestMemory:
         assert isinstance(answer, web.Response)
         assert isinstance(answer.body, bytes)
         return answer.status, answer.body
+
+
+class RestMemory(RestCalls):
+    """A daemon's REST API, and the device of its robot."""
+
+    def __init__(self, topics: Sequence[TopicInfo], drives: Any, read: Read | None) -> None:
+        super().__init__(Hub(Config(), CATALOG, reraises=True), drives, read)
+        self._topics = topics
+        self.device: ScriptedDevice
+
+    async def begin(self, settle_s: float) -> None:
+        self.device = ScriptedDevice(self.hub, self._topics, address="10.0.0.1")
+        await asyncio.sleep(settle_s)
 
     async def move_to(self, x_m: float, y_m: float, theta_rad: float) -> None:
         """Publish a pose of the robot."""

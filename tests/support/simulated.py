@@ -3,11 +3,14 @@
 import asyncio
 import contextlib
 from collections.abc import AsyncIterator
+from typing import cast
 
+from hostlink.hub.hub import Hub
 from hostlink.protocol.frame import Frame, encode
 from hostlink.sim.firmware_world import RobotKind
 from hostlink.sim.robot import Fault, SimulatedRobot
-from hostlink.sim.run import run_over_tcp
+from hostlink.sim.run import run_over_streams, run_over_tcp
+from tests.support.memory_transport import MemoryTransport, memory_pair
 
 PLOT_ID = 126
 
@@ -46,3 +49,44 @@ async def simulated_robot(
             yield robot
         finally:
             running.cancel()
+
+
+class _Writer:
+    """StreamWriter of a transport in memory."""
+
+    def __init__(self, end: MemoryTransport) -> None:
+        self.transport, self.write, self._end = self, end.write, end
+
+    def get_write_buffer_size(self) -> int:
+        return 0
+
+    def close(self) -> None:
+        self._end.break_off()
+
+    async def wait_closed(self) -> None:
+        """Return at once, because the end is closed."""
+
+
+@contextlib.asynccontextmanager
+async def simulated_in_memory(
+    hub: Hub, name: str = "robot_0", kind: RobotKind = RobotKind.PAPER
+) -> AsyncIterator[DisturbedRobot]:
+    """Runs for the length of the block, in the loop that runs the hub."""
+    robot, reader = DisturbedRobot(name, kind), asyncio.StreamReader()
+    host_end, end = memory_pair(address=f"{name}.local")
+    hub.spawn(hub.links.serve(hub.links.open(host_end)), name=f"link of {name}")
+
+    async def read() -> None:
+        while data := await end.receive():
+            reader.feed_data(data)
+        reader.feed_eof()
+
+    async with asyncio.TaskGroup() as tasks:
+        writer = cast(asyncio.StreamWriter, _Writer(end))
+        fault = Fault(transform=robot.transform)
+        running = [tasks.create_task(read()), tasks.create_task(run_over_streams(robot, reader, writer, fault=fault))]
+        try:
+            yield robot
+        finally:
+            for task in running:
+                task.cancel()

@@ -9,10 +9,11 @@ The standard library has no loop with a virtual clock, and this one also reports
 """
 
 import asyncio
+import functools
 from collections.abc import Callable, Coroutine
-from typing import Any, TypeVar
+from typing import Any, ParamSpec, TypeVar
 
-Result = TypeVar("Result")
+Result, Arguments = TypeVar("Result"), ParamSpec("Arguments")
 
 
 class Deadlock(AssertionError):
@@ -23,6 +24,16 @@ def run_virtual(coroutine: Coroutine[Any, Any, Result]) -> Result:
     """Run to the end in a loop of its own; tasks that are left are cancelled. For plain `def` tests."""
     with asyncio.Runner(loop_factory=VirtualLoop) as runner:
         return runner.run(coroutine)
+
+
+def in_virtual_time(test: Callable[Arguments, Coroutine[Any, Any, None]]) -> Callable[Arguments, None]:
+    """Run an `async def` test in virtual time."""
+
+    @functools.wraps(test)
+    def run(*args: Arguments.args, **kwargs: Arguments.kwargs) -> None:
+        run_virtual(test(*args, **kwargs))
+
+    return run
 
 
 class VirtualLoop(asyncio.BaseEventLoop):
@@ -50,6 +61,12 @@ class VirtualLoop(asyncio.BaseEventLoop):
         except Exception as error:  # noqa: BLE001 - it is the caller's, as of a thread
             future.set_exception(error)
         return future
+
+    def add_signal_handler(self, sig: int, callback: Callable[..., object], *args: object) -> None:
+        """Do nothing, because no signal arrives."""
+
+    def remove_signal_handler(self, sig: int) -> bool:  # noqa: ARG002 - of asyncio
+        return True
 
     def select(self, timeout: float | None) -> list[object]:
         """Called between two rounds of callbacks; `timeout` is the time to the next timer, None: there is none."""

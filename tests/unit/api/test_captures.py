@@ -80,7 +80,7 @@ def test_capture_of_an_ended_link_ends_with_its_duration() -> None:
 @pytest.mark.parametrize(
     ("path", "reason"),
     [
-        ("/api/links/7/capture", "no link named 7"),
+        ("/api/links/7/capture", "no link named 7; known: 1"),
         ("/api/links/one/capture", "no link named one"),
         (f"/api/links/{'1' * 19}/capture", "no link named 1"),
         (f"{PATH}/7", "no position named 7"),

@@ -94,6 +94,18 @@ def test_stop_sends_zero_and_reports_standstill() -> None:
         assert speeds(api)[-1] == (0.0, 0.0, 0.0)
         status, body = await api.call("PUT", VELOCITY, {"linear": 0.2, "angular": 0.0})
         assert (status, body["error"]["kind"]) == (409, "disarmed")
+        assert "a stop by rest phone" in body["error"]["reason"]
+
+    check(test)
+
+
+def test_stop_with_an_invalid_wait_is_refused_and_stops_the_robot() -> None:
+    async def test(api: RestMemory) -> None:
+        await api.call("PUT", VELOCITY, {"linear": 0.2, "angular": 0.0})
+        status, body = await api.call("POST", "/api/robots/robot_0/stop?wait_s=soon")
+        assert (status, body["error"]["kind"]) == (400, "BadRequest")
+        await asyncio.sleep(0.05)
+        assert speeds(api)[-1] == (0.0, 0.0, 0.0)
 
     check(test)
 
@@ -117,6 +129,7 @@ def test_lock_holds_with_its_reason_until_unlock() -> None:
         status, body = await api.call("PUT", VELOCITY, {"linear": 0.2, "angular": 0.0})
         assert (status, body["error"]["kind"]) == (409, "locked")
         assert "a hand in the wheel" in body["error"]["reason"]
+        assert api.hub.robots.find("robot_0").admission.locked_by == "rest phone"
         assert (await api.call("POST", "/api/robots/robot_0/unlock"))[0] == 200
         status, _ = await api.call("PUT", VELOCITY, {"linear": 0.2, "angular": 0.0}, who="another")
         assert status == 200

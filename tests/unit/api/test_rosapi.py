@@ -119,3 +119,26 @@ async def test_rosapi_says_which_ros_it_speaks_and_that_it_has_no_actions() -> N
         peer = here.client()
         assert await rosapi(peer, "get_ros_version") == {"version": 1, "distro": "noetic"}
         assert await rosapi(peer, "action_servers") == {"action_servers": []}
+
+
+async def test_every_answer_fits_the_type_of_its_service() -> None:
+    """The definitions are rosapi's own; an answer that encodes has no field more and none of another kind."""
+    args = {
+        "type": "std_msgs/Header", "topic": "/rosout", "service": "/rosapi/topics", "node": "/hostlink",
+        "name": "/gain", "value": "1",
+    }  # fmt: skip
+    async with world() as here:
+        services, here.hub.parameters["gain"] = here.hub.services, 7
+        names = [name for name, _ in services.all() if name.startswith("/rosapi/")]
+        assert len(names) == 26
+        for name in sorted(names, key=lambda name: "delete" in name):
+            type_ = services.type_of(name)
+            assert type_ is not None, name
+            wanted = {field.name for field in type_.request.fields}
+            if "service_re" in name:
+                request = {"type": "rosapi/NodeDetails"}
+            else:
+                request = {key: value for key, value in args.items() if key in wanted}
+            answer = await services.call(name, request)
+            assert answer.keys() == {field.name for field in type_.response.fields}
+            assert type_.response.encode(answer)[:0] == b"", name

@@ -11,12 +11,14 @@ import pytest
 
 from hostlink.api.server import url_of
 from hostlink.config import ApiConfig, Config, TokenConfig
+from hostlink.robot.admission import LEASE_S
 from hostlink.transport.base import READ_BYTES
 from tests.support.api_memory import Answer, ApiMemory, api_memory
 from tests.support.participants import VELOCITY_ID
 from tests.support.virtual_loop import run_virtual
 
 VELOCITY = "/api/robots/robot_0/velocity"
+LOCK = "/api/robots/robot_0/lock?wait_s=0"
 FAST = json.dumps({"linear": 0.2, "angular": 0.5}).encode()
 TOKENS = (
     TokenConfig(name="phone", token="a-token-that-drives", role="drive"),
@@ -158,10 +160,12 @@ def test_revoked_token_ends_its_web_socket_and_stops_what_it_drives(check: Calla
     async def test(api: ApiMemory) -> None:
         peer = await api.web_socket("/?token=a-token-that-drives")
         reader = await api.web_socket("/?token=a-token-that-reads")
+        await api.request("PUT", VELOCITY, FAST, Authorization="Bearer a-token-that-drives")
         peer.send_text(op="drive", id="1", robot="robot_0", linear=0.2, angular=0.0)
         await asyncio.sleep(0.05)
         assert speeds(api)[-1] == (0.2, 0.0)
         api.server._prepare_access(Config(api=ApiConfig(tokens=TOKENS[1:])))()
+        assert len(api.server._owners) == 0  # of REST
         await asyncio.sleep(0.05)
         assert speeds(api)[-1] == (0.0, 0.0)
         assert (peer.transport.is_closed, reader.transport.is_closed) == (True, False)
@@ -194,6 +198,21 @@ def test_odometry_events_begin_with_the_known_pose_and_continue_with_each_new_on
     check(test)
 
 
+def test_velocity_whose_body_arrived_a_lease_after_its_head_is_refused_and_a_zero_is_not(
+    check: Callable[..., None],
+) -> None:
+    async def test(api: ApiMemory) -> None:
+        for body, status in ((FAST, 409), (b'{"linear": 0, "angular": 0}', 200)):
+            peer = api.connect()
+            peer.send_head("PUT", VELOCITY, {"Host": "localhost", "Content-Length": str(len(body))})
+            await asyncio.sleep(LEASE_S + 0.1)
+            peer.send(body)
+            assert (await api.answer(peer)).status == status
+        assert set(speeds(api)) == {(0.0, 0.0)}
+
+    check(test)
+
+
 def test_stop_does_not_wait_for_its_body(check: Callable[..., None]) -> None:
     async def test(api: ApiMemory) -> None:
         await api.request("PUT", VELOCITY, FAST)
@@ -201,6 +220,37 @@ def test_stop_does_not_wait_for_its_body(check: Callable[..., None]) -> None:
         peer.send_head("POST", "/api/stop", {"Host": "localhost", "Content-Length": "10"})
         await asyncio.sleep(0.05)
         assert speeds(api)[-1] == (0.0, 0.0)
+
+    check(test)
+
+
+def test_lock_waits_for_no_body_and_has_its_reason_when_the_body_arrives(check: Callable[..., None]) -> None:
+    async def test(api: ApiMemory) -> None:
+        gate, body = api.hub.robots.find_here("robot_0").gate, b'{"reason": "a hand"}'
+        await api.request("PUT", VELOCITY, FAST)
+        peer = api.connect()
+        peer.send_head("POST", LOCK, {"Host": "localhost", "Content-Length": str(len(body))})
+        peer.send(body[:10])
+        await asyncio.sleep(0.05)
+        assert gate.lock_reason == "emergency stop"
+        assert speeds(api)[-1] == (0.0, 0.0)
+        peer.send(body[10:])
+        assert (await api.answer(peer)).status == 200
+        assert gate.lock_reason == "a hand"
+
+    check(test)
+
+
+@pytest.mark.parametrize(("announced_bytes", "status"), [(20, 0), (10**9, 413)], ids=["cut off", "too large"])
+def test_lock_without_its_body_holds(check: Callable[..., None], announced_bytes: int, status: int) -> None:
+    async def test(api: ApiMemory) -> None:
+        peer = api.connect()
+        peer.send_head("POST", LOCK, {"Host": "localhost", "Content-Length": str(announced_bytes)})
+        await asyncio.sleep(0.05)
+        peer.transport.abort()
+        assert Answer(bytes(peer.transport.written)).status == status
+        assert (await api.request("PUT", VELOCITY, FAST)).status == 409
+        assert api.hub.robots.find_here("robot_0").gate.lock_reason == "emergency stop"
 
     check(test)
 
@@ -325,6 +375,31 @@ def test_metrics_have_robots_links_and_graphs(check: Callable[..., None]) -> Non
         assert "hostlink_links 1.0" in lines
         assert any(line.startswith("hostlink_link_frames_from_device_total{") for line in lines)
         assert any(line.startswith("hostlink_link_answer_seconds{") for line in lines)
+
+    check(test)
+
+
+def test_metrics_have_the_motion_and_the_lock_of_a_robot(check: Callable[..., None]) -> None:
+    async def metrics(api: ApiMemory) -> dict[str, float]:
+        lines = (await api.request("GET", "/metrics")).body.decode().splitlines()
+        found = (
+            line.removeprefix("hostlink_robot_").rsplit(" ", 1) for line in lines if "hostlink_robot_" in line[:15]
+        )
+        return {name: float(value) for name, value in found}
+
+    async def test(api: ApiMemory) -> None:
+        for number in range(3):
+            await api.move_to(0.1 * number, 0.0, 0.0)  # within 0.05 s
+        await api.request("PUT", VELOCITY, b'{"linear": 0.3, "linear_y_m_s": 0.1, "angular": -0.5}')
+        found = await metrics(api)
+        assert (found['driven{robot="robot_0"}'], found['locked{robot="robot_0"}']) == (1, 0)
+        assert found['speed{axis="linear",robot="robot_0"}'] == pytest.approx(2.0)
+        commanded = {"linear": 0.3, "linear_y": 0.1, "angular": -0.5}
+        for axis, speed in commanded.items():
+            assert found[f'commanded_speed{{axis="{axis}",robot="robot_0"}}'] == speed
+        await api.request("POST", "/api/robots/robot_0/lock?wait_s=0")
+        found = await metrics(api)
+        assert (found['driven{robot="robot_0"}'], found['locked{robot="robot_0"}']) == (0, 1)
 
     check(test)
 

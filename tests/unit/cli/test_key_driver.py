@@ -6,9 +6,10 @@ import struct
 from collections.abc import AsyncIterator, Awaitable, Callable
 from typing import cast
 
-from hostlink.cli.driving import HOLD_S, SEND_INTERVAL_S, ZEROS, Driving, Key
+from hostlink.cli.driving import HOLD_S, SEND_INTERVAL_S, ZEROS, Action, Driving, Key
 from hostlink.cli.teleop import KeyDriver, WatchedRobot
 from hostlink.client import RobotState
+from hostlink.hub.robot_events import LET_GO, EventKind, RobotEvent
 from hostlink.robot.admission import LEASE_S
 from tests.support.fake_device import robot_topics
 from tests.support.memory_client import memory_host
@@ -55,6 +56,28 @@ def at_the_keys(test: Callable[[Person], Awaitable[None]]) -> None:
 def speeds(device: ScriptedDevice) -> list[float]:
     """The forward speeds that a device received, in m/s."""
     return [struct.unpack("<6d", payload)[0] for payload in device.payloads(VELOCITY_ID)]
+
+
+def test_pressed_key_drives_and_its_release_lets_go() -> None:
+    async def test(keys: Person) -> None:
+        reasons: list[object] = []
+
+        def note(event: RobotEvent) -> None:
+            if event.kind is EventKind.STOPPED and event.robot == ROBOT:
+                reasons.append(event.facts["reason"])
+
+        await keys.press("w", 0.3)
+        assert speeds(keys.made.robot)[-1] == SPEED_M_S
+        keys.made.hub.events.observe("test", note)
+        keys.driving.receive(Key("w", Action.RELEASED), asyncio.get_running_loop().time())
+        for _ in range(30):
+            await keys.driver.send_due()
+            await asyncio.sleep(0.03)
+        assert speeds(keys.made.robot)[-1] == 0.0
+        assert reasons == [LET_GO]
+        assert keys.driver.refusal == ""
+
+    at_the_keys(test)
 
 
 def test_a_device_that_connects_again_is_not_driven_by_a_key_that_is_still_pressed() -> None:

@@ -283,6 +283,38 @@ def test_guard_watches_velocity_topics_and_knows_which_links_are_driven() -> Non
     in_hub(test)
 
 
+def test_guard_is_told_of_every_velocity_topic_of_other_ids_and_larger_frames_until_none_is_left() -> None:
+    async def test(made: MemoryHub) -> None:
+        arm = topic(Id.SUBSCRIBER, 107, "/robot_0/arm_vel", "geometry_msgs/Twist")
+        device = await made.connect([arm, *robot_topics()])
+        number, (odometry, velocity, reset) = device.link.number, robot_topics()
+        assert made.guard.watched[number] == ([100, 107], 512)
+        device.infos = [odometry, velocity._replace(topic_id=104), reset._replace(buffer_bytes=2048)]
+        await device.announce()
+        await asyncio.sleep(0.1)
+        assert made.guard.watched[number] == ([104], 2048)
+        released = len(made.guard.released)
+        device.infos = [odometry._replace(name="/robot_0/map")]
+        await device.announce()
+        await asyncio.sleep(0.1)
+        assert len(made.guard.released) == released + 1
+
+    in_hub(test)
+
+
+def test_guard_watches_the_new_connection_of_a_robot_and_no_device_without_velocity() -> None:
+    async def test(made: MemoryHub) -> None:
+        old = await made.connect(peer="10.0.0.2:1")
+        old.infos = []  # the device that connects again no longer answers here
+        new = await made.connect(peer="10.0.0.2:2")
+        await asyncio.sleep(1.0)
+        assert made.guard.released[0] == old.link.number
+        await made.connect(robot_topics()[:1], address="10.0.0.3")
+        assert made.guard.watched.keys() == {new.link.number}
+
+    in_hub(test)
+
+
 def test_guard_watches_no_more_than_its_bound_of_velocity_topics() -> None:
     async def test(made: MemoryHub) -> None:
         infos = [topic(Id.SUBSCRIBER, 100 + each, f"/n{each}/cmd_vel", "geometry_msgs/Twist") for each in range(20)]

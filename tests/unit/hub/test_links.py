@@ -212,16 +212,26 @@ def test_line_of_a_device_s_log_is_logged_and_published() -> None:
         made.hub.join("reader").subscribe("/rosout", lambda message: lines.append(message.decoded))
         device = await made.connect(peer="10.0.0.2:7")
         sensor = await made.connect(SENSOR, peer="10.0.0.3:7")
-        await device.send(Id.LOG, encode_log(Log(2, "low battery")))
+        await device.send(Id.LOG, encode_log(Log(2, "low \x1b[1mbattery")))
         await asyncio.sleep(0.05)
         await sensor.send(Id.LOG, encode_log(Log(1, "calibrated")))
         await asyncio.sleep(0.05)
         line, _ = made.logged("device.logged")
-        assert (line["log_level"], line["level_name"], line["text"]) == ("warning", "warn", "low battery")
+        assert (line["log_level"], line["level_name"], line["text"]) == ("warning", "warn", "low ?[1mbattery")
         published, other = lines
-        assert (published["level"], published["name"], published["msg"]) == (4, "robot_0", "low battery")
+        assert (published["level"], published["name"], published["msg"]) == (4, "robot_0", "low \x1b[1mbattery")
         assert (other["name"], other["msg"]) == ("10.0.0.3:7", "calibrated")  # it is not a robot
         assert published["header"]["stamp"]["secs"] > 1_000_000_000
+
+    in_hub(test)
+
+
+def test_device_with_the_first_protocol_version_is_named() -> None:
+    async def test(made: MemoryHub) -> None:
+        device, body = await made.connect([]), b"\x0a\x00\x08\x00" + bytes(8)
+        device.write(b"\xff\xff" + body + bytes([255 - sum(body) % 256]))
+        await asyncio.sleep(0.05)
+        assert len(made.logged("protocol.version_1")) == 1
 
     in_hub(test)
 
@@ -236,8 +246,13 @@ def test_reconfigured_address_renames_a_connected_robot_unless_it_is_driven_or_l
         await asyncio.sleep(1.0)
         made.robot().lock("smoke")
         await asyncio.sleep(1.0)
-        with pytest.raises(ReloadRefused, match="robot_0 is locked"):
-            made.hub.reconfigure(config, places_of(config))
+        for is_away in (False, True):
+            if is_away:
+                await device.aclose()
+                await asyncio.sleep(1.0)
+            with pytest.raises(ReloadRefused, match="robot_0 is locked"):
+                made.hub.reconfigure(config, places_of(config))
+        device = await made.connect(address="10.0.0.2")
         made.robot().unlock()
         await asyncio.sleep(1.0)
         assert made.hub.reconfigure(config, places_of(config)) == {"robot_0": "mower"}

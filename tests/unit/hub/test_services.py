@@ -1,6 +1,7 @@
 """Services of devices and of programs: turns, deadlines, precedence, and what their ends take back."""
 
 import asyncio
+import struct
 from collections.abc import Mapping
 
 import pytest
@@ -8,10 +9,13 @@ import pytest
 from hostlink.errors import BadRequest, DeviceBusy, DeviceGone, ServiceFailed, UnknownTopic, WrongType
 from hostlink.hub.node import Node
 from hostlink.hub.services import MAX_WAITING, DeviceService, Provider, Services
-from tests.support.fake_device import CATALOG
+from hostlink.protocol.frame import Id
+from tests.support.fake_device import CATALOG, service_server, topic
+from tests.support.memory_hub import MemoryHub, in_hub
 from tests.support.virtual_loop import run_virtual
 
 TRIGGER = "std_srvs/Trigger"
+SET_LED = service_server("/set_led", "std_srvs/SetBool")
 
 
 async def answer(_: Mapping[str, object]) -> Mapping[str, object]:
@@ -234,3 +238,53 @@ def test_bug_of_a_provider_ends_it_and_is_the_caller_s_failure() -> None:
         assert len(failed) == 1
 
     run_virtual(test())
+
+
+def test_a_call_occupies_a_device_for_a_minute_at_most() -> None:
+    """The request may be lost on the way, and other calls wait."""
+    sent: list[float] = []
+
+    async def run() -> list[str]:
+        async def outcome(timeout_s: float) -> str:
+            try:
+                await service.call(b"", timeout_s=timeout_s)
+            except ServiceFailed as error:
+                return str(error)
+            return "answered"
+
+        service = DeviceService("/led", "std_srvs/Empty", None, "it", lambda _: sent.append(now_s()))
+        now_s = asyncio.get_running_loop().time
+        async with asyncio.TaskGroup() as tasks:
+            calls = [tasks.create_task(outcome(timeout_s)) for timeout_s in (1e9, 100.0)]
+            return [await call for call in calls]
+
+    assert run_virtual(run()) == ["/led: no answer within 60 s", "/led: no answer within 100 s"]
+    assert sent == [0.0, pytest.approx(90.0)]  # half of the turn of the second waits for a late answer to the first
+
+
+def test_answer_to_a_call_from_before_other_topics_is_not_that_of_the_next_call() -> None:
+    """A program on the board advertises one more topic, and negotiates without a restart."""
+
+    async def test(made: MemoryHub) -> None:
+        device = await made.connect(SET_LED)
+        loop = asyncio.get_running_loop()
+        before = loop.create_task(made.hub.services.call("/set_led", {"data": True}))
+        await asyncio.sleep(0.05)
+        device.infos.append(topic(Id.PUBLISHER, 126, "/battery", "std_msgs/Float32"))
+        await device.announce()
+        with pytest.raises(DeviceGone):
+            await before
+        call = loop.create_task(made.hub.services.call("/set_led", {"data": False}))
+        await asyncio.sleep(0.05)
+        await device.send(125, led_answer("of before"))
+        await asyncio.sleep(0.05)
+        assert device.payloads(100) == [b"\x01", b"\x00"]
+        await device.send(125, led_answer("mine"))
+        assert (await call)["message"] == "mine"
+
+    in_hub(test)
+
+
+def led_answer(message: str) -> bytes:
+    """Return the payload of a SetBool response."""
+    return b"\x01" + struct.pack("<I", len(message)) + message.encode()

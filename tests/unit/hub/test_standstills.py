@@ -91,6 +91,19 @@ def test_lock_service_with_an_unknown_field_locks() -> None:
     in_hub(test)
 
 
+def test_lock_service_of_a_robot_that_moves_on_answers_how_fast() -> None:
+    async def test(made: MemoryHub) -> None:
+        device = await made.connect()
+        sending = asyncio.get_running_loop().create_task(send_poses(device, speed_m_s=0.3))
+        await asyncio.sleep(1.0)
+        answer = await made.hub.join("ann").call("robot_0/lock", {})
+        assert answer["success"] is False
+        assert "robot_0 still moves at 0.30 m/s" in str(answer["message"])
+        sending.cancel()
+
+    in_hub(test)
+
+
 def test_services_lock_and_unlock_a_robot_as_long_as_it_is_known() -> None:
     async def test(made: MemoryHub) -> None:
         device = await made.connect()
@@ -98,6 +111,7 @@ def test_services_lock_and_unlock_a_robot_as_long_as_it_is_known() -> None:
         answer = await ann.call("robot_0/lock", {})
         assert answer["success"] is True
         assert str(answer["message"]).startswith("robot_0 is locked until robot_0/unlock is called; ")
+        assert made.robot().gate.admission.locked_by == "a call of robot_0/lock"
         assert made.robot().gate.lock_reason == "emergency stop"
         with pytest.raises(BadRequest, match="the request has no field 'data'; its fields: none"):
             await ann.call("robot_0/unlock", {"data": 1})

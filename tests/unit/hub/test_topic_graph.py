@@ -40,6 +40,13 @@ async def received_later(*, is_latched: bool) -> list[bytes]:
     return program.received
 
 
+def test_unknown_topic_is_refused_with_the_known_names() -> None:
+    graph = TopicGraph(CATALOG)
+    graph.advertise("/led", LINK, type_name=BOOL)
+    with pytest.raises(UnknownTopic, match="no topic named /lid; known: /led"):
+        graph.find("/lid")
+
+
 def test_only_what_was_latched_is_delivered_to_a_later_subscriber() -> None:
     assert run_virtual(received_later(is_latched=True)) == [b"\1"]
     assert run_virtual(received_later(is_latched=False)) == []

@@ -297,6 +297,28 @@ def test_publisher_without_tcpros_address_is_refused(found: object) -> None:
     play(test)
 
 
+def test_new_publisher_that_is_connected_late_is_not_new(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A publisher that waited for room may be in the middle of a motion."""
+    made: list[bool] = []
+
+    def refuse(*_: object, is_new: bool) -> None:
+        made.append(is_new)
+        raise ConnectionRefusedError
+
+    async def test(scene: Scene) -> None:
+        for wait_s in (0.0, topics.NEW_S):
+            node, rpc = local_node(scene.hub, scene.tasks)
+            rpc.answer = lambda *_: ["TCPROS", "there", 2]
+            publisher = RosPublisher(node, velocity_topic(scene), "/cmd_vel", "http://there:2/", is_new=True)
+            await asyncio.sleep(wait_s)
+            with pytest.raises(ConnectionRefusedError):
+                await publisher.receive()
+        assert made == [True, False]
+
+    monkeypatch.setattr(topics, "_PublisherConnection", refuse)
+    play(test)
+
+
 def test_first_attempt_of_a_new_publisher_is_new_and_later_ones_are_not() -> None:
     async def test(scene: Scene) -> None:
         node, rpc = local_node(scene.hub, scene.tasks)

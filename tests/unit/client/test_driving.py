@@ -1,0 +1,368 @@
+"""Driving by the client: what it repeats, what breaks that off, and what the program is told. In virtual time."""
+
+import asyncio
+import contextlib
+import math
+from collections.abc import AsyncIterator, Awaitable, Callable
+from dataclasses import dataclass
+
+import pytest
+
+from hostlink.client import Driven, Refusal, Robot
+from hostlink.errors import HostlinkError
+from hostlink.hub.gates import RemoteHosts
+from hostlink.hub.robot import LocalRobot
+from hostlink.hub.robot_events import LET_GO, OWNER_LEFT, WAS_STOPPED, EventKind, RobotEvent
+from hostlink.robot.admission import EARLIER_EPOCH, LEASE_S
+from hostlink.robot.velocity import PlanarVelocity
+from hostlink.robot.velocity_gate import VelocityGate
+from tests.support.fake_device import robot_topics
+from tests.support.gates import drive_gate
+from tests.support.memory_client import MemoryHost, memory_host
+from tests.support.participants import NEIGHBOUR, ROBOT, Scene, scene
+from tests.support.scripted_device import ScriptedDevice
+from tests.support.virtual_loop import in_virtual_time
+
+HELD_BY_PERSON = "robot_0: a person drives it with a higher priority; wait until it lets go, or use stop"
+INTERRUPTED = "it was stopped, locked or reconnected while this source was driving"
+SENT_S = 0.05  # in which a velocity reaches the device
+REPEATED_S = 0.25  # in which a repetition is refused, and the client reads it
+
+
+@dataclass
+class World:
+    """Two programs, and the robot that they drive."""
+
+    made: Scene
+    me: MemoryHost
+    other: MemoryHost
+
+    @property
+    def robot(self) -> Robot:
+        return self.me.robot(ROBOT)
+
+    @property
+    def known(self) -> LocalRobot:
+        """The robot in the daemon."""
+        return self.made.hub.robots.find_here(ROBOT)
+
+    @property
+    def gate(self) -> VelocityGate[PlanarVelocity]:
+        return self.known.gate
+
+    async def refused(self, *, name: str = ROBOT, linear_m_s: float = 0.2) -> str:
+        """Return the reason why a drive is refused."""
+        with pytest.raises(HostlinkError) as caught:
+            await self.me.robot(name).drive(linear_m_s, 0.0)
+        return str(caught.value)
+
+    async def command(self, linear_m_s: float, *, epoch: int | None = None, is_planar: bool = True) -> str | None:
+        """Command once, and return the kind of the refusal."""
+        await self.robot.command(linear_m_s, 0.0, epoch=epoch, is_planar=is_planar)
+        refusal = self.robot.refusal
+        return None if refusal is None else refusal.kind
+
+    async def connect_again(self) -> None:
+        """The device connects again, and its old connection ends."""
+        await self.made.robot.aclose()
+        self.made.robot = ScriptedDevice(self.made.hub, robot_topics(ROBOT), address="10.0.0.1")
+        await asyncio.sleep(REPEATED_S)
+
+    def drive_as_a_person(self) -> None:
+        """Drive with the priority of a person at the keys."""
+        drive_gate(self.known, PlanarVelocity(0.1), owner="a person", priority=60)
+
+
+@contextlib.asynccontextmanager
+async def world() -> AsyncIterator[World]:
+    async with (
+        scene() as made,
+        memory_host(made.hub, made.tasks) as me,
+        memory_host(made.hub, made.tasks) as other,
+    ):
+        yield World(made, me, other)
+
+
+# -- velocities that are repeated -------------------------------------------------------------------------------------
+
+
+@in_virtual_time
+async def test_drive_is_repeated_and_returns_what_the_limits_made_of_it() -> None:
+    async with world() as here:
+        assert await here.robot.drive(0.2, 0.5) == Driven(0.2, 0.5, is_limited=False, limited_by=None)
+        await asyncio.sleep(3 * LEASE_S)
+        assert here.gate.current == PlanarVelocity(0.2, 0.0, 0.5)
+        assert here.gate.owner_name == here.robot.client_name
+        assert here.robot.is_driven
+        limited = await here.robot.drive(2.0, 1.0)
+        assert limited == Driven(1.0, 0.5, is_limited=True, limited_by="max_linear_m_s")
+        assert (await here.robot.drive(0.0, -40.0)).limited_by == "max_angular_rad_s"
+
+
+@in_virtual_time
+async def test_stop_stops_and_nothing_is_repeated() -> None:
+    async with world() as here:
+        await here.robot.drive(0.2, 0.0)
+        await here.robot.stop()
+        assert not here.robot.is_driven
+        before = len(here.made.speeds())
+        await asyncio.sleep(LEASE_S)
+        assert set(here.made.speeds()[before - 1 :]) == {0.0}
+        assert here.gate.owner_name is None
+
+
+class Unanswered(RemoteHosts):
+    """Another daemon, which answers nothing."""
+
+    async def settled(self) -> None:
+        await asyncio.Event().wait()
+
+
+@in_virtual_time
+async def test_stop_that_is_not_answered_delays_no_stop_of_another_robot() -> None:
+    """The daemon answers after other daemons have answered, and one of them may be gone."""
+    async with world() as here:
+        names = (ROBOT, NEIGHBOUR)
+        for name in names:
+            await here.me.robot(name).drive(0.2, 0.0)
+        here.made.hub.gates.hosts = Unanswered()
+        now_s = asyncio.get_running_loop().time
+        began_s = now_s()
+        await here.me.stop_driven()
+        await asyncio.sleep(0.01)  # the daemon handles the request in a later turn
+        assert now_s() - began_s == pytest.approx(0.01)
+        assert all(here.made.hub.robots.find_here(name).gate.current.is_zero for name in names)
+        assert not any(here.me.robot(name).is_driven for name in names)
+        here.made.hub.gates.hosts = None
+
+
+@in_virtual_time
+async def test_drive_that_cannot_be_is_refused_at_once_and_not_repeated() -> None:
+    async with world() as here:
+        assert await here.refused(name="robot_9") == "no robot named robot_9; known: robot_0, robot_1"
+        assert await here.refused(linear_m_s=math.nan) == "robot_0: a velocity must be made of finite numbers"
+        here.drive_as_a_person()
+        assert await here.refused() == HELD_BY_PERSON
+        assert not here.robot.is_driven
+        await here.me.robot(ROBOT, priority=70).drive(0.2, 0.0)
+        assert here.gate.current == PlanarVelocity(0.2)
+
+
+@in_virtual_time
+async def test_drive_of_a_device_that_left_is_broken_off_and_refused() -> None:
+    async with world() as here:
+        await here.robot.drive(0.2, 0.0)
+        await here.made.robot.aclose()
+        await asyncio.sleep(REPEATED_S)
+        assert not here.robot.is_driven
+        assert "its device is not connected" in await here.refused()  # what broke the velocity off
+        assert await here.refused() == "robot_0: its device is not connected"
+        await here.connect_again()
+
+
+@pytest.mark.parametrize("wrong", [math.nan, "fast"])
+@in_virtual_time
+async def test_velocity_that_is_not_finite_ends_the_earlier_drive(wrong: float) -> None:
+    async with world() as here:
+        await here.robot.drive(0.2, 0.0)
+        with pytest.raises((HostlinkError, TypeError, ValueError)):
+            await here.robot.drive(wrong, 0.0)
+        assert not here.robot.is_driven
+        await asyncio.sleep(LEASE_S + SENT_S)
+        assert here.gate.owner_name is None
+        await here.robot.drive(0.1, 0.0)
+
+
+@in_virtual_time
+async def test_repeated_velocity_that_is_overruled_is_dropped_and_the_next_drive_raises_once() -> None:
+    async with world() as here:
+        await here.robot.drive(0.2, 0.0)
+        here.drive_as_a_person()
+        await asyncio.sleep(REPEATED_S)
+        assert not here.robot.is_driven
+        here.made.hub.gates.release("a person")
+        assert await here.refused() == f"robot_0 was stopped, drive again if it is still meant: {HELD_BY_PERSON}"
+        await here.robot.drive(0.3, 0.0)
+        assert here.gate.current == PlanarVelocity(0.3)
+
+
+@in_virtual_time
+async def test_program_that_drives_again_and_again_is_refused_once_when_the_device_connected_again() -> None:
+    async with world() as here:
+        await here.robot.drive(0.2, 0.0)
+        await here.connect_again()
+        assert set(here.made.speeds()) == {0.0}  # an earlier command does not drive the new connection
+        refusals = []
+        for _ in range(20):
+            try:
+                await here.robot.drive(0.2, 0.0)
+            except HostlinkError as error:
+                refusals.append(str(error))
+            await asyncio.sleep(0.01)
+        assert len(refusals) == 1
+        assert "not connected" in refusals[0] or INTERRUPTED in refusals[0]
+        assert here.robot.is_driven
+        await asyncio.sleep(SENT_S)
+        assert here.made.speeds()[-1] == 0.2
+
+
+@in_virtual_time
+async def test_stop_by_another_program_ends_a_drive_and_the_next_raises_once() -> None:
+    async with world() as here:
+        await here.robot.drive(0.2, 0.0)
+        await here.other.robot(ROBOT).stop()
+        await asyncio.sleep(REPEATED_S)
+        assert not here.robot.is_driven
+        assert here.gate.owner_name is None
+        assert INTERRUPTED in await here.refused()
+        await here.robot.drive(0.2, 0.0)
+
+
+@in_virtual_time
+async def test_lock_by_another_program_drops_the_velocity_and_the_unlock_moves_nothing() -> None:
+    async with world() as here:
+        await here.robot.drive(0.2, 0.0)
+        await here.other.robot(ROBOT).lock("somebody stands there")
+        await asyncio.sleep(REPEATED_S)
+        assert not here.robot.is_driven
+        await here.other.robot(ROBOT).unlock()
+        assert "somebody stands there" in await here.refused()
+        assert here.gate.owner_name is None
+        await here.robot.drive(0.2, 0.0)
+
+
+@in_virtual_time
+async def test_program_drives_at_once_after_its_own_unlock() -> None:
+    async with world() as here:
+        other = here.other.robot(ROBOT)
+        for locker in (here.robot, other):
+            await here.robot.drive(0.2, 0.0)
+            await locker.lock("somebody stands there", wait_s=0)
+            await asyncio.sleep(REPEATED_S)
+            assert not here.robot.is_driven
+            await here.robot.unlock()
+            assert here.gate.owner_name is None
+            await here.robot.drive(0.2, 0.0)
+        await here.robot.lock("somebody stands there", wait_s=0)
+        await here.robot.unlock()
+        await other.stop(wait_s=0)
+        assert INTERRUPTED in await here.refused()
+
+
+@in_virtual_time
+async def test_epoch_of_an_own_unlock_is_of_no_use_after_a_lease() -> None:
+    """The program has stopped driving by then, and later interruptions do not concern it."""
+    async with world() as here:
+        await here.robot.lock("somebody stands there", wait_s=0)
+        await here.robot.unlock()
+        await here.other.robot(ROBOT).stop(wait_s=0)
+        await asyncio.sleep(LEASE_S + 0.1)
+        await here.robot.drive(0.2, 0.0)
+
+
+@in_virtual_time
+async def test_program_drives_at_once_after_its_own_stop_of_all() -> None:
+    async with world() as here:
+        await asyncio.sleep(LEASE_S)  # the neighbour has let go
+        for wait_s in (0.0, 0.1):
+            await here.robot.drive(0.2, 0.0)
+            assert (await here.me.stop_all(wait_s=wait_s)).keys() == {ROBOT, NEIGHBOUR}
+            assert not here.robot.is_driven
+            await here.robot.drive(0.2, 0.0)
+
+
+@in_virtual_time
+async def test_drive_that_is_cancelled_is_followed_by_a_zero() -> None:
+    """A cancelled command may be on its way, and a person who ends a program does not wait for the end of a lease."""
+    async with world() as here:
+        here.me.connection_.delay_s = 0.1
+        with pytest.raises(TimeoutError):
+            async with asyncio.timeout(0.05):
+                await here.robot.drive(0.2, 0.0)
+        assert not here.robot.is_driven
+        await asyncio.sleep(0.1 + SENT_S)
+        assert here.gate.counts.commands == 2
+        assert here.gate.current.is_zero
+        assert here.made.speeds()[-1] == 0.0
+
+
+# -- single commands --------------------------------------------------------------------------------------------------
+
+
+@in_virtual_time
+async def test_command_is_not_repeated_and_its_refusal_is_known_after_its_answer() -> None:
+    async with world() as here:
+        assert await here.command(0.2) is None
+        assert (here.robot.is_driven, here.gate.counts.commands) == (False, 1)
+        assert here.robot.client_name == here.gate.owner_name is not None
+        here.drive_as_a_person()
+        assert await here.command(0.2) == "held"
+        assert here.robot.refusal == Refusal("held", HELD_BY_PERSON)
+        with pytest.raises(HostlinkError, match="finite"):
+            await here.robot.command(math.inf, 0.0)
+
+
+@in_virtual_time
+async def test_commands_that_went_on_through_a_lock_move_nothing_after_the_unlock() -> None:
+    async with world() as here:
+        await here.robot.lock("somebody stands there")
+        assert await here.command(0.2) == "locked"
+        await here.robot.unlock()
+        assert await here.command(0.2) == "disarmed"
+        assert await here.command(0.0) is None
+        assert await here.command(0.2) is None
+
+
+@pytest.mark.parametrize("is_current", [False, True])
+@in_virtual_time
+async def test_command_with_an_epoch_of_its_own_begins_another_stream(*, is_current: bool) -> None:
+    """Later commands continue the new stream, not the stream before, whose epoch may be the current one."""
+    async with world() as here:
+        assert await here.command(0.2) is None
+        for epoch in (here.gate.admission.epoch if is_current else EARLIER_EPOCH, None, None):
+            assert await here.command(0.2, epoch=epoch) == (None if is_current else "disarmed")
+
+
+@in_virtual_time
+async def test_command_that_is_not_planar_is_refused_and_ends_no_stream() -> None:
+    async with world() as here:
+        assert await here.command(0.2) is None
+        assert await here.command(0.0, is_planar=False) == "unsupported"
+        here.known.stop()
+        assert await here.command(0.2) == "disarmed"
+
+
+# -- how a drive ends -------------------------------------------------------------------------------------------------
+
+
+async def ends(here: World) -> None:
+    """The program ends."""
+    await here.me.stop_driven()
+    here.me.close()
+
+
+async def drives_zero(here: World) -> None:
+    await here.robot.drive(0.0, 0.0)
+
+
+async def stops(here: World) -> None:
+    await here.robot.stop()
+
+
+@pytest.mark.parametrize(("end", "reason"), [(ends, OWNER_LEFT), (drives_zero, LET_GO), (stops, WAS_STOPPED)])
+@in_virtual_time
+async def test_drive_that_ends_is_reported_once_with_its_reason(
+    end: Callable[[World], Awaitable[None]], reason: str
+) -> None:
+    async with world() as here:
+        reasons: list[object] = []
+
+        def note(event: RobotEvent) -> None:
+            if event.kind is EventKind.STOPPED and event.robot == ROBOT:
+                reasons.append(event.facts["reason"])
+
+        here.made.hub.events.observe("test", note)
+        await here.robot.drive(0.2, 0.0)
+        await end(here)
+        await asyncio.sleep(2 * LEASE_S)
+        assert reasons == [reason]
