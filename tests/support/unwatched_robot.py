@@ -9,9 +9,7 @@ import errno
 import os
 import socket
 import struct
-import termios
 import time
-import tty
 from collections.abc import AsyncIterator
 from dataclasses import dataclass, field
 
@@ -19,6 +17,7 @@ from hostlink.protocol.control import TopicInfo, encode_topic_info
 from hostlink.protocol.frame import Id, encode
 from tests.support.background import meanwhile
 from tests.support.fake_device import robot_topics, topic
+from tests.support.pty_pair import pty_pair
 from tests.support.ros_lib_reader import RosLibReader
 from tests.support.waiting import TIMEOUT_S, expect
 
@@ -144,14 +143,7 @@ async def robot_on_udp(address: tuple[str, int], name: str) -> AsyncIterator[Unw
 async def robot_on_pty(name: str, reading: Reading | None = None) -> AsyncIterator[tuple[UnwatchedRobot, str]]:
     """(robot, path of its port) for the length of the block; the port vanishes at its end."""
     robot = UnwatchedRobot(name, reading or Reading())
-    ours, theirs = os.openpty()
-    for end in (ours, theirs):
-        tty.setraw(end, termios.TCSANOW)
-    os.set_blocking(ours, False)
-    path = os.ttyname(theirs)
-    try:
+    with pty_pair() as (ours, path):
+        os.set_blocking(ours, False)
         async with meanwhile(robot.read(ours)):
             yield robot, path
-    finally:
-        os.close(ours)
-        os.close(theirs)

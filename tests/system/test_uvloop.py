@@ -14,7 +14,7 @@ import pytest
 from hostlink.errors import LibraryMissing
 from tests.support.fake_device import fake_device, pose, robot_topics
 from tests.support.killing import LIMIT_S, driving, end_at, killer
-from tests.support.process import HOSTLINK, run, serve
+from tests.support.process import HOSTLINK, serve
 from tests.support.pty_pair import pty_pair
 from tests.support.unwatched_robot import Reading
 from tests.support.waiting import TIMEOUT_S, expect
@@ -86,11 +86,6 @@ async def test_without_uvloop_the_daemon_runs_on_asyncio(tmp_path: Path) -> None
     (tmp_path / "uvloop.py").write_text("raise ImportError")
     async with serve(environment={"PYTHONPATH": str(tmp_path)}, program=(HOSTLINK,)) as daemon:
         assert daemon.lines("daemon.started")[0]["loop"] == "asyncio"
-
-
-async def test_an_unknown_loop_is_one_line() -> None:
-    message = "hostlink: --loop: unknown value 'trio'; choose auto, asyncio or uvloop\n"
-    assert await run("serve", "--loop", "trio") == (2, "", message)
 
 
 def test_a_loop_that_is_not_installed_is_one_line(tmp_path: Path) -> None:
