@@ -17,8 +17,8 @@ from hostlink.config import Config
 from hostlink.hub.hub import Hub
 from hostlink.hub.node import Role
 from hostlink.hub.reloader import Read, Reloader
-from hostlink.protocol.control import TopicInfo
 from tests.support.fake_device import CATALOG, robot_topics
+from tests.support.memory_hub import running
 from tests.support.participants import ODOMETRY_ID, POSE, ROBOT
 from tests.support.scripted_device import ScriptedDevice
 
@@ -26,17 +26,17 @@ from tests.support.scripted_device import ScriptedDevice
 class RestMemory:
     """A daemon's REST API, and the device of its robot."""
 
-    def __init__(self, topics: Sequence[TopicInfo], drives: Any, read: Read | None) -> None:
+    def __init__(self, drives: Any, read: Read | None) -> None:
         self.hub = Hub(Config(), CATALOG, reraises=True)
         self.owners = Owners(self.hub)
-        self._topics, self._drives, self._read = topics, drives, read
+        self._drives, self._read = drives, read
         self._app = web.Application()
         self.device: ScriptedDevice
 
     async def begin(self, settle_s: float) -> None:
         clients, reloader = Clients(4, max_per_address=4), Reloader(self.hub, self._read)
         self.add(Rest(self.hub, clients, self.owners, self._drives, reloader).routes())
-        self.device = ScriptedDevice(self.hub, self._topics, address="10.0.0.1")
+        self.device = ScriptedDevice(self.hub, robot_topics(ROBOT), address="10.0.0.1")
         await asyncio.sleep(settle_s)
 
     def add(self, routes: Sequence[Route]) -> None:
@@ -72,20 +72,13 @@ class RestMemory:
 
 @contextlib.asynccontextmanager
 async def rest_memory(
-    topics: Sequence[TopicInfo] | None = None, *, settle_s: float = 0.5, drives: Any = None, read: Read | None = None
+    *, settle_s: float = 0.5, drives: Any = None, read: Read | None = None
 ) -> AsyncIterator[RestMemory]:
     """A running hub with one robot, for virtual time. `settle_s`: time in which the device announces its topics.
 
     `drives` is the log of drives; `read` returns the settings of a reload.
     """
-    made = RestMemory(robot_topics(ROBOT) if topics is None else topics, drives, read)
-    async with asyncio.TaskGroup() as tasks:
-        running = tasks.create_task(made.hub.run())
-        await made.hub.is_running.wait()
-        try:
-            await made.begin(settle_s)
-            yield made
-        finally:
-            for task in asyncio.all_tasks() - {asyncio.current_task()}:
-                task.cancel()
-            running.cancel()
+    made = RestMemory(drives, read)
+    async with running(made.hub):
+        await made.begin(settle_s)
+        yield made

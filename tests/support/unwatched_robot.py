@@ -140,9 +140,9 @@ async def robot_on_udp(address: tuple[str, int], name: str) -> AsyncIterator[Unw
 
 
 @contextlib.asynccontextmanager
-async def robot_on_pty(name: str, reading: Reading | None = None) -> AsyncIterator[tuple[UnwatchedRobot, str]]:
+async def robot_on_pty(name: str) -> AsyncIterator[tuple[UnwatchedRobot, str]]:
     """(robot, path of its port) for the length of the block; the port vanishes at its end."""
-    robot = UnwatchedRobot(name, reading or Reading())
+    robot = UnwatchedRobot(name, Reading())
     with pty_pair() as (ours, path):
         os.set_blocking(ours, False)
         async with meanwhile(robot.read(ours)):

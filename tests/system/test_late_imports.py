@@ -50,4 +50,4 @@ async def use(daemon: Process) -> None:
             await device.send(pose(1.0))
             async with asyncio.timeout(TIMEOUT_S):
                 assert (await program.receive()).data
-        await asyncio.sleep(2.5)  # until the diagnosis has looked at the garbage, which it does in a thread
+        await daemon.read_log("link.diagnosed")  # the garbage, of which a thread has thought

@@ -349,8 +349,7 @@ async def test_every_tab_of_a_browser_can_stop(scene: Scene) -> None:
 
 @pytest.mark.long
 async def test_a_network_that_dies_is_noticed_within_a_second_without_the_websocket(scene: Scene) -> None:
-    host, port = scene.host.url.removeprefix("http://").split(":")
-    async with proxy((host, int(port))) as network, visit(scene.browser, "about:blank") as tab:
+    async with proxy(scene.host.url) as network, visit(scene.browser, "about:blank") as tab:
         await tab.page.route_web_socket("**/*", lambda socket: socket.close())
         await tab.page.goto(network.url)
         await tab.shows("#robots", "no driver")
@@ -377,8 +376,7 @@ async def test_page_watches_by_one_stream_and_does_not_poll(scene: Scene) -> Non
 async def test_a_dead_network_is_noticed_within_a_second_and_nothing_old_is_driven_after_it(
     scene: Scene, line: Line
 ) -> None:
-    host, port = scene.host.url.removeprefix("http://").split(":")
-    async with proxy((host, int(port))) as network, connected(scene, network.url) as tab:
+    async with proxy(scene.host.url) as network, connected(scene, network.url) as tab:
         await scene.holds(tab, "KeyW")
         network.set_line(line)
         await tab.shows("#connection", "no answer", timeout_s=NOTICED_S)
@@ -394,8 +392,7 @@ async def test_a_dead_network_is_noticed_within_a_second_and_nothing_old_is_driv
 
 
 async def test_a_daemon_that_is_gone_is_waited_for(scene: Scene) -> None:
-    host, port = scene.host.url.removeprefix("http://").split(":")
-    async with proxy((host, int(port))) as network, connected(scene, network.url) as tab:
+    async with proxy(scene.host.url) as network, connected(scene, network.url) as tab:
         network.is_refusing = True
         network.break_off()
         await tab.shows("#connection", "no connection", timeout_s=NOTICED_S)

@@ -16,7 +16,7 @@ from hostlink.recording.reader import McapReader
 from tests.support.browser import PHONE, Visit, visit
 from tests.support.daemon import Daemon, daemon
 from tests.support.process import run
-from tests.support.proxy import proxy
+from tests.support.proxy import address_of, proxy
 from tests.support.simulated import simulated_robot
 from tests.support.waiting import expect
 
@@ -47,11 +47,6 @@ async def downloaded(page: Page, button: Locator, folder: Path) -> Path:
     path = folder / download.suggested_filename
     await download.save_as(path)
     return path
-
-
-def address_of(url: str) -> tuple[str, int]:
-    host, port = url.removeprefix("http://").split(":")
-    return host, int(port)
 
 
 async def drive(tab: Visit, host: Daemon) -> None:

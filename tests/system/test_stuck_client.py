@@ -3,25 +3,28 @@
 import asyncio
 import contextlib
 import json
-import re
 import socket
 import statistics
 import struct
 import time
-from collections.abc import AsyncIterator
-from pathlib import Path
+from collections.abc import AsyncIterator, Awaitable
+from typing import TypeVar
 
 import aiohttp
 import pytest
 
 from hostlink.protocol.frame import Id, encode
+from tests.support.api_loads import operation, websocket_head
+from tests.support.background import meanwhile
 from tests.support.fake_device import FakeDevice, fake_device, pose, topic
 from tests.support.process import Process, serve
+from tests.support.resources import open_descriptors, resident_mib
 from tests.support.waiting import expect
 
 pytestmark = pytest.mark.quiet
 
 GOOD = 98
+ENOUGH = 1000  # ages of poses
 TICK_S = 0.05
 IMAGES = 50  # a tick: a thousand a second
 TOPICS = [
@@ -32,6 +35,8 @@ IMAGE = encode(126, bytes(8) + struct.pack("<I", 400) + bytes(400))
 RECEIVE_BUFFER_BYTES = 4096
 TALK_S = 0.001  # twice as much as one address may say, and this process has others to listen with
 WORST_S = 0.5  # on a machine with other work; a daemon that waits for the stuck one waits for seconds
+
+Result = TypeVar("Result")
 
 
 class Crowd:
@@ -44,10 +49,12 @@ class Crowd:
         async for message in web_socket:
             self.ages_s.append(time.perf_counter() - json.loads(message.data)["msg"]["x"])
 
-    def pop_p99_s(self) -> float:
-        ages_s, self.ages_s = self.ages_s, []
-        assert len(ages_s) > 1000
-        return statistics.quantiles(ages_s, n=100)[98]
+    async def p99_s(self, during: Awaitable[Result]) -> tuple[float, Result]:
+        """Return the 99th percentile of the ages while this is awaited and until there are enough, and its result."""
+        self.ages_s.clear()
+        result = await during
+        await expect(lambda: len(self.ages_s) > ENOUGH)
+        return statistics.quantiles(self.ages_s, n=100)[98], result
 
 
 @contextlib.asynccontextmanager
@@ -64,12 +71,6 @@ async def crowd(daemon: Process) -> AsyncIterator[Crowd]:
             await each.close()
 
 
-def frame(**request: object) -> bytes:
-    """A WebSocket frame of a client, masked with zeros."""
-    body = json.dumps(request).encode()
-    return bytes([0x81, 0xFE]) + struct.pack(">H", len(body)) + bytes(4) + body
-
-
 @contextlib.asynccontextmanager
 async def raw_client(daemon: Process) -> AsyncIterator[socket.socket]:
     """A socket from which nothing is taken once it is a WebSocket."""
@@ -78,9 +79,7 @@ async def raw_client(daemon: Process) -> AsyncIterator[socket.socket]:
         raw.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER_BYTES)
         raw.setblocking(False)
         await loop.sock_connect(raw, ("127.0.0.1", int(daemon.url.rpartition(":")[2])))
-        head = "GET / HTTP/1.1\r\nHost: 127.0.0.1\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
-        head += "Sec-WebSocket-Key: c3R1Y2sgc3R1Y2sgc3R1Yw==\r\nSec-WebSocket-Version: 13\r\n\r\n"
-        await loop.sock_sendall(raw, head.encode())
+        await loop.sock_sendall(raw, websocket_head(""))
         while b"\r\n\r\n" not in await loop.sock_recv(raw, RECEIVE_BUFFER_BYTES):
             continue
         yield raw
@@ -89,64 +88,45 @@ async def raw_client(daemon: Process) -> AsyncIterator[socket.socket]:
 async def never_reads(raw: socket.socket) -> None:
     """A client that subscribes to everything."""
     for name in ("/pose", "/image", "/rosout"):
-        await asyncio.get_running_loop().sock_sendall(raw, frame(op="subscribe", topic=name))
+        await asyncio.get_running_loop().sock_sendall(raw, operation(op="subscribe", topic=name))
 
 
 async def never_stops(raw: socket.socket) -> None:
     """A client that talks as fast as it can, and asks questions without reading the answers."""
-    publish = frame(op="publish", topic="/chat", type="std_msgs/String", msg={"data": "x" * 100})
-    call = frame(op="call_service", id="1", service="/rosapi/topics")
+    publish = operation(op="publish", topic="/chat", type="std_msgs/String", msg={"data": "x" * 100})
+    call = operation(op="call_service", id="1", service="/rosapi/topics")
     with contextlib.suppress(ConnectionError):
         while True:
             await asyncio.get_running_loop().sock_sendall(raw, publish + call)
             await asyncio.sleep(TALK_S)
 
 
-async def tick(device: FakeDevice, until: asyncio.Event) -> None:
-    while not until.is_set():
+async def tick(device: FakeDevice) -> None:
+    while True:
         await device.send(IMAGE * IMAGES + pose(time.perf_counter()))
         await asyncio.sleep(TICK_S)
 
 
-async def set_later(event: asyncio.Event, after_s: float) -> None:
-    await asyncio.sleep(after_s)
-    event.set()
-
-
-async def until_closed(daemon: Process, clients: set[str], done: asyncio.Event) -> int:
+async def until_closed(daemon: Process, clients: set[str]) -> int:
     """Return how many messages were dropped for these clients until the daemon closed them."""
     dropped = 0
     while clients:
         line = await daemon.read_log("client.closed")
         clients.discard(line["client"])
         dropped += line["dropped"]
-    done.set()
     return dropped
-
-
-def resident_mib(daemon: Process) -> float:
-    status = Path(f"/proc/{daemon.child.pid}/status").read_text()
-    return int(re.findall(r"VmRSS:\s+(\d+)", status)[0]) / 1024
-
-
-def open_files(daemon: Process) -> int:
-    return len(list(Path(f"/proc/{daemon.child.pid}/fd").iterdir()))
 
 
 async def test_one_stuck_client_among_a_hundred_costs_the_others_nothing_and_the_daemon_little() -> None:
     async with serve() as daemon, fake_device(daemon.tcp, TOPICS) as device, crowd(daemon) as others:
-        alone, done = asyncio.Event(), asyncio.Event()
-        async with asyncio.TaskGroup() as tasks:
-            tasks.create_task(set_later(alone, 2.0))
-            await tick(device, alone)
-        p99_alone_s, files, before_mib = others.pop_p99_s(), open_files(daemon), resident_mib(daemon)
-        async with raw_client(daemon) as stuck, raw_client(daemon) as loud, asyncio.TaskGroup() as tasks:
-            await never_reads(stuck)
-            tasks.create_task(never_stops(loud))
-            closing = tasks.create_task(until_closed(daemon, {f"client {GOOD + 1}", f"client {GOOD + 2}"}, done))
-            await tick(device, done)
-        p99_beside_s = others.pop_p99_s()
-        assert closing.result() > 100  # it was told nothing, it lost only its own
+        async with meanwhile(tick(device)):
+            p99_alone_s, _ = await others.p99_s(asyncio.sleep(2.0))
+            files, before_mib = open_descriptors(daemon.pid), resident_mib(daemon.pid)
+            async with raw_client(daemon) as stuck, raw_client(daemon) as loud, meanwhile(never_stops(loud)):
+                await never_reads(stuck)
+                clients = {f"client {GOOD + 1}", f"client {GOOD + 2}"}
+                p99_beside_s, dropped = await others.p99_s(until_closed(daemon, clients))
+        assert dropped > 100  # it was told nothing, it lost only its own
         assert p99_beside_s < max(5 * p99_alone_s, WORST_S), (p99_alone_s, p99_beside_s)
-        assert resident_mib(daemon) - before_mib < 32
-        await expect(lambda: open_files(daemon) <= files)  # neither of them is left behind
+        assert resident_mib(daemon.pid) - before_mib < 32
+        await expect(lambda: open_descriptors(daemon.pid) <= files)  # neither of them is left behind

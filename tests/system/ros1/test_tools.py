@@ -8,9 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from tests.support.fake_device import FakeDevice, pose, robot_topics
+from tests.support.fake_device import FakeDevice, pose, repeating, robot_topics
 from tests.support.process import Process
 from tests.support.ros1.debian import Graph, graph, living_device
+from tests.support.waiting import TIMEOUT_S
 
 ODOMETRY, VELOCITY = "/robot_0/odometry", "/robot_0/velocity_commands"
 
@@ -26,27 +27,14 @@ class Scene:
 
 @pytest.fixture
 async def scene(tmp_path: Path) -> AsyncIterator[Scene]:
-    async with graph(tmp_path) as ros, ros.daemon() as daemon, living_device(daemon.tcp, robot_topics()) as robot:
-
-        async def publish() -> None:
-            while True:
-                await robot.send(pose(1.5))
-                await asyncio.sleep(0.05)
-
-        async with asyncio.TaskGroup() as tasks:
-            task = tasks.create_task(publish())
-            await registered(ros, ODOMETRY)
-            yield Scene(ros, daemon, robot)
-            task.cancel()
-
-
-async def registered(ros: Graph, topic: str) -> None:
-    """Wait until the master knows the topic."""
-    for _ in range(40):
-        if topic in (await ros.run("rostopic", "list"))[1].split():
-            return
-        await asyncio.sleep(0.1)
-    raise AssertionError(f"no {topic} in {(await ros.run('rostopic', 'list'))[1]}")
+    async with (
+        graph(tmp_path) as ros,
+        ros.daemon() as daemon,
+        living_device(daemon.tcp, robot_topics()) as robot,
+        repeating(robot, pose(1.5), interval_s=0.05),
+    ):
+        await ros.listed(ODOMETRY)
+        yield Scene(ros, daemon, robot)
 
 
 @pytest.mark.long
@@ -91,11 +79,10 @@ async def test_rosnode_kill_ends_the_graph_part_and_not_the_daemon(scene: Scene)
     assert "killed" in "\n".join(await scene.ros.lines("rosnode", "kill", "/hostlink"))
     ended = await scene.daemon.read_log("ros1.ended")
     assert "/rosnode" in ended["reason"]
-    for _ in range(40):
-        if "/hostlink" not in await scene.ros.lines("rosnode", "list"):
-            break
-        await asyncio.sleep(0.1)
-    assert ODOMETRY not in (await scene.ros.run("rostopic", "list"))[1].split()
+    await scene.ros.listed(ODOMETRY, is_there=False)
+    async with asyncio.timeout(TIMEOUT_S):
+        while "/hostlink" in await scene.ros.lines("rosnode", "list"):
+            continue
     status, out = await scene.ros.run("rosnode", "ping", "-c", "1", "/hostlink")
     assert "unknown node" in out, (status, out)
     assert scene.daemon.child.returncode is None

@@ -30,14 +30,12 @@ def environment() -> Iterator[dict[str, str]]:
         yield found
 
 
-async def repeat_until(
-    is_so: Callable[[], object], act: Callable[[], Awaitable[object]], *, every_s: float = 0.05
-) -> None:
+async def repeat_until(is_so: Callable[[], object], act: Callable[[], Awaitable[object]]) -> None:
     """Do it again and again until this is true."""
     async with asyncio.timeout(DISCOVERY_S):
         while not is_so():
             await act()
-            await asyncio.sleep(every_s)
+            await asyncio.sleep(0.05)
 
 
 async def drive(other: Peer, name: str, linear_m_s: float, left_m_s: float = 0.0) -> None:
