@@ -16,6 +16,7 @@ from tests.support.waiting import TIMEOUT_S
 
 POLL_S = 0.05
 PAUSE_S = 0.3  # between two polls: the page may have taken it for a suspended computer
+GIVEN_UP = "WebSocket is closed before the connection is established."  # by the page, which then tries again
 EFFECT_S = 3.0  # for the effect of a key on a busy machine
 
 expect.set_options(timeout=1000 * TIMEOUT_S)
@@ -46,7 +47,8 @@ class Visit:
     other_hosts: list[str] = field(default_factory=list)
 
     def add_complaint(self, message: ConsoleMessage) -> None:
-        if message.type in ("error", "warning"):  # a violation of the Content-Security-Policy is one of them
+        is_complaint = message.type in ("error", "warning")  # a violation of the Content-Security-Policy is one of them
+        if is_complaint and not message.text.endswith(GIVEN_UP):
             self.complaints.append(message.text)
 
     def add_request(self, request: Request) -> None:

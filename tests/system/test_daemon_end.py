@@ -76,12 +76,15 @@ async def test_a_robot_that_is_driven_while_the_daemon_ends_receives_zero_last(
 ) -> None:
     async with serve() as daemon, fake_device(daemon.tcp, robot_topics()) as device, driven(daemon, rate_hz):
         assert await device.velocity_other_than(ZERO) == (0.2, 0.0)
-        daemon.child.send_signal(number)
-        sent = await velocities_to_the_end(device)
+        watch = Stopwatch(daemon.pid)
+        async with meanwhile(watch.sampling()):
+            daemon.child.send_signal(number)
+            sent = await velocities_to_the_end(device)
+            assert await daemon.child.wait() == 0
+        assert watch.seconds < 1.0
         assert sent[-3:] == [ZERO, ZERO, ZERO]
         first = sent.index(ZERO)
         assert set(sent[first:]) == {ZERO}  # from the first zero on nothing moves it
-        assert await daemon.child.wait() == 0
         line = await daemon.read_log("daemon.stop_requested")
         assert line["cause"] == number.name
 

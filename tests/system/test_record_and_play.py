@@ -17,13 +17,14 @@ import hostlink.recording
 from hostlink.client import Host, connect
 from hostlink.recording.reader import McapReader, StoredMessage
 from tests.support.background import meanwhile
-from tests.support.fork_server import start
+from tests.support.driving import hold
 from tests.support.process import HOSTLINK, TIMEOUT_S, Process, run, serve, simulated
 from tests.support.stopwatch import Stopwatch
 
 KILLS = int(os.environ.get("HOSTLINK_RECORDING_KILLS", "3"))
 WAKE_INTERVAL_S = 0.01
 SPEED_M_S = 0.1
+SILENCE = "nothing was heard from it"
 SOAK = str(Path(__file__).parents[2] / "tools" / "soak_recording.py")
 
 
@@ -68,7 +69,7 @@ async def test_played_messages_are_recorded_again_byte_for_byte_at_their_times(t
     async with serve(*settings(tmp_path)) as daemon, simulated(daemon.tcp):
         await daemon.read_log("robot.appeared")
         async with connect(daemon.url) as host:
-            await host.robot("robot_0").drive(SPEED_M_S, 0.3)
+            await hold(host.robot("robot_0"), SPEED_M_S, 0.3)
             await record(daemon, first, "/robot_0/*")
     (tmp_path / "again").mkdir()
     async with serve(*settings(tmp_path / "again")) as daemon:
@@ -92,24 +93,6 @@ async def test_played_messages_are_recorded_again_byte_for_byte_at_their_times(t
     assert len({message.channel.topic for message in before}) >= 4
     moved = hostlink.recording.read(second)["/robot_0/odometry"]
     assert moved["x"].max() > SPEED_M_S
-
-
-async def test_played_robot_is_marked_and_obeys_no_command(tmp_path: Path) -> None:
-    first = tmp_path / "first.mcap"
-    async with serve(*settings(tmp_path)) as daemon:
-        async with simulated(daemon.tcp):
-            await daemon.read_log("robot.appeared")
-            await record(daemon, first)
-        async with connect(daemon.url) as host:
-            child = await start("play", str(first), "--loop", "--connect", "{}:{}".format(*daemon.tcp))
-            async with host.subscribe("/robot_0/played") as marks, asyncio.timeout(TIMEOUT_S):
-                assert (await anext(aiter(marks)))["data"] == "first.mcap"
-            await daemon.read_log("robot.appeared")
-            async with host.subscribe("/robot_0/odometry") as poses:
-                await host.robot("robot_0").drive(0.1, 0.0)
-                assert {"x", "y", "theta"} == set(await anext(aiter(poses)))
-            child.send_signal(signal.SIGINT)
-            assert await child.wait() == 130
 
 
 async def test_ctrl_c_at_the_question_of_a_stepped_play_ends_it(tmp_path: Path) -> None:
@@ -143,7 +126,7 @@ async def test_a_recording_is_published_by_a_program_and_its_velocities_are_not(
     async with serve(*settings(tmp_path)) as daemon:
         async with simulated(daemon.tcp), connect(daemon.url) as host:
             await daemon.read_log("robot.appeared")
-            await host.robot("robot_0").drive(SPEED_M_S, 0.0)
+            await hold(host.robot("robot_0"), SPEED_M_S, 0.0)
             await record(daemon, first)
         async with connect(daemon.url) as host, host.subscribe("/robot_0/odometry") as poses:
             before = await velocities(host)
@@ -159,12 +142,14 @@ async def test_a_robot_is_driven_by_a_recording_only_when_it_is_named(tmp_path: 
     async with serve(*settings(tmp_path)) as daemon, simulated(daemon.tcp):
         await daemon.read_log("robot.appeared")
         async with connect(daemon.url) as host:
-            await host.robot("robot_0").drive(SPEED_M_S, 0.0)
+            await hold(host.robot("robot_0"), SPEED_M_S, 0.0)
             await record(daemon, first, seconds=1.5)
             await host.robot("robot_0").stop()
             before = (await host.robots())[0]["odometry"]
             assert before is not None
-            status, _, err = await run("play", str(first), "--drive", "robot_0", "--url", daemon.url)
+            status, err = 1, SILENCE
+            while status and SILENCE in err:  # on a busy machine, the play stops the robot and ends
+                status, _, err = await run("play", str(first), "--drive", "robot_0", "--url", daemon.url)
             assert (status, "driving robot_0 as robot_0 was driven" in err) == (0, True), err
             after = (await host.robots())[0]
             assert after["odometry"] is not None

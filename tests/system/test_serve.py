@@ -1,4 +1,4 @@
-"""The daemon as a process: signals, ports that are taken, a serial device, a fleet."""
+"""The daemon as a process: signals, ports that are taken, a serial device."""
 
 import asyncio
 import json
@@ -7,17 +7,12 @@ import signal
 import aiohttp
 import pytest
 
-from hostlink.protocol.frame import Id
 from hostlink.sim.robot import SimulatedRobot
 from hostlink.sim.run import run_over_streams
-from tests.support.background import meanwhile
 from tests.support.driving import put_velocity
-from tests.support.fake_device import fake_device, robot_topics
-from tests.support.process import run, serve, simulated
+from tests.support.process import run, serve
 from tests.support.pty_pair import pty_streams
-from tests.support.stopwatch import Stopwatch
 
-ZERO = (0.0, 0.0)
 STOP_S = 0.6  # a robot's own watchdog is 0.5 s, looked at each thirtieth of a second
 
 
@@ -26,24 +21,6 @@ async def drive(url: str, linear: float, angular: float) -> None:
     async with aiohttp.ClientSession() as session:
         body = json.dumps({"linear": linear, "angular": angular}).encode()
         await put_velocity(session, f"{url}/api/robots/robot_0", body)
-
-
-@pytest.mark.quiet
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
-async def test_a_signal_while_driving_stops_the_robot_then_silences_it_within_a_second(number: signal.Signals) -> None:
-    async with serve() as daemon, fake_device(daemon.tcp, robot_topics()) as device:
-        await drive(daemon.url, 0.2, 0.5)
-        assert await device.velocity_other_than(ZERO) == (0.2, 0.5)
-        watch = Stopwatch(daemon.pid)
-        async with meanwhile(watch.sampling()):
-            daemon.child.send_signal(number)
-            assert await device.velocity_other_than((0.2, 0.5)) == ZERO
-            after = []
-            while not after or after[-1].topic_id != Id.STOP:
-                after.append(await device.next())
-            assert await daemon.child.wait() == 0
-        assert watch.seconds < 1.0
-    assert {frame.payload for frame in after if frame.topic_id == 100} <= {bytes(48)}
 
 
 @pytest.mark.quiet
@@ -87,15 +64,6 @@ async def test_a_serial_device_does_the_same() -> None:
         running.cancel()
 
 
-async def test_ten_robots_at_once() -> None:
-    async with serve() as daemon, simulated(daemon.tcp, "--robots", "10"):
-        for _ in range(10):
-            await daemon.read_log("robot.appeared")
-        robots = (await daemon.get("/api/robots"))["robots"]
-    assert sorted(robot["name"] for robot in robots) == [f"robot_{number}" for number in range(10)]
-    assert all(robot["connected"] for robot in robots)
-
-
 async def test_a_port_in_use_is_one_line_and_status_2_and_starts_no_guardian() -> None:
     async with serve() as daemon:
         address = "{}:{}".format(*daemon.tcp)
@@ -107,10 +75,3 @@ async def test_a_port_in_use_is_one_line_and_status_2_and_starts_no_guardian() -
         )
         assert (status, "guardian.started" in complaint) == (2, False)
         assert "choose another port with --api" in complaint
-
-
-async def test_a_serial_port_that_is_not_there_is_waited_for() -> None:
-    async with serve("--serial", "/dev/ttyNONE") as daemon:
-        waiting = await daemon.read_log("serial.waiting")
-        assert "no such port" in waiting["reason"]
-        assert await daemon.end(signal.SIGTERM) == 0

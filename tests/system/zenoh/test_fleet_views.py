@@ -12,8 +12,7 @@ from hostlink.config import Config, LinkConfig
 from hostlink.errors import CommandRefused, RefusalKind
 from tests.support.browser import visit
 from tests.support.fake_device import fake_device, pose, repeating, robot_topics
-from tests.support.process import HOSTLINK, run
-from tests.support.screen import screen
+from tests.support.process import run
 from tests.support.waiting import expect
 from tests.support.zenoh_fleet import fleet, shown
 
@@ -104,18 +103,3 @@ async def test_commands_reach_a_robot_of_another_daemon() -> None:
             status, _, error = await publishing
             assert status == 0, error
         assert await device.velocity_other_than((0.2, 0.0)) == STILL
-
-
-async def test_keys_drive_a_robot_of_another_daemon() -> None:
-    async with (
-        fleet("a", "b") as (a, b),
-        fake_device(b.tcp, robot_topics("robot_7")) as device,
-        screen() as terminal,
-    ):
-        await shown(a, "robot_7")
-        await terminal.keys(f"{HOSTLINK} teleop robot_7 --url {a.url}", "Enter")
-        await terminal.shows("hostlink teleop   robot_7   connected")
-        await terminal.keys("w")
-        linear, _ = await device.velocity_other_than(STILL)
-        assert linear > 0
-        await device.velocity_of(STILL)
