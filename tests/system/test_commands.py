@@ -40,21 +40,6 @@ async def test_topics_echo_pub_and_call() -> None:
             assert await calling == (0, f'{{"success": {printed}, "message": "ok"}}\n', "")
 
 
-@pytest.mark.parametrize(
-    ("arguments", "complaint"),
-    [
-        (["pub", "/led", "std_msgs/Int32", "{}"], "/led: wanted std_msgs/Bool, got std_msgs/Int32"),
-        (["call", "/nope"], "no service named /nope"),
-    ],
-)
-async def test_a_refusal_is_one_line_and_status_1(arguments: list[str], complaint: str) -> None:
-    async with serve() as daemon, fake_device(daemon.tcp, LED):
-        status, out, err = await run(*arguments, "--url", daemon.url)
-    assert (status, out) == (1, "")
-    assert complaint in err
-    assert len(err.splitlines()) == 1
-
-
 @contextlib.asynccontextmanager
 async def driving_with_pub(url: str, device: FakeDevice) -> AsyncIterator[asyncio.subprocess.Process]:
     twist = '{"linear": {"x": 0.2}}'
