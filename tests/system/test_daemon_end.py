@@ -53,7 +53,7 @@ async def velocities_to_the_stop(device: FakeDevice) -> list[tuple[float, float]
 
 
 async def velocities_to_the_end(device: FakeDevice) -> list[tuple[float, float]]:
-    """The same of a device whose link must end then."""
+    """Every velocity up to the request to fall silent, after which the link must end."""
     found = await velocities_to_the_stop(device)
     with pytest.raises((EOFError, ConnectionError)):
         await device.next()

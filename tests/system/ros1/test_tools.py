@@ -38,17 +38,13 @@ async def scene(tmp_path: Path) -> AsyncIterator[Scene]:
 
 
 @pytest.mark.long
-async def test_rostopic_lists_types_and_describes(scene: Scene) -> None:
+async def test_rostopic_lists_describes_measures_and_prints_what_a_device_publishes(scene: Scene) -> None:
     topics = await scene.ros.lines("rostopic", "list")
     assert {ODOMETRY, VELOCITY, "/robot_0/odom", "/robot_0/cmd_vel", "/tf", "/rosout"} <= set(topics)
     assert await scene.ros.lines("rostopic", "type", ODOMETRY) == ["geometry_msgs/Pose2D"]
     info = "\n".join(await scene.ros.lines("rostopic", "info", VELOCITY))
     assert "Type: geometry_msgs/Twist" in info
     assert re.search(r"Subscribers:\s*\n\* /hostlink \(http://127.0.0.1:\d+/\)", info)
-
-
-@pytest.mark.long
-async def test_rostopic_measures_and_prints_what_a_device_publishes(scene: Scene) -> None:
     _, out = await scene.ros.run("timeout", "-s", "INT", "3", "rostopic", "hz", "-w", "20", ODOMETRY)
     rates = [float(rate) for rate in re.findall(r"average rate: ([\d.]+)", out)]
     assert rates, out
@@ -64,7 +60,12 @@ async def test_rostopic_drives_a_robot(scene: Scene) -> None:
 
 
 @pytest.mark.long
-async def test_rosnode_lists_describes_and_pings(scene: Scene) -> None:
+async def test_rosnode_and_rosservice_find_the_daemon_and_rosnode_kill_ends_its_graph_part_alone(scene: Scene) -> None:
+    services = await scene.ros.lines("rosservice", "list")
+    assert "/robot_0/lock" in services, services
+    assert await scene.ros.lines("rosservice", "type", "/robot_0/lock") == ["std_srvs/Trigger"]
+    assert await scene.ros.lines("rosservice", "node", "/robot_0/lock") == ["/hostlink"]
+    assert "success: True" in await scene.ros.lines("rosservice", "call", "/robot_0/lock")
     assert "/hostlink" in await scene.ros.lines("rosnode", "list")
     info = "\n".join(await scene.ros.lines("rosnode", "info", "/hostlink"))
     assert f"* {ODOMETRY} [geometry_msgs/Pose2D]" in info
@@ -73,9 +74,6 @@ async def test_rosnode_lists_describes_and_pings(scene: Scene) -> None:
     assert "Pid:" in info
     assert "xmlrpc reply from" in "\n".join(await scene.ros.lines("rosnode", "ping", "-c", "2", "/hostlink"))
 
-
-@pytest.mark.long
-async def test_rosnode_kill_ends_the_graph_part_and_not_the_daemon(scene: Scene) -> None:
     assert "killed" in "\n".join(await scene.ros.lines("rosnode", "kill", "/hostlink"))
     ended = await scene.daemon.read_log("ros1.ended")
     assert "/rosnode" in ended["reason"]
@@ -87,12 +85,3 @@ async def test_rosnode_kill_ends_the_graph_part_and_not_the_daemon(scene: Scene)
     assert "unknown node" in out, (status, out)
     assert scene.daemon.child.returncode is None
     await scene.robot.send(pose(2.0))
-
-
-@pytest.mark.long
-async def test_rosservice_lists_types_and_calls_a_service_of_the_daemon(scene: Scene) -> None:
-    services = await scene.ros.lines("rosservice", "list")
-    assert "/robot_0/lock" in services, services
-    assert await scene.ros.lines("rosservice", "type", "/robot_0/lock") == ["std_srvs/Trigger"]
-    assert await scene.ros.lines("rosservice", "node", "/robot_0/lock") == ["/hostlink"]
-    assert "success: True" in await scene.ros.lines("rosservice", "call", "/robot_0/lock")
