@@ -5,9 +5,8 @@ There is no network, so that they run in virtual time. `vanish` is what the grap
 
 import asyncio
 import itertools
-import socket
 from collections import Counter
-from typing import Any, cast
+from typing import cast
 
 from hostlink.config import Ros1Config
 from hostlink.errors import CommandRefused, HostlinkError, RefusalKind
@@ -31,30 +30,11 @@ from hostlink.hub.node import Role
 from hostlink.hub.participant import Participant
 from hostlink.log_budget import Budget
 from hostlink.robot.velocity import TWIST_TYPE, PlanarVelocity
+from tests.support.api_memory import ApiTransport
 from tests.support.fake_device import CATALOG
 from tests.support.participants import ROBOT, Scene
 
 PRIORITY = 50
-
-
-class _Wireless(asyncio.Transport):
-    """The transport of a connection whose peer is the test."""
-
-    def __init__(self, connection: socket.socket) -> None:
-        """`connection`: for the options that are set on it."""
-        super().__init__({"peername": ("10.0.0.9", 1), "socket": connection})
-
-    def write(self, data: Any) -> None:
-        """Discard the data."""
-
-    def set_write_buffer_limits(self, high: int | None = None, low: int | None = None) -> None:
-        """Ignore the limits, because no data waits."""
-
-    def close(self) -> None:
-        """There is nothing to close."""
-
-    def abort(self) -> None:
-        """There is nothing to close."""
 
 
 class Ros1Driver:
@@ -67,8 +47,9 @@ class Ros1Driver:
         name = scene.hub.robots.find_here(ROBOT).shown.velocity
         topic = next(each for each in scene.neighbour.graph().topics if each.name == name)
         self._connection = _PublisherConnection(self._node, topic, Budget(), is_new=True)
-        with socket.socket() as connection:
-            self._connection.wire.connection_made(_Wireless(connection))
+        transport = ApiTransport("10.0.0.9")
+        transport.protocol = self._connection.wire
+        self._connection.wire.connection_made(transport)
         fields = {"callerid": "/joystick", "type": TWIST_TYPE, "md5sum": twist.md5, "topic": name}
         self._connection.wire.data_received(encode_header(fields))
 
