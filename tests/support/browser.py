@@ -4,7 +4,7 @@ import asyncio
 import contextlib
 import math
 import re
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -35,6 +35,9 @@ MEASURE = Path(__file__).with_name("page_measure.js").read_text(encoding="utf-8"
 DRIVING_KEYS = ("KeyW", "KeyA", "ArrowUp")  # those that tests hold
 DESK = {"width": 1440, "height": 900}
 PHONE = {"width": 390, "height": 844}
+
+
+Act = Callable[[], Awaitable[object]]
 
 
 @dataclass
@@ -68,24 +71,48 @@ class Visit:
         await self.shows("#connection", "connected", timeout_s=timeout_s)
 
     async def hold(self, key: str, is_so: Callable[[], object]) -> None:
-        """Hold a key until a condition is true.
+        """Hold a key until a condition is true (`press_until`)."""
+        keys = self.page.keyboard
+        await self.press_until(lambda: keys.down(key), lambda: keys.up(key), is_so)
 
-        The page ends a motion when it has stood still for long. After a pause of the machine without the effect, the
-        key is therefore pressed again.
+    async def drag_stick(self, right_px: float, up_px: float, is_so: Callable[[], object]) -> None:
+        """Drag the joystick with the mouse until a condition is true (`press_until`)."""
+        mouse, (x, y) = self.page.mouse, await self.stick()
+
+        async def press() -> None:
+            await mouse.move(x, y)
+            await mouse.down()
+            await mouse.move(x + right_px, y - up_px, steps=3)
+
+        await self.press_until(press, mouse.up, is_so)
+
+    async def hold_button(self, button: str, is_so: Callable[[], object]) -> None:
+        """Hold a button of a test's gamepad until a condition is true (`press_until`)."""
+        await self.press_until(
+            lambda: self.page.evaluate(f"{button}.pressed = true"),
+            lambda: self.page.evaluate(f"{button}.pressed = false"),
+            is_so,
+        )
+
+    async def press_until(self, press: Act, release: Act, is_so: Callable[[], object]) -> None:
+        """Press something until a condition is true.
+
+        The page ends a motion when it has stood still for long, and so does the daemon. After a pause of the machine
+        without the effect, it is therefore released and pressed again.
         """
         now_s = asyncio.get_running_loop().time
-        await self.page.keyboard.down(key)
+        await press()
         deadline_s, again_at_s = now_s() + TIMEOUT_S, math.inf
         while not is_so():
             polled_s = now_s()
-            assert polled_s < deadline_s, f"{key} had no effect within {TIMEOUT_S:g} s"
+            assert polled_s < deadline_s, f"it had no effect within {TIMEOUT_S:g} s"
             if polled_s >= again_at_s:
-                await self.page.keyboard.up(key)
-                await self.page.keyboard.down(key)
+                await release()
+                await press()
                 again_at_s = math.inf
             await asyncio.sleep(POLL_S)
             if now_s() - polled_s > PAUSE_S:
-                again_at_s = now_s() + EFFECT_S
+                again_at_s = min(again_at_s, now_s() + EFFECT_S)
 
     async def layout(self, name: str) -> None:
         """Choose a layout: Drive, Tune, Fleet, Watch."""
