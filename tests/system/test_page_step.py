@@ -36,7 +36,9 @@ async def bench(browser: Browser) -> AsyncIterator[tuple[Daemon, DisturbedRobot,
         await tab.layout("Tune")
         await tab.page.locator("#step:enabled").wait_for()
         plot = tab.page.locator("#plot-left .uplot")
-        await expect_page(plot).to_have_attribute("data-count", re.compile("^[1-9]"))  # so it is known that it stands
+        await expect_page(plot).to_have_attribute(
+            "data-count", re.compile("^[1-9]")
+        )  # the page knows that it is stopped
         yield host, robot, tab
         assert tab.complaints == []
 

@@ -70,12 +70,12 @@ async def drive(other: Peer, topic: str = CMD_VEL, *, type_name: str = TWIST, li
 
 
 def watched(*programs: Bridge | Peer) -> Stopwatch:
-    """Return a stopwatch for the stream that goes through these programs, from now on."""
+    """Return a stopwatch of the programs that a stream passes, from now on."""
     return Stopwatch(*(program.child.pid for program in programs))
 
 
 async def drives_nothing(is_driven: Callable[[], object], for_s: float, watch: Stopwatch) -> None:
-    """Check that a stream that goes on does not drive, unless it paused for a lease because it waited for a core."""
+    """Check that a continued stream does not drive, unless it paused for a lease because it waited for a core."""
     if await is_true_within(is_driven, for_s):
         assert watch.kept_s > LEASE_S, "the stream from before drives"
 
